@@ -1,0 +1,66 @@
+# Every command a newcomer needs. Each target sets up what it uses in a local virtual environment (.venv).
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+UV := $(BIN)/uv pip install --python $(BIN)/python --quiet
+OUT ?= out
+
+RUST := $(shell find rust -name '*.rs') Cargo.toml Cargo.lock
+
+.PHONY: demo test lint bench prove docs wheel data clean test-rust test-python
+
+demo: $(VENV)/.core
+	$(BIN)/softmap demo --out $(OUT)/demo
+
+test: test-rust test-python
+
+test-rust:
+	cargo test --locked --quiet
+
+test-python: $(VENV)/.test
+	$(BIN)/python -m pytest -m "not prove"
+
+lint: $(VENV)/.lint
+	cargo fmt --check
+	cargo clippy --locked --all-targets --quiet -- -D warnings
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: $(VENV)/.test
+	$(BIN)/python -m benches
+
+prove: $(VENV)/.test
+	cargo test --locked --release --quiet -- --include-ignored
+	$(BIN)/python -m pytest
+
+docs: $(VENV)/.test
+	$(BIN)/python docs/figures.py
+
+wheel: $(VENV)/.core
+	$(UV) maturin
+	$(BIN)/maturin build --release --locked --out dist
+
+data: $(VENV)/.core
+	$(BIN)/python examples/fetch_data.py data
+
+clean:
+	rm -rf $(VENV) target dist build $(OUT) softmap_edge/*.so
+
+# --- the virtual environment, in layers -------------------------------------------------
+$(VENV)/.venv:
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
+	touch $@
+
+# The package itself, compiled; python files are used in place.
+$(VENV)/.core: $(VENV)/.venv $(RUST) pyproject.toml
+	$(UV) --reinstall-package softmap-edge -e '.[report]'
+	touch $@
+
+$(VENV)/.test: $(VENV)/.core training/pyproject.toml
+	$(UV) --group pyproject.toml:test -e training
+	touch $@
+
+$(VENV)/.lint: $(VENV)/.core
+	$(UV) --group pyproject.toml:lint --group pyproject.toml:test
+	touch $@

@@ -1,0 +1,9 @@
+//! The compiled core of SOFTMAP-Edge: whatever loops over vertices, time steps or candidates.
+//!
+//! Nothing here knows Python except the `python` module, which only converts and forwards.
+
+pub mod error;
+#[cfg(feature = "python")]
+mod python;
+
+pub use error::{Error, Result};

@@ -1,0 +1,25 @@
+//! Bindings: convert arrays, release the interpreter, forward. No logic lives here.
+
+use crate::Error;
+use pyo3::create_exception;
+use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
+use pyo3::prelude::*;
+
+create_exception!(_core, CoreError, PyValueError, "Bad input to the compiled core.");
+create_exception!(_core, NoEquilibriumError, CoreError, "The simulator found no equilibrium.");
+
+impl From<Error> for PyErr {
+    fn from(error: Error) -> PyErr {
+        match error {
+            Error::Invalid(message) => CoreError::new_err(message),
+            Error::NoEquilibrium(message) => NoEquilibriumError::new_err(message),
+            Error::Interrupted => PyKeyboardInterrupt::new_err("interrupted"),
+        }
+    }
+}
+
+#[pymodule]
+mod _core {
+    #[pymodule_export]
+    use super::{CoreError, NoEquilibriumError};
+}

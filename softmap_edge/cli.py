@@ -1,0 +1,64 @@
+"""The `softmap` command: finds the verb, runs it, turns errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from importlib.metadata import entry_points
+
+from softmap_edge import SoftmapError, __version__
+from softmap_edge.commands import ELSEWHERE, VERBS, Verb
+
+DONE, FAULT, WRONG_USE = 0, 1, 2
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one verb; return 0 when done, 1 for a fault or a worse error, 2 for wrong use."""
+    argv = sys.argv[1:] if argv is None else argv
+    verbs = {verb.name: verb for verb in [*VERBS, *_plugged_in()]}
+    if not argv or argv[0] in ("-h", "--help"):
+        print(_overview(list(verbs.values())))
+        return DONE if argv else WRONG_USE
+    if argv[0] == "--version":
+        print(f"softmap {__version__}")
+        return DONE
+    if argv[0] not in verbs:
+        if argv[0] in ELSEWHERE:
+            print(f"softmap: '{argv[0]}' is in another package: {ELSEWHERE[argv[0]]}", file=sys.stderr)
+        else:
+            print(f"softmap: no verb '{argv[0]}'; there are {', '.join(verbs)}", file=sys.stderr)
+        return WRONG_USE
+    return _run(verbs[argv[0]], argv[1:])
+
+
+def _run(verb: Verb, argv: list[str]) -> int:
+    module = importlib.import_module(verb.module)
+    function = verb.name.replace("-", "_") + ("_" if verb.name == "import" else "")
+    parser = argparse.ArgumentParser(prog=f"softmap {verb.name}", description=verb.help)
+    getattr(module, f"{function.rstrip('_')}_arguments")(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON document instead of text")
+    try:
+        args = parser.parse_args(argv)
+    except SystemExit as stop:  # argparse has printed why
+        return int(stop.code or 0)
+    try:
+        return int(getattr(module, function)(args))
+    except (SoftmapError, OSError) as error:
+        print(f"softmap {verb.name}: {error}", file=sys.stderr)
+        return WRONG_USE
+    except KeyboardInterrupt:
+        print(f"softmap {verb.name}: interrupted", file=sys.stderr)
+        return FAULT
+
+
+def _plugged_in() -> list[Verb]:
+    return [verb for point in entry_points(group="softmap.commands") for verb in point.load()()]
+
+
+def _overview(verbs: list[Verb]) -> str:
+    lines = ["usage: softmap VERB [options]   (softmap VERB --help)", ""]
+    for group in dict.fromkeys(verb.group for verb in verbs):
+        lines.append(f"{group}:")
+        lines += [f"  {verb.name:<10} {verb.help}" for verb in verbs if verb.group == group]
+    return "\n".join(lines)

@@ -1,0 +1,36 @@
+"""The verbs of the `softmap` command: one table, each verb's module imported only when it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A verb: `module` holds the functions `NAME(args) -> int` and `NAME_arguments(parser)`."""
+
+    name: str
+    group: str
+    help: str
+    module: str
+
+
+VERBS: list[Verb] = [
+    Verb("demo", "see it all", "the whole story on a simulated finger with hidden effects", "softmap_edge.commands.demo"),
+    Verb("build", "make a model", "finger.toml → bundle", "softmap_edge.commands.make"),
+    Verb("learn", "make a model", "reference run → rod bundle", "softmap_edge.commands.make"),
+    Verb("sweep", "make a model", "simulate a grid of commands", "softmap_edge.commands.make"),
+    Verb("import", "set up", "CSV log + mapping file → run", "softmap_edge.commands.runs"),
+    Verb("check", "look", "is this run or bundle sound", "softmap_edge.commands.runs"),
+    Verb("show", "look", "what is in a run or bundle", "softmap_edge.commands.runs"),
+    Verb("predict", "look", "shapes for commands", "softmap_edge.commands.look"),
+    Verb("effects", "look", "the effects that the library knows", "softmap_edge.commands.look"),
+    Verb("compare", "understand", "how far off is the model, and where", "softmap_edge.commands.understand"),
+    Verb("diagnose", "understand", "which effect is missing", "softmap_edge.commands.understand"),
+    Verb("add", "understand", "add an effect to a bundle", "softmap_edge.commands.understand"),
+    Verb("remove", "understand", "remove an effect from a bundle", "softmap_edge.commands.understand"),
+    Verb("refit", "understand", "fit the effects of a bundle again", "softmap_edge.commands.understand"),
+]
+
+# Verbs of distributions that may not be installed, and what to install for each.
+ELSEWHERE: dict[str, str] = {"train": "pip install 'softmap-training[torch]'"}

@@ -1,0 +1,17 @@
+"""The family of errors that this package raises: what was wrong, what is allowed, what to do."""
+
+
+class SoftmapError(Exception):
+    """Base of every error a user can cause; its message is one complete line."""
+
+
+class RunError(SoftmapError):
+    """A run file or one of its fields is not usable."""
+
+
+class BundleError(SoftmapError):
+    """A bundle folder is damaged, too new or not a bundle."""
+
+
+class FingerError(SoftmapError):
+    """A finger description cannot be built."""

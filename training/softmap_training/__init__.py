@@ -1,0 +1,1 @@
+"""The training side of SOFTMAP-Edge: whatever needs torch or more data than fits a robot."""
