@@ -5,8 +5,18 @@ use pyo3::create_exception;
 use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
 use pyo3::prelude::*;
 
-create_exception!(_core, CoreError, PyValueError, "Bad input to the compiled core.");
-create_exception!(_core, NoEquilibriumError, CoreError, "The simulator found no equilibrium.");
+create_exception!(
+    _core,
+    CoreError,
+    PyValueError,
+    "Bad input to the compiled core."
+);
+create_exception!(
+    _core,
+    NoEquilibriumError,
+    CoreError,
+    "The simulator found no equilibrium."
+);
 
 impl From<Error> for PyErr {
     fn from(error: Error) -> PyErr {

@@ -1,0 +1,98 @@
+"""What a fit sees of a shape: centroid and first moments of each section of a template, or markers as they are.
+
+A frame's features are V 3-vectors, linear in the points: `features = weights @ points`, so that noise maps exactly.
+Section s with points p_i at rest angle φ_i about the axis gives a centroid (1/n Σ p_i) and the directions
+2/n Σ (cos φ_i − mean) p_i and 2/n Σ (sin φ_i − mean) p_i (mm: radius times the section's director).
+A place moves under translation; a direction (weights sum to zero) only rotates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+SECTIONS = 9
+
+
+@dataclass(frozen=True)
+class FeatureMap:
+    """Linear map from points to features: `weights` (V, N), `positions` (V,) bool, `section` (V,) int."""
+
+    weights: Floats
+    positions: NDArray[np.bool_]
+    section: NDArray[np.int64]
+
+    def __call__(self, points: Floats) -> Floats:
+        """Return the features (..., V, 3) mm of `points` (..., N, 3) mm."""
+        return np.asarray(np.einsum("vn,...nc->...vc", self.weights, points))
+
+    def matrix(self) -> Floats:
+        """Return the map as one matrix (3N, 3V) on flattened coordinates, as `Table.project` takes it."""
+        return np.ascontiguousarray(np.kron(self.weights.T, np.eye(3)))
+
+
+def sections_of(rest: Floats, count: int = SECTIONS) -> NDArray[np.int64]:
+    """Return the section (N,) of each rest vertex (N, 3) mm: `count` slices of equal height along z."""
+    z = rest[:, 2]
+    low, high = float(z.min()), float(z.max())
+    return np.clip(((z - low) / (high - low + 1e-9) * count).astype(np.int64), 0, count - 1)
+
+
+def section_features(rest: Floats, sections: NDArray[np.int64]) -> FeatureMap:
+    """Return the centroids and first moments of each section of a template at rest (N, 3) mm."""
+    count = int(sections.max()) + 1
+    weights = np.zeros((3 * count, len(rest)))
+    for s in range(count):
+        inside = np.flatnonzero(sections == s)
+        angle = np.arctan2(rest[inside, 1], rest[inside, 0])
+        n = len(inside)
+        weights[s, inside] = 1.0 / n
+        for row, basis in ((count + s, np.cos(angle)), (2 * count + s, np.sin(angle))):
+            weights[row, inside] = 2.0 / n * (basis - basis.mean())
+    return FeatureMap(weights, np.arange(3 * count) < count, np.tile(np.arange(count), 3))
+
+
+def marker_features(count: int) -> FeatureMap:
+    """Return the map for `count` markers: each is a feature of its own."""
+    return FeatureMap(np.eye(count), np.ones(count, bool), np.arange(count))
+
+
+def attach(points: Floats, rest: Floats, reach: float = 8.0) -> Floats:
+    """Return weights (M, N) that carry `points` (M, 3) mm with a template at `rest` (N, 3) mm.
+
+    Moving least squares over the nearest vertices (Gaussian, `reach` mm): reproduces every affine motion, so a
+    point off the surface moves with the body around it.
+    """
+    weights = np.zeros((len(points), len(rest)))
+    for m, point in enumerate(points):
+        offset = rest - point
+        near = np.argsort(np.einsum("nc,nc->n", offset, offset))[:24]
+        distance2 = np.einsum("nc,nc->n", offset[near], offset[near])
+        width = max(reach, float(np.sqrt(distance2[3])))
+        kernel = np.exp(-distance2 / (2 * width**2)) + 1e-9
+        basis = np.column_stack([np.ones(len(near)), offset[near]])  # (n, 4), linear about the point
+        gram = basis.T @ (kernel[:, None] * basis) + 1e-9 * np.diag([0.0, 1.0, 1.0, 1.0])
+        weights[m, near] = kernel * (basis @ np.linalg.solve(gram, np.array([1.0, 0.0, 0.0, 0.0])))
+    return weights
+
+
+def seen_residual(residual: Floats, rest: Floats, sections: NDArray[np.int64], seen: NDArray[np.bool_]) -> Floats:
+    """Return section features (3S, 3) mm of a residual (N, 3) mm of which only the vertices `seen` (N,) are known.
+
+    Per section, least squares of the residual on (1, cos φ, sin φ); a section with fewer than six seen vertices is NaN.
+    """
+    count = int(sections.max()) + 1
+    features = np.full((3 * count, 3), np.nan)
+    for s in range(count):
+        inside = np.flatnonzero((sections == s) & seen)
+        if len(inside) < 6:
+            continue
+        angle = np.arctan2(rest[inside, 1], rest[inside, 0])
+        basis = np.column_stack([np.ones(len(inside)), np.cos(angle), np.sin(angle)])
+        solution, _, rank, _ = np.linalg.lstsq(basis, residual[inside], rcond=1e-3)
+        if rank == 3:
+            features[[s, count + s, 2 * count + s]] = solution
+    return features

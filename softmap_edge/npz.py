@@ -1,0 +1,75 @@
+"""Array archives (`.npz`) that are the same bytes for the same content and never run code when read."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import SoftmapError
+
+MAX_BYTES = 4 << 30
+_EPOCH = (1980, 1, 1, 0, 0, 0)
+
+
+def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+    """Write `arrays` to `path`, replacing it only when complete; the same content gives the same bytes."""
+    partial = path.with_name(path.name + ".part")
+    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name in sorted(arrays):
+            buffer = io.BytesIO()
+            np.lib.format.write_array(buffer, np.ascontiguousarray(arrays[name]), allow_pickle=False)
+            archive.writestr(
+                zipfile.ZipInfo(f"{name}.npy", _EPOCH), buffer.getvalue(), zipfile.ZIP_DEFLATED, compresslevel=9
+            )
+    partial.replace(path)
+
+
+def read_npz(
+    path: Path, error: type[SoftmapError] = SoftmapError, limit: int = MAX_BYTES
+) -> dict[str, NDArray[np.generic]]:
+    """Read every array of `path`; raise `error` with one line when it is damaged, too large or holds objects."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            total = sum(entry.file_size for entry in archive.infolist())
+            if total > limit:
+                raise error(f"{path.name}: {total} bytes when unpacked, at most {limit} are read")
+            arrays = {}
+            for entry in archive.infolist():
+                with archive.open(entry) as stream:
+                    arrays[entry.filename.removesuffix(".npy")] = _read_array(stream.read(), entry.filename, path, error)
+            return arrays
+    except FileNotFoundError:
+        raise error(f"{path}: no such file") from None
+    except SoftmapError:
+        raise
+    except Exception as fault:  # zipfile and zlib raise a dozen kinds on damaged files
+        raise error(f"{path.name}: not a readable .npz archive ({fault}); make it again or copy it again") from None
+
+
+def _read_array(data: bytes, name: str, path: Path, error: type[SoftmapError]) -> NDArray[np.generic]:
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        if version == (1, 0):
+            shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+        elif version == (2, 0):
+            shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+        else:
+            raise ValueError(f"array format {version}")
+        if dtype.hasobject:
+            raise ValueError("it holds Python objects, which are never read")
+        if any(n < 0 for n in shape):
+            raise ValueError(f"shape {shape}")
+        expected = int(np.prod(shape, dtype=object)) * dtype.itemsize
+        if expected != len(data) - stream.tell():
+            raise ValueError(f"shape {shape} of {dtype} needs {expected} bytes, {len(data) - stream.tell()} are there")
+        stream.seek(0)
+        array: NDArray[np.generic] = np.lib.format.read_array(stream, allow_pickle=False)
+        return array
+    except Exception as fault:
+        raise error(f"{path.name}: array '{name}' is not readable ({fault}); make the file again") from None
