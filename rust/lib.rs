@@ -5,5 +5,6 @@
 pub mod error;
 #[cfg(feature = "python")]
 mod python;
+pub mod shape;
 
 pub use error::{Error, Result};
