@@ -24,6 +24,7 @@ lint: $(VENV)/.lint
 	cargo fmt --check
 	cargo clippy --locked --all-targets --quiet -- -D warnings
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
 bench: $(VENV)/.test

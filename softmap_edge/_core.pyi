@@ -1,7 +1,5 @@
 """Types of the compiled core; the bindings in rust/python/ implement them."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -41,7 +41,9 @@ def read_npz(
             arrays = {}
             for entry in archive.infolist():
                 with archive.open(entry) as stream:
-                    arrays[entry.filename.removesuffix(".npy")] = _read_array(stream.read(), entry.filename, path, error)
+                    arrays[entry.filename.removesuffix(".npy")] = _read_array(
+                        stream.read(), entry.filename, path, error
+                    )
             return arrays
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
