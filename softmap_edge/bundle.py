@@ -1,0 +1,254 @@
+"""The bundle: the folder that carries a model from one machine to another. Data only; nothing in it is ever run.
+
+manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it
+prior.npz       the prior: a table (axes, coefficients, mean, modes) or a rod
+template.npz    rest points, triangles, tip, per-feature form error
+fields.npz      displacement fields per 1 g and per 1 N, as modes on a coarser grid
+effects.json    the chain: names and parameters
+calibration.json, safety.toml   joined when the bench has them
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import __version__, _core
+from softmap_edge.errors import BundleError, SoftmapError
+from softmap_edge.model import Model
+from softmap_edge.npz import read_npz, write_npz
+
+SCHEMA = 1
+_MAX_BYTES = 256 << 20
+_FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
+_KINDS = ("table", "rod")
+
+Arrays = dict[str, NDArray[np.generic]]
+
+
+def save_bundle(model: Model, path: str | Path, arrays: Mapping[str, Arrays] | None = None) -> Path:
+    """Write `model` as a bundle folder at `path`; the same model gives the same bytes. Return the folder.
+
+    `arrays` are the contents of `prior.npz` and `fields.npz`; without it they are those the model was loaded from.
+    Raises BundleError when `path` exists and is not a bundle.
+    """
+    folder = Path(path)
+    source = arrays if arrays is not None else model.made_from.get("_arrays")
+    if source is None:
+        raise BundleError("this model was not built or loaded as a bundle, so it has no arrays to write")
+    if (
+        folder.exists()
+        and not (folder / "manifest.json").exists()
+        and any(folder.iterdir() if folder.is_dir() else [1])
+    ):
+        raise BundleError(f"{folder} exists and is not a bundle; choose another name or remove it")
+    partial = folder.with_name(folder.name + ".part")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    for name in ("prior", "fields"):
+        write_npz(partial / f"{name}.npz", source[name])
+    template: dict[str, NDArray[np.generic]] = {
+        "rest": model.rest.astype(np.float32),
+        "triangles": model.triangles.astype(np.uint16 if len(model.rest) < 65536 else np.uint32),
+        "tip": model.tip_indices.astype(np.uint32),
+        "form_error_mm": model.form_error.astype(np.float32),
+    }
+    write_npz(partial / "template.npz", template)
+    chain = {"chain": list(model.chain_names), "params": model.params}
+    (partial / "effects.json").write_text(json.dumps(chain, indent=1, sort_keys=True) + "\n")
+    manifest = {
+        "schema": SCHEMA,
+        "kind": model.kind,
+        "robot": model.robot,
+        "channels": model.channels,
+        "command_unit": model.command_unit,
+        "length_unit": "mm",
+        "input": model.input,
+        "command_range": model.command_range.tolist(),
+        "gravity_reference": model.gravity_reference.tolist(),
+        "held_out_error_mm": float(model.vertex_error_mm),
+        "made_from": {key: value for key, value in model.made_from.items() if not key.startswith("_")},
+        "written_by": f"softmap-edge {__version__}",
+        "sha256": {name: _sha256(partial / name) for name in _FILES},
+    }
+    (partial / "manifest.json").write_text(json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n")
+    if folder.exists():
+        shutil.rmtree(folder)
+    partial.replace(folder)
+    return folder
+
+
+def load_bundle(path: str | Path) -> Model:
+    """Read a bundle folder and return its model; raise BundleError with one line when it is damaged or newer."""
+    folder = Path(path)
+    manifest = load_manifest(folder)
+    for name in _FILES:
+        if not (folder / name).is_file():
+            raise BundleError(f"{folder.name}: {name} is missing; copy the whole bundle folder again")
+        if _sha256(folder / name) != manifest["sha256"].get(name):
+            raise BundleError(
+                f"{folder.name}: {name} is not the file that the manifest names (hash differs); copy it again"
+            )
+    try:
+        return _model(folder, manifest)
+    except SoftmapError:
+        raise
+    except (KeyError, ValueError, TypeError, IndexError, OverflowError, MemoryError) as fault:
+        raise BundleError(f"{folder.name}: its arrays do not fit together ({fault}); build or copy it again") from None
+
+
+def builtin_model() -> Model:
+    """Return the model of the built-in finger, which ships with the package."""
+    return load_bundle(Path(__file__).parent / "data" / "finger")
+
+
+def load_manifest(path: str | Path) -> dict[str, Any]:
+    """Read and check `manifest.json` of a bundle folder."""
+    file = Path(path) / "manifest.json"
+    if not file.is_file():
+        raise BundleError(
+            f"{path}: not a bundle folder (no manifest.json); `softmap build` and `softmap learn` make one"
+        )
+    manifest = _json(file)
+    schema = manifest.get("schema")
+    if not isinstance(schema, int) or schema < 1:
+        raise BundleError(f"{file.parent.name}: manifest.json has schema {schema!r}, expected a whole number from 1")
+    if schema > SCHEMA:
+        raise BundleError(
+            f"{file.parent.name}: written with bundle schema {schema}, this version reads up to {SCHEMA}; "
+            "pip install -U softmap-edge"
+        )
+    if manifest.get("kind") not in _KINDS:
+        raise BundleError(f"{file.parent.name}: kind of prior {manifest.get('kind')!r}, known are {', '.join(_KINDS)}")
+    _require(manifest, "sha256", lambda v: isinstance(v, dict), "a table of file hashes")
+    _require(manifest, "channels", lambda v: isinstance(v, int) and 0 <= v <= 64, "a whole number 0…64")
+    _require(manifest, "robot", lambda v: isinstance(v, str), "a text")
+    _require(manifest, "held_out_error_mm", _finite_number, "a number in mm")
+    _require(manifest, "gravity_reference", lambda v: _floats(v, 3), "three numbers")
+    _require(
+        manifest,
+        "command_range",
+        lambda v: isinstance(v, list) and len(v) == manifest["channels"] and all(_floats(r, 2) for r in v),
+        "a [low, high] pair a channel",
+    )
+    return manifest
+
+
+def table_from(arrays: Mapping[str, NDArray[np.generic]], prefix: str = "") -> _core.Table:
+    """Return the compiled table stored in `arrays` as `{prefix}axis0…`, `coefficients`, `mean`, `modes`."""
+    axes = []
+    while f"{prefix}axis{len(axes)}" in arrays:
+        axes.append(np.asarray(arrays[f"{prefix}axis{len(axes)}"], float))
+    mean, modes = (np.asarray(arrays[f"{prefix}{name}"], float) for name in ("mean", "modes"))
+    return _core.Table(axes, np.ascontiguousarray(arrays[f"{prefix}coefficients"], float), mean, modes)
+
+
+def _model(folder: Path, manifest: dict[str, Any]) -> Model:
+    arrays = {
+        name: read_npz(folder / f"{name}.npz", BundleError, _MAX_BYTES) for name in ("prior", "fields", "template")
+    }
+    for name, group in arrays.items():
+        for key, array in group.items():
+            if array.dtype.kind not in "fiub" or not np.all(np.isfinite(array)):
+                raise BundleError(f"{folder.name}: {name}.npz: '{key}' is not all finite numbers; build it again")
+    template = arrays["template"]
+    if manifest["kind"] == "table":
+        prior: Any = table_from(arrays["prior"])
+        fields = _table_fields(arrays["fields"])
+    else:
+        from softmap_edge.rod import rod_from_arrays
+
+        prior, fields = rod_from_arrays(arrays["prior"])
+    rest = np.asarray(template["rest"], float)
+    if rest.ndim != 2 or rest.shape[1] != 3 or prior.size != rest.size:
+        raise BundleError(f"{folder.name}: template {rest.shape} and prior of {prior.size} numbers do not fit together")
+    if prior.channels != manifest["channels"]:
+        raise BundleError(f"{folder.name}: prior of {prior.channels} channels, manifest says {manifest['channels']}")
+    triangles = np.asarray(template["triangles"], np.int32).reshape(-1, 3)
+    tip = np.asarray(template["tip"], np.int64)
+    for name, index in (("triangles", triangles), ("tip", tip)):
+        if index.size and not 0 <= index.min() <= index.max() < len(rest):
+            raise BundleError(f"{folder.name}: template '{name}' points outside its {len(rest)} vertices")
+    model = Model(
+        kind=manifest["kind"],
+        prior=prior,
+        fields=fields,
+        rest=rest,
+        triangles=triangles,
+        form_error=np.asarray(template["form_error_mm"], float),
+        vertex_error_mm=float(manifest["held_out_error_mm"]),
+        tip_indices=tip,
+        gravity_reference=np.array(manifest["gravity_reference"], float),
+        command_range=np.array(manifest["command_range"], float).reshape(-1, 2),
+        robot=manifest["robot"],
+        command_unit=str(manifest.get("command_unit", "mm")),
+        input=str(manifest.get("input", "present")),
+        made_from={**_made_from(manifest), "_arrays": {"prior": arrays["prior"], "fields": arrays["fields"]}},
+    )
+    if model.form_error.shape != (len(model.positions), 3):
+        raise BundleError(
+            f"{folder.name}: form error of shape {model.form_error.shape}, expected ({len(model.positions)}, 3)"
+        )
+    effects = _json(folder / "effects.json")
+    names, params = effects.get("chain"), effects.get("params")
+    if not isinstance(names, list) or not all(isinstance(n, str) for n in names) or not isinstance(params, dict):
+        raise BundleError(f"{folder.name}: effects.json needs a list `chain` and a table `params`")
+    if not all(_finite_number(v) for v in params.values()):
+        raise BundleError(f"{folder.name}: effects.json: every parameter must be a finite number")
+    return model.with_effects(names, params)
+
+
+def _table_fields(arrays: Arrays) -> dict[str, Any]:
+    shared = {key: value for key, value in arrays.items() if key.startswith("axis") or key == "modes"}
+    names = [key.removeprefix("coefficients_") for key in arrays if key.startswith("coefficients_")]
+    size = shared["modes"].shape[1] if names else 0
+    return {
+        name: table_from({**shared, "coefficients": arrays[f"coefficients_{name}"], "mean": np.zeros(size)})
+        for name in sorted(names)
+    }
+
+
+def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:
+    made = manifest.get("made_from")
+    return dict(made) if isinstance(made, dict) else {}
+
+
+def _require(manifest: dict[str, Any], key: str, fits: Callable[[Any], bool], what: str) -> None:
+    if key not in manifest or not fits(manifest[key]):
+        raise BundleError(
+            f"manifest.json: '{key}' is {manifest.get(key)!r:.80}, expected {what}; build or copy it again"
+        )
+
+
+def _finite_number(value: Any) -> bool:
+    return (
+        isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300 and math.isfinite(value)
+    )
+
+
+def _floats(value: Any, length: int) -> bool:
+    return isinstance(value, list) and len(value) == length and all(_finite_number(v) for v in value)
+
+
+def _json(file: Path) -> dict[str, Any]:
+    if file.stat().st_size > 16 << 20:
+        raise BundleError(f"{file.name}: {file.stat().st_size} bytes, at most 16 MiB are read")
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as fault:
+        raise BundleError(f"{file.parent.name}: {file.name} is not readable JSON ({fault}); copy it again") from None
+    if not isinstance(document, dict):
+        raise BundleError(f"{file.parent.name}: {file.name} holds a {type(document).__name__}, expected a table")
+    return document
+
+
+def _sha256(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()

@@ -1,0 +1,226 @@
+"""The model: what turns commands into shapes. Comparison, diagnosis and control see only this face.
+
+    command ─chain of effects─> u_eff ─prior f(u_eff) + Σ cₖ·Sₖ(u_eff)─sensing effects─> points
+
+The prior is a table (a simulated sweep) or a rod (fitted to a reference run); whoever uses a model cannot tell which.
+Parameters of effects live in one place, `chain_params`, in the order of `chain.labels`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.features import FeatureMap, attach, marker_features, section_features, sections_of, seen_residual
+
+if TYPE_CHECKING:
+    from softmap_edge.run import Run
+
+Floats = NDArray[np.float64]
+Shape = Any  # a compiled shape: _core.Table, _core.Rod, _core.RodField
+_TIP_SHARE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A prior, its fields and the effects added to it.
+
+    `prior` maps commands (n, C) to flattened points (n, 3N) mm; `fields` are displacements per 1 g or per 1 N;
+    `rest` (N, 3) mm are the template's vertices or the markers at rest; `form_error` (V, 3) mm is the measured
+    held-out error of each feature; `made_from` says what made the model (versions, seeds, hashes).
+    """
+
+    kind: str
+    prior: Shape
+    fields: Mapping[str, Shape]
+    rest: Floats
+    triangles: NDArray[np.int32]
+    form_error: Floats
+    vertex_error_mm: float
+    tip_indices: NDArray[np.int64]
+    gravity_reference: Floats
+    command_range: Floats  # (C, 2) mm
+    robot: str = "finger"
+    command_unit: str = "mm"
+    input: str = "present"
+    chain_names: tuple[str, ...] = ()
+    chain_params: Floats = field(default_factory=lambda: np.zeros(0))
+    made_from: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def channels(self) -> int:
+        """Number of commands C."""
+        return int(self.prior.channels)
+
+    @property
+    def markers(self) -> bool:
+        """Whether the points are markers rather than vertices of a template."""
+        return len(self.triangles) == 0
+
+    @cached_property
+    def chain(self) -> _core.Chain:
+        """The compiled chain of this model's effects."""
+        return _core.Chain(list(self.chain_names), self.channels)
+
+    @cached_property
+    def sections(self) -> NDArray[np.int64]:
+        """Section (N,) of each point: slices along the body, or the marker's own number."""
+        return np.arange(len(self.rest)) if self.markers else sections_of(self.rest)
+
+    @cached_property
+    def feature_map(self) -> FeatureMap:
+        """The linear map from points to features."""
+        return marker_features(len(self.rest)) if self.markers else section_features(self.rest, self.sections)
+
+    @property
+    def positions(self) -> NDArray[np.bool_]:
+        """Which features (V,) are places; the others are directions."""
+        return self.feature_map.positions
+
+    @property
+    def params(self) -> dict[str, float]:
+        """The parameters of the effects, by label (`backlash.gap`, `gain.factor[0]`)."""
+        return dict(zip(self.chain.labels, map(float, self.chain_params)))
+
+    def with_effects(self, names: Sequence[str], params: Floats | Mapping[str, float]) -> Model:
+        """Return a model whose chain holds exactly `names` with `params` (in chain order, or by label)."""
+        chain = _core.Chain(list(names), self.channels)
+        if isinstance(params, Mapping):
+            unknown = [label for label in params if label not in chain.labels]
+            if unknown:
+                raise SoftmapError(f"no parameter '{unknown[0]}' in the chain; there are {', '.join(chain.labels)}")
+            start = dict(zip(chain.labels, map(float, chain.null))) | dict(params)
+            params = np.array([start[label] for label in chain.labels])
+        params = np.asarray(params, float)
+        if params.shape != (len(chain.labels),):
+            raise SoftmapError(f"{len(chain.labels)} parameters wanted ({', '.join(chain.labels)}), got {params.shape}")
+        return replace(self, chain_names=tuple(names), chain_params=params)
+
+    # --- from runs ------------------------------------------------------------------------------
+
+    def commands(self, run: Run) -> Floats:
+        """Return the run's commands (T, C) as this model takes them: the present position if there is one."""
+        u = run.present if self.input == "present" and run.present is not None else run.command
+        if u is None and run.ticks is not None:
+            raise RunError("the run has ticks only; give it `command` in mm or calibrate the bundle (ticks → mm) first")
+        if u is None or u.shape[1] != self.channels:
+            got = 0 if u is None else u.shape[1]
+            raise RunError(
+                f"the run has {got} commands a sample, this model of '{self.robot}' takes {self.channels}; "
+                "it is a run of another robot, or the mapping misses columns"
+            )
+        return np.ascontiguousarray(u, float)
+
+    def predict(self, run: Run) -> Floats:
+        """Return the points (K, N, 3) mm at the run's seen times; markers of the run if it has markers."""
+        vertices = self._run_predictor(self._points, self.chain, self.chain_params[None], run)[0]
+        carry = self._carry(run)
+        return vertices if carry is None else np.einsum("mn,knc->kmc", carry, vertices)
+
+    def features(self, run: Run) -> Floats:
+        """Return the predicted features (K, V, 3) mm at the run's seen times."""
+        return self.predict_features(self.chain_names, self.chain_params[None], run)[0]
+
+    def predict_features(self, names: Sequence[str], params: Floats, run: Run) -> Floats:
+        """Return features (B, K, V, 3) mm for B parameter sets (B, P) of a chain of `names`, batched in the core."""
+        predictor = self._feature_predictor(run)
+        chain = self.chain if tuple(names) == self.chain_names else _core.Chain(list(names), self.channels)
+        return self._run_predictor(predictor, chain, params, run)
+
+    def seen_features(self, run: Run) -> Floats:
+        """Return the measured features (K, V, 3) mm; NaN where too little was seen."""
+        seen, visible = self.seen_points(run), run.visible
+        mapping = self.run_feature_map(run)
+        if visible is None or bool(np.all(visible)):
+            return mapping(seen)
+        if self._carry(run) is not None or self.markers:
+            return np.where(visible[..., None], seen, np.nan)
+        predicted, features = self.predict(run), self.features(run)
+        rows = [
+            f + seen_residual(np.where(v[:, None], s - p, 0.0), self.rest, self.sections, v)
+            for f, s, p, v in zip(features, seen, predicted, visible)
+        ]
+        return np.stack(rows)
+
+    def seen_points(self, run: Run) -> Floats:
+        """Return the run's points (K, N, 3) mm after checking that they are points of this robot."""
+        seen = run.seen_points
+        if seen is None:
+            raise RunError("the run has no vertices or markers to compare with; clouds need registration first")
+        wanted = len(self.rest) if self._carry(run) is None else seen.shape[1]
+        if seen.shape[1] != wanted:
+            raise RunError(
+                f"the run has {seen.shape[1]} points a frame, this model of '{self.robot}' has {wanted}; "
+                "it is a run of another robot or template"
+            )
+        return np.asarray(seen, float)
+
+    def run_feature_map(self, run: Run) -> FeatureMap:
+        """Return the feature map for this run: sections for vertices, the markers themselves for markers."""
+        carry = self._carry(run)
+        return self.feature_map if carry is None else marker_features(len(carry))
+
+    def run_form_error(self, run: Run) -> Floats:
+        """Return the model's own held-out error (V, 3) mm for the features of this run."""
+        carry = self._carry(run)
+        if carry is None:
+            return self.form_error
+        return np.full((len(carry), 3), self.vertex_error_mm / np.sqrt(3.0))
+
+    def _carry(self, run: Run) -> Floats | None:
+        """Weights (M, N) that carry a run's markers on the template; None where points are the model's own."""
+        if self.markers or run.markers is None:
+            return None
+        if run.marker_rest is None:
+            raise RunError(
+                "the run has markers but no `marker_rest` (M, 3) mm, so they cannot be placed on the template"
+            )
+        return attach(np.asarray(run.marker_rest, float), self.rest)
+
+    def _run_predictor(self, predictor: Any, chain: _core.Chain, params: Floats, run: Run) -> Floats:
+        gravity = None if run.gravity is None else np.broadcast_to(run.gravity, (len(run.t), 3)).astype(float)
+        points: Floats = predictor.predict(
+            chain,
+            np.ascontiguousarray(params, float),
+            self.commands(run),
+            np.asarray(run.t, float),
+            np.asarray(run.t_seen, float),
+            gravity=None if gravity is None else np.ascontiguousarray(gravity),
+            load=None if run.load is None else np.ascontiguousarray(run.load, float),
+            temperature=None if run.temperature is None else np.ascontiguousarray(run.temperature, float),
+        )
+        return points
+
+    @cached_property
+    def _points(self) -> Any:
+        everywhere = np.ones(len(self.rest), bool)
+        return _core.Predictor(self.prior, dict(self.fields), everywhere, self.gravity_reference)
+
+    @cached_property
+    def _sections_predictor(self) -> Any:
+        return self._projected(self.feature_map)
+
+    def _feature_predictor(self, run: Run) -> Any:
+        carry = self._carry(run)
+        if carry is None:
+            return self._points if self.markers else self._sections_predictor
+        return self._projected(FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry))))
+
+    def _projected(self, mapping: FeatureMap) -> Any:
+        matrix, zero = mapping.matrix(), np.zeros(3 * len(mapping.weights))
+        fields = {name: shape.project(matrix, zero) for name, shape in self.fields.items()}
+        return _core.Predictor(self.prior.project(matrix, zero), fields, mapping.positions, self.gravity_reference)
+
+
+def tip_of(vertices: Floats) -> NDArray[np.int64]:
+    """Return the tip's vertices: the 5 % that move most over a sweep (S, N, 3) mm."""
+    movement = np.linalg.norm(vertices - vertices.mean(axis=0), axis=2).mean(axis=0)
+    count = max(1, round(_TIP_SHARE * len(movement)))
+    return np.sort(np.argsort(-movement, kind="stable")[:count])
