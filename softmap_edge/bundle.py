@@ -162,7 +162,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     template = arrays["template"]
     if manifest["kind"] == "table":
         prior: Any = table_from(arrays["prior"])
-        fields = _table_fields(arrays["fields"])
+        fields = fields_from(arrays["fields"])
     else:
         from softmap_edge.rod import rod_from_arrays
 
@@ -206,7 +206,8 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     return model.with_effects(names, params)
 
 
-def _table_fields(arrays: Arrays) -> dict[str, Any]:
+def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, Any]:
+    """Return the compiled fields stored as `coefficients_NAME` over shared `axis0…` and `modes`."""
     shared = {key: value for key, value in arrays.items() if key.startswith("axis") or key == "modes"}
     names = [key.removeprefix("coefficients_") for key in arrays if key.startswith("coefficients_")]
     size = shared["modes"].shape[1] if names else 0

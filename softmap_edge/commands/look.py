@@ -1,0 +1,81 @@
+"""Verbs that look: predict, effects."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from softmap_edge import _core
+from softmap_edge.bundle import builtin_model, load_bundle
+from softmap_edge.errors import SoftmapError
+from softmap_edge.npz import write_npz
+
+
+def predict_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `predict`."""
+    parser.add_argument("input", help="a run (.npz), or one command as comma-separated mm: 8,-3")
+    parser.add_argument("--bundle", help="bundle folder (default: the built-in finger)")
+    parser.add_argument("--out", help="write the predicted points (K, N, 3) mm to this .npz")
+
+
+def predict(args: argparse.Namespace) -> int:
+    """Predict shapes for a run or one command."""
+    model = load_bundle(args.bundle) if args.bundle else builtin_model()
+    if Path(args.input).suffix == ".npz":
+        from softmap_edge.run import Run
+
+        points = model.predict(Run.load(args.input))
+    else:
+        points = model.prior.evaluate(_command(args.input, model.channels)).reshape(1, -1, 3)
+    tip = points[:, model.tip_indices].mean(axis=1)
+    if args.out:
+        write_npz(Path(args.out), {"points": points, "tip": tip})
+    document = {
+        "schema": "softmap.prediction/1",
+        "frames": len(points),
+        "points": points.shape[1],
+        "tip_mm": np.round(tip, 4).tolist(),
+    }
+    if args.json:
+        print(json.dumps(document))
+        return 0
+    shown = "\n".join(f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm" for x, y, z in tip[:10])
+    more = f"\n… {len(tip) - 10} more frames" if len(tip) > 10 else ""
+    print(f"{len(points)} shapes of {points.shape[1]} points\n{shown}{more}")
+    return 0
+
+
+def effects_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `effects`."""
+    parser.add_argument("name", nargs="?", help="show this one in full")
+
+
+def effects(args: argparse.Namespace) -> int:
+    """List the effects that the library knows, or show one."""
+    known = {effect["name"]: effect for effect in _core.effects()}
+    if args.name and args.name not in known:
+        raise SoftmapError(f"no effect '{args.name}'; there are {', '.join(known)}")
+    chosen = [known[args.name]] if args.name else list(known.values())
+    if args.json:
+        print(json.dumps({"schema": "softmap.effects/1", "effects": chosen}, ensure_ascii=False))
+        return 0
+    for effect in chosen:
+        print(f"{effect['name']:<12} {effect['stage']:<13} {effect['family']:<20} {effect['signature']}")
+        if args.name:
+            print(f"\n  {effect['doc']}\n  {effect['formula']}\n  see: {effect['reference']}\n")
+            for p in effect["parameters"]:
+                print(f"  {p['name']:<12} {p['unit']:<6} null {p['null']:g}, {p['low']:g} … {p['high']:g}   {p['doc']}")
+    return 0
+
+
+def _command(text: str, channels: int) -> np.ndarray:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise SoftmapError(f"'{text}' is neither a run (.npz) nor a command such as 8,-3") from None
+    if len(numbers) != channels or not np.all(np.isfinite(numbers)):
+        raise SoftmapError(f"'{text}': {len(numbers)} numbers, this model takes {channels} finite commands in mm")
+    return np.array([numbers])

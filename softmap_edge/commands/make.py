@@ -1,0 +1,124 @@
+"""Verbs that make a model: build, learn, sweep."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from softmap_edge.bundle import save_bundle
+from softmap_edge.commands.progress import Bar
+from softmap_edge.errors import SoftmapError
+from softmap_edge.finger import Finger
+
+
+def build_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `build`."""
+    parser.add_argument("finger", nargs="?", help="finger.toml; without it the built-in finger")
+    parser.add_argument("--out", required=True, help="bundle folder to write")
+    parser.add_argument("--steps", type=int, default=41, help="commands a channel in the sweep (default 41)")
+
+
+def build(args: argparse.Namespace) -> int:
+    """Simulate a finger and write its bundle."""
+    from softmap_edge.build import build as build_model
+
+    _check_steps(args.steps)
+    finger = _finger(args.finger)
+    with Bar(args.json) as bar:
+        model, arrays = build_model(finger, args.steps, bar)
+    folder = save_bundle(model, args.out, arrays)
+    size = sum(file.stat().st_size for file in folder.iterdir())
+    result = {
+        "schema": "softmap.build/1",
+        "bundle": str(args.out),
+        "kind": "table",
+        "vertices": len(model.rest),
+        "commands": args.steps**model.channels,
+        "held_out_error_mm": round(model.vertex_error_mm, 4),
+        "bytes": size,
+    }
+    text = (
+        f"{args.out}: table model of '{finger.name}', {len(model.rest)} vertices, {args.steps**model.channels} commands, own "
+        f"held-out error {model.vertex_error_mm:.2f} mm (another mesh, modulus ±10 %), {size / 1000:.0f} kB"
+    )
+    print(json.dumps(result) if args.json else text)
+    return 0
+
+
+def learn_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `learn`."""
+    parser.add_argument("run", help="reference run (.npz)")
+    parser.add_argument("--out", required=True, help="bundle folder to write")
+    parser.add_argument(
+        "--input", choices=["goal", "present"], help="what moves the model (default: present if recorded)"
+    )
+    parser.add_argument(
+        "--hold-out", action="append", default=[], metavar="T0:T1", help="seconds to keep from the fit; may be repeated"
+    )
+
+
+def learn(args: argparse.Namespace) -> int:
+    """Fit a rod to a reference run and write its bundle."""
+    from softmap_edge.rod import learn_model
+    from softmap_edge.run import Run
+
+    held_out = [_interval(text) for text in args.hold_out]
+    model, arrays = learn_model(Run.load(args.run), input=args.input, hold_out=held_out)
+    save_bundle(model, args.out, arrays)
+    result = {
+        "schema": "softmap.learn/1",
+        "bundle": str(args.out),
+        "kind": "rod",
+        "channels": model.channels,
+        "markers": len(model.rest),
+        "held_out_error_mm": round(model.vertex_error_mm, 4),
+        "params": model.params,
+    }
+    text = (
+        f"{args.out}: rod model of '{model.robot}', {model.channels} channels, {len(model.rest)} markers, "
+        f"own blocked cross-validation error {model.vertex_error_mm:.2f} mm"
+    )
+    print(json.dumps(result) if args.json else text)
+    return 0
+
+
+def sweep_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `sweep`."""
+    parser.add_argument("finger", nargs="?", help="finger.toml; without it the built-in finger")
+    parser.add_argument("--out", required=True, help="sweep file to write (.npz)")
+    parser.add_argument("--steps", type=int, default=41, help="commands a channel (default 41)")
+
+
+def sweep(args: argparse.Namespace) -> int:
+    """Simulate a grid of commands and write commands and vertices."""
+    from softmap_edge.simulator import Simulator
+
+    _check_steps(args.steps)
+    finger = _finger(args.finger)
+    axes = [np.linspace(low, high, args.steps) for low, high in finger.command_range]
+    with Bar(args.json) as bar:
+        result = Simulator(finger).sweep(axes, progress=lambda share: bar("sweep", share))
+    result.save(Path(args.out))
+    document = {"schema": "softmap.sweep/1", "sweep": str(args.out), "commands": len(result.command), "failed": 0}
+    print(json.dumps(document) if args.json else f"{args.out}: {len(result.command)} commands, none failed")
+    return 0
+
+
+def _finger(path: str | None) -> Finger:
+    return Finger.builtin() if path is None else Finger.load(Path(path))
+
+
+def _check_steps(steps: int) -> None:
+    if not 5 <= steps <= 201:
+        raise SoftmapError(f"--steps {steps}: give 5 to 201 commands a channel")
+
+
+def _interval(text: str) -> tuple[float, float]:
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise SoftmapError(f"--hold-out '{text}': expected T0:T1 in seconds, as 60:120") from None
+    return low, high
