@@ -41,8 +41,8 @@ def build(args: argparse.Namespace) -> int:
         "bytes": size,
     }
     text = (
-        f"{args.out}: table model of '{finger.name}', {len(model.rest)} vertices, {args.steps**model.channels} commands, own "
-        f"held-out error {model.vertex_error_mm:.2f} mm (another mesh, modulus ±10 %), {size / 1000:.0f} kB"
+        f"{args.out}: table of {finger.name}, {len(model.rest)} vertices, {args.steps**model.channels} commands, "
+        f"own held-out error {model.vertex_error_mm:.2f} mm (another mesh, modulus ±10 %), {size / 1000:.0f} kB"
     )
     print(json.dumps(result) if args.json else text)
     return 0
