@@ -1,0 +1,185 @@
+"""Print the speed of the core beside plain NumPy/SciPy doing the same work, and what a user waits for.
+
+Ratios are medians of alternating runs in this one process; the machine and the versions stand above them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import scipy
+from softmap_edge.finger import Finger
+from softmap_edge.simulator import Simulator
+
+from benches.peer_newton import NumpySolid
+from benches.peer_rollout import backlash_and_creep
+from softmap_edge import __version__, _core
+from softmap_edge.bundle import builtin_model
+
+REPEATS = 9
+
+
+def main() -> int:
+    """Run every benchmark; with `--json` print one document."""
+    parser = argparse.ArgumentParser(prog="benches", description=__doc__)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--quick", action="store_true", help="leave out the 41×41 sweep")
+    args = parser.parse_args()
+    rows = [newton_step(), rollouts(), equilibrium(), imports(), diagnosis(), table_against_simulator()]
+    if not args.quick:
+        rows.append(full_sweep())
+    document = {"schema": "softmap.bench/1", "machine": machine(), "rows": rows}
+    if args.json:
+        print(json.dumps(document))
+        return 0
+    print("  ".join(f"{key} {value}" for key, value in document["machine"].items()))
+    for row in rows:
+        peer = (
+            f"{row['peer']:10.4g} {row['unit']:<3} {row['peer_name']}, ratio {row['ratio']:.1f}"
+            if "peer" in row
+            else ""
+        )
+        print(f"{row['name']:<58} {row['value']:10.4g} {row['unit']:<3} {peer:<44} {row['wanted']}")
+    return 0
+
+
+def machine() -> dict[str, str]:
+    """Say what ran: processor, cores, versions."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return {
+        "cpu": names[0] if names else platform.processor(),
+        "cores": str(os.cpu_count()),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "softmap-edge": __version__,
+    }
+
+
+def side_by_side(ours, peer) -> tuple[float, float]:
+    """Return the medians in seconds of `ours` and `peer`, run alternately after one warm-up each."""
+    ours(), peer()
+    times = [[], []]
+    for _ in range(REPEATS):
+        for column, work in zip(times, (ours, peer)):
+            start = time.perf_counter()
+            work()
+            column.append(time.perf_counter() - start)
+    return float(np.median(times[0])), float(np.median(times[1]))
+
+
+def newton_step() -> dict[str, object]:
+    """One assembly and one solve of the 1204-node finger, without its cables in both."""
+    finger = Finger.builtin()
+    solid = _core.Solid.from_toml(finger.to_toml()) if hasattr(_core.Solid, "from_toml") else Simulator(finger).solid
+    nodes = solid.nodes
+    peer = NumpySolid(nodes, solid.bricks, finger.young_mpa, finger.poisson, solid.fixed)
+    bent = nodes + 0.02 * np.sin(nodes / 7.0) * (nodes[:, 2:] / nodes[:, 2].max())
+    ours_s, peer_s = side_by_side(lambda: solid.newton_step(bent), lambda: peer.newton_step(bent))
+    return ratio("Newton step, 1204 nodes", ours_s, peer_s, "NumPy/SciPy", "wanted ≥ 4")
+
+
+def rollouts() -> dict[str, object]:
+    """51 parameter sets of two effects over 2000 steps."""
+    rng = np.random.default_rng(0)
+    t = np.arange(2000) * 0.02
+    u = 8 * np.sin(0.7 * t[:, None] + [0.0, 1.0]) * np.sin(0.1 * t)[:, None]
+    chain = _core.Chain(["backlash", "creep"], 2)
+    params = np.repeat(np.asarray(chain.start)[None], 51, axis=0) * rng.uniform(0.9, 1.1, (51, len(chain.start)))
+    at = {label: k for k, label in enumerate(chain.labels)}
+    gap, strength, tau = (params[:, at[k]].copy() for k in ("backlash.gap", "creep.strength", "creep.tau"))
+    ours_s, peer_s = side_by_side(
+        lambda: chain.rollout(params, u, t), lambda: backlash_and_creep(gap, strength, tau, u, t)
+    )
+    return ratio("rollouts of two effects, 51 × 2000 steps", ours_s, peer_s, "NumPy", "wanted ≥ 8")
+
+
+def equilibrium() -> dict[str, object]:
+    """One equilibrium 0.8 mm from the last, of a path."""
+    simulator = Simulator(Finger.builtin())
+    path = np.stack([np.arange(1, 21) * 0.8, np.zeros(20)], axis=1)
+    start = time.perf_counter()
+    simulator.path(path)
+    return {
+        "name": "one equilibrium, 0.8 mm apart",
+        "value": (time.perf_counter() - start) / len(path) * 1e3,
+        "unit": "ms",
+        "wanted": "aim ≤ 40",
+    }
+
+
+def full_sweep() -> dict[str, object]:
+    """41 × 41 commands over ±16 mm on all cores."""
+    axis = np.linspace(-16, 16, 41)
+    start = time.perf_counter()
+    Simulator(Finger.builtin()).sweep([axis, axis])
+    return {"name": "sweep 41 × 41", "value": time.perf_counter() - start, "unit": "s", "wanted": "aim ≤ 45"}
+
+
+def imports() -> dict[str, object]:
+    """`import softmap_edge` in a fresh interpreter, less the interpreter's own start."""
+
+    def started(code: str) -> float:
+        best = []
+        for _ in range(5):
+            start = time.perf_counter()
+            subprocess.run([sys.executable, "-c", code], check=True)
+            best.append(time.perf_counter() - start)
+        return float(np.median(best))
+
+    seconds = started("import softmap_edge") - started("pass")
+    return {"name": "import softmap_edge", "value": seconds, "unit": "s", "wanted": "aim ≤ 0.2"}
+
+
+def diagnosis() -> dict[str, object]:
+    """One diagnosis of about 350 frames over the whole library."""
+    from softmap_edge.diagnosis import diagnose
+    from softmap_edge.truth import measure
+
+    model = builtin_model()
+    run = measure(["backlash"], seed=1).run
+    start = time.perf_counter()
+    diagnose(model, run)
+    name = f"diagnosis of {len(run.t_seen)} frames over {len(_core.effects())} effects"
+    return {"name": name, "value": time.perf_counter() - start, "unit": "s", "wanted": "aim ≤ 2"}
+
+
+def table_against_simulator() -> dict[str, object]:
+    """Mean vertex error of the built-in table at commands off its grid, against the simulator on the same mesh."""
+    model, rng = builtin_model(), np.random.default_rng(7)
+    low, high = model.command_range.T
+    commands = rng.uniform(low, high, (40, model.channels))
+    truth = Simulator(Finger.builtin()).path(commands)
+    error = np.linalg.norm(model.prior.evaluate(commands).reshape(truth.shape) - truth, axis=2)
+    return {
+        "name": "table against simulator, held-out commands, mean vertex",
+        "value": float(error.mean()),
+        "unit": "mm",
+        "wanted": "aim ≤ 0.1",
+    }
+
+
+def ratio(name: str, ours: float, peer: float, peer_name: str, wanted: str) -> dict[str, object]:
+    """Return one row with the ratio peer ÷ ours."""
+    return {
+        "name": name,
+        "value": ours * 1e3,
+        "unit": "ms",
+        "peer": peer * 1e3,
+        "peer_name": peer_name,
+        "ratio": peer / ours,
+        "wanted": wanted,
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

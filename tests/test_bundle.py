@@ -1,0 +1,89 @@
+"""The bundle folder: what goes in comes out, and what is damaged is refused with one line."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
+from softmap_edge.errors import BundleError
+
+
+@pytest.fixture(scope="module")
+def finger(tmp_path_factory):
+    """The built-in bundle, copied to where it may be spoiled."""
+    return save_bundle(builtin_model(), tmp_path_factory.mktemp("bundles") / "finger")
+
+
+@pytest.fixture
+def copy(finger, tmp_path):
+    return shutil.copytree(finger, tmp_path / "finger")
+
+
+def test_round_trip_is_the_same_model_and_the_same_bytes(finger, tmp_path):
+    model = load_bundle(finger)
+    again = save_bundle(model, tmp_path / "again")
+    for file in finger.iterdir():
+        assert (again / file.name).read_bytes() == file.read_bytes(), file.name
+    u = np.array([[5.0, -3.0], [0.0, 0.0]])
+    np.testing.assert_array_equal(load_bundle(again).prior.evaluate(u), model.prior.evaluate(u))
+
+
+def test_built_in_bundle_is_small_and_has_548_vertices(finger):
+    assert sum(file.stat().st_size for file in finger.iterdir()) <= 300_000
+    model = load_bundle(finger)
+    assert len(model.rest) == 548
+    assert len(model.tip_indices) == 27  # 5 % of 548
+    assert 0.05 < model.vertex_error_mm < 1.5  # measured on another mesh, never zero
+
+
+def test_effects_travel_with_the_bundle(finger, tmp_path):
+    model = load_bundle(finger).with_effects(["gain", "backlash"], {"backlash.gap": 0.7})
+    read = load_bundle(save_bundle(model, tmp_path / "with"))
+    assert read.chain_names == model.chain_names
+    assert read.params == model.params
+    assert read.params["backlash.gap"] == 0.7
+
+
+def test_saving_never_overwrites_something_else(finger, tmp_path):
+    (tmp_path / "precious").mkdir()
+    (tmp_path / "precious" / "thesis.tex").write_text("...")
+    with pytest.raises(BundleError, match="is not a bundle"):
+        save_bundle(load_bundle(finger), tmp_path / "precious")
+    assert (tmp_path / "precious" / "thesis.tex").exists()
+
+
+@pytest.mark.parametrize("name", ["prior.npz", "template.npz", "fields.npz", "effects.json"])
+def test_a_changed_file_is_refused_by_name(copy, name):
+    data = bytearray((copy / name).read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (copy / name).write_bytes(data)
+    with pytest.raises(BundleError, match=name):
+        load_bundle(copy)
+    (copy / name).unlink()
+    with pytest.raises(BundleError, match=f"{name} is missing"):
+        load_bundle(copy)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"schema": 99}, "pip install -U"),
+        ({"schema": "one"}, "schema"),
+        ({"kind": "oracle"}, "table, rod"),
+        ({"channels": 3}, "command_range"),
+        ({"held_out_error_mm": float("nan")}, "held_out_error_mm"),
+        ({"gravity_reference": [0, 0]}, "gravity_reference"),
+    ],
+)
+def test_a_wrong_manifest_is_named(copy, change, says):
+    manifest = json.loads((copy / "manifest.json").read_text()) | change
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(BundleError, match=says):
+        load_bundle(copy)
+
+
+def test_not_a_bundle_says_how_to_make_one(tmp_path):
+    with pytest.raises(BundleError, match="softmap build"):
+        load_bundle(tmp_path)
