@@ -1,8 +1,8 @@
 """The command records that show what a finger lacks: a standard protocol, and a run of another kind to judge by.
 
 A protocol is a list of blocks (DISCOVERY §3.9): home revisits, triangles of growing size, small loops at two offsets,
-diagonals, staircases with long dwells, fast triangles; each in two mounting orientations, because one orientation cannot
-tell the weight of the body from a weight at the tip. The other run holds circles, spirals and smooth random moves.
+diagonals, staircases with long dwells, fast triangles; each in two mounting orientations, because one cannot tell the
+weight of the body from a weight at the tip. The other run holds circles, spirals and smooth random moves.
 Units: s, mm of tendon shortening, gravity in g in the base frame. Limit: straight moves at constant speed, without the
 ramps of a real servo; `tests/test_truth.py` pins the frame counts, speeds and coverage.
 """
@@ -107,9 +107,10 @@ class _Tape:
 
     def to(self, target: Floats, speed: float, rate: float, label: str) -> None:
         """Move straight to `target` mm; the fastest channel moves at `speed` mm/s."""
-        seconds = float(np.max(np.abs(target - self.here))) / speed
-        if seconds <= 0.0:
+        samples = int(np.ceil(float(np.max(np.abs(target - self.here))) / speed * RATE - 1e-9))
+        if samples <= 0:
             return
+        seconds = samples / RATE
         self.look(self.now, self.now + seconds, rate, label)
         self.now += seconds
         self.corners.append((self.now, np.array(target, dtype=np.float64)))
@@ -164,7 +165,7 @@ def _standard_blocks(tape: _Tape, part: int) -> None:
     for sign in (1.0, -1.0):
         corner = 0.72 * tape.reach * np.array([1.0 if c % 2 == 0 else sign for c in range(tape.channels)])
         for target in (corner, -corner, home):
-            tape.to(target, SLOW, 2.6, "diagonal")
+            tape.to(target, SLOW, 2.3, "diagonal")
     for channel in range(tape.channels):
         _staircase(tape, channel, 1.0 if part == 0 else -1.0)
     for channel in range(tape.channels):
@@ -175,14 +176,14 @@ def _standard_blocks(tape: _Tape, part: int) -> None:
 def _triangles(tape: _Tape, channel: int) -> None:
     for size in (0.3, 0.62, 1.0):
         for end in (size, -size, 0.0):
-            tape.to(tape.axis(channel, end * tape.reach), SLOW, 2.6, f"triangle[{channel}]")
+            tape.to(tape.axis(channel, end * tape.reach), SLOW, 2.3, f"triangle[{channel}]")
 
 
 def _small_loops(tape: _Tape, channel: int) -> None:
     for middle in (0.6, -0.4):
         for end in (middle - 0.12, middle + 0.12, middle - 0.12, middle):
-            tape.to(tape.axis(channel, end * tape.reach), SLOW, 2.6, f"small loop[{channel}]")
-    tape.to(np.zeros(tape.channels), SLOW, 2.6, f"small loop[{channel}]")
+            tape.to(tape.axis(channel, end * tape.reach), SLOW, 2.3, f"small loop[{channel}]")
+    tape.to(np.zeros(tape.channels), SLOW, 2.3, f"small loop[{channel}]")
 
 
 def _staircase(tape: _Tape, channel: int, sign: float) -> None:
@@ -208,9 +209,9 @@ def _other_blocks(tape: _Tape, part: int) -> None:
     def spiral(phase: Floats) -> Floats:
         return 0.95 * reach * np.sin(np.pi * phase)[:, None] * np.sin(-10 * np.pi * phase[:, None] + shift)
 
-    tape.follow(circle, 14.0, 2.6, "circle")
-    tape.follow(spiral, 20.0, 2.6, "spiral")
-    tape.follow(_wander(tape, 0.85 * reach), 14.0 + 2 * part, 2.6, "random")
+    tape.follow(circle, 14.0, 2.0, "circle")
+    tape.follow(spiral, 20.0, 2.0, "spiral")
+    tape.follow(_wander(tape, 0.85 * reach), 14.0 + 2 * part, 2.0, "random")
     tape.follow(_wander(tape, 0.7 * reach), 3.0, 7.0, "random fast")
     tape.hold(2.0, 1.5, "home")
 

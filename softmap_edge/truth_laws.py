@@ -1,4 +1,4 @@
-"""The laws of hidden truths, one class an effect: written apart, in another form than the effect library, which is never called.
+"""The laws of hidden truths, one class an effect, in another form than the effect library, which is never called.
 
     effect      law of the truth                                            differs from the library in
     offset      servo horn mounted askew, angle rounded to encoder steps    rounding, direction per channel
@@ -13,8 +13,8 @@
     mount       rigid rotation (Rodrigues) and shift of all points seen     exact rotation
 
 Units: s, mm, g, degrees. Each law is in equilibrium with its first command held for ever. `scaled(s)` multiplies the
-strength and keeps the character; `LIMIT` is the largest s inside the plausible range of DISCOVERY §5. Loops over time stand
-here in Python on purpose: this is the judge of the compiled loops. Pinned by `tests/test_truth.py` against closed forms.
+strength and keeps the character; `LIMIT` is the largest s inside the plausible range of DISCOVERY §5. Loops over time
+stand here in Python on purpose: they judge the compiled loops. Pinned by `tests/test_truth.py` against closed forms.
 """
 
 from __future__ import annotations
@@ -271,7 +271,7 @@ class TipWeight(Law):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(10.0)
+        return cls(float(rng.uniform(8.0, 12.0)))
 
     def scaled(self, s: float) -> Self:
         return replace(self, mass_g=s * self.mass_g)

@@ -1,0 +1,289 @@
+"""Hidden truths: a second finger with secrets, measured by a noisy camera. For the demo and all hidden-effect tests.
+
+**This module never calls the effect library**, nor the linear fields, nor a model's prior. The body is solved by the
+finite elements on another mesh with a modulus up to 10 % off; weights are solved there too; all other secrets are the
+separately written laws of `truth_laws.py`. What is seen are the template's material points, embedded in that solid.
+
+    command ─laws─> u ─finite elements (own mesh, modulus, true weights)─> points ─mount─> ─camera noise─> run
+
+Shapes come from a sweep of `STEPS` × `STEPS` commands on the truth's own mesh for each (modulus, weights), interpolated
+with all its modes and kept in memory; `Truth.interpolation_error` measures what that costs and a test pins it.
+The strength of each secret is scaled until it moves the section centroids by a drawn 1.2-3.6 mm RMS on the standard
+protocol. Units: mm, s, N, g. Randomness only from the seeds; the same arguments give the same numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import SoftmapError
+from softmap_edge.finger import Finger
+from softmap_edge.protocol import Protocol, standard_protocol
+from softmap_edge.run import Run
+from softmap_edge.simulator import Simulator
+from softmap_edge.truth_laws import LAWS, Law, rotation
+
+Floats = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+BATCHES = (0.9, 0.95, 1.05, 1.1)  # modulus of the second finger against the first: its batch of silicone, by seed
+STEPS = 21  # commands a channel in a truth's sweep, closer together near zero where tendons fall slack
+ROUGH_STEPS = 5  # to find the strength of a weight before it is solved properly
+CROWDING = 1.2  # sinh spacing: the innermost step is about half the outermost
+GRIDS = (15.0, 18.0)  # mm, half-ranges of the sweeps; the smallest that holds what reaches the body is used
+TARGET = (1.2, 3.6)  # mm RMS of the section centroids, drawn; what is accepted lies in 1-4 mm
+SECTIONS = 9
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Noise of what is seen: independent for each vertex, and a rigid jitter of the frame that drifts slowly.
+
+    `vertex_mm` a coordinate, `shift_mm` and `turn_deg` a component (Ornstein-Uhlenbeck, memory `memory_s`), one σ each.
+    """
+
+    vertex_mm: float = 0.25
+    shift_mm: float = 0.05
+    turn_deg: float = 0.03
+    memory_s: float = 2.0
+
+    def look(self, points: Floats, t: Floats, rng: np.random.Generator) -> Floats:
+        """Return `points` (K, N, 3) mm as seen at t (K,) s."""
+        jitter = np.empty((t.size, 6))
+        state = rng.normal(size=6)
+        for k in range(t.size):
+            keep = np.exp(-(t[k] - t[k - 1]) / self.memory_s) if k else 1.0
+            state = keep * state + np.sqrt(1.0 - keep * keep) * rng.normal(size=6)
+            jitter[k] = state
+        seen = points + self.vertex_mm * rng.normal(size=points.shape) + self.shift_mm * jitter[:, None, :3]
+        for k in range(t.size):
+            seen[k] = seen[k] @ rotation(tuple(self.turn_deg * jitter[k, 3:])).T
+        return seen
+
+
+@dataclass(frozen=True)
+class Secret:
+    """One hidden effect: the name the library has for it, its own law, and how far it moves the finger (RMS mm)."""
+
+    law: Law
+    displacement_mm: float
+
+    @property
+    def name(self) -> str:
+        """Return the effect's name."""
+        return self.law.NAME
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return `{name, params, displacement_mm}`."""
+        return {"name": self.name, "params": self.law.params(), "displacement_mm": round(self.displacement_mm, 4)}
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A second finger: its batch of silicone (by `seed`) and its secrets, in the order in which they act."""
+
+    seed: int
+    secrets: tuple[Secret, ...] = ()
+    camera: Camera = field(default_factory=Camera)
+
+    @property
+    def modulus(self) -> float:
+        """Return the modulus as a multiple of the first finger's."""
+        return BATCHES[self.seed % len(BATCHES)]
+
+    def twin(self) -> Truth:
+        """Return the same finger without its secrets: the floor of every error."""
+        return Truth(self.seed, (), self.camera)
+
+    def to_body(self, protocol: Protocol) -> Floats:
+        """Return the command (K, C) mm that reaches the body at the seen times."""
+        u = protocol.command
+        for secret in self.secrets:
+            u = secret.law.command(protocol.t, u)
+        return np.stack([np.interp(protocol.t_seen, protocol.t, u[:, c]) for c in range(u.shape[1])], axis=1)
+
+    def shapes(self, protocol: Protocol, steps: int = STEPS) -> Floats:
+        """Return the true points (K, N, 3) mm, as they would appear to a camera without noise."""
+        u = self.to_body(protocol)
+        points = np.empty((protocol.frames, *template().shape))
+        for frames, gravity, force in self._weights(protocol):
+            table = _body(self.modulus, gravity, force, _grid(u), steps)
+            points[frames] = table.evaluate(np.ascontiguousarray(u[frames])).reshape(-1, *template().shape)
+        return self._seen(points)
+
+    def solved(self, protocol: Protocol, every: int) -> tuple[NDArray[np.int64], Floats]:
+        """Solve each `every`-th frame by the finite elements themselves: indices (F,) and points (F, N, 3) mm."""
+        u = self.to_body(protocol)
+        chosen = np.arange(0, protocol.frames, every)
+        points = np.empty((chosen.size, *template().shape))
+        for frames, gravity, force in self._weights(protocol):
+            inside = np.isin(chosen, frames)
+            if inside.any():
+                points[inside] = _simulator(self.modulus).path(u[chosen[inside]], gravity=gravity, load=force)
+        return chosen, self._seen(points)
+
+    def interpolation_error(self, protocol: Protocol, every: int = 12) -> float:
+        """Return the RMS distance mm between interpolated and solved points, over each `every`-th frame."""
+        chosen, solved = self.solved(protocol, every)
+        return _rms(self.shapes(protocol)[chosen] - solved)
+
+    def measure(self, protocol: Protocol, seed: int = 0) -> Run:
+        """Run the protocol on this finger before the camera; `seed` draws the camera's noise."""
+        rng = np.random.default_rng([self.seed, seed, protocol.frames])
+        return Run(
+            t=protocol.t,
+            command=protocol.command,
+            gravity=protocol.gravity,
+            t_seen=protocol.t_seen,
+            vertices=self.camera.look(self.shapes(protocol), protocol.t_seen, rng),
+            block=protocol.block,
+            robot=_finger().name,
+        )
+
+    def _weights(self, protocol: Protocol) -> list[tuple[NDArray[np.int64], Vector, Vector]]:
+        """Return, for each orientation, its frames and the true gravity (g) and tip force (N)."""
+        declared = protocol.gravity[np.searchsorted(protocol.t, protocol.t_seen, side="right") - 1]
+        parts = []
+        for direction in np.unique(declared, axis=0):
+            gravity, force = direction, np.zeros(3)
+            for secret in self.secrets:
+                gravity, force = secret.law.gravity(gravity), force + secret.law.force(direction)
+            parts.append((np.flatnonzero((declared == direction).all(axis=1)), _vector(gravity), _vector(force)))
+        return parts
+
+    def _seen(self, points: Floats) -> Floats:
+        for secret in self.secrets:
+            points = secret.law.seen(points)
+        return points
+
+
+def hide(names: Sequence[str], seed: int, camera: Camera | None = None) -> Truth:
+    """Make a second finger that hides the effects `names`, strengths drawn from `seed`.
+
+    Args: `names` out of `LAWS` (none: nothing is hidden); `seed` ≥ 0 draws batch, characters and strengths.
+    Returns the truth; each secret alone moves the section centroids by 1-4 mm RMS on the standard protocol.
+    Raises SoftmapError for an unknown or repeated name.
+    """
+    unknown = [name for name in names if name not in LAWS]
+    if unknown:
+        raise SoftmapError(f"no hidden law '{unknown[0]}'; there are {', '.join(LAWS)}")
+    if len(set(names)) != len(names):
+        raise SoftmapError(f"each effect can be hidden once, got {', '.join(names)}")
+    if seed < 0:
+        raise SoftmapError(f"seed {seed} is negative; give 0 or more")
+    camera = camera or Camera()
+    secrets = tuple(_drawn(name, seed, camera) for name in LAWS if name in names)
+    return Truth(seed, secrets, camera)
+
+
+def surprise(seed: int) -> list[str]:
+    """Draw one or two effects to hide."""
+    rng = np.random.default_rng([seed, 77])
+    return [str(name) for name in rng.choice(list(LAWS), size=int(rng.choice([1, 2], p=[0.65, 0.35])), replace=False)]
+
+
+def template() -> Floats:
+    """Return the material points (N, 3) mm that are seen: the vertices of the first finger's template."""
+    return _template()
+
+
+def centroids(points: Floats) -> Floats:
+    """Return the section centroids (K, 9, 3) mm of points (K, N, 3): nine slices of the body at rest."""
+    z = template()[:, 2]
+    edges = np.linspace(z.min(), z.max() + 1e-9, SECTIONS + 1)
+    section = np.searchsorted(edges, z, side="right") - 1
+    return np.stack([points[:, section == s].mean(axis=1) for s in range(SECTIONS)], axis=1)
+
+
+def _drawn(name: str, seed: int, camera: Camera) -> Secret:
+    """Draw a law and scale it until it moves the section centroids by the drawn target."""
+    rng = np.random.default_rng([seed, list(LAWS).index(name)])
+    law = LAWS[name].draw(rng, _finger_channels())
+    target = float(rng.uniform(*TARGET))
+    protocol = standard_protocol(_finger_channels())
+    is_weight = name in ("gravity", "payload")
+
+    def moved(strength: float, steps: int) -> float:
+        there = Truth(seed, (Secret(law.scaled(strength), 0.0),), camera)
+        return _rms(centroids(there.shapes(protocol, steps)) - centroids(there.twin().shapes(protocol, steps)))
+
+    strength = 1.0
+    for _ in range(1 if is_weight else 8):  # a weight costs a sweep each time, and moves the body in proportion
+        distance = moved(strength, ROUGH_STEPS if is_weight else STEPS)
+        strength = float(np.clip(strength * target / distance, strength / 4, min(strength * 4, law.LIMIT)))
+        if abs(distance - target) < 0.02 * target:
+            break
+    distance = moved(strength, STEPS)
+    if not 1.0 <= distance <= 4.0:
+        raise SoftmapError(
+            f"'{name}' with seed {seed} moves the finger by {distance:.2f} mm RMS at {strength:.2f} of its usual "
+            "strength, outside 1-4 mm; take another seed"
+        )
+    return Secret(law.scaled(strength), distance)
+
+
+def _rms(difference: Floats) -> float:
+    """Return the RMS length mm of 3-vectors."""
+    return float(np.sqrt(np.mean(np.sum(difference**2, axis=-1))))
+
+
+def _vector(v: Floats) -> Vector:
+    return (float(v[0]), float(v[1]), float(v[2]))
+
+
+def _grid(u: Floats) -> float:
+    """Return the half-range mm of the smallest sweep that holds the commands u."""
+    largest = float(np.max(np.abs(u)))
+    for reach in GRIDS:
+        if largest <= reach:
+            return reach
+    raise SoftmapError(
+        f"commands of {largest:.1f} mm reach the body, the truth is solved to {GRIDS[-1]} mm; hide less or move less"
+    )
+
+
+@lru_cache(maxsize=1)
+def _finger() -> Finger:
+    return Finger.builtin()
+
+
+def _finger_channels() -> int:
+    return len(_finger().command_range)
+
+
+@lru_cache(maxsize=1)
+def _template() -> Floats:
+    return np.asarray(Simulator(_finger()).template.vertices, dtype=np.float64)
+
+
+@lru_cache(maxsize=8)
+def _simulator(modulus: float) -> Simulator:
+    """Return the second finger: another mesh, another batch, the first finger's material points."""
+    finger = _finger()
+    other = finger.other_mesh().replace(young_mpa=finger.young_mpa * modulus)
+    return Simulator(other, template=Simulator(finger).template)
+
+
+@lru_cache(maxsize=64)
+def _body(modulus: float, gravity: Vector, force: Vector, reach: float, steps: int) -> _core.Table:
+    """Sweep the second finger under these weights and interpolate with every mode that matters (to 0.1 µm)."""
+    crowded = reach * np.sinh(CROWDING * np.linspace(-1.0, 1.0, steps)) / np.sinh(CROWDING)
+    axes = [crowded] * _finger_channels()
+    sweep = _simulator(modulus).sweep(axes, gravity=gravity, load=force)
+    values = np.asarray(sweep.vertices, dtype=np.float64).reshape(len(sweep.command), -1)
+    mean = values.mean(axis=0)
+    left, size, modes = np.linalg.svd(values - mean, full_matrices=False)
+    kept = max(1, int(np.sum(size > 1e-4)))
+    return _core.Table(
+        axes,
+        np.ascontiguousarray(left[:, :kept] * size[:kept]),
+        mean,
+        np.ascontiguousarray(modes[:kept]),
+    )
