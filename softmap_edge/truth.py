@@ -52,7 +52,7 @@ class Camera:
     vertex_mm: float = 0.25
     shift_mm: float = 0.05
     turn_deg: float = 0.03
-    memory_s: float = 2.0
+    memory_s: float = 1.0
 
     def look(self, points: Floats, t: Floats, rng: np.random.Generator) -> Floats:
         """Return `points` (K, N, 3) mm as seen at t (K,) s."""
