@@ -5,6 +5,7 @@
 pub mod error;
 #[cfg(feature = "python")]
 mod python;
+pub mod rod;
 pub mod shape;
 
 pub use error::{Error, Result};
