@@ -1,5 +1,8 @@
 //! Bindings: convert arrays, release the interpreter, forward. No logic lives here.
 
+mod rod;
+mod shape;
+
 use crate::Error;
 use pyo3::create_exception;
 use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
@@ -30,6 +33,10 @@ impl From<Error> for PyErr {
 
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::rod::{PyRod, PyRodField, monomial_degrees, monomials};
+    #[pymodule_export]
+    use super::shape::PyShape;
     #[pymodule_export]
     use super::{CoreError, NoEquilibriumError};
 }

@@ -1,0 +1,120 @@
+//! Bindings of the rod and its load fields.
+
+use crate::python::shape::PyShape;
+use crate::rod::{Monomials, Rod, RodField};
+use crate::{Error, Result};
+use numpy::{
+    IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
+    PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use std::sync::Arc;
+
+/// The regressed chord-angle rod: commands (n, C) to markers (n, 3K) mm.
+#[pyclass(name = "Rod", module = "softmap_edge._core", extends = PyShape, frozen)]
+pub struct PyRod {
+    rod: Rod,
+}
+
+#[pymethods]
+impl PyRod {
+    /// `base` (3,) mm, `centre` and `scale` (C,), `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + 2K + K(2K+1), K) mm.
+    #[new]
+    fn new(
+        base: PyReadonlyArray1<'_, f64>,
+        centre: PyReadonlyArray1<'_, f64>,
+        scale: PyReadonlyArray1<'_, f64>,
+        degree: usize,
+        angles: PyReadonlyArray2<'_, f64>,
+        lengths: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<(Self, PyShape)> {
+        let row = |array: &PyReadonlyArray1<'_, f64>| {
+            array.as_array().iter().copied().collect::<Vec<f64>>()
+        };
+        let base: [f64; 3] = row(&base).try_into().map_err(|b: Vec<f64>| {
+            Error::Invalid(format!(
+                "a rod's base point has {} numbers, expected 3",
+                b.len()
+            ))
+        })?;
+        check_columns(&angles, &lengths)?;
+        let flat = |array: &PyReadonlyArray2<'_, f64>| {
+            array.as_array().iter().copied().collect::<Vec<f64>>()
+        };
+        let rod = Rod::new(
+            base,
+            row(&centre),
+            row(&scale),
+            degree,
+            flat(&angles),
+            flat(&lengths),
+        )?;
+        let shape = PyShape {
+            inner: Arc::new(rod.clone()),
+        };
+        Ok((Self { rod }, shape))
+    }
+}
+
+fn check_columns(
+    angles: &PyReadonlyArray2<'_, f64>,
+    lengths: &PyReadonlyArray2<'_, f64>,
+) -> Result<()> {
+    let (angles, lengths) = (angles.shape(), lengths.shape());
+    if lengths[1] == 0 || angles[1] != 2 * lengths[1] {
+        return Err(Error::Invalid(format!(
+            "a rod's angle weights have shape ({}, {}) and its length weights ({}, {}); expected two angle columns for every length column",
+            angles[0], angles[1], lengths[0], lengths[1]
+        )));
+    }
+    Ok(())
+}
+
+/// Marker displacements (n, 3K) mm of a rod under one unit load along one axis.
+#[pyclass(name = "RodField", module = "softmap_edge._core", extends = PyShape, frozen)]
+pub struct PyRodField;
+
+#[pymethods]
+impl PyRodField {
+    /// `name`: gravity_x|y|z or tip_force_x|y|z; `compliance` N⁻¹·mm⁻².
+    #[new]
+    fn new(rod: PyRef<'_, PyRod>, name: &str, compliance: f64) -> PyResult<(Self, PyShape)> {
+        let field = RodField::new(rod.rod.clone(), name, compliance)?;
+        Ok((
+            Self,
+            PyShape {
+                inner: Arc::new(field),
+            },
+        ))
+    }
+}
+
+/// All monomials (n, F) of degree 1..`degree` of the columns of `x` (n, C), in the order of a rod's angle weights.
+#[pyfunction]
+pub fn monomials<'py>(
+    py: Python<'py>,
+    x: PyReadonlyArray2<'py, f64>,
+    degree: usize,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let (n, variables) = (x.shape()[0], x.shape()[1]);
+    let terms = Monomials::new(variables, degree)?;
+    let rows: Vec<f64> = x.as_array().iter().copied().collect();
+    let count = terms.len();
+    let out = py.detach(move || {
+        let mut out = vec![0.0; n * count];
+        for (x, out) in rows
+            .chunks_exact(variables)
+            .zip(out.chunks_exact_mut(count))
+        {
+            terms.values(x, out);
+        }
+        out
+    });
+    out.into_pyarray(py).reshape([n, count])
+}
+
+/// The degree of each monomial, in the same order.
+#[pyfunction]
+pub fn monomial_degrees(variables: usize, degree: usize) -> PyResult<Vec<usize>> {
+    Ok(Monomials::new(variables, degree)?.degrees())
+}

@@ -1,0 +1,87 @@
+//! Binding of every shape: evaluation and slopes of a batch of commands, outside the interpreter's lock.
+
+use crate::Error;
+use crate::shape::Shape;
+use numpy::{
+    IntoPyArray, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use std::sync::Arc;
+
+/// A map from commands to numbers; `Rod` and `RodField` are of this kind.
+#[pyclass(name = "Shape", module = "softmap_edge._core", subclass, frozen)]
+pub struct PyShape {
+    pub inner: Arc<dyn Shape>,
+}
+
+impl PyShape {
+    /// Commands as rows, after checking their width.
+    fn rows(&self, u: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<f64>> {
+        let (shape, channels) = (u.shape(), self.inner.channels());
+        if shape[1] != channels {
+            return Err(Error::Invalid(format!(
+                "commands of shape ({}, {}), expected (n, {channels})",
+                shape[0], shape[1]
+            ))
+            .into());
+        }
+        Ok(u.as_array().iter().copied().collect())
+    }
+}
+
+#[pymethods]
+impl PyShape {
+    #[getter]
+    fn channels(&self) -> usize {
+        self.inner.channels()
+    }
+
+    #[getter]
+    fn size(&self) -> usize {
+        self.inner.size()
+    }
+
+    /// Numbers (n, M) at commands `u` (n, C).
+    fn evaluate<'py>(
+        &self,
+        py: Python<'py>,
+        u: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let (n, rows) = (u.shape()[0], self.rows(&u)?);
+        let (shape, channels, size) =
+            (self.inner.clone(), self.inner.channels(), self.inner.size());
+        let out = py.detach(move || {
+            let mut out = vec![0.0; n * size];
+            for (u, out) in rows
+                .chunks_exact(channels.max(1))
+                .zip(out.chunks_exact_mut(size))
+            {
+                shape.eval(u, out);
+            }
+            out
+        });
+        out.into_pyarray(py).reshape([n, size])
+    }
+
+    /// Slopes (n, M, C) at commands `u` (n, C).
+    fn jacobian<'py>(
+        &self,
+        py: Python<'py>,
+        u: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let (n, rows) = (u.shape()[0], self.rows(&u)?);
+        let (shape, channels, size) =
+            (self.inner.clone(), self.inner.channels(), self.inner.size());
+        let out = py.detach(move || {
+            let mut out = vec![0.0; n * size * channels];
+            for (u, out) in rows
+                .chunks_exact(channels.max(1))
+                .zip(out.chunks_exact_mut((size * channels).max(1)))
+            {
+                shape.jacobian(u, out);
+            }
+            out
+        });
+        out.into_pyarray(py).reshape([n, size, channels])
+    }
+}
