@@ -13,5 +13,13 @@ class BundleError(SoftmapError):
     """A bundle folder is damaged, too new or not a bundle."""
 
 
+class ComparisonError(SoftmapError):
+    """A model and a run cannot be compared."""
+
+
+class ReportError(SoftmapError):
+    """A report cannot be written or read."""
+
+
 class FingerError(SoftmapError):
     """A finger description cannot be built."""

@@ -1,0 +1,238 @@
+"""What a run was doing at each seen frame (speed, direction, dwell, history, ...), and the cells these fall into.
+
+    v(t)  = [u(t) - u(t - w)] / w                w = 3 median sample periods, 0.1 to 0.5 s      mm/s, (C,)
+    speed = |v|;  moving where speed > 0.5 % of the largest command span per second
+    dwell = time since the last motion, 0 while moving; history = largest |command| so far, this frame included
+
+Units: mm, s, degree Celsius. Known limit: a motion slower than 0.5 % of the span per second counts as standing still, and
+the start of a dwell is known to one sample. Pinned by tests/test_compare.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+WINDOW_SAMPLES, WINDOW_SHORTEST, WINDOW_LONGEST = 3.0, 0.1, 0.5  # velocity window: median periods; s; s
+STILL = 0.005  # of the largest command span, per second: slower than this is not a motion
+HOME = 0.1  # of the largest |command|: closer to zero than this is "home"
+DWELL_EDGES = (0.0, 0.5, 2.0, 5.0, 10.0, 30.0)  # s, from the moment when the command stopped
+FINE_CHANNELS = 3  # up to here a command's cells are thirds of its range, beyond only its sign
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """The state of the commands at K seen frames of a run with C channels."""
+
+    command: Floats  # (K, C) mm
+    velocity: Floats  # (K, C) mm/s
+    speed: Floats  # (K,) mm/s
+    moving: Mask  # (K,)
+    visit: NDArray[np.int64]  # (K,) which uninterrupted dwell the frame belongs to; -1 while moving
+    dwell: Floats  # (K,) s
+    history: Floats  # (K,) mm
+    time: Floats  # (K,) s since the first seen frame
+    gravity: Floats | None  # (K, 3) unit vector, base frame
+    temperature: Floats | None  # (K,) degree Celsius
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A class of frames: its name, its bounds where it has any, and which of the K frames are in it."""
+
+    label: str
+    low: float | None
+    high: float | None
+    frames: Mask  # (K,)
+
+
+def conditions(run: Any) -> Conditions:
+    """Work out what the commands of a run were doing at its seen frames.
+
+    Args:
+        run: a run with `t` (T,) s, `command` (T, C) mm and `t_seen` (K,) s; C = 0 and K = 0 are valid.
+
+    Returns:
+        Conditions: one entry per seen frame.
+    """
+    t, u = np.asarray(run.t, float), np.asarray(run.command, float).reshape(len(run.t), -1)
+    seen = np.asarray(run.t_seen, float)
+    if len(t) == 0 or u.shape[1] == 0:
+        return _uncommanded(run, t, seen)
+    period = float(np.median(np.diff(t))) if len(t) > 1 else WINDOW_SHORTEST
+    window = float(np.clip(WINDOW_SAMPLES * period, WINDOW_SHORTEST, WINDOW_LONGEST))
+    threshold = max(STILL * float(np.max(np.ptp(u, axis=0))), 1e-9)
+
+    def velocity(at: Floats) -> Floats:
+        past = np.maximum(at - window, t[0])
+        return (_sample(at, t, u) - _sample(past, t, u)) / window
+
+    grid_moving = np.linalg.norm(velocity(t), axis=1) > threshold  # (T,)
+    index = np.clip(np.searchsorted(t, seen, side="right") - 1, 0, len(t) - 1)
+    last = np.maximum.accumulate(np.where(grid_moving, np.arange(len(t)), -1))[index]  # (K,) -1: not moved yet
+    v = velocity(seen)
+    speed = np.linalg.norm(v, axis=1)
+    moving = speed > threshold
+    stopped = np.where(last >= 0, t[last] - window + period, t[0])
+    return Conditions(
+        command=_sample(seen, t, u),
+        velocity=v,
+        speed=speed,
+        moving=moving,
+        visit=np.where(moving, -1, last + 1).astype(np.int64),
+        dwell=np.where(moving, 0.0, np.maximum(seen - stopped, 0.0)),
+        history=np.maximum.accumulate(np.max(np.abs(u), axis=1))[index],
+        time=seen - seen[0] if len(seen) else seen,
+        gravity=_at_seen(run, "gravity", t, seen, 3),
+        temperature=_at_seen(run, "temperature", t, seen, 1),
+    )
+
+
+def cells(state: Conditions) -> dict[str, list[Cell]]:
+    """Sort the frames into classes, one list per condition; a class without frames is left out.
+
+    Args:
+        state: the conditions of K frames.
+
+    Returns:
+        dict: direction, speed, dwell, history, command, time; orientation and temperature where the run has them.
+    """
+    found = {
+        "direction": _directions(state),
+        "speed": [
+            Cell("still", 0.0, 0.0, ~state.moving),
+            *_ranges(state.speed, _edges(state.speed[state.moving], 3), "mm/s", state.moving),
+        ],
+        "dwell": [Cell("moving", None, 0.0, state.moving), *_dwells(state)],
+        "history": _ranges(state.history, _edges(state.history, 5), "mm"),
+        "command": _commands(state),
+        "time": _ranges(state.time, np.linspace(0.0, float(np.max(state.time, initial=0.0)), 9), "s"),
+    }
+    if state.gravity is not None:
+        found["orientation"] = _orientations(state.gravity)
+    if state.temperature is not None:
+        found["temperature"] = _ranges(state.temperature, _edges(state.temperature, 4), "°C")
+    return {name: [cell for cell in row if cell.frames.any()] for name, row in found.items()}
+
+
+def _uncommanded(run: Any, t: Floats, seen: Floats) -> Conditions:
+    count, zero = len(seen), np.zeros(len(seen))
+    return Conditions(
+        command=np.zeros((count, 0)),
+        velocity=np.zeros((count, 0)),
+        speed=zero,
+        moving=np.zeros(count, bool),
+        visit=np.zeros(count, np.int64),
+        dwell=seen - seen[0] if count else zero,
+        history=zero,
+        time=seen - seen[0] if count else zero,
+        gravity=_at_seen(run, "gravity", t, seen, 3),
+        temperature=_at_seen(run, "temperature", t, seen, 1),
+    )
+
+
+def _sample(at: Floats, t: Floats, values: Floats) -> Floats:
+    """Interpolate (T, C) columns at times `at`; outside the record the border value holds."""
+    return np.stack([np.interp(at, t, column) for column in values.T], axis=1)
+
+
+def _at_seen(run: Any, name: str, t: Floats, seen: Floats, width: int) -> Floats | None:
+    """A declared field at the seen frames: (K, 3) for a vector, (K,) (mean over channels) for a number."""
+    raw = getattr(run, name, None)
+    if raw is None:
+        return None
+    value = np.asarray(raw, float)
+    if width == 3:
+        return np.tile(value, (len(seen), 1)) if value.ndim == 1 else _sample(seen, t, value)
+    column = np.full(len(t), float(value)) if value.ndim == 0 else value.reshape(len(t), -1).mean(axis=1)
+    return np.interp(seen, t, column)
+
+
+def _edges(values: Floats, count: int) -> Floats:
+    """Bounds of `count` classes of about equal size, rounded to two digits outwards at the ends."""
+    if len(values) == 0:
+        return np.zeros(0)
+    inner = np.quantile(values, np.linspace(0.0, 1.0, count + 1)[1:-1])
+    step = 10.0 ** np.floor(np.log10(max(float(np.max(np.abs(values))), 1e-9)) - 1)
+    ends = np.floor(np.min(values) / step) * step, np.ceil(np.max(values) / step) * step
+    return np.unique(np.round(np.concatenate([[ends[0]], np.round(inner / step) * step, [ends[1]]]), 9))
+
+
+def _ranges(values: Floats, edges: Floats, unit: str, among: Mask | None = None) -> list[Cell]:
+    among = np.ones(len(values), bool) if among is None else among
+    if len(edges) == 1:
+        return [Cell(f"{edges[0]:g} {unit}", float(edges[0]), float(edges[0]), among)]
+    if len(edges) == 0 or edges[-1] <= edges[0]:
+        return []
+    which = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    return [
+        Cell(f"{low:.3g} … {high:.3g} {unit}", float(low), float(high), among & (which == k))
+        for k, (low, high) in enumerate(zip(edges[:-1], edges[1:]))
+    ]
+
+
+def _dwells(state: Conditions) -> list[Cell]:
+    edges = (*DWELL_EDGES, np.inf)
+    found = []
+    for low, high in zip(edges[:-1], edges[1:]):
+        label = f"{low:g} … {high:g} s" if np.isfinite(high) else f"over {low:g} s"
+        frames = ~state.moving & (state.dwell >= low) & (state.dwell < high)
+        found.append(Cell(label, low, float(high) if np.isfinite(high) else None, frames))
+    return found
+
+
+def _directions(state: Conditions) -> list[Cell]:
+    found = [Cell("still", None, None, ~state.moving)]
+    if state.velocity.shape[1] == 0:
+        return found
+    fastest = np.argmax(np.abs(state.velocity), axis=1)
+    pace = np.take_along_axis(state.velocity, fastest[:, None], axis=1)[:, 0] if len(fastest) else state.speed
+    for channel in range(state.velocity.shape[1]):
+        for sign, mark in ((1, "+"), (-1, "−")):
+            frames = state.moving & (fastest == channel) & (np.sign(pace) == sign)
+            found.append(Cell(f"u{channel + 1} {mark}", None, None, frames))
+    return found
+
+
+def _commands(state: Conditions) -> list[Cell]:
+    """Cells of the largest channel: home, then its signed range in thirds (its sign alone beyond three channels)."""
+    channels = state.command.shape[1]
+    size = np.max(np.abs(state.command), axis=1, initial=0.0)
+    top = float(np.max(size, initial=0.0))
+    home = size <= HOME * top
+    found = [Cell("home", -HOME * top, HOME * top, home)]
+    if channels == 0 or top == 0.0:
+        return found
+    largest = np.argmax(np.abs(state.command), axis=1)
+    value = np.take_along_axis(state.command, largest[:, None], axis=1)[:, 0]
+    parts = np.array([HOME, 0.4, 0.7, 1.0] if channels <= FINE_CHANNELS else [HOME, 1.0]) * top
+    for channel in range(channels):
+        bounds = [(-b, -a) for a, b in zip(parts[:-1], parts[1:])][::-1] + list(zip(parts[:-1], parts[1:]))
+        for low, high in bounds:
+            magnitude = np.abs(value)
+            inside = (magnitude > min(abs(low), abs(high))) & (magnitude <= max(abs(low), abs(high)))
+            frames = ~home & (largest == channel) & (np.sign(value) == np.sign(low + high)) & inside
+            found.append(Cell(f"u{channel + 1} {low:+.3g} … {high:+.3g} mm", float(low), float(high), frames))
+    return found
+
+
+def _orientations(gravity: Floats) -> list[Cell]:
+    """Classes of nearly equal gravity directions (equal to a quarter), named by the vector."""
+    rounded = np.round(gravity * 4.0) / 4.0 + 0.0
+    kinds, which = np.unique(rounded, axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    names = [_direction_name(kind) for kind in kinds]
+    return [Cell(name, None, None, which == k) for k, name in enumerate(names)]
+
+
+def _direction_name(g: Floats) -> str:
+    axis = int(np.argmax(np.abs(g)))
+    if abs(abs(g[axis]) - 1.0) < 1e-9 and float(np.sum(np.abs(g))) < 1.0 + 1e-9:
+        return f"gravity {'+' if g[axis] > 0 else '−'}{'xyz'[axis]}"
+    return "gravity (" + ", ".join(f"{value:+.2f}" for value in g) + ")"
