@@ -4,8 +4,8 @@
     speed = |v|;  moving where speed > 0.5 % of the largest command span per second
     dwell = time since the last motion, 0 while moving; history = largest |command| so far, this frame included
 
-Units: mm, s, degree Celsius. Known limit: a motion slower than 0.5 % of the span per second counts as standing still, and
-the start of a dwell is known to one sample. Pinned by tests/test_compare.py.
+Units: mm, s, degree Celsius. Known limit: a motion slower than 0.5 % of the span per second counts as standing still,
+and the start of a dwell is known to one sample. Pinned by tests/test_compare.py.
 """
 
 from __future__ import annotations
@@ -52,17 +52,18 @@ class Cell:
     frames: Mask  # (K,)
 
 
-def conditions(run: Any) -> Conditions:
+def conditions(run: Any, command: Floats) -> Conditions:
     """Work out what the commands of a run were doing at its seen frames.
 
     Args:
-        run: a run with `t` (T,) s, `command` (T, C) mm and `t_seen` (K,) s; C = 0 and K = 0 are valid.
+        run: a run with `t` (T,) s, `t_seen` (K,) s and perhaps `gravity` and `temperature`; K = 0 is valid.
+        command: (T, C) mm as the model takes them (goals or present positions); C = 0 is valid.
 
     Returns:
         Conditions: one entry per seen frame.
     """
-    t, u = np.asarray(run.t, float), np.asarray(run.command, float).reshape(len(run.t), -1)
-    seen = np.asarray(run.t_seen, float)
+    seen, u = np.asarray(run.t_seen, float), np.asarray(command, float)
+    t = seen if run.t is None else np.asarray(run.t, float)
     if len(t) == 0 or u.shape[1] == 0:
         return _uncommanded(run, t, seen)
     period = float(np.median(np.diff(t))) if len(t) > 1 else WINDOW_SHORTEST
@@ -94,11 +95,11 @@ def conditions(run: Any) -> Conditions:
     )
 
 
-def cells(state: Conditions) -> dict[str, list[Cell]]:
+def cells(state: Conditions, unit: str = "mm") -> dict[str, list[Cell]]:
     """Sort the frames into classes, one list per condition; a class without frames is left out.
 
     Args:
-        state: the conditions of K frames.
+        state: the conditions of K frames. unit: of the commands, for the labels.
 
     Returns:
         dict: direction, speed, dwell, history, command, time; orientation and temperature where the run has them.
@@ -107,17 +108,17 @@ def cells(state: Conditions) -> dict[str, list[Cell]]:
         "direction": _directions(state),
         "speed": [
             Cell("still", 0.0, 0.0, ~state.moving),
-            *_ranges(state.speed, _edges(state.speed[state.moving], 3), "mm/s", state.moving),
+            *_ranges(state.speed, _edges(state.speed[state.moving], 3), f"{unit}/s", state.moving),
         ],
         "dwell": [Cell("moving", None, 0.0, state.moving), *_dwells(state)],
-        "history": _ranges(state.history, _edges(state.history, 5), "mm"),
-        "command": _commands(state),
-        "time": _ranges(state.time, np.linspace(0.0, float(np.max(state.time, initial=0.0)), 9), "s"),
+        "history": _ranges(state.history, _steps(state.history, 4), unit),
+        "command": _commands(state, unit),
+        "time": _ranges(state.time, _steps(state.time, 8), "s"),
     }
     if state.gravity is not None:
         found["orientation"] = _orientations(state.gravity)
     if state.temperature is not None:
-        found["temperature"] = _ranges(state.temperature, _edges(state.temperature, 4), "°C")
+        found["temperature"] = _ranges(state.temperature, _steps(state.temperature, 4), "°C")
     return {name: [cell for cell in row if cell.frames.any()] for name, row in found.items()}
 
 
@@ -151,17 +152,28 @@ def _at_seen(run: Any, name: str, t: Floats, seen: Floats, width: int) -> Floats
     if width == 3:
         return np.tile(value, (len(seen), 1)) if value.ndim == 1 else _sample(seen, t, value)
     column = np.full(len(t), float(value)) if value.ndim == 0 else value.reshape(len(t), -1).mean(axis=1)
-    return np.interp(seen, t, column)
+    return np.asarray(np.interp(seen, t, column))
 
 
 def _edges(values: Floats, count: int) -> Floats:
-    """Bounds of `count` classes of about equal size, rounded to two digits outwards at the ends."""
+    """Bounds of up to `count` classes of about equal size; classes narrower than a tenth of the largest value join."""
     if len(values) == 0:
         return np.zeros(0)
-    inner = np.quantile(values, np.linspace(0.0, 1.0, count + 1)[1:-1])
+    quantiles = np.quantile(values, np.linspace(0.0, 1.0, count + 1))
     step = 10.0 ** np.floor(np.log10(max(float(np.max(np.abs(values))), 1e-9)) - 1)
-    ends = np.floor(np.min(values) / step) * step, np.ceil(np.max(values) / step) * step
-    return np.unique(np.round(np.concatenate([[ends[0]], np.round(inner / step) * step, [ends[1]]]), 9))
+    low, high = np.floor(quantiles[0] / step) * step, np.ceil(quantiles[-1] / step) * step
+    least, kept = 0.1 * float(np.max(np.abs(values))), [float(low)]
+    for inner in np.round(quantiles[1:-1] / step) * step:
+        if inner - kept[-1] > least and high - inner > least:
+            kept.append(float(inner))
+    return np.round(np.unique([*kept, float(high)]), 9)
+
+
+def _steps(values: Floats, count: int) -> Floats:
+    """Bounds of `count` equally wide classes from the smallest to the largest value."""
+    if len(values) == 0:
+        return np.zeros(0)
+    return np.unique(np.linspace(float(np.min(values)), float(np.max(values)), count + 1))
 
 
 def _ranges(values: Floats, edges: Floats, unit: str, among: Mask | None = None) -> list[Cell]:
@@ -200,7 +212,7 @@ def _directions(state: Conditions) -> list[Cell]:
     return found
 
 
-def _commands(state: Conditions) -> list[Cell]:
+def _commands(state: Conditions, unit: str) -> list[Cell]:
     """Cells of the largest channel: home, then its signed range in thirds (its sign alone beyond three channels)."""
     channels = state.command.shape[1]
     size = np.max(np.abs(state.command), axis=1, initial=0.0)
@@ -218,7 +230,8 @@ def _commands(state: Conditions) -> list[Cell]:
             magnitude = np.abs(value)
             inside = (magnitude > min(abs(low), abs(high))) & (magnitude <= max(abs(low), abs(high)))
             frames = ~home & (largest == channel) & (np.sign(value) == np.sign(low + high)) & inside
-            found.append(Cell(f"u{channel + 1} {low:+.3g} … {high:+.3g} mm", float(low), float(high), frames))
+            name = f"u{channel + 1} {low:+.3g} … {high:+.3g} {unit}".replace("-", "−")
+            found.append(Cell(name, float(low), float(high), frames))
     return found
 
 

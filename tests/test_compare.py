@@ -1,0 +1,279 @@
+"""Comparing a model with a run: known errors give known figures, known motions known cells, known noise its floor."""
+
+import json
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from softmap_edge.compare import Comparison, compare, digest, series
+from softmap_edge.conditions import cells, conditions
+from softmap_edge.errors import ComparisonError
+from softmap_edge.floor import noise_floor
+
+RINGS, AROUND = 5, 8
+
+
+def tube():
+    angle = np.arange(AROUND) * 2 * np.pi / AROUND
+    ring = np.column_stack([10 * np.cos(angle), 10 * np.sin(angle), np.zeros(AROUND)])
+    rest = np.concatenate([ring + [0, 0, 25.0 * k] for k in range(RINGS)])
+    a, b = np.meshgrid(np.arange(RINGS - 1), np.arange(AROUND), indexing="ij")
+    p, q = (a * AROUND + b).ravel(), (a * AROUND + (b + 1) % AROUND).ravel()
+    return rest, np.concatenate([np.column_stack([p, q, p + AROUND]), np.column_stack([q, q + AROUND, p + AROUND])])
+
+
+def shapes(rest, u):
+    """A tube that leans by its command: an exact stand-in for a prior, (K, N, 3)."""
+    lean = (rest[:, 2] / 100.0) ** 2
+    move = np.zeros((len(u), len(rest), 3))
+    move[..., :2] = u[:, None, :] * lean[None, :, None]
+    return rest + move
+
+
+@dataclass
+class Lean:
+    """A model with the face that `compare` uses, and an error put in by hand."""
+
+    rest: np.ndarray
+    triangles: np.ndarray
+    tip_indices: np.ndarray
+    sections: np.ndarray
+    error: object = None
+    robot: str = "tube"
+    command_unit: str = "mm"
+    chain_names: tuple = ()
+    params: dict = field(default_factory=dict)
+    made_from: dict = field(default_factory=dict)
+
+    def commands(self, run):
+        return run.command
+
+    def seen_points(self, run):
+        return run.vertices if run.vertices is not None else run.markers
+
+    def predict(self, run):
+        u = np.stack([np.interp(run.t_seen, run.t, c) for c in run.command.T], axis=1)
+        points = shapes(self.rest, u)
+        return points if self.error is None else points + self.error(run, points)
+
+
+def lean(error=None):
+    rest, triangles = tube()
+    return Lean(rest, triangles, np.arange(4 * AROUND, 5 * AROUND), np.repeat(np.arange(RINGS), AROUND), error)
+
+
+def record(t, u, t_seen, noise=0.0, seed=0, **more):
+    rest, _ = tube()
+    at = np.stack([np.interp(t_seen, t, c) for c in u.T], axis=1)
+    vertices = shapes(rest, at) + noise * np.random.default_rng(seed).normal(size=(len(t_seen), len(rest), 3))
+    return SimpleNamespace(
+        **{"t": t, "command": u, "t_seen": t_seen, "vertices": vertices, "markers": None, "visible": None}
+        | {"gravity": None, "temperature": None, "robot": "tube"}
+        | more
+    )
+
+
+def triangle(noise=0.0, seed=0, **more):
+    """u1: up to 10 mm in 5 s, 5 s dwell, down to −10 mm in 10 s, 5 s dwell; u2 still."""
+    t = np.arange(0, 25.0001, 0.02)
+    u1 = np.interp(t, [0, 5, 10, 20, 25], [0, 10, 10, -10, -10])
+    return record(t, np.column_stack([u1, 0 * t]), np.arange(0.0, 25.0, 0.1), noise, seed, **more)
+
+
+def rows(comparison, name):
+    return {row.label: row for row in comparison.where[name]}
+
+
+def test_exact_model_has_no_error():
+    found = compare(lean(), triangle())
+    assert found.error["rms_mm"] < 1e-12 and found.error["max_mm"] < 1e-12
+    assert found.frames == 250
+
+
+def test_known_error_gives_known_figures():
+    def shift(run, points):
+        out = np.zeros_like(points)
+        out[:125, :, 0], out[125:, :, 0] = 1.0, 3.0
+        return out
+
+    found = compare(lean(shift), triangle())
+    assert found.error["rms_mm"] == pytest.approx(np.sqrt(5.0))
+    assert found.error["median_mm"] == pytest.approx(2.0)
+    assert found.error["p95_mm"] == pytest.approx(3.0) and found.error["max_mm"] == pytest.approx(3.0)
+    assert found.error["tip_rms_mm"] == pytest.approx(np.sqrt(5.0))
+    assert [row.rms_mm for row in found.where["time"]][0] == pytest.approx(1.0)
+    assert [row.rms_mm for row in found.where["time"]][-1] == pytest.approx(3.0)
+    assert found.worst["frame"]["rms_mm"] == pytest.approx(3.0)
+
+
+def test_error_at_the_tip_is_found_at_the_tip():
+    def tip(run, points):
+        out = np.zeros_like(points)
+        out[:, 4 * AROUND :, 1] = 2.0
+        return out
+
+    found = compare(lean(tip), triangle())
+    section = found.where["section"]
+    assert [row.rms_mm for row in section] == pytest.approx([0, 0, 0, 0, 2.0])
+    assert section[-1].label == "5 tip" and section[-1].low == section[-1].high == 100.0
+    assert found.error["tip_rms_mm"] == pytest.approx(2.0)
+    assert found.worst["bins"][0] == {"where": "section", "label": "5 tip", "n": 250, "rms_mm": pytest.approx(2.0)}
+
+
+def test_error_of_one_direction_is_found_there_only():
+    def backward(run, points):
+        slope = np.interp(run.t_seen, run.t, np.gradient(run.command[:, 0], run.t))
+        return np.where((slope < -1)[:, None, None], [[[1.5, 0, 0]]], 0.0) * np.ones_like(points)
+
+    direction = rows(compare(lean(backward), triangle()), "direction")
+    assert set(direction) == {"still", "u1 +", "u1 −"}
+    assert direction["u1 −"].rms_mm == pytest.approx(1.5, rel=0.02)
+    assert direction["u1 +"].rms_mm == 0.0 and direction["still"].rms_mm < 0.3
+    assert direction["u1 −"].n == pytest.approx(100, abs=3) and direction["u1 +"].n == pytest.approx(50, abs=3)
+
+
+def test_every_condition_holds_every_frame_once():
+    run = triangle(gravity=np.array([0.0, 0.0, 1.0]), temperature=np.linspace(20, 30, 1251))
+    found = cells(conditions(run, run.command))
+    assert set(found) == {"direction", "speed", "dwell", "history", "command", "time", "orientation", "temperature"}
+    for name, row in found.items():
+        count = np.sum([cell.frames for cell in row], axis=0)
+        assert (count == 1).all(), f"{name}: {np.flatnonzero(count != 1)[:5]}"
+        for cell in row:
+            if cell.low is not None and cell.high is not None:
+                assert cell.low <= cell.high
+
+
+def test_conditions_of_a_known_motion():
+    run = triangle()
+    state = conditions(run, run.command)
+    at = lambda seconds: int(round(seconds * 10))  # noqa: E731
+    assert state.speed[at(3)] == pytest.approx(2.0) and state.velocity[at(15), 0] == pytest.approx(-2.0)
+    assert state.dwell[at(9)] == pytest.approx(4.0, abs=0.03) and state.dwell[at(3)] == 0.0
+    assert state.history[at(2)] == pytest.approx(4.0) and state.history[at(24)] == pytest.approx(10.0)
+    assert state.visit[at(7)] == state.visit[at(9)] != state.visit[at(23)]
+
+
+def test_orientations_are_told_apart():
+    flip = np.tile([0.0, 0.0, 1.0], (1251, 1))
+    flip[600:] = [1.0, 0.0, 0.0]
+    run = triangle(gravity=flip)
+    assert {c.label for c in cells(conditions(run, run.command))["orientation"]} >= {"gravity +z", "gravity +x"}
+
+
+def test_hidden_points_do_not_count():
+    def bad(run, points):
+        out = np.zeros_like(points)
+        out[:, 0] = 50.0
+        return out
+
+    run = triangle()
+    run.vertices[:, 0] = np.nan
+    run.visible = np.ones(run.vertices.shape[:2], bool)
+    run.visible[:, 0] = False
+    assert compare(lean(bad), run).error["max_mm"] < 1e-12
+    run.visible = None
+    run.vertices[:, 0] = tube()[0][0]
+    assert compare(lean(bad), run).error["max_mm"] > 50.0
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.3])
+def test_noise_floor_from_dwells(sigma):
+    found = compare(lean(lambda run, p: 4.0), triangle(noise=sigma))
+    assert found.noise_floor_mm == pytest.approx(np.sqrt(3) * sigma, rel=0.05)  # 80 pairs of 40 points: 1.5 %
+    assert "dwell" in found.made_from["noise_floor"]
+
+
+def test_noise_floor_from_repeated_commands():
+    """One seen frame a dwell: the same two commands again and again."""
+    t = np.arange(0, 120.0001, 0.05)
+    u1 = np.where((t // 3) % 2 == 0, 0.0, 8.0)
+    run = record(t, np.column_stack([u1, 0 * t]), np.arange(2.0, 119.0, 3.0), noise=0.2)
+    found = compare(lean(), run)
+    assert found.noise_floor_mm == pytest.approx(np.sqrt(3) * 0.2, rel=0.1)
+    assert "repeatedly" in found.made_from["noise_floor"]
+
+
+def test_noise_floor_without_replicates_says_so():
+    t = np.arange(0, 30.0, 0.02)
+    u = np.column_stack([10 * np.sin(t), 8 * np.cos(0.7 * t)])
+    found = compare(lean(), record(t, u, np.arange(0, 29, 0.1), noise=0.1))
+    assert found.noise_floor_mm == pytest.approx(np.sqrt(3) * 0.1, rel=0.1)
+    assert "no replicates" in found.made_from["noise_floor"]
+    few = record(t, u, np.arange(0, 0.5, 0.1), noise=0.1)
+    state = conditions(few, few.command)
+    value, why = noise_floor(state, few.vertices, np.ones(few.vertices.shape[:2], bool), few.vertices)
+    assert value is None and "too few" in why
+
+
+def test_document_survives_json():
+    found = compare(lean(lambda run, p: 1.0), triangle(noise=0.1))
+    document = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert Comparison.from_dict(document) == found
+    assert set(document) == {
+        *("schema", "run", "bundle", "frames", "error", "noise_floor_mm", "where", "worst", "made_from")
+    }
+    assert set(document["where"]) == {"section", "direction", "speed", "dwell", "history", "command", "time"}
+    assert set(document["where"]["speed"][0]) == {"label", "low", "high", "n", "rms_mm"}
+    assert document == compare(lean(lambda run, p: 1.0), triangle(noise=0.1)).to_dict()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [None, [], {"schema": "softmap.comparison/2"}, {"error": {}}, {"where": {"time": [{}]}}, {"where": 3}, {"run": 4}],
+)
+def test_damaged_documents_are_refused(damage):
+    document = compare(lean(), triangle()).to_dict()
+    document = document | damage if isinstance(damage, dict) else damage
+    with pytest.raises(ComparisonError, match="softmap compare --json"):
+        Comparison.from_dict(document)
+
+
+def test_what_cannot_be_compared():
+    run = triangle()
+    run.t_seen, run.vertices = run.t_seen[:0], run.vertices[:0]
+    with pytest.raises(ComparisonError, match="nothing to compare"):
+        compare(lean(), run)
+    run = triangle(visible=np.zeros((250, 40), bool))
+    with pytest.raises(ComparisonError, match="visible"):
+        compare(lean(), run)
+    with pytest.raises(ComparisonError, match="not finite"):
+        compare(lean(lambda run, p: np.nan), triangle())
+    run = triangle()
+    run.vertices = run.vertices[:, :-1]
+    with pytest.raises(ComparisonError, match=r"\(250, 40, 3\).*\(250, 39, 3\)"):
+        compare(lean(), run)
+
+
+def test_a_run_without_commands():
+    run = triangle()
+    run.command = np.zeros((len(run.t), 0))
+    model = lean()
+    model.predict = lambda run: np.tile(model.rest, (250, 1, 1))
+    found = compare(model, run)
+    assert [row.label for row in found.where["direction"]] == ["still"]
+    assert found.error["max_mm"] == pytest.approx(10.0)
+
+
+def test_markers_are_their_own_sections():
+    run, model = triangle(), lean(lambda run, p: 1.0)
+    model = replace(model, triangles=np.zeros((0, 3), int), tip_indices=np.array([39]))
+    assert compare(model, run).where["section"][0].label == "marker 1"
+    assert series(run, model).triangles is None
+
+
+def test_series_before_and_after():
+    run = triangle(noise=0.1)
+    found = series(run, lean(lambda run, p: 2.0), lean(lambda run, p: 0.5))
+    assert found.before.shape == (250,) and found.point_after.shape == (40,)
+    assert np.all(found.after < found.before) and np.all(found.point_after < found.point_before)
+    assert found.point_before == pytest.approx(np.full(40, np.sqrt(12.0 + 0.03)), rel=0.05)
+    with pytest.raises(ComparisonError, match="held out"):
+        series(run, lean(), kind="good")
+
+
+def test_hash_follows_the_content():
+    run, same, other = triangle(noise=0.1), triangle(noise=0.1), triangle(noise=0.1, seed=1)
+    assert digest(run) == digest(same) != digest(other)
