@@ -2,10 +2,12 @@
 //!
 //! Nothing here knows Python except the `python` module, which only converts and forwards.
 
+pub mod effects;
 pub mod error;
 #[cfg(feature = "python")]
 mod python;
 pub mod rod;
 pub mod shape;
+pub mod table;
 
 pub use error::{Error, Result};

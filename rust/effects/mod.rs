@@ -1,1 +1,79 @@
 //! Effects: each declared once, in a file of its own; this list is the registry.
+//!
+//! To add one, write `NAME.rs` beside the others with `pub static EFFECT: Effect` and put its name in the list below.
+//! Chains, fits, the effects page and the tests loop over the list.
+
+mod chain;
+mod conditions;
+mod declaration;
+
+pub use chain::Chain;
+pub use conditions::{Conditions, Context};
+pub use declaration::*;
+
+macro_rules! registry {
+    ($($name:ident)*) => {
+        $(mod $name;)*
+
+        /// Every effect, in stage order.
+        pub static REGISTRY: &[&Effect] = &[$(&$name::EFFECT),*];
+    };
+}
+
+registry! {
+    offset
+    gain
+    latency
+    lag
+    backlash
+    hysteresis
+    creep
+    gravity
+    payload
+    mount
+}
+
+/// The effect of that name.
+pub fn find(name: &str) -> Option<&'static Effect> {
+    REGISTRY
+        .iter()
+        .copied()
+        .find(|effect| effect.declaration.name == name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn declarations_are_complete_and_in_stage_order() {
+        for pair in REGISTRY.windows(2) {
+            assert!(
+                pair[0].declaration.stage <= pair[1].declaration.stage,
+                "{:?} {:?}",
+                pair[0],
+                pair[1]
+            );
+        }
+        for effect in REGISTRY {
+            let d = &effect.declaration;
+            assert_eq!(
+                find(d.name).map(|found| found.declaration.name),
+                Some(d.name)
+            );
+            for p in d.parameters {
+                assert!(
+                    p.low < p.high && p.low <= p.start && p.start <= p.high,
+                    "{}.{}",
+                    d.name,
+                    p.name
+                );
+                assert!(
+                    [p.null, p.start, p.low, p.high]
+                        .iter()
+                        .all(|value| value.is_finite())
+                );
+            }
+        }
+    }
+}

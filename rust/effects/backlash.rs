@@ -1,0 +1,55 @@
+//! Backlash: free play in the transmission; after a reversal nothing moves until the play is used up.
+//!
+//! The play operator `y = clamp(y, u − gap/2, u + gap/2)`, `gap` the full free play, mm, one for all channels. Memory starts
+//! centred, `y = u`. Exact for commands that are monotonic between samples. gap ≤ 0 is no play.
+//! Source: M. A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis (1989).
+
+use super::conditions::Context;
+use super::declaration::*;
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "backlash",
+        family: "reversal hysteresis",
+        stage: Stage::Transmission,
+        kind: Kind::Effect,
+        formula: "y = clamp(y, x − gap/2, x + gap/2)",
+        doc: "Free play of gears, clutches and knots: the tendon follows its drive only outside a dead zone that the motion \
+              drags along.",
+        signature: "A loop of constant width between there and back; no motion at all just after a reversal.",
+        reference: "Play operator: Krasnosel'skii and Pokrovskii, Systems with Hysteresis, Springer 1989.",
+        needs: &[],
+        parameters: &[Parameter {
+            name: "gap",
+            unit: "mm",
+            null: 0.0,
+            start: 0.4,
+            low: 0.04,
+            high: 4.0,
+            per_channel: false,
+            doc: "full free play (half-width = gap/2)",
+        }],
+    },
+    law: Law::Channel(&Backlash),
+};
+
+struct Backlash;
+
+impl ChannelEffect for Backlash {
+    fn state_size(&self, channels: usize) -> usize {
+        channels
+    }
+
+    fn settle(&self, _params: &[f64], x: &mut [f64], state: &mut [f64]) {
+        state.copy_from_slice(x);
+    }
+
+    #[inline]
+    fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {
+        let half = 0.5 * params[0].max(0.0);
+        for (x, y) in x.iter_mut().zip(state) {
+            *y = y.max(*x - half).min(*x + half);
+            *x = *y;
+        }
+    }
+}

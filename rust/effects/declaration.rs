@@ -1,0 +1,184 @@
+//! What an effect declares about itself, and the three roles it can play.
+//!
+//! A *channel* effect changes the C command numbers (mm) and may remember; a *shape* effect gives the coefficients of named
+//! fields; a *sensing* effect moves what is seen. At null parameters each is the identity. All memory lies in flat slices
+//! that the caller owns, so it can be copied, reset and replayed.
+
+use super::conditions::{Conditions, Context};
+use crate::error::Result;
+
+/// Where in the path from command to camera an effect acts; chains are composed in this order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stage {
+    Command,
+    Transmission,
+    Material,
+    Shape,
+    Sensing,
+}
+
+impl Stage {
+    pub fn name(self) -> &'static str {
+        match self {
+            Stage::Command => "command",
+            Stage::Transmission => "transmission",
+            Stage::Material => "material",
+            Stage::Shape => "shape",
+            Stage::Sensing => "sensing",
+        }
+    }
+}
+
+/// Physics of the robot, or a fault of the measurement.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    Effect,
+    Fault,
+}
+
+/// One number of an effect. At `null` the effect is absent; fits search from `low` to `high`, starting at `start`.
+#[derive(Debug, Clone, Copy)]
+pub struct Parameter {
+    pub name: &'static str,
+    pub unit: &'static str,
+    /// Always admissible, even outside [low, high]. Where another parameter switches the effect off, this is a typical value.
+    pub null: f64,
+    /// A plausible strength: where a search begins and at which signatures are compared.
+    pub start: f64,
+    pub low: f64,
+    pub high: f64,
+    /// One number per channel instead of one for all.
+    pub per_channel: bool,
+    pub doc: &'static str,
+}
+
+impl Parameter {
+    /// Whether fits search on a logarithmic scale: they do where the lower bound is positive.
+    pub fn log(&self) -> bool {
+        self.low > 0.0
+    }
+}
+
+/// What pages, screens, tests and fits know of an effect.
+#[derive(Debug)]
+pub struct Declaration {
+    pub name: &'static str,
+    pub family: &'static str,
+    pub stage: Stage,
+    pub kind: Kind,
+    pub formula: &'static str,
+    pub doc: &'static str,
+    /// What the error looks like while the effect is missing from the model.
+    pub signature: &'static str,
+    pub reference: &'static str,
+    /// Fields a run must carry for the effect to be computed at all.
+    pub needs: &'static [&'static str],
+    pub parameters: &'static [Parameter],
+}
+
+impl Declaration {
+    /// Number of parameter values for `channels` channels.
+    pub fn width(&self, channels: usize) -> usize {
+        self.parameters
+            .iter()
+            .map(|p| if p.per_channel { channels } else { 1 })
+            .sum()
+    }
+}
+
+/// Names of the shape fields: displacement per 1 g of gravity, and per 1 N at the tip, along the axes of the base.
+pub const FIELDS: [&str; 6] = [
+    "gravity_x",
+    "gravity_y",
+    "gravity_z",
+    "tip_force_x",
+    "tip_force_y",
+    "tip_force_z",
+];
+
+/// Where the gravity triple and the tip force triple begin in [`FIELDS`].
+pub const GRAVITY: usize = 0;
+pub const TIP_FORCE: usize = 3;
+
+/// Coefficients of [`FIELDS`].
+pub type Coefficients = [f64; FIELDS.len()];
+
+/// Standard gravity, m/s² = N/kg (exact by convention).
+pub const STANDARD_GRAVITY: f64 = 9.80665;
+
+/// A change of the command numbers, with or without memory.
+pub trait ChannelEffect: Sync {
+    /// Numbers of memory for `channels` channels.
+    fn state_size(&self, _channels: usize) -> usize {
+        0
+    }
+
+    /// Set `state` to the equilibrium with `x` held forever, and `x` to what comes out then.
+    fn settle(&self, params: &[f64], x: &mut [f64], state: &mut [f64]);
+
+    /// Advance one sample: `x` (C,) goes in and comes out changed.
+    fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context);
+
+    /// Advance a whole record `samples` (T, C) in place. The loop is compiled once per effect, with `step` inside it.
+    fn rollout(
+        &self,
+        params: &[f64],
+        samples: &mut [f64],
+        channels: usize,
+        state: &mut [f64],
+        conditions: &Conditions,
+    ) {
+        for (k, x) in samples.chunks_exact_mut(channels).enumerate() {
+            self.step(params, x, state, &conditions.at(k));
+        }
+    }
+
+    /// Refuse parameters that the effect cannot honour.
+    fn check(&self, _params: &[f64]) -> Result<()> {
+        Ok(())
+    }
+}
+
+/// Coefficients of shape fields.
+pub trait ShapeEffect: Sync {
+    /// Which of [`FIELDS`] the effect uses, by index.
+    fn fields(&self) -> &'static [usize];
+
+    /// Add the effect's coefficients (g, N) to `out`.
+    fn add(&self, params: &[f64], context: &Context, out: &mut Coefficients);
+}
+
+/// A change of what is seen.
+pub trait SensingEffect: Sync {
+    /// Move `points` (V, 3) in place; where `positions` is false the vector is a direction and only turns.
+    fn apply(&self, params: &[f64], positions: &[bool], points: &mut [f64], context: &Context);
+}
+
+/// An effect's law in its role.
+pub enum Law {
+    Channel(&'static dyn ChannelEffect),
+    Shape(&'static dyn ShapeEffect),
+    Sensing(&'static dyn SensingEffect),
+}
+
+impl Law {
+    pub fn role(&self) -> &'static str {
+        match self {
+            Law::Channel(_) => "channel",
+            Law::Shape(_) => "shape",
+            Law::Sensing(_) => "sensing",
+        }
+    }
+}
+
+/// A declared effect.
+pub struct Effect {
+    pub declaration: Declaration,
+    pub law: Law,
+}
+
+impl std::fmt::Debug for Effect {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}", self.declaration.name)
+    }
+}

@@ -1,0 +1,46 @@
+//! Gain: every command is scaled, as by a wrong spool radius or a tendon that stretches in proportion.
+//!
+//! `x = factor·u`, per channel. No memory; the null factor is 1.
+
+use super::conditions::Context;
+use super::declaration::*;
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "gain",
+        family: "actuation map",
+        stage: Stage::Command,
+        kind: Kind::Effect,
+        formula: "x = factor · u",
+        doc: "Each command is scaled: the spool radius differs from the nominal one, or the tendon stretches linearly. \
+              A finger of another modulus is hardly seen under servo displacement and would hide here.",
+        signature: "Static, odd in the command: nothing at home, growing with the bend, the same on the way there and back.",
+        reference: "Linear map from servo angle to tendon shortening; the matrix A of the command calibration in the paper.",
+        needs: &[],
+        parameters: &[Parameter {
+            name: "factor",
+            unit: "1",
+            null: 1.0,
+            start: 1.05,
+            low: 0.7,
+            high: 1.3,
+            per_channel: true,
+            doc: "shortening that acts, over shortening commanded, of the channel",
+        }],
+    },
+    law: Law::Channel(&Gain),
+};
+
+struct Gain;
+
+impl ChannelEffect for Gain {
+    fn settle(&self, params: &[f64], x: &mut [f64], _state: &mut [f64]) {
+        x.iter_mut()
+            .zip(params)
+            .for_each(|(x, factor)| *x *= factor);
+    }
+
+    fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {
+        self.settle(params, x, state);
+    }
+}

@@ -1,0 +1,75 @@
+//! Gravity: the body weighs more or less than the model says, or hangs at another angle.
+//!
+//! The gravity that acts is `(1 + density)·R·g`, `g` the unit vector that the run declares and `R` a turn by `tilt_x` about
+//! the base's x axis, then by `tilt_y` about y. The coefficients of the fields gravity_x|y|z (displacement per 1 g) are its
+//! difference to `g`; what the run declares is applied as known physics elsewhere (`predict.rs`).
+//! Limit: fields are linear; facts of the simulator give 2–4 % error at 1 g, 10 % at home where tendons go slack.
+
+use super::conditions::Context;
+use super::declaration::*;
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "gravity",
+        family: "dead load",
+        stage: Stage::Shape,
+        kind: Kind::Effect,
+        formula: "c = (1 + density) · R_y(tilt_y) · R_x(tilt_x) · g − g   on gravity_x|y|z",
+        doc: "Own weight other than declared: another density, or a mount that leans against the vertical.",
+        signature: "A sag that is the same for every speed and history, and changes with the orientation of the base.",
+        reference: "Linear response of the equilibrium to a body force, from the tangent of the simulator.",
+        needs: &[],
+        parameters: &[
+            Parameter {
+                name: "density",
+                unit: "1",
+                null: 0.0,
+                start: 0.2,
+                low: -0.8,
+                high: 2.0,
+                per_channel: false,
+                doc: "relative deviation of the weight from the declared one",
+            },
+            Parameter {
+                name: "tilt_x",
+                unit: "deg",
+                null: 0.0,
+                start: 5.0,
+                low: -60.0,
+                high: 60.0,
+                per_channel: false,
+                doc: "turn of gravity about the base's x axis",
+            },
+            Parameter {
+                name: "tilt_y",
+                unit: "deg",
+                null: 0.0,
+                start: 5.0,
+                low: -60.0,
+                high: 60.0,
+                per_channel: false,
+                doc: "turn of gravity about the base's y axis, after tilt_x",
+            },
+        ],
+    },
+    law: Law::Shape(&Gravity),
+};
+
+struct Gravity;
+
+impl ShapeEffect for Gravity {
+    fn fields(&self) -> &'static [usize] {
+        &[GRAVITY, GRAVITY + 1, GRAVITY + 2]
+    }
+
+    fn add(&self, params: &[f64], context: &Context, out: &mut Coefficients) {
+        let [gx, gy, gz] = context.gravity;
+        let (sx, cx) = params[1].to_radians().sin_cos();
+        let (sy, cy) = params[2].to_radians().sin_cos();
+        let (y, z) = (cx * gy - sx * gz, sx * gy + cx * gz);
+        let tilted = [cy * gx + sy * z, y, cy * z - sy * gx];
+        for i in 0..3 {
+            out[GRAVITY + i] += (1.0 + params[0]) * tilted[i] - context.gravity[i];
+        }
+    }
+}

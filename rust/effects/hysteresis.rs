@@ -1,0 +1,81 @@
+//! Hysteresis: a material whose response after a reversal is softer at first and catches up (Prandtl–Ishlinskii).
+//!
+//! `y = x − Σ w_i·stop_i(x)`, i = 1…4, with the stop operators `s_i ← clamp(s_i + Δx, ±r_i)`, thresholds `r_i = reach·i/4`
+//! and equal weights `w_i = strength/4`. After a reversal a part 1 − strength of the motion comes at once; all of it once the
+//! widest stop is saturated. Memory starts relaxed (`s_i = 0`). Exact for commands monotonic between samples.
+//! Source: P. Krejčí, K. Kuhnen, doi:10.1049/ip-cta:20010375. Limit: rate-independent, four thresholds on an even grid.
+
+use super::conditions::Context;
+use super::declaration::*;
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "hysteresis",
+        family: "reversal hysteresis",
+        stage: Stage::Material,
+        kind: Kind::Effect,
+        formula: "y = x − strength/4 · Σ s_i,  s_i = clamp(s_i + Δx, ±reach·i/4),  i = 1…4",
+        doc: "Internal friction of the body: a few stop operators of growing threshold hold back part of the motion.",
+        signature: "A loop between there and back whose width grows with the swing and saturates; motion sets in at once \
+                    after a reversal, but too small.",
+        reference: "Prandtl–Ishlinskii operator: Krejčí and Kuhnen, IEE Proc. Control Theory Appl. 148 (2001) 185.",
+        needs: &[],
+        parameters: &[
+            Parameter {
+                name: "strength",
+                unit: "1",
+                null: 0.0,
+                start: 0.15,
+                low: 0.02,
+                high: 0.7,
+                per_channel: false,
+                doc: "share of the motion held back just after a reversal",
+            },
+            Parameter {
+                name: "reach",
+                unit: "mm",
+                null: 3.0,
+                start: 3.0,
+                low: 0.3,
+                high: 10.0,
+                per_channel: false,
+                doc: "motion after which nothing more is held back",
+            },
+        ],
+    },
+    law: Law::Channel(&Hysteresis),
+};
+
+struct Hysteresis;
+
+const STOPS: usize = 4;
+
+impl ChannelEffect for Hysteresis {
+    fn state_size(&self, channels: usize) -> usize {
+        channels * (1 + STOPS)
+    }
+
+    fn settle(&self, _params: &[f64], x: &mut [f64], state: &mut [f64]) {
+        state.fill(0.0);
+        for (x, memory) in x.iter().zip(state.chunks_exact_mut(1 + STOPS)) {
+            memory[0] = *x;
+        }
+    }
+
+    #[inline]
+    fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {
+        let (weight, spacing) = (params[0] / STOPS as f64, params[1].max(0.0) / STOPS as f64);
+        for (x, memory) in x.iter_mut().zip(state.chunks_exact_mut(1 + STOPS)) {
+            let (before, stops) = memory.split_at_mut(1);
+            let change = *x - before[0];
+            before[0] = *x;
+            let mut held = 0.0;
+            for (i, stop) in stops.iter_mut().enumerate() {
+                let limit = spacing * (i + 1) as f64;
+                *stop = (*stop + change).max(-limit).min(limit);
+                held += *stop;
+            }
+            *x -= weight * held;
+        }
+    }
+}

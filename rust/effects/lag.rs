@@ -1,0 +1,93 @@
+//! Lag: the drive follows its command like a first-order low pass.
+//!
+//! `tau·x' = u − x`, advanced exactly for commands that are linear between samples (as everywhere in the chain): with
+//! `h = dt/tau`, `a = e^(−h)`, `p = (1 − a)/h`: `x⁺ = a·x + (p − a)·u_before + (1 − p)·u`. The plain recursion
+//! `x += (1 − a)(u − x)` acts half a period early; this one has no error at any period. Units s. tau ≤ 0 is no lag.
+
+use super::conditions::Context;
+use super::declaration::*;
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "lag",
+        family: "delay",
+        stage: Stage::Command,
+        kind: Kind::Effect,
+        formula: "tau · dx/dt = u − x",
+        doc: "A first-order lag of the drive: position control with low gain, a compliant tendon against damping.",
+        signature: "Error in proportion to speed like latency, but corners and steps come out rounded.",
+        reference: "First-order hold equivalent of a first-order low pass (Franklin, Powell, Workman, Digital Control of \
+                    Dynamic Systems).",
+        needs: &[],
+        parameters: &[Parameter {
+            name: "tau",
+            unit: "s",
+            null: 0.0,
+            start: 0.12,
+            low: 0.02,
+            high: 0.8,
+            per_channel: false,
+            doc: "time constant",
+        }],
+    },
+    law: Law::Channel(&Lag),
+};
+
+struct Lag;
+
+/// Weights (x, u_before, u) that advance a first-order low pass by `dt` under a linear command.
+#[inline]
+pub(super) fn low_pass(tau: f64, dt: f64) -> [f64; 3] {
+    if dt <= 0.0 {
+        return [1.0, 0.0, 0.0];
+    }
+    if tau <= 0.0 {
+        return [0.0, 0.0, 1.0];
+    }
+    let h = dt / tau;
+    let fall = -(-h).exp_m1();
+    let p = fall / h;
+    [1.0 - fall, p - 1.0 + fall, 1.0 - p]
+}
+
+impl ChannelEffect for Lag {
+    fn state_size(&self, channels: usize) -> usize {
+        2 * channels
+    }
+
+    fn settle(&self, _params: &[f64], x: &mut [f64], state: &mut [f64]) {
+        let (low, before) = state.split_at_mut(x.len());
+        low.copy_from_slice(x);
+        before.copy_from_slice(x);
+    }
+
+    #[inline]
+    fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
+        let (low, before) = state.split_at_mut(x.len());
+        let [a, b, c] = low_pass(params[0], context.dt);
+        for ((x, low), before) in x.iter_mut().zip(low).zip(before) {
+            let u = *x;
+            *low = a * *low + b * *before + c * u;
+            *before = u;
+            *x = if params[0] > 0.0 { *low } else { u };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::low_pass;
+
+    #[test]
+    fn weights_keep_constants_and_halving_the_step_changes_nothing() {
+        for tau in [1e-9, 0.01, 0.3, 1e6] {
+            let whole = low_pass(tau, 0.04);
+            assert!((whole.iter().sum::<f64>() - 1.0).abs() < 1e-14);
+            let half = low_pass(tau, 0.02);
+            // From x = 0 along the ramp 0 → 1: once in one step, once through its middle.
+            let middle = half[2] * 0.5;
+            let end = half[0] * middle + half[1] * 0.5 + half[2];
+            assert!((end - whole[2]).abs() < 1e-12);
+        }
+    }
+}
