@@ -8,8 +8,9 @@ mod conditions;
 mod declaration;
 
 pub use chain::Chain;
-pub use conditions::{Conditions, Context};
+pub use conditions::{Conditions, Context, bracket};
 pub use declaration::*;
+pub(crate) use payload::weight;
 
 macro_rules! registry {
     ($($name:ident)*) => {

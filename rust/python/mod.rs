@@ -1,7 +1,10 @@
 //! Bindings: convert arrays, release the interpreter, forward. No logic lives here.
 
+mod arrays;
+mod effects;
 mod rod;
 mod shape;
+mod table;
 
 use crate::Error;
 use pyo3::create_exception;
@@ -34,9 +37,20 @@ impl From<Error> for PyErr {
 #[pymodule]
 mod _core {
     #[pymodule_export]
+    use super::effects::{PyChain, PyPredictor, effects};
+    #[pymodule_export]
     use super::rod::{PyRod, PyRodField, monomial_degrees, monomials};
     #[pymodule_export]
     use super::shape::PyShape;
     #[pymodule_export]
+    use super::table::PyTable;
+    #[pymodule_export]
     use super::{CoreError, NoEquilibriumError};
+
+    /// Names of the shape fields, in the order of `Chain.coefficients`.
+    #[pymodule_init]
+    fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
+        use pyo3::types::PyModuleMethods;
+        module.add("FIELDS", crate::effects::FIELDS)
+    }
 }

@@ -1,0 +1,430 @@
+//! From commands to what is seen: chain → shape and fields → sensing, for many parameter sets at once. Every fit calls this.
+//!
+//! A frame at time t is `sense(prior(u_eff(t)) + Σ c_k(t)·field_k(u_eff(t)))`. `u_eff` comes out of the chain at the command
+//! times and is read linearly at the seen times. `c` holds the known physics, gravity declared by the run minus the
+//! gravity the prior was solved with (g) and the weight of the declared load (N), plus what the shape effects add.
+//!
+//! Parameter sets that agree in all channel effects share their shapes: in a Jacobian, steps in shape and sensing parameters
+//! cost next to nothing. Limits: fields are linear (see `effects/gravity.rs`, `effects/payload.rs`).
+
+use crate::effects::{
+    Chain, Coefficients, Conditions, Context, FIELDS, GRAVITY, TIP_FORCE, weight,
+};
+use crate::error::{Result, invalid};
+use crate::shape::Shape;
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Coefficients smaller than this (g, N) ask for no field: 1e-6 g moves no finger by a micrometre.
+const NEGLIGIBLE: f64 = 1e-6;
+
+/// A prior, its fields and what the outputs are.
+pub struct Predictor {
+    prior: Arc<dyn Shape>,
+    fields: [Option<Arc<dyn Shape>>; FIELDS.len()],
+    positions: Vec<bool>,
+    reference: [f64; 3],
+}
+
+/// What one call works on.
+struct Job<'a> {
+    chain: &'a Chain,
+    params: &'a [f64],
+    contexts: Vec<Context>,
+    /// Group (sets with equal channel parameters) of each set, and whether others share it.
+    group: Vec<usize>,
+    shared: Vec<bool>,
+    /// u_eff (groups, K, C) at the seen times.
+    acting: Vec<f64>,
+}
+
+impl Predictor {
+    /// Compose a prior (3V outputs) with its fields, by name; `positions` (V,) is false for directions, which only turn.
+    pub fn new(
+        prior: Arc<dyn Shape>,
+        fields: Vec<(String, Arc<dyn Shape>)>,
+        positions: Vec<bool>,
+        reference: [f64; 3],
+    ) -> Result<Predictor> {
+        if prior.size() != 3 * positions.len() {
+            return Err(invalid(format!(
+                "the prior has {} outputs, positions has {} entries; three outputs for each are wanted",
+                prior.size(),
+                positions.len()
+            )));
+        }
+        let mut known: [Option<Arc<dyn Shape>>; FIELDS.len()] = Default::default();
+        for (name, field) in fields {
+            let Some(index) = FIELDS.iter().position(|known| *known == name) else {
+                return Err(invalid(format!(
+                    "no field is called '{name}'; there are {}",
+                    FIELDS.join(", ")
+                )));
+            };
+            if field.size() != prior.size() || field.channels() != prior.channels() {
+                return Err(invalid(format!(
+                    "the field {name} maps {} commands to {} numbers, the prior {} to {}; they must agree",
+                    field.channels(),
+                    field.size(),
+                    prior.channels(),
+                    prior.size()
+                )));
+            }
+            known[index] = Some(field);
+        }
+        Ok(Predictor {
+            prior,
+            fields: known,
+            positions,
+            reference,
+        })
+    }
+
+    /// The gravity that the prior was solved with.
+    pub fn reference(&self) -> [f64; 3] {
+        self.reference
+    }
+
+    /// Number of vectors V in a frame.
+    pub fn vectors(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Frames (B, K, V, 3) for parameters (B, P) on the commands `u` (T, C), seen at `t_seen` (K,).
+    pub fn predict(
+        &self,
+        chain: &Chain,
+        params: &[f64],
+        u: &[f64],
+        conditions: &mut Conditions,
+        t_seen: &[f64],
+    ) -> Result<Vec<f64>> {
+        if chain.channels() != self.prior.channels() {
+            return Err(invalid(format!(
+                "the chain has {} channels, the prior {}; make the chain for this model",
+                chain.channels(),
+                self.prior.channels()
+            )));
+        }
+        if conditions.is_empty() && chain.channels() > 0 && !t_seen.is_empty() {
+            return Err(invalid(
+                "nothing was commanded (T = 0), so nothing can be predicted; give at least one sample",
+            ));
+        }
+        let sets = chain.sets(params)?;
+        let job = self.prepare(chain, params, sets, u, conditions, t_seen)?;
+        let coefficients = self.coefficients(&job, sets)?;
+        let shared = self.shared_shapes(&job, &coefficients);
+        let (size, frames) = (self.prior.size(), t_seen.len());
+        let mut out = vec![0.0; sets * frames * size];
+        if size > 0 {
+            let width = chain.width();
+            out.par_chunks_exact_mut(size).enumerate().for_each_init(
+                || vec![0.0; size],
+                |scratch, (i, frame)| {
+                    let (b, k) = (i / frames, i % frames);
+                    match &shared[job.group[b]] {
+                        Some(shapes) => shapes.combine(k, size, &coefficients[i], frame),
+                        None => {
+                            self.combine(job.at(job.group[b], k), &coefficients[i], scratch, frame)
+                        }
+                    }
+                    chain.sense(
+                        &params[b * width..(b + 1) * width],
+                        &self.positions,
+                        frame,
+                        &job.contexts[k],
+                    );
+                },
+            );
+        }
+        Ok(out)
+    }
+
+    fn prepare<'a>(
+        &self,
+        chain: &'a Chain,
+        params: &'a [f64],
+        sets: usize,
+        u: &[f64],
+        conditions: &mut Conditions,
+        t_seen: &[f64],
+    ) -> Result<Job<'a>> {
+        let (width, channels) = (chain.width(), chain.channels());
+        let mut numbers: HashMap<Vec<u64>, usize> = HashMap::new();
+        let (mut group, mut shared, mut chosen) = (vec![], vec![], vec![]);
+        for b in 0..sets {
+            let set = &params[b * width..(b + 1) * width];
+            let key = set[..chain.channel_width()]
+                .iter()
+                .map(|value| value.to_bits())
+                .collect();
+            let number = *numbers.entry(key).or_insert(shared.len());
+            if number == shared.len() {
+                shared.push(false);
+                chosen.extend_from_slice(set);
+            } else {
+                shared[number] = true;
+            }
+            group.push(number);
+        }
+        let records = chain.rollout(&chosen, u, conditions, &mut vec![])?;
+        let mut acting = Vec::with_capacity(shared.len() * t_seen.len() * channels);
+        if channels > 0 && !t_seen.is_empty() {
+            let places: Vec<_> = t_seen
+                .iter()
+                .map(|t| crate::effects::bracket(conditions.t(), *t))
+                .collect();
+            for record in records.chunks_exact(u.len()) {
+                for (k, share) in &places {
+                    let here = &record[k * channels..(k + 1) * channels];
+                    let next = if *share == 0.0 {
+                        here
+                    } else {
+                        &record[(k + 1) * channels..(k + 2) * channels]
+                    };
+                    acting.extend(here.iter().zip(next).map(|(a, b)| a + share * (b - a)));
+                }
+            }
+        }
+        let contexts = t_seen.iter().map(|t| conditions.between(*t)).collect();
+        Ok(Job {
+            chain,
+            params,
+            contexts,
+            group,
+            shared,
+            acting,
+        })
+    }
+
+    /// Coefficients (B, K) of the fields; a field that is wanted but absent is an error.
+    fn coefficients(&self, job: &Job, sets: usize) -> Result<Vec<Coefficients>> {
+        let width = job.chain.width();
+        let mut all = Vec::with_capacity(sets * job.contexts.len());
+        for b in 0..sets {
+            for context in &job.contexts {
+                let mut sum = job
+                    .chain
+                    .coefficients(&job.params[b * width..(b + 1) * width], context);
+                let force = weight(context.load, context.gravity);
+                for i in 0..3 {
+                    sum[GRAVITY + i] += context.gravity[i] - self.reference[i];
+                    sum[TIP_FORCE + i] += force[i];
+                }
+                for (f, value) in sum.iter_mut().enumerate() {
+                    if value.abs() <= NEGLIGIBLE {
+                        *value = 0.0;
+                    } else if self.fields[f].is_none() {
+                        return Err(self.absent(job.chain, f, *value));
+                    }
+                }
+                all.push(sum);
+            }
+        }
+        Ok(all)
+    }
+
+    fn absent(&self, chain: &Chain, field: usize, value: f64) -> crate::Error {
+        let users: Vec<_> = chain
+            .fields()
+            .iter()
+            .filter(|(f, _)| *f == field)
+            .map(|(_, name)| *name)
+            .collect();
+        let wants = match users.as_slice() {
+            [] => "what the run declares (gravity or load)".to_string(),
+            names => format!("the effect {} or what the run declares", names.join(", ")),
+        };
+        invalid(format!(
+            "{wants} asks for {value:.3e} of the field {}, which this model does not have; build the model with its \
+             fields, or leave that effect out",
+            FIELDS[field]
+        ))
+    }
+
+    /// Prior and wanted fields at one command, combined into `frame`.
+    fn combine(
+        &self,
+        u: &[f64],
+        coefficients: &Coefficients,
+        scratch: &mut [f64],
+        frame: &mut [f64],
+    ) {
+        self.prior.eval(u, frame);
+        for (field, weight) in self.fields.iter().zip(coefficients) {
+            if let (Some(field), true) = (field, *weight != 0.0) {
+                field.eval(u, scratch);
+                frame
+                    .iter_mut()
+                    .zip(scratch.iter())
+                    .for_each(|(sum, value)| *sum += weight * value);
+            }
+        }
+    }
+
+    /// For each group with several members, its shapes at all frames, evaluated once.
+    fn shared_shapes(&self, job: &Job, coefficients: &[Coefficients]) -> Vec<Option<Shapes>> {
+        let frames = job.contexts.len();
+        let mut wanted = vec![[false; FIELDS.len()]; job.shared.len()];
+        for (b, group) in job.group.iter().enumerate() {
+            for set in &coefficients[b * frames..(b + 1) * frames] {
+                wanted[*group]
+                    .iter_mut()
+                    .zip(set)
+                    .for_each(|(wanted, value)| *wanted |= *value != 0.0);
+            }
+        }
+        let evaluate = |shape: &Arc<dyn Shape>, group: usize| {
+            let mut values = vec![0.0; frames * shape.size()];
+            let chunks = values.par_chunks_exact_mut(shape.size().max(1));
+            chunks
+                .enumerate()
+                .for_each(|(k, out)| shape.eval(job.at(group, k), out));
+            values
+        };
+        let shapes = |group: usize| Shapes {
+            prior: evaluate(&self.prior, group),
+            fields: (0..FIELDS.len())
+                .filter(|f| wanted[group][*f])
+                .filter_map(|f| {
+                    self.fields[f]
+                        .as_ref()
+                        .map(|field| (f, evaluate(field, group)))
+                })
+                .collect(),
+        };
+        job.shared
+            .iter()
+            .enumerate()
+            .map(|(group, shared)| shared.then(|| shapes(group)))
+            .collect()
+    }
+}
+
+impl Job<'_> {
+    /// u_eff (C,) of a group at a seen frame.
+    fn at(&self, group: usize, k: usize) -> &[f64] {
+        let channels = self.chain.channels();
+        let start = (group * self.contexts.len() + k) * channels;
+        &self.acting[start..start + channels]
+    }
+}
+
+/// Prior and fields (K, 3V) of one group.
+struct Shapes {
+    prior: Vec<f64>,
+    fields: Vec<(usize, Vec<f64>)>,
+}
+
+impl Shapes {
+    fn combine(&self, k: usize, size: usize, coefficients: &Coefficients, frame: &mut [f64]) {
+        let row = k * size..(k + 1) * size;
+        frame.copy_from_slice(&self.prior[row.clone()]);
+        for (f, values) in &self.fields {
+            let weight = coefficients[*f];
+            frame
+                .iter_mut()
+                .zip(&values[row.clone()])
+                .for_each(|(sum, value)| *sum += weight * value);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::table::Table;
+
+    fn plane(slope: [f64; 3]) -> Arc<dyn Shape> {
+        let ends = slope.iter().map(|s| -s).chain(slope).collect();
+        let modes = vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        Arc::new(Table::new(vec![vec![-1.0, 1.0]], ends, vec![0.0; 3], modes).unwrap())
+    }
+
+    fn predictor(fields: &[&str]) -> Predictor {
+        let fields = fields
+            .iter()
+            .map(|name| (name.to_string(), plane([0.0, 1.0, 0.0])))
+            .collect();
+        Predictor::new(plane([1.0, 0.0, 2.0]), fields, vec![true], [0.0, 0.0, 1.0]).unwrap()
+    }
+
+    fn world(gravity: [f64; 3], load: f64) -> Conditions {
+        Conditions::new(vec![0.0, 1.0], vec![gravity], vec![load], vec![f64::NAN]).unwrap()
+    }
+
+    #[test]
+    fn frames_lie_between_samples_and_sets_that_share_shapes_agree_with_single_ones() {
+        let names = ["offset", "payload", "mount"].map(String::from);
+        let chain = Chain::new(&names, 1).unwrap();
+        let body = predictor(&["tip_force_z"]);
+        let sets = [
+            [0.0; 8],
+            [0.5, 20.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+            [0.5, 40.0, 0.0, 0.0, 9.0, 0.0, 0.0, 0.0],
+            [0.5, 40.0, 0.0, 0.0, 0.0, 0.0, 2.0, 0.0],
+        ];
+        let run = |params: &[f64]| {
+            body.predict(
+                &chain,
+                params,
+                &[2.0, 4.0],
+                &mut world([0.0, 0.0, 1.0], 10.0),
+                &[0.25, 5.0],
+            )
+            .unwrap()
+        };
+        let batch = run(&sets.concat());
+        for (set, frames) in sets.iter().zip(batch.chunks_exact(6)) {
+            assert_eq!(run(set), frames);
+        }
+        let declared = 0.01 * 9.80665;
+        assert!((batch[0] - 2.5).abs() < 1e-12 && (batch[1] - declared * 2.5).abs() < 1e-12);
+        assert!((batch[3] - 4.0).abs() < 1e-12, "held beyond the end");
+        assert!(
+            (batch[7] - 3.0 * declared * 3.0).abs() < 1e-12
+                && (batch[8] - (6.0 + 1.0)).abs() < 1e-12
+        );
+    }
+
+    #[test]
+    fn absent_fields_and_foreign_chains_are_told() {
+        let chain = Chain::new(&["payload".to_string()], 1).unwrap();
+        let body = predictor(&[]);
+        let error = |params: f64, gravity, load| {
+            body.predict(
+                &chain,
+                &[params],
+                &[0.0, 1.0],
+                &mut world(gravity, load),
+                &[0.5],
+            )
+            .err()
+            .map(|e| e.to_string())
+        };
+        assert_eq!(error(0.0, [0.0, 0.0, 1.0], 0.0), None);
+        assert!(
+            error(5.0, [0.0, 0.0, 1.0], 0.0)
+                .unwrap()
+                .contains("payload")
+        );
+        assert!(
+            error(0.0, [1.0, 0.0, 0.0], 0.0)
+                .unwrap()
+                .contains("gravity_x")
+        );
+        let other = Chain::new(&[], 2).unwrap();
+        assert!(
+            body.predict(
+                &other,
+                &[],
+                &[0.0; 4],
+                &mut world([0.0, 0.0, 1.0], 0.0),
+                &[0.5]
+            )
+            .is_err()
+        );
+    }
+}

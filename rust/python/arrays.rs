@@ -1,0 +1,62 @@
+//! Numbers from Python: anything NumPy reads as float64, checked for shape and finiteness, with one-line errors.
+
+use crate::Error;
+use numpy::{AllowTypeChange, PyArrayLikeDyn, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+
+/// Row-major numbers and their shape.
+pub struct Floats {
+    pub shape: Vec<usize>,
+    pub data: Vec<f64>,
+}
+
+/// Read `value` as float64 of as many axes as `axes`, whose names are for the error; `None` entries may have any length.
+pub fn floats(
+    name: &str,
+    value: &Bound<'_, PyAny>,
+    axes: &[(&str, Option<usize>)],
+) -> PyResult<Floats> {
+    let wanted = || {
+        let list: Vec<String> = axes
+            .iter()
+            .map(|(axis, length)| {
+                length.map_or(axis.to_string(), |length| format!("{axis} = {length}"))
+            })
+            .collect();
+        format!("({})", list.join(", "))
+    };
+    let array: PyArrayLikeDyn<'_, f64, AllowTypeChange> = value.extract().map_err(|_| {
+        Error::Invalid(format!(
+            "{name} must be an array of numbers {}, got {}",
+            wanted(),
+            kind(value)
+        ))
+    })?;
+    let shape = array.shape().to_vec();
+    let fits = shape.len() == axes.len()
+        && shape
+            .iter()
+            .zip(axes)
+            .all(|(have, (_, want))| want.is_none_or(|want| want == *have));
+    if !fits {
+        return Err(
+            Error::Invalid(format!("{name} has shape {shape:?}, wanted {}", wanted())).into(),
+        );
+    }
+    let data: Vec<f64> = array.as_array().iter().copied().collect();
+    if let Some(bad) = data.iter().position(|value| !value.is_finite()) {
+        return Err(Error::Invalid(format!(
+            "{name} holds {} at position {bad}; all its numbers must be finite",
+            data[bad]
+        ))
+        .into());
+    }
+    Ok(Floats { shape, data })
+}
+
+fn kind(value: &Bound<'_, PyAny>) -> String {
+    value
+        .get_type()
+        .name()
+        .map_or("something else".into(), |name| name.to_string())
+}

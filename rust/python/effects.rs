@@ -1,0 +1,423 @@
+//! Bindings of the effect registry, the chain and the predictor.
+
+use super::arrays::{Floats, floats};
+use super::shape::PyShape;
+use crate::effects::{Chain, Conditions, Context, FIELDS, Kind, Parameter, REGISTRY};
+use crate::predict::Predictor;
+use crate::{Error, Result};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+
+type Value<'a, 'py> = &'a Bound<'py, PyAny>;
+type Maybe<'py> = Option<Bound<'py, PyAny>>;
+type Row<'py> = Bound<'py, PyArray1<f64>>;
+type Rows<'py> = Bound<'py, PyArray2<f64>>;
+type Records<'py> = Bound<'py, PyArray3<f64>>;
+
+/// Gravity of a hanging finger, for calls in which nothing depends on it.
+const HANGING: [f64; 3] = [0.0, 0.0, 1.0];
+
+/// The registry in stage order, one dictionary an effect.
+#[pyfunction]
+pub fn effects<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+    let list = PyList::empty(py);
+    for effect in REGISTRY {
+        let (d, entry) = (&effect.declaration, PyDict::new(py));
+        entry.set_item("name", d.name)?;
+        entry.set_item("family", d.family)?;
+        entry.set_item("stage", d.stage.name())?;
+        entry.set_item("role", effect.law.role())?;
+        let kind = if d.kind == Kind::Fault {
+            "fault"
+        } else {
+            "effect"
+        };
+        entry.set_item("kind", kind)?;
+        entry.set_item("formula", d.formula)?;
+        entry.set_item("doc", d.doc)?;
+        entry.set_item("signature", d.signature)?;
+        entry.set_item("reference", d.reference)?;
+        entry.set_item("needs", d.needs.to_vec())?;
+        let parameters = PyList::empty(py);
+        for p in d.parameters {
+            parameters.append(parameter(py, p)?)?;
+        }
+        entry.set_item("parameters", parameters)?;
+        list.append(entry)?;
+    }
+    Ok(list)
+}
+
+fn parameter<'py>(py: Python<'py>, p: &Parameter) -> PyResult<Bound<'py, PyDict>> {
+    let entry = PyDict::new(py);
+    entry.set_item("name", p.name)?;
+    entry.set_item("unit", p.unit)?;
+    entry.set_item("null", p.null)?;
+    entry.set_item("start", p.start)?;
+    entry.set_item("low", p.low)?;
+    entry.set_item("high", p.high)?;
+    entry.set_item("per_channel", p.per_channel)?;
+    entry.set_item("doc", p.doc)?;
+    entry.set_item("log", p.log())?;
+    Ok(entry)
+}
+
+/// Effects composed in stage order for C channels; parameters and state are arrays that the caller keeps.
+#[pyclass(name = "Chain", module = "softmap_edge._core", frozen)]
+pub struct PyChain {
+    chain: Chain,
+}
+
+#[pymethods]
+impl PyChain {
+    #[new]
+    fn new(names: Vec<String>, channels: usize) -> PyResult<PyChain> {
+        let chain = Chain::new(&names, channels)?;
+        Ok(PyChain { chain })
+    }
+
+    /// Names of the effects, in stage order.
+    #[getter]
+    fn names(&self) -> Vec<&'static str> {
+        self.chain.names()
+    }
+
+    #[getter]
+    fn channels(&self) -> usize {
+        self.chain.channels()
+    }
+
+    /// Numbers in a state.
+    #[getter]
+    fn state_size(&self) -> usize {
+        self.chain.state_size()
+    }
+
+    #[getter]
+    fn labels(&self) -> Vec<String> {
+        self.chain
+            .parameters()
+            .into_iter()
+            .map(|(label, _)| label)
+            .collect()
+    }
+
+    #[getter]
+    fn units(&self) -> Vec<&'static str> {
+        self.chain
+            .parameters()
+            .iter()
+            .map(|(_, p)| p.unit)
+            .collect()
+    }
+
+    #[getter]
+    fn null<'py>(&self, py: Python<'py>) -> Row<'py> {
+        self.column(py, |p| p.null)
+    }
+
+    #[getter]
+    fn start<'py>(&self, py: Python<'py>) -> Row<'py> {
+        self.column(py, |p| p.start)
+    }
+
+    #[getter]
+    fn low<'py>(&self, py: Python<'py>) -> Row<'py> {
+        self.column(py, |p| p.low)
+    }
+
+    #[getter]
+    fn high<'py>(&self, py: Python<'py>) -> Row<'py> {
+        self.column(py, |p| p.high)
+    }
+
+    #[getter]
+    fn log<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        self.column(py, Parameter::log)
+    }
+
+    /// What acts (B, T, C) mm for params (B, P) on u (T, C) mm at t (T,) s; channel effects only.
+    #[pyo3(signature = (params, u, t, gravity=None, load=None, temperature=None, state=None))]
+    fn rollout<'py>(
+        &self,
+        py: Python<'py>,
+        params: Value<'_, 'py>,
+        u: Value<'_, 'py>,
+        t: Value<'_, 'py>,
+        gravity: Maybe<'py>,
+        load: Maybe<'py>,
+        temperature: Maybe<'py>,
+        state: Maybe<'py>,
+    ) -> PyResult<Records<'py>> {
+        Ok(self
+            .advance(py, params, u, t, gravity, load, temperature, state)?
+            .0)
+    }
+
+    /// Like `rollout`, and the states (B, S) at the end of the record, with which the next one goes on.
+    #[pyo3(signature = (params, u, t, gravity=None, load=None, temperature=None, state=None))]
+    fn advance<'py>(
+        &self,
+        py: Python<'py>,
+        params: Value<'_, 'py>,
+        u: Value<'_, 'py>,
+        t: Value<'_, 'py>,
+        gravity: Maybe<'py>,
+        load: Maybe<'py>,
+        temperature: Maybe<'py>,
+        state: Maybe<'py>,
+    ) -> PyResult<(Records<'py>, Rows<'py>)> {
+        let chain = &self.chain;
+        let params = self.sets(params)?;
+        let (u, mut world) = self.record(u, t, HANGING, gravity, load, temperature)?;
+        let (sets, memory) = (params.shape[0], chain.state_size());
+        let axes = [("B", Some(sets)), ("S", Some(memory))];
+        let mut states = match state {
+            Some(state) => floats("state", &state, &axes)?.data,
+            None => vec![],
+        };
+        let out = py.detach(|| chain.rollout(&params.data, &u, &mut world, &mut states))?;
+        let shape = [sets, world.len(), chain.channels()];
+        Ok((
+            out.into_pyarray(py).reshape(shape)?,
+            states.into_pyarray(py).reshape([sets, memory])?,
+        ))
+    }
+
+    /// The state (S,) in equilibrium with u0 (C,) mm held forever.
+    fn init<'py>(
+        &self,
+        py: Python<'py>,
+        params: Value<'_, 'py>,
+        u0: Value<'_, 'py>,
+    ) -> PyResult<Row<'py>> {
+        let (params, u) = self.one(params, u0)?;
+        Ok(self.chain.init(&params, &u).into_pyarray(py))
+    }
+
+    /// Advance one sample: (what acts (C,) mm, new state (S,)); the state given is left as it is.
+    #[pyo3(signature = (params, state, u, dt, t, gravity=None, load=None, temperature=None))]
+    fn step<'py>(
+        &self,
+        py: Python<'py>,
+        params: Value<'_, 'py>,
+        state: Value<'_, 'py>,
+        u: Value<'_, 'py>,
+        dt: f64,
+        t: f64,
+        gravity: Maybe<'py>,
+        load: Option<f64>,
+        temperature: Option<f64>,
+    ) -> PyResult<(Row<'py>, Row<'py>)> {
+        let (params, mut x) = self.one(params, u)?;
+        let mut state = floats("state", state, &[("S", Some(self.chain.state_size()))])?.data;
+        let gravity = match gravity {
+            Some(value) => vector("gravity", &value)?,
+            None => HANGING,
+        };
+        if !(dt >= 0.0 && dt.is_finite() && t.is_finite()) {
+            let message =
+                format!("dt is {dt} s and t is {t} s; dt must be finite and not negative");
+            return Err(Error::Invalid(message).into());
+        }
+        let context = Context {
+            t,
+            dt,
+            gravity,
+            load: load.unwrap_or(0.0),
+            temperature: temperature.unwrap_or(f64::NAN),
+        };
+        self.chain.step(&params, &mut x, &mut state, &context);
+        Ok((x.into_pyarray(py), state.into_pyarray(py)))
+    }
+
+    /// What would act (C,) mm if u were commanded now; remembers nothing.
+    #[pyo3(signature = (params, state, u, dt, t, gravity=None, load=None, temperature=None))]
+    fn peek<'py>(
+        &self,
+        py: Python<'py>,
+        params: Value<'_, 'py>,
+        state: Value<'_, 'py>,
+        u: Value<'_, 'py>,
+        dt: f64,
+        t: f64,
+        gravity: Maybe<'py>,
+        load: Option<f64>,
+        temperature: Option<f64>,
+    ) -> PyResult<Row<'py>> {
+        let both = self.step(py, params, state, u, dt, t, gravity, load, temperature)?;
+        Ok(both.0)
+    }
+
+    /// Coefficients (B, K, F) of `FIELDS` in g and N that the shape effects add, for gravity (K, 3) and load (K,) g.
+    #[pyo3(signature = (params, gravity, load=None, temperature=None))]
+    fn coefficients<'py>(
+        &self,
+        py: Python<'py>,
+        params: Value<'_, 'py>,
+        gravity: Value<'_, 'py>,
+        load: Maybe<'py>,
+        temperature: Maybe<'py>,
+    ) -> PyResult<Records<'py>> {
+        let params = self.sets(params)?;
+        let gravity = floats("gravity", gravity, &[("K", None), ("xyz", Some(3))])?;
+        let frames = gravity.shape[0];
+        let load = column("load", load, frames, 0.0)?;
+        let temperature = column("temperature", temperature, frames, f64::NAN)?;
+        let world = Conditions::new(vec![0.0; frames], triples(&gravity), load, temperature)?;
+        self.chain.sets(&params.data)?;
+        let width = self.chain.width();
+        let mut out = Vec::with_capacity(params.shape[0] * frames * FIELDS.len());
+        for b in 0..params.shape[0] {
+            for k in 0..frames {
+                let set = &params.data[b * width..(b + 1) * width];
+                out.extend(self.chain.coefficients(set, &world.at(k)));
+            }
+        }
+        out.into_pyarray(py)
+            .reshape([params.shape[0], frames, FIELDS.len()])
+    }
+
+    fn __repr__(&self) -> String {
+        format!(
+            "Chain({:?}, channels={})",
+            self.names(),
+            self.chain.channels()
+        )
+    }
+}
+
+impl PyChain {
+    fn column<'py, T: numpy::Element>(
+        &self,
+        py: Python<'py>,
+        pick: impl Fn(&Parameter) -> T,
+    ) -> Bound<'py, PyArray1<T>> {
+        let values: Vec<T> = self
+            .chain
+            .parameters()
+            .iter()
+            .map(|(_, p)| pick(p))
+            .collect();
+        values.into_pyarray(py)
+    }
+
+    /// Parameters (B, P).
+    fn sets(&self, params: Value<'_, '_>) -> PyResult<Floats> {
+        let width = self.chain.width();
+        // Without parameters there is nothing to tell one set from another.
+        let sets = (width == 0).then_some(1);
+        floats("params", params, &[("B", sets), ("P", Some(width))])
+    }
+
+    /// Checked parameters (P,) and command (C,).
+    fn one(&self, params: Value<'_, '_>, u: Value<'_, '_>) -> PyResult<(Vec<f64>, Vec<f64>)> {
+        let params = floats("params", params, &[("P", Some(self.chain.width()))])?.data;
+        self.chain.check(&params)?;
+        let u = floats("u", u, &[("C", Some(self.chain.channels()))])?.data;
+        Ok((params, u))
+    }
+
+    /// Commands (T, C) and the world around them; what is absent is constant.
+    fn record(
+        &self,
+        u: Value<'_, '_>,
+        t: Value<'_, '_>,
+        still: [f64; 3],
+        gravity: Maybe<'_>,
+        load: Maybe<'_>,
+        temperature: Maybe<'_>,
+    ) -> PyResult<(Vec<f64>, Conditions)> {
+        let t = floats("t", t, &[("T", None)])?.data;
+        let samples = t.len();
+        let axes = [("T", Some(samples)), ("C", Some(self.chain.channels()))];
+        let u = floats("u", u, &axes)?.data;
+        let gravity = match gravity {
+            None => vec![still],
+            Some(value) => triples(&floats(
+                "gravity",
+                &value,
+                &[("T", Some(samples)), ("xyz", Some(3))],
+            )?),
+        };
+        let load = column("load", load, samples, 0.0)?;
+        let temperature = column("temperature", temperature, samples, f64::NAN)?;
+        Ok((u, Conditions::new(t, gravity, load, temperature)?))
+    }
+}
+
+/// One number a sample, or a constant where there is none.
+fn column(name: &str, value: Maybe<'_>, samples: usize, absent: f64) -> PyResult<Vec<f64>> {
+    match value {
+        None => Ok(vec![absent]),
+        Some(value) => Ok(floats(name, &value, &[("T", Some(samples))])?.data),
+    }
+}
+
+fn vector(name: &str, value: Value<'_, '_>) -> PyResult<[f64; 3]> {
+    let data = floats(name, value, &[("xyz", Some(3))])?.data;
+    Ok([data[0], data[1], data[2]])
+}
+
+fn triples(values: &Floats) -> Vec<[f64; 3]> {
+    values
+        .data
+        .chunks_exact(3)
+        .map(|v| [v[0], v[1], v[2]])
+        .collect()
+}
+
+/// Commands → chain → prior and fields → sensing, batched: what every fit calls.
+#[pyclass(name = "Predictor", module = "softmap_edge._core", frozen)]
+pub struct PyPredictor {
+    predictor: Predictor,
+}
+
+#[pymethods]
+impl PyPredictor {
+    /// `positions` (V,) is true for places and false for directions; `gravity_reference` (3,) is what the prior was solved with.
+    #[new]
+    fn new(
+        prior: PyRef<'_, PyShape>,
+        fields: &Bound<'_, PyDict>,
+        positions: Vec<bool>,
+        gravity_reference: Value<'_, '_>,
+    ) -> PyResult<PyPredictor> {
+        let mut shapes = vec![];
+        for (name, field) in fields.iter() {
+            let field: PyRef<'_, PyShape> = field.extract()?;
+            shapes.push((name.extract::<String>()?, field.inner.clone()));
+        }
+        let reference = vector("gravity_reference", gravity_reference)?;
+        let predictor: Result<_> =
+            Predictor::new(prior.inner.clone(), shapes, positions, reference);
+        Ok(PyPredictor {
+            predictor: predictor?,
+        })
+    }
+
+    /// Frames (B, K, V, 3) for params (B, P) on u (T, C) mm at t (T,) s, seen at t_seen (K,) s.
+    #[pyo3(signature = (chain, params, u, t, t_seen, gravity=None, load=None, temperature=None))]
+    fn predict<'py>(
+        &self,
+        py: Python<'py>,
+        chain: PyRef<'py, PyChain>,
+        params: Value<'_, 'py>,
+        u: Value<'_, 'py>,
+        t: Value<'_, 'py>,
+        t_seen: Value<'_, 'py>,
+        gravity: Maybe<'py>,
+        load: Maybe<'py>,
+        temperature: Maybe<'py>,
+    ) -> PyResult<Bound<'py, PyArray4<f64>>> {
+        let params = chain.sets(params)?;
+        let still = self.predictor.reference();
+        let (u, mut world) = chain.record(u, t, still, gravity, load, temperature)?;
+        let t_seen = floats("t_seen", t_seen, &[("K", None)])?.data;
+        let (body, inner) = (&self.predictor, &chain.chain);
+        let out = py.detach(|| body.predict(inner, &params.data, &u, &mut world, &t_seen))?;
+        let shape = [params.shape[0], t_seen.len(), body.vectors(), 3];
+        out.into_pyarray(py).reshape(shape)
+    }
+}
