@@ -1,0 +1,374 @@
+"""The mapping file of an import: which column is what, in which unit, frame and rate; read and checked.
+
+Every key is known: a misspelt one is named with those that exist. The form is shown with comments in
+    examples/trunk.toml.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import RunError
+
+Array = NDArray[np.float64]
+Column = str | int
+
+SCHEMA = "softmap.mapping/1"
+LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}  # → mm
+TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}  # → s
+ANGLE = ("deg", "rad")
+_UNITS: dict[str, tuple[str, ...]] = {
+    "command": (*LENGTH, *ANGLE, "ticks"),
+    "present": (*LENGTH, *ANGLE, "ticks"),
+    "ticks": ("ticks",),
+    "present_ticks": ("ticks",),
+    "current": ("mA", "A"),
+    "temperature": ("degC", "K"),
+    "load": ("g", "kg", "N"),
+    "markers": tuple(LENGTH),
+}
+_SIZE = 1_000_000  # bytes: a mapping is a page
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Columns of one kind: their names and how numbers become ours (value · scale + offset)."""
+
+    columns: tuple[Column, ...]
+    unit: str
+    scale: Array
+    offset: Array
+    held: str = "keep"
+    spool_radius_mm: float = 1.0
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How a log tells time: a column in a unit, a counter at a rate, or the row number at a rate."""
+
+    column: Column | None
+    seconds: float
+    offset_s: float
+    repeated: str
+
+
+@dataclass(frozen=True)
+class Log:
+    """One file of the logs."""
+
+    file: str | None
+    delimiter: str | None
+    decimal: str
+    header: bool
+    skip_rows: int
+    skip_last_rows: int
+    clock: Clock
+    rows: dict[str, Quantity]
+    markers: Quantity | None
+    block: Column | None
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """A whole mapping; made by `read_mapping`."""
+
+    path: Path
+    robot: str | None
+    command_unit: str
+    zero_time: bool
+    logs: tuple[Log, ...]
+    axes: tuple[tuple[int, int], ...]
+    origin_mm: Array
+    command_rate_hz: float | None
+    seen_rate_hz: float | None
+    from_s: float | None
+    to_s: float | None
+    block_count: int | None
+    block_seconds: float | None
+    constants: dict[str, Any] = field(default_factory=dict)
+    marker_rest_mm: Array | None = None
+    load_g: tuple[tuple[str, float], ...] = ()
+    declare_load: bool = True
+
+
+def read_mapping(path: str | os.PathLike[str]) -> Mapping:
+    """Read a mapping file.
+
+    Raises:
+        RunError: it is absent, not TOML, or a key is unknown, missing or of the wrong kind.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > _SIZE:
+            raise RunError(
+                f"{path}: {path.stat().st_size} bytes, a mapping has at most {_SIZE}; give the mapping, "
+                "not the log"
+            )
+        document = tomllib.loads(path.read_bytes().decode("utf-8"))
+    except OSError as cause:
+        raise RunError(
+            f"{path}: cannot be read ({cause.strerror or cause}); give the path of a mapping file"
+        ) from cause
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError, ValueError) as cause:
+        text = " ".join(str(cause).split())[:160]
+        raise RunError(f"{path}: is not a TOML file ({text}); examples/trunk.toml shows the form") from cause
+    return _mapping(path, _Table(document, str(path)))
+
+
+class _Table:
+    """A TOML table that remembers what was asked for, so that what nobody asked for can be named."""
+
+    def __init__(self, values: Any, where: str) -> None:
+        if not isinstance(values, dict):
+            raise RunError(f"{where}: {_kind(values)}, expected a table; examples/trunk.toml shows the form")
+        self.values, self.where, self.asked = values, where, list[str]()
+
+    def get(self, key: str, kinds: tuple[type, ...], default: Any = None) -> Any:
+        self.asked.append(key)
+        if key not in self.values:
+            return default
+        value = self.values[key]
+        if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+            names = " or ".join(
+                {str: "text", int: "a whole number", float: "a number"}.get(k, k.__name__) for k in kinds
+            )
+            raise RunError(f"{self.where}: {key} is {_kind(value)}, expected {names}")
+        return value
+
+    def number(
+        self, key: str, default: float | None = None, low: float = -1e12, high: float = 1e12
+    ) -> float | None:
+        value = self.get(key, (int, float), default)
+        if value is None:
+            return None
+        if not low <= value <= high:  # also false for NaN
+            raise RunError(f"{self.where}: {key} = {value:.6g}, expected {low:g} to {high:g}")
+        return float(value)
+
+    def whole(self, key: str, default: int | None, low: int, high: int) -> int | None:
+        value = self.get(key, (int,), default)
+        if value is not None and not low <= value <= high:
+            raise RunError(f"{self.where}: {key} = {value}, expected {low} to {high}")
+        return None if value is None else int(value)
+
+    def choice(self, key: str, allowed: tuple[str, ...], default: str) -> str:
+        value = str(self.get(key, (str,), default))
+        if value not in allowed:
+            raise RunError(f"{self.where}: {key} = '{value[:40]}', expected one of {', '.join(allowed)}")
+        return value
+
+    def table(self, key: str) -> _Table:
+        return _Table(self.get(key, (dict,), {}), f"{self.where}: {key}")
+
+    def numbers(self, key: str, shape: tuple[int | None, ...]) -> Array | None:
+        value = self.get(key, (list, int, float))
+        if value is None:
+            return None
+        try:
+            array = np.array(value, float)
+        except (ValueError, TypeError, OverflowError) as cause:
+            raise RunError(f"{self.where}: {key} is not a list of numbers; expected shape {shape}") from cause
+        if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape)):
+            raise RunError(f"{self.where}: {key} has shape {array.shape}, expected {shape}")
+        if not np.isfinite(array).all():
+            raise RunError(f"{self.where}: {key} holds NaN or infinity; give plain numbers")
+        return array
+
+    def done(self) -> None:
+        unknown = [key for key in self.values if key not in self.asked]
+        if unknown:
+            raise RunError(f"{self.where}: no key '{unknown[0][:60]}'; there are {', '.join(self.asked)}")
+
+
+def _mapping(path: Path, top: _Table) -> Mapping:
+    schema = top.get("schema", (str,), "")
+    if schema != SCHEMA:
+        raise RunError(
+            f"{path}: schema '{schema[:60]}', expected '{SCHEMA}'; put schema = \"{SCHEMA}\" in the "
+            "first line"
+        )
+    unit = top.get("command_unit", (str,), "mm")
+    logs = top.get("log", (list,), [])
+    if not logs:
+        raise RunError(f"{path}: no [[log]]; each file of the logs needs one")
+    frame, commands, seen, blocks, constant = (
+        top.table(k) for k in ("frame", "commands", "seen", "blocks", "constant")
+    )
+    origin = frame.numbers("origin_mm", (3,))
+    gravity = constant.numbers("gravity", (3,))
+    temperature = constant.number("temperature_c")
+    sigma = constant.number("sigma_mm")
+    pairs = {"gravity": gravity, "temperature": temperature, "sigma": sigma}
+    mapping = Mapping(
+        path=path,
+        robot=top.get("robot", (str,)),
+        command_unit=unit,
+        zero_time=bool(top.get("zero_time", (bool,), False)),
+        logs=tuple(_log(_Table(log, f"{path}: log {k + 1}"), unit) for k, log in enumerate(logs)),
+        axes=_axes(frame),
+        origin_mm=np.zeros(3) if origin is None else origin,
+        command_rate_hz=commands.number("rate_hz", None, 1e-3, 1e5),
+        seen_rate_hz=seen.number("rate_hz", None, 1e-3, 1e5),
+        from_s=seen.number("from_s"),
+        to_s=seen.number("to_s"),
+        block_count=blocks.whole("count", None, 1, 10_000),
+        block_seconds=blocks.number("seconds", None, 1e-3, 1e9),
+        constants={name: value for name, value in pairs.items() if value is not None},
+        marker_rest_mm=constant.numbers("marker_rest_mm", (None, 3)),
+        load_g=_loads(constant),
+        declare_load=bool(constant.get("declare_load", (bool,), True)),
+    )
+    for table in (frame, commands, seen, blocks, constant, top):
+        table.done()
+    return mapping
+
+
+def _loads(constant: _Table) -> tuple[tuple[str, float], ...]:
+    value = constant.get("load_g", (int, float, dict))
+    if isinstance(value, dict):
+        table = constant.table("load_g")
+        return tuple((pattern, table.number(pattern, None, 0.0, 1e5) or 0.0) for pattern in value)
+    grams = constant.number("load_g", None, 0.0, 1e5)
+    return () if grams is None else (("*", grams),)
+
+
+def _axes(frame: _Table) -> tuple[tuple[int, int], ...]:
+    names = frame.get("axes", (list,), ["x", "y", "z"])
+    signs = [(-1 if str(name).startswith("-") else 1, str(name).lstrip("+-")) for name in names]
+    if sorted(letter for _, letter in signs) != ["x", "y", "z"]:
+        raise RunError(
+            f"{frame.where}: axes = {str(names)[:60]}, expected each of x, y, z once, with - where it is "
+            "turned round"
+        )
+    axes = tuple(("xyz".index(letter), sign) for sign, letter in signs)
+    matrix = np.zeros((3, 3))
+    for row, (axis, sign) in enumerate(axes):
+        matrix[row, axis] = sign
+    if np.linalg.det(matrix) < 0:
+        raise RunError(
+            f"{frame.where}: axes = {str(names)[:60]} mirror the robot; turn one sign round or swap two axes"
+        )
+    return axes
+
+
+def _log(table: _Table, command_unit: str) -> Log:
+    time = table.table("time")
+    column = _column(time, "column")
+    rate = time.number("rate_hz", None, 1e-6, 1e7)
+    if column is None and rate is None:
+        raise RunError(
+            f"{time.where}: needs `column`, `rate_hz`, or both (a counter); say how the log tells time"
+        )
+    unit = time.choice("unit", tuple(TIME), "s")
+    clock = Clock(
+        column=column,
+        seconds=TIME[unit] if rate is None else 1.0 / rate,
+        offset_s=time.number("offset_s", 0.0) or 0.0,
+        repeated=time.choice("repeated", ("refuse", "drop"), "refuse"),
+    )
+    time.done()
+    rows = {
+        name: _quantity(table, name, command_unit)
+        for name in _UNITS
+        if name != "markers" and name in table.values
+    }
+    markers = _quantity(table, "markers", command_unit) if "markers" in table.values else None
+    delimiter = table.get("delimiter", (str,))
+    if delimiter is not None and (len(delimiter) != 1 or delimiter in '\r\n"'):
+        raise RunError(
+            f"{table.where}: delimiter = '{delimiter[:20]}', expected one character such as , or ; or a tab"
+        )
+    log = Log(
+        file=table.get("file", (str,)),
+        delimiter=delimiter,
+        decimal=table.choice("decimal", (".", ","), "."),
+        header=bool(table.get("header", (bool,), True)),
+        skip_rows=table.whole("skip_rows", 0, 0, 10**9) or 0,
+        skip_last_rows=table.whole("skip_last_rows", 0, 0, 10**9) or 0,
+        clock=clock,
+        rows=rows,
+        markers=markers,
+        block=_column(table, "block"),
+    )
+    if log.decimal == "," and log.delimiter == ",":
+        raise RunError(f"{table.where}: comma is both delimiter and decimal; the file cannot be read so")
+    table.asked += list(_UNITS)
+    table.done()
+    if log.block is not None and markers is None:
+        raise RunError(f"{table.where}: block labels belong to the log with the markers; move them there")
+    return log
+
+
+def _column(table: _Table, key: str) -> Column | None:
+    value = table.get(key, (str, int))
+    return value if isinstance(value, str | int) else None
+
+
+def _quantity(log: _Table, name: str, command_unit: str) -> Quantity:
+    table = log.table(name)
+    listed = table.get("columns", (list,), [])
+    flat: list[Any] = [cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])]
+    if not flat or not all(isinstance(cell, str | int) and not isinstance(cell, bool) for cell in flat):
+        raise RunError(
+            f"{table.where}: columns = {str(listed)[:60]}, expected a list of column names or numbers"
+        )
+    if name == "markers" and (len(flat) % 3 or any(isinstance(e, list) and len(e) != 3 for e in listed)):
+        raise RunError(
+            f'{table.where}: {len(flat)} columns, expected x, y, z of each marker: [["x1", "y1", "z1"], …]'
+        )
+    if name in ("temperature", "load") and len(flat) != 1:
+        raise RunError(f"{table.where}: {len(flat)} columns, expected one")
+    own = command_unit if name in ("command", "present") else _UNITS[name][0]
+    allowed = _UNITS[name] if own in _UNITS[name] else (*_UNITS[name], own)
+    unit = table.choice("unit", allowed, own)
+    radius = table.number("spool_radius_mm", None, 1e-3, 1e4)
+    if name in ("command", "present") and command_unit == "mm" and unit not in LENGTH and radius is None:
+        raise RunError(
+            f"{table.where}: unit {unit} and command_unit mm need spool_radius_mm; "
+            f'without one set command_unit = "{unit}"'
+        )
+    if name in ("command", "present") and command_unit == "mm" and unit == "ticks":
+        raise RunError(
+            f"{table.where}: ticks are kept as ticks; call the columns "
+            f"`{'present_' * (name == 'present')}ticks`"
+        )
+    if (
+        name in ("command", "present")
+        and command_unit != "mm"
+        and unit != command_unit
+        and {unit, command_unit} != set(ANGLE)
+    ):
+        raise RunError(
+            f"{table.where}: unit {unit} cannot become command_unit {command_unit}; give both in one unit"
+        )
+    quantity = Quantity(
+        columns=tuple(flat),
+        unit=unit,
+        scale=_per_column(table, "scale", len(flat), 1.0),
+        offset=_per_column(table, "offset", len(flat), 0.0),
+        held=table.choice(
+            "held", ("auto", "keep", "unhold"), "auto" if name.startswith("present") else "keep"
+        ),
+        spool_radius_mm=1.0 if radius is None else radius,
+    )
+    table.done()
+    return quantity
+
+
+def _per_column(table: _Table, key: str, count: int, default: float) -> Array:
+    if isinstance(table.values.get(key), list):
+        values = table.numbers(key, (count,))
+        assert values is not None
+        return values
+    return np.full(count, table.number(key, default))
+
+
+def _kind(value: Any) -> str:
+    return f"{type(value).__name__} {str(value)[:40]!r}"

@@ -1,0 +1,294 @@
+"""The run: what was commanded and what was seen, every field checked (units mm, s, ticks, mA, °C, g).
+
+`Run.load` and `Run.save` read and write the plain `.npz` form. A Run is valid by construction: whoever holds
+one need not check again. T command rows, C channels, K frames seen, N vertices or M markers; C = 0 and K = 0
+are valid. The unit of `command` and `present` is mm of tendon unless `command_unit` names another (a robot
+without a spool radius).
+Known limit: a file in metres is recognised by its extent (< 1 mm in all), so a robot smaller than that is
+refused; tests/test_runs.py pins this and each message.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from softmap_edge import run_fields as fields
+from softmap_edge.errors import RunError
+from softmap_edge.npz import MAX_BYTES, read_npz, write_npz
+
+Array = NDArray[np.float64]
+Source = Literal["goal", "present"]
+
+
+def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
+    """Read a run from `.npz`.
+
+    Args:
+        path: the file.
+        limit: the most bytes that it may unpack to.
+
+    Raises:
+        RunError: the file is damaged, too large, or a field is wrong.
+    """
+    stored = dict(read_npz(Path(path), RunError, limit))
+    try:
+        known: dict[str, Any] = {name: stored.pop(name) for name in fields.AXES if name in stored}
+        for name in ("robot", "command_unit"):
+            if name in stored:
+                known[name] = fields.text(name, stored.pop(name))
+        if "t" not in known:
+            if "t_seen" not in known or "command" in known or "ticks" in known:
+                raise RunError("t: missing; a run needs the time of its commands (T,) in s")
+            known["t"] = known["t_seen"]
+        return Run(**known, extra=stored)
+    except RunError as fault:
+        raise RunError(f"{path}: {fault}") from None
+
+
+class _Load:
+    """`run.load` is the column of grams, `Run.load(path)` reads a file: one name for two things."""
+
+    @overload
+    def __get__(self, run: None, owner: type[Run]) -> Callable[..., Run]: ...
+    @overload
+    def __get__(self, run: Run, owner: type[Run]) -> Array | None: ...
+    def __get__(self, run: Run | None, owner: type[Run]) -> Callable[..., Run] | Array | None:
+        return _load if run is None else run.__dict__["load"]
+
+    def __set__(self, run: Run, value: Any) -> None:
+        run.__dict__["load"] = None if value is _load else value  # the default is the reader itself
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run:
+    """One recording. Arrays are copied, float64 (ticks int64) and read-only.
+
+    Attributes:
+        t: (T,) s, strictly increasing.
+        t_seen: (K,) s, strictly increasing, on the clock of `t`.
+        command, ticks: (T, C) what was commanded, in `command_unit` (mm of shortening) or in servo ticks;
+            one of the two.
+        present, present_ticks: (T, C) what the encoders said, in `command_unit` or in ticks.
+        current, temperature, load: (T, C) mA, (T,) °C, (T,) g; the last two may be given as one number.
+        gravity: (3,) or (T, 3) unit vector in the base frame.
+        vertices, markers: (K, N, 3) mm; or `points` (P, 3) mm, cloud k being `points[start[k]:start[k + 1]]`.
+        visible: (K, N) bool. sigma: () or (K, N) mm, one standard deviation. block: (K,) integer or text
+            labels.
+        marker_rest: (M, 3) mm, the markers of the straight robot. robot: its name.
+        extra: fields that this version does not know, kept as they are.
+
+    Raises:
+        RunError: a field is not as above; the message names it, what it is and what was expected.
+    """
+
+    t: Array
+    command: Array | None = None
+    t_seen: Array = field(default_factory=lambda: np.zeros(0))
+    vertices: Array | None = None
+    markers: Array | None = None
+    points: Array | None = None
+    start: NDArray[np.int64] | None = None
+    ticks: NDArray[np.int64] | None = None
+    present: Array | None = None
+    present_ticks: NDArray[np.int64] | None = None
+    current: Array | None = None
+    temperature: Array | None = None
+    gravity: Array | None = None
+    load: _Load = _Load()
+    visible: NDArray[np.bool_] | None = None
+    sigma: Array | None = None
+    block: NDArray[Any] | None = None
+    marker_rest: Array | None = None
+    robot: str | None = None
+    command_unit: str = "mm"
+    extra: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in fields.AXES:
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, fields.convert(name, value))
+        for name in ("temperature", "load"):
+            value = getattr(self, name)
+            if value is not None and value.ndim == 0 and self.t.ndim == 1:
+                object.__setattr__(self, name, fields.frozen(np.full(len(self.t), float(value))))
+        if self.command is None and self.ticks is None and self.t.ndim == 1:
+            object.__setattr__(self, "command", fields.frozen(np.zeros((len(self.t), 0))))
+        self.validate()
+
+    def validate(self) -> None:
+        """Check every field: shape, finiteness, order of time, plausible units. A Run is checked when it is
+        made.
+
+        Raises:
+            RunError: the first fault, with what was expected.
+        """
+        fields.check(self)
+
+    # --- files ---------------------------------------------------------------------------
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the fields that are set, as they are stored (texts as 0-d arrays), unknown ones last."""
+        known = {name: getattr(self, name) for name in fields.AXES}
+        stored = {name: np.asarray(value) for name, value in known.items() if value is not None}
+        stored |= {"command_unit": np.asarray(self.command_unit)}
+        stored |= {} if self.robot is None else {"robot": np.asarray(self.robot)}
+        return stored | {name: self.extra[name] for name in sorted(self.extra)}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the run as `.npz`; the same run gives the same bytes.
+
+        Raises:
+            RunError: the name does not end in .npz.
+        """
+        if Path(path).suffix != ".npz":
+            raise RunError(f"{path}: a run is saved as .npz; give a name that ends so")
+        write_npz(Path(path), self.arrays())
+
+    def hash(self) -> str:
+        """Return the SHA-256 of the content in hex: names, types, shapes and values."""
+        digest = hashlib.sha256()
+        for name, array in sorted(self.arrays().items()):
+            digest.update(f"{name}|{array.dtype.str}|{array.shape}|".encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    # --- what it holds -------------------------------------------------------------------
+    @property
+    def channels(self) -> int:
+        """C, the number of command channels."""
+        for rows in (self.command, self.ticks):
+            if rows is not None:
+                return int(rows.shape[1])
+        return 0
+
+    @property
+    def frames(self) -> int:
+        """K, the number of frames seen."""
+        return len(self.t_seen)
+
+    @property
+    def seen_points(self) -> Array:
+        """(K, N, 3) mm: the vertices or the markers, whichever the run holds.
+
+        Raises:
+            RunError: the run holds clouds of points, or nothing seen.
+        """
+        for seen in (self.vertices, self.markers):
+            if seen is not None:
+                return seen
+        if self.points is not None:
+            raise RunError("points: clouds have no correspondence yet; give vertices or markers")
+        raise RunError("vertices, markers: the run holds neither; record or import what was seen")
+
+    def commands(self, source: Source | None = None) -> Array:
+        """Return (T, C) what drives the model, in `command_unit`.
+
+        Args:
+            source: "goal" (what was commanded), "present" (what the encoders said); None takes the present
+                position where the run has it, else the goal.
+
+        Raises:
+            RunError: the run does not hold it, or holds ticks only.
+        """
+        if source not in (None, "goal", "present"):
+            raise RunError(f"source: '{source}', expected goal or present")
+        if source == "present" or (source is None and self.present is not None):
+            if self.present is None:
+                raise RunError("present: the run has no encoder positions in mm; use the goal (--input goal)")
+            return self.present
+        if self.command is None:
+            raise RunError(
+                "command: the run holds ticks only; convert them to mm with the calibration of the robot"
+            )
+        return self.command
+
+    def command_at(self, t: ArrayLike, source: Source | None = "goal") -> Array:
+        """Return the commands (n, C) at times t (n,) s: linear between rows, held outside."""
+        rows = self.commands(source)
+        times = np.atleast_1d(np.asarray(t, float))
+        columns = [np.interp(times, self.t, rows[:, c]) for c in range(rows.shape[1])]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))
+
+    # --- parts ---------------------------------------------------------------------------
+    def at(self, select: ArrayLike) -> Run:
+        """Return the run with some of its frames; the commands stay whole, so that memory is still right.
+
+        Args:
+            select: (K,) bool, or indices of frames in increasing order.
+
+        Raises:
+            RunError: the selection does not fit the frames.
+        """
+        chosen = np.asarray(select)
+        if chosen.dtype == bool and chosen.shape != (self.frames,):
+            raise RunError(
+                f"select: shape {chosen.shape}, expected ({self.frames},) for {self.frames} frames"
+            )
+        if chosen.dtype != bool and chosen.size and chosen.dtype.kind not in "iu":
+            raise RunError(f"select: {chosen.dtype}, expected booleans or indices of frames")
+        index = np.flatnonzero(chosen) if chosen.dtype == bool else chosen.astype(np.int64).reshape(-1)
+        if index.size and (index.min() < -self.frames or index.max() >= self.frames):
+            raise RunError(f"select: frame {index.max()}, the run has {self.frames}")
+        change: dict[str, Any] = {}
+        for name in ("t_seen", "vertices", "markers", "visible", "block", "sigma"):
+            value = getattr(self, name)
+            if value is not None and value.ndim:
+                change[name] = value[index]
+        if self.points is not None and self.start is not None:
+            clouds = [self.points[self.start[k] : self.start[k + 1]] for k in index]
+            change["points"] = np.concatenate(clouds) if clouds else np.zeros((0, 3))
+            change["start"] = np.concatenate([[0], np.cumsum([len(cloud) for cloud in clouds])]).astype(
+                np.int64
+            )
+        return dataclasses.replace(self, **change)
+
+    def slice_time(self, t0: float, t1: float) -> Run:
+        """Return rows and frames with t0 <= time < t1 (s), and the row before t0 whose command still holds.
+
+        What the robot remembers of earlier rows is cut off with them; use `at` where memory matters.
+
+        Raises:
+            RunError: the interval is empty or holds no row.
+        """
+        first = max(int(np.searchsorted(self.t, t0, side="right")) - 1, 0)
+        last = int(np.searchsorted(self.t, t1))
+        if not t0 < t1 or last <= first:
+            raise RunError(
+                f"slice_time: no rows in [{t0:g}, {t1:g}) s; the run lasts from {self.t[0]:g} to "
+                f"{self.t[-1]:g} s"
+            )
+        part = self.at((self.t_seen >= t0) & (self.t_seen < t1))
+        rows = (
+            "t",
+            "ticks",
+            "command",
+            "present_ticks",
+            "present",
+            "current",
+            "temperature",
+            "load",
+            "gravity",
+        )
+        change = {name: getattr(self, name) for name in rows}
+        cut = {
+            name: value[first:last] for name, value in change.items() if value is not None and value.ndim != 0
+        }
+        if self.gravity is not None and self.gravity.ndim == 1:
+            del cut["gravity"]
+        return dataclasses.replace(part, **cut)
+
+    def __repr__(self) -> str:
+        seen = next(
+            (name for name in ("vertices", "markers", "points") if getattr(self, name) is not None), "nothing"
+        )
+        rows = f"{len(self.t)} rows, {self.channels} channels, {self.frames} frames of {seen}"
+        return f"Run({self.robot or 'unnamed'}: {rows})"

@@ -1,0 +1,303 @@
+"""What each field of a run must be: type, axes, range, and the one sentence said when it is not.
+
+A table and the loop over it; a new field is one line in `AXES`. Ranges are wide limits of what the unit
+allows, chosen so that the usual mistakes (metres for mm, kelvin for °C, m/s² for a unit vector, ticks for
+mm) fall outside.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import RunError
+
+if TYPE_CHECKING:
+    from softmap_edge.run import Run
+
+# field: (axes, type). Axes: T command rows, C channels, K frames, N points a frame, P points in all, S = K +
+# 1.
+AXES: dict[str, tuple[str, str]] = {
+    "t": ("T", "real"),
+    "t_seen": ("K", "real"),
+    "command": ("TC", "real"),
+    "ticks": ("TC", "integer"),
+    "present": ("TC", "real"),
+    "present_ticks": ("TC", "integer"),
+    "current": ("TC", "real"),
+    "temperature": ("T", "real"),
+    "gravity": ("T3", "real"),
+    "load": ("T", "real"),
+    "vertices": ("KN3", "real"),
+    "markers": ("KN3", "real"),
+    "points": ("P3", "real"),
+    "start": ("S", "integer"),
+    "visible": ("KN", "boolean"),
+    "sigma": ("KN", "real"),
+    "block": ("K", "label"),
+    "marker_rest": ("N3", "real"),
+}
+_TIME = (-1e11, 1e11, "s", "convert the time to seconds")
+_TICKS = (-1e7, 1e7, "ticks", "a servo turn has about 4096 ticks; give ticks counted from home")
+_PLACE = (-1e4, 1e4, "mm", "convert the points to mm")
+# field: (low, high, unit, what to do about a value outside)
+RANGES: dict[str, tuple[float, float, str, str]] = {
+    "t": _TIME,
+    "t_seen": _TIME,
+    "ticks": _TICKS,
+    "present_ticks": _TICKS,
+    "current": (-1e5, 1e5, "mA", "convert it to milliampere"),
+    "temperature": (-80.0, 250.0, "°C", "subtract 273.15 if it is in kelvin"),
+    "load": (0.0, 1e5, "g", "give the hanging mass in grams"),
+    "vertices": _PLACE,
+    "markers": _PLACE,
+    "points": _PLACE,
+    "marker_rest": _PLACE,
+    "sigma": (1e-9, 1e3, "mm", "give the standard deviation of a coordinate in mm"),
+}
+_COMMAND_LIMIT = 1000.0  # mm: more tendon than any finger has; ticks and micrometres exceed it
+_SMALLEST = 1.0  # mm: a robot whose points all lie within this is a robot in metres
+_SAMPLE = 200_000  # values looked at for the extent: enough for any file, quick for the largest
+
+
+def convert(name: str, value: Any) -> NDArray[Any]:
+    """Return a read-only copy of `value` in the type of field `name`.
+
+    Raises:
+        RunError: it cannot be read as that type.
+    """
+    kind = AXES[name][1]
+    try:
+        array = np.asarray(value)
+    except (ValueError, TypeError) as cause:
+        raise RunError(f"{name}: is not a rectangular array; give numbers of one shape") from cause
+    if kind == "label":
+        if array.dtype.kind not in "iubU" and array.size:
+            raise RunError(f"block: labels of type {array.dtype}, expected integers or text")
+        return frozen(array.astype(np.int64) if array.dtype.kind != "U" else np.array(array))
+    if array.dtype.kind not in "biuf":
+        raise RunError(f"{name}: values of type {array.dtype}, expected {kind} numbers")
+    if kind == "boolean":
+        if array.dtype.kind != "b" and not np.isin(array, (0, 1)).all():
+            raise RunError(f"{name}: values other than 0 and 1; give true where a point was seen")
+        return frozen(array.astype(np.bool_))
+    if kind == "integer":
+        if array.dtype.kind == "f" and not (np.isfinite(array).all() and (array == np.rint(array)).all()):
+            raise RunError(
+                f"{name}: fractions or NaN, expected whole ticks or counts; round them or give `command` "
+                "in mm"
+            )
+        if array.size and float(np.abs(array.astype(np.float64)).max()) > 2**53:
+            raise RunError(f"{name}: values beyond 2^53; give ticks counted from home")
+        return frozen(array.astype(np.int64))
+    return frozen(np.array(array, np.float64, order="C"))
+
+
+def frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array that nobody can change by mistake."""
+    array.setflags(write=False)
+    return array
+
+
+def text(name: str, value: NDArray[Any]) -> str:
+    """Return a stored 0-d text field.
+
+    Raises:
+        RunError: it is not one text.
+    """
+    if value.dtype.kind not in "US" or value.size != 1:
+        raise RunError(f"{name}: {value.dtype} of shape {value.shape}, expected one text")
+    item = value.reshape(-1)[0]
+    found = item.decode("utf-8", "replace") if isinstance(item, bytes) else str(item)
+    if not found.isprintable():
+        raise RunError(f"{name}: holds unprintable characters; give a plain name")
+    return found
+
+
+def check(run: Run) -> None:
+    """Check a whole run: shapes, then values, then how the fields fit together."""
+    sizes = _sizes(run)
+    for name, (axes, _) in AXES.items():
+        value = getattr(run, name)
+        if value is not None:
+            _shape(name, value, axes, sizes)
+            _values(name, value, run)
+    _times("t", run.t)
+    _times("t_seen", run.t_seen)
+    _together(run)
+    _units(run)
+
+
+def _sizes(run: Run) -> dict[str, tuple[int, str]]:
+    """The length of each axis and the field that sets it."""
+    sizes = {"3": (3, "")}
+    if run.t.ndim == 1:
+        sizes["T"] = (len(run.t), "t")
+    if run.t_seen.ndim == 1:
+        sizes["K"] = (len(run.t_seen), "t_seen")
+        sizes["S"] = (len(run.t_seen) + 1, "t_seen plus one")
+    for name in ("command", "ticks"):
+        value = getattr(run, name)
+        if value is not None and value.ndim == 2:
+            sizes["C"] = (value.shape[1], name)
+            break
+    for name in ("vertices", "markers"):
+        value = getattr(run, name)
+        if value is not None and value.ndim == 3:
+            sizes["N"] = (value.shape[1], name)
+    return sizes
+
+
+def _shape(name: str, value: NDArray[Any], axes: str, sizes: dict[str, tuple[int, str]]) -> None:
+    if name == "sigma" and value.ndim == 0:
+        return
+    if name == "gravity" and value.ndim == 1:
+        axes = "3"
+    fits = value.ndim == len(axes) and all(
+        sizes.get(axis, (size, ""))[0] == size for axis, size in zip(axes, value.shape)
+    )
+    if fits:
+        return
+    written = ", ".join(axes) + ("," if len(axes) == 1 else "")
+    known = [
+        f"{axis} = {sizes[axis][0]} from {sizes[axis][1]}" for axis in axes if axis in sizes and axis != "3"
+    ]
+    hint = ""
+    if name in ("command", "ticks", "present", "present_ticks") and value.ndim == 1:
+        hint = "; one channel is a column, shape (T, 1)"
+    elif value.ndim == len(axes) == 2 and value.shape[::-1] == tuple(
+        sizes.get(axis, (0,))[0] for axis in axes
+    ):
+        hint = "; it looks transposed"
+    elif value.ndim == len(axes) and axes.endswith("3") and value.shape[-1] != 3:
+        hint = "; the last axis is x, y, z"
+    expected = f"expected ({written})" + (f" with {', '.join(known)}" if known else "")
+    raise RunError(f"{name}: shape {value.shape}, {expected}{hint}; change the array or its time column")
+
+
+def _values(name: str, value: NDArray[Any], run: Run) -> None:
+    if value.dtype.kind != "f" and name not in RANGES:
+        return
+    if value.dtype.kind == "f":
+        bad = ~np.isfinite(value)
+        if (
+            name in ("vertices", "markers")
+            and run.visible is not None
+            and run.visible.shape == value.shape[:2]
+        ):
+            bad &= run.visible[..., None]
+        if bad.any():
+            where = tuple(int(i) for i in np.argwhere(bad)[0])
+            remedy = (
+                "mark unseen points in `visible`"
+                if name in ("vertices", "markers")
+                else "remove or interpolate these rows"
+            )
+            raise RunError(
+                f"{name}: {int(bad.sum())} values are not finite, the first at {list(where)}; {remedy}"
+            )
+    if name in RANGES and value.size:
+        low, high, unit, remedy = RANGES[name]
+        finite = value[np.isfinite(value)] if value.dtype.kind == "f" else value
+        if finite.size and (finite.min() < low or finite.max() > high):
+            worst = finite.min() if finite.min() < low else finite.max()
+            raise RunError(f"{name}: {worst:g} {unit}, expected {low:g} to {high:g} {unit}; {remedy}")
+
+
+def _times(name: str, t: NDArray[np.float64]) -> None:
+    step = np.diff(t)
+    if not (step <= 0).any():
+        return
+    row = int(np.flatnonzero(step <= 0)[0]) + 1
+    what = "goes backwards" if step[row - 1] < 0 else "stands still"
+    raise RunError(
+        f"{name}: time {what} at row {row} ({t[row]:.6g} s after {t[row - 1]:.6g} s), "
+        f"{int((step <= 0).sum())} such rows; "
+        "sort the rows and drop repeated ones"
+    )
+
+
+def _together(run: Run) -> None:
+    seen = [name for name in ("vertices", "markers", "points") if getattr(run, name) is not None]
+    if len(run.t) == 0:
+        raise RunError("t: empty; a run needs at least one command row")
+    if len(seen) > 1:
+        raise RunError(
+            f"{' and '.join(seen)}: a run holds one of vertices, markers, points; save them as separate runs"
+        )
+    if run.command is not None and run.ticks is not None:
+        raise RunError("command and ticks: a run holds one of the two; drop the one that was derived")
+    if (run.points is None) != (run.start is None):
+        missing = "start" if run.start is None else "points"
+        raise RunError(f"{missing}: missing; clouds need points (P, 3) and start (K + 1,)")
+    if run.start is not None and run.points is not None:
+        _clouds(run.start, len(run.points))
+    for name in ("visible", "sigma"):
+        value = getattr(run, name)
+        if value is not None and value.ndim and not {"vertices", "markers"} & set(seen):
+            raise RunError(
+                f"{name}: given for each point, but the run holds no vertices or markers; give them or "
+                "drop it"
+            )
+    for name, present in (("command", run.present), ("ticks", run.present_ticks)):
+        if present is not None and run.channels == 0 and present.shape[1]:
+            raise RunError(
+                f"present: {present.shape[1]} channels, but `{name}` has none; give what was commanded"
+            )
+    if run.command_unit == "" or len(run.command_unit) > 32:
+        raise RunError(
+            f"command_unit: '{run.command_unit[:40]}', expected a short unit such as mm, deg or ticks"
+        )
+    if run.marker_rest is not None and run.vertices is not None:
+        raise RunError("marker_rest: belongs to markers, but the run holds vertices; drop it")
+
+
+def _clouds(start: NDArray[np.int64], count: int) -> None:
+    if start[0] != 0 or start[-1] != count or (np.diff(start) < 0).any():
+        raise RunError(
+            f"start: runs from {start[0]} to {start[-1]}, expected to rise from 0 to P = {count}; "
+            "cloud k is points[start[k]:start[k + 1]]"
+        )
+
+
+def _units(run: Run) -> None:
+    if run.gravity is not None and run.gravity.size:
+        length = np.linalg.norm(np.atleast_2d(run.gravity), axis=1)
+        worst = float(length[np.argmax(np.abs(length - 1.0))])
+        if abs(worst - 1.0) > 1e-3:
+            raise RunError(
+                f"gravity: length {worst:.4g}, expected a unit vector in the base frame; divide it by "
+                "its length"
+            )
+    for name in ("command", "present"):
+        value = getattr(run, name)
+        if (
+            run.command_unit == "mm"
+            and value is not None
+            and value.size
+            and np.abs(value).max() > _COMMAND_LIMIT
+        ):
+            raise RunError(
+                f"{name}: up to {np.abs(value).max():.4g} mm of tendon, at most {_COMMAND_LIMIT:g} is "
+                "plausible; "
+                "give ticks as `ticks`, or name the unit in `command_unit`"
+            )
+    if len(run.t) and len(run.t_seen) and (run.t_seen[-1] < run.t[0] or run.t_seen[0] > run.t[-1]):
+        raise RunError(
+            f"t_seen: {run.t_seen[0]:.6g} to {run.t_seen[-1]:.6g} s lies outside the commands' "
+            f"{run.t[0]:.6g} to "
+            f"{run.t[-1]:.6g} s; bring both to one clock"
+        )
+    for name in ("vertices", "markers", "points", "marker_rest"):
+        value = getattr(run, name)
+        if value is None or value.size < 6 or (value.ndim == 3 and value.shape[1] < 2):
+            continue
+        sample = value.reshape(-1, 3)[:: max(1, value.size // _SAMPLE)]
+        sample = sample[np.isfinite(sample).all(axis=1)]
+        extent = float(np.ptp(sample, axis=0).max()) if len(sample) > 1 else _SMALLEST
+        if extent < _SMALLEST:
+            raise RunError(
+                f"{name}: all points lie within {extent:.3g} mm, which looks like metres; multiply by 1000"
+            )
