@@ -206,9 +206,7 @@ class Run:
                 raise RunError("present: the run has no encoder positions in mm; use the goal (--input goal)")
             return self.present
         if self.command is None:
-            raise RunError(
-                "command: the run holds ticks only; convert them to mm with the calibration of the robot"
-            )
+            raise RunError("command: the run holds ticks only; convert them to mm with the calibration of the robot")
         return self.command
 
     def command_at(self, t: ArrayLike, source: Source | None = "goal") -> Array:
@@ -230,9 +228,7 @@ class Run:
         """
         chosen = np.asarray(select)
         if chosen.dtype == bool and chosen.shape != (self.frames,):
-            raise RunError(
-                f"select: shape {chosen.shape}, expected ({self.frames},) for {self.frames} frames"
-            )
+            raise RunError(f"select: shape {chosen.shape}, expected ({self.frames},) for {self.frames} frames")
         if chosen.dtype != bool and chosen.size and chosen.dtype.kind not in "iu":
             raise RunError(f"select: {chosen.dtype}, expected booleans or indices of frames")
         index = np.flatnonzero(chosen) if chosen.dtype == bool else chosen.astype(np.int64).reshape(-1)
@@ -246,9 +242,7 @@ class Run:
         if self.points is not None and self.start is not None:
             clouds = [self.points[self.start[k] : self.start[k + 1]] for k in index]
             change["points"] = np.concatenate(clouds) if clouds else np.zeros((0, 3))
-            change["start"] = np.concatenate([[0], np.cumsum([len(cloud) for cloud in clouds])]).astype(
-                np.int64
-            )
+            change["start"] = np.concatenate([[0], np.cumsum([len(cloud) for cloud in clouds])]).astype(np.int64)
         return dataclasses.replace(self, **change)
 
     def slice_time(self, t0: float, t1: float) -> Run:
@@ -263,8 +257,7 @@ class Run:
         last = int(np.searchsorted(self.t, t1))
         if not t0 < t1 or last <= first:
             raise RunError(
-                f"slice_time: no rows in [{t0:g}, {t1:g}) s; the run lasts from {self.t[0]:g} to "
-                f"{self.t[-1]:g} s"
+                f"slice_time: no rows in [{t0:g}, {t1:g}) s; the run lasts from {self.t[0]:g} to {self.t[-1]:g} s"
             )
         part = self.at((self.t_seen >= t0) & (self.t_seen < t1))
         rows = (
@@ -279,16 +272,12 @@ class Run:
             "gravity",
         )
         change = {name: getattr(self, name) for name in rows}
-        cut = {
-            name: value[first:last] for name, value in change.items() if value is not None and value.ndim != 0
-        }
+        cut = {name: value[first:last] for name, value in change.items() if value is not None and value.ndim != 0}
         if self.gravity is not None and self.gravity.ndim == 1:
             del cut["gravity"]
         return dataclasses.replace(part, **cut)
 
     def __repr__(self) -> str:
-        seen = next(
-            (name for name in ("vertices", "markers", "points") if getattr(self, name) is not None), "nothing"
-        )
+        seen = next((name for name in ("vertices", "markers", "points") if getattr(self, name) is not None), "nothing")
         rows = f"{len(self.t)} rows, {self.channels} channels, {self.frames} frames of {seen}"
         return f"Run({self.robot or 'unnamed'}: {rows})"
