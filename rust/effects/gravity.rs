@@ -14,7 +14,7 @@ pub static EFFECT: Effect = Effect {
         family: "dead load",
         stage: Stage::Shape,
         kind: Kind::Effect,
-        formula: "c = (1 + density) · R_y(tilt_y) · R_x(tilt_x) · g − g   on gravity_x|y|z",
+        formula: "c = (1 + density) · R_y(tilt_y) · R_x(tilt_x) · g − g  on gravity_x, gravity_y, gravity_z",
         doc: "Own weight other than declared: another density, or a mount that leans against the vertical.",
         signature: "A sag that is the same for every speed and history, and changes with the orientation of the base.",
         reference: "Linear response of the equilibrium to a body force, from the tangent of the simulator.",

@@ -40,7 +40,7 @@ pub static EFFECT: Effect = Effect {
         family: "sensor frame",
         stage: Stage::Sensing,
         kind: Kind::Fault,
-        formula: "p = R(turn) · p + shift   about the base's origin",
+        formula: "p = R(turn) · p + shift  about the origin of the base",
         doc: "The clamped base is misplaced in the measured frame: a rigid turn and shift of everything seen.",
         signature: "Static and rigid, at home too: even the clamped base has moved.",
         reference: "Rotation vector by Rodrigues' formula.",

@@ -13,7 +13,7 @@ pub static EFFECT: Effect = Effect {
         family: "dead load",
         stage: Stage::Shape,
         kind: Kind::Effect,
-        formula: "c = mass/1000 · 9.80665 · g   on tip_force_x|y|z",
+        formula: "c = mass/1000 · 9.80665 · g  on tip_force_x, tip_force_y, tip_force_z",
         doc: "An undeclared mass at the tip: a marker, a gripped object, a camera cable.",
         signature: "A sag towards the ground that grows towards the tip, the same for every speed and history.",
         reference: "Linear response of the equilibrium to a tip force, from the tangent of the simulator.",

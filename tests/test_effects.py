@@ -1,0 +1,169 @@
+"""Effects: every one of the registry against its law written in plain NumPy (laws.py), and what all must keep."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from laws import (
+    BY_ROLE,
+    EFFECTS,
+    HOME,
+    ORACLES,
+    finger,
+    finger_body,
+    named,
+    protocol,
+    random_params,
+    record,
+    tabulated,
+    turning,
+    values,
+)
+
+from softmap_edge import _core
+
+RUN_FIELDS = {"gravity", "load", "temperature", "present", "current"}
+
+
+@pytest.fixture(scope="module")
+def body():
+    return finger_body()
+
+
+def test_every_effect_has_an_oracle():
+    assert set(ORACLES) == set(EFFECTS)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_it_is_documented(name):
+    effect = EFFECTS[name]
+    for key in ("family", "stage", "role", "formula", "doc", "signature", "reference", "kind"):
+        assert effect[key].strip(), key
+    assert set(effect["needs"]) <= RUN_FIELDS
+    assert effect["parameters"]
+    for p in effect["parameters"]:
+        assert p["doc"].strip() and p["unit"].strip() and p["low"] <= p["start"] <= p["high"]
+        assert p["log"] == (p["low"] > 0)
+    page = (Path(__file__).parents[1] / "docs" / "effects.md").read_text(encoding="utf-8")
+    assert f"## {name}\n" in page and effect["signature"] in page
+
+
+def test_the_page_is_up_to_date():
+    path = Path(__file__).parents[1] / "docs" / "make_effects.py"
+    spec = importlib.util.spec_from_file_location("make_effects", path)
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    assert script.page() == script.PAGE.read_text(encoding="utf-8"), "run `python docs/make_effects.py`"
+
+
+@pytest.mark.parametrize("channels", [0, 1, 2, 6])
+@pytest.mark.parametrize("name", EFFECTS)
+def test_null_is_the_identity(name, channels, body):
+    chain = _core.Chain([name], channels)
+    t, u = record(channels)
+    np.testing.assert_allclose(chain.rollout(chain.null[None], u, t)[0], u, rtol=0, atol=1e-12)
+    assert not chain.coefficients(chain.null[None], turning(7)).any()
+    if channels == 2:
+        seen = np.linspace(t[0], t[-1], 40)
+        none = _core.Chain([], 2)
+        plain = body.predict(none, none.null[None], u, t, seen)
+        np.testing.assert_allclose(body.predict(chain, chain.null[None], u, t, seen), plain, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 6])
+@pytest.mark.parametrize("name", BY_ROLE["channel"])
+def test_channel_effects_agree_with_the_oracle(name, channels):
+    chain = _core.Chain([name], channels)
+    t, u = record(channels, seed=channels)
+    sets = np.stack([values(chain, "middle"), values(chain, "start"), *(random_params(chain, s) for s in range(4))])
+    out = chain.rollout(sets, u, t)
+    for params, got in zip(sets, out):
+        wanted = ORACLES[name](named(name, params, channels), u, t)
+        np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-9)  # round-off of 900 recursions on 10 mm
+    assert np.abs(out[0] - u).max() > 0.1, "the oracle would agree with doing nothing"
+
+
+@pytest.mark.parametrize("name", BY_ROLE["shape"])
+def test_shape_effects_agree_with_the_oracle(name):
+    chain = _core.Chain([name], 2)
+    gravity = turning(25)
+    for params in (values(chain, "middle"), *(random_params(chain, s) for s in range(4))):
+        got = chain.coefficients(params[None], gravity)[0]
+        np.testing.assert_allclose(got, ORACLES[name](named(name, params, 2), gravity), rtol=0, atol=1e-12)
+        assert np.abs(got).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", BY_ROLE["sensing"])
+def test_sensing_effects_agree_with_the_oracle(name):
+    positions = np.arange(9) % 3 == 0
+    body = _core.Predictor(tabulated(finger), {}, positions, HOME)
+    t, u = record(2)
+    chain, none = _core.Chain([name], 2), _core.Chain([], 2)
+    plain = body.predict(none, none.null[None], u, t, t[::9])[0]
+    for params in (values(chain, "middle"), 1e-7 * values(chain, "middle"), random_params(chain, 3)):
+        got = body.predict(chain, params[None], u, t, t[::9])[0]
+        wanted = ORACLES[name](named(name, params, 2), plain, positions)
+        np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_mid_range_moves_the_sections_by_half_a_millimetre(name, body):
+    chain = _core.Chain([name], 2)
+    t, u = protocol()
+    gravity = turning(len(t))
+    frames = body.predict(chain, np.stack([chain.null, values(chain, "middle")]), u, t, t[::5], gravity)
+    moved = np.sqrt(((frames[1] - frames[0]) ** 2).sum(axis=-1).mean())
+    assert moved >= 0.5, f"{moved:.2f} mm RMS"
+
+
+@pytest.mark.parametrize("name", BY_ROLE["channel"])
+def test_it_stays_bounded_and_finite(name):
+    chain = _core.Chain([name], 2)
+    rng = np.random.default_rng(5)
+    t = np.cumsum(rng.choice([0.0, 1e-6, 0.01, 100.0], 600))
+    u = rng.uniform(-20.0, 20.0, (600, 2))
+    sets = np.stack([chain.low, chain.high, *(random_params(chain, s) for s in range(10))])
+    out = chain.rollout(sets, u, t)
+    # The strongest: creep 1 + 0.5 on 20 mm; offset adds 4 mm, hysteresis at most 0.7 · 6.25 mm.
+    assert np.isfinite(out).all() and np.abs(out).max() <= 30.0 + 1e-9
+
+
+@pytest.mark.parametrize("name", [*BY_ROLE["channel"], "all"])
+def test_step_is_rollout_and_peek_leaves_no_trace(name):
+    chain = _core.Chain(BY_ROLE["channel"] if name == "all" else [name], 2)
+    params = values(chain, "middle")
+    t, u = record(2, samples=200)
+    whole = chain.rollout(params[None], u, t)[0]
+    state = chain.init(params, u[0])
+    dt = np.diff(t, prepend=t[0])
+    for k in range(len(t)):
+        before = state.copy()
+        peeked = chain.peek(params, state, u[k], dt[k], t[k])
+        chain.peek(params, state, -u[k] + 3.0, dt[k], t[k])
+        np.testing.assert_array_equal(state, before)
+        acting, state = chain.step(params, state, u[k], dt[k], t[k])
+        np.testing.assert_array_equal(peeked, acting)
+        np.testing.assert_array_equal(acting, whole[k])
+        assert state is not before and np.isfinite(state).all()
+
+
+@pytest.mark.parametrize("name", [*BY_ROLE["channel"], "all"])
+def test_splitting_changes_nothing_and_a_new_state_forgets(name):
+    chain = _core.Chain(BY_ROLE["channel"] if name == "all" else [name], 2)
+    sets = np.stack([values(chain, "middle"), random_params(chain, 1), chain.null])
+    t, u = record(2, samples=300)
+    whole, end = chain.advance(sets, u, t)
+    first, state = chain.advance(sets, u[:117], t[:117])
+    second, split_end = chain.advance(sets, u[117:], t[117:], state=state)
+    np.testing.assert_array_equal(np.concatenate([first, second], axis=1), whole)
+    np.testing.assert_array_equal(split_end, end)
+    np.testing.assert_array_equal(chain.rollout(sets, u, t), whole)  # reset: nothing lingers in the chain
+
+
+@pytest.mark.parametrize("name", BY_ROLE["channel"])
+def test_memory_starts_in_equilibrium(name):
+    chain = _core.Chain([name], 2)
+    held = np.tile([[4.0, -7.0]], (400, 1))
+    out = chain.rollout(values(chain, "middle")[None], held, np.linspace(0.0, 300.0, 400))[0]
+    np.testing.assert_allclose(out, np.tile(out[:1], (400, 1)), rtol=0, atol=1e-12)

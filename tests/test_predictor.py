@@ -1,0 +1,149 @@
+"""Chain, table and predictor: composition, interpolation, batches, and what wrong use is told."""
+
+import numpy as np
+import pytest
+from laws import (
+    EFFECTS,
+    FIELD_VALUES,
+    HOME,
+    ORACLES,
+    finger,
+    finger_body,
+    mounted,
+    named,
+    record,
+    tabulated,
+    turning,
+    values,
+)
+
+from softmap_edge import _core
+
+
+@pytest.fixture(scope="module")
+def body():
+    return finger_body()
+
+
+def test_all_ten_together_agree_with_the_oracles_in_stage_order(body):
+    chain = _core.Chain(list(reversed(EFFECTS)), 2)
+    assert chain.names == list(EFFECTS)
+    t, u = record(2)
+    gravity, load = turning(len(t)), np.linspace(0.0, 5.0, len(t))
+    seen = np.linspace(t[0], t[-1], 61) + 0.004
+    for params in (values(chain, "middle"), values(chain, "start")):
+        got = body.predict(chain, params[None], u, t, seen, gravity, load)[0]
+        at, x, coefficients = 0, u, np.zeros((len(seen), 6))
+        seen_gravity = np.stack([np.interp(seen, t, g) for g in gravity.T], axis=1)
+        for name in chain.names:
+            width = len(_core.Chain([name], 2).labels)
+            own = named(name, params[at : at + width], 2)
+            at += width
+            if EFFECTS[name]["role"] == "channel":
+                x = ORACLES[name](own, x, t)
+            elif EFFECTS[name]["role"] == "shape":
+                coefficients += ORACLES[name](own, seen_gravity)
+        coefficients[:, :3] += seen_gravity - HOME
+        coefficients[:, 3:] += 9.80665e-3 * np.interp(seen, t, load)[:, None] * seen_gravity
+        acting = np.stack([np.interp(seen, t, column) for column in x.T], axis=1)
+        frames = tabulated(finger).evaluate(acting)
+        for f, name in enumerate(_core.FIELDS):
+            frames = frames + coefficients[:, f : f + 1] * tabulated(FIELD_VALUES[name]).evaluate(acting)
+        wanted = mounted(own, frames.reshape(-1, 9, 3), np.ones(9, bool))
+        np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-8)
+
+
+def test_labels_units_and_scales():
+    chain = _core.Chain(["backlash", "gain"], 2)
+    assert chain.labels == ["gain.factor[0]", "gain.factor[1]", "backlash.gap"]
+    assert chain.units == ["1", "1", "mm"]
+    assert list(chain.null) == [1.0, 1.0, 0.0] and list(chain.log) == [True, True, True]
+
+
+def test_a_batch_equals_its_members_whatever_they_share(body):
+    chain = _core.Chain(["backlash", "payload", "mount"], 2)
+    t, u = record(2, samples=200)
+    sets = np.tile(values(chain, "start"), (12, 1))
+    sets[1:9] += 0.1 * np.eye(8)
+    sets[9, 0] = 1.0
+    batch = body.predict(chain, sets, u, t, t[::3], turning(200))
+    for params, frames in zip(sets, batch):
+        np.testing.assert_array_equal(body.predict(chain, params[None], u, t, t[::3], turning(200))[0], frames)
+
+
+def test_the_table_meets_its_nodes_and_its_slopes():
+    table = tabulated(finger)
+    axis = np.linspace(-20.0, 20.0, 21)
+    nodes = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=2).reshape(-1, 2)
+    np.testing.assert_allclose(table.evaluate(nodes), finger(nodes), rtol=0, atol=1e-7)
+    rng = np.random.default_rng(2)
+    u = rng.uniform(-25.0, 25.0, (50, 2))  # outside too
+    slopes = table.jacobian(u)
+    for c in range(2):
+        step = 1e-5 * np.eye(2)[c]
+        difference = (table.evaluate(u + step) - table.evaluate(u - step)) / 2e-5
+        np.testing.assert_allclose(slopes[:, :, c], difference, rtol=0, atol=1e-5)
+    between = rng.uniform(2.0, 18.0, (200, 2))
+    # Cubic interpolation of a bend of 10 degrees a cell: h³ f''' / 40 ≈ 0.06 mm at worst.
+    assert np.abs(table.evaluate(between) - finger(between)).max() < 0.06
+
+
+def test_a_projected_table_sees_through_the_map():
+    rng = np.random.default_rng(0)
+    table, weights, offset = tabulated(finger), rng.normal(size=(27, 6)), rng.normal(size=6)
+    u = rng.uniform(-22.0, 22.0, (30, 2))
+    seen = table.project(weights, offset)
+    assert (seen.channels, seen.size) == (2, 6)
+    np.testing.assert_allclose(seen.evaluate(u), table.evaluate(u) @ weights + offset, rtol=0, atol=1e-9)
+    copy = _core.Table(seen.axes, seen.coefficients, seen.mean, seen.modes)
+    np.testing.assert_array_equal(copy.evaluate(u), seen.evaluate(u))
+
+
+def wrong_calls():
+    chain, none = _core.Chain(["lag", "payload"], 2), _core.Chain([], 2)
+    t, u = np.linspace(0, 1, 5), np.zeros((5, 2))
+    bad = u.copy()
+    bad[3, 1] = np.nan
+    p, late = chain.null[None], _core.Chain(["latency"], 2)
+    table = tabulated(finger)
+    body = _core.Predictor(table, {}, np.ones(9, bool), HOME)
+    still = chain.init(chain.null, u[0])
+    later = chain.step(chain.null, still, u[0], 0.0, 9.0)[1][None]
+    axis = np.arange(3.0)
+    return {
+        "an unknown effect": (lambda: _core.Chain(["gian"], 2), "backlash"),
+        "an effect twice": (lambda: _core.Chain(["lag", "lag"], 2), "twice"),
+        "nan in u": (lambda: chain.rollout(p, bad, t), "u holds NaN"),
+        "nan in params": (lambda: chain.rollout(p * np.nan, u, t), "params holds NaN"),
+        "wrong params": (lambda: chain.rollout(p[:, :1], u, t), "P = 2"),
+        "flat params": (lambda: chain.rollout(p[0], u, t), "params"),
+        "wrong channels": (lambda: chain.rollout(p, u[:, :1], t), "C = 2"),
+        "short t": (lambda: chain.rollout(p, u, t[:3]), "T = 3"),
+        "text for u": (lambda: chain.rollout(p, "abc", t), "u must be"),
+        "falling t": (lambda: chain.rollout(p, u, t[::-1]), "backwards"),
+        "wrong gravity": (lambda: chain.rollout(p, u, t, gravity=np.zeros((5, 2))), "gravity"),
+        "wrong state": (lambda: chain.rollout(p, u, t, state=np.zeros((1, 3))), "state"),
+        "a state from later": (lambda: chain.rollout(p, u, t, state=later), "backwards"),
+        "negative dt": (lambda: chain.step(chain.null, still, u[0], -1.0, 0.0), "dt"),
+        "a delay beyond the ring": (lambda: late.rollout([[3.0]], u, t), "latency.delay"),
+        "a field that is missing": (lambda: body.predict(chain, [[0.1, 5.0]], u, t, t), "tip_force"),
+        "another robot's chain": (
+            lambda: body.predict(_core.Chain([], 3), none.null[None], np.zeros((5, 3)), t, t),
+            "channels",
+        ),
+        "an unknown field": (lambda: _core.Predictor(table, {"wind": table}, np.ones(9, bool), HOME), "gravity_x"),
+        "wrong positions": (lambda: _core.Predictor(table, {}, np.ones(8, bool), HOME), "27"),
+        "a falling axis": (lambda: _core.Table([-axis], np.zeros((3, 1)), [0.0], [[1.0]]), "rise"),
+        "missing nodes": (lambda: _core.Table([axis], np.zeros((2, 1)), [0.0], [[1.0]]), "3 grid nodes"),
+        "nan in a table": (lambda: _core.Table([axis], np.full((3, 1), np.nan), [0.0], [[1.0]]), "NaN"),
+        "a projection of another size": (lambda: table.project(np.zeros((5, 2)), np.zeros(2)), "M = 27"),
+    }
+
+
+@pytest.mark.parametrize("case", wrong_calls())
+def test_wrong_use_is_told_in_one_line(case):
+    call, clue = wrong_calls()[case]
+    with pytest.raises(_core.CoreError) as error:
+        call()
+    message = str(error.value)
+    assert clue in message and "\n" not in message and len(message) > 20
