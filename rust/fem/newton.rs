@@ -1,0 +1,261 @@
+//! Equilibria: Newton's method on the total energy, from a known equilibrium to the next load in small steps.
+//!
+//! A step starts from the tangent predictor dx = K⁻¹ (df − Σ kc b dd), then Newton with Armijo backtracking on the total
+//! energy (Nocedal & Wright, ch. 3). An indefinite tangent is shifted on its diagonal, so that every step goes downhill;
+//! a step that fails is halved. Limit: it follows one branch; a snap-through ends on whatever branch lies downhill.
+
+use super::Vec3;
+use super::solid::{Load, Solid, Work, inner};
+use crate::error::{Error, Result};
+
+/// Largest change of a shortening in one step, mm (median 2 to 3 iterations).
+const STEP_MM: f64 = 1.5;
+/// Largest change of gravity in one step, g, and of the tip load, N.
+const STEP_GRAVITY: f64 = 0.5;
+const STEP_TIP: f64 = 0.1;
+/// A step is not halved below this part of the way to a command.
+const SMALLEST_PART: f64 = 1.0 / 512.0;
+/// Converged when no unknown is out of balance by more than this, N: bends a finger by less than 1e-4 mm.
+const BALANCED: f64 = 1e-7;
+/// Converged when a full step moves no node by more, mm: the next one would move its square.
+const SETTLED: f64 = 3e-5;
+const ITERATIONS: usize = 40;
+/// No Newton step moves a node by more, mm.
+const LONGEST: f64 = 10.0;
+
+/// An equilibrium.
+#[derive(Debug, Clone)]
+pub struct State {
+    pub x: Vec<Vec3>,
+    pub load: Load,
+}
+
+/// Finds equilibria on one thread and remembers the factor for the next step.
+pub struct Solver<'a> {
+    pub work: Work<'a>,
+    /// Whether the factor in `work` belongs to the last state that was reached.
+    fresh: bool,
+    /// Newton iterations spent so far.
+    pub iterations: usize,
+    /// Steps that failed and were halved.
+    pub halved: usize,
+}
+
+impl<'a> Solver<'a> {
+    pub fn new(solid: &'a Solid) -> Result<Solver<'a>> {
+        Ok(Solver {
+            work: Work::new(solid)?,
+            fresh: false,
+            iterations: 0,
+            halved: 0,
+        })
+    }
+
+    /// Equilibrium without shortening under gravity and a tip load.
+    pub fn home(&mut self, gravity: Vec3, tip: Vec3) -> Result<State> {
+        let solid = self.work.solid;
+        let still = Load {
+            shortening: vec![0.0; solid.cables.len()],
+            gravity: [0.0; 3],
+            tip: [0.0; 3],
+        };
+        let mut state = State {
+            x: solid.mesh.nodes.clone(),
+            load: still.clone(),
+        };
+        self.fresh = false;
+        self.advance(
+            &mut state,
+            &Load {
+                gravity,
+                tip,
+                ..still
+            },
+        )?;
+        Ok(state)
+    }
+
+    /// The next `advance` starts from another state than the last one ended with.
+    pub fn forget(&mut self) {
+        self.fresh = false;
+    }
+
+    /// Move an equilibrium to another load; on failure the state is the last equilibrium on the way.
+    pub fn advance(&mut self, state: &mut State, goal: &Load) -> Result<()> {
+        let start = state.load.clone();
+        let mut part = 1.0 / steps(&start, goal).max(1.0).ceil();
+        let (mut done, mut first) = (0.0, true);
+        while first || done < 1.0 {
+            first = false;
+            let next = if done + part > 1.0 - 1e-9 {
+                1.0
+            } else {
+                done + part
+            };
+            let load = between(&start, goal, next);
+            match self.step(state, &load) {
+                Ok(()) => done = next,
+                Err(residual) => {
+                    self.fresh = false;
+                    self.halved += 1;
+                    part *= 0.5;
+                    if part < SMALLEST_PART {
+                        return Err(no_equilibrium(&load, residual));
+                    }
+                }
+            }
+        }
+        state.load = goal.clone();
+        Ok(())
+    }
+
+    /// Tension of each cable, N.
+    pub fn tensions(&self, state: &State) -> Vec<f64> {
+        let cables = &self.work.solid.cables;
+        cables
+            .iter()
+            .zip(&state.load.shortening)
+            .map(|(c, &d)| c.tension(&state.x, d))
+            .collect()
+    }
+
+    /// Assemble and factor at an equilibrium, so that `work.solve_exact` answers with its compliance.
+    pub fn linearise(&mut self, state: &State) -> Result<()> {
+        self.work.assemble(&state.x, &state.load);
+        self.fresh = self.work.refactor();
+        if self.fresh {
+            Ok(())
+        } else {
+            Err(no_equilibrium(&state.load, f64::NAN))
+        }
+    }
+
+    fn step(&mut self, state: &mut State, load: &Load) -> std::result::Result<(), f64> {
+        let mut x = self.predict(state, load).unwrap_or_else(|| state.x.clone());
+        let mut residual = f64::NAN;
+        for _ in 0..ITERATIONS {
+            let energy = self.work.assemble(&x, load);
+            if !energy.is_finite() {
+                return Err(f64::INFINITY);
+            }
+            residual = self
+                .work
+                .residual
+                .iter()
+                .fold(0.0, |m: f64, r| m.max(r.abs()));
+            self.iterations += 1;
+            let factored = self.work.refactor();
+            if residual < BALANCED || !factored {
+                if !factored {
+                    return Err(residual);
+                }
+                return self.arrive(state, x, load);
+            }
+            let (moved, longest, full) = self.descend(&x, load, energy).ok_or(residual)?;
+            x = moved;
+            if full && self.work.shift == 0.0 && longest < SETTLED {
+                return self.arrive(state, x, load);
+            }
+        }
+        Err(residual)
+    }
+
+    fn arrive(
+        &mut self,
+        state: &mut State,
+        x: Vec<Vec3>,
+        load: &Load,
+    ) -> std::result::Result<(), f64> {
+        *state = State {
+            x,
+            load: load.clone(),
+        };
+        self.fresh = true;
+        Ok(())
+    }
+
+    /// One Newton step with backtracking: new places, longest move, whether the full step was taken.
+    fn descend(&mut self, x: &[Vec3], load: &Load, energy: f64) -> Option<(Vec<Vec3>, f64, bool)> {
+        let solid = self.work.solid;
+        let step = self
+            .work
+            .solve(self.work.residual.iter().map(|r| -r).collect());
+        let longest = step.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
+        let slope = inner(&self.work.residual, &step);
+        if !longest.is_finite() || slope > 0.0 {
+            return None;
+        }
+        let whole = (LONGEST / longest).min(1.0);
+        let mut alpha = whole;
+        // Energies of 100 N·mm are summed from a thousand bricks: this is their round-off.
+        let noise = 1e-12 * (1.0 + energy.abs());
+        while alpha > 1e-6 {
+            let moved = solid.displace(x, &step, alpha);
+            let there = solid.energy(&moved, load);
+            if there <= energy + 1e-4 * alpha * slope + noise {
+                return Some((moved, alpha * longest, alpha == 1.0));
+            }
+            alpha *= 0.5;
+        }
+        None
+    }
+
+    /// Tangent predictor, kept only where it has less energy under the new load than standing still.
+    fn predict(&mut self, state: &State, load: &Load) -> Option<Vec<Vec3>> {
+        if *load == state.load {
+            return None;
+        }
+        if !self.fresh {
+            self.linearise(state).ok()?;
+        }
+        let solid = self.work.solid;
+        let change = |a: Vec3, b: Vec3| [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
+        let mut rhs = solid.dead_vector(&Load {
+            shortening: Vec::new(),
+            gravity: change(state.load.gravity, load.gravity),
+            tip: change(state.load.tip, load.tip),
+        });
+        for (c, b) in &self.work.taut {
+            let pull =
+                solid.cables[*c].stiffness * (load.shortening[*c] - state.load.shortening[*c]);
+            rhs.iter_mut().zip(b).for_each(|(r, b)| *r -= pull * b);
+        }
+        let step = self.work.solve(rhs);
+        let moved = solid.displace(&state.x, &step, 1.0);
+        (solid.energy(&moved, load) < solid.energy(&state.x, load)).then_some(moved)
+    }
+}
+
+/// Number of steps on the way to a load, before rounding up.
+fn steps(from: &Load, to: &Load) -> f64 {
+    let largest = |a: &[f64], b: &[f64], unit: f64| {
+        a.iter()
+            .zip(b)
+            .fold(0.0, |m: f64, (p, q)| m.max((p - q).abs() / unit))
+    };
+    largest(&from.shortening, &to.shortening, STEP_MM)
+        .max(largest(&from.gravity, &to.gravity, STEP_GRAVITY))
+        .max(largest(&from.tip, &to.tip, STEP_TIP))
+}
+
+fn between(a: &Load, b: &Load, t: f64) -> Load {
+    let mix = |p: &[f64], q: &[f64]| {
+        p.iter()
+            .zip(q)
+            .map(|(p, q)| p + t * (q - p))
+            .collect::<Vec<f64>>()
+    };
+    let mix3 = |p: Vec3, q: Vec3| std::array::from_fn(|i| p[i] + t * (q[i] - p[i]));
+    Load {
+        shortening: mix(&a.shortening, &b.shortening),
+        gravity: mix3(a.gravity, b.gravity),
+        tip: mix3(a.tip, b.tip),
+    }
+}
+
+fn no_equilibrium(load: &Load, residual: f64) -> Error {
+    Error::NoEquilibrium(format!(
+        "no equilibrium at tendon shortenings {:.3?} mm, gravity {:.2?} g, tip load {:.3?} N: largest force out of balance {residual:.2e} N (allowed {BALANCED:.0e}); try smaller commands or loads, a stiffer material, or a finer mesh",
+        load.shortening, load.gravity, load.tip
+    ))
+}

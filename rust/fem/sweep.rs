@@ -1,0 +1,318 @@
+//! Many equilibria: sweeps over a tensor grid, paths, and the linear fields at given commands.
+//!
+//! Neighbours start from each other. A sweep goes from home along the first axis, then from each of those states along the
+//! next axis, both ways, in parallel. A path is cut into chunks of fixed length, so that the answer does not depend on the
+//! number of cores. A field is the displacement per unit load by back-substitution at the equilibrium's tangent.
+
+use super::embed::Points;
+use super::newton::{Solver, State};
+use super::solid::{Load, Solid};
+use super::{Vec3, sub};
+use crate::error::{Error, Result, invalid};
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// Commands of a path that one thread solves one after the other.
+const CHUNK: usize = 64;
+
+/// Names of the fields: displacement per 1 g of gravity and per 1 N on the tip.
+pub const FIELDS: [&str; 6] = [
+    "gravity_x",
+    "gravity_y",
+    "gravity_z",
+    "tip_force_x",
+    "tip_force_y",
+    "tip_force_z",
+];
+
+/// How far a long computation is, and whether to stop it.
+#[derive(Debug, Default)]
+pub struct Progress {
+    pub done: AtomicUsize,
+    pub stop: AtomicBool,
+}
+
+impl Progress {
+    fn count(&self) -> Result<()> {
+        self.done.fetch_add(1, Ordering::Relaxed);
+        if self.stop.load(Ordering::Relaxed) {
+            Err(Error::Interrupted)
+        } else {
+            Ok(())
+        }
+    }
+}
+
+/// What one command gave: places of the points, tension of each cable.
+#[derive(Debug, Clone, Default)]
+pub struct Shape {
+    pub places: Vec<Vec3>,
+    pub tension: Vec<f64>,
+}
+
+/// A solid with the points that are reported and the map from commands to shortenings.
+pub struct Simulation {
+    pub solid: Solid,
+    pub points: Points,
+    /// Shortening of cable t per mm of command c: `drive[t][c]`.
+    pub drive: Vec<Vec<f64>>,
+}
+
+impl Simulation {
+    /// Refuses a drive that does not give every cable one number a command.
+    pub fn new(solid: Solid, points: Points, drive: Vec<Vec<f64>>) -> Result<Simulation> {
+        let channels = drive.first().map_or(0, Vec::len);
+        let even = drive.iter().all(|row| row.len() == channels && row.iter().all(|v| v.is_finite()));
+        if drive.len() != solid.cables.len() || channels == 0 || !even {
+            return Err(invalid(format!(
+                "drive: {} rows for {} tendons; give each tendon one finite number for each command",
+                drive.len(),
+                solid.cables.len()
+            )));
+        }
+        Ok(Simulation { solid, points, drive })
+    }
+
+    /// Number of commands.
+    pub fn channels(&self) -> usize {
+        self.drive.first().map_or(0, Vec::len)
+    }
+
+    /// The load of a command.
+    pub fn load(&self, command: &[f64], gravity: Vec3, tip: Vec3) -> Result<Load> {
+        let numbers = command.iter().chain(&gravity).chain(&tip);
+        if command.len() != self.channels() || !numbers.clone().all(|v| v.is_finite()) {
+            return Err(invalid(format!(
+                "command {command:?}, gravity {gravity:?}, load {tip:?}: expected {} finite commands in mm, and finite loads",
+                self.channels()
+            )));
+        }
+        let shortening = self
+            .drive
+            .iter()
+            .map(|row| row.iter().zip(command).map(|(a, u)| a * u).sum())
+            .collect();
+        Ok(Load {
+            shortening,
+            gravity,
+            tip,
+        })
+    }
+
+    /// Every command of the grid `axes`, last axis fastest.
+    pub fn sweep(
+        &self,
+        axes: &[Vec<f64>],
+        gravity: Vec3,
+        tip: Vec3,
+        progress: &Progress,
+    ) -> Result<Vec<Shape>> {
+        if axes.len() != self.channels()
+            || axes
+                .iter()
+                .any(|a| a.is_empty() || a.windows(2).any(|w| w[1] <= w[0]))
+        {
+            return Err(invalid(format!(
+                "sweep axes: expected {} ascending axes in mm, got lengths {:?}",
+                self.channels(),
+                axes.iter().map(Vec::len).collect::<Vec<_>>()
+            )));
+        }
+        let command: Vec<f64> = axes.iter().map(|a| a[nearest_home(a)]).collect();
+        let mut solver = Solver::new(&self.solid)?;
+        let mut home = solver.home(gravity, tip)?;
+        solver.advance(&mut home, &self.load(&command, gravity, tip)?)?;
+        drop(solver);
+        // States along the axes done so far, with their commands; C order throughout.
+        let mut spine = vec![(command, home)];
+        for (c, axis) in axes.iter().enumerate().take(axes.len() - 1) {
+            let grown = spine
+                .par_iter()
+                .map(|(u, state)| self.line(u, state, c, axis, |_, state| state.clone()))
+                .collect::<Result<Vec<_>>>()?;
+            spine = grown
+                .into_iter()
+                .flat_map(|(commands, states)| commands.into_iter().zip(states))
+                .collect();
+        }
+        let last = axes.len() - 1;
+        let rows = spine
+            .par_iter()
+            .map(|(u, state)| {
+                let mut stopped = Ok(());
+                let (_, shapes) = self.line(u, state, last, &axes[last], |solver, state| {
+                    if let Err(e) = progress.count() {
+                        stopped = Err(e);
+                    }
+                    self.shape(solver, state)
+                })?;
+                stopped.map(|()| shapes)
+            })
+            .collect::<Result<Vec<_>>>()?;
+        Ok(rows.into_iter().flatten().collect())
+    }
+
+    /// States along one axis, both ways from where `state` stands.
+    fn line<T: Clone>(
+        &self,
+        command: &[f64],
+        state: &State,
+        axis: usize,
+        values: &[f64],
+        mut keep: impl FnMut(&Solver, &State) -> T,
+    ) -> Result<(Vec<Vec<f64>>, Vec<T>)> {
+        let start = nearest_home(values);
+        let commands: Vec<Vec<f64>> = values
+            .iter()
+            .map(|&v| {
+                let mut u = command.to_vec();
+                u[axis] = v;
+                u
+            })
+            .collect();
+        let mut kept: Vec<Option<T>> = vec![None; values.len()];
+        let mut solver = Solver::new(&self.solid)?;
+        let up: Vec<usize> = (start..values.len()).collect();
+        let down: Vec<usize> = (0..start).rev().collect();
+        for way in [up, down] {
+            let mut here = state.clone();
+            solver.forget();
+            for i in way {
+                solver.advance(
+                    &mut here,
+                    &self.load(&commands[i], state.load.gravity, state.load.tip)?,
+                )?;
+                kept[i] = Some(keep(&solver, &here));
+            }
+        }
+        Ok((commands, kept.into_iter().flatten().collect()))
+    }
+
+    /// Equilibria along a list of commands, each with its gravity, under one tip load.
+    pub fn path(
+        &self,
+        commands: &[Vec<f64>],
+        gravity: &[Vec3],
+        tip: Vec3,
+        progress: &Progress,
+    ) -> Result<Vec<Shape>> {
+        self.follow(commands, gravity, tip, progress, |solver, state| {
+            Ok(self.shape(solver, state))
+        })
+    }
+
+    /// Displacements of the points per unit of each of `FIELDS`, at the equilibrium of each command.
+    pub fn fields(
+        &self,
+        commands: &[Vec<f64>],
+        gravity: Vec3,
+        tip: Vec3,
+        progress: &Progress,
+    ) -> Result<Vec<Vec<Vec<Vec3>>>> {
+        let order = short_tour(commands);
+        let sorted: Vec<Vec<f64>> = order.iter().map(|&i| commands[i].clone()).collect();
+        let gravities = vec![gravity; sorted.len()];
+        let found = self.follow(&sorted, &gravities, tip, progress, |solver, state| {
+            self.compliance(solver, state)
+        })?;
+        let mut answer = vec![Vec::new(); found.len()];
+        for (i, field) in order.into_iter().zip(found) {
+            answer[i] = field;
+        }
+        Ok(answer)
+    }
+
+    fn follow<T: Send>(
+        &self,
+        commands: &[Vec<f64>],
+        gravity: &[Vec3],
+        tip: Vec3,
+        progress: &Progress,
+        keep: impl Fn(&mut Solver, &State) -> Result<T> + Sync,
+    ) -> Result<Vec<T>> {
+        if gravity.len() != commands.len() {
+            return Err(invalid(format!("gravity: {} rows for {} commands; give one a command", gravity.len(), commands.len())));
+        }
+        let chunks = commands
+            .par_chunks(CHUNK)
+            .zip(gravity.par_chunks(CHUNK))
+            .map(|(commands, gravity)| {
+                let mut solver = Solver::new(&self.solid)?;
+                let mut state = solver.home(gravity[0], tip)?;
+                let mut kept = Vec::with_capacity(commands.len());
+                for (u, &g) in commands.iter().zip(gravity) {
+                    let load = self.load(u, g, tip)?;
+                    solver.advance(&mut state, &load)?;
+                    kept.push(keep(&mut solver, &state)?);
+                    progress.count()?;
+                }
+                Ok(kept)
+            })
+            .collect::<Result<Vec<_>>>()?;
+        Ok(chunks.into_iter().flatten().collect())
+    }
+
+    fn shape(&self, solver: &Solver, state: &State) -> Shape {
+        Shape {
+            places: self.points.place(&state.x),
+            tension: solver.tensions(state),
+        }
+    }
+
+    fn compliance(&self, solver: &mut Solver, state: &State) -> Result<Vec<Vec<Vec3>>> {
+        solver.linearise(state)?;
+        let at = self.points.place(&state.x);
+        (0..FIELDS.len())
+            .map(|f| {
+                let mut unit = Load {
+                    shortening: Vec::new(),
+                    gravity: [0.0; 3],
+                    tip: [0.0; 3],
+                };
+                let part = if f < 3 {
+                    &mut unit.gravity
+                } else {
+                    &mut unit.tip
+                };
+                part[f % 3] = 1.0;
+                let step = solver.work.solve_exact(self.solid.dead_vector(&unit));
+                let moved = self
+                    .points
+                    .place(&self.solid.displace(&state.x, &step, 1.0));
+                Ok(moved
+                    .into_iter()
+                    .zip(&at)
+                    .map(|(p, q)| sub(p, *q))
+                    .collect())
+            })
+            .collect()
+    }
+}
+
+fn nearest_home(axis: &[f64]) -> usize {
+    (0..axis.len())
+        .min_by(|&a, &b| axis[a].abs().total_cmp(&axis[b].abs()))
+        .unwrap_or(0)
+}
+
+/// An order in which each command is the nearest of those left: short ways between warm starts.
+fn short_tour(commands: &[Vec<f64>]) -> Vec<usize> {
+    let far = |a: &[f64], b: &[f64]| {
+        a.iter()
+            .zip(b)
+            .fold(0.0, |m: f64, (p, q)| m.max((p - q).abs()))
+    };
+    let mut left: Vec<usize> = (0..commands.len()).collect();
+    let mut here = vec![0.0; commands.first().map_or(0, Vec::len)];
+    let mut order = Vec::with_capacity(left.len());
+    while !left.is_empty() {
+        let distance = |i: usize| far(&commands[left[i]], &here);
+        let next = (0..left.len())
+            .min_by(|&a, &b| distance(a).total_cmp(&distance(b)))
+            .unwrap_or(0);
+        let taken = left.remove(next);
+        here = commands[taken].clone();
+        order.push(taken);
+    }
+    order
+}

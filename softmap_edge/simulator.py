@@ -1,0 +1,222 @@
+"""Simulate a finger: its shapes over a grid of commands or along a path, and its answer to small loads.
+
+    sweep = Simulator(Finger.builtin()).sweep([np.linspace(-16, 16, 41)] * 2)
+
+Quasi-static finite elements in the compiled core; all local cores are used, Ctrl-C stops.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import radians
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import FingerError, SoftmapError
+from softmap_edge.finger import Finger
+
+Floats = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+SCHEMA = "softmap.sweep.file/1"
+
+
+class SimulationError(SoftmapError):
+    """A simulation was asked for something impossible, or found no equilibrium."""
+
+
+@dataclass(frozen=True)
+class Template:
+    """Surface of a finger at rest: vertices (N, 3) mm in the base frame, outward triangles (F, 3) int32."""
+
+    vertices: Floats
+    triangles: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Shapes over a grid: axes (one array of mm for each command), command (S, C) mm, vertices (S, N, 3) mm, tension (S, T) N.
+
+    S runs over the grid in C order: the last axis is the fastest.
+    """
+
+    axes: tuple[Floats, ...]
+    command: Floats
+    vertices: Floats
+    tension: Floats
+
+    def save(self, path: str | Path) -> None:
+        """Write the sweep as `.npz` without pickles."""
+        axes = {f"axis{c}": axis for c, axis in enumerate(self.axes)}
+        with open(path, "wb") as file:
+            np.savez_compressed(
+                file,
+                schema=np.array(SCHEMA),
+                command=self.command,
+                vertices=self.vertices,
+                tension=self.tension,
+                **axes,  # type: ignore[arg-type]
+            )
+
+    @classmethod
+    def load(cls, path: str | Path) -> Sweep:
+        """Read a sweep; raises SimulationError when the file is not one, damaged or newer."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                if str(file["schema"]) != SCHEMA:
+                    raise SimulationError(f"{path}: schema {file['schema']}, expected {SCHEMA}; update softmap-edge")
+                count = sum(name.startswith("axis") for name in file.files)
+                axes = tuple(np.asarray(file[f"axis{c}"], dtype=np.float64) for c in range(count))
+                arrays = [np.asarray(file[k], dtype=np.float64) for k in ("command", "vertices", "tension")]
+        except (OSError, KeyError, ValueError, EOFError, TypeError, zipfile.BadZipFile, zipfile.error) as error:
+            raise SimulationError(f"{path}: not a readable sweep ({error}); make it again with `softmap sweep`") from None
+        command, vertices, tension = arrays
+        size = int(np.prod([len(axis) for axis in axes])) if all(axis.ndim == 1 for axis in axes) else -1
+        good = command.shape == (size, len(axes)) and vertices.ndim == 3 and vertices.shape[::2] == (size, 3)
+        if not good or tension.ndim != 2 or len(tension) != size:
+            shapes = f"command {command.shape}, vertices {vertices.shape}, tension {tension.shape}"
+            raise SimulationError(f"{path}: {shapes} do not fit its axes; make it again with `softmap sweep`")
+        return cls(axes, command, vertices, tension)
+
+
+class Simulator:
+    """The finite elements of one finger.
+
+    finger: what to simulate · template: report these material points (embedded at rest) instead of the own surface,
+    so that fingers on different meshes give the same vertices. Raises FingerError when the finger cannot be built or
+    the template does not lie in it.
+    """
+
+    def __init__(self, finger: Finger, template: Template | None = None) -> None:
+        points = None if template is None else np.ascontiguousarray(template.vertices, dtype=np.float64)
+        try:
+            self.solid = _core.Solid(
+                profile=list(finger.profile),
+                core=finger.core,
+                rings=finger.rings,
+                layers=finger.layers,
+                young=finger.young_mpa,
+                poisson=finger.poisson,
+                density=finger.density_kg_m3,
+                cable_stiffness=finger.cable_stiffness_n_mm,
+                ring=finger.guide_ring_mm,
+                disc=finger.anchor_disc_mm,
+                routes=[(radians(tendon.angle_deg), list(tendon.route)) for tendon in finger.tendons],
+                drive=_drive(finger).tolist(),
+                points=points,
+            )
+        except _core.CoreError as error:
+            raise FingerError(f"{finger.name}: {error}") from None
+        self.finger = finger
+        self._template = template or Template(self.solid.vertices, self.solid.triangles)
+
+    @property
+    def template(self) -> Template:
+        """The reported vertices at rest, and their triangles."""
+        return self._template
+
+    def rest(self) -> Floats:
+        """Return the vertices (N, 3) mm hanging under the finger's own gravity, no command given."""
+        return np.ascontiguousarray(self.path(np.zeros((1, len(self.finger.pairs))))[0])
+
+    def sweep(
+        self,
+        axes: Sequence[ArrayLike],
+        gravity: ArrayLike | None = None,
+        load: ArrayLike = (0.0, 0.0, 0.0),
+        progress: Progress | None = None,
+    ) -> Sweep:
+        """Simulate every command of a grid.
+
+        axes: one ascending array of mm for each command · gravity: (3,) g in the base frame, None for the finger's own ·
+        load: (3,) N on the tip · progress: called with the share done, 0 to 1. Raises SimulationError.
+        """
+        grid = tuple(_array("axis", axis, (None,)) for axis in axes)
+        with _told():
+            vertices, tension = self.solid.sweep(
+                [axis.tolist() for axis in grid], self._gravity(gravity), _vector("load", load), progress
+            )
+        command = np.stack([a.ravel() for a in np.meshgrid(*grid, indexing="ij")], axis=1)
+        return Sweep(grid, command, vertices, tension)
+
+    def path(
+        self,
+        commands: ArrayLike,
+        gravity: ArrayLike | None = None,
+        load: ArrayLike = (0.0, 0.0, 0.0),
+        progress: Progress | None = None,
+    ) -> Floats:
+        """Return the vertices (K, N, 3) mm along commands (K, C) mm.
+
+        gravity: (3,) or one row for each command (K, 3) in g, None for the finger's own · load: (3,) N on the tip ·
+        progress: called with the share done. Raises SimulationError.
+        """
+        u = _array("commands", commands, (None, len(self.finger.pairs)))
+        g = np.asarray(self.finger.gravity if gravity is None else gravity, dtype=np.float64)
+        g = np.ascontiguousarray(np.broadcast_to(g, (len(u), 3))) if g.shape == (3,) else g
+        rows = _array("gravity", g, (len(u), 3))
+        with _told():
+            return self.solid.path(u, rows, _vector("load", load), progress)[0]
+
+    def fields(
+        self,
+        commands: ArrayLike,
+        gravity: ArrayLike | None = None,
+        load: ArrayLike = (0.0, 0.0, 0.0),
+        progress: Progress | None = None,
+    ) -> dict[str, Floats]:
+        """Return the displacement (S, N, 3) mm per unit of small loads at commands (S, C) mm, by name.
+
+        `gravity_x|y|z` per 1 g, `tip_force_x|y|z` per 1 N, linear at the equilibrium under `gravity` and `load`.
+        Raises SimulationError.
+        """
+        u = _array("commands", commands, (None, len(self.finger.pairs)))
+        with _told():
+            return self.solid.fields(u, self._gravity(gravity), _vector("load", load), progress)
+
+    def _gravity(self, gravity: ArrayLike | None) -> tuple[float, float, float]:
+        return _vector("gravity", self.finger.gravity if gravity is None else gravity)
+
+
+def _drive(finger: Finger) -> Floats:
+    """Return the shortening of each tendon per mm of each command, (T, C)."""
+    drive = np.zeros((len(finger.tendons), len(finger.pairs)))
+    for c, (pulled, *paid_out) in enumerate(finger.pairs):
+        drive[pulled, c] = 1.0
+        drive[paid_out, c] = -1.0
+    return drive
+
+
+def _array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Floats:
+    try:
+        array = np.ascontiguousarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SimulationError(f"{name}: expected numbers of shape {_shape(shape)}") from None
+    fits = array.ndim == len(shape) and all(s in (None, n) for s, n in zip(shape, array.shape))
+    if not fits or not np.isfinite(array).all():
+        raise SimulationError(f"{name}: got shape {array.shape}, expected finite numbers of shape {_shape(shape)}")
+    return array
+
+
+def _vector(name: str, value: ArrayLike) -> tuple[float, float, float]:
+    x, y, z = _array(name, value, (3,)).tolist()
+    return x, y, z
+
+
+def _shape(shape: tuple[int | None, ...]) -> str:
+    return "(" + ", ".join("n" if s is None else str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """Turn the core's errors into this package's."""
+    try:
+        yield
+    except _core.CoreError as error:
+        raise SimulationError(str(error)) from None
