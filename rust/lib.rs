@@ -4,6 +4,7 @@
 
 pub mod effects;
 pub mod error;
+pub mod fem;
 pub mod predict;
 #[cfg(feature = "python")]
 mod python;

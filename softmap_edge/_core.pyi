@@ -1,6 +1,6 @@
 """Types of the compiled core; the bindings in rust/python/ implement them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -136,3 +136,51 @@ class Predictor:
         load: Floats | None = None,
         temperature: Floats | None = None,
     ) -> Floats: ...
+class Solid:
+    def __init__(
+        self,
+        profile: list[tuple[float, float]],
+        core: int,
+        rings: int,
+        layers: int,
+        young: float,
+        poisson: float,
+        density: float,
+        cable_stiffness: float,
+        ring: float,
+        disc: float,
+        routes: list[tuple[float, list[tuple[float, float]]]],
+        drive: list[list[float]],
+        points: Floats | None = None,
+        tolerance: float = 2.5,
+    ) -> None: ...
+    vertices: Floats
+    triangles: NDArray[np.int32]
+    nodes: Floats
+    bricks: NDArray[np.int64]
+    fixed: NDArray[np.int64]
+    core: int
+    moduli: tuple[float, float]
+    def newton_step(self, x: Floats) -> Floats: ...
+    def sweep(
+        self,
+        axes: list[list[float]],
+        gravity: tuple[float, float, float],
+        load: tuple[float, float, float],
+        progress: Callable[[float], None] | None = None,
+    ) -> tuple[Floats, Floats]: ...
+    def path(
+        self,
+        commands: Floats,
+        gravity: Floats,
+        load: tuple[float, float, float],
+        progress: Callable[[float], None] | None = None,
+    ) -> tuple[Floats, Floats]: ...
+    def fields(
+        self,
+        commands: Floats,
+        gravity: tuple[float, float, float],
+        load: tuple[float, float, float],
+        progress: Callable[[float], None] | None = None,
+    ) -> dict[str, Floats]: ...
+    def effort(self, command: list[float], gravity: tuple[float, float, float]) -> tuple[int, int]: ...

@@ -31,7 +31,7 @@ _KEYS = {
 
 @dataclass(frozen=True)
 class Tendon:
-    """A tendon's angle about z (degrees) and its route as (z, distance from the axis) pairs in mm, ending at the anchor."""
+    """A tendon's angle about z (degrees) and its route as (z, distance from the axis) pairs in mm, up to the anchor."""
 
     angle_deg: float
     route: Pairs
@@ -68,13 +68,13 @@ class Finger:
             raise FingerError("name: expected a word; give the finger a name")
         _check_pairs("profile_mm", self.profile)
         if self.profile[0][0] != 0.0 or min(radius for _, radius in self.profile) <= 0:
-            raise FingerError("profile_mm: z must start at 0 and every radius be above 0 mm; measure from the clamped base")
-        for field, low, high in _COUNTS:
-            _check_count(field, getattr(self, field), low, high)
+            raise FingerError("profile_mm: z must start at 0 and each radius above 0 mm; measure from the base")
+        for field, least, most in _COUNTS:
+            _check_count(field, getattr(self, field), least, most)
         for field, low, high, remedy in _RANGES:
             _check_number(field, getattr(self, field), low, high, remedy)
         if len(self.gravity) != 3 or not all(_finite(g) and abs(g) <= 10 for g in self.gravity):
-            raise FingerError(f"gravity_g: {self.gravity!r}; expected three numbers in g, each within ±10, as [0, 0, 1]")
+            raise FingerError(f"gravity_g: {self.gravity!r}; expected three numbers of g within ±10, as [0, 0, 1]")
         self._check_tendons()
         self._check_commands()
 
@@ -156,18 +156,17 @@ class Finger:
                 spread = self.anchor_disc_mm if z == tendon.route[-1][0] else self.guide_ring_mm
                 if inside < 0 or inside + spread > outer:
                     raise FingerError(
-                        f"{field}.route_mm: at z = {z:g} mm the tendon is {inside:.2f} mm from the axis, with its {spread:g} "
-                        f"mm of channel outside the solid of radius {outer:.2f} mm; allowed is 0 to {outer - spread:.2f} mm, "
-                        "route it further inside"
+                        f"{field}.route_mm: at z = {z:g} mm the tendon is {inside:.2f} mm from the axis, with its "
+                        f"{spread:g} mm of channel outside the solid of radius {outer:.2f} mm; allowed is 0 to "
+                        f"{outer - spread:.2f} mm, route it further inside"
                     )
 
     def _check_commands(self) -> None:
         if not 1 <= len(self.pairs) <= 3:
-            raise FingerError(f"command: {len(self.pairs)} given, allowed are 1 to 3; a sweep is a grid over all of them")
+            raise FingerError(f"command: {len(self.pairs)} given, allowed are 1 to 3; a sweep is a grid over them")
         if len(self.pairs) != len(self.command_range):
-            raise FingerError(
-                f"command_range: {len(self.command_range)} ranges for {len(self.pairs)} commands; give one (low, high) each"
-            )
+            ranges, commands = len(self.command_range), len(self.pairs)
+            raise FingerError(f"command_range: {ranges} ranges for {commands} commands; give one (low, high) each")
         used: set[int] = set()
         for number, (pair, limits) in enumerate(zip(self.pairs, self.command_range)):
             field = f"command[{number}]"
@@ -182,7 +181,7 @@ class Finger:
                 raise FingerError(f"{field}.range_mm: {list(limits)!r}; expected [low, high] in mm, as [-16.0, 16.0]")
             if max(abs(limits[0]), abs(limits[1])) > self.height_mm / 2:
                 raise FingerError(
-                    f"{field}.range_mm: {list(limits)!r}; allowed is half the finger's height, ±{self.height_mm / 2:g} mm"
+                    f"{field}.range_mm: {list(limits)!r}; allowed is half the height, ±{self.height_mm / 2:g} mm"
                 )
 
 
@@ -210,10 +209,10 @@ def _from_document(document: Mapping[str, Any]) -> Finger:
         cable_stiffness_n_mm=cable["stiffness_n_mm"],
         guide_ring_mm=cable["guide_ring_mm"],
         anchor_disc_mm=cable["anchor_disc_mm"],
-        gravity=_sequence("gravity_g", mounting["gravity_g"]),  # type: ignore[arg-type]
+        gravity=_sequence("gravity_g", mounting["gravity_g"]),
         tendons=tuple(Tendon(t["angle_deg"], _pairs("route_mm", t["route_mm"])) for t in tendons),
         pairs=tuple(_sequence("tendons", c["tendons"]) for c in commands),
-        command_range=tuple(_sequence("range_mm", c["range_mm"]) for c in commands),  # type: ignore[misc]
+        command_range=tuple(_sequence("range_mm", c["range_mm"]) for c in commands),
     )
 
 
@@ -249,7 +248,7 @@ def _sequence(field: str, value: Any) -> tuple[Any, ...]:
 
 
 def _pairs(field: str, value: Any) -> Pairs:
-    return tuple(_sequence(field, pair) for pair in _sequence(field, value))  # type: ignore[misc]
+    return tuple(_sequence(field, pair) for pair in _sequence(field, value))
 
 
 def _check_pairs(field: str, pairs: Sequence[Sequence[float]]) -> None:
@@ -260,7 +259,7 @@ def _check_pairs(field: str, pairs: Sequence[Sequence[float]]) -> None:
 
 def _check_count(field: str, value: Any, low: int, high: int) -> None:
     if type(value) is not int or not low <= value <= high:
-        raise FingerError(f"mesh.{field}: {value!r}; allowed are whole numbers {low} to {high}, the usual mesh is 3, 1, 42")
+        raise FingerError(f"mesh.{field}: {value!r}; allowed are whole numbers {low} to {high}; 3, 1, 42 is usual")
 
 
 def _check_number(field: str, value: Any, low: float, high: float, remedy: str) -> None:

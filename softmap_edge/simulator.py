@@ -8,6 +8,7 @@ Quasi-static finite elements in the compiled core; all local cores are used, Ctr
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,10 +26,15 @@ Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 SCHEMA = "softmap.sweep.file/1"
+_UNREADABLE = (OSError, KeyError, ValueError, EOFError, TypeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 class SimulationError(SoftmapError):
-    """A simulation was asked for something impossible, or found no equilibrium."""
+    """A simulation was asked for something impossible."""
+
+
+class NoEquilibriumError(SimulationError):
+    """The simulator found no equilibrium; the message says where, how far off, and what to try."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,7 @@ class Template:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Shapes over a grid: axes (one array of mm for each command), command (S, C) mm, vertices (S, N, 3) mm, tension (S, T) N.
+    """Shapes over a grid: one array of mm a command, command (S, C) mm, vertices (S, N, 3) mm, tension (S, T) N.
 
     S runs over the grid in C order: the last axis is the fastest.
     """
@@ -74,8 +80,9 @@ class Sweep:
                 count = sum(name.startswith("axis") for name in file.files)
                 axes = tuple(np.asarray(file[f"axis{c}"], dtype=np.float64) for c in range(count))
                 arrays = [np.asarray(file[k], dtype=np.float64) for k in ("command", "vertices", "tension")]
-        except (OSError, KeyError, ValueError, EOFError, TypeError, zipfile.BadZipFile, zipfile.error) as error:
-            raise SimulationError(f"{path}: not a readable sweep ({error}); make it again with `softmap sweep`") from None
+        except _UNREADABLE as error:
+            why = f"not a readable sweep ({error})"
+            raise SimulationError(f"{path}: {why}; make it again with `softmap sweep`") from None
         command, vertices, tension = arrays
         size = int(np.prod([len(axis) for axis in axes])) if all(axis.ndim == 1 for axis in axes) else -1
         good = command.shape == (size, len(axes)) and vertices.ndim == 3 and vertices.shape[::2] == (size, 3)
@@ -134,8 +141,8 @@ class Simulator:
     ) -> Sweep:
         """Simulate every command of a grid.
 
-        axes: one ascending array of mm for each command · gravity: (3,) g in the base frame, None for the finger's own ·
-        load: (3,) N on the tip · progress: called with the share done, 0 to 1. Raises SimulationError.
+        axes: one ascending array of mm for each command · gravity: (3,) g in the base frame, None for the finger's
+        own · load: (3,) N on the tip · progress: called with the share done, 0 to 1. Raises SimulationError.
         """
         grid = tuple(_array("axis", axis, (None,)) for axis in axes)
         with _told():
@@ -218,5 +225,7 @@ def _told() -> Iterator[None]:
     """Turn the core's errors into this package's."""
     try:
         yield
+    except _core.NoEquilibriumError as error:
+        raise NoEquilibriumError(str(error)) from None
     except _core.CoreError as error:
         raise SimulationError(str(error)) from None

@@ -62,7 +62,9 @@ impl Simulation {
     /// Refuses a drive that does not give every cable one number a command.
     pub fn new(solid: Solid, points: Points, drive: Vec<Vec<f64>>) -> Result<Simulation> {
         let channels = drive.first().map_or(0, Vec::len);
-        let even = drive.iter().all(|row| row.len() == channels && row.iter().all(|v| v.is_finite()));
+        let even = drive
+            .iter()
+            .all(|row| row.len() == channels && row.iter().all(|v| v.is_finite()));
         if drive.len() != solid.cables.len() || channels == 0 || !even {
             return Err(invalid(format!(
                 "drive: {} rows for {} tendons; give each tendon one finite number for each command",
@@ -70,7 +72,11 @@ impl Simulation {
                 solid.cables.len()
             )));
         }
-        Ok(Simulation { solid, points, drive })
+        Ok(Simulation {
+            solid,
+            points,
+            drive,
+        })
     }
 
     /// Number of commands.
@@ -231,7 +237,11 @@ impl Simulation {
         keep: impl Fn(&mut Solver, &State) -> Result<T> + Sync,
     ) -> Result<Vec<T>> {
         if gravity.len() != commands.len() {
-            return Err(invalid(format!("gravity: {} rows for {} commands; give one a command", gravity.len(), commands.len())));
+            return Err(invalid(format!(
+                "gravity: {} rows for {} commands; give one a command",
+                gravity.len(),
+                commands.len()
+            )));
         }
         let chunks = commands
             .par_chunks(CHUNK)

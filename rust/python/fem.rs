@@ -49,10 +49,20 @@ impl Solid {
         tolerance: f64,
     ) -> PyResult<Solid> {
         let pairs = |p: Pairs| p.into_iter().map(|(a, b)| [a, b]).collect::<Vec<_>>();
-        let routes = routes.into_iter().map(|(angle, path)| Route { angle, path: pairs(path) }).collect();
+        let routes = routes
+            .into_iter()
+            .map(|(angle, path)| Route {
+                angle,
+                path: pairs(path),
+            })
+            .collect();
         let solid = FemSolid::finger(&Design {
             profile: pairs(profile),
-            resolution: Resolution { core, rings, layers },
+            resolution: Resolution {
+                core,
+                rings,
+                layers,
+            },
             young,
             poisson,
             density,
@@ -64,20 +74,38 @@ impl Solid {
             None => Points::surface(&solid.mesh),
             Some(array) => Points::embedded(&solid.mesh, &vectors(&array, "points")?, tolerance)?,
         };
-        Ok(Solid { simulation: Simulation::new(solid, points, drive)?, core })
+        Ok(Solid {
+            simulation: Simulation::new(solid, points, drive)?,
+            core,
+        })
     }
 
     /// Surface vertices at rest (N, 3) mm.
     #[getter]
     fn vertices<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let mesh = &self.simulation.solid.mesh;
-        matrix(py, &mesh.surface.iter().map(|&n| mesh.nodes[n]).collect::<Vec<_>>())
+        matrix(
+            py,
+            &mesh
+                .surface
+                .iter()
+                .map(|&n| mesh.nodes[n])
+                .collect::<Vec<_>>(),
+        )
     }
 
     /// Surface triangles (F, 3), outward.
     #[getter]
     fn triangles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
-        let flat: Vec<i32> = self.simulation.solid.mesh.triangles.iter().flatten().map(|&v| v as i32).collect();
+        let flat: Vec<i32> = self
+            .simulation
+            .solid
+            .mesh
+            .triangles
+            .iter()
+            .flatten()
+            .map(|&v| v as i32)
+            .collect();
         PyArray1::from_vec(py, flat).reshape([self.simulation.solid.mesh.triangles.len(), 3])
     }
 
@@ -91,14 +119,21 @@ impl Solid {
     #[getter]
     fn bricks<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i64>>> {
         let bricks = &self.simulation.solid.mesh.bricks;
-        PyArray1::from_vec(py, bricks.iter().flatten().map(|&n| n as i64).collect()).reshape([bricks.len(), 8])
+        PyArray1::from_vec(py, bricks.iter().flatten().map(|&n| n as i64).collect())
+            .reshape([bricks.len(), 8])
     }
 
     /// Numbers of the clamped nodes.
     #[getter]
     fn fixed<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
         let clamped = &self.simulation.solid.mesh.clamped;
-        PyArray1::from_vec(py, (0..clamped.len()).filter(|&n| clamped[n]).map(|n| n as i64).collect())
+        PyArray1::from_vec(
+            py,
+            (0..clamped.len())
+                .filter(|&n| clamped[n])
+                .map(|n| n as i64)
+                .collect(),
+        )
     }
 
     /// Cells across the core of the mesh.
@@ -108,18 +143,33 @@ impl Solid {
     }
 
     /// One Newton step of the bricks alone at node places (n, 3): the displacement (n, 3) mm.
-    fn newton_step<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<f64>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn newton_step<'py>(
+        &self,
+        py: Python<'py>,
+        x: PyReadonlyArray2<f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let x = vectors(&x, "x")?;
         let solid = &self.simulation.solid;
         if x.len() != solid.mesh.nodes.len() {
-            return Err(invalid(format!("x: {} nodes given, the mesh has {}", x.len(), solid.mesh.nodes.len())).into());
+            return Err(invalid(format!(
+                "x: {} nodes given, the mesh has {}",
+                x.len(),
+                solid.mesh.nodes.len()
+            ))
+            .into());
         }
         let step = py.detach(|| -> Result<Vec<Vec3>> {
             // Paid out, every cable is slack: only the bricks are left.
-            let slack = Load { shortening: vec![-1e9; solid.cables.len()], gravity: [0.0; 3], tip: [0.0; 3] };
+            let slack = Load {
+                shortening: vec![-1e9; solid.cables.len()],
+                gravity: [0.0; 3],
+                tip: [0.0; 3],
+            };
             let mut work = Work::new(solid)?;
             if !work.assemble(&x, &slack).is_finite() || !work.refactor() {
-                return Err(Error::NoEquilibrium("no Newton step: a brick is inside out; bend less".into()));
+                return Err(Error::NoEquilibrium(
+                    "no Newton step: a brick is inside out; bend less".into(),
+                ));
             }
             let rhs = work.residual.iter().map(|r| -r).collect();
             let step = work.solve(rhs);
@@ -139,7 +189,9 @@ impl Solid {
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bent<'py>> {
         let total = axes.iter().map(Vec::len).product();
-        let shapes = watched(py, total, progress, |p| self.simulation.sweep(&axes, gravity, load, p))?;
+        let shapes = watched(py, total, progress, |p| {
+            self.simulation.sweep(&axes, gravity, load, p)
+        })?;
         self.bent(py, shapes)
     }
 
@@ -154,8 +206,9 @@ impl Solid {
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bent<'py>> {
         let (commands, gravity) = (rows(&commands), vectors(&gravity, "gravity")?);
-        let shapes =
-            watched(py, commands.len(), progress, |p| self.simulation.path(&commands, &gravity, load, p))?;
+        let shapes = watched(py, commands.len(), progress, |p| {
+            self.simulation.path(&commands, &gravity, load, p)
+        })?;
         self.bent(py, shapes)
     }
 
@@ -170,11 +223,15 @@ impl Solid {
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let commands = rows(&commands);
-        let found =
-            watched(py, commands.len(), progress, |p| self.simulation.fields(&commands, gravity, load, p))?;
+        let found = watched(py, commands.len(), progress, |p| {
+            self.simulation.fields(&commands, gravity, load, p)
+        })?;
         let answer = PyDict::new(py);
         for (f, name) in FIELDS.iter().enumerate() {
-            let points: Vec<f64> = found.iter().flat_map(|s| s[f].iter().flatten().copied()).collect();
+            let points: Vec<f64> = found
+                .iter()
+                .flat_map(|s| s[f].iter().flatten().copied())
+                .collect();
             let shape = [found.len(), self.simulation.points.weights.len(), 3];
             answer.set_item(name, PyArray1::from_vec(py, points).reshape(shape)?)?;
         }
@@ -186,7 +243,10 @@ impl Solid {
         Ok(py.detach(|| -> Result<(usize, usize)> {
             let mut solver = Solver::new(&self.simulation.solid)?;
             let mut state = solver.home(gravity, [0.0; 3])?;
-            solver.advance(&mut state, &self.simulation.load(&command, gravity, [0.0; 3])?)?;
+            solver.advance(
+                &mut state,
+                &self.simulation.load(&command, gravity, [0.0; 3])?,
+            )?;
             Ok((solver.iterations, solver.halved))
         })?)
     }
@@ -202,10 +262,20 @@ impl Solid {
 impl Solid {
     fn bent<'py>(&self, py: Python<'py>, shapes: Vec<Shape>) -> PyResult<Bent<'py>> {
         let (count, cables) = (shapes.len(), self.simulation.solid.cables.len());
-        let places: Vec<f64> = shapes.iter().flat_map(|s| s.places.iter().flatten().copied()).collect();
-        let tension: Vec<f64> = shapes.iter().flat_map(|s| s.tension.iter().copied()).collect();
+        let places: Vec<f64> = shapes
+            .iter()
+            .flat_map(|s| s.places.iter().flatten().copied())
+            .collect();
+        let tension: Vec<f64> = shapes
+            .iter()
+            .flat_map(|s| s.tension.iter().copied())
+            .collect();
         Ok((
-            PyArray1::from_vec(py, places).reshape([count, self.simulation.points.weights.len(), 3])?,
+            PyArray1::from_vec(py, places).reshape([
+                count,
+                self.simulation.points.weights.len(),
+                3,
+            ])?,
             PyArray1::from_vec(py, tension).reshape([count, cables])?,
         ))
     }
@@ -229,14 +299,18 @@ fn watched<T: Send>(
             let mut look = py.check_signals();
             if let (Ok(()), Some(call), true) = (&look, &progress, done != told) {
                 told = done;
-                look = call.call1(py, (done as f64 / total.max(1) as f64,)).map(|_| ());
+                look = call
+                    .call1(py, (done as f64 / total.max(1) as f64,))
+                    .map(|_| ());
             }
             if let Err(error) = look {
                 state.stop.store(true, Ordering::Relaxed);
                 trouble.get_or_insert(error);
             }
         }
-        let result = worker.join().map_err(|_| invalid("the simulator stopped unexpectedly; please report it"))?;
+        let result = worker
+            .join()
+            .map_err(|_| invalid("the simulator stopped unexpectedly; please report it"))?;
         match trouble {
             Some(error) => Err(error),
             None => {
@@ -255,13 +329,25 @@ fn matrix<'py>(py: Python<'py>, points: &[Vec3]) -> PyResult<Bound<'py, PyArray2
 }
 
 fn rows(array: &PyReadonlyArray2<f64>) -> Vec<Vec<f64>> {
-    array.as_array().rows().into_iter().map(|r| r.to_vec()).collect()
+    array
+        .as_array()
+        .rows()
+        .into_iter()
+        .map(|r| r.to_vec())
+        .collect()
 }
 
 fn vectors(array: &PyReadonlyArray2<f64>, name: &str) -> Result<Vec<Vec3>> {
     let view = array.as_array();
     if view.ncols() != 3 {
-        return Err(invalid(format!("{name}: expected shape (n, 3), got {:?}", view.shape())));
+        return Err(invalid(format!(
+            "{name}: expected shape (n, 3), got {:?}",
+            view.shape()
+        )));
     }
-    Ok(view.rows().into_iter().map(|r| [r[0], r[1], r[2]]).collect())
+    Ok(view
+        .rows()
+        .into_iter()
+        .map(|r| [r[0], r[1], r[2]])
+        .collect())
 }

@@ -2,6 +2,7 @@
 
 mod arrays;
 mod effects;
+mod fem;
 mod rod;
 mod shape;
 mod table;
@@ -38,6 +39,8 @@ impl From<Error> for PyErr {
 mod _core {
     #[pymodule_export]
     use super::effects::{PyChain, PyPredictor, effects};
+    #[pymodule_export]
+    use super::fem::Solid;
     #[pymodule_export]
     use super::rod::{PyRod, PyRodField, monomial_degrees, monomials};
     #[pymodule_export]
