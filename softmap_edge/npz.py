@@ -22,7 +22,8 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
     with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name in sorted(arrays):
             buffer = io.BytesIO()
-            np.lib.format.write_array(buffer, np.ascontiguousarray(arrays[name]), allow_pickle=False)
+            array = np.asarray(arrays[name], order="C")  # ascontiguousarray would give a number an axis
+            np.lib.format.write_array(buffer, array, allow_pickle=False)
             archive.writestr(
                 zipfile.ZipInfo(f"{name}.npy", _EPOCH), buffer.getvalue(), zipfile.ZIP_DEFLATED, compresslevel=9
             )

@@ -1,0 +1,158 @@
+"""Verbs about files: import (CSV logs → run), check and show (run or bundle)."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.importer import import_logs, read_mapping
+from softmap_edge.run import Run
+from softmap_edge.run_summary import SCHEMA, sentences, summary
+
+DONE, FAULT = 0, 1
+_BARS = "▁▂▃▄▅▆▇█"
+_WIDTH = 48  # characters of a trace
+
+
+def import_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `import`."""
+    parser.add_argument("logs", nargs="+", metavar="LOG.csv", help="the logs of one recording")
+    parser.add_argument("--map", required=True, help="mapping file (examples/trunk.toml shows the form)")
+    parser.add_argument("--out", required=True, help="the run to write (.npz)")
+
+
+def import_(args: argparse.Namespace) -> int:
+    """Read logs by a mapping and write a run."""
+    if Path(args.out).suffix != ".npz":  # before the work, not after it
+        raise RunError(f"{args.out}: a run is saved as .npz; give --out a name that ends so")
+    imported = import_logs(args.logs, read_mapping(args.map))
+    run = imported.run
+    run.save(args.out)
+    document = {
+        "schema": "softmap.import/1",
+        "out": args.out,
+        "rows": len(run.t),
+        "channels": run.channels,
+        "frames": run.frames,
+        "notes": list(imported.notes),
+        "hash": run.hash(),
+    }
+    if args.json:
+        print(json.dumps(document, ensure_ascii=False))
+    else:
+        print("\n".join([str(run), *(f"  {note}" for note in imported.notes), f"written to {args.out}"]))
+    return DONE
+
+
+def check_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `check`."""
+    parser.add_argument("path", help="a run (.npz) or a bundle folder")
+
+
+def check(args: argparse.Namespace) -> int:
+    """Say whether a run or bundle is sound, and what it holds; 0 when sound, 1 when not."""
+    path = _existing(args.path)
+    document: dict[str, Any] = {"schema": SCHEMA, "path": str(path), "kind": "bundle" if path.is_dir() else "run"}
+    try:
+        document |= {"sound": True, "fault": None} | (_bundle(path) if path.is_dir() else summary(Run.load(path)))
+    except SoftmapError as fault:
+        document |= {"sound": False, "fault": str(fault)}
+    if args.json:
+        print(json.dumps(document, ensure_ascii=False))
+    elif not document["sound"]:
+        print(f"not sound: {document['fault']}", file=sys.stderr)
+    else:
+        lines = sentences(document) if document["kind"] == "run" else _bundle_lines(document)
+        print("\n".join([f"sound     {path}", *lines]))
+    return DONE if document["sound"] else FAULT
+
+
+def show_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `show`."""
+    parser.add_argument("path", help="a run (.npz) or a bundle folder")
+
+
+def show(args: argparse.Namespace) -> int:
+    """Print what is in a run (its fields and traces) or a bundle (its manifest)."""
+    path = _existing(args.path)
+    if path.is_dir():
+        document = {"schema": "softmap.show/1", "path": str(path), "kind": "bundle", **_bundle(path)}
+        print(json.dumps(document, ensure_ascii=False) if args.json else "\n".join(_bundle_lines(document)))
+        return DONE
+    run = Run.load(path)
+    fields = [_field(name, array) for name, array in run.arrays().items()]
+    if args.json:
+        print(json.dumps({"schema": "softmap.show/1", "path": str(path), "kind": "run", "fields": fields}))
+        return DONE
+    print(run)
+    for field in fields:
+        span = "" if field["low"] is None else f"{field['low']:g} to {field['high']:g}"
+        print(f"  {field['name']:<14} {field['shape']!s:<16} {field['type']:<8} {span or field['text'] or ''}")
+    for label, values in _traces(run):
+        print(f"  {label:<14} {_trace(values)}")
+    return DONE
+
+
+def _existing(path: str) -> Path:
+    if not Path(path).exists():
+        raise RunError(f"{path}: no such file or folder; give a run (.npz) or a bundle folder")
+    return Path(path)
+
+
+def _bundle(path: Path) -> dict[str, Any]:
+    from softmap_edge.bundle import load_bundle, load_manifest
+
+    manifest = load_manifest(path)
+    model = load_bundle(path)
+    chain = {"effects": list(model.chain_names), "params": [float(p) for p in model.params]}
+    return {"manifest": manifest, **chain}
+
+
+def _bundle_lines(document: dict[str, Any]) -> list[str]:
+    manifest = document["manifest"]
+    shown = {k: v for k, v in manifest.items() if k != "sha256"} | {"effects": document["effects"] or "none"}
+    return [f"{key:<18} {_plain(value)}" for key, value in shown.items()]
+
+
+def _plain(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def _field(name: str, array: np.ndarray[Any, Any]) -> dict[str, Any]:
+    finite = array[np.isfinite(array)] if array.dtype.kind == "f" else array
+    numbers = array.dtype.kind in "biuf" and finite.size > 0
+    return {
+        "name": name,
+        "shape": list(array.shape),
+        "type": str(array.dtype),
+        "low": float(finite.min()) if numbers else None,
+        "high": float(finite.max()) if numbers else None,
+        "text": str(array.reshape(-1)[0])[:80] if array.dtype.kind in "US" and array.size else None,
+    }
+
+
+def _traces(run: Run) -> list[tuple[str, np.ndarray[Any, np.dtype[np.float64]]]]:
+    rows = run.command if run.command is not None else run.ticks
+    traces = [] if rows is None else [(f"command {c}", np.asarray(rows[:, c], float)) for c in range(run.channels)]
+    if run.frames and (run.vertices is not None or run.markers is not None) and run.seen_points.shape[1]:
+        last = run.seen_points[:, -1]
+        name = "last vertex" if run.vertices is not None else "last marker"
+        traces += [(f"{name} {axis}", last[:, k]) for k, axis in enumerate("xyz")]
+    return traces
+
+
+def _trace(values: np.ndarray[Any, np.dtype[np.float64]]) -> str:
+    """A line of bars: the mean of each part of the record, scaled to its range; a blank where nothing was seen."""
+    parts = np.array_split(values, min(_WIDTH, len(values)))
+    means = np.array([part[np.isfinite(part)].mean() if np.isfinite(part).any() else np.nan for part in parts])
+    if not np.isfinite(means).any():
+        return ""
+    low, span = np.nanmin(means), max(float(np.nanmax(means) - np.nanmin(means)), 1e-12)
+    level = np.where(np.isfinite(means), (means - low) / span * (len(_BARS) - 1), -1)
+    return "".join(" " if step < 0 else _BARS[int(round(step))] for step in level)

@@ -1,0 +1,171 @@
+"""What a run holds and what it can therefore not tell, as one plain dictionary: the content of `softmap check`.
+
+Dwells are those of `conditions`; a place is visited again when every channel is within 2 % of its range
+(servo resolution is 10 times finer, so two visits of one command are always found and two commands of a
+usual grid never mixed).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from softmap_edge.conditions import HOME, conditions
+from softmap_edge.run import Run
+
+SCHEMA = "softmap.check/1"
+SAME_PLACE = 0.02  # of a channel's range
+ENOUGH_VISITS = 3  # home at the start, at the end and in between: what drift and noise can be told apart with
+
+
+def summary(run: Run) -> dict[str, Any]:
+    """Return what a run holds, with units in the keys; `missing` and `warnings` are sentences."""
+    kind = next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None)
+    seen = None if kind is None else getattr(run, kind)
+    document: dict[str, Any] = {
+        "robot": run.robot,
+        "channels": run.channels,
+        "rows": len(run.t),
+        "duration_s": _rounded(run.t[-1] - run.t[0]),
+        "rate_hz": _rate(run.t),
+        "command_unit": "ticks" if run.ticks is not None else run.command_unit,
+        "command_range": _ranges(run),
+        "frames": run.frames,
+        "frame_rate_hz": _rate(run.t_seen),
+        "seen": kind,
+        "points_per_frame": None if seen is None or seen.ndim != 3 else int(seen.shape[1]),
+        "visible_share": 1.0 if run.visible is None or not run.visible.size else _rounded(run.visible.mean()),
+        "encoders": run.present is not None or run.present_ticks is not None,
+        "gravity": _gravity(run),
+        "load_g": None if run.load is None else [_rounded(run.load.min()), _rounded(run.load.max())],
+        "temperature_c": None
+        if run.temperature is None
+        else [_rounded(run.temperature.min()), _rounded(run.temperature.max())],
+        "blocks": [] if run.block is None else [str(label) for label in dict.fromkeys(run.block.tolist())],
+        **_visits(run),
+        "unknown_fields": sorted(set(run.extra) - {"made_from"}),
+        "hash": run.hash(),
+    }
+    document["missing"] = _missing(run, document)
+    document["warnings"] = _warnings(run)
+    return document
+
+
+def sentences(document: dict[str, Any]) -> list[str]:
+    """Return a summary in plain words, one line each."""
+    d = document
+    unit = d["command_unit"]
+    lines = [f"robot     {d['robot'] or 'not named'}"]
+    rate = "" if d["rate_hz"] is None else f" at {d['rate_hz']:g} Hz"
+    lines.append(f"commands  {d['channels']} channels, {d['rows']} rows over {d['duration_s']:g} s{rate}")
+    for c, (low, high) in enumerate(d["command_range"]):
+        lines.append(f"          channel {c}: {low:g} to {high:g} {unit}")
+    rate = "" if d["frame_rate_hz"] is None else f" at {d['frame_rate_hz']:g} Hz"
+    each = "" if d["points_per_frame"] is None else f" of {d['points_per_frame']} {d['seen']}"
+    part = "" if d["visible_share"] == 1.0 else f", {100 * d['visible_share']:.1f} % visible"
+    lines.append(f"seen      {d['frames']} frames{each}{rate}{part}")
+    lines.append(f"repeats   visits of home: {d['home_visits']}, other places visited again: {d['places_revisited']}")
+    told = [f"gravity {d['gravity']}"] if d["gravity"] else []
+    told += [f"{name} {_span(d[key])} {u}" for name, key, u in _TOLD if d[key] is not None]
+    told += ["encoder positions"] if d["encoders"] else []
+    lines.append(f"declared  {', '.join(told) or 'nothing'}")
+    if d["blocks"]:
+        lines.append(f"blocks    {len(d['blocks'])}: {', '.join(d['blocks'][:8])}{' …' * (len(d['blocks']) > 8)}")
+    if d["unknown_fields"]:
+        lines.append(f"kept      {', '.join(d['unknown_fields'])} (not known here, ignored)")
+    lines += [f"missing   {text}" for text in d["missing"]]
+    return lines + [f"look at   {text}" for text in d["warnings"]]
+
+
+_TOLD = (("load", "load_g", "g"), ("temperature", "temperature_c", "°C"))
+
+
+def _span(pair: list[float]) -> str:
+    return f"{pair[0]:g}" if pair[0] == pair[1] else f"{pair[0]:g} to {pair[1]:g}"
+
+
+def _rounded(value: Any) -> float:
+    return float(f"{float(value):.6g}")
+
+
+def _rate(t: np.ndarray[Any, np.dtype[np.float64]]) -> float | None:
+    return _rounded(1.0 / np.median(np.diff(t))) if len(t) > 1 else None
+
+
+def _ranges(run: Run) -> list[list[float]]:
+    rows = run.command if run.command is not None else run.ticks
+    return [] if rows is None else [[_rounded(c.min()), _rounded(c.max())] for c in rows.T]
+
+
+def _gravity(run: Run) -> str | None:
+    if run.gravity is None:
+        return None
+    rows = np.unique(np.round(np.atleast_2d(run.gravity), 3), axis=0)
+    if len(rows) > 4:
+        return f"in {len(rows)} orientations"
+    return " and ".join("(" + ", ".join(f"{x + 0.0:g}" for x in row) + ")" for row in rows)
+
+
+def _visits(run: Run) -> dict[str, int]:
+    """How often home, and how many other places, were dwelt at again."""
+    none = {"home_visits": 0, "places_revisited": 0}
+    given = run.command if run.command is not None else run.ticks
+    if given is None or run.channels == 0 or run.frames == 0 or len(run.t) < 2:
+        return none
+    rows = given.astype(np.float64)
+    span = np.ptp(rows, axis=0)
+    if not (span > 0).any():
+        return none
+    state = conditions(run, rows)
+    home, places = 0, list[tuple[int, ...]]()
+    last_home = False
+    for visit in np.unique(state.visit[state.visit >= 0]):
+        place = np.median(state.command[state.visit == visit], axis=0)
+        at_home = bool(np.abs(place).max() <= HOME * np.abs(rows).max())
+        home += at_home and not last_home
+        last_home = at_home
+        if not at_home:
+            places.append(tuple(np.rint(place / np.where(span > 0, SAME_PLACE * span, 1.0)).astype(int)))
+    _, counts = np.unique(np.array(places), axis=0, return_counts=True) if places else (None, np.zeros(0))
+    return {"home_visits": int(home), "places_revisited": int((counts > 1).sum())}
+
+
+def _missing(run: Run, document: dict[str, Any]) -> list[str]:
+    gaps = []
+    if run.channels == 0:
+        gaps.append("commands: effects of the drive cannot be told")
+    if run.frames == 0:
+        gaps.append("frames: nothing was seen, so nothing can be compared")
+    elif document["seen"] is None:
+        gaps.append("points: there are times of frames but no vertices, markers or points")
+    if run.frames and run.channels and document["home_visits"] < ENOUGH_VISITS and not document["places_revisited"]:
+        gaps.append("repeats: visit home at the start, at the end and in between; without it noise is only estimated")
+    if run.command is None and run.ticks is not None:
+        gaps.append("command: only ticks are given; a calibration turns them into mm")
+    if run.gravity is None:
+        gaps.append("gravity: the orientation of the robot is taken to be that of its model")
+    if run.temperature is None:
+        gaps.append("temperature: thermal softening cannot be told")
+    if run.markers is not None and run.marker_rest is None:
+        gaps.append("marker_rest: the rest place of the markers has to come from the model")
+    if run.sigma is None:
+        gaps.append("sigma: the noise of the points is estimated from repeats")
+    return gaps
+
+
+def _warnings(run: Run) -> list[str]:
+    notes = []
+    outside = int(((run.t_seen < run.t[0]) | (run.t_seen > run.t[-1])).sum())
+    if outside:
+        notes.append(f"{outside} frames lie outside the time of the commands; the nearest command is taken as held")
+    for name in ("t", "t_seen"):
+        step = np.diff(getattr(run, name))
+        if len(step) > 2 and step.max() > 10 * np.median(step):
+            row = int(np.argmax(step))
+            notes.append(f"{name} has a gap of {step.max():.3g} s after row {row} (usual step {np.median(step):.3g} s)")
+    if run.visible is not None and run.visible.size and run.visible.mean() < 0.5:
+        notes.append(f"only {100 * run.visible.mean():.0f} % of the points are visible")
+    if run.command_unit != "mm":
+        notes.append(f"commands are in {run.command_unit}: every figure about the drive carries that unit")
+    return notes
