@@ -1,13 +1,13 @@
-"""Fit a rod to a reference run: the prior of a robot that has no simulator. Seconds, numpy and the compiled core only.
+"""Fit a rod to a reference run: the prior of a robot that has no simulator. Seconds; numpy and the core only.
 
-The rod (rust/rod.rs) turns commands into bending angles of K chords by a polynomial, then into markers. Here its weights
-are found by ridge regression, and with them the delay and lag of the drive, which stay effects of the chain.
+The rod (rust/rod.rs) turns commands into bending angles of K chords by a polynomial, then into markers. Its weights are
+found by ridge regression, and with them the delay and lag of the drive, which stay effects of the chain.
 
-    markers ─chords─> angles v (rad), lengths (mm);  v ≈ polynomial(q),  length ≈ quadratic(v),  q = (u_eff − centre)/scale
+    v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
 
-Penalty: n · ridge · RIDGE[degree of the monomial] on all weights but the intercept, n frames. Degree, ridge, delay and lag
-are those with the lowest blocked cross-validation error: contiguous blocks in time, and frames closer than `gap_s` to a
-block are not used to predict it. These few choices are made on the same blocks that give the stated error, so it is
+Penalty: n · ridge · RIDGE[degree of the monomial] on all weights but the intercept, n frames. Degree, ridge, delay and
+lag are those with the lowest blocked cross-validation error: contiguous blocks in time, and frames closer than `gap_s`
+to a block are not used to predict it. These few choices are made on the blocks that give the stated error, so it is
 slightly low; frames in `hold_out` are never looked at.
 Known limit: memory other than delay and lag is not fitted; one marker at the end of each chord, base to tip.
 tests/test_rod.py pins exact recovery and the error on real data.
@@ -41,8 +41,11 @@ TIP_PER_NEWTON = 0.1  # nominal: 1 N across the tip moves it by a tenth of the l
 
 @dataclass(frozen=True, eq=False)
 class RodParameters:
-    """The numbers of a rod: `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad,
-    `lengths` (1 + G, K) mm and the nominal `compliance` of its load fields in N⁻¹·mm⁻²."""
+    """The numbers of a rod.
+
+    `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + G, K)
+    mm and the nominal `compliance` of its load fields in N⁻¹·mm⁻².
+    """
 
     base: Floats
     centre: Floats
@@ -154,7 +157,7 @@ def learn(
     if run.markers is None or commands.shape[1] == 0 or len(t) < 2:
         raise RunError("a rod is learned from markers and at least two rows of commands; this run lacks one of them")
     frames = _usable(run, hold_out, rate_hz)
-    degrees = DEGREES if degree is None else (degree,)
+    degrees: tuple[int, ...] = DEGREES if degree is None else (degree,)
     parts = folds(run.t_seen[frames], blocks, gap_s)
     smallest = min(len(train) for _, train in parts)
     degrees = tuple(d for d in degrees if 2 * len(_core.monomial_degrees(commands.shape[1], d)) < smallest)
@@ -182,7 +185,7 @@ def learn(
         "ridge": ridge, "blocks": blocks, "gap_s": gap_s, "hold_out_s": [list(map(float, pair)) for pair in hold_out],
         "per_fold_mm": [round(rms(residuals[test]), 4) for test, _ in parts],
         "per_marker_mm": [round(rms(residuals[:, k]), 4) for k in range(residuals.shape[1])],
-        "compliance": "nominal: 1 N across the tip moves it by a tenth of the length; the weight of a load is not identifiable",
+        "compliance": "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams",
     }  # fmt: skip
     return LearnedRod(
         rod=rod,
@@ -259,7 +262,7 @@ def _base(base: ArrayLike | None) -> Floats:
 
 
 def _nominal(lengths: Floats) -> float:
-    """Return the compliance c (N⁻¹·mm⁻²) of a straight cantilever, c·L³/3 of the tip per N, at the nominal stiffness."""
+    """Return the nominal compliance c (N⁻¹·mm⁻²): a straight cantilever's tip moves by c·L³/3 per N."""
     return float(3.0 * TIP_PER_NEWTON / lengths.mean(axis=0).sum() ** 2)
 
 

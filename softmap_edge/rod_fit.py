@@ -38,9 +38,11 @@ class Weights:
 
 
 def folds(t: Floats, blocks: int, gap_s: float) -> Folds:
-    """Cut frames at `t` (n,) s into contiguous blocks of equal number; each is predicted from those `gap_s` away or more."""
+    """Cut frames at `t` (n,) s into contiguous blocks; each is predicted from the frames over `gap_s` away."""
     if blocks < 2 or len(t) < 2 * blocks:
-        raise RunError(f"{len(t)} usable frames and {blocks} blocks; cross-validation needs 2 blocks of 2 frames or more")
+        raise RunError(
+            f"{len(t)} usable frames and {blocks} blocks; cross-validation needs 2 blocks of 2 frames or more"
+        )
     parts: Folds = []
     for test in np.array_split(np.arange(len(t)), blocks):
         train = np.flatnonzero((t < t[test[0]] - gap_s) | (t > t[test[-1]] + gap_s))
