@@ -67,7 +67,7 @@ class RodParameters:
     def to_arrays(self) -> Arrays:
         """Return the arrays of `prior.npz`."""
         arrays: Arrays = {name: getattr(self, name) for name in ("base", "centre", "scale", "angles", "lengths")}
-        return arrays | {"degree": np.array(self.degree), "compliance": np.array(self.compliance)}
+        return arrays | {"degree": np.array([self.degree]), "compliance": np.array([self.compliance])}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> RodParameters:
@@ -76,17 +76,17 @@ class RodParameters:
         Raises:
             SoftmapError: an array is missing or has the wrong number of axes.
         """
-        axes = {"base": 1, "centre": 1, "scale": 1, "angles": 2, "lengths": 2, "degree": 0, "compliance": 0}
+        axes = {"base": 1, "centre": 1, "scale": 1, "angles": 2, "lengths": 2, "degree": 1, "compliance": 1}
         values: dict[str, Floats] = {}
         for name, ndim in axes.items():
             if name not in arrays or np.ndim(arrays[name]) != ndim:
                 got = f"of {np.ndim(arrays[name])} axes" if name in arrays else "missing"
                 raise SoftmapError(f"rod: array '{name}' is {got}, expected {ndim} axes; learn the bundle again")
             values[name] = np.ascontiguousarray(arrays[name], float)
-        degree = float(values.pop("degree"))
-        if degree not in (1, 2, 3, 4):
-            raise SoftmapError(f"rod: degree {degree:g}, expected 1 to 4; learn the bundle again")
-        return cls(degree=int(degree), compliance=float(values.pop("compliance")), **values)
+        degree, compliance = values.pop("degree").tolist(), values.pop("compliance").tolist()
+        if degree not in ([1], [2], [3], [4]) or len(compliance) != 1:
+            raise SoftmapError(f"rod: degree {degree}, expected one of 1 to 4; learn the bundle again")
+        return cls(degree=int(degree[0]), compliance=compliance[0], **values)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,7 @@ from softmap_edge.bundle import load_bundle, save_bundle
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.rod import FIELDS, LearnedRod, RodParameters, learn, learn_model
 from softmap_edge.rod_fit import Drive, Fit, folds
-
-run_module = pytest.importorskip("softmap_edge.run", reason="the run module is not part of this build")
-Run = run_module.Run
+from softmap_edge.run import Run
 
 ROOT = Path(__file__).parent.parent
 TRUNK = next((p for p in (ROOT / "data/trunk", ROOT.parent / "shared/data/trunk") if p.is_dir()), None)
@@ -173,7 +171,7 @@ def test_a_bundle_predicts_like_the_rod_it_was_made_from(truth, tmp_path):
         {"markers": None},
         {"command": np.zeros((6000, 0))},
         {"t_seen": np.arange(4) / 20.0, "markers": np.zeros((4, 2, 3))},
-        {"t_seen": np.arange(60) / 20.0, "markers": np.zeros((60, 2, 3)) + [[[0, 0, 1.0]], ]},
+        {"t_seen": np.arange(60) / 20.0, "markers": np.zeros((60, 2, 3)) + [0.0, 0.0, 1.0]},
     ],
 )
 def test_runs_that_teach_nothing_are_refused_in_one_line(plain, change):
