@@ -86,8 +86,7 @@ def convert(name: str, value: Any) -> NDArray[Any]:
     if kind == "integer":
         if array.dtype.kind == "f" and not (np.isfinite(array).all() and (array == np.rint(array)).all()):
             raise RunError(
-                f"{name}: fractions or NaN, expected whole ticks or counts; round them or give `command` "
-                "in mm"
+                f"{name}: fractions or NaN, expected whole ticks or counts; round them or give `command` in mm"
             )
         if array.size and float(np.abs(array.astype(np.float64)).max()) > 2**53:
             raise RunError(f"{name}: values beyond 2^53; give ticks counted from home")
@@ -161,15 +160,11 @@ def _shape(name: str, value: NDArray[Any], axes: str, sizes: dict[str, tuple[int
     if fits:
         return
     written = ", ".join(axes) + ("," if len(axes) == 1 else "")
-    known = [
-        f"{axis} = {sizes[axis][0]} from {sizes[axis][1]}" for axis in axes if axis in sizes and axis != "3"
-    ]
+    known = [f"{a} = {sizes[a][0]} from {sizes[a][1]}" for a in axes if sizes.get(a, (0, ""))[1] not in ("", name)]
     hint = ""
     if name in ("command", "ticks", "present", "present_ticks") and value.ndim == 1:
         hint = "; one channel is a column, shape (T, 1)"
-    elif value.ndim == len(axes) == 2 and value.shape[::-1] == tuple(
-        sizes.get(axis, (0,))[0] for axis in axes
-    ):
+    elif value.ndim == len(axes) == 2 and value.shape[1] == sizes.get(axes[0], (-1,))[0] != value.shape[0]:
         hint = "; it looks transposed"
     elif value.ndim == len(axes) and axes.endswith("3") and value.shape[-1] != 3:
         hint = "; the last axis is x, y, z"
@@ -182,11 +177,7 @@ def _values(name: str, value: NDArray[Any], run: Run) -> None:
         return
     if value.dtype.kind == "f":
         bad = ~np.isfinite(value)
-        if (
-            name in ("vertices", "markers")
-            and run.visible is not None
-            and run.visible.shape == value.shape[:2]
-        ):
+        if name in ("vertices", "markers") and run.visible is not None and run.visible.shape == value.shape[:2]:
             bad &= run.visible[..., None]
         if bad.any():
             where = tuple(int(i) for i in np.argwhere(bad)[0])
@@ -195,9 +186,7 @@ def _values(name: str, value: NDArray[Any], run: Run) -> None:
                 if name in ("vertices", "markers")
                 else "remove or interpolate these rows"
             )
-            raise RunError(
-                f"{name}: {int(bad.sum())} values are not finite, the first at {list(where)}; {remedy}"
-            )
+            raise RunError(f"{name}: {int(bad.sum())} values are not finite, the first at {list(where)}; {remedy}")
     if name in RANGES and value.size:
         low, high, unit, remedy = RANGES[name]
         finite = value[np.isfinite(value)] if value.dtype.kind == "f" else value
@@ -238,18 +227,13 @@ def _together(run: Run) -> None:
         value = getattr(run, name)
         if value is not None and value.ndim and not {"vertices", "markers"} & set(seen):
             raise RunError(
-                f"{name}: given for each point, but the run holds no vertices or markers; give them or "
-                "drop it"
+                f"{name}: given for each point, but the run holds no vertices or markers; give them or drop it"
             )
     for name, present in (("command", run.present), ("ticks", run.present_ticks)):
         if present is not None and run.channels == 0 and present.shape[1]:
-            raise RunError(
-                f"present: {present.shape[1]} channels, but `{name}` has none; give what was commanded"
-            )
+            raise RunError(f"present: {present.shape[1]} channels, but `{name}` has none; give what was commanded")
     if run.command_unit == "" or len(run.command_unit) > 32:
-        raise RunError(
-            f"command_unit: '{run.command_unit[:40]}', expected a short unit such as mm, deg or ticks"
-        )
+        raise RunError(f"command_unit: '{run.command_unit[:40]}', expected a short unit such as mm, deg or ticks")
     if run.marker_rest is not None and run.vertices is not None:
         raise RunError("marker_rest: belongs to markers, but the run holds vertices; drop it")
 
@@ -268,17 +252,11 @@ def _units(run: Run) -> None:
         worst = float(length[np.argmax(np.abs(length - 1.0))])
         if abs(worst - 1.0) > 1e-3:
             raise RunError(
-                f"gravity: length {worst:.4g}, expected a unit vector in the base frame; divide it by "
-                "its length"
+                f"gravity: length {worst:.4g}, expected a unit vector in the base frame; divide it by its length"
             )
     for name in ("command", "present"):
         value = getattr(run, name)
-        if (
-            run.command_unit == "mm"
-            and value is not None
-            and value.size
-            and np.abs(value).max() > _COMMAND_LIMIT
-        ):
+        if run.command_unit == "mm" and value is not None and value.size and np.abs(value).max() > _COMMAND_LIMIT:
             raise RunError(
                 f"{name}: up to {np.abs(value).max():.4g} mm of tendon, at most {_COMMAND_LIMIT:g} is "
                 "plausible; "
@@ -298,6 +276,4 @@ def _units(run: Run) -> None:
         sample = sample[np.isfinite(sample).all(axis=1)]
         extent = float(np.ptp(sample, axis=0).max()) if len(sample) > 1 else _SMALLEST
         if extent < _SMALLEST:
-            raise RunError(
-                f"{name}: all points lie within {extent:.3g} mm, which looks like metres; multiply by 1000"
-            )
+            raise RunError(f"{name}: all points lie within {extent:.3g} mm, which looks like metres; multiply by 1000")
