@@ -63,9 +63,15 @@ def fall(before: float, after: float, floor: float | None = None) -> float | Non
     return (before - after) / removable if removable > 0 and math.isfinite(after) else None
 
 
-def percent(share: float | None) -> str:
+def percent(share: Any) -> str:
     """Return a share as '87 %', or '–' where it is not known."""
-    return "–" if share is None or not math.isfinite(share) else f"{100 * share:.0f} %"
+    known = number(share)
+    return "–" if known is None else f"{100 * known:.0f} %"
+
+
+def number(value: Any) -> float | None:
+    """Return a finite number as a float, anything else as None."""
+    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
 
 
 def comparison_text(comparison: Comparison) -> str:
@@ -189,10 +195,37 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
 
 
 def check_diagnosis(document: Any) -> None:
-    """Raise ReportError unless `document` is a mapping of schema softmap.diagnosis/1 with a verdict."""
+    """Raise ReportError unless `document` has the schema softmap.diagnosis/1 and its entries have its shape."""
     schema = document.get("schema") if isinstance(document, Mapping) else None
     if schema != "softmap.diagnosis/1" or not isinstance(document.get("verdict"), str):
         raise ReportError(f"this is no diagnosis: schema {schema!r}, expected 'softmap.diagnosis/1' with a verdict")
+    for key in ("where", "error", "unexplained", "made_from"):
+        _demand(document.get(key) or {}, Mapping, key)
+    for key in ("effects", "faults", "rivals", "not_testable", "next"):
+        for row in _demand(document.get(key) or [], list, key):
+            _demand(row, Mapping, f"an entry of {key}")
+    for row in [*(document.get("effects") or []), *(document.get("faults") or [])]:
+        _demand(row.get("displacement_mm") or {}, Mapping, "displacement_mm")
+        for value in _demand(row.get("params") or {}, Mapping, "params").values():
+            _demand(value, Mapping, "an entry of params")
+    for row in document.get("rivals") or []:
+        _demand(row.get("effects") or [], list, "effects of a rival")
+    for row in _demand((document.get("error") or {}).get("ladder") or [], list, "ladder"):
+        _demand(row, Mapping, "a step of the ladder")
+    for moment in ("before", "after"):
+        maps = _demand((document.get("where") or {}).get(moment) or {}, Mapping, f"where.{moment}")
+        for name, rows in maps.items():
+            for row in _demand(rows, list, f"where.{moment}.{name}"):
+                if number(_demand(row, Mapping, f"a bin of {name}").get("rms_mm")) is None or "label" not in row:
+                    raise ReportError(f"damaged diagnosis: a bin of {name} has no label or rms_mm; make it again")
+
+
+def _demand(value: Any, kind: Any, name: str) -> Any:
+    if not isinstance(value, kind):
+        raise ReportError(
+            f"damaged diagnosis: {name} is {type(value).__name__}, expected {kind.__name__}; make it again"
+        )
+    return value
 
 
 def ladder(error: Mapping[str, Any]) -> list[tuple[str, float]]:
@@ -207,7 +240,7 @@ def ladder(error: Mapping[str, Any]) -> list[tuple[str, float]]:
     steps = [("model alone", error.get("model")), ("static correction only", error.get("static_residual"))]
     steps += [(f"+ {row.get('added', '?')}", row.get("value")) for row in error.get("ladder") or []]
     steps.append(("+ static correction", error.get("with_static_residual")))
-    return [(name, float(v)) for name, v in steps if isinstance(v, (int, float)) and math.isfinite(v)]
+    return [(name, known) for name, value in steps if (known := number(value)) is not None]
 
 
 def _top(comparisons: Sequence[Comparison]) -> float:
@@ -272,12 +305,12 @@ def _effect_lines(row: Mapping[str, Any]) -> list[str]:
 
 def parameter(value: Mapping[str, Any]) -> str:
     """Return a fitted parameter as 'value ± sigma unit', with as many digits as its sigma allows."""
-    best, sigma, unit = value.get("value"), value.get("sigma"), str(value.get("unit") or "")
-    if not isinstance(best, (int, float)) or not math.isfinite(best):
+    best, sigma, unit = value.get("value"), value.get("sigma") or 0.0, str(value.get("unit") or "")
+    if number(best) is None:
         return "–"
-    if not isinstance(sigma, (int, float)) or not math.isfinite(sigma) or sigma <= 0:
+    if number(sigma) is None or sigma <= 0:
         return f"{best:.4g} {unit}".rstrip() + " (uncertainty not known)"
-    digits = min(max(1 - math.floor(math.log10(sigma)), 0), 6)
+    digits = min(max(1 - math.floor(math.log10(sigma)), 0), 9)
     return f"{best:.{digits}f} ± {sigma:.{digits}f} {unit}".rstrip()
 
 
@@ -289,8 +322,8 @@ def _ladder_lines(error: Mapping[str, Any]) -> list[str]:
     scale = max(value for _, value in steps)
     lines = ["", f"Error ladder ({kind}, {unit})"]
     lines += [f"  {name:<30}{mm(value):>8}  {bar(value, scale, 40)}" for name, value in steps]
-    floor = error.get("floor")
-    if isinstance(floor, (int, float)) and math.isfinite(floor):
+    floor = number(error.get("floor"))
+    if floor is not None:
         lines.append(f"  {'floor':<30}{mm(floor):>8}  {bar(floor, scale, 40).replace('█', '░')}")
         lines += _folded(f"floor: {error.get('floor_kind', 'origin not stated')}", 2)
     noise, own = mm(error.get("noise_floor")), mm(error.get("model_floor"))

@@ -1,0 +1,251 @@
+"""The reports: what the text says, that the page is whole, loads nothing and trusts nobody, what bad input gives."""
+
+import copy
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_compare import lean, triangle
+
+from softmap_edge.compare import compare, series
+from softmap_edge.errors import ReportError
+from softmap_edge.report import bar, diagnosis_text, fall, pair_text, parameter
+from softmap_edge.report_html import write_html
+
+DIAGNOSIS = {
+    "schema": "softmap.diagnosis/1",
+    "verdict": "partly_explained",
+    "sentence": "Backlash of 0.62 mm is missing; 0.21 mm are left.",
+    "effects": [
+        {
+            "name": "backlash",
+            "family": "reversal hysteresis",
+            "stage": "transmission",
+            "probability": 0.97,
+            "share": 0.71,
+            "displacement_mm": {"fitted": 1.82, "held_out": None},
+            "params": {"backlash.gap": {"value": 0.6213, "sigma": 0.013, "unit": "mm", "at_bound": True}},
+        }
+    ],
+    "faults": [],
+    "rivals": [{"effects": ["friction"], "why": "within two standard errors"}],
+    "not_testable": [{"name": "thermal_softening", "why": "no temperature", "experiment": "a warm-up"}],
+    "where": {
+        "before": {"speed": [{"label": "still", "low": None, "high": None, "n": 9, "rms_mm": 1.0}] * 2},
+        "after": {"speed": [{"label": "still", "low": None, "high": None, "n": 9, "rms_mm": 0.2}] * 2},
+    },
+    "error": {
+        "kind": "held-out rms",
+        "unit": "mm",
+        "model": 2.41,
+        "static_residual": 1.98,
+        "ladder": [{"added": "backlash", "value": 0.93}],
+        "with_static_residual": 0.27,
+        "noise_floor": 0.1,
+        "model_floor": 0.19,
+        "floor": 0.21,
+        "floor_kind": "nothing hidden",
+    },
+    "unexplained": {"rms_mm": 0.21, "chi2_per_n": 1.8, "blocked_r2": 0.22, "predicted_by": ["dwell"]},
+    "next": [{"block": "staircase", "minutes": 2.5, "settles": ["creep"], "separation": 42.0}],
+    "made_from": {"seed": 1},
+}
+
+
+@pytest.fixture(scope="module")
+def pair():
+    run = triangle(noise=0.05)
+    worse, better = lean(lambda run, p: 2.0), lean(lambda run, p: 0.2)
+    return run, worse, better, compare(worse, run), compare(better, run)
+
+
+def test_bars_are_proportional():
+    assert len(bar(1.0, 1.0, 10)) == 10 and len(bar(0.5, 1.0, 10)) == 5
+    assert bar(0.0, 1.0) == bar(float("nan"), 1.0) == bar(1.0, 0.0) == ""
+    assert bar(1e-9, 1.0) == "▏"
+
+
+def test_fall_is_counted_above_the_floor():
+    assert fall(3.0, 1.0) == pytest.approx(2 / 3) and fall(3.0, 1.0, 1.0) == pytest.approx(1.0)
+    assert fall(1.0, 2.0) == pytest.approx(-1.0) and fall(1.0, 0.5, 1.0) is None
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ({"value": 0.6213, "sigma": 0.013, "unit": "mm"}, "0.621 ± 0.013 mm"),
+        ({"value": 59.96, "sigma": 4.2, "unit": "g"}, "60.0 ± 4.2 g"),
+        ({"value": 1.0, "sigma": None, "unit": ""}, "1 (uncertainty not known)"),
+        ({"value": float("nan"), "sigma": 1.0}, "–"),
+    ],
+)
+def test_parameters_have_as_many_digits_as_they_deserve(value, text):
+    assert parameter(value) == text
+
+
+def test_one_comparison_reads_well(pair):
+    text = str(pair[3])
+    assert "rms" in text and "3.46" in text and "noise floor" in text and "along the body" in text
+    assert max(map(len, text.splitlines())) <= 100 and "█" in text
+
+
+def test_a_pair_shows_the_fall_and_its_scale(pair):
+    text = pair_text(pair[3], pair[4])
+    assert "falls from 3.46 to 0.357 mm RMS (90 %)" in text and "92 % is gone" in " ".join(text.split())
+    assert text.count("░") > 1 and text.count("▓") == 1  # once in the legend
+    assert max(map(len, text.splitlines())) <= 100
+
+
+def test_a_rise_is_called_a_rise(pair):
+    text = pair_text(pair[4], pair[3])
+    assert "ROSE from 0.357 to 3.46 mm" in text and text.count("▓") > 1
+
+
+def test_pairs_of_different_runs_are_refused(pair, tmp_path):
+    other = compare(pair[1], triangle(noise=0.05, seed=5))
+    with pytest.raises(ReportError, match="different runs"):
+        pair_text(pair[3], other)
+    with pytest.raises(ReportError, match="different runs"):
+        write_html(tmp_path / "page.html", [pair[3], other])
+
+
+def test_diagnosis_says_everything_it_knows():
+    text = diagnosis_text(DIAGNOSIS)
+    for part in (
+        *("partly explained", "backlash.gap", "0.621 ± 0.013 mm", "at its bound", "friction", "thermal_softening"),
+        *("a warm-up", "+ backlash", "floor: nothing hidden", "blocked R²", "staircase", "2.5 min", "held-out rms"),
+    ):
+        assert part in text, part
+    assert max(map(len, text.splitlines())) <= 100
+
+
+def test_a_diagnosis_of_nothing():
+    empty = {"schema": "softmap.diagnosis/1", "verdict": "nothing", "sentence": "Nothing above the floor."}
+    assert "Nothing above the floor." in diagnosis_text(empty)
+
+
+def page(path):
+    return path.read_text(encoding="utf-8")
+
+
+def test_page_holds_pictures_and_loads_nothing(pair, tmp_path):
+    run, worse, better, before, after = pair
+    text = page(write_html(tmp_path / "page.html", [before, after], DIAGNOSIS, series(run, worse, better)))
+    assert text.count("data:image/") == 5  # time, body, ladder, where, tip
+    outside = re.sub(r'src="data:image/[^"]*"', "", text)
+    assert not re.search(r"https?://|<script|<link|<iframe|url\(|@import|\bon\w+=", outside)
+    assert "default-src 'none'" in outside
+    assert "held out" in outside and "3.46 mm" in outside and "0.621 ± 0.013 mm" in outside
+    assert str(tmp_path) not in text
+
+
+def test_same_input_gives_the_same_page(pair, tmp_path):
+    run, worse, _, before, _ = pair
+    first = write_html(tmp_path / "a.html", before, None, series(run, worse))
+    second = write_html(tmp_path / "b.html", before, None, series(run, worse))
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_fitted_run_is_called_fitted(pair, tmp_path):
+    run, worse, _, before, _ = pair
+    assert "fitted: this run took part" in page(
+        write_html(tmp_path / "p.html", before, series=series(run, worse, kind="fitted"))
+    )
+
+
+def test_markers_have_a_page_too(pair, tmp_path):
+    run, worse, better, _, _ = pair
+    bare = np.zeros((0, 3), int)
+    one, two = replace(worse, triangles=bare), replace(better, triangles=bare)
+    text = page(write_html(tmp_path / "m.html", [compare(one, run), compare(two, run)], None, series(run, one, two)))
+    assert text.count("data:image/png") == 1
+
+
+def test_hostile_names_stay_text(pair, tmp_path):
+    run, worse, _, _, _ = pair
+    evil = '<script>alert("x")</script>\ud800 $\\frac{1}{0}$ \x00 机器人'
+    named = replace(worse, robot=evil)
+    document = copy.deepcopy(DIAGNOSIS)
+    document["sentence"] = document["effects"][0]["name"] = document["error"]["ladder"][0]["added"] = evil
+    document["where"]["before"]["speed"][0]["label"] = evil
+    document["rivals"][0]["why"] = document["error"]["kind"] = document["made_from"]["seed"] = evil
+    text = page(write_html(tmp_path / "evil.html", compare(named, run), document, series(run, named)))
+    assert "<script" not in text and "&lt;script&gt;" in text
+    text = page(write_html(tmp_path / "diagnosis.html", None, document))
+    assert "<script" not in text
+
+
+def test_what_a_page_needs(pair, tmp_path):
+    before = pair[3]
+    with pytest.raises(ReportError, match="nothing to show"):
+        write_html(tmp_path / "p.html")
+    with pytest.raises(ReportError, match="3 comparisons"):
+        write_html(tmp_path / "p.html", [before] * 3)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"schema": "softmap.diagnosis/9"},
+        {"verdict": None},
+        {"effects": ["backlash"]},
+        {"effects": [{"params": {"gap": 3}}]},
+        {"error": [3]},
+        {"error": {"ladder": [3]}},
+        {"where": {"before": {"speed": [{"label": "x"}]}}},
+        {"rivals": {"a": 1}},
+    ],
+)
+def test_damaged_diagnoses_are_refused(damage, tmp_path):
+    with pytest.raises(ReportError, match="diagnosis"):
+        diagnosis_text(DIAGNOSIS | damage)
+    with pytest.raises(ReportError, match="diagnosis"):
+        write_html(tmp_path / "p.html", None, DIAGNOSIS | damage)
+    assert not (tmp_path / "p.html").exists()
+
+
+@pytest.mark.parametrize("junk", ["x", float("nan"), []])
+def test_odd_values_never_break_a_report(junk, tmp_path):
+    """Every leaf of the document in turn becomes junk: a report or a ReportError, nothing else."""
+    for where in leaves(DIAGNOSIS):
+        document = copy.deepcopy(DIAGNOSIS)
+        target = document
+        for key in where[:-1]:
+            target = target[key]
+        target[where[-1]] = junk
+        try:
+            diagnosis_text(document)
+        except ReportError:
+            continue
+        if where[0] == "error":
+            write_html(tmp_path / "p.html", None, document)
+
+
+def leaves(value, path=()):
+    if isinstance(value, dict):
+        return [leaf for key, inner in value.items() for leaf in leaves(inner, (*path, key))]
+    if isinstance(value, list):
+        return [leaf for key, inner in enumerate(value) for leaf in leaves(inner, (*path, key))]
+    return [path]
+
+
+def test_without_matplotlib_text_works_and_html_says_what_to_install(tmp_path):
+    code = (
+        "import sys; sys.modules['matplotlib'] = None\n"
+        "from test_compare import lean, triangle\n"
+        "from softmap_edge.compare import compare\n"
+        "from softmap_edge.report_html import write_html\n"
+        "found = compare(lean(), triangle()); str(found); found.to_dict()\n"
+        f"write_html({str(tmp_path / 'p.html')!r}, found)\n"
+    )
+    here = Path(__file__).parent
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(here), str(here.parent)])}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert done.returncode == 1
+    assert "pip install 'softmap-edge[report]'" in done.stderr.strip().splitlines()[-1]
+    assert not (tmp_path / "p.html").exists()
