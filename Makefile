@@ -7,7 +7,7 @@ OUT ?= out
 
 RUST := $(shell find rust -name '*.rs') Cargo.toml Cargo.lock
 
-.PHONY: demo test lint bench prove docs wheel data clean test-rust test-python
+.PHONY: demo test lint bench prove docs wheel data builtin clean test-rust test-python
 
 demo: $(VENV)/.core
 	$(BIN)/softmap demo --out $(OUT)/demo
@@ -43,6 +43,10 @@ wheel: $(VENV)/.core
 
 data: $(VENV)/.core
 	$(BIN)/python examples/fetch_data.py data
+
+# The bundle of the built-in finger, which ships in the wheel; run after a change to the simulator or to finger.toml.
+builtin: $(VENV)/.core
+	$(BIN)/softmap build --out softmap_edge/data/finger
 
 clean:
 	rm -rf $(VENV) target dist build $(OUT) softmap_edge/*.so
