@@ -2,6 +2,7 @@
 //!
 //! Nothing here knows Python except the `python` module, which only converts and forwards.
 
+mod cubic;
 pub mod effects;
 pub mod error;
 pub mod fem;

@@ -1,14 +1,11 @@
 //! A shape family tabulated on a tensor grid of commands: a few modes, cubic interpolation between the nodes.
 //!
-//! `shape(u) = mean + Σ_m a_m(u)·mode_m`, where `a_m` is interpolated from its values at the grid nodes by cubic Hermite
-//! pieces whose node slopes come from the parabola through three neighbouring nodes (one-sided at the borders). On even
-//! spacing this is cubic convolution (R. Keys, "Cubic convolution interpolation for digital image processing", 1981,
-//! doi:10.1109/TASSP.1981.1163711); unlike there, axes may be uneven. Units: mm of command in, whatever was tabulated out.
-//!
-//! C1 everywhere, exact for quadratics per axis, error O(h³). Outside the grid the family continues linearly from the
-//! border in each axis. Limits: at most three channels; kinks of the tabulated family are rounded over one cell. Pinned
-//! by the tests at the foot.
+//! `shape(u) = mean + Σ_m a_m(u)·mode_m`, where `a_m` is interpolated from its values at the grid nodes by the cubic pieces of
+//! `cubic.rs`, axis by axis. Units: mm of command in, whatever was tabulated out. C1; outside the grid the family continues
+//! linearly from the border in each axis. Limits: at most three channels; kinks of the tabulated family are rounded over one
+//! cell. Pinned by the tests at the foot.
 
+use crate::cubic::{NO_AXIS, Stencil, stencil};
 use crate::error::{Result, invalid};
 use crate::shape::Shape;
 
@@ -27,20 +24,6 @@ pub struct Table {
     modes: Vec<f64>,
     count: usize,
 }
-
-/// The nodes that one axis contributes at one command: first node, how many, and their weights.
-#[derive(Clone, Copy)]
-struct Stencil {
-    first: usize,
-    count: usize,
-    weights: [f64; 4],
-}
-
-const NO_AXIS: Stencil = Stencil {
-    first: 0,
-    count: 1,
-    weights: [1.0, 0.0, 0.0, 0.0],
-};
 
 impl Table {
     /// Build a table from `axes` (rising, ≥ 2 nodes each), `coefficients` (n_1·…·n_C, m) with the last axis fastest,
@@ -236,76 +219,6 @@ impl Shape for Table {
                 .for_each(|(m, slope)| out[m * channels + c] = *slope);
         }
     }
-}
-
-/// Weights of the (at most four) nodes that carry the value at `u`, or its derivative.
-fn stencil(axis: &[f64], u: f64, derivative: bool) -> Stencil {
-    let last = axis.len() - 1;
-    let cell = axis.partition_point(|node| *node <= u).clamp(1, last) - 1;
-    let width = axis[cell + 1] - axis[cell];
-    let inside = u.clamp(axis[0], axis[last]);
-    let s = (inside - axis[cell]) / width;
-    let value = [
-        (1.0 + 2.0 * s) * (1.0 - s) * (1.0 - s),
-        s * s * (3.0 - 2.0 * s),
-        width * s * (1.0 - s) * (1.0 - s),
-        -width * s * s * (1.0 - s),
-    ];
-    let slope = [
-        6.0 * s * (s - 1.0) / width,
-        -6.0 * s * (s - 1.0) / width,
-        (1.0 - s) * (1.0 - 3.0 * s),
-        s * (3.0 * s - 2.0),
-    ];
-    let mut hermite = if derivative { slope } else { value };
-    if !derivative && inside != u {
-        for i in 0..4 {
-            hermite[i] += slope[i] * (u - inside);
-        }
-    }
-    let first = cell.saturating_sub(1);
-    let count = (cell + 3).min(last + 1) - first;
-    let mut weights = [0.0; 4];
-    weights[cell - first] += hermite[0];
-    weights[cell + 1 - first] += hermite[1];
-    for (node, weight) in [(cell, hermite[2]), (cell + 1, hermite[3])] {
-        let (start, slopes) = node_slope(axis, node);
-        for (i, value) in slopes.iter().enumerate().take(axis.len().min(3)) {
-            weights[start + i - first] += weight * value;
-        }
-    }
-    Stencil {
-        first,
-        count,
-        weights,
-    }
-}
-
-/// Slope at a node of the parabola through it and its neighbours, as weights of nodes `start..start + 3`.
-fn node_slope(axis: &[f64], node: usize) -> (usize, [f64; 3]) {
-    if axis.len() == 2 {
-        let width = axis[1] - axis[0];
-        return (0, [-1.0 / width, 1.0 / width, 0.0]);
-    }
-    let start = node.saturating_sub(1).min(axis.len() - 3);
-    let (a, b) = (
-        axis[start + 1] - axis[start],
-        axis[start + 2] - axis[start + 1],
-    );
-    let weights = match node - start {
-        0 => [
-            -(2.0 * a + b) / (a * (a + b)),
-            (a + b) / (a * b),
-            -a / (b * (a + b)),
-        ],
-        1 => [-b / (a * (a + b)), (b - a) / (a * b), a / (b * (a + b))],
-        _ => [
-            b / (a * (a + b)),
-            -(a + b) / (a * b),
-            (a + 2.0 * b) / (b * (a + b)),
-        ],
-    };
-    (start, weights)
 }
 
 #[cfg(test)]

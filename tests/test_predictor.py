@@ -99,6 +99,16 @@ def test_a_projected_table_sees_through_the_map():
     np.testing.assert_array_equal(copy.evaluate(u), seen.evaluate(u))
 
 
+def test_a_robot_without_commands_has_one_shape():
+    table = _core.Table([], [[2.0]], [1.0, 0.0, 5.0], [[3.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(table.evaluate(np.zeros((4, 0))), np.tile([7.0, 0.0, 5.0], (4, 1)))
+    chain = _core.Chain(["mount"], 0)
+    body = _core.Predictor(table, {}, np.ones(1, bool), HOME)
+    params = chain.null + np.array([0, 0, 90.0, 0, 0, 1.0])
+    seen = body.predict(chain, params[None], np.zeros((0, 0)), np.zeros(0), np.arange(3.0))
+    np.testing.assert_allclose(seen, np.tile([0.0, 7.0, 6.0], (1, 3, 1, 1)), rtol=0, atol=1e-12)
+
+
 def wrong_calls():
     chain, none = _core.Chain(["lag", "payload"], 2), _core.Chain([], 2)
     t, u = np.linspace(0, 1, 5), np.zeros((5, 2))
@@ -112,6 +122,7 @@ def wrong_calls():
     axis = np.arange(3.0)
     return {
         "an unknown effect": (lambda: _core.Chain(["gian"], 2), "backlash"),
+        "too many channels": (lambda: _core.Chain(["lag"], 10**12), "256"),
         "an effect twice": (lambda: _core.Chain(["lag", "lag"], 2), "twice"),
         "nan in u": (lambda: chain.rollout(p, bad, t), "u holds NaN"),
         "nan in params": (lambda: chain.rollout(p * np.nan, u, t), "params holds NaN"),

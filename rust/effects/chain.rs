@@ -27,12 +27,20 @@ pub struct Chain {
     memory: usize,
 }
 
+/// No tendon robot has more; beyond, a count is a mistake that would ask for all the memory there is.
+const MAX_CHANNELS: usize = 256;
+
 /// The head of a state: 1 once a sample has been seen, and its time.
 const HEAD: usize = 2;
 
 impl Chain {
     /// Compose the effects called `names`, in whatever order they are given.
     pub fn new(names: &[String], channels: usize) -> Result<Chain> {
+        if channels > MAX_CHANNELS {
+            return Err(invalid(format!(
+                "a chain for {channels} channels; 0 to {MAX_CHANNELS} are allowed, so check the robot's command"
+            )));
+        }
         for (i, name) in names.iter().enumerate() {
             if find(name).is_none() {
                 let known: Vec<_> = REGISTRY

@@ -1,16 +1,14 @@
-//! Bindings of the effect registry, the chain and the predictor.
+//! Bindings of the effect registry and the chain.
 
 use super::arrays::{Floats, floats};
-use super::shape::PyShape;
+use crate::Error;
 use crate::effects::{Chain, Conditions, Context, FIELDS, Kind, Parameter, REGISTRY};
-use crate::predict::Predictor;
-use crate::{Error, Result};
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
-type Value<'a, 'py> = &'a Bound<'py, PyAny>;
-type Maybe<'py> = Option<Bound<'py, PyAny>>;
+pub(super) type Value<'a, 'py> = &'a Bound<'py, PyAny>;
+pub(super) type Maybe<'py> = Option<Bound<'py, PyAny>>;
 type Row<'py> = Bound<'py, PyArray1<f64>>;
 type Rows<'py> = Bound<'py, PyArray2<f64>>;
 type Records<'py> = Bound<'py, PyArray3<f64>>;
@@ -66,7 +64,7 @@ fn parameter<'py>(py: Python<'py>, p: &Parameter) -> PyResult<Bound<'py, PyDict>
 /// Effects composed in stage order for C channels; parameters and state are arrays that the caller keeps.
 #[pyclass(name = "Chain", module = "softmap_edge._core", frozen)]
 pub struct PyChain {
-    chain: Chain,
+    pub(super) chain: Chain,
 }
 
 #[pymethods]
@@ -304,7 +302,7 @@ impl PyChain {
     }
 
     /// Parameters (B, P).
-    fn sets(&self, params: Value<'_, '_>) -> PyResult<Floats> {
+    pub(super) fn sets(&self, params: Value<'_, '_>) -> PyResult<Floats> {
         let width = self.chain.width();
         // Without parameters there is nothing to tell one set from another.
         let sets = (width == 0).then_some(1);
@@ -320,7 +318,7 @@ impl PyChain {
     }
 
     /// Commands (T, C) and the world around them; what is absent is constant.
-    fn record(
+    pub(super) fn record(
         &self,
         u: Value<'_, '_>,
         t: Value<'_, '_>,
@@ -355,7 +353,7 @@ fn column(name: &str, value: Maybe<'_>, samples: usize, absent: f64) -> PyResult
     }
 }
 
-fn vector(name: &str, value: Value<'_, '_>) -> PyResult<[f64; 3]> {
+pub(super) fn vector(name: &str, value: Value<'_, '_>) -> PyResult<[f64; 3]> {
     let data = floats(name, value, &[("xyz", Some(3))])?.data;
     Ok([data[0], data[1], data[2]])
 }
@@ -366,58 +364,4 @@ fn triples(values: &Floats) -> Vec<[f64; 3]> {
         .chunks_exact(3)
         .map(|v| [v[0], v[1], v[2]])
         .collect()
-}
-
-/// Commands → chain → prior and fields → sensing, batched: what every fit calls.
-#[pyclass(name = "Predictor", module = "softmap_edge._core", frozen)]
-pub struct PyPredictor {
-    predictor: Predictor,
-}
-
-#[pymethods]
-impl PyPredictor {
-    /// `positions` (V,) is true for places and false for directions; `gravity_reference` (3,) is what the prior was solved with.
-    #[new]
-    fn new(
-        prior: PyRef<'_, PyShape>,
-        fields: &Bound<'_, PyDict>,
-        positions: Vec<bool>,
-        gravity_reference: Value<'_, '_>,
-    ) -> PyResult<PyPredictor> {
-        let mut shapes = vec![];
-        for (name, field) in fields.iter() {
-            let field: PyRef<'_, PyShape> = field.extract()?;
-            shapes.push((name.extract::<String>()?, field.inner.clone()));
-        }
-        let reference = vector("gravity_reference", gravity_reference)?;
-        let predictor: Result<_> =
-            Predictor::new(prior.inner.clone(), shapes, positions, reference);
-        Ok(PyPredictor {
-            predictor: predictor?,
-        })
-    }
-
-    /// Frames (B, K, V, 3) for params (B, P) on u (T, C) mm at t (T,) s, seen at t_seen (K,) s.
-    #[pyo3(signature = (chain, params, u, t, t_seen, gravity=None, load=None, temperature=None))]
-    fn predict<'py>(
-        &self,
-        py: Python<'py>,
-        chain: PyRef<'py, PyChain>,
-        params: Value<'_, 'py>,
-        u: Value<'_, 'py>,
-        t: Value<'_, 'py>,
-        t_seen: Value<'_, 'py>,
-        gravity: Maybe<'py>,
-        load: Maybe<'py>,
-        temperature: Maybe<'py>,
-    ) -> PyResult<Bound<'py, PyArray4<f64>>> {
-        let params = chain.sets(params)?;
-        let still = self.predictor.reference();
-        let (u, mut world) = chain.record(u, t, still, gravity, load, temperature)?;
-        let t_seen = floats("t_seen", t_seen, &[("K", None)])?.data;
-        let (body, inner) = (&self.predictor, &chain.chain);
-        let out = py.detach(|| body.predict(inner, &params.data, &u, &mut world, &t_seen))?;
-        let shape = [params.shape[0], t_seen.len(), body.vectors(), 3];
-        out.into_pyarray(py).reshape(shape)
-    }
 }

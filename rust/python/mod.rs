@@ -3,6 +3,7 @@
 mod arrays;
 mod effects;
 mod fem;
+mod predict;
 mod rod;
 mod shape;
 mod table;
@@ -38,9 +39,11 @@ impl From<Error> for PyErr {
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::effects::{PyChain, PyPredictor, effects};
+    use super::effects::{PyChain, effects};
     #[pymodule_export]
     use super::fem::Solid;
+    #[pymodule_export]
+    use super::predict::PyPredictor;
     #[pymodule_export]
     use super::rod::{PyRod, PyRodField, monomial_degrees, monomials};
     #[pymodule_export]

@@ -52,11 +52,8 @@ impl PyShape {
             (self.inner.clone(), self.inner.channels(), self.inner.size());
         let out = py.detach(move || {
             let mut out = vec![0.0; n * size];
-            for (u, out) in rows
-                .chunks_exact(channels.max(1))
-                .zip(out.chunks_exact_mut(size))
-            {
-                shape.eval(u, out);
+            for (i, out) in out.chunks_exact_mut(size).enumerate() {
+                shape.eval(&rows[i * channels..(i + 1) * channels], out);
             }
             out
         });

@@ -1,0 +1,110 @@
+//! Cubic interpolation along one axis with even or uneven nodes: which nodes carry a value, and with what weights.
+//!
+//! Hermite pieces whose node slopes come from the parabola through three neighbouring nodes (one-sided at the borders). On
+//! even spacing this is cubic convolution (R. Keys, "Cubic convolution interpolation for digital image processing", 1981,
+//! doi:10.1109/TASSP.1981.1163711), which knows even spacing only. C1, exact for quadratics, error O(h³); beyond the ends
+//! the value goes on along the border's slope. Pinned by the tests of `table.rs` and the one at the foot.
+
+/// The nodes that one axis contributes at one command: first node, how many, and their weights.
+#[derive(Clone, Copy)]
+pub struct Stencil {
+    pub first: usize,
+    pub count: usize,
+    pub weights: [f64; 4],
+}
+
+/// The stencil of an axis that is not there.
+pub const NO_AXIS: Stencil = Stencil {
+    first: 0,
+    count: 1,
+    weights: [1.0, 0.0, 0.0, 0.0],
+};
+
+/// Weights of the (at most four) nodes that carry the value at `u`, or its derivative.
+pub fn stencil(axis: &[f64], u: f64, derivative: bool) -> Stencil {
+    let last = axis.len() - 1;
+    let cell = axis.partition_point(|node| *node <= u).clamp(1, last) - 1;
+    let width = axis[cell + 1] - axis[cell];
+    let inside = u.clamp(axis[0], axis[last]);
+    let s = (inside - axis[cell]) / width;
+    let value = [
+        (1.0 + 2.0 * s) * (1.0 - s) * (1.0 - s),
+        s * s * (3.0 - 2.0 * s),
+        width * s * (1.0 - s) * (1.0 - s),
+        -width * s * s * (1.0 - s),
+    ];
+    let slope = [
+        6.0 * s * (s - 1.0) / width,
+        -6.0 * s * (s - 1.0) / width,
+        (1.0 - s) * (1.0 - 3.0 * s),
+        s * (3.0 * s - 2.0),
+    ];
+    let mut hermite = if derivative { slope } else { value };
+    if !derivative && inside != u {
+        for i in 0..4 {
+            hermite[i] += slope[i] * (u - inside);
+        }
+    }
+    let first = cell.saturating_sub(1);
+    let count = (cell + 3).min(last + 1) - first;
+    let mut weights = [0.0; 4];
+    weights[cell - first] += hermite[0];
+    weights[cell + 1 - first] += hermite[1];
+    for (node, weight) in [(cell, hermite[2]), (cell + 1, hermite[3])] {
+        let (start, slopes) = node_slope(axis, node);
+        for (i, value) in slopes.iter().enumerate().take(axis.len().min(3)) {
+            weights[start + i - first] += weight * value;
+        }
+    }
+    Stencil {
+        first,
+        count,
+        weights,
+    }
+}
+
+/// Slope at a node of the parabola through it and its neighbours, as weights of nodes `start..start + 3`.
+fn node_slope(axis: &[f64], node: usize) -> (usize, [f64; 3]) {
+    if axis.len() == 2 {
+        let width = axis[1] - axis[0];
+        return (0, [-1.0 / width, 1.0 / width, 0.0]);
+    }
+    let start = node.saturating_sub(1).min(axis.len() - 3);
+    let (a, b) = (
+        axis[start + 1] - axis[start],
+        axis[start + 2] - axis[start + 1],
+    );
+    let weights = match node - start {
+        0 => [
+            -(2.0 * a + b) / (a * (a + b)),
+            (a + b) / (a * b),
+            -a / (b * (a + b)),
+        ],
+        1 => [-b / (a * (a + b)), (b - a) / (a * b), a / (b * (a + b))],
+        _ => [
+            b / (a * (a + b)),
+            -(a + b) / (a * b),
+            (a + 2.0 * b) / (b * (a + b)),
+        ],
+    };
+    (start, weights)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_sum_to_one_and_those_of_slopes_to_zero_at_nodes_between_and_beyond() {
+        let axis = [-2.0, -1.5, 0.0, 4.0];
+        for u in [-9.0, -2.0, -1.6, -1.5, 0.0, 3.9, 4.0, 11.0] {
+            let total = |derivative| stencil(&axis, u, derivative).weights.iter().sum::<f64>();
+            assert!((total(false) - 1.0).abs() < 1e-12 && total(true).abs() < 1e-12);
+            let slope = stencil(&axis, u, true);
+            let linear: f64 = (0..slope.count)
+                .map(|i| slope.weights[i] * axis[slope.first + i])
+                .sum();
+            assert!((linear - 1.0).abs() < 1e-12);
+        }
+    }
+}
