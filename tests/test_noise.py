@@ -1,0 +1,113 @@
+"""Noise and form error: what the estimators recover, and that whitened numbers are white."""
+
+import numpy as np
+import pytest
+
+from softmap_edge.errors import SoftmapError
+from softmap_edge.noise import (
+    Noise,
+    command_kernel,
+    estimate_noise,
+    form_covariance,
+    rod_noise,
+    whitener,
+)
+
+V, F = 6, 18
+
+
+def dwells(rng, sigma, count=20, frames=8, drift=1.0):
+    """Frames of `count` dwells with white noise (F,) on top of a slow drift within each dwell."""
+    visit = np.repeat(np.arange(count), frames)
+    tau = np.tile(np.linspace(0, 1, frames), count)
+    residual = rng.normal(size=(count * frames, F)) * sigma + drift * tau[:, None] * rng.normal(size=F)
+    return residual, np.arange(len(visit)) * 0.5, visit
+
+
+def test_replicates_give_the_noise_and_not_the_drift():
+    rng = np.random.default_rng(1)
+    sigma = np.linspace(0.05, 0.3, F)
+    noise = estimate_noise(*dwells(rng, sigma))
+    assert "replicates" in noise.source
+    # 100 degrees of freedom: one standard deviation of a variance is 14 %; shrinkage pulls to the median.
+    assert np.allclose(np.sqrt(np.diag(noise.covariance)), sigma, rtol=0.5)
+    assert np.sqrt(np.mean(np.diag(noise.covariance))) == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=0.15)
+    assert noise.inflation == 1.0
+
+
+def test_correlation_in_time_inflates():
+    rng = np.random.default_rng(2)
+    white = rng.normal(size=(400, F)) * 0.1
+    slow = white.copy()
+    for k in range(1, len(slow)):
+        slow[k] = 0.7 * slow[k - 1] + white[k]
+    visit = np.repeat(np.arange(10), 40)
+    assert estimate_noise(slow, np.arange(400.0), visit).inflation > 2.5
+    assert estimate_noise(white, np.arange(400.0), visit).inflation == 1.0
+
+
+def test_without_replicates_the_high_frequency_part_is_used_and_said():
+    rng = np.random.default_rng(3)
+    t = np.arange(300) * 0.2
+    residual = 3.0 * np.sin(0.2 * t)[:, None] + rng.normal(size=(300, F)) * 0.1
+    noise = estimate_noise(residual, t, np.full(300, -1))
+    assert "high-frequency" in noise.source
+    assert np.sqrt(np.mean(np.diag(noise.covariance))) == pytest.approx(0.1, rel=0.15)
+
+
+def test_too_few_frames_is_an_error():
+    with pytest.raises(SoftmapError, match="too few"):
+        estimate_noise(np.zeros((3, F)), np.arange(3.0), np.full(3, -1))
+
+
+def test_kernel_is_low_rank_and_right():
+    rng = np.random.default_rng(4)
+    command = rng.uniform(-10, 10, size=(500, 2))
+    kernel = command_kernel(command, np.array([20.0, 20.0]))
+    assert len(kernel.strength) <= 64
+    low_rank = (kernel.basis * kernel.strength) @ kernel.basis.T
+    x = command / 20 / 0.4
+    full = np.exp(-0.5 * np.sum((x[:, None] - x[None]) ** 2, axis=2))
+    assert np.abs(low_rank - full).max() < 0.02
+    assert np.allclose(kernel.basis.T @ kernel.basis, np.eye(len(kernel.strength)), atol=1e-9)
+
+
+def test_whitened_form_error_and_noise_have_unit_variance():
+    rng = np.random.default_rng(5)
+    count = 300
+    command = rng.uniform(-10, 10, size=(count, 2))
+    kernel = command_kernel(command, np.array([20.0, 20.0]))
+    positions, section = np.ones(V, bool), np.arange(V)
+    form = form_covariance(np.full((V, 3), 0.4), positions, section)
+    noise = Noise(np.diag(np.full(F, 0.1**2)), "known", 1.0)
+    signatures = rng.normal(size=(8, count, F))
+    white = whitener(noise, form, signatures, kernel)
+    root = np.linalg.cholesky(form + 1e-12 * np.eye(F))
+    over_commands = kernel.basis * np.sqrt(kernel.strength)
+    values, blind = [], []
+    for _ in range(20):
+        error = over_commands @ rng.normal(size=(len(kernel.strength), F)) @ root.T
+        draw = error + 0.1 * rng.normal(size=(count, F))
+        values.append(np.mean(white(draw) ** 2))
+        blind.append(np.mean(white.modes(draw) ** 2))
+    # 300 x 18 x 20 numbers: one standard deviation of their mean square is 0.5 %.
+    assert np.mean(values) == pytest.approx(1.0, abs=0.03)
+    assert np.mean(blind) > 5.0  # without the form error the same numbers are far from white
+
+
+def test_rod_noise_counts_correlated_frames_once():
+    rng = np.random.default_rng(6)
+    slow = np.repeat(rng.normal(size=(60, 9)), 20, axis=0)
+    noise = rod_noise(slow, np.arange(1200) * 0.05, np.full((3, 3), 4.0))
+    assert noise.inflation > 15
+    assert rod_noise(rng.normal(size=(1200, 9)), np.arange(1200) * 0.05, np.full((3, 3), 4.0)).inflation < 5
+    assert noise.rms_mm(np.ones(3, bool)) == pytest.approx(4 * np.sqrt(3))
+
+
+def test_unseen_features_do_not_count():
+    noise = Noise(np.eye(F), "known", 1.0)
+    kernel = command_kernel(np.zeros((4, 0)), np.zeros(0))
+    white = whitener(noise, np.zeros((F, F)), np.ones((1, 4, F)), kernel)
+    hole = np.ones((4, F))
+    hole[2] = np.nan
+    assert np.all(white(hole)[2] == 0) and np.any(white(hole)[1] != 0)
