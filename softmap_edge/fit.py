@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -59,12 +58,7 @@ class Record:
     @cached_property
     def state(self) -> Conditions:
         """What the commands were doing at each frame."""
-        r = self.run
-        return conditions(
-            SimpleNamespace(
-                t=r.t, command=self.u, t_seen=r.t_seen, gravity=_rows(r.gravity, len(r.t)), temperature=r.temperature
-            )
-        )
+        return conditions(self.run, self.u)
 
     @cached_property
     def spread(self) -> Floats:
@@ -92,13 +86,6 @@ class Record:
 
     def __len__(self) -> int:
         return self.frames
-
-
-def _rows(value: Any, count: int) -> Floats | None:
-    """Per-sample rows (T, 3) of a declared vector that may be given once."""
-    if value is None:
-        return None
-    return np.broadcast_to(np.asarray(value, float), (count, 3))
 
 
 class Space:
@@ -286,13 +273,19 @@ class Problem:
             points.append(np.clip(fit.x + np.clip(step, -0.5, 0.5), fit.space.low, fit.space.high))
         return self.record.predict(fit.space.names, fit.space.params(np.stack(points)))
 
-    def fold_losses(self, predictions: Floats) -> Floats:
-        """Return the whitened held-out loss (folds,) of each fold's own prediction on its test frames."""
-        losses = []
+    def fold_losses(self, predictions: Floats) -> tuple[Floats, Floats]:
+        """Return held-out losses (folds,) of each fold's own prediction on its test frames: plain and whitened.
+
+        Plain counts every frame for itself, with noise and form error in its variance; whitened forgives what the form
+        error could be, so it sees memory best and static effects hardly.
+        """
+        plain, white = [], []
+        spread = np.sqrt(1.0 + self.whitener.form)
         for prediction, (_, test), (_, kernel) in zip(predictions, self.folds, self.fold_kernels):
             modes = self.whitener.modes(self.record.seen[test] - prediction[test]) * self.gain
-            losses.append(float(np.sum(self.whitener.shrink(modes, kernel) ** 2)))
-        return np.array(losses)
+            plain.append(float(np.sum((modes / spread) ** 2)))
+            white.append(float(np.sum(self.whitener.shrink(modes, kernel) ** 2)))
+        return np.array(plain), np.array(white)
 
 
 def newton_step(space: Space, x: Floats, jacobian: Floats, residual: Floats, damping: float) -> Floats:

@@ -48,8 +48,8 @@ class Search:
         self.progress = progress or (lambda _: None)
         self.null = problem.null()
         self._fits: dict[frozenset[str], Fit] = {frozenset(): self.null}
-        self._cv: dict[frozenset[str], tuple[Floats, Floats]] = {}
-        noise = problem.noise.rms_mm(problem.record.positions)
+        self._cv: dict[frozenset[str], tuple[Floats, Floats, Floats]] = {}
+        noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0)  # of one component of a section mean
         self.visible_mm = max(VISIBLE_MM, noise if "replicates" in problem.noise.source else 0.0)
 
     # --- fits -----------------------------------------------------------------------------------
@@ -150,12 +150,12 @@ class Search:
         """Return the EBIC of a set at a given over-dispersion."""
         return fit.cost / dispersion + self.penalty(fit)
 
-    def cv(self, fit: Fit) -> tuple[Floats, Floats]:
-        """Return held-out losses (folds,) and the fold predictions (folds, K, F)."""
+    def cv(self, fit: Fit) -> tuple[Floats, Floats, Floats]:
+        """Return held-out losses (folds,), plain and whitened, and the fold predictions (folds, K, F)."""
         key = frozenset(fit.effects)
         if key not in self._cv:
             predictions = self.problem.fold_predictions(fit)
-            self._cv[key] = (self.problem.fold_losses(predictions), predictions)
+            self._cv[key] = (*self.problem.fold_losses(predictions), predictions)
         return self._cv[key]
 
     def displacement(self, fit: Fit, effect: str) -> Floats:
@@ -170,20 +170,37 @@ class Search:
         rest = self.get(frozenset(fit.effects) - {member})
         dispersion = self.dispersion(fit)
         fall = (rest.cost - fit.cost) / dispersion
-        before, after = self.cv(rest)[0], self.cv(fit)[0]
-        cv_fall = float((before.sum() - after.sum()) / max(before.sum(), 1e-300))
-        cv_folds = float(np.mean(after < before))
+        cv_fall, cv_folds = self._cv_fall(rest, fit)
         moved = self.problem.record.rms_mm(self.displacement(fit, member))
-        explained = max(self.null.cost - fit.cost, 1e-300)
         checks = [
             (fall > self.penalty(fit) - self.penalty(rest), "EBIC does not fall"),
             (cv_fall >= CV_FALL, f"held-out loss falls by {100 * cv_fall:.1f} % only"),
             (cv_folds >= CV_FOLDS, f"held-out loss falls in {100 * cv_folds:.0f} % of the folds only"),
             (moved >= self.visible_mm, f"moves the centreline by {moved:.2f} mm only"),
-            ((rest.cost - fit.cost) / explained >= SHARE, "explains next to nothing of the misfit"),
+            (self.share(fit, member) >= SHARE, "explains next to nothing of the misfit"),
         ]
         failed = [why for good, why in checks if not good]
         return Acceptance(not failed, fall, cv_fall, cv_folds, moved, "; ".join(failed))
+
+    def _cv_fall(self, rest: Fit, fit: Fit) -> tuple[float, float]:
+        """Return the relative fall of the held-out loss and the share of folds where it falls.
+
+        Of the plain and the whitened loss the one that shows the member better: memory hides in the plain one behind
+        static error, static effects hide in the whitened one behind what form error could be.
+        """
+        found = []
+        for i in (0, 1):
+            before, after = self.cv(rest)[i], self.cv(fit)[i]
+            fall = float((before.sum() - after.sum()) / max(before.sum(), 1e-300))
+            found.append((fall, float(np.mean(after < before))))
+        return max(found, key=lambda f: (f[0] >= CV_FALL and f[1] >= CV_FOLDS, f[0]))
+
+    def share(self, fit: Fit, member: str) -> float:
+        """Return which share of the explained misfit a member carries, on held-out blocks or on the objective."""
+        rest = self.get(frozenset(fit.effects) - {member})
+        plain = [float(self.cv(f)[0].sum()) for f in (self.null, rest, fit)]
+        held = (plain[1] - plain[2]) / max(plain[0] - plain[2], 1e-300)
+        return max(held, (rest.cost - fit.cost) / max(self.null.cost - fit.cost, 1e-300))
 
     def valid(self, fit: Fit) -> bool:
         """Whether every member of a set is accepted."""
@@ -200,12 +217,12 @@ class Search:
                 break
             dispersion = self.dispersion(children[0])
             self.progress(f"{size} effect{'s' if size > 1 else ''}: best {' + '.join(children[0].effects)}")
-            if self.score(children[0], dispersion) >= self.score(chosen, dispersion):
+            if self.score(children[0], dispersion) >= min(self.score(b, dispersion) for b in [chosen, *beam]):
                 break
             beam = children[:BEAM]
             good = next((c for c in beam if self.valid(c)), None)
             if good is None:
-                break
+                continue  # a pair may need its third; what is not accepted is never reported
             chosen = self._swapped(good)
             if frozenset(chosen.effects) not in {frozenset(b.effects) for b in beam}:
                 beam = [chosen, beam[0]]
@@ -223,7 +240,8 @@ class Search:
             for _, effect, points in screened[:refits]:
                 child = self.grow(parent, effect, points)
                 found[frozenset(child.effects)] = child
-        return sorted(found.values(), key=lambda f: self.score(f, self.dispersion(f)))
+        dispersion = min((self.dispersion(f) for f in found.values()), default=1.0)
+        return sorted(found.values(), key=lambda f: self.score(f, dispersion))
 
     def _swapped(self, fit: Fit) -> Fit:
         """Drop one member, add the best other, as long as the set gets better and stays valid."""
@@ -253,20 +271,17 @@ class Search:
     def rivals(self, fit: Fit) -> list[tuple[str, Fit, str]]:
         """Return (member, rival set, why) for sets within two standard errors in blocked cross-validation."""
         found = []
-        mine = self.cv(fit)[0]
+        mine = self.cv(fit)
         for member in fit.effects:
-            rest = self.get(frozenset(fit.effects) - {member})
-            fall = float(self.cv(rest)[0].sum() - mine.sum())
+            rest = self.cv(self.get(frozenset(fit.effects) - {member}))
             for other in self.alternatives(fit, member, 3):
-                theirs = self.cv(other)[0]
-                share = float(self.cv(rest)[0].sum() - theirs.sum()) / max(fall, 1e-300)
-                ratio = np.log(np.maximum(theirs, 1e-300) / np.maximum(mine, 1e-300))
-                error = float(ratio.std(ddof=1) / np.sqrt(len(ratio)))
-                gap = float(ratio.mean())
-                if share >= RIVAL_SHARE and gap <= RIVAL_SE * error:
+                theirs = self.cv(other)
+                share = float((rest[0] - theirs[0]).sum() / max(float((rest[0] - mine[0]).sum()), 1e-300))
+                behind = max(_standard_errors(theirs[i], mine[i]) for i in (0, 1))
+                if share >= RIVAL_SHARE and behind <= RIVAL_SE:
                     why = (
                         f"explains {100 * share:.0f} % of what {member} explains on held-out blocks, "
-                        f"{gap / max(error, 1e-12):.1f} standard errors behind"
+                        f"{max(behind, 0.0):.1f} standard errors behind"
                     )
                     found.append((member, other, why))
         return found
@@ -281,3 +296,9 @@ class Search:
         return {e: float(sum(w for k, w in zip(keys, weight) if e in k)) for e in self.candidates}
 
 
+
+
+def _standard_errors(theirs: Floats, mine: Floats) -> float:
+    """Return by how many standard errors the log losses of one set lie above those of another, over the folds."""
+    ratio = np.log(np.maximum(theirs, 1e-300) / np.maximum(mine, 1e-300))
+    return float(ratio.mean() / max(float(ratio.std(ddof=1)) / np.sqrt(len(ratio)), 1e-9))

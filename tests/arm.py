@@ -1,0 +1,188 @@
+"""A small bending arm and seven effects in NumPy, with the face that a diagnosis expects of a model and of the core.
+
+It lets the statistics be proved without the compiled simulator: the arm is an analytic curve, its effects are loops.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import numpy as np
+
+from softmap_edge.features import FeatureMap
+
+SECTIONS, LENGTH, RADIUS = 6, 100.0, 10.0
+
+
+def parameter(name, unit, null, start, low, high, per_channel=False):
+    log = low > 0
+    return dict(
+        name=name, unit=unit, null=null, start=start, low=low, high=high, per_channel=per_channel, doc="", log=log
+    )
+
+
+def entry(name, family, stage, role, kind, parameters):
+    return dict(
+        name=name, family=family, stage=stage, role=role, formula="", doc="", signature="", reference="the test's own",
+        needs=[], kind=kind, parameters=parameters,
+    )  # fmt: skip
+
+
+EFFECTS = [
+    entry("offset", "actuation map", "command", "channel", "effect", [parameter("shift", "mm", 0, 0.5, -3, 3, True)]),
+    entry("gain", "actuation map", "command", "channel", "effect", [parameter("factor", "1", 0, 0.05, -0.3, 0.3, True)]),
+    entry("latency", "delay", "command", "channel", "effect", [parameter("delay", "s", 0, 0.1, 0, 0.6)]),
+    entry(
+        "backlash", "reversal hysteresis", "transmission", "channel", "effect", [parameter("gap", "mm", 0, 0.5, 0.04, 4)]
+    ),
+    entry(
+        "creep", "slow drift", "material", "channel", "effect",
+        [parameter("strength", "1", 0, 0.1, 0.01, 0.5), parameter("tau", "s", 10, 10, 1, 100)],
+    ),
+    entry("payload", "dead load", "shape", "shape", "effect", [parameter("mass", "g", 0, 10, 0, 150)]),
+    entry(
+        "mount", "sensor frame", "sensing", "sensing", "fault",
+        [parameter(n, "mm", 0, 1, -6, 6) for n in ("x", "y", "z")] + [parameter("turn", "rad", 0, 0.02, -0.1, 0.1)],
+    ),
+]  # fmt: skip
+
+
+class Chain:
+    """Labels and bounds of a list of effects, in the order of the registry."""
+
+    def __init__(self, names, channels):
+        self.names = [e["name"] for e in EFFECTS if e["name"] in names]
+        rows = []
+        for e in EFFECTS:
+            if e["name"] not in names:
+                continue
+            for p in e["parameters"]:
+                for c in range(channels) if p["per_channel"] else [None]:
+                    rows.append((f"{e['name']}.{p['name']}" + ("" if c is None else f"[{c}]"), p))
+        self.labels = [label for label, _ in rows]
+        self.units = [p["unit"] for _, p in rows]
+        for key in ("null", "start", "low", "high"):
+            setattr(self, key, np.array([float(p[key]) for _, p in rows]))
+        self.log = np.array([p["log"] for _, p in rows], bool)
+
+
+LIBRARY = SimpleNamespace(effects=lambda: EFFECTS, Chain=Chain)
+
+
+def shape(u, load):
+    """Features (..., V, 3) of the arm for commands (..., 2) mm; `load` (...,) g sags it along +x."""
+    s = (np.arange(SECTIONS) + 0.5) / SECTIONS
+    bend = u / (2 * RADIUS)
+    angle = np.linalg.norm(bend, axis=-1)[..., None] * s + 1e-9
+    unit = bend / (np.linalg.norm(bend, axis=-1)[..., None] + 1e-12)
+    side = LENGTH * s * (1 - np.cos(angle)) / angle
+    centre = np.stack([unit[..., :1] * side, unit[..., 1:] * side, LENGTH * s * np.sin(angle) / angle], axis=-1)
+    sag = 0.05 * load[..., None] * s**2
+    centre[..., 0] += sag * np.cos(0.7 * angle)
+    centre[..., 2] -= 0.5 * sag * np.sin(0.7 * angle) * unit[..., :1]
+    return centre
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A model of the arm; `warp` (V, 3) mm adds a smooth static error over commands, for truths only."""
+
+    form: float = 0.15
+    chain_names: tuple[str, ...] = ()
+    chain_params: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    kind: str = "table"
+    channels: int = 2
+    robot: str = "arm"
+
+    def with_effects(self, names, params):
+        labels = Chain(names, 2).labels
+        return replace(self, chain_names=tuple(names), chain_params=np.array([params[label] for label in labels]))
+
+    def commands(self, run):
+        return run.command
+
+    def seen_features(self, run):
+        return run.features
+
+    def run_feature_map(self, run):
+        return FeatureMap(np.eye(SECTIONS), np.ones(SECTIONS, bool), np.arange(SECTIONS))
+
+    def run_form_error(self, run):
+        return np.full((SECTIONS, 3), self.form)
+
+    def predict_features(self, names, params, run):
+        chain = Chain(names, 2)
+        column = {label: params[:, i] for i, label in enumerate(chain.labels)}
+        u = np.broadcast_to(run.command, (len(params), *run.command.shape)).copy()  # (B, T, 2)
+        dt = run.t[1] - run.t[0]
+        if "offset" in names:
+            u = u + np.stack([column["offset.shift[0]"], column["offset.shift[1]"]], axis=1)[:, None]
+        if "gain" in names:
+            u = u * (1 + np.stack([column["gain.factor[0]"], column["gain.factor[1]"]], axis=1)[:, None])
+        if "latency" in names:
+            for b, delay in enumerate(column["latency.delay"]):
+                for c in range(2):
+                    u[b, :, c] = np.interp(run.t - delay, run.t, u[b, :, c])
+        if "backlash" in names:
+            half, y = 0.5 * column["backlash.gap"][:, None], u[:, 0].copy()
+            for k in range(u.shape[1]):
+                y = np.clip(y, u[:, k] - half, u[:, k] + half)
+                u[:, k] = y
+        if "creep" in names:
+            decay = np.exp(-dt / column["creep.tau"])[:, None]
+            slow, before = u[:, 0].copy(), u[:, 0].copy()
+            for k in range(u.shape[1]):
+                slow = decay * slow + (1 - decay) * before
+                before = u[:, k].copy()
+                u[:, k] = before + column["creep.strength"][:, None] * slow
+        index = np.searchsorted(run.t, run.t_seen, side="right") - 1
+        mass = column.get("payload.mass", np.zeros(len(params)))
+        seen = shape(u[:, index], np.broadcast_to(mass[:, None], (len(params), len(index))))
+        if "mount" in names:
+            move = np.stack([column[f"mount.{n}"] for n in "xyz"], axis=1)
+            turned = seen.copy()
+            turned[..., 0] += column["mount.turn"][:, None, None] * seen[..., 2]
+            seen = turned + move[:, None, None]
+        return seen
+
+
+def protocol(rng=None, minutes=4.0):
+    """Triangles of growing size, loops at offsets, fast moves and dwells with home revisits: t (T,), u (T, 2)."""
+    dt, t, u = 0.05, [], []
+    points = [(0, 0, 6), (8, 0, 4), (8, 0, 8), (-8, 0, 6), (0, 0, 3), (0, 0, 5), (0, 8, 3), (0, -8, 5), (0, 0, 3)]
+    points += [(0, 0, 5), (4, 4, 2), (4, 4, 6), (-4, -4, 2), (6, -6, 2), (6, -6, 6), (3, -3, 1), (5, -5, 1)]
+    points += [(0, 0, 3), (0, 0, 5), (10, 0, 1.2), (-10, 0, 1.2), (10, 0, 1.2), (0, 0, 1.2), (0, 10, 1.2), (0, -10, 1.2)]
+    points += [(0, 0, 1.2), (0, 0, 6), (5, 7, 2), (5, 7, 8), (-6, 3, 2), (-6, 3, 6), (0, 0, 2), (0, 0, 6)]
+    if rng is not None:
+        points = [(float(rng.uniform(-9, 9)), float(rng.uniform(-9, 9)), float(rng.uniform(1, 6))) for _ in range(30)]
+    while len(u) * dt < 60 * minutes:
+        for x, y, seconds in points:
+            last = np.array(u[-1] if u else (0.0, 0.0))
+            steps = int(seconds / dt)
+            u += [last + (np.array((x, y)) - last) * (k + 1) / steps for k in range(steps)]
+    u = np.array(u[: int(60 * minutes / dt)], float)
+    t = np.arange(len(u)) * dt
+    return t, u
+
+
+def record_run(hidden=None, seed=0, noise=0.15, warp=0.1, t=None, u=None, frames=350, moving=True, other=False):
+    """Return a run of the arm with hidden effects `{label: value}`, camera noise and a smooth static error."""
+    rng = np.random.default_rng(seed)
+    if t is None:
+        t, u = protocol(np.random.default_rng(seed + 77) if other else None)
+    t_seen = np.linspace(t[0] + 0.1, t[-1], frames) if moving is True else np.asarray(moving, float)
+    run = SimpleNamespace(
+        t=t, command=u, t_seen=t_seen, gravity=None, load=None, temperature=None, block=None, features=None
+    )
+    hidden = hidden or {}
+    names = tuple({label.split(".")[0] for label in hidden})
+    arm = Arm().with_effects(names, dict(zip(Chain(names, 2).labels, Chain(names, 2).null)) | hidden)
+    clean = arm.predict_features(arm.chain_names, arm.chain_params[None], run)[0]
+    index = np.searchsorted(t, t_seen, side="right") - 1
+    phase = u[index] / 8.0
+    body = (np.arange(SECTIONS) + 1) / SECTIONS
+    draw = rng.normal(size=(3, 4))
+    static = draw[:, 0] * np.sin(phase[:, :1]) + draw[:, 1] * np.cos(phase[:, 1:]) + draw[:, 2] * phase[:, :1] * phase[:, 1:]
+    run.features = clean + warp * body[:, None] * static[:, None, :] + noise * rng.normal(size=clean.shape)
+    return run
