@@ -149,7 +149,7 @@ class Arm:
 
 def protocol(rng=None, minutes=4.0):
     """Triangles of growing size, loops at offsets, fast moves and dwells with home revisits: t (T,), u (T, 2)."""
-    dt, t, u = 0.05, [], []
+    dt, u = 0.1, []
     points = [(0, 0, 6), (8, 0, 4), (8, 0, 8), (-8, 0, 6), (0, 0, 3), (0, 0, 5), (0, 8, 3), (0, -8, 5), (0, 0, 3)]
     points += [(0, 0, 5), (4, 4, 2), (4, 4, 6), (-4, -4, 2), (6, -6, 2), (6, -6, 6), (3, -3, 1), (5, -5, 1)]
     points += [(0, 0, 3), (0, 0, 5), (10, 0, 1.2), (-10, 0, 1.2), (10, 0, 1.2), (0, 0, 1.2), (0, 10, 1.2), (0, -10, 1.2)]

@@ -1,0 +1,194 @@
+"""Verbs that answer what a model lacks: compare, diagnose, add, remove, refit."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from softmap_edge.errors import SoftmapError
+
+
+def compare_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `softmap compare`."""
+    parser.add_argument("run", help="the measured run, .npz")
+    parser.add_argument(
+        "--bundle", action="append", metavar="DIR", help="the model; the built-in finger without it; give two to see both"
+    )
+    parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
+
+
+def compare(args: argparse.Namespace) -> int:
+    """Show how far a model is from a run, and where; 1 if the last of several bundles is worse than the first."""
+    from softmap_edge.compare import compare as measure
+
+    run = _run(args.run)
+    found = [measure(_bundle(path), run) for path in args.bundle or [None]]
+    if args.html:
+        _html(args.html, comparison=found[-1])
+    if args.json:
+        documents = [c.to_dict() for c in found]
+        print(json.dumps(documents[0] if len(documents) == 1 else documents, indent=1))
+    else:
+        for path, one in zip(args.bundle or ["built-in finger"], found):
+            print(f"{path}\n{one}\n" if len(found) > 1 else one)
+        if len(found) > 1:
+            first, last = (c.error["rms_mm"] for c in (found[0], found[-1]))
+            print(f"error {first:.3f} -> {last:.3f} mm RMS ({100 * (last / first - 1):+.0f} %)")
+    return int(len(found) > 1 and found[-1].error["rms_mm"] > found[0].error["rms_mm"])
+
+
+def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `softmap diagnose`."""
+    parser.add_argument("run", help="the measured run, .npz")
+    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    parser.add_argument("--held-out", metavar="RUN", help="an independent run that is never fitted")
+    parser.add_argument("--effects", metavar="NAME,NAME", help="look for these only")
+    parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
+    parser.add_argument("--out", metavar="FILE", help="write the diagnosis as JSON, for `softmap add --from`")
+    parser.add_argument("--seed", type=int, default=0, help="kept in the document")
+
+
+def diagnose(args: argparse.Namespace) -> int:
+    """Name the effect that a model lacks; 0 whatever the verdict, since silence and doubt are answers."""
+    from softmap_edge.diagnosis import diagnose as find
+
+    model, run = _bundle(args.bundle), _run(args.run)
+    held_out = _run(args.held_out) if args.held_out else None
+    wanted = _names(args.effects) if args.effects else None
+    found = find(model, run, held_out, wanted, args.seed, _progress(args))
+    if args.out:
+        _write_json(args.out, found.to_dict())
+    if args.html:
+        _html(args.html, diagnosis=found, comparison=_comparison(model, run))
+    print(json.dumps(found.to_dict(), indent=1) if args.json else found)
+    return 0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `softmap add`."""
+    parser.add_argument("name", metavar="NAME[,NAME]", help="the effects to add")
+    parser.add_argument("--from", dest="source", required=True, metavar="FILE", help="a diagnosis, JSON")
+    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    parser.add_argument("--out", required=True, metavar="DIR", help="the new bundle")
+
+
+def add(args: argparse.Namespace) -> int:
+    """Write a bundle with effects of a diagnosis added, with their fitted numbers."""
+    from softmap_edge.diagnosis import Diagnosis
+
+    model, diagnosis = _bundle(args.bundle), Diagnosis.from_dict(_read_json(args.source))
+    names = _names(args.name)
+    twice = [n for n in names if n in model.chain_names]
+    if twice:
+        raise SoftmapError(f"the model has '{twice[0]}' already; `softmap refit` fits it again")
+    params = dict(model.params)
+    for name in names:
+        params |= diagnosis.params_of(name)
+    changed = model.with_effects((*model.chain_names, *names), params)
+    return _write(args, changed, {"added": names})
+
+
+def remove_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `softmap remove`."""
+    parser.add_argument("name", metavar="NAME[,NAME]", help="the effects to remove")
+    parser.add_argument("--bundle", required=True, metavar="DIR", help="the model")
+    parser.add_argument("--out", required=True, metavar="DIR", help="the new bundle")
+
+
+def remove(args: argparse.Namespace) -> int:
+    """Write a bundle without some of its effects."""
+    model, names = _bundle(args.bundle), _names(args.name)
+    for name in names:
+        if name not in model.chain_names:
+            held = ", ".join(model.chain_names) or "none"
+            raise SoftmapError(f"the model has no effect '{name}'; it has {held}")
+    rest = tuple(n for n in model.chain_names if n not in names)
+    params = {label: v for label, v in model.params.items() if label.split(".")[0] in rest}
+    return _write(args, model.with_effects(rest, params), {"removed": names})
+
+
+def refit_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `softmap refit`."""
+    parser.add_argument("run", help="the measured run, .npz")
+    parser.add_argument("--bundle", required=True, metavar="DIR", help="the model with effects")
+    parser.add_argument("--out", required=True, metavar="DIR", help="the new bundle")
+
+
+def refit(args: argparse.Namespace) -> int:
+    """Fit the effects of a bundle again; 1 if the held-out error does not fall."""
+    from softmap_edge.diagnosis import refit as fit_again
+
+    model, report = fit_again(_bundle(args.bundle), _run(args.run))
+    _write(args, model, report)
+    return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
+
+
+# --- what the verbs share -----------------------------------------------------------------------
+
+
+def _run(path: str) -> Any:
+    from softmap_edge.run import Run
+
+    return Run.load(path)
+
+
+def _bundle(path: str | None) -> Any:
+    from softmap_edge.bundle import builtin_model, load_bundle
+
+    return builtin_model() if path is None else load_bundle(path)
+
+
+def _names(text: str) -> list[str]:
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names:
+        raise SoftmapError("no effect is named; `softmap effects` lists them")
+    return list(dict.fromkeys(names))
+
+
+def _comparison(model: Any, run: Any) -> Any:
+    from softmap_edge.compare import compare as measure
+
+    return measure(model, run)
+
+
+def _html(path: str, **parts: Any) -> None:
+    from softmap_edge.report import write_html
+
+    write_html(path, **parts)
+
+
+def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
+    from softmap_edge.bundle import save_bundle
+
+    folder = save_bundle(model, args.out)
+    params = model.params
+    if args.json:
+        print(json.dumps({"schema": "softmap.bundle-change/1", "bundle": str(folder), **report, "effects": params}, indent=1))
+        return 0
+    print(f"{folder}: {', '.join(model.chain_names) or 'no effects'}")
+    for label, value in params.items():
+        print(f"  {label:<24} {value:.6g}")
+    if "before_rms_mm" in report:
+        print(f"error {report['before_rms_mm']:.3f} -> {report['after_held_out_rms_mm']:.3f} mm RMS (held out)")
+    return 0
+
+
+def _progress(args: argparse.Namespace) -> Callable[[str], None] | None:
+    if args.json or not sys.stderr.isatty():
+        return None
+    return lambda line: print(line, file=sys.stderr)
+
+
+def _write_json(path: str, document: dict[str, Any]) -> None:
+    Path(path).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _read_json(path: str) -> Any:
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise SoftmapError(f"{path} is not JSON ({error}); make it with `softmap diagnose --out`") from error
