@@ -2,9 +2,9 @@
 
     features → noise and form error → whitened search over effects → acceptance on held-out blocks → verdict
 
-The verdict is one of identified, ambiguous, partly_explained, nothing, cannot_tell, measurement_fault; silence and doubt
-are answers. `diagnose` is deterministic: the same input gives the same document. Method and limits: docs/design.md and
-the files `noise.py`, `fit.py`, `search.py`, `evidence.py`. Pinned by tests/test_diagnosis.py.
+The verdict is one of identified, ambiguous, partly_explained, nothing, cannot_tell, measurement_fault; silence and
+doubt are answers. `diagnose` is deterministic: the same input gives the same document. Method: docs/design.md
+and the files `noise.py`, `fit.py`, `search.py`, `evidence.py`. Pinned by tests/test_diagnosis.py.
 """
 
 from __future__ import annotations
@@ -79,7 +79,9 @@ class Diagnosis:
         """
         if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
             got = document.get("schema") if isinstance(document, Mapping) else type(document).__name__
-            raise SoftmapError(f"not a diagnosis: schema is {got!r}, {SCHEMA!r} is read; make it with `softmap diagnose`")
+            raise SoftmapError(
+                f"not a diagnosis: schema is {got!r}, {SCHEMA!r} is read; make it with `softmap diagnose`"
+            )
         values = {}
         for f in fields(cls):
             if f.name == "model":
@@ -416,7 +418,9 @@ def _sentence(
     if verdict == "measurement_fault":
         return f"The measurement is at fault, not the model: {names}; {fall}.{lost}"
     if verdict == "cannot_tell":
-        return f"Nothing above the floor is seen, and these data could not show {', '.join(h.name for h in hidden)}.{lost}"
+        return (
+            f"Nothing above the floor is seen, and these data could not show {', '.join(h.name for h in hidden)}.{lost}"
+        )
     return f"Nothing above the floor: no candidate explains the {error['model']:.2f} mm that are left.{cannot}{lost}"
 
 
@@ -455,7 +459,13 @@ def _where(record: Record, fit: Fit) -> dict[str, list[dict[str, Any]]]:
     }
     for name, row in cells(record.state).items():
         found[name] = [
-            {"label": c.label, "low": c.low, "high": c.high, "n": int(c.frames.sum()), "rms_mm": mean(squares[c.frames])}
+            {
+                "label": c.label,
+                "low": c.low,
+                "high": c.high,
+                "n": int(c.frames.sum()),
+                "rms_mm": mean(squares[c.frames]),
+            }
             for c in row
         ]
     return found

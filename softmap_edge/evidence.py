@@ -1,4 +1,4 @@
-"""What a finished search is worth: the error ladder, effects that this run cannot show, and structure that is left over.
+"""What a finished search is worth: the error ladder, effects that this run cannot show, and structure that is left.
 
 Ladder: RMS distance in mm over the places (section centroids or markers), always on frames that trained nothing: blocks
 of time, or an independent run. A static residual is a ridge on a polynomial of the command; it is what a corrector
@@ -131,7 +131,7 @@ def not_testable(search: Search, fit: Fit, registry: dict[str, dict[str, Any]]) 
 
 
 def strongest(problem: Problem, name: str) -> Floats:
-    """Return the largest feature difference (K, F) mm that an effect makes at mid-range, one parameter set at a time."""
+    """Return the larger feature difference (K, F) mm that an effect makes at mid-range or at its start."""
     space = problem.space((name,))
     middle = np.where(space.log, space.start, 0.5 * space.high)
     high = np.where(space.log, np.minimum(0.5, space.high), 0.5 * space.high)
@@ -139,7 +139,8 @@ def strongest(problem: Problem, name: str) -> Floats:
     own = problem.space(())
     before = problem.record.predict(own.names, own.params(np.zeros((1, 0))))[0]
     shifts = problem.record.predict(space.names, space.params(points)) - before
-    return shifts[int(np.argmax([problem.record.rms_mm(s) for s in shifts]))]
+    largest: Floats = shifts[int(np.argmax([problem.record.rms_mm(s) for s in shifts]))]
+    return largest
 
 
 # --- what is left -------------------------------------------------------------------------------
@@ -226,7 +227,7 @@ def static_basis(u: Floats) -> Floats:
 
 
 def ridge(columns: Floats, values: Floats, train: NDArray[np.int64], strength: float) -> Floats:
-    """Return predictions (K, m) of a ridge trained on `train`; columns (K, n) are standardised on the training frames."""
+    """Return predictions (K, m) of a ridge trained on frames `train`; columns (K, n) are standardised there."""
     mean, spread = columns[train].mean(axis=0), columns[train].std(axis=0)
     z = (columns - mean) / np.where(spread > 1e-9, spread, np.inf)
     centre = values[train].mean(axis=0)

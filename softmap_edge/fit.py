@@ -2,11 +2,11 @@
 
     J(x) = |C^(-1/2) (seen - predicted(x))|² / inflation + |x|²
 
-x are scaled parameters: (θ - null) / range, or ln(θ / start) / half the log range where a parameter is searched on a log
+x are scaled parameters: (θ - null) / range, or ln(θ / start) / half the log range where it is searched on a log
 scale; the last term is the weak prior at the plausible range. Bounds are kept by clipping and an active set.
-A Jacobian is one batched call (forward differences, 0.4 % of the range: play and stops are not smooth below that); so are
-the three damping factors tried at a step. Known limit: blocked cross-validation refits each fold by one Gauss-Newton step
-from the full fit, of at most half a range. Pinned by tests/test_fit.py.
+A Jacobian is one batched call (forward differences, 0.4 % of the range: play and stops are not smooth below that); so
+are the three damping factors tried at a step. Limit: blocked cross-validation refits each fold by one Gauss-Newton
+step from the full fit, of at most half a range. Pinned by tests/test_fit.py.
 """
 
 from __future__ import annotations
@@ -85,13 +85,15 @@ class Record:
         return np.asarray(np.sum(places**2, axis=2))
 
     def __len__(self) -> int:
-        return self.frames
+        return int(self.frames)
 
 
 class Space:
     """Scaled coordinates x of the free parameters of a chain; all other parameters stay at `base`."""
 
-    def __init__(self, record: Record, effects: Sequence[str], base: dict[str, float], free: Sequence[str] = ()) -> None:
+    def __init__(
+        self, record: Record, effects: Sequence[str], base: dict[str, float], free: Sequence[str] = ()
+    ) -> None:
         """Free the effects in `effects` on top of the model's own, or exactly those in `free`."""
         own = tuple(record.model.chain_names)
         self.names = own + tuple(e for e in effects if e not in own)
@@ -174,7 +176,7 @@ class Problem:
 
     def modes(self, predicted: Floats) -> Floats:
         """Return the residual modes (..., K, M) of predictions (..., K, F)."""
-        return self.whitener.modes(self.record.seen - predicted) * self.gain
+        return np.asarray(self.whitener.modes(self.record.seen - predicted) * self.gain)
 
     def white(self, modes: Floats) -> Floats:
         """Return flattened whitened numbers (..., K*M) of modes."""
@@ -225,7 +227,9 @@ class Problem:
     def _descend(self, effects: tuple[str, ...], space: Space, x: Floats) -> Fit:
         predicted, modes = (a[0] for a in self.at(space, x[None]))
         if not np.all(np.isfinite(predicted)):
-            raise SoftmapError(f"the model predicts numbers that are not finite with {', '.join(effects) or 'no effect'}")
+            raise SoftmapError(
+                f"the model predicts numbers that are not finite with {', '.join(effects) or 'no effect'}"
+            )
         cost, chi2 = (float(a[0]) for a in self.costs(modes[None], x[None]))
         damping, slopes = 1e-2, np.zeros((0, *modes.shape))
         for iteration in range(ITERATIONS):
@@ -234,9 +238,7 @@ class Problem:
                 break
             jacobian, residual = self.white(slopes), self.white(modes)
             for _ in range(3):
-                tries = np.stack(
-                    [newton_step(space, x, jacobian, residual, damping * f) for f in (0.05, 1.0, 20.0)]
-                )
+                tries = np.stack([newton_step(space, x, jacobian, residual, damping * f) for f in (0.05, 1.0, 20.0)])
                 ahead, ahead_modes = self.at(space, tries)
                 costs, chis = self.costs(ahead_modes, tries)
                 best = int(np.argmin(costs))

@@ -9,7 +9,7 @@ Diagonalised: with Σ = L Lᵀ and spatial modes V (the span of the signatures),
 noise, and C^(-1/2) = I + Q (diag(1/sqrt(1 + λ s_m)) - 1) Qᵀ over frames, K = Q diag(λ) Qᵀ. All is linear in the frames.
 Correlation in time is not filtered out; it inflates: n white numbers become n / inflation (AR(1): (1+ρ)/(1-ρ)).
 Units: mm, s. Known limits: modes share one kernel length (0.4 of the command range); replicates of one dwell do not see
-what drifts more slowly than a dwell. A rod's error is not smooth in six commands, so it counts as noise that is correlated
+what drifts more slowly than a dwell. A rod's error is not smooth in six commands, so it counts as noise correlated
 in time (`rod_noise`). Pinned by tests/test_noise.py.
 """
 
@@ -148,7 +148,7 @@ def command_kernel(command: Floats, spread: Floats, rank: int = RANK) -> Kernel:
 
 @dataclass(frozen=True)
 class Whitener:
-    """Turns feature differences (..., K, F) into numbers of unit variance (..., K, M) if noise and form error are right.
+    """Turns feature differences (..., K, F) into numbers (..., K, M) of unit variance, if noise and form are right.
 
     `project` (M, F) maps features to noise-white spatial modes, `form` (M,) is the form variance of each mode.
     """
@@ -182,7 +182,9 @@ class Whitener:
         return self.shrink(self.modes(difference))
 
 
-def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel, calibrate: Floats | None = None) -> Whitener:
+def whitener(
+    noise: Noise, form: Floats, signatures: Floats, kernel: Kernel, calibrate: Floats | None = None
+) -> Whitener:
     """Build the whitener on the span of the signatures.
 
     Args:
@@ -218,7 +220,7 @@ def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel, cal
 
 
 def _distance2(a: Floats, b: Floats) -> Floats:
-    return np.maximum(np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1)[None, :] - 2 * a @ b.T, 0.0)
+    return np.asarray(np.maximum(np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1)[None, :] - 2 * a @ b.T, 0.0))
 
 
 def _shrunk(covariance: Floats, degrees: int) -> Floats:

@@ -1,8 +1,8 @@
 """Searches the sets of effects that explain a run: screening, forward selection with a beam, swaps, acceptance.
 
 Screening is one Gauss-Newton step from a few starts of each candidate on top of the current fit; the best are fitted in
-full. A set counts only if each of its members is accepted: EBIC falls, blocked cross-validation falls by 1 % and in 60 %
-of the folds, the member moves the centreline by more than 0.12 mm (or the noise of a section mean), and it carries a
+full. A set counts only if each of its members is accepted: EBIC falls, blocked cross-validation falls by 1 % and in 60
+% of the folds, the member moves the centreline by more than 0.12 mm (or the noise of a section mean), and it carries a
 share of what is explained. Differences of objectives are divided by the over-dispersion (leftover chi²/n of the fit).
 Known limit: sets are found by growing and swapping, not by trying all. Pinned by tests/test_diagnosis.py.
 """
@@ -42,7 +42,9 @@ class Acceptance:
 class Search:
     """The sets of effects tried on one problem; fits and cross-validations are kept, so nothing is done twice."""
 
-    def __init__(self, problem: Problem, candidates: Sequence[str], progress: Callable[[str], None] | None = None) -> None:
+    def __init__(
+        self, problem: Problem, candidates: Sequence[str], progress: Callable[[str], None] | None = None
+    ) -> None:
         """Prepare the search over `candidates`; `progress` hears a line per stage."""
         self.problem, self.candidates = problem, list(candidates)
         self.progress = progress or (lambda _: None)
@@ -73,7 +75,7 @@ class Search:
         return self._fits[key]
 
     def starts(self, effect: str) -> list[Floats]:
-        """Return starting points of one effect alone in scaled coordinates: the declared one, and others on log scales."""
+        """Return scaled starting points of one effect alone: the declared one, and others on log scales."""
         space = self.problem.space((effect,), free=(effect,))
         points = [space.start.copy()]
         for i in np.flatnonzero(space.log):
@@ -163,7 +165,7 @@ class Search:
         params = {k: v for k, v in fit.params.items() if k.split(".")[0] != effect}
         space = self.problem.space([e for e in fit.effects if e != effect])
         without = np.array([[params[label] for label in space.labels]])
-        return fit.predicted - self.problem.record.predict(space.names, without)[0]
+        return np.asarray(fit.predicted - self.problem.record.predict(space.names, without)[0])
 
     def judge(self, fit: Fit, member: str) -> Acceptance:
         """Judge whether a member of a set counts, against the refitted set without it."""
@@ -294,8 +296,6 @@ class Search:
         weight = np.exp(-0.5 * (scores - scores.min()))
         weight /= weight.sum()
         return {e: float(sum(w for k, w in zip(keys, weight) if e in k)) for e in self.candidates}
-
-
 
 
 def _standard_errors(theirs: Floats, mine: Floats) -> float:

@@ -31,11 +31,12 @@ def entry(name, family, stage, role, kind, parameters):
 
 EFFECTS = [
     entry("offset", "actuation map", "command", "channel", "effect", [parameter("shift", "mm", 0, 0.5, -3, 3, True)]),
-    entry("gain", "actuation map", "command", "channel", "effect", [parameter("factor", "1", 0, 0.05, -0.3, 0.3, True)]),
+    entry("gain", "actuation map", "command", "channel", "effect", [parameter("factor", "", 0, 0.05, -0.3, 0.3, True)]),
     entry("latency", "delay", "command", "channel", "effect", [parameter("delay", "s", 0, 0.1, 0, 0.6)]),
     entry(
-        "backlash", "reversal hysteresis", "transmission", "channel", "effect", [parameter("gap", "mm", 0, 0.5, 0.04, 4)]
-    ),
+        "backlash", "reversal hysteresis", "transmission", "channel", "effect",
+        [parameter("gap", "mm", 0, 0.5, 0.04, 4)],
+    ),  # fmt: skip
     entry(
         "creep", "slow drift", "material", "channel", "effect",
         [parameter("strength", "1", 0, 0.1, 0.01, 0.5), parameter("tau", "s", 10, 10, 1, 100)],
@@ -152,7 +153,16 @@ def protocol(rng=None, minutes=4.0):
     dt, u = 0.1, []
     points = [(0, 0, 6), (8, 0, 4), (8, 0, 8), (-8, 0, 6), (0, 0, 3), (0, 0, 5), (0, 8, 3), (0, -8, 5), (0, 0, 3)]
     points += [(0, 0, 5), (4, 4, 2), (4, 4, 6), (-4, -4, 2), (6, -6, 2), (6, -6, 6), (3, -3, 1), (5, -5, 1)]
-    points += [(0, 0, 3), (0, 0, 5), (10, 0, 1.2), (-10, 0, 1.2), (10, 0, 1.2), (0, 0, 1.2), (0, 10, 1.2), (0, -10, 1.2)]
+    points += [
+        (0, 0, 3),
+        (0, 0, 5),
+        (10, 0, 1.2),
+        (-10, 0, 1.2),
+        (10, 0, 1.2),
+        (0, 0, 1.2),
+        (0, 10, 1.2),
+        (0, -10, 1.2),
+    ]
     points += [(0, 0, 1.2), (0, 0, 6), (5, 7, 2), (5, 7, 8), (-6, 3, 2), (-6, 3, 6), (0, 0, 2), (0, 0, 6)]
     if rng is not None:
         points = [(float(rng.uniform(-9, 9)), float(rng.uniform(-9, 9)), float(rng.uniform(1, 6))) for _ in range(30)]
@@ -183,6 +193,8 @@ def record_run(hidden=None, seed=0, noise=0.15, warp=0.1, t=None, u=None, frames
     phase = u[index] / 8.0
     body = (np.arange(SECTIONS) + 1) / SECTIONS
     draw = rng.normal(size=(3, 4))
-    static = draw[:, 0] * np.sin(phase[:, :1]) + draw[:, 1] * np.cos(phase[:, 1:]) + draw[:, 2] * phase[:, :1] * phase[:, 1:]
+    static = (
+        draw[:, 0] * np.sin(phase[:, :1]) + draw[:, 1] * np.cos(phase[:, 1:]) + draw[:, 2] * phase[:, :1] * phase[:, 1:]
+    )
     run.features = clean + warp * body[:, None] * static[:, None, :] + noise * rng.normal(size=clean.shape)
     return run

@@ -97,6 +97,8 @@ def test_held_out_loss_knows_overfitting():
     problem = problem_of({}, noise=0.3, warp=0.0)
     null = problem.null()
     held = problem.fold_losses(problem.fold_predictions(null))[0].sum()
-    fit = problem.fit(("mount", "offset", "gain", "payload"), [problem.space(("mount", "offset", "gain", "payload")).start])
+    fit = problem.fit(
+        ("mount", "offset", "gain", "payload"), [problem.space(("mount", "offset", "gain", "payload")).start]
+    )
     assert fit.chi2 < null.chi2
     assert problem.fold_losses(problem.fold_predictions(fit))[0].sum() > 0.995 * held

@@ -16,7 +16,10 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap compare`."""
     parser.add_argument("run", help="the measured run, .npz")
     parser.add_argument(
-        "--bundle", action="append", metavar="DIR", help="the model; the built-in finger without it; give two to see both"
+        "--bundle",
+        action="append",
+        metavar="DIR",
+        help="the model; the built-in finger without it; give two to see both",
     )
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
 
@@ -167,7 +170,11 @@ def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
     folder = save_bundle(model, args.out)
     params = model.params
     if args.json:
-        print(json.dumps({"schema": "softmap.bundle-change/1", "bundle": str(folder), **report, "effects": params}, indent=1))
+        print(
+            json.dumps(
+                {"schema": "softmap.bundle-change/1", "bundle": str(folder), **report, "effects": params}, indent=1
+            )
+        )
         return 0
     print(f"{folder}: {', '.join(model.chain_names) or 'no effects'}")
     for label, value in params.items():
