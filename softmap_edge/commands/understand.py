@@ -159,7 +159,7 @@ def _comparison(model: Any, run: Any) -> Any:
 
 
 def _html(path: str, **parts: Any) -> None:
-    from softmap_edge.report import write_html
+    from softmap_edge.report_html import write_html
 
     write_html(path, **parts)
 
