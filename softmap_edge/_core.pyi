@@ -136,6 +136,7 @@ class Predictor:
         load: Floats | None = None,
         temperature: Floats | None = None,
     ) -> Floats: ...
+
 class Solid:
     def __init__(
         self,

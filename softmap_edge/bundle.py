@@ -144,11 +144,11 @@ def load_manifest(path: str | Path) -> dict[str, Any]:
 
 def table_from(arrays: Mapping[str, NDArray[np.generic]], prefix: str = "") -> _core.Table:
     """Return the compiled table stored in `arrays` as `{prefix}axis0…`, `coefficients`, `mean`, `modes`."""
-    axes = []
+    axes: list[NDArray[np.float64]] = []
     while f"{prefix}axis{len(axes)}" in arrays:
-        axes.append(np.asarray(arrays[f"{prefix}axis{len(axes)}"], float))
-    mean, modes = (np.asarray(arrays[f"{prefix}{name}"], float) for name in ("mean", "modes"))
-    return _core.Table(axes, np.ascontiguousarray(arrays[f"{prefix}coefficients"], float), mean, modes)
+        axes.append(np.asarray(arrays[f"{prefix}axis{len(axes)}"], np.float64))
+    mean, modes = (np.asarray(arrays[f"{prefix}{name}"], np.float64) for name in ("mean", "modes"))
+    return _core.Table(axes, np.ascontiguousarray(arrays[f"{prefix}coefficients"], np.float64), mean, modes)
 
 
 def _model(folder: Path, manifest: dict[str, Any]) -> Model:

@@ -99,9 +99,7 @@ def unhold(t: Array, rows: Array) -> tuple[Array, float]:
     hold = float(np.median(np.diff(t[fresh])))
     if typical < 2 or hold > LONGEST_HOLD:
         return rows, 0.0
-    still = np.flatnonzero(
-        gaps > 3 * typical
-    )  # the value really stayed: keep it until one hold before the next
+    still = np.flatnonzero(gaps > 3 * typical)  # the value really stayed: keep it until one hold before the next
     knots = np.union1d(fresh, fresh[still + 1] - typical)
     return np.stack([np.interp(t, t[knots], rows[knots, c]) for c in range(rows.shape[1])], axis=1), hold
 
@@ -121,29 +119,23 @@ def _assign(paths: list[Path], mapping: Mapping) -> list[Path]:
                 else "no given file fits"
             )
             raise RunError(
-                f"{mapping.path}: log '{log.file or '*'}': {found}; give exactly one, or change `file` "
-                "in the mapping"
+                f"{mapping.path}: log '{log.file or '*'}': {found}; give exactly one, or change `file` in the mapping"
             )
         chosen += fits
     spare = [path.name for path in paths if path not in chosen]
     if spare or len(set(chosen)) < len(chosen):
         named = ", ".join(log.file or "*" for log in mapping.logs)
         raise RunError(
-            f"{mapping.path}: {', '.join(spare) or 'one file'} fits no log of its own; the mapping has "
-            f"{named}"
+            f"{mapping.path}: {', '.join(spare) or 'one file'} fits no log of its own; the mapping has {named}"
         )
     return chosen
 
 
-def _command_rows(
-    tables: list[LogTable], mapping: Mapping, fields: dict[str, Any], notes: list[str]
-) -> Array | None:
+def _command_rows(tables: list[LogTable], mapping: Mapping, fields: dict[str, Any], notes: list[str]) -> Array | None:
     """The times of the commands; `fields` gets everything that is sampled at them."""
     owners = [k for k, log in enumerate(mapping.logs) if {"command", "ticks"} & set(log.rows)]
     if len(owners) > 1:
-        raise RunError(
-            f"{mapping.path}: {len(owners)} logs hold commands; name the columns of one of them only"
-        )
+        raise RunError(f"{mapping.path}: {len(owners)} logs hold commands; name the columns of one of them only")
     t = tables[owners[0]].t if owners else None
     for k, log in enumerate(mapping.logs):
         for name, quantity in log.rows.items():
@@ -161,8 +153,7 @@ def _command_rows(
                 fields[name] = np.rint(column) if "ticks" in name else column
     if t is None and fields:
         raise RunError(
-            f"{mapping.path}: {', '.join(fields)} without commands; name the columns of `command` or "
-            "`ticks` as well"
+            f"{mapping.path}: {', '.join(fields)} without commands; name the columns of `command` or `ticks` as well"
         )
     return t
 
@@ -193,8 +184,7 @@ def _interpolate(t: Array, own: Array, values: Array) -> Array:
     if (np.diff(own) <= 0).any():
         row = int(np.flatnonzero(np.diff(own) <= 0)[0]) + 1
         raise RunError(
-            f"time does not increase at row {row} of a joined log; "
-            'set time.repeated = "drop" or repair the log'
+            f'time does not increase at row {row} of a joined log; set time.repeated = "drop" or repair the log'
         )
     return np.stack([np.interp(t, own, values[:, c]) for c in range(values.shape[1])], axis=1)
 
@@ -227,15 +217,11 @@ def _seen(tables: list[LogTable], mapping: Mapping, fields: dict[str, Any]) -> A
     if not owners:
         return None
     if len(owners) > 1:
-        raise RunError(
-            f"{mapping.path}: {len(owners)} logs hold markers; name the columns of one of them only"
-        )
+        raise RunError(f"{mapping.path}: {len(owners)} logs hold markers; name the columns of one of them only")
     table, log = tables[owners[0]], mapping.logs[owners[0]]
     assert log.markers is not None
     flat = table.numbers(log.markers.columns) * LENGTH[log.markers.unit]
-    points = (flat * log.markers.scale + log.markers.offset).reshape(
-        len(flat), -1, 3
-    )  # (K, M, 3) mm, the log's frame
+    points = (flat * log.markers.scale + log.markers.offset).reshape(len(flat), -1, 3)  # (K, M, 3) mm, the log's frame
     fields["markers"] = to_base(points, mapping)
     visible = np.isfinite(points).all(axis=2)
     if not visible.all():
@@ -251,9 +237,7 @@ def to_base(points: Array, mapping: Mapping) -> Array:
     return np.stack([sign * shifted[..., axis] for axis, sign in mapping.axes], axis=-1)
 
 
-def _choose_frames(
-    t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]
-) -> Array:
+def _choose_frames(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> Array:
     """Drop frames outside the commands and the wished interval, then thin to the wished rate."""
     low = max(float(t[0]), mapping.from_s if mapping.from_s is not None else -np.inf)
     high = min(float(t[-1]), mapping.to_s if mapping.to_s is not None else np.inf)
@@ -267,8 +251,7 @@ def _choose_frames(
         )
     if len(keep) < len(t_seen):
         notes.append(
-            f"{len(t_seen) - len(keep)} of {len(t_seen)} frames lie outside {low:.6g} to {high:.6g} s "
-            "and were dropped"
+            f"{len(t_seen) - len(keep)} of {len(t_seen)} frames lie outside {low:.6g} to {high:.6g} s and were dropped"
         )
     if mapping.seen_rate_hz is not None and len(keep) > 1:
         # the first frame at or after each tick of the wished clock: even where the log's own clock jitters
@@ -290,9 +273,7 @@ def _blocks(t_seen: Array, fields: dict[str, Any], mapping: Mapping) -> None:
         fields["block"] = np.floor(since / mapping.block_seconds).astype(np.int64)
     elif mapping.block_count is not None:
         share = since / max(float(since[-1]), 1e-12)
-        fields["block"] = np.minimum(np.floor(share * mapping.block_count), mapping.block_count - 1).astype(
-            np.int64
-        )
+        fields["block"] = np.minimum(np.floor(share * mapping.block_count), mapping.block_count - 1).astype(np.int64)
 
 
 def _constants(files: list[Path], mapping: Mapping, fields: dict[str, Any], notes: list[str]) -> None:
@@ -310,6 +291,5 @@ def _constants(files: list[Path], mapping: Mapping, fields: dict[str, Any], note
         fields["load"] = np.asarray(grams)
     elif grams:
         notes.append(
-            f"a load of {grams:g} g is known to the mapping but not declared in the run (declare_load = "
-            "false)"
+            f"a load of {grams:g} g is known to the mapping but not declared in the run (declare_load = false)"
         )

@@ -55,8 +55,7 @@ def read_log(path: Path, log: Log) -> LogTable:
     names = [name.strip() for name in head] if log.header else [str(k) for k in range(len(head))]
     if log.header and head and all(_is_number(name) for name in names):
         raise RunError(
-            f"{path}: has no header line (the first line is numbers); set header = false and give column "
-            "numbers"
+            f"{path}: has no header line (the first line is numbers); set header = false and give column numbers"
         )
     body = lines[1:] if log.header else lines
     first = log.skip_rows + 1 + int(log.header)  # the line number of body[0]
@@ -76,9 +75,7 @@ def read_log(path: Path, log: Log) -> LogTable:
         numbers, labels = _slow(path, body, first, delimiter, places, block, names, log.decimal)
     values = dict(zip(places, numbers.T))
     count = (
-        np.arange(len(body), dtype=float)
-        if log.clock.column is None
-        else values[place(path, names, log.clock.column)]
+        np.arange(len(body), dtype=float) if log.clock.column is None else values[place(path, names, log.clock.column)]
     )
     t = count * log.clock.seconds + log.clock.offset_s
     if not np.isfinite(t).all():
@@ -112,9 +109,7 @@ def _lines(path: Path, log: Log) -> list[str]:
             raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log")
         text = path.read_bytes().decode("utf-8-sig")
     except OSError as cause:
-        raise RunError(
-            f"{path}: cannot be read ({cause.strerror or cause}); give the path of a CSV log"
-        ) from cause
+        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a CSV log") from cause
     except UnicodeDecodeError as cause:
         raise RunError(f"{path}: byte {cause.start} is not text; give a CSV log in UTF-8") from cause
     if "\0" in text:
@@ -123,9 +118,7 @@ def _lines(path: Path, log: Log) -> list[str]:
     while lines and not lines[-1].strip():
         lines.pop()
     if not lines:
-        raise RunError(
-            f"{path}: holds no lines after {log.skip_rows} skipped ones; give a log that holds data"
-        )
+        raise RunError(f"{path}: holds no lines after {log.skip_rows} skipped ones; give a log that holds data")
     return lines
 
 
@@ -143,9 +136,7 @@ def _all_there(path: Path, names: list[str], wanted: list[Column], line: str, de
     other = _delimiter(line)
     if len(names) == 1 and other != delimiter and line.count(other):
         hint = f"; the file seems to be cut by '{other}', not by '{delimiter}'"
-    raise RunError(
-        f"{path}: no column {listed}; there are {', '.join(names)[:200]}{hint}; change the mapping"
-    )
+    raise RunError(f"{path}: no column {listed}; there are {', '.join(names)[:200]}{hint}; change the mapping")
 
 
 def _fast(body: list[str], delimiter: str, places: list[int], decimal: str, width: int) -> Array | None:
@@ -159,9 +150,7 @@ def _fast(body: list[str], delimiter: str, places: list[int], decimal: str, widt
     if decimal == ",":
         text = text.replace(",", ".")
     try:
-        return np.loadtxt(
-            io.StringIO(text), delimiter=delimiter, usecols=places, comments=None, ndmin=2, dtype=float
-        )
+        return np.loadtxt(io.StringIO(text), delimiter=delimiter, usecols=places, comments=None, ndmin=2, dtype=float)
     except (ValueError, OverflowError):
         return None
 

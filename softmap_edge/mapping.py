@@ -108,8 +108,7 @@ def read_mapping(path: str | os.PathLike[str]) -> Mapping:
     try:
         if path.stat().st_size > _SIZE:
             raise RunError(
-                f"{path}: {path.stat().st_size} bytes, a mapping has at most {_SIZE}; give the mapping, "
-                "not the log"
+                f"{path}: {path.stat().st_size} bytes, a mapping has at most {_SIZE}; give the mapping, not the log"
             )
         document = tomllib.loads(path.read_bytes().decode("utf-8"))
     except OSError as cause:
@@ -142,9 +141,7 @@ class _Table:
             raise RunError(f"{self.where}: {key} is {_kind(value)}, expected {names}")
         return value
 
-    def number(
-        self, key: str, default: float | None = None, low: float = -1e12, high: float = 1e12
-    ) -> float | None:
+    def number(self, key: str, default: float | None = None, low: float = -1e12, high: float = 1e12) -> float | None:
         value = self.get(key, (int, float), default)
         if value is None:
             return None
@@ -191,8 +188,7 @@ def _mapping(path: Path, top: _Table) -> Mapping:
     schema = top.get("schema", (str,), "")
     if schema != SCHEMA:
         raise RunError(
-            f"{path}: schema '{schema[:60]}', expected '{SCHEMA}'; put schema = \"{SCHEMA}\" in the "
-            "first line"
+            f"{path}: schema '{schema[:60]}', expected '{SCHEMA}'; put schema = \"{SCHEMA}\" in the first line"
         )
     unit = top.get("command_unit", (str,), "mm")
     logs = top.get("log", (list,), [])
@@ -244,8 +240,7 @@ def _axes(frame: _Table) -> tuple[tuple[int, int], ...]:
     signs = [(-1 if str(name).startswith("-") else 1, str(name).lstrip("+-")) for name in names]
     if sorted(letter for _, letter in signs) != ["x", "y", "z"]:
         raise RunError(
-            f"{frame.where}: axes = {str(names)[:60]}, expected each of x, y, z once, with - where it is "
-            "turned round"
+            f"{frame.where}: axes = {str(names)[:60]}, expected each of x, y, z once, with - where it is turned round"
         )
     axes = tuple(("xyz".index(letter), sign) for sign, letter in signs)
     matrix = np.zeros((3, 3))
@@ -263,9 +258,7 @@ def _log(table: _Table, command_unit: str) -> Log:
     column = _column(time, "column")
     rate = time.number("rate_hz", None, 1e-6, 1e7)
     if column is None and rate is None:
-        raise RunError(
-            f"{time.where}: needs `column`, `rate_hz`, or both (a counter); say how the log tells time"
-        )
+        raise RunError(f"{time.where}: needs `column`, `rate_hz`, or both (a counter); say how the log tells time")
     unit = time.choice("unit", tuple(TIME), "s")
     clock = Clock(
         column=column,
@@ -274,17 +267,11 @@ def _log(table: _Table, command_unit: str) -> Log:
         repeated=time.choice("repeated", ("refuse", "drop"), "refuse"),
     )
     time.done()
-    rows = {
-        name: _quantity(table, name, command_unit)
-        for name in _UNITS
-        if name != "markers" and name in table.values
-    }
+    rows = {name: _quantity(table, name, command_unit) for name in _UNITS if name != "markers" and name in table.values}
     markers = _quantity(table, "markers", command_unit) if "markers" in table.values else None
     delimiter = table.get("delimiter", (str,))
     if delimiter is not None and (len(delimiter) != 1 or delimiter in '\r\n"'):
-        raise RunError(
-            f"{table.where}: delimiter = '{delimiter[:20]}', expected one character such as , or ; or a tab"
-        )
+        raise RunError(f"{table.where}: delimiter = '{delimiter[:20]}', expected one character such as , or ; or a tab")
     log = Log(
         file=table.get("file", (str,)),
         delimiter=delimiter,
@@ -316,13 +303,9 @@ def _quantity(log: _Table, name: str, command_unit: str) -> Quantity:
     listed = table.get("columns", (list,), [])
     flat: list[Any] = [cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])]
     if not flat or not all(isinstance(cell, str | int) and not isinstance(cell, bool) for cell in flat):
-        raise RunError(
-            f"{table.where}: columns = {str(listed)[:60]}, expected a list of column names or numbers"
-        )
+        raise RunError(f"{table.where}: columns = {str(listed)[:60]}, expected a list of column names or numbers")
     if name == "markers" and (len(flat) % 3 or any(isinstance(e, list) and len(e) != 3 for e in listed)):
-        raise RunError(
-            f'{table.where}: {len(flat)} columns, expected x, y, z of each marker: [["x1", "y1", "z1"], …]'
-        )
+        raise RunError(f'{table.where}: {len(flat)} columns, expected x, y, z of each marker: [["x1", "y1", "z1"], …]')
     if name in ("temperature", "load") and len(flat) != 1:
         raise RunError(f"{table.where}: {len(flat)} columns, expected one")
     own = command_unit if name in ("command", "present") else _UNITS[name][0]
@@ -336,8 +319,7 @@ def _quantity(log: _Table, name: str, command_unit: str) -> Quantity:
         )
     if name in ("command", "present") and command_unit == "mm" and unit == "ticks":
         raise RunError(
-            f"{table.where}: ticks are kept as ticks; call the columns "
-            f"`{'present_' * (name == 'present')}ticks`"
+            f"{table.where}: ticks are kept as ticks; call the columns `{'present_' * (name == 'present')}ticks`"
         )
     if (
         name in ("command", "present")
@@ -345,17 +327,13 @@ def _quantity(log: _Table, name: str, command_unit: str) -> Quantity:
         and unit != command_unit
         and {unit, command_unit} != set(ANGLE)
     ):
-        raise RunError(
-            f"{table.where}: unit {unit} cannot become command_unit {command_unit}; give both in one unit"
-        )
+        raise RunError(f"{table.where}: unit {unit} cannot become command_unit {command_unit}; give both in one unit")
     quantity = Quantity(
         columns=tuple(flat),
         unit=unit,
         scale=_per_column(table, "scale", len(flat), 1.0),
         offset=_per_column(table, "offset", len(flat), 0.0),
-        held=table.choice(
-            "held", ("auto", "keep", "unhold"), "auto" if name.startswith("present") else "keep"
-        ),
+        held=table.choice("held", ("auto", "keep", "unhold"), "auto" if name.startswith("present") else "keep"),
         spool_radius_mm=1.0 if radius is None else radius,
     )
     table.done()

@@ -122,11 +122,11 @@ class Model:
         """Return the points (K, N, 3) mm at the run's seen times; markers of the run if it has markers."""
         vertices = self._run_predictor(self._points, self.chain, self.chain_params[None], run)[0]
         carry = self._carry(run)
-        return vertices if carry is None else np.einsum("mn,knc->kmc", carry, vertices)
+        return vertices if carry is None else np.asarray(np.einsum("mn,knc->kmc", carry, vertices))
 
     def features(self, run: Run) -> Floats:
         """Return the predicted features (K, V, 3) mm at the run's seen times."""
-        return self.predict_features(self.chain_names, self.chain_params[None], run)[0]
+        return np.asarray(self.predict_features(self.chain_names, self.chain_params[None], run)[0])
 
     def predict_features(self, names: Sequence[str], params: Floats, run: Run) -> Floats:
         """Return features (B, K, V, 3) mm for B parameter sets (B, P) of a chain of `names`, batched in the core."""

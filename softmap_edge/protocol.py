@@ -227,4 +227,3 @@ def _wander(tape: _Tape, size: float) -> Callable[[Floats], Floats]:
         return np.asarray(size * raw / np.max(np.abs(fine), axis=0), dtype=np.float64)
 
     return path
-

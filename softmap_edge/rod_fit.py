@@ -171,9 +171,7 @@ def choose_degree(fit: Fit, u: Floats, degrees: Sequence[int]) -> tuple[int, flo
     return min(product(degrees, RIDGE_STEPS), key=lambda choice: fit.error(u, *choice))
 
 
-def refine_drive(
-    fit: Fit, drive: Drive, degree: int, ridge: float, delay: float, lag: float
-) -> tuple[float, float]:
+def refine_drive(fit: Fit, drive: Drive, degree: int, ridge: float, delay: float, lag: float) -> tuple[float, float]:
     """Refine delay and lag, then drop each that is not worth its place in the chain."""
 
     def error(x: Floats) -> float:

@@ -236,7 +236,7 @@ class ThreeTerms(Law):
         late = np.zeros_like(u)
         for weight, factor in zip(self.weights, (0.2, 1.0, 5.0)):
             late += weight * (_pole(t, u, factor * self.middle_s) - u[0])
-        return u + np.array(self.compliance) * (late + u[0])
+        return np.asarray(u + np.array(self.compliance) * (late + u[0]))
 
 
 @dataclass(frozen=True)
@@ -253,9 +253,7 @@ class TrueWeight(Law):
         return cls(float(rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.3)), (12 * np.cos(angle), 12 * np.sin(angle)))
 
     def scaled(self, s: float) -> Self:
-        return replace(
-            self, density_excess=s * self.density_excess, askew_deg=tuple(s * x for x in self.askew_deg)
-        )
+        return replace(self, density_excess=s * self.density_excess, askew_deg=tuple(s * x for x in self.askew_deg))
 
     def gravity(self, g: Floats) -> Floats:
         return (1.0 + self.density_excess) * rotation((*self.askew_deg, 0.0)) @ g
@@ -293,12 +291,10 @@ class AskewBase(Law):
         return cls(tuple(rng.uniform(-1.0, 1.0, 3) * [1.5, 1.5, 1.0]), tuple(rng.uniform(-1.0, 1.0, 3)))
 
     def scaled(self, s: float) -> Self:
-        return replace(
-            self, turn_deg=tuple(s * x for x in self.turn_deg), shift_mm=tuple(s * x for x in self.shift_mm)
-        )
+        return replace(self, turn_deg=tuple(s * x for x in self.turn_deg), shift_mm=tuple(s * x for x in self.shift_mm))
 
     def seen(self, points: Floats) -> Floats:
-        return points @ rotation(self.turn_deg).T + np.array(self.shift_mm)
+        return np.asarray(points @ rotation(self.turn_deg).T + np.array(self.shift_mm))
 
 
 # In the order in which they act: command, transmission, material, body, camera.
