@@ -159,6 +159,8 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         for key, array in group.items():
             if array.dtype.kind not in "fiub" or not np.all(np.isfinite(array)):
                 raise BundleError(f"{folder.name}: {name}.npz: '{key}' is not all finite numbers; build it again")
+            if key in ("triangles", "tip") and array.dtype.kind not in "iu":
+                raise BundleError(f"{folder.name}: {name}.npz: '{key}' holds {array.dtype}, expected whole numbers")
     template = arrays["template"]
     if manifest["kind"] == "table":
         prior: Any = table_from(arrays["prior"])

@@ -20,6 +20,7 @@ from softmap_edge.mapping import Column, Log
 
 Array = NDArray[np.float64]
 LIMIT = 2**30  # bytes of one log: about 5 million rows of 16 columns
+LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
 _ABSENT = {"", "nan", "na", "n/a", "null", "none", "-nan"}
 
 
@@ -73,6 +74,7 @@ def read_log(path: Path, log: Log) -> LogTable:
     labels = None
     if numbers is None:
         numbers, labels = _slow(path, body, first, delimiter, places, block, names, log.decimal)
+    _within_reason(path, numbers, places, names, first)
     values = dict(zip(places, numbers.T))
     count = (
         np.arange(len(body), dtype=float) if log.clock.column is None else values[place(path, names, log.clock.column)]
@@ -86,6 +88,16 @@ def read_log(path: Path, log: Log) -> LogTable:
         t, values = t[fresh], {k: column[fresh] for k, column in values.items()}
         labels = None if labels is None else labels[fresh]
     return LogTable(path, t, names, values, labels)
+
+
+def _within_reason(path: Path, numbers: Array, places: list[int], names: list[str], first: int) -> None:
+    wild = np.abs(numbers) > LARGEST  # infinity as well; NaN is an absent cell
+    if wild.any():
+        row, j = (int(i) for i in np.argwhere(wild)[0])
+        raise RunError(
+            f"{path}: line {first + row}, column {names[places[j]]}: {numbers[row, j]:g} is no measurement; "
+            "correct or remove the line"
+        )
 
 
 def place(path: Path, names: list[str], column: Column) -> int:
