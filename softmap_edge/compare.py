@@ -176,7 +176,7 @@ def compare(model: Any, run: Any) -> Comparison:
         "max_mm": float(np.max(distance)),
         "tip_rms_mm": _rms(np.sum((tip_predicted - tip_seen)[known] ** 2, axis=1)),
     }
-    floor, kind = noise_floor(state, seen, visible, predicted)
+    floor, kind = noise_floor(state, seen, visible, predicted, _template(model, seen))
     return Comparison(
         run={"robot": run.robot or "not named", "sha256": digest(run)},
         bundle={"robot": model.robot, "effects": list(model.chain_names), "sha256": _model_digest(model)},
@@ -219,7 +219,8 @@ def series(run: Any, before: Any, after: Any = None, kind: str = "held out") -> 
         )
         tip_after = _tips(after, predicted_after, seen, visible)[1]
     template, triangles = _drawn(before, seen, visible)
-    floor, _ = noise_floor(conditions(run, before.commands(run)), seen, visible, predicted)
+    state = conditions(run, before.commands(run))
+    floor, _ = noise_floor(state, seen, visible, predicted, _template(before, seen))
     return Series(
         kind=kind,
         t_seen=np.asarray(run.t_seen, float),
@@ -343,10 +344,17 @@ def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Any
     }
 
 
+def _template(model: Any, seen: Floats) -> Floats | None:
+    """The template at rest (N, 3), if the seen points are its vertices."""
+    whole = len(model.triangles) > 0 and len(model.rest) == seen.shape[1]
+    return np.asarray(model.rest, float) if whole else None
+
+
 def _drawn(model: Any, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[np.int64] | None]:
     """Where to draw the points: on the template with its triangles, or where the markers were on average."""
-    if len(model.triangles) and len(model.rest) == seen.shape[1]:
-        return np.asarray(model.rest, float), np.asarray(model.triangles, np.int64)
+    rest = _template(model, seen)
+    if rest is not None:
+        return rest, np.asarray(model.triangles, np.int64)
     count = np.maximum(visible.sum(axis=0), 1)
     return seen.sum(axis=0) / count[:, None], None
 

@@ -240,12 +240,12 @@ def _orientations(gravity: Floats) -> list[Cell]:
     rounded = np.round(gravity * 4.0) / 4.0 + 0.0
     kinds, which = np.unique(rounded, axis=0, return_inverse=True)
     which = which.reshape(-1)
-    names = [_direction_name(kind) for kind in kinds]
+    names = [_direction_name(gravity[which == k].mean(axis=0)) for k in range(len(kinds))]
     return [Cell(name, None, None, which == k) for k, name in enumerate(names)]
 
 
 def _direction_name(g: Floats) -> str:
     axis = int(np.argmax(np.abs(g)))
-    if abs(abs(g[axis]) - 1.0) < 1e-9 and float(np.sum(np.abs(g))) < 1.0 + 1e-9:
+    if np.delete(np.abs(g), axis).max() < 0.02:
         return f"gravity {'+' if g[axis] > 0 else '−'}{'xyz'[axis]}"
-    return "gravity (" + ", ".join(f"{value:+.2f}" for value in g) + ")"
+    return "gravity " + " ".join(f"{value:+.2f}" for value in g).replace("-", "−")

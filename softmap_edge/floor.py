@@ -2,10 +2,12 @@
 
 1. successive frames of one uninterrupted dwell:  sqrt(mean |x(k+1) - x(k)|² / 2), which slow creep hardly inflates
 2. else settled frames of the same command:       sqrt(pooled variance), where the robot's memory counts as noise
-3. else second differences of the residual:       sqrt(mean |r(k) - (r(k-1) + r(k+1))/2|² / 1.5), an upper bound
+3. else roughness of the residual over the body:  what (1, x, y) times a polynomial of degree 5 in z leaves in a frame
+4. else second differences of the residual:       sqrt(mean |r(k) - (r(k-1) + r(k+1))/2|² / 1.5), an upper bound
 
 All in mm, over visible points, as a distance in space (root 3 times the noise of one coordinate).
-Known limit: noise that stays constant through a dwell (a camera mount that shifts between moves) is not seen by 1.
+Known limits: noise that stays constant through a dwell (a camera mount that shifts between moves) is not seen by 1;
+noise that moves the whole body is not seen by 3; motion that the model misses counts as noise in 4.
 Pinned by tests/test_compare.py with known noise.
 """
 
@@ -23,15 +25,19 @@ Mask = NDArray[np.bool_]
 
 SETTLED = 0.5  # s after the last motion from which a frame counts as a replicate
 MIN_PAIRS = 15  # fewer replicates say nothing about the noise
+DEGREE = 5  # along the body, of the smooth part of a residual
 SAME = 0.01  # of the largest command: closer than this counts as the same command
 
 
-def noise_floor(state: Conditions, seen: Floats, visible: Mask, predicted: Floats) -> tuple[float | None, str]:
+def noise_floor(
+    state: Conditions, seen: Floats, visible: Mask, predicted: Floats, rest: Floats | None = None
+) -> tuple[float | None, str]:
     """Estimate the RMS distance of a seen point from its own mean, and say what it was taken from.
 
     Args:
         state: conditions of the K frames.
-        seen: (K, N, 3) mm. visible: (K, N). predicted: (K, N, 3) mm, used by the fallback only.
+        seen: (K, N, 3) mm. visible: (K, N). predicted: (K, N, 3) mm, for the estimates from the residual.
+        rest: (N, 3) mm, the template at rest; None for markers.
 
     Returns:
         tuple: mm (None when no estimate is possible) and a sentence.
@@ -52,6 +58,9 @@ def noise_floor(state: Conditions, seen: Floats, visible: Mask, predicted: Float
                 value,
                 f"{len(groups)} commands seen repeatedly; what the robot remembers counts as noise here",
             )
+    rough = None if rest is None else _roughness(seen - predicted, visible, rest)
+    if rough is not None:
+        return rough, "no replicates: from the roughness of the residual over the body, independent noise only"
     if len(seen) < MIN_PAIRS + 2:
         return None, f"not known: no replicates, and {len(seen)} frames are too few"
     residual = seen - predicted
@@ -64,6 +73,22 @@ def noise_floor(state: Conditions, seen: Floats, visible: Mask, predicted: Float
 
 def _rms(squares: Floats) -> float:
     return math.sqrt(float(np.mean(squares)))
+
+
+def _roughness(residual: Floats, visible: Mask, rest: Floats) -> float | None:
+    """RMS of what a smooth field leaves of the residual in the frames that are seen whole."""
+    frames = visible.all(axis=1)
+    z = 2.0 * (rest[:, 2] - rest[:, 2].min()) / max(float(np.ptp(rest[:, 2])), 1e-9) - 1.0
+    across = np.column_stack([np.ones(len(rest)), rest[:, 0] / 10.0, rest[:, 1] / 10.0])
+    along = np.polynomial.legendre.legvander(z, DEGREE)
+    basis = np.einsum("na,nb->nab", across, along).reshape(len(rest), -1)
+    freedom = len(rest) - basis.shape[1]
+    if freedom < len(rest) // 2 or not frames.any():
+        return None
+    q, _ = np.linalg.qr(basis)
+    kept = residual[frames]
+    left = np.sum(kept**2) - np.sum(np.einsum("np,knc->kpc", q, kept) ** 2)
+    return math.sqrt(max(float(left), 0.0) / (freedom * len(kept)))
 
 
 def _replicates(state: Conditions, settled: Mask) -> list[NDArray[np.int64]]:

@@ -268,7 +268,7 @@ def _worst_lines(comparison: Comparison) -> list[str]:
 def _pair_sentence(old: float, new: float, floor: float | None) -> str:
     if new > old:
         return f"The error ROSE from {mm(old)} to {mm(new)} mm RMS: the second model is worse on this run."
-    share, removable = fall(old, new), fall(old, new, floor) if floor else None
+    share, removable = fall(old, new), fall(old, new, floor) if floor and new > floor else None
     text = f"The error falls from {mm(old)} to {mm(new)} mm RMS ({percent(share)})"
     return text + (
         f"; of what lies above the camera's noise, {percent(removable)} is gone." if removable is not None else "."

@@ -36,7 +36,7 @@ class Story:
 def write_html(
     path: str | Path,
     comparison: Comparison | Sequence[Comparison] | None = None,
-    diagnosis: Mapping[str, Any] | None = None,
+    diagnosis: Any = None,
     series: Series | None = None,
 ) -> Path:
     """Write one self-contained HTML page.
@@ -44,7 +44,7 @@ def write_html(
     Args:
         path: the file to write.
         comparison: one comparison, or two of the same run (before, after).
-        diagnosis: a document softmap.diagnosis/1.
+        diagnosis: a Diagnosis or its document softmap.diagnosis/1.
         series: errors over time and over the body (`compare.series`), for the pictures that need them.
 
     Returns:
@@ -61,6 +61,7 @@ def write_html(
     if len(given) == 2:
         check_pair(*given)
     if diagnosis is not None:
+        diagnosis = diagnosis.to_dict() if hasattr(diagnosis, "to_dict") else diagnosis
         check_diagnosis(diagnosis)
     story = Story(given[0] if given else None, given[1] if len(given) > 1 else None, diagnosis, series)
     figures = _figures()
@@ -183,7 +184,7 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
         )
     cards = [("error before" if new is not None else "error", f"{mm(old)} mm", f"RMS, {note}", "before")]
     if number(new) is not None and number(old) is not None:
-        share = fall(old, new, floor)
+        share = fall(old, new, floor if floor is not None and new > floor else None)
         cards.append(("error after", f"{mm(new)} mm", f"RMS, {note}", "after"))
         cards.append(
             ("of the removable error gone", percent(share), f"{percent(fall(old, new))} of the raw error", "after")

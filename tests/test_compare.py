@@ -199,13 +199,25 @@ def test_noise_floor_from_repeated_commands():
 def test_noise_floor_without_replicates_says_so():
     t = np.arange(0, 30.0, 0.02)
     u = np.column_stack([10 * np.sin(t), 8 * np.cos(0.7 * t)])
-    found = compare(lean(), record(t, u, np.arange(0, 29, 0.1), noise=0.1))
+    bare = replace(lean(), triangles=np.zeros((0, 3), int))
+    found = compare(bare, record(t, u, np.arange(0, 29, 0.1), noise=0.1))
     assert found.noise_floor_mm == pytest.approx(np.sqrt(3) * 0.1, rel=0.1)
-    assert "no replicates" in found.made_from["noise_floor"]
+    assert "no replicates" in found.made_from["noise_floor"] and "upper bound" in found.made_from["noise_floor"]
     few = record(t, u, np.arange(0, 0.5, 0.1), noise=0.1)
     state = conditions(few, few.command)
     value, why = noise_floor(state, few.vertices, np.ones(few.vertices.shape[:2], bool), few.vertices)
     assert value is None and "too few" in why
+
+
+def test_noise_floor_of_a_moving_body_ignores_what_the_model_misses():
+    """Always moving, and the model wrong by a smooth 5 mm: the roughness over the body still gives the noise."""
+    t = np.arange(0, 30.0, 0.02)
+    u = np.column_stack([10 * np.sin(t), 8 * np.cos(0.7 * t)])
+    wrong = lean(lambda run, p: 5 * np.sin(3 * run.t_seen)[:, None, None] * (tube()[0][:, 2] / 100)[None, :, None] ** 2)
+    found = compare(wrong, record(t, u, np.arange(0, 29, 0.1), noise=0.1))
+    assert found.error["rms_mm"] > 2
+    assert found.noise_floor_mm == pytest.approx(np.sqrt(3) * 0.1, rel=0.05)
+    assert "roughness" in found.made_from["noise_floor"]
 
 
 def test_document_survives_json():
