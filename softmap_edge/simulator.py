@@ -7,8 +7,6 @@ Quasi-static finite elements in the compiled core; all local cores are used, Ctr
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,12 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import _core
 from softmap_edge.errors import FingerError, SoftmapError
 from softmap_edge.finger import Finger
+from softmap_edge.npz import read_npz, write_npz
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 SCHEMA = "softmap.sweep.file/1"
-_UNREADABLE = (OSError, KeyError, ValueError, EOFError, TypeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 class SimulationError(SoftmapError):
@@ -59,30 +57,23 @@ class Sweep:
 
     def save(self, path: str | Path) -> None:
         """Write the sweep as `.npz` without pickles."""
-        axes = {f"axis{c}": axis for c, axis in enumerate(self.axes)}
-        with open(path, "wb") as file:
-            np.savez_compressed(
-                file,
-                schema=np.array(SCHEMA),
-                command=self.command,
-                vertices=self.vertices,
-                tension=self.tension,
-                **axes,  # type: ignore[arg-type]
-            )
+        arrays = {f"axis{c}": axis for c, axis in enumerate(self.axes)}
+        arrays |= {"command": self.command, "vertices": self.vertices, "tension": self.tension}
+        write_npz(Path(path), {**arrays, "schema": np.array(SCHEMA)})
 
     @classmethod
     def load(cls, path: str | Path) -> Sweep:
         """Read a sweep; raises SimulationError when the file is not one, damaged or newer."""
+        content = read_npz(Path(path), SimulationError)
+        schema = str(content.pop("schema", "none"))
+        if schema != SCHEMA:
+            raise SimulationError(f"{path}: schema {schema}, expected {SCHEMA}; make it with `softmap sweep`")
         try:
-            with np.load(path, allow_pickle=False) as file:
-                if str(file["schema"]) != SCHEMA:
-                    raise SimulationError(f"{path}: schema {file['schema']}, expected {SCHEMA}; update softmap-edge")
-                count = sum(name.startswith("axis") for name in file.files)
-                axes = tuple(np.asarray(file[f"axis{c}"], dtype=np.float64) for c in range(count))
-                arrays = [np.asarray(file[k], dtype=np.float64) for k in ("command", "vertices", "tension")]
-        except _UNREADABLE as error:
-            why = f"not a readable sweep ({error})"
-            raise SimulationError(f"{path}: {why}; make it again with `softmap sweep`") from None
+            read = {name: np.asarray(array, dtype=np.float64) for name, array in content.items()}
+            axes = tuple(read[f"axis{c}"] for c in range(sum(name.startswith("axis") for name in read)))
+            arrays = [read[name] for name in ("command", "vertices", "tension")]
+        except (KeyError, ValueError, TypeError) as error:
+            raise SimulationError(f"{path}: not a sweep ({error}); make it with `softmap sweep`") from None
         command, vertices, tension = arrays
         size = int(np.prod([len(axis) for axis in axes])) if all(axis.ndim == 1 for axis in axes) else -1
         good = command.shape == (size, len(axes)) and vertices.ndim == 3 and vertices.shape[::2] == (size, 3)
