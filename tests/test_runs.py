@@ -299,3 +299,17 @@ def test_a_stream_of_numbers_survives_any_byte_order(tmp_path):
     again = Run.load(tmp_path / "other.npz")
     assert again.command.dtype == np.float64 and np.array_equal(again.command, fields()["command"])
     assert np.array_equal(again.markers, fields()["markers"])
+
+
+def test_check_and_show_take_a_bundle_too(tmp_path, capsys):
+    from softmap_edge.bundle import builtin_model, save_bundle
+
+    folder = save_bundle(builtin_model(), tmp_path / "finger")
+    assert main(["check", str(folder), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["kind"], document["sound"], document["manifest"]["channels"]) == ("bundle", True, 2)
+    assert main(["show", str(folder)]) == 0
+    assert "held_out_error_mm" in capsys.readouterr().out
+    (folder / "prior.npz").write_bytes(b"damaged")
+    assert main(["check", str(folder)]) == 1
+    assert "prior.npz" in capsys.readouterr().err
