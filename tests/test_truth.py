@@ -184,3 +184,56 @@ def test_protocols_repeat_themselves_and_refuse_nonsense():
     for bad in ((0, 0, 12.0), (2, 0, -1.0)):
         with pytest.raises(SoftmapError, match="at least 1 channel"):
             standard_protocol(*bad)
+
+
+def test_camera_noise_has_the_declared_size_and_memory():
+    from softmap_edge.truth import Camera
+
+    camera = Camera(vertex_mm=0.25, shift_mm=0.5, turn_deg=0.0, memory_s=1.0)
+    t = np.arange(4000) * 0.5
+    seen = camera.look(np.zeros((t.size, 40, 3)), t, np.random.default_rng(0))
+    drift = seen.mean(axis=1)[:, 0]
+    assert np.std(seen - seen.mean(axis=1, keepdims=True)) == pytest.approx(0.25 * np.sqrt(39 / 40), rel=0.01)
+    assert np.std(drift) == pytest.approx(0.5, rel=0.1)
+    assert np.corrcoef(drift[1:], drift[:-1])[0, 1] == pytest.approx(np.exp(-0.5), abs=0.05)
+
+
+@pytest.mark.parametrize("name", ["backlash", "latency", "payload", "mount"])
+def test_secret_moves_the_centroids_by_what_it_says(name):
+    from softmap_edge.truth import centroids, hide
+
+    p = standard_protocol()
+    truth = hide([name], 4)
+    moved = centroids(truth.shapes(p)) - centroids(truth.twin().shapes(p))
+    rms = np.sqrt((moved**2).sum(axis=2).mean())
+    assert 1.0 <= rms <= 4.0
+    assert rms == pytest.approx(truth.secrets[0].displacement_mm)
+
+
+def test_interpolated_truth_is_the_solved_one():
+    from softmap_edge.truth import hide
+
+    truth = hide([], 4)
+    assert truth.interpolation_error(standard_protocol(), every=25) < 0.15  # mm, under the camera's 0.43
+
+
+def test_a_measured_finger_is_a_run():
+    from softmap_edge.truth import hide, template
+
+    p = other_protocol()
+    run = hide(["offset"], 4).measure(p)
+    again = hide(["offset"], 4).measure(p)
+    assert run.vertices.shape == (p.frames, *template().shape)
+    assert np.array_equal(run.vertices, again.vertices)
+    assert not np.array_equal(run.vertices, hide(["offset"], 4).measure(p, seed=1).vertices)
+
+
+def test_unknown_and_doubled_secrets_are_refused():
+    from softmap_edge.truth import hide
+
+    with pytest.raises(SoftmapError, match="offset, gain, backlash"):
+        hide(["wobble"], 0)
+    with pytest.raises(SoftmapError, match="once"):
+        hide(["creep", "creep"], 0)
+    with pytest.raises(SoftmapError, match="negative"):
+        hide([], -1)

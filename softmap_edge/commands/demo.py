@@ -1,0 +1,187 @@
+"""The verb demo: measure a second finger that hides something, find out what is missing, add it, and judge the result.
+
+A `Trial` is that story without words; the hidden-effect tests run the same one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from softmap_edge import SoftmapError
+from softmap_edge.bundle import builtin_model, save_bundle
+from softmap_edge.compare import Comparison, compare
+from softmap_edge.diagnosis import Diagnosis, diagnose
+from softmap_edge.model import Model
+from softmap_edge.protocol import other_protocol, standard_protocol
+from softmap_edge.report import fall, pair_text
+from softmap_edge.run import Run
+from softmap_edge.truth import Truth, hide, surprise
+
+SCHEMA = "softmap.demo/1"
+FIRST_SEED = 1
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One hidden case from end to end. Errors are held out: RMS mm over all vertices of a run that was never fitted."""
+
+    truth: Truth
+    model: Model
+    run: Run
+    other: Run
+    fitted: Comparison
+    diagnosis: Diagnosis
+    before: Comparison
+    after: Comparison
+    floor_mm: float
+
+    @property
+    def before_mm(self) -> float:
+        """Error of the model as it was."""
+        return self.before.error["rms_mm"]
+
+    @property
+    def after_mm(self) -> float:
+        """Error of the model with what the diagnosis added."""
+        return self.after.error["rms_mm"]
+
+    @property
+    def fall(self) -> float | None:
+        """Share of the removable error that is gone: (before − after) / (before − floor)."""
+        return fall(self.before_mm, self.after_mm, self.floor_mm)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.demo/1."""
+        share = self.fall if self.truth.secrets else None
+        return {
+            "schema": SCHEMA,
+            "seed": self.truth.seed,
+            "hidden": [secret.to_dict() for secret in self.truth.secrets],
+            "diagnosis": self.diagnosis.to_dict(),
+            "before_mm": self.before_mm,
+            "after_mm": self.after_mm,
+            "floor_mm": self.floor_mm,
+            "floor_kind": "the same finger with nothing hidden",
+            "fall": share,
+            "frames": {"fitted": self.fitted.frames, "held_out": self.before.frames},
+            "other_finger": {"modulus_factor": self.truth.modulus, "mesh": "another resolution"},
+        }
+
+
+def trial(model: Model, truth: Truth, say: Callable[[str], None] = lambda text: None) -> Trial:
+    """Measure `truth` by the standard protocol, diagnose, and judge on a run of another kind.
+
+    Args: `model` of the first finger; `truth`, the second one; `say` is told what goes on.
+    Returns the trial. The run of another kind is shown to the comparison only, never to the diagnosis.
+    """
+    protocol, judge = standard_protocol(model.channels), other_protocol(model.channels)
+    say(f"Measuring the second finger: {protocol.frames} frames in {protocol.t[-1] / 60:.0f} minutes of finger time …")
+    run = truth.measure(protocol)
+    fitted = compare(model, run)
+    say(
+        f"  The model is off by {fitted.error['rms_mm']:.2f} mm RMS, at the tip by {fitted.error['tip_rms_mm']:.2f} mm."
+    )
+    say("Looking for what the model lacks …")
+    diagnosis = diagnose(model, run)
+    say(f"  {diagnosis.to_dict()['sentence']}")
+    say(f"Measuring a run of another kind ({judge.frames} frames of circles, spirals and random moves) as the judge …")
+    other = truth.measure(judge, seed=1)
+    floor = compare(model, truth.twin().measure(judge, seed=1)).error["rms_mm"]
+    before, after = compare(model, other), compare(diagnosis.model, other)
+    return Trial(truth, model, run, other, fitted, diagnosis, before, after, floor)
+
+
+def demo_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `demo`."""
+    parser.add_argument(
+        "--hide",
+        default="random",
+        metavar="NAME[,NAME]",
+        help="what the second finger hides: effects by name, 'nothing', or 'random' (default)",
+    )
+    parser.add_argument("--seed", type=int, default=FIRST_SEED, help=f"draws finger and strengths ({FIRST_SEED})")
+    parser.add_argument("--out", default="demo", help="folder for the runs, the bundle and the report (demo)")
+
+
+def demo(args: argparse.Namespace) -> int:
+    """Tell the whole story on a simulated finger with hidden effects."""
+    started = time.monotonic()
+    say: Callable[[str], None] = (lambda text: None) if args.json else (lambda text: print(text, flush=True))
+    names = _hidden_names(args.hide, args.seed)
+    say("Taking the model of the built-in finger, made from a simulated sweep.")
+    model = builtin_model()
+    say("Making a second finger: another mesh, another batch of silicone, and a secret …")
+    story = trial(model, hide(names, args.seed), say)
+    say("")
+    say(pair_text(story.before, story.after))
+    files = _write(story, Path(args.out))
+    document = story.to_dict() | {"files": files, "seconds": round(time.monotonic() - started, 1)}
+    if args.json:
+        print(json.dumps(document))
+    else:
+        print("\n".join(_reveal(story, files, document["seconds"])))
+    return 0
+
+
+def _hidden_names(text: str, seed: int) -> list[str]:
+    if seed < 0:
+        raise SoftmapError(f"seed {seed} is negative; give 0 or more")
+    if text == "random":
+        return surprise(seed)
+    if text == "nothing":
+        return []
+    names = [name.strip() for name in text.split(",")]
+    from softmap_edge.truth_laws import LAWS
+
+    for name in names:
+        if name not in LAWS:
+            raise SoftmapError(
+                f"no hidden effect '{name}'; --hide takes {', '.join(LAWS)}, several with commas, 'nothing' or 'random'"
+            )
+    return names
+
+
+def _write(story: Trial, folder: Path) -> dict[str, str]:
+    """Write runs, diagnosis, the bundle with what was found, and the report; return what is where."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {
+        "run": folder / "run.npz",
+        "held_out_run": folder / "other_run.npz",
+        "diagnosis": folder / "diagnosis.json",
+        "bundle": folder / "finger2",
+    }
+    story.run.save(files["run"])
+    story.other.save(files["held_out_run"])
+    files["diagnosis"].write_text(json.dumps(story.diagnosis.to_dict(), indent=1) + "\n")
+    save_bundle(story.diagnosis.model, files["bundle"])
+    return {name: str(path) for name, path in files.items()}
+
+
+def _reveal(story: Trial, files: dict[str, str], seconds: float) -> Sequence[str]:
+    lines = ["", f"Held-out error {story.before_mm:.2f} → {story.after_mm:.2f} mm RMS (floor {story.floor_mm:.2f} mm:"]
+    lines[-1] += " the same finger with nothing hidden)."
+    if story.truth.secrets and story.fall is not None:
+        lines.append(f"{100 * story.fall:.0f} % of the removable error is gone, on a run that was never fitted.")
+    found = [effect["name"] for effect in story.diagnosis.to_dict()["effects"]]
+    lines.append(f"Found:  {', '.join(found) or 'nothing'}")
+    if not story.truth.secrets:
+        lines.append("Hidden: nothing (another mesh, another modulus and camera noise only)")
+    for secret in story.truth.secrets:
+        numbers = ", ".join(f"{key} {_plain(value)}" for key, value in secret.law.params().items() if key != "seed")
+        lines.append(f"Hidden: {secret.name} ({numbers}); it moves the finger by {secret.displacement_mm:.1f} mm RMS")
+    report = files.get("report")
+    lines.append(f"Open {report}" if report else "A report with pictures needs: pip install 'softmap-edge[report]'")
+    lines.append(f"({seconds:.0f} s)")
+    return lines
+
+
+def _plain(value: float | list[float]) -> str:
+    if isinstance(value, list):
+        return "[" + ", ".join(f"{x:.3g}" for x in value) + "]"
+    return f"{value:.3g}"

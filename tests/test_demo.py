@@ -1,0 +1,60 @@
+"""The verb demo: what it prints, what it writes, and what it refuses."""
+
+import json
+
+import pytest
+from softmap_edge.run import Run
+
+from softmap_edge.cli import main
+from softmap_edge.truth import hide, surprise
+from softmap_edge.truth_laws import LAWS
+
+
+def test_demo_tells_the_story_and_reveals_at_the_end(tmp_path, capsys):
+    assert main(["demo", "--hide", "backlash", "--seed", "4", "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    before, reveal = text.rsplit("Hidden:", 1)
+    assert "half_width_mm" in reveal
+    assert "half_width_mm" not in before  # not told earlier
+    assert "Held-out error" in text
+    assert str(tmp_path / "report.html") in text
+    page = (tmp_path / "report.html").read_text()
+    assert page.lstrip().lower().startswith("<!doctype html")
+    assert 'src="http' not in page
+    assert Run.load(tmp_path / "run.npz").vertices.shape[1:] == (548, 3)
+    assert main(["check", str(tmp_path / "finger2")]) == 0
+
+
+def test_demo_prints_one_document(tmp_path, capsys):
+    assert main(["demo", "--hide", "offset,creep", "--seed", "4", "--json", "--out", str(tmp_path)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["schema"] == "softmap.demo/1"
+    assert [hidden["name"] for hidden in document["hidden"]] == ["offset", "creep"]
+    assert all(1.0 <= hidden["displacement_mm"] <= 4.0 and hidden["params"] for hidden in document["hidden"])
+    assert document["diagnosis"]["schema"] == "softmap.diagnosis/1"
+    assert document["before_mm"] > document["after_mm"] > 0.9 * document["floor_mm"] > 0
+
+
+@pytest.mark.parametrize("hide", ["wobble", "creep,wobble", ""])
+def test_unknown_secret_lists_the_known(hide, capsys, tmp_path):
+    assert main(["demo", "--hide", hide, "--out", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert all(name in said for name in [*LAWS, "nothing", "random"])
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("argv", [["--seed", "-1"], ["--hide", "creep,creep"], ["--seed", "x"]])
+def test_wrong_use(argv, capsys, tmp_path):
+    assert main(["demo", *argv, "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.strip()
+
+
+def test_a_surprise_depends_on_the_seed_alone():
+    drawn = [tuple(surprise(seed)) for seed in range(40)]
+    assert drawn == [tuple(surprise(seed)) for seed in range(40)]
+    assert {len(names) for names in drawn} == {1, 2}
+    assert {name for names in drawn for name in names} == set(LAWS)
+
+
+def test_the_same_seed_hides_the_same():
+    assert hide(["backlash"], 4) == hide(["backlash"], 4)
