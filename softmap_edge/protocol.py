@@ -25,7 +25,7 @@ SLOW, FAST = 9.0, 55.0  # mm/s; at 55 mm/s a delay of 20 ms is 1.1 mm
 DWELL = 7.0  # s, long enough to see creep
 TURNING = 6.0  # s at home while the mounting is turned; no frame is taken
 HANGING = (0.0, 0.0, 1.0)
-LEAN, AZIMUTH = np.radians(60.0), np.radians(25.0)  # second mounting: off hanging, and out of the tendon planes
+LEAN, AZIMUTH = np.radians(35.0), np.radians(25.0)  # second mounting: off hanging, and out of the tendon planes
 LEANING = (
     float(np.sin(LEAN) * np.cos(AZIMUTH)),
     float(np.sin(LEAN) * np.sin(AZIMUTH)),

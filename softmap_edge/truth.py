@@ -34,9 +34,10 @@ Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 BATCHES = (0.9, 0.95, 1.05, 1.1)  # modulus of the second finger against the first: its batch of silicone, by seed
-STEPS = 21  # commands a channel in a truth's sweep, closer together near zero where tendons fall slack
+LAYERS = 0.75  # of the first finger's layers: another mesh along the body, where it bends
+STEPS = 11  # commands a channel in a truth's sweep, closer together near zero where tendons fall slack
 ROUGH_STEPS = 5  # to find the strength of a weight before it is solved properly
-CROWDING = 1.2  # sinh spacing: the innermost step is about half the outermost
+CROWDING = 1.0  # sinh spacing: the innermost step is about two thirds of the outermost
 GRIDS = (15.0, 18.0)  # mm, half-ranges of the sweeps; the smallest that holds what reaches the body is used
 TARGET = (1.2, 3.6)  # mm RMS of the section centroids, drawn; what is accepted lies in 1-4 mm
 SECTIONS = 9
@@ -267,7 +268,8 @@ def _template() -> Floats:
 def _simulator(modulus: float) -> Simulator:
     """Return the second finger: another mesh, another batch, the first finger's material points."""
     finger = _finger()
-    other = finger.other_mesh().replace(young_mpa=finger.young_mpa * modulus)
+    layers = round(LAYERS * finger.layers)
+    other = finger.replace(layers=layers, young_mpa=finger.young_mpa * modulus)
     return Simulator(other, template=Simulator(finger).template)
 
 
