@@ -35,7 +35,7 @@ Vector = tuple[float, float, float]
 
 BATCHES = (0.9, 0.95, 1.05, 1.1)  # modulus of the second finger against the first: its batch of silicone, by seed
 LAYERS = 0.75  # of the first finger's layers: another mesh along the body, where it bends
-STEPS = 11  # commands a channel in a truth's sweep, closer together near zero where tendons fall slack
+STEPS = 15  # commands a channel in a truth's sweep, closer together near zero where tendons fall slack
 ROUGH_STEPS = 5  # to find the strength of a weight before it is solved properly
 CROWDING = 1.0  # sinh spacing: the innermost step is about two thirds of the outermost
 GRIDS = (15.0, 18.0)  # mm, half-ranges of the sweeps; the smallest that holds what reaches the body is used

@@ -15,11 +15,13 @@ from typing import Any
 
 from softmap_edge import SoftmapError
 from softmap_edge.bundle import builtin_model, save_bundle
-from softmap_edge.compare import Comparison, compare
+from softmap_edge.compare import Comparison, compare, series
 from softmap_edge.diagnosis import Diagnosis, diagnose
+from softmap_edge.errors import ReportError
 from softmap_edge.model import Model
 from softmap_edge.protocol import other_protocol, standard_protocol
 from softmap_edge.report import fall, pair_text
+from softmap_edge.report_html import write_html
 from softmap_edge.run import Run
 from softmap_edge.truth import Truth, hide, surprise
 
@@ -160,6 +162,16 @@ def _write(story: Trial, folder: Path) -> dict[str, str]:
     story.other.save(files["held_out_run"])
     files["diagnosis"].write_text(json.dumps(story.diagnosis.to_dict(), indent=1) + "\n")
     save_bundle(story.diagnosis.model, files["bundle"])
+    try:
+        write_html(
+            folder / "report.html",
+            [story.before, story.after],
+            story.diagnosis.to_dict(),
+            series(story.other, story.model, story.diagnosis.model),
+        )
+        files["report"] = folder / "report.html"
+    except ReportError:  # without matplotlib text and JSON go on; the last lines say what to install
+        pass
     return {name: str(path) for name, path in files.items()}
 
 
