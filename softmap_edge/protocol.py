@@ -199,7 +199,7 @@ def _fast_triangles(tape: _Tape, channel: int) -> None:
 
 
 def _other_blocks(tape: _Tape, part: int) -> None:
-    tape.hold(3.0, 1.5, "home")
+    tape.hold(5.0, 1.6, "home")
     reach, shift = tape.reach, np.arange(tape.channels) * (np.pi / 2)
 
     def circle(phase: Floats) -> Floats:
@@ -213,7 +213,7 @@ def _other_blocks(tape: _Tape, part: int) -> None:
     tape.follow(spiral, 20.0, 2.0, "spiral")
     tape.follow(_wander(tape, 0.85 * reach), 14.0 + 2 * part, 2.0, "random")
     tape.follow(_wander(tape, 0.7 * reach), 3.0, 7.0, "random fast")
-    tape.hold(2.0, 1.5, "home")
+    tape.hold(4.5, 1.6, "home")
 
 
 def _wander(tape: _Tape, size: float) -> Callable[[Floats], Floats]:

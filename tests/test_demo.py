@@ -3,9 +3,9 @@
 import json
 
 import pytest
-from softmap_edge.run import Run
 
 from softmap_edge.cli import main
+from softmap_edge.run import Run
 from softmap_edge.truth import hide, surprise
 from softmap_edge.truth_laws import LAWS
 

@@ -20,7 +20,7 @@ from softmap_edge.diagnosis import Diagnosis, diagnose
 from softmap_edge.errors import ReportError
 from softmap_edge.model import Model
 from softmap_edge.protocol import other_protocol, standard_protocol
-from softmap_edge.report import fall, pair_text
+from softmap_edge.report import fall
 from softmap_edge.report_html import write_html
 from softmap_edge.run import Run
 from softmap_edge.truth import Truth, hide, surprise
@@ -120,8 +120,7 @@ def demo(args: argparse.Namespace) -> int:
     model = builtin_model()
     say("Making a second finger: another mesh, another batch of silicone, and a secret …")
     story = trial(model, hide(names, args.seed), say)
-    say("")
-    say(pair_text(story.before, story.after))
+    say(_table(story))
     files = _write(story, Path(args.out))
     document = story.to_dict() | {"files": files, "seconds": round(time.monotonic() - started, 1)}
     if args.json:
@@ -173,6 +172,17 @@ def _write(story: Trial, folder: Path) -> dict[str, str]:
     except ReportError:  # without matplotlib text and JSON go on; the last lines say what to install
         pass
     return {name: str(path) for name, path in files.items()}
+
+
+def _table(story: Trial) -> str:
+    """Return the errors before and after on the run of another kind, where it matters most."""
+    rows = [("all vertices", story.before_mm, story.after_mm)]
+    rows.append(("tip", story.before.error["tip_rms_mm"], story.after.error["tip_rms_mm"]))
+    for name in ("direction", "orientation"):
+        known = {row.label: row.rms_mm for row in story.after.where.get(name, [])}
+        rows += [(row.label, row.rms_mm, known.get(row.label, row.rms_mm)) for row in story.before.where.get(name, [])]
+    lines = [f"  {'mm RMS, held out':<32} before   after"]
+    return "\n".join(["", *lines, *(f"  {label:<32} {old:6.2f}  {new:6.2f}" for label, old, new in rows)])
 
 
 def _reveal(story: Trial, files: dict[str, str], seconds: float) -> Sequence[str]:
