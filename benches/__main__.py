@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import scipy
-from softmap_edge.finger import Finger
-from softmap_edge.simulator import Simulator
 
 from benches.peer_newton import NumpySolid
 from benches.peer_rollout import backlash_and_creep
 from softmap_edge import __version__, _core
 from softmap_edge.bundle import builtin_model
+from softmap_edge.finger import Finger
+from softmap_edge.simulator import Simulator
 
 REPEATS = 9
 
@@ -143,10 +143,11 @@ def imports() -> dict[str, object]:
 def diagnosis() -> dict[str, object]:
     """One diagnosis of about 350 frames over the whole library."""
     from softmap_edge.diagnosis import diagnose
-    from softmap_edge.truth import measure
+    from softmap_edge.protocol import standard_protocol
+    from softmap_edge.truth import hide
 
     model = builtin_model()
-    run = measure(["backlash"], seed=1).run
+    run = hide(["backlash"], 1).measure(standard_protocol())
     start = time.perf_counter()
     diagnose(model, run)
     name = f"diagnosis of {len(run.t_seen)} frames over {len(_core.effects())} effects"
