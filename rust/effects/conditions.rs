@@ -93,33 +93,25 @@ impl Conditions {
         Ok(())
     }
 
-    /// The context of sample `k`.
+    /// The context of sample `k`. It cannot fail, so an effect that reads only part of it pays for that part.
     #[inline]
     pub fn at(&self, k: usize) -> Context {
-        let column = |values: &[f64]| values[if values.len() == 1 { 0 } else { k }];
-        let gravity = self.gravity[if self.gravity.len() == 1 { 0 } else { k }];
+        fn column<T: Copy>(values: &[T], k: usize, absent: T) -> T {
+            *values.get(k).or(values.first()).unwrap_or(&absent)
+        }
         Context {
-            t: self.t[k],
-            dt: self.dt[k],
-            gravity,
-            load: column(&self.load),
-            temperature: column(&self.temperature),
+            t: column(&self.t, k, 0.0),
+            dt: column(&self.dt, k, 0.0),
+            gravity: column(&self.gravity, k, [0.0, 0.0, 1.0]),
+            load: column(&self.load, k, 0.0),
+            temperature: column(&self.temperature, k, f64::NAN),
         }
     }
 
-    /// The context at any time, linear between samples and constant beyond the ends. None of an empty record without
-    /// constants is asked for: an empty record gives its first constants.
+    /// The context at any time, linear between samples and constant beyond the ends.
     pub fn between(&self, t: f64) -> Context {
         if self.t.is_empty() {
-            let first = |values: &[f64]| values.first().copied().unwrap_or(f64::NAN);
-            let gravity = self.gravity.first().copied().unwrap_or([0.0, 0.0, 1.0]);
-            return Context {
-                t,
-                dt: 0.0,
-                gravity,
-                load: first(&self.load),
-                temperature: first(&self.temperature),
-            };
+            return Context { t, ..self.at(0) };
         }
         let (k, share) = bracket(&self.t, t);
         let (a, b) = (self.at(k), self.at((k + 1).min(self.len() - 1)));

@@ -3,15 +3,16 @@
 //! `x(t) = u(t − delay)`, linear between samples, so that the delay need not be a multiple of the period and can be fitted.
 //! Memory is a ring of past samples with their times. Before the first sample the first command is held forever.
 //! Limit: delays up to [`MAX_DELAY`]; samples closer than half of [`SPACING`] are thinned so that the ring always spans it
-//! (none at rates up to 1 kHz). Source: pure dead time of any sampled drive. Pinned by the tests at the foot.
+//! (none at rates up to 900 Hz). Source: pure dead time of any sampled drive. Pinned by the tests at the foot.
 
 use super::conditions::Context;
 use super::declaration::*;
 use crate::error::{Result, invalid};
 
 /// Longest delay that the ring holds, s.
-const MAX_DELAY: f64 = 0.6;
-const SLOTS: usize = 768;
+const MAX_DELAY: f64 = 0.55;
+/// A power of two, so that finding a slot is cheap.
+const SLOTS: usize = 512;
 /// Any two neighbouring intervals in the ring last at least this together, s.
 const SPACING: f64 = 2.0 * MAX_DELAY / (SLOTS - 2) as f64;
 
