@@ -131,7 +131,7 @@ ERROR_KEYS = ("rms_mm", "median_mm", "p95_mm", "max_mm", "tip_rms_mm")
 class Series:
     """What pictures need of a run seen by one model or by two (before, after): errors per frame and per point, mm."""
 
-    kind: str  # "held out" or "fitted": whether the run took part in the fit
+    kind: str  # "held out", "fitted" or "measured": whether the run took part in the fit, if that is known
     t_seen: Floats  # (K,) s
     before: Floats  # (K,) RMS over the points of a frame
     after: Floats | None  # (K,)
@@ -196,16 +196,16 @@ def series(run: Any, before: Any, after: Any = None, kind: str = "held out") -> 
         run: as for `compare`.
         before: the model, or the model before the change.
         after: the model after the change, or None.
-        kind: "held out" or "fitted": whether the run took part in the fit.
+        kind: whether the run took part in the fit: "held out", "fitted", or "measured" where that is not known.
 
     Returns:
         Series: errors over time and over the body, template and tip paths.
 
     Raises:
-        ComparisonError: as `compare`; also when `kind` is neither.
+        ComparisonError: as `compare`; also when `kind` is none of these.
     """
-    if kind not in ("held out", "fitted"):
-        raise ComparisonError(f"kind is {kind!r}; it is 'held out' or 'fitted'")
+    if kind not in ("held out", "fitted", "measured"):
+        raise ComparisonError(f"kind is {kind!r}; it is 'held out', 'fitted' or 'measured' (not known)")
     predicted, seen, visible = _aligned(before, run)
     squared = np.where(visible, np.sum((predicted - seen) ** 2, axis=2), 0.0)
     tip_seen, tip_before = _tips(before, predicted, seen, visible)

@@ -115,8 +115,9 @@ def _section(title: str, content: str, note: str = "") -> str:
 
 def _kind(story: Story) -> str:
     """Whether the shown errors are held out, in the words of a caption."""
-    if story.series is not None:
-        return "held out: this run was not fitted" if story.series.kind == "held out" else "fitted: this run took part"
+    known = {"held out": "held out: this run was not fitted", "fitted": "fitted: this run took part"}
+    if story.series is not None and story.series.kind in known:
+        return known[story.series.kind]
     return "measured; whether this run took part in a fit is not recorded here"
 
 

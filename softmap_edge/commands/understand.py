@@ -27,20 +27,19 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
 def compare(args: argparse.Namespace) -> int:
     """Show how far a model is from a run, and where; 1 if the last of several bundles is worse than the first."""
     from softmap_edge.compare import compare as measure
+    from softmap_edge.report import pair_text
 
-    run = _run(args.run)
-    found = [measure(_bundle(path), run) for path in args.bundle or [None]]
-    if args.html:
-        _html(args.html, comparison=found[-1])
+    run, models = _run(args.run), [_bundle(path) for path in args.bundle or [None]]
+    found = [measure(model, run) for model in models]
     if args.json:
         documents = [c.to_dict() for c in found]
         print(json.dumps(documents[0] if len(documents) == 1 else documents, indent=1))
     else:
-        for path, one in zip(args.bundle or ["built-in finger"], found):
-            print(f"{path}\n{one}\n" if len(found) > 1 else one)
-        if len(found) > 1:
-            first, last = (c.error["rms_mm"] for c in (found[0], found[-1]))
-            print(f"error {first:.3f} -> {last:.3f} mm RMS ({100 * (last / first - 1):+.0f} %)")
+        for path, one in zip(args.bundle or [], found if len(found) > 2 else []):
+            print(f"{path}\n{one}\n")
+        print(pair_text(found[0], found[-1]) if len(found) > 1 else found[0])
+    if args.html:
+        _page(args.html, run, models[0], models[-1], None, "measured")
     return int(len(found) > 1 and found[-1].error["rms_mm"] > found[0].error["rms_mm"])
 
 
@@ -65,9 +64,10 @@ def diagnose(args: argparse.Namespace) -> int:
     found = find(model, run, held_out, wanted, args.seed, _progress(args))
     if args.out:
         _write_json(args.out, found.to_dict())
-    if args.html:
-        _html(args.html, diagnosis=found, comparison=_comparison(model, run))
     print(json.dumps(found.to_dict(), indent=1) if args.json else found)
+    if args.html:
+        kind = "fitted" if held_out is None else "held out"
+        _page(args.html, held_out or run, model, found.model, found, kind)
     return 0
 
 
@@ -152,16 +152,15 @@ def _names(text: str) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _comparison(model: Any, run: Any) -> Any:
+def _page(path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: str) -> None:
+    """Write the page about a run seen by one model, or by two where they differ."""
     from softmap_edge.compare import compare as measure
-
-    return measure(model, run)
-
-
-def _html(path: str, **parts: Any) -> None:
+    from softmap_edge.compare import series
     from softmap_edge.report_html import write_html
 
-    write_html(path, **parts)
+    two = after is not None and after is not before
+    found = [measure(model, run) for model in ((before, after) if two else (before,))]
+    write_html(path, found, diagnosis, series(run, before, after if two else None, kind))
 
 
 def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
