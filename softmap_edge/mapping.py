@@ -146,13 +146,13 @@ class _Table:
         if value is None:
             return None
         if not low <= value <= high:  # also false for NaN
-            raise RunError(f"{self.where}: {key} = {value:.6g}, expected {low:g} to {high:g}")
+            raise RunError(f"{self.where}: {key} = {str(value)[:40]}, expected {low:g} to {high:g}")
         return float(value)
 
     def whole(self, key: str, default: int | None, low: int, high: int) -> int | None:
         value = self.get(key, (int,), default)
         if value is not None and not low <= value <= high:
-            raise RunError(f"{self.where}: {key} = {value}, expected {low} to {high}")
+            raise RunError(f"{self.where}: {key} = {str(value)[:40]}, expected {low} to {high}")
         return None if value is None else int(value)
 
     def choice(self, key: str, allowed: tuple[str, ...], default: str) -> str:

@@ -39,8 +39,9 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
     Raises:
         RunError: the file is damaged, too large, or a field is wrong.
     """
-    stored = dict(read_npz(Path(path), RunError, limit))
+    archive = read_npz(Path(path), RunError, limit)
     try:
+        stored = {name: fields.legal(name, array) for name, array in archive.items()}
         known: dict[str, Any] = {name: stored.pop(name) for name in fields.AXES if name in stored}
         for name in ("robot", "command_unit"):
             if name in stored:

@@ -313,3 +313,11 @@ def test_check_and_show_take_a_bundle_too(tmp_path, capsys):
     (folder / "prior.npz").write_bytes(b"damaged")
     assert main(["check", str(folder)]) == 1
     assert "prior.npz" in capsys.readouterr().err
+
+
+def test_text_that_is_no_text_is_refused(tmp_path):
+    label = np.zeros(12, "<U3")
+    label.view(np.uint32)[1] = 0x7FFFFFFF
+    np.savez(tmp_path / "run.npz", **(fields() | {"block": label}))
+    with pytest.raises(RunError, match="block: holds text that is not Unicode"):
+        Run.load(tmp_path / "run.npz")
