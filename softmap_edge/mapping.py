@@ -146,13 +146,13 @@ class _Table:
         if value is None:
             return None
         if not low <= value <= high:  # also false for NaN
-            raise RunError(f"{self.where}: {key} = {str(value)[:40]}, expected {low:g} to {high:g}")
+            raise RunError(f"{self.where}: {key} = {_shown(value)}, expected {low:g} to {high:g}")
         return float(value)
 
     def whole(self, key: str, default: int | None, low: int, high: int) -> int | None:
         value = self.get(key, (int,), default)
         if value is not None and not low <= value <= high:
-            raise RunError(f"{self.where}: {key} = {str(value)[:40]}, expected {low} to {high}")
+            raise RunError(f"{self.where}: {key} = {_shown(value)}, expected {low} to {high}")
         return None if value is None else int(value)
 
     def choice(self, key: str, allowed: tuple[str, ...], default: str) -> str:
@@ -174,8 +174,8 @@ class _Table:
             raise RunError(f"{self.where}: {key} is not a list of numbers; expected shape {shape}") from cause
         if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape)):
             raise RunError(f"{self.where}: {key} has shape {array.shape}, expected {shape}")
-        if not np.isfinite(array).all():
-            raise RunError(f"{self.where}: {key} holds NaN or infinity; give plain numbers")
+        if not (np.abs(array) <= 1e12).all():  # also false for NaN
+            raise RunError(f"{self.where}: {key} holds NaN or a number beyond 1e12; give plain numbers")
         return array
 
     def done(self) -> None:
@@ -349,4 +349,11 @@ def _per_column(table: _Table, key: str, count: int, default: float) -> Array:
 
 
 def _kind(value: Any) -> str:
-    return f"{type(value).__name__} {str(value)[:40]!r}"
+    return f"{type(value).__name__} {_shown(value)!r}"
+
+
+def _shown(value: Any) -> str:
+    try:
+        return str(value)[:40]
+    except ValueError:  # python does not print whole numbers of more than 4300 digits
+        return "a number of thousands of digits"
