@@ -1,6 +1,7 @@
 """The promise of the whole tool: a hidden effect is named, its error falls on another run, and silence is kept.
 
-One seed of each in `make test`; ten seeds, thirty nulls under `make prove`. Truths never use the effect library.
+Truths never use the effect library. All of it runs under `make prove` until the diagnosis holds every line; then the
+tests of one seed each move to `make test`, and the ten seeds and thirty nulls stay.
 """
 
 from functools import cache
@@ -12,6 +13,8 @@ from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.demo import trial
 from softmap_edge.truth import hide
 from softmap_edge.truth_laws import LAWS
+
+pytestmark = pytest.mark.prove
 
 SEED = 4  # the seed of `make test`: a batch that is 10 % softer
 PROVE_SEEDS = range(10)
