@@ -584,8 +584,15 @@ mod tests {
             let last = state.x.len() - solid.mesh.per_layer;
             state.x[last..].iter().map(|p| p[0]).sum::<f64>() / solid.mesh.per_layer as f64
         };
-        let tips = [tip(2, 16), tip(4, 32), tip(8, 64)];
-        let ratio = (tips[1] - tips[0]) / (tips[2] - tips[1]);
-        assert!(ratio > 2.0 && (tips[2] - tips[1]).abs() < 0.5, "{tips:?}");
+        let tips = [tip(3, 18), tip(4, 24), tip(6, 36)];
+        // Cables that cut in deeper on finer meshes would lose 3 mm here; what is left is discretisation.
+        assert!(
+            tips[0] > 15.0 && (tips[2] - tips[0]).abs() < 0.3,
+            "{tips:?}"
+        );
+        assert!(
+            (tips[2] - tips[1]).abs() < (tips[1] - tips[0]).abs(),
+            "{tips:?}"
+        );
     }
 }
