@@ -1,0 +1,131 @@
+"""Print how well the rod predicts a real trunk robot beside general regressors: same frames, same blocks, same inputs.
+
+Blocked cross-validation RMS over three markers and at the tip (mm), on the unloaded run of the trunk logs. Commands
+reach every model after the drive's delay and lag as the rod found them; encoders are un-held. The regressors get the
+nine marker coordinates as targets and inputs of unit variance. Run `python -m benches.trunk`; `make data` brings logs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.ensemble import HistGradientBoostingRegressor
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+from sklearn.linear_model import Ridge
+from sklearn.multioutput import MultiOutputRegressor
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+
+from softmap_edge.importer import import_logs, read_mapping
+from softmap_edge.rod import LearnedRod, learn
+from softmap_edge.rod_fit import Drive, Folds, folds
+from softmap_edge.run import Run, Source
+
+Floats = NDArray[np.float64]
+ROOT = Path(__file__).resolve().parent.parent
+LOGS = ("control_inputs_controlled_1.csv", "observations_controlled_1.csv")
+BLOCKS, GAP_S = 5, 2.0
+GP_TUNING_FRAMES = 500  # length scales are found on these, then all training frames are used
+SEED = 1
+INPUTS: tuple[tuple[Source, str], ...] = (("goal", "delayed commands"), ("present", "encoders"))
+
+
+class Process:
+    """A Gaussian process with one length scale an input, shared by the nine outputs."""
+
+    def fit(self, x: Floats, y: Floats) -> Process:
+        some = np.random.default_rng(SEED).permutation(len(x))[:GP_TUNING_FRAMES]
+        kernel = ConstantKernel(10.0, (1e-2, 1e4)) * RBF(np.full(x.shape[1], 3.0), (0.1, 100.0)) + WhiteKernel(
+            1e-2, (1e-5, 1.0)
+        )
+        tuned = GaussianProcessRegressor(kernel, normalize_y=True).fit(x[some], y[some]).kernel_
+        self.process = GaussianProcessRegressor(tuned, normalize_y=True, optimizer=None).fit(x, y)
+        return self
+
+    def predict(self, x: Floats) -> Floats:
+        return np.asarray(self.process.predict(x))
+
+
+PEERS: dict[str, Callable[[], Any]] = {
+    "ridge, linear": lambda: Ridge(1.0),
+    "ridge, quadratic": lambda: make_pipeline(PolynomialFeatures(2), Ridge(10.0)),
+    "ridge, cubic": lambda: make_pipeline(PolynomialFeatures(3), Ridge(10.0)),
+    "gradient boosting": lambda: MultiOutputRegressor(HistGradientBoostingRegressor(random_state=SEED)),
+    "Gaussian process": Process,
+}
+
+
+def main() -> int:
+    """Print the table; with `--json` one document."""
+    parser = argparse.ArgumentParser(prog="benches.trunk", description=__doc__)
+    parser.add_argument("--data", type=Path, help="folder of the trunk logs (default data/trunk)")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    folder = args.data or find_logs()
+    if folder is None:
+        print("not run: the trunk logs are absent; `make data` brings them")
+        return 0
+    run = import_logs([folder / name for name in LOGS], read_mapping(ROOT / "examples/trunk.toml")).run
+    if args.json:
+        rows = list(table(run))
+        print(json.dumps({"schema": "softmap.trunk_bench/1", "blocks": BLOCKS, "gap_s": GAP_S, "rows": rows}))
+        return 0
+    print(f"{'model':<20} {'input':<17} {'3 markers mm':>12} {'tip mm':>8} {'seconds':>8}")
+    for line in table(run):
+        errors = f"{line['rms_mm']:12.2f} {line['tip_mm']:8.2f} {line['seconds']:8.1f}"
+        print(f"{line['model']:<20} {line['input']:<17} {errors}", flush=True)
+    return 0
+
+
+def find_logs() -> Path | None:
+    """Return the folder of the trunk logs, or None."""
+    return next((p for p in (ROOT / "data/trunk", ROOT.parent / "shared/data/trunk") if p.is_dir()), None)
+
+
+def table(run: Run) -> Iterator[dict[str, float | str]]:
+    """Yield the cross-validation errors of the rod and of its peers, on commands and on encoders."""
+    for source, name in INPUTS:
+        start = time.perf_counter()
+        rod = learn(run, source, BLOCKS, GAP_S)
+        yield row("rod", name, rod.residuals, time.perf_counter() - start)
+        parts = folds(run.t_seen[rod.frames], BLOCKS, GAP_S)
+        x, y = inputs(run, rod), np.asarray(run.markers)[rod.frames]
+        for peer, make in PEERS.items():
+            start = time.perf_counter()
+            residuals = cross_validate(make, x, y, parts)
+            yield row(peer, name, residuals, time.perf_counter() - start)
+
+
+def inputs(run: Run, rod: LearnedRod) -> Floats:
+    """Return what drives the rod at its frames (n, C): commands after delay and lag."""
+    drive = Drive(run.commands(rod.input), run.t, run.t_seen[rod.frames])
+    return drive.at([(rod.chain_params.get("latency.delay", 0.0), rod.chain_params.get("lag.tau", 0.0))])[0]
+
+
+def cross_validate(make: Callable[[], Any], x: Floats, y: Floats, parts: Folds) -> Floats:
+    """Return predicted − seen (n, K, 3) mm, each block predicted from the frames beyond its gaps."""
+    residuals = np.empty_like(y)
+    for test, train in parts:
+        scaler = StandardScaler().fit(x[train])
+        model = make().fit(scaler.transform(x[train]), y[train].reshape(len(train), -1))
+        residuals[test] = model.predict(scaler.transform(x[test])).reshape(len(test), -1, 3) - y[test]
+    return residuals
+
+
+def row(model: str, source: str, residuals: Floats, seconds: float) -> dict[str, float | str]:
+    """Return one line of the table."""
+    square = (residuals**2).sum(axis=2)
+    errors = {"rms_mm": float(np.sqrt(square.mean())), "tip_mm": float(np.sqrt(square[:, -1].mean()))}
+    return {"model": model, "input": source, **errors, "seconds": seconds}
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
