@@ -12,8 +12,9 @@
 //!   δp_i = c ∫_0^{s_i} [M(s)]_⊥ × (p_i − c(s)) ds      (mm),
 //! M(s) = (p_tip − c(s)) × F for a tip force F, M(s) = ∫_s^L (c(r) − c(s)) × (W/L) dr for a weight W spread evenly, ⊥ =
 //! without the part along the chord (twist is stiff). The centreline c(s) is the chords, on which the integrand is a cubic at
-//! most, so Simpson's rule is exact. The robot's stiffness is not known from its shape: c is one nominal number and
-//! amounts of load are only meaningful as displacement.
+//! most, so Simpson's rule is exact. Motors that hold keep every tendon's length, hence each chord's mean bending: the share
+//! `lock` of the mean of [M]_⊥ over the chord is carried by them. The robot's stiffness is not known from its shape: c is
+//! one nominal number and amounts of load are only meaningful as displacement.
 
 use crate::error::{Error, Result, invalid};
 use crate::shape::Shape;
@@ -348,12 +349,14 @@ pub struct RodField {
     load: Load,
     axis: usize,
     compliance: f64,
+    lock: f64,
 }
 
 impl RodField {
     /// `name` is `gravity_x|y|z` (all of the weight turned along the axis) or `tip_force_x|y|z`; `compliance` c in
     /// N⁻¹·mm⁻²: mm per N of tip force; for gravity the product c·W is mm per 1 g when W (N) is the robot's weight.
-    pub fn new(rod: Rod, name: &str, compliance: f64) -> Result<Self> {
+    /// `lock` is the share of each chord's mean bending moment that its tendons carry: 0 free, 1 of fixed length.
+    pub fn new(rod: Rod, name: &str, compliance: f64, lock: f64) -> Result<Self> {
         let parts = name.rsplit_once('_').and_then(|(load, axis)| {
             let load = match load {
                 "gravity" => Load::Weight,
@@ -372,11 +375,17 @@ impl RodField {
                 "a rod's compliance is {compliance} per N mm²; it must be positive"
             )));
         }
+        if !(0.0..=1.0).contains(&lock) {
+            return Err(invalid(format!(
+                "a rod's lock is {lock}; it is 0 (free tendons) to 1 (tendons that hold)"
+            )));
+        }
         Ok(Self {
             rod,
             load,
             axis,
             compliance,
+            lock,
         })
     }
 
@@ -447,9 +456,19 @@ impl Shape for RodField {
                 continue;
             }
             let tangent = scaled(sub(chain.points[k + 1], chain.points[k]), 1.0 / length);
-            for (s, weight) in [(0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0)] {
+            let nodes = [(0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0)];
+            let bendings = nodes.map(|(s, _)| {
                 let moment = self.moment(&chain, k, s);
-                let bending = sub(moment, scaled(tangent, dot(moment, tangent)));
+                sub(moment, scaled(tangent, dot(moment, tangent)))
+            });
+            let mean = nodes
+                .iter()
+                .zip(&bendings)
+                .fold([0.0; 3], |sum, (node, bending)| {
+                    add(sum, scaled(*bending, node.1))
+                });
+            for ((s, weight), bending) in nodes.into_iter().zip(bendings) {
+                let bending = sub(bending, scaled(mean, self.lock));
                 let turn = scaled(bending, self.compliance * weight * length);
                 let at = chain.at(k, s);
                 for i in k..chain.lengths.len() {
@@ -593,7 +612,7 @@ mod tests {
     #[test]
     fn a_tip_force_bends_the_straight_rod_like_a_cantilever() {
         let (length, c) = (180.0f64, 2e-7);
-        let field = RodField::new(rod(0.0), "tip_force_x", c).expect("a field");
+        let field = RodField::new(rod(0.0), "tip_force_x", c, 0.0).expect("a field");
         let mut shift = [0.0; 6];
         field.eval(&[1.0, -1.0], &mut shift);
         let beam = |s: f64| c * s * s * (3.0 * length - s) / 6.0;
@@ -601,7 +620,7 @@ mod tests {
         for (a, b) in shift.iter().zip(expected) {
             assert!((a - b).abs() < 1e-12, "{a} against {b}");
         }
-        let field = RodField::new(rod(0.0), "gravity_y", c).expect("a field");
+        let field = RodField::new(rod(0.0), "gravity_y", c, 0.0).expect("a field");
         field.eval(&[1.0, -1.0], &mut shift);
         let beam =
             |s: f64| c / length * s * s * (6.0 * length * length - 4.0 * length * s + s * s) / 24.0;
@@ -614,10 +633,27 @@ mod tests {
     }
 
     #[test]
+    fn locked_chords_bend_into_an_s_and_keep_the_directions_of_their_ends() {
+        let c = 1e-5;
+        let mut shift = [0.0; 6];
+        let field = RodField::new(rod(0.0), "tip_force_x", c, 1.0).expect("a field");
+        field.eval(&[1.0, -1.0], &mut shift);
+        // Clamped, guided beams one after the other: l³/12 each.
+        let (first, second) = (c * 100.0f64.powi(3) / 12.0, c * 80.0f64.powi(3) / 12.0);
+        for (a, b) in shift
+            .iter()
+            .zip([first, 0.0, 0.0, first + second, 0.0, 0.0])
+        {
+            assert!((a - b).abs() < 1e-12, "{a} against {b}");
+        }
+        assert!(RodField::new(rod(0.0), "tip_force_x", c, 1.1).is_err());
+    }
+
+    #[test]
     fn a_force_along_the_straight_rod_does_not_bend_it() {
         for name in ["tip_force_z", "gravity_z"] {
             let mut shift = [f64::NAN; 6];
-            RodField::new(rod(0.0), name, 1e-6)
+            RodField::new(rod(0.0), name, 1e-6, 0.0)
                 .expect("a field")
                 .eval(&[1.0, -1.0], &mut shift);
             assert_eq!(shift, [0.0; 6]);
@@ -631,7 +667,7 @@ mod tests {
             let u = [9.0, 6.0];
             let p = rod.points(&u);
             let mut shift = [0.0; 6];
-            RodField::new(rod, name, c)
+            RodField::new(rod, name, c, 0.0)
                 .expect("a field")
                 .eval(&u, &mut shift);
             // Oracle: many short pieces, every product written out, moments summed point by point.
@@ -711,8 +747,8 @@ mod tests {
             let message = bad.expect_err("refused").to_string();
             assert!(!message.is_empty() && !message.contains('\n'));
         }
-        assert!(RodField::new(rod(0.0), "twist_x", 1.0).is_err());
-        assert!(RodField::new(rod(0.0), "gravity_w", 1.0).is_err());
-        assert!(RodField::new(rod(0.0), "gravity_x", 0.0).is_err());
+        assert!(RodField::new(rod(0.0), "twist_x", 1.0, 0.0).is_err());
+        assert!(RodField::new(rod(0.0), "gravity_w", 1.0, 0.0).is_err());
+        assert!(RodField::new(rod(0.0), "gravity_x", 0.0, 0.0).is_err());
     }
 }

@@ -36,6 +36,7 @@ Arrays = dict[str, NDArray[np.generic]]
 FIELDS = ("gravity_x", "gravity_y", "gravity_z", "tip_force_x", "tip_force_y", "tip_force_z")
 DEGREES = (1, 2, 3)
 RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
+LOCK = 1.0  # the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
 TIP_PER_NEWTON = 0.1  # nominal: 1 N across the tip moves it by a tenth of the length; the stiffness itself is not seen
 
 
@@ -44,7 +45,8 @@ class RodParameters:
     """The numbers of a rod.
 
     `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + G, K)
-    mm and the nominal `compliance` of its load fields in N⁻¹·mm⁻².
+    mm, the nominal `compliance` of its load fields in N⁻¹·mm⁻² and their `lock`: how far the tendons hold each chord's
+    mean bending against a load, 0 (not at all) to 1 (motors that hold, tendons that do not stretch).
     """
 
     base: Floats
@@ -54,6 +56,7 @@ class RodParameters:
     angles: Floats
     lengths: Floats
     compliance: float
+    lock: float = LOCK
 
     def compiled(self) -> _core.Rod:
         """Return the compiled rod: commands (n, C) to markers (n, 3K) mm."""
@@ -62,12 +65,13 @@ class RodParameters:
     def fields(self) -> dict[str, _core.RodField]:
         """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1 N."""
         rod = self.compiled()
-        return {name: _core.RodField(rod, name, self.compliance) for name in FIELDS}
+        return {name: _core.RodField(rod, name, self.compliance, self.lock) for name in FIELDS}
 
     def to_arrays(self) -> Arrays:
         """Return the arrays of `prior.npz`."""
         arrays: Arrays = {name: getattr(self, name) for name in ("base", "centre", "scale", "angles", "lengths")}
-        return arrays | {"degree": np.array([self.degree]), "compliance": np.array([self.compliance])}
+        single = {"degree": self.degree, "compliance": self.compliance, "lock": self.lock}
+        return arrays | {name: np.array([value]) for name, value in single.items()}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> RodParameters:
@@ -76,17 +80,21 @@ class RodParameters:
         Raises:
             SoftmapError: an array is missing or has the wrong number of axes.
         """
-        axes = {"base": 1, "centre": 1, "scale": 1, "angles": 2, "lengths": 2, "degree": 1, "compliance": 1}
+        axes = {"base": 1, "centre": 1, "scale": 1, "angles": 2, "lengths": 2, "degree": 1, "compliance": 1, "lock": 1}
         values: dict[str, Floats] = {}
         for name, ndim in axes.items():
             if name not in arrays or np.ndim(arrays[name]) != ndim:
                 got = f"of {np.ndim(arrays[name])} axes" if name in arrays else "missing"
                 raise SoftmapError(f"rod: array '{name}' is {got}, expected {ndim} axes; learn the bundle again")
             values[name] = np.ascontiguousarray(arrays[name], float)
-        degree, compliance = values.pop("degree").tolist(), values.pop("compliance").tolist()
-        if degree not in ([1], [2], [3], [4]) or len(compliance) != 1:
-            raise SoftmapError(f"rod: degree {degree}, expected one of 1 to 4; learn the bundle again")
-        return cls(degree=int(degree[0]), compliance=compliance[0], **values)
+        single = {name: values.pop(name).tolist() for name in ("degree", "compliance", "lock")}
+        for name, value in single.items():
+            if len(value) != 1:
+                raise SoftmapError(f"rod: '{name}' holds {len(value)} numbers, expected one; learn the bundle again")
+        (degree,), (compliance,), (lock,) = single.values()
+        if degree not in (1, 2, 3, 4):
+            raise SoftmapError(f"rod: degree {degree}, expected 1 to 4; learn the bundle again")
+        return cls(degree=int(degree), compliance=compliance, lock=lock, **values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,8 +270,9 @@ def _base(base: ArrayLike | None) -> Floats:
 
 
 def _nominal(lengths: Floats) -> float:
-    """Return the nominal compliance c (N⁻¹·mm⁻²): a straight cantilever's tip moves by c·L³/3 per N."""
-    return float(3.0 * TIP_PER_NEWTON / lengths.mean(axis=0).sum() ** 2)
+    """Return the nominal compliance c (N⁻¹·mm⁻²): 1 N across straight locked chords moves the tip by c·Σ l_k³/12."""
+    mean = lengths.mean(axis=0)
+    return float(12.0 * TIP_PER_NEWTON * mean.sum() / (mean**3).sum())
 
 
 def _gravity(run: Run) -> Floats:

@@ -77,9 +77,16 @@ pub struct PyRodField;
 #[pymethods]
 impl PyRodField {
     /// `name`: gravity_x|y|z or tip_force_x|y|z; `compliance` N⁻¹·mm⁻².
+    /// `lock` is the share of each chord's mean bending moment that its tendons carry (0 to 1).
     #[new]
-    fn new(rod: PyRef<'_, PyRod>, name: &str, compliance: f64) -> PyResult<(Self, PyShape)> {
-        let field = RodField::new(rod.rod.clone(), name, compliance)?;
+    #[pyo3(signature = (rod, name, compliance, lock = 0.0))]
+    fn new(
+        rod: PyRef<'_, PyRod>,
+        name: &str,
+        compliance: f64,
+        lock: f64,
+    ) -> PyResult<(Self, PyShape)> {
+        let field = RodField::new(rod.rod.clone(), name, compliance, lock)?;
         Ok((
             Self,
             PyShape {
