@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from softmap_edge.conditions import cells
 from softmap_edge.errors import SoftmapError
 from softmap_edge.evidence import (
+    DEFAULT_EXPERIMENT,
+    EXPERIMENTS,
     Hidden,
     Leftover,
     equivalents,
@@ -28,6 +30,7 @@ from softmap_edge.evidence import (
     ladder_on,
     leftover,
     not_testable,
+    orientations,
 )
 from softmap_edge.fit import Fit, Problem, Record
 from softmap_edge.noise import command_kernel, estimate_noise, form_covariance, rod_noise, whitener
@@ -146,6 +149,8 @@ def diagnose(
     problem = _problem(record, candidates)
     search = Search(problem, candidates, progress)
     fit = search.run()
+    if model.kind == "rod":
+        fit = search.simplest(fit)
     other = None if held_out is None else Record(model, held_out, library)
     demoted: list[str] = []
     if other is not None:
@@ -201,6 +206,11 @@ def _candidates(
             impossible.append(Hidden(name, "nothing is commanded in this run", "a run with commands", 1.0))
         elif missing:
             impossible.append(Hidden(name, f"the run does not declare {', '.join(missing)}", "declare it", 1.0))
+    if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record) == 1:
+        # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than
+        # its form error, and a tilt of gravity is an offset. The simpler member stands for the family.
+        block, minutes = EXPERIMENTS["gravity"]
+        impossible.append(Hidden("gravity", "in one orientation a rod cannot tell it from payload", block, minutes))
     out = {h.name for h in impossible}
     return [n for n in names if n not in out], impossible
 
@@ -352,6 +362,7 @@ def _shift_on(fit: Fit, other: Record, name: str) -> Floats:
 
 def _params(record: Record, fit: Fit, sigma: Floats, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     values = fit.space.values(fit.x)
+    in_commands = {e["name"] for e in record.library.effects() if e["role"] == "channel"}
     found = {}
     for j, i in enumerate(fit.space.free):
         label, unit = fit.space.labels[i], fit.space.units[i]
@@ -359,6 +370,8 @@ def _params(record: Record, fit: Fit, sigma: Floats, names: Sequence[str]) -> di
             continue
         if record.model.kind == "rod" and unit == "g":
             unit = "of the rod's own load scale"  # its stiffness is unknown, so grams would be a claim without ground
+        if unit == "mm" and label.split(".")[0] in in_commands:
+            unit = getattr(record.model, "command_unit", "mm")
         at_bound = bool(fit.x[j] <= fit.space.low[j] + 1e-6 or fit.x[j] >= fit.space.high[j] - 1e-6)
         found[label] = {"value": float(values[j]), "sigma": float(sigma[j]), "unit": unit, "at_bound": at_bound}
     return found
@@ -473,8 +486,6 @@ def _where(record: Record, fit: Fit) -> dict[str, list[dict[str, Any]]]:
 
 def _next(rivals: list[dict[str, Any]], hidden: list[Hidden]) -> list[dict[str, Any]]:
     """Return the blocks that would settle what is open; the separation is not simulated here and says so by null."""
-    from softmap_edge.evidence import DEFAULT_EXPERIMENT, EXPERIMENTS
-
     blocks: dict[str, dict[str, Any]] = {}
     for rival in rivals:
         other = next((e for e in rival["effects"] if e != rival["member"]), rival["member"])

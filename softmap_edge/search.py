@@ -24,6 +24,7 @@ BEAM, REFITS, LARGEST = 2, 5, 4
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
 VISIBLE_MM = 0.12  # least RMS displacement of the centreline
 SHARE = 0.01  # least share of the explained misfit: an effect's form is never exact, and its rest is nobody's effect
+EQUAL = 6.0  # difference of EBIC (odds of 20) below which two sets of the same size count as equally good
 RIVAL_SE, RIVAL_SHARE = 2.0, 0.6  # standard errors within which a rival stands; least share of the rivalled fall
 
 
@@ -279,14 +280,51 @@ class Search:
             for other in self.alternatives(fit, member, 3):
                 theirs = self.cv(other)
                 share = float((rest[0] - theirs[0]).sum() / max(float((rest[0] - mine[0]).sum()), 1e-300))
-                behind = max(_standard_errors(theirs[i], mine[i]) for i in (0, 1))
-                if share >= RIVAL_SHARE and behind <= RIVAL_SE:
+                behind = self._behind(other, mine)
+                worse = self.held_out_mm(other) / max(self.held_out_mm(fit), 1e-300) - 1.0
+                level = self.problem.record.model.kind == "rod" and worse < CV_FALL
+                if share >= RIVAL_SHARE and (behind <= RIVAL_SE or level):
                     why = (
                         f"explains {100 * share:.0f} % of what {member} explains on held-out blocks, "
-                        f"{max(behind, 0.0):.1f} standard errors behind"
+                        f"{max(behind, 0.0):.1f} standard errors behind, {100 * worse:+.1f} % in mm"
                     )
                     found.append((member, other, why))
         return found
+
+    def held_out_mm(self, fit: Fit) -> float:
+        """Return the RMS distance in mm over the places on blocks that trained nothing."""
+        record = self.problem.record
+        folds = zip(self.cv(fit)[2], self.problem.folds)
+        squares = [record.squares(record.seen[test] - p[test]).ravel() for p, (_, test) in folds]
+        return float(np.sqrt(np.nanmean(np.concatenate(squares))))
+
+    def simplest(self, fit: Fit) -> Fit:
+        """Return the valid set with the fewest parameters within one standard error (or 1 % in mm) on held-out blocks.
+
+        For models whose own error dominates: how many independent numbers there are is a guess, so EBIC likes
+        parameters too much. Among equals the effect that acts earlier on the way to the camera is taken.
+        """
+        mine = self.cv(fit)
+        near = [fit]
+        for _, other, _ in self.rivals(fit):
+            worse = self.held_out_mm(other) / max(self.held_out_mm(fit), 1e-300) - 1.0
+            if (
+                (self._behind(other, mine) <= 1.0 or worse < CV_FALL)
+                and len(other.x) < len(fit.x)
+                and self.valid(other)
+            ):
+                near.append(other)
+        best = min(near, key=lambda f: (len(f.x), self.score(f, self.dispersion(fit))))
+        equals = [f for f in self._swaps(best) if len(f.x) == len(best.x) and self.valid(f)]
+        level = self.score(best, self.dispersion(best)) + EQUAL
+        close = [f for f in [best, *equals] if self.score(f, self.dispersion(best)) <= level]
+        return min(close, key=lambda f: sorted(self.candidates.index(e) for e in f.effects)[::-1])
+
+    def _swaps(self, fit: Fit) -> list[Fit]:
+        return [other for member in fit.effects for other in self.alternatives(fit, member, 3)]
+
+    def _behind(self, other: Fit, mine: tuple[Floats, Floats, Floats]) -> float:
+        return max(_standard_errors(self.cv(other)[i], mine[i]) for i in (0, 1))
 
     def probabilities(self, fit: Fit, temperature: float) -> dict[str, float]:
         """Return the probability of each candidate: softmax of -½ΔJ/(φT) over the sets that were tried."""
