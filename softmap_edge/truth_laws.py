@@ -65,7 +65,7 @@ class Law:
 
     def params(self) -> dict[str, float | list[float]]:
         """Return the numbers of the law, units in the names."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return {k: [float(x) for x in v] if isinstance(v, tuple) else v for k, v in asdict(self).items()}
 
 
 @dataclass(frozen=True)
