@@ -174,16 +174,26 @@ class Search:
         dispersion = self.dispersion(fit)
         fall = (rest.cost - fit.cost) / dispersion
         cv_fall, cv_folds = self._cv_fall(rest, fit)
-        moved = self.problem.record.rms_mm(self.displacement(fit, member))
+        shift = self.displacement(fit, member)
+        moved, least = self.problem.record.rms_mm(shift), self._least_mm(shift)
         checks = [
             (fall > self.penalty(fit) - self.penalty(rest), "EBIC does not fall"),
             (cv_fall >= CV_FALL, f"held-out loss falls by {100 * cv_fall:.1f} % only"),
             (cv_folds >= CV_FOLDS, f"held-out loss falls in {100 * cv_folds:.0f} % of the folds only"),
-            (moved >= self.visible_mm, f"moves the centreline by {moved:.2f} mm only"),
+            (moved >= least, f"moves the centreline by {moved:.2f} mm only"),
             (self.share(fit, member) >= SHARE, "explains next to nothing of the misfit"),
         ]
         failed = [why for good, why in checks if not good]
         return Acceptance(not failed, fall, cv_fall, cv_folds, moved, "; ".join(failed))
+
+    def _least_mm(self, shift: Floats) -> float:
+        """Return how far a shift (K, F) mm must move the centreline; a static one further than the form error."""
+        record, modes = self.problem.record, self.problem.whitener.modes(shift)
+        static = np.sum(self.problem.whitener.shrink(modes) ** 2) < 0.5 * np.sum(modes**2)
+        if record.model.kind == "rod" or not static:
+            return self.visible_mm
+        form = float(np.sqrt(np.mean(np.sum(record.form_error[record.positions] ** 2, axis=1))))
+        return max(self.visible_mm, form)
 
     def _cv_fall(self, rest: Fit, fit: Fit) -> tuple[float, float]:
         """Return the relative fall of the held-out loss and the share of folds where it falls.
