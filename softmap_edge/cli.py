@@ -18,7 +18,7 @@ DONE, FAULT, WRONG_USE = 0, 1, 2
 def main(argv: list[str] | None = None) -> int:
     """Run one verb; return 0 when done, 1 for a fault or a worse error, 2 for wrong use."""
     argv = sys.argv[1:] if argv is None else argv
-    # Thousands of small factorisations: threads inside BLAS make them ten times slower. Read when numpy is first loaded.
+    # Small factorisations are ten times slower with BLAS threads; read when numpy is first loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     verbs = {verb.name: verb for verb in [*VERBS, *_plugged_in()]}
     if not argv or argv[0] in ("-h", "--help"):
