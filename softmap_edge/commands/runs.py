@@ -110,7 +110,7 @@ def _bundle(path: Path) -> dict[str, Any]:
 
     manifest = load_manifest(path)
     model = load_bundle(path)
-    chain = {"effects": list(model.chain_names), "params": [float(p) for p in model.params]}
+    chain = {"effects": list(model.chain_names), "params": model.params}
     return {"manifest": manifest, **chain}
 
 
