@@ -112,9 +112,9 @@ class Diagnosis:
         raise SoftmapError(f"the diagnosis does not name '{name}'; it names {named}")
 
     def __str__(self) -> str:
-        from softmap_edge.diagnosis_text import diagnosis_text
+        from softmap_edge.report import diagnosis_text
 
-        return diagnosis_text(self)
+        return diagnosis_text(self.to_dict())
 
 
 def diagnose(

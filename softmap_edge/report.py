@@ -7,6 +7,7 @@ lengths may be compared; every number says its unit, and every error what it was
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 WIDTH = 100
 BAR = 28
+LARGEST = 1e6  # numbers beyond it are written as powers of ten: a fit that ran away must not fill the screen
+LONG_NUMBER = re.compile(r"(?<![\w.])([+-]?)([1-9]\d{6,})(?:\.\d*)?(?!\w)")
 EIGHTHS = " ▏▎▍▌▋▊▉█"
 VERDICTS = {
     "identified": "identified",
@@ -53,6 +56,8 @@ def mm(value: Any) -> str:
     """Return a length with three figures ('0.123', '12.3'), or '–' where it is not known."""
     if not isinstance(value, (int, float)) or not math.isfinite(value):
         return "–"
+    if abs(value) >= LARGEST:
+        return f"{value:.1e}"
     return f"{value:.3f}" if abs(value) < 1 else f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
 
 
@@ -66,12 +71,26 @@ def fall(before: float, after: float, floor: float | None = None) -> float | Non
 def percent(share: Any) -> str:
     """Return a share as '87 %', or '–' where it is not known."""
     known = number(share)
-    return "–" if known is None else f"{100 * known:.0f} %"
+    if known is None:
+        return "–"
+    return f"{100 * known:.0f} %" if abs(100 * known) < LARGEST else f"{100 * known:.1e} %"
 
 
 def number(value: Any) -> float | None:
     """Return a finite number as a float, anything else as None."""
     return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
+
+
+def tamed(text: Any) -> str:
+    """Return a sentence with its numbers of seven digits and more written as powers of ten ('+1.2e+31 % in mm')."""
+
+    def short(found: re.Match[str]) -> str:
+        sign, digits = found.groups()
+        power = len(digits) - 1  # by hand: a number of 400 digits is beyond a float
+        leading = f"{int(digits[:6]) / 1e5:.1f}"
+        return f"{sign}1.0e+{power + 1:02d}" if leading == "10.0" else f"{sign}{leading}e+{power:02d}"
+
+    return LONG_NUMBER.sub(short, str(text))
 
 
 def comparison_text(comparison: Comparison) -> str:
@@ -179,7 +198,7 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
     """
     check_diagnosis(document)
     lines = [f"Verdict: {VERDICTS.get(document['verdict'], document['verdict'])}"]
-    lines += _folded(str(document.get("sentence", "")), 2)
+    lines += _folded(tamed(document.get("sentence", "")), 2)
     for title, key in (("Faults of the measurement", "faults"), ("Missing effects, in order of importance", "effects")):
         rows = document.get(key) or []
         if rows:
@@ -291,10 +310,11 @@ def _pair_line(row: Bin, partner: Bin | None, scale: float) -> str:
 def _effect_lines(row: Mapping[str, Any]) -> list[str]:
     shift = row.get("displacement_mm") or {}
     head = f"  {row.get('name', '?')}  ({row.get('family', '?')}, stage {row.get('stage', '?')})"
+    held = shift.get("held_out")
     facts = [
         f"probability {percent(row.get('probability'))}",
         f"{percent(row.get('share'))} of what is explained",
-        f"moves the body by {mm(shift.get('fitted'))} mm fitted, {mm(shift.get('held_out'))} mm held out",
+        f"moves the body by {mm(shift.get('fitted'))} mm" + ("" if held is None else f", held out by {mm(held)} mm"),
     ]
     lines = [head, *_folded(" · ".join(facts), 6)]
     for label, value in (row.get("params") or {}).items():
@@ -305,9 +325,11 @@ def _effect_lines(row: Mapping[str, Any]) -> list[str]:
 
 def parameter(value: Mapping[str, Any]) -> str:
     """Return a fitted parameter as 'value ± sigma unit', with as many digits as its sigma allows."""
-    best, sigma, unit = value.get("value"), value.get("sigma") or 0.0, str(value.get("unit") or "")
-    if number(best) is None:
+    best, sigma, unit = number(value.get("value")), value.get("sigma") or 0.0, str(value.get("unit") or "")
+    if best is None:
         return "–"
+    if abs(best) >= LARGEST:
+        return f"{best:.3g} ± {sigma:.2g} {unit}".rstrip() if number(sigma) else f"{best:.3g} {unit}".rstrip()
     if number(sigma) is None or sigma <= 0:
         return f"{best:.4g} {unit}".rstrip() + " (uncertainty not known)"
     digits = min(max(1 - math.floor(math.log10(sigma)), 0), 9)
@@ -319,16 +341,17 @@ def _ladder_lines(error: Mapping[str, Any]) -> list[str]:
     if not steps:
         return []
     unit, kind = error.get("unit", "mm"), error.get("kind", "held-out rms")
+    on = f" on {error['held_out_on']}" if error.get("held_out_on") else ""
     scale = max(value for _, value in steps)
-    lines = ["", f"Error ladder ({kind}, {unit})"]
+    lines = ["", f"Error ladder ({kind}{on}, {unit})"]
     lines += [f"  {name:<30}{mm(value):>8}  {bar(value, scale, 40)}" for name, value in steps]
     floor = number(error.get("floor"))
     if floor is not None:
         lines.append(f"  {'floor':<30}{mm(floor):>8}  {bar(floor, scale, 40).replace('█', '░')}")
         lines += _folded(f"floor: {error.get('floor_kind', 'origin not stated')}", 2)
-    noise, own = mm(error.get("noise_floor")), mm(error.get("model_floor"))
-    lines.append(f"  noise floor {noise} {unit} · model's own held-out error {own} {unit}")
-    return lines
+    known = [("noise floor", error.get("noise_floor")), ("model's own held-out error", error.get("model_floor"))]
+    told = [f"{name} {mm(value)} {unit}" for name, value in known if number(value) is not None]
+    return [*lines, *([f"  {' · '.join(told)}"] if told else [])]
 
 
 def _list_lines(title: str, rows: Any, text: Any) -> list[str]:
@@ -342,7 +365,7 @@ def _list_lines(title: str, rows: Any, text: Any) -> list[str]:
 
 
 def _rival(row: Mapping[str, Any]) -> str:
-    return f"{' + '.join(map(str, row.get('effects') or ['?']))}: {row.get('why', '')}"
+    return f"{' + '.join(map(str, row.get('effects') or ['?']))}: {tamed(row.get('why', ''))}"
 
 
 def _untestable(row: Mapping[str, Any]) -> str:
@@ -365,7 +388,7 @@ def _unexplained_lines(left: Mapping[str, Any]) -> list[str]:
     chi, r2 = left.get("chi2_per_n"), left.get("blocked_r2")
     facts = [f"{mm(left.get('rms_mm'))} mm RMS"]
     facts += [f"chi²/n {chi:.3g}"] if isinstance(chi, (int, float)) else []
-    facts += [f"predictable share (blocked R²) {r2:.2f}"] if isinstance(r2, (int, float)) else []
+    facts += [f"predictable share (blocked R²) {r2:.2g}"] if isinstance(r2, (int, float)) else []
     by = left.get("predicted_by")
     named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "")
     facts += [f"follows {named}"] if named else []

@@ -17,7 +17,18 @@ from typing import Any
 
 from softmap_edge.compare import Comparison, Series
 from softmap_edge.errors import ReportError
-from softmap_edge.report import VERDICTS, check_diagnosis, check_pair, fall, ladder, mm, number, parameter, percent
+from softmap_edge.report import (
+    VERDICTS,
+    check_diagnosis,
+    check_pair,
+    fall,
+    ladder,
+    mm,
+    number,
+    parameter,
+    percent,
+    tamed,
+)
 from softmap_edge.report_style import PAGE, TONES
 
 INSTALL = "pip install 'softmap-edge[report]'"
@@ -127,7 +138,7 @@ def _hero(story: Story) -> str:
     if story.diagnosis:
         tone = TONES.get(verdict, "calm")
         badge = f'<span class="badge {tone}">{_text(VERDICTS.get(verdict, verdict))}</span>'
-    sentence = str(story.diagnosis.get("sentence") or "") if story.diagnosis else ""
+    sentence = tamed(story.diagnosis.get("sentence") or "") if story.diagnosis else ""
     cards = "".join(
         f'<div class="card {tone}"><b>{_text(value)}</b><span>{_text(label)}</span><i>{_text(note)}</i></div>'
         for label, value, note, tone in _cards(story)
@@ -292,7 +303,8 @@ def _where(story: Story, figures: ModuleType) -> str:
 def _open_questions(story: Story) -> str:
     found = story.diagnosis or {}
     rivals = [
-        (" + ".join(map(str, row.get("effects") or ["?"])), row.get("why", "")) for row in found.get("rivals") or []
+        (" + ".join(map(str, row.get("effects") or ["?"])), tamed(row.get("why", "")))
+        for row in found.get("rivals") or []
     ]
     untestable = [
         (row.get("name", "?"), f"{row.get('why', '')}" + (f" — {row['experiment']}" if row.get("experiment") else ""))
@@ -336,7 +348,7 @@ def _unexplained(left: Mapping[str, Any]) -> str:
     rows = [
         ("size", f"{mm(left.get('rms_mm'))} mm RMS"),
         ("against the noise", "–" if chi is None else f"chi² per number {chi:.3g}"),
-        ("predictable share", "–" if share is None else f"blocked R² {share:.2f}"),
+        ("predictable share", "–" if share is None else f"blocked R² {share:.2g}"),
         ("follows", named),
     ]
     return _definitions("Left unexplained", rows)

@@ -12,6 +12,7 @@ from arm import LIBRARY, Arm, protocol, record_run
 
 from softmap_edge.diagnosis import Diagnosis, diagnose, refit
 from softmap_edge.errors import SoftmapError
+from softmap_edge.report import diagnosis_text
 
 HIDDEN = {
     "offset": {"offset.shift[0]": 0.9, "offset.shift[1]": -0.9},
@@ -138,7 +139,8 @@ def test_same_input_same_document_and_round_trip():
     back = Diagnosis.from_dict(json.loads(text))
     assert back.to_dict() == first.to_dict() and back.model is None
     assert str(back) == str(first)
-    assert "IDENTIFIED" in str(first) and "backlash.gap" in str(first) and "floor" in str(first)
+    assert str(first) == diagnosis_text(first.to_dict())  # one text, whoever asks
+    assert "Verdict: identified" in str(first) and "backlash.gap" in str(first) and "floor" in str(first)
     assert list(first.to_dict())[0] == "schema"
     assert back.params_of("backlash")["backlash.gap"] == pytest.approx(1.2, rel=0.05)
 

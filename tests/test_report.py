@@ -14,7 +14,7 @@ from test_compare import lean, triangle
 
 from softmap_edge.compare import compare, series
 from softmap_edge.errors import ReportError
-from softmap_edge.report import bar, diagnosis_text, fall, pair_text, parameter
+from softmap_edge.report import bar, diagnosis_text, fall, pair_text, parameter, tamed
 from softmap_edge.report_html import write_html
 
 DIAGNOSIS = {
@@ -122,6 +122,41 @@ def test_diagnosis_says_everything_it_knows():
     ):
         assert part in text, part
     assert max(map(len, text.splitlines())) <= 100
+
+
+def test_what_is_not_known_is_not_printed():
+    text = diagnosis_text(DIAGNOSIS | {"error": DIAGNOSIS["error"] | {"noise_floor": None}})
+    assert "moves the body by 1.82 mm\n" in text and "–" not in text
+    assert "noise floor" not in text and "own held-out error 0.190 mm" in text
+    moved = copy.deepcopy(DIAGNOSIS)
+    moved["effects"][0]["displacement_mm"]["held_out"] = 1.5
+    moved["error"]["held_out_on"] = "an independent run"
+    assert "1.82 mm, held out by 1.50 mm" in diagnosis_text(moved)
+    assert "on an independent run" in diagnosis_text(moved)
+
+
+def test_numbers_that_ran_away_stay_short(tmp_path):
+    """A rival whose held-out error is astronomic must not fill the screen with its digits."""
+    document = copy.deepcopy(DIAGNOSIS)
+    document["rivals"][0]["why"] = f"explains 93 % of it, {4.2e299:+.1f} % in mm, {10**400} more"
+    document["sentence"] = f"The error falls from {3e200:.2f} to 0.93 mm."
+    document["error"]["model"] = document["unexplained"]["rms_mm"] = 3.1e250
+    document["effects"][0]["share"] = document["unexplained"]["blocked_r2"] = -1e200
+    document["effects"][0]["params"]["backlash.gap"] |= {"value": 1e300, "sigma": 1e299}
+    text = diagnosis_text(document)
+    assert "93 % of it, +4.2e+299 % in mm, 1.0e+400 more" in " ".join(text.split())
+    assert "falls from 3.0e+200 to 0.93 mm" in text
+    write_html(tmp_path / "p.html", None, document)
+    shown = page(tmp_path / "p.html").split("<details>")[0]
+    for part in (text, re.sub(r'src="data:image/[^"]*"', "", shown)):
+        assert not re.search(r"\d{8}", part)
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"), [("2 of 12345.678 mm", None), ("1234567 %", "1.2e+06 %"), ("hash a12345678 stays", None)]
+)
+def test_ordinary_numbers_are_left_alone(given, kept):
+    assert tamed(given) == (kept or given)
 
 
 def test_a_diagnosis_of_nothing():
