@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from softmap_edge.bundle import builtin_model
-from softmap_edge.compare import series
+from softmap_edge.comparison import series
 from softmap_edge.diagnosis import diagnose
 from softmap_edge.figures import body, ladder_bars, over_time
 from softmap_edge.protocol import other_protocol, standard_protocol

@@ -1,6 +1,81 @@
-"""Simulate, compare and diagnose tendon-driven soft robots."""
+"""Simulate, compare and diagnose tendon-driven soft robots.
+
+The public names below are imported when they are first used, so that `import softmap_edge` stays quick.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
 
 from softmap_edge.errors import SoftmapError
 
+if TYPE_CHECKING:
+    from softmap_edge._core import effects
+    from softmap_edge.build import build_model
+    from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
+    from softmap_edge.comparison import Comparison, compare, series
+    from softmap_edge.diagnosis import Diagnosis, diagnose, refit
+    from softmap_edge.finger import Finger
+    from softmap_edge.importer import import_logs
+    from softmap_edge.mapping import read_mapping
+    from softmap_edge.model import Model
+    from softmap_edge.report_html import write_html
+    from softmap_edge.rod import learn_model
+    from softmap_edge.run import Run
+    from softmap_edge.simulator import Simulator
+
 __version__ = "0.1.0"
-__all__ = ["SoftmapError", "__version__"]
+__all__ = [
+    "Comparison",
+    "Diagnosis",
+    "Finger",
+    "Model",
+    "Run",
+    "Simulator",
+    "SoftmapError",
+    "__version__",
+    "build_model",
+    "builtin_model",
+    "compare",
+    "diagnose",
+    "effects",
+    "import_logs",
+    "learn_model",
+    "load_bundle",
+    "read_mapping",
+    "refit",
+    "save_bundle",
+    "series",
+    "write_html",
+]
+
+# Which module of the package holds which public name.
+_HOMES = {
+    "_core": ["effects"],
+    "build": ["build_model"],
+    "bundle": ["builtin_model", "load_bundle", "save_bundle"],
+    "comparison": ["Comparison", "compare", "series"],
+    "diagnosis": ["Diagnosis", "diagnose", "refit"],
+    "finger": ["Finger"],
+    "importer": ["import_logs"],
+    "mapping": ["read_mapping"],
+    "model": ["Model"],
+    "report_html": ["write_html"],
+    "rod": ["learn_model"],
+    "run": ["Run"],
+    "simulator": ["Simulator"],
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'softmap_edge' has no attribute '{name}'; there are {', '.join(__all__)}")
+    value = getattr(importlib.import_module(f"softmap_edge.{_HOME[name]}"), name)
+    globals()[name] = value  # asked once; later uses are plain attributes
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -29,7 +29,7 @@ FORM_COMMANDS = 24
 FORM_SEED = 20
 
 
-def build(
+def build_model(
     finger: Finger, steps: int = 41, progress: Progress | None = None, modes: int = MODES
 ) -> tuple[Model, dict[str, Arrays]]:
     """Simulate `finger` over its command range and return its table model with the arrays of its bundle.

@@ -22,7 +22,7 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from softmap_edge.compare import Series
+from softmap_edge.comparison import Series
 from softmap_edge.report import WHERE, ladder, mm
 
 Floats = NDArray[np.float64]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from softmap_edge.errors import ReportError
 
 if TYPE_CHECKING:
-    from softmap_edge.compare import Bin, Comparison
+    from softmap_edge.comparison import Bin, Comparison
 
 WIDTH = 100
 BAR = 28
@@ -328,10 +328,10 @@ def parameter(value: Mapping[str, Any]) -> str:
     best, sigma, unit = number(value.get("value")), value.get("sigma") or 0.0, str(value.get("unit") or "")
     if best is None:
         return "–"
-    if abs(best) >= LARGEST:
-        return f"{best:.3g} ± {sigma:.2g} {unit}".rstrip() if number(sigma) else f"{best:.3g} {unit}".rstrip()
     if number(sigma) is None or sigma <= 0:
         return f"{best:.4g} {unit}".rstrip() + " (uncertainty not known)"
+    if max(abs(best), sigma) >= LARGEST:
+        return f"{best:.3g} ± {sigma:.2g} {unit}".rstrip()
     digits = min(max(1 - math.floor(math.log10(sigma)), 0), 9)
     return f"{best:.{digits}f} ± {sigma:.{digits}f} {unit}".rstrip()
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from softmap_edge.compare import Comparison, Series
+from softmap_edge.comparison import Comparison, Series
 from softmap_edge.errors import ReportError
 from softmap_edge.report import (
     VERDICTS,

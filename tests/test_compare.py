@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softmap_edge.compare import Comparison, compare, digest, series
+from softmap_edge.comparison import Comparison, compare, digest, series
 from softmap_edge.conditions import cells, conditions
 from softmap_edge.errors import ComparisonError
 from softmap_edge.floor import noise_floor

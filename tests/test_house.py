@@ -1,10 +1,13 @@
 """The house itself: what an import loads, and how the command answers."""
 
+import importlib
+import pkgutil
 import subprocess
 import sys
 
 import pytest
 
+import softmap_edge
 from softmap_edge.cli import main
 
 
@@ -17,6 +20,29 @@ def test_import_loads_numpy_and_the_core_only():
     extras = {"matplotlib", "meshio", "cv2", "mediapipe", "torch", "scipy", "onnxruntime", "viser", "plotly"}
     assert not extras & set(loaded)
     assert "softmap_edge" in loaded
+
+
+def test_every_public_name_is_there_and_named_once():
+    assert set(softmap_edge.__all__) == {*softmap_edge._HOME, "SoftmapError", "__version__"}
+    assert set(softmap_edge.__all__) <= set(dir(softmap_edge))
+    for name in softmap_edge.__all__:
+        value = getattr(softmap_edge, name)
+        if name in softmap_edge._HOME:
+            assert value is getattr(importlib.import_module(f"softmap_edge.{softmap_edge._HOME[name]}"), name)
+            assert value.__doc__, name
+    # A module of the same name would stand in for the public name as soon as anything imports it.
+    assert not {m.name for m in pkgutil.iter_modules(softmap_edge.__path__)} & set(softmap_edge.__all__)
+
+
+def test_public_names_are_loaded_late_and_unknown_ones_are_told():
+    code = (
+        "import sys, softmap_edge; assert 'softmap_edge.run' not in sys.modules; "
+        "from softmap_edge import Run; assert Run is sys.modules['softmap_edge.run'].Run; "
+        "assert 'softmap_edge.diagnosis' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'; there are .*compare"):
+        softmap_edge.nonsense  # noqa: B018
 
 
 @pytest.mark.parametrize(("argv", "code"), [(["--version"], 0), (["--help"], 0), ([], 2), (["nonsense"], 2)])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from test_compare import lean, triangle
 
-from softmap_edge.compare import compare, series
+from softmap_edge.comparison import compare, series
 from softmap_edge.errors import ReportError
 from softmap_edge.report import bar, diagnosis_text, fall, pair_text, parameter, tamed
 from softmap_edge.report_html import write_html
@@ -81,6 +81,7 @@ def test_fall_is_counted_above_the_floor():
         ({"value": 0.6213, "sigma": 0.013, "unit": "mm"}, "0.621 ± 0.013 mm"),
         ({"value": 59.96, "sigma": 4.2, "unit": "g"}, "60.0 ± 4.2 g"),
         ({"value": 1.0, "sigma": None, "unit": ""}, "1 (uncertainty not known)"),
+        ({"value": 0.5, "sigma": 3e40, "unit": "mm"}, "0.5 ± 3e+40 mm"),
         ({"value": float("nan"), "sigma": 1.0}, "–"),
     ],
 )
@@ -273,7 +274,7 @@ def test_without_matplotlib_text_works_and_html_says_what_to_install(tmp_path):
     code = (
         "import sys; sys.modules['matplotlib'] = None\n"
         "from test_compare import lean, triangle\n"
-        "from softmap_edge.compare import compare\n"
+        "from softmap_edge.comparison import compare\n"
         "from softmap_edge.report_html import write_html\n"
         "found = compare(lean(), triangle()); str(found); found.to_dict()\n"
         f"write_html({str(tmp_path / 'p.html')!r}, found)\n"

@@ -15,7 +15,7 @@ from typing import Any
 
 from softmap_edge import SoftmapError
 from softmap_edge.bundle import builtin_model, save_bundle
-from softmap_edge.compare import Comparison, compare, series
+from softmap_edge.comparison import Comparison, compare, series
 from softmap_edge.diagnosis import Diagnosis, diagnose
 from softmap_edge.errors import ReportError
 from softmap_edge.model import Model

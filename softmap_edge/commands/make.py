@@ -23,7 +23,7 @@ def build_arguments(parser: argparse.ArgumentParser) -> None:
 
 def build(args: argparse.Namespace) -> int:
     """Simulate a finger and write its bundle."""
-    from softmap_edge.build import build as build_model
+    from softmap_edge.build import build_model
 
     _check_steps(args.steps)
     finger = _finger(args.finger)

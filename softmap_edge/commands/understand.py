@@ -26,7 +26,7 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
 
 def compare(args: argparse.Namespace) -> int:
     """Show how far a model is from a run, and where; 1 if the last of several bundles is worse than the first."""
-    from softmap_edge.compare import compare as measure
+    from softmap_edge.comparison import compare as measure
     from softmap_edge.report import pair_text
 
     run, models = _run(args.run), [_bundle(path) for path in args.bundle or [None]]
@@ -154,8 +154,8 @@ def _names(text: str) -> list[str]:
 
 def _page(path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: str) -> None:
     """Write the page about a run seen by one model, or by two where they differ."""
-    from softmap_edge.compare import compare as measure
-    from softmap_edge.compare import series
+    from softmap_edge.comparison import compare as measure
+    from softmap_edge.comparison import series
     from softmap_edge.report_html import write_html
 
     two = after is not None and after is not before
