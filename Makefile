@@ -35,6 +35,7 @@ prove: $(VENV)/.test
 	$(BIN)/python -m pytest
 
 docs: $(VENV)/.test
+	$(BIN)/python docs/make_effects.py
 	$(BIN)/python docs/figures.py
 
 wheel: $(VENV)/.core

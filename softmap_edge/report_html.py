@@ -235,11 +235,11 @@ def _ladder(story: Story, figures: ModuleType) -> str:
     error = (story.diagnosis or {}).get("error") or {}
     if not ladder(error):
         return ""
-    note = (
-        f"{_text(error.get('kind', 'held-out rms'))}, {_text(error.get('unit', 'mm'))}. Floor: "
-        f"{_text(error.get('floor_kind', 'origin not stated'))}. Noise floor {mm(error.get('noise_floor'))}, "
-        f"the model's own held-out error {mm(error.get('model_floor'))}."
-    )
+    unit, on = error.get("unit", "mm"), error.get("held_out_on")
+    note = f"{_text(error.get('kind', 'held-out rms'))}{_text(f' on {on}' if on else '')}, {_text(unit)}. "
+    note += f"Floor: {_text(error.get('floor_kind', 'origin not stated'))}. "
+    known = [("Noise floor", error.get("noise_floor")), ("Model's own held-out error", error.get("model_floor"))]
+    note += "".join(f"{name}: {mm(value)} {_text(unit)}. " for name, value in known if number(value) is not None)
     return _section(
         "What each effect removes", _picture(figures.ladder_bars(error), "Error ladder down to the floor"), note
     )

@@ -1,0 +1,43 @@
+"""The scripts of docs/ and the files of examples/ work as they stand, and leave the repository as it was."""
+
+import hashlib
+import importlib.util
+from pathlib import Path
+
+from softmap_edge import read_mapping
+
+ROOT = Path(__file__).parents[1]
+
+
+def script(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_pictures_are_made_where_they_are_wanted(tmp_path, capsys):
+    """Seed 4 is the finger that the demo's tests measure too, so that its sweeps are done once."""
+    docs = sorted(path for path in (ROOT / "docs").iterdir() if path.is_file())
+    before = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in docs}
+    assert script(ROOT / "docs/figures.py").main(["--out", str(tmp_path / "pictures"), "--seed", "4"]) == 0
+    made = {path.name: path.read_bytes() for path in (tmp_path / "pictures").iterdir()}
+    assert made.keys() == {path.name for path in docs if path.suffix in (".png", ".svg")}
+    assert made["error_on_the_body.png"].startswith(b"\x89PNG")
+    assert all(b"<svg" in content[:1000] for name, content in made.items() if name.endswith(".svg"))
+    assert "backlash" in capsys.readouterr().out
+    assert {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in docs} == before
+
+
+def test_every_example_is_used_by_a_test():
+    tests = {path: path.read_text(encoding="utf-8") for path in (ROOT / "tests").glob("test_*.py")}
+    here = Path(__file__)
+    for example in (ROOT / "examples").iterdir():
+        if example.is_file():
+            assert any(example.name in text for path, text in tests.items() if path != here), example.name
+
+
+def test_the_example_mapping_is_read():
+    mapping = read_mapping(ROOT / "examples/trunk.toml")
+    assert mapping.robot == "asl-trunk" and mapping.command_unit == "deg" and len(mapping.logs) == 2
+    assert not mapping.declare_load and mapping.load_g  # the load is known and kept from the run
