@@ -10,6 +10,7 @@ pub mod predict;
 #[cfg(feature = "python")]
 mod python;
 pub mod rod;
+mod room;
 pub mod shape;
 pub mod table;
 

@@ -11,6 +11,7 @@ use crate::effects::{
     Chain, Coefficients, Conditions, Context, FIELDS, GRAVITY, TIP_FORCE, weight,
 };
 use crate::error::{Result, invalid};
+use crate::room::zeros;
 use crate::shape::Shape;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -113,11 +114,14 @@ impl Predictor {
             ));
         }
         let sets = chain.sets(params)?;
+        let (size, frames) = (self.prior.size(), t_seen.len());
+        let mut out = zeros(
+            "a prediction (parameter sets, frames, outputs)",
+            &[sets, frames, size],
+        )?;
         let job = self.prepare(chain, params, sets, u, conditions, t_seen)?;
         let coefficients = self.coefficients(&job, sets)?;
         let shared = self.shared_shapes(&job, &coefficients);
-        let (size, frames) = (self.prior.size(), t_seen.len());
-        let mut out = vec![0.0; sets * frames * size];
         if size > 0 {
             let width = chain.width();
             out.par_chunks_exact_mut(size).enumerate().for_each_init(

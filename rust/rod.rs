@@ -38,6 +38,14 @@ impl Monomials {
                 "a polynomial needs at least one variable and a degree of 1 to 4, got {variables} variables and degree {degree}"
             )));
         }
+        let too_many = || {
+            invalid(format!(
+                "a polynomial of degree {degree} in {variables} variables has more than {MOST_MONOMIALS} terms; choose a lower degree"
+            ))
+        };
+        if variables > MOST_MONOMIALS {
+            return Err(too_many());
+        }
         let mut steps: Vec<(Option<usize>, usize)> = (0..variables).map(|j| (None, j)).collect();
         let mut previous = 0..steps.len();
         for _ in 1..degree {
@@ -47,9 +55,7 @@ impl Monomials {
                     steps.push((Some(parent), j));
                 }
                 if steps.len() > MOST_MONOMIALS {
-                    return Err(invalid(format!(
-                        "a polynomial of degree {degree} in {variables} variables has more than {MOST_MONOMIALS} terms; choose a lower degree"
-                    )));
+                    return Err(too_many());
                 }
             }
             previous = start..steps.len();

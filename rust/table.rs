@@ -7,6 +7,7 @@
 
 use crate::cubic::{NO_AXIS, Stencil, stencil};
 use crate::error::{Result, invalid};
+use crate::room::room;
 use crate::shape::Shape;
 
 /// The most channels a tensor grid can have; beyond, the number of nodes explodes.
@@ -55,11 +56,10 @@ impl Table {
                 modes.len()
             )));
         }
-        let (nodes, count) = (
-            axes.iter().map(Vec::len).product::<usize>(),
-            modes.len() / size,
-        );
-        if coefficients.len() != nodes * count {
+        let count = modes.len() / size;
+        let lengths: Vec<usize> = axes.iter().map(Vec::len).chain([1]).collect();
+        let nodes = room("a grid", &lengths)?;
+        if Some(coefficients.len()) != nodes.checked_mul(count) {
             return Err(invalid(format!(
                 "coefficients must be ({nodes} grid nodes, {count} modes), got {} numbers",
                 coefficients.len()

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.errors import CoreError as CoreError
+
 Floats = NDArray[np.float64]
 
-class CoreError(ValueError): ...
 class NoEquilibriumError(CoreError): ...
 
 class Shape:

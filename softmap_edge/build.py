@@ -39,6 +39,7 @@ def build_model(
     """
     report: Progress = progress or (lambda what, share: None)
     simulator = Simulator(finger)
+    Simulator(finger.other_mesh())  # the form error needs it: what cannot be built is refused before the sweep
     axes = [np.linspace(low, high, steps) for low, high in finger.command_range]
     sweep = simulator.sweep(axes, progress=lambda share: report("sweep", share))
     return from_sweep(finger, simulator, sweep, report, modes)

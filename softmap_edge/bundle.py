@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.errors import BundleError, SoftmapError
+from softmap_edge.errors import BundleError, SoftmapError, brief
 from softmap_edge.model import Model
 from softmap_edge.npz import read_npz, write_npz
 
@@ -30,6 +30,8 @@ SCHEMA = 1
 _MAX_BYTES = 256 << 20
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
 _KINDS = ("table", "rod")
+_LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
+_MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -99,10 +101,12 @@ def load_bundle(path: str | Path) -> Model:
             )
     try:
         return _model(folder, manifest)
-    except SoftmapError:
+    except BundleError:
         raise
-    except (KeyError, ValueError, TypeError, IndexError, OverflowError, MemoryError) as fault:
-        raise BundleError(f"{folder.name}: its arrays do not fit together ({fault}); build or copy it again") from None
+    except (SoftmapError, KeyError, ValueError, TypeError, IndexError, OverflowError, MemoryError) as fault:
+        raise BundleError(
+            f"{folder.name}: its arrays do not fit together ({brief(fault)}); build or copy it again"
+        ) from None
 
 
 def builtin_model() -> Model:
@@ -120,17 +124,23 @@ def load_manifest(path: str | Path) -> dict[str, Any]:
     manifest = _json(file)
     schema = manifest.get("schema")
     if not isinstance(schema, int) or schema < 1:
-        raise BundleError(f"{file.parent.name}: manifest.json has schema {schema!r}, expected a whole number from 1")
+        raise BundleError(
+            f"{file.parent.name}: manifest.json has schema {schema!r:.80}, expected a whole number from 1"
+        )
     if schema > SCHEMA:
         raise BundleError(
             f"{file.parent.name}: written with bundle schema {schema}, this version reads up to {SCHEMA}; "
             "pip install -U softmap-edge"
         )
     if manifest.get("kind") not in _KINDS:
-        raise BundleError(f"{file.parent.name}: kind of prior {manifest.get('kind')!r}, known are {', '.join(_KINDS)}")
+        raise BundleError(
+            f"{file.parent.name}: kind of prior {manifest.get('kind')!r:.80}, known are {', '.join(_KINDS)}"
+        )
     _require(manifest, "sha256", lambda v: isinstance(v, dict), "a table of file hashes")
     _require(manifest, "channels", lambda v: isinstance(v, int) and 0 <= v <= 64, "a whole number 0…64")
-    _require(manifest, "robot", lambda v: isinstance(v, str), "a text")
+    for name in ("robot", "command_unit"):
+        _require({"command_unit": "mm", **manifest}, name, _plain, "a printable text of at most 100 characters")
+    _require({"input": "present", **manifest}, "input", lambda v: v in ("present", "goal"), "'present' or 'goal'")
     _require(manifest, "held_out_error_mm", _finite_number, "a number in mm")
     _require(manifest, "gravity_reference", lambda v: _floats(v, 3), "three numbers")
     _require(
@@ -155,10 +165,15 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     arrays = {
         name: read_npz(folder / f"{name}.npz", BundleError, _MAX_BYTES) for name in ("prior", "fields", "template")
     }
-    for name, group in arrays.items():
+    for name, group in arrays.items():  # also keeps overflow out of everything that is computed from them
         for key, array in group.items():
             if array.dtype.kind not in "fiub" or not np.all(np.isfinite(array)):
                 raise BundleError(f"{folder.name}: {name}.npz: '{key}' is not all finite numbers; build it again")
+            if array.size and max(float(array.max()), -float(array.min())) > _LARGEST:
+                raise BundleError(
+                    f"{folder.name}: {name}.npz: '{key}' holds {float(array.min()):.4g} to {float(array.max()):.4g}, "
+                    f"allowed is ±{_LARGEST:g}; build it again"
+                )
             if key in ("triangles", "tip") and array.dtype.kind not in "iu":
                 raise BundleError(f"{folder.name}: {name}.npz: '{key}' holds {array.dtype}, expected whole numbers")
     template = arrays["template"]
@@ -175,6 +190,9 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     if prior.channels != manifest["channels"]:
         raise BundleError(f"{folder.name}: prior of {prior.channels} channels, manifest says {manifest['channels']}")
     triangles = np.asarray(template["triangles"], np.int32).reshape(-1, 3)
+    what = "vertices" if len(triangles) else "markers"
+    if not 1 <= len(rest) <= _MOST_POINTS[what]:
+        raise BundleError(f"{folder.name}: template of {len(rest)} {what}, allowed are 1 to {_MOST_POINTS[what]}")
     tip = np.asarray(template["tip"], np.int64)
     for name, index in (("triangles", triangles), ("tip", tip)):
         if index.size and not 0 <= index.min() <= index.max() < len(rest):
@@ -204,7 +222,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     if not isinstance(names, list) or not all(isinstance(n, str) for n in names) or not isinstance(params, dict):
         raise BundleError(f"{folder.name}: effects.json needs a list `chain` and a table `params`")
     if not all(_finite_number(v) for v in params.values()):
-        raise BundleError(f"{folder.name}: effects.json: every parameter must be a finite number")
+        raise BundleError(f"{folder.name}: effects.json: every parameter must be a number within ±{_LARGEST:g}")
     return model.with_effects(names, params)
 
 
@@ -231,9 +249,16 @@ def _require(manifest: dict[str, Any], key: str, fits: Callable[[Any], bool], wh
         )
 
 
+def _plain(value: Any) -> bool:
+    return isinstance(value, str) and len(value) <= 100 and value.isprintable()
+
+
 def _finite_number(value: Any) -> bool:
     return (
-        isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300 and math.isfinite(value)
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and abs(value) <= _LARGEST
+        and math.isfinite(value)
     )
 
 
@@ -247,7 +272,9 @@ def _json(file: Path) -> dict[str, Any]:
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as fault:
-        raise BundleError(f"{file.parent.name}: {file.name} is not readable JSON ({fault}); copy it again") from None
+        raise BundleError(
+            f"{file.parent.name}: {file.name} is not readable JSON ({brief(fault)}); copy it again"
+        ) from None
     if not isinstance(document, dict):
         raise BundleError(f"{file.parent.name}: {file.name} holds a {type(document).__name__}, expected a table")
     return document

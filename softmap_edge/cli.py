@@ -9,7 +9,6 @@ import sys
 from importlib.metadata import entry_points
 
 from softmap_edge import SoftmapError, __version__
-from softmap_edge._core import CoreError
 from softmap_edge.commands import ELSEWHERE, VERBS, Verb
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
@@ -48,7 +47,7 @@ def _run(verb: Verb, argv: list[str]) -> int:
         return int(stop.code or 0)
     try:
         return int(getattr(module, function)(args))
-    except (SoftmapError, CoreError, OSError) as error:
+    except (SoftmapError, OSError) as error:
         print(f"softmap {verb.name}: {error}", file=sys.stderr)
         return WRONG_USE
     except KeyboardInterrupt:

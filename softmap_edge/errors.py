@@ -23,3 +23,12 @@ class ReportError(SoftmapError):
 
 class FingerError(SoftmapError):
     """A finger description cannot be built."""
+
+
+class CoreError(SoftmapError, ValueError):
+    """The compiled core was asked for something impossible."""
+
+
+def brief(fault: BaseException) -> str:
+    """Return what another library's exception says, as at most 160 characters of one line."""
+    return " ".join(str(fault).split())[:160]

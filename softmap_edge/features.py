@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.errors import SoftmapError
+
 Floats = NDArray[np.float64]
 SECTIONS = 9
 
@@ -42,13 +44,22 @@ def sections_of(rest: Floats, count: int = SECTIONS) -> NDArray[np.int64]:
 
 
 def section_features(rest: Floats, sections: NDArray[np.int64]) -> FeatureMap:
-    """Return the centroids and first moments of each section of a template at rest (N, 3) mm."""
+    """Return the centroids and first moments of each section of a template at rest (N, 3) mm.
+
+    Raises:
+        SoftmapError: a section holds no vertex.
+    """
     count = int(sections.max()) + 1
     weights = np.zeros((3 * count, len(rest)))
     for s in range(count):
         inside = np.flatnonzero(sections == s)
         angle = np.arctan2(rest[inside, 1], rest[inside, 0])
         n = len(inside)
+        if n == 0:
+            raise SoftmapError(
+                f"section {s} of the {count} slices along z holds none of the template's {len(rest)} vertices; "
+                "a finger has vertices all along"
+            )
         weights[s, inside] = 1.0 / n
         for row, basis in ((count + s, np.cos(angle)), (2 * count + s, np.sin(angle))):
             weights[row, inside] = 2.0 / n * (basis - basis.mean())

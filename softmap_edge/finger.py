@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.errors import FingerError
+from softmap_edge.errors import FingerError, brief
 
 Pairs = tuple[tuple[float, float], ...]
 
@@ -64,8 +64,8 @@ class Finger:
     anchor_disc_mm: float = 2.0
 
     def __post_init__(self) -> None:
-        if not self.name or not isinstance(self.name, str):
-            raise FingerError("name: expected a word; give the finger a name")
+        if not self.name or not isinstance(self.name, str) or len(self.name) > 100 or not self.name.isprintable():
+            raise FingerError("name: expected a name of 1 to 100 printable characters; give the finger a name")
         _check_pairs("profile_mm", self.profile)
         if self.profile[0][0] != 0.0 or min(radius for _, radius in self.profile) <= 0:
             raise FingerError("profile_mm: z must start at 0 and each radius above 0 mm; measure from the base")
@@ -74,7 +74,9 @@ class Finger:
         for field, low, high, remedy in _RANGES:
             _check_number(field, getattr(self, field), low, high, remedy)
         if len(self.gravity) != 3 or not all(_finite(g) and abs(g) <= 10 for g in self.gravity):
-            raise FingerError(f"gravity_g: {self.gravity!r}; expected three numbers of g within ±10, as [0, 0, 1]")
+            raise FingerError(
+                f"gravity_g: {_shown(self.gravity)}; expected three numbers of g within ±10, as [0, 0, 1]"
+            )
         self._check_tendons()
         self._check_commands()
 
@@ -92,7 +94,10 @@ class Finger:
     def load(cls, path: str | Path) -> Finger:
         """Read a `finger.toml`; raises FingerError that names the file and the field."""
         try:
-            text = Path(path).read_text(encoding="utf-8")
+            with Path(path).open(encoding="utf-8") as file:
+                text = file.read(_MOST_TEXT + 1)
+            if len(text) > _MOST_TEXT:
+                raise FingerError(f"{path}: longer than {_MOST_TEXT} characters; give a finger.toml")
         except (OSError, UnicodeDecodeError) as error:
             raise FingerError(f"{path}: cannot be read as a finger file ({error}); give a finger.toml") from None
         try:
@@ -105,8 +110,8 @@ class Finger:
         """Return the finger of a file's text; raises FingerError."""
         try:
             document = tomllib.loads(text)
-        except (tomllib.TOMLDecodeError, RecursionError) as error:
-            raise FingerError(f"not valid TOML ({error}); compare with the built-in finger's file") from None
+        except (ValueError, RecursionError) as error:  # a number of thousands of digits is a plain ValueError
+            raise FingerError(f"not valid TOML ({brief(error)}); compare with the built-in finger's file") from None
         return _from_document(document)
 
     def replace(self, **changes: Any) -> Finger:
@@ -117,8 +122,9 @@ class Finger:
         return replace(self, **changes)
 
     def other_mesh(self) -> Finger:
-        """Return the same finger on a finer mesh of another layout: the second opinion for form errors and truths."""
-        return self.replace(core=self.core + 1, layers=max(1, round(self.layers * 0.9)))
+        """Return the same finger on another mesh, finer where allowed: the second opinion of form errors and truths."""
+        core = self.core + 1 if self.core < _MOST_CORE else self.core - 1
+        return self.replace(core=core, layers=max(1, round(self.layers * 0.9)))
 
     def to_toml(self) -> str:
         """Return the finger as the text of a file that `from_toml` reads back to the same finger."""
@@ -173,19 +179,23 @@ class Finger:
             known = len(pair) in (1, 2) and all(type(t) is int and 0 <= t < len(self.tendons) for t in pair)
             if not known or len(set(pair)) != len(pair) or used & set(pair):
                 raise FingerError(
-                    f"{field}.tendons: {list(pair)!r}; expected one tendon or two, counted from 0 to "
+                    f"{field}.tendons: {_shown(list(pair))}; expected one tendon or two, counted from 0 to "
                     f"{len(self.tendons) - 1}, each in one command only"
                 )
             used |= set(pair)
             if len(limits) != 2 or not all(map(_finite, limits)) or not limits[0] < limits[1]:
-                raise FingerError(f"{field}.range_mm: {list(limits)!r}; expected [low, high] in mm, as [-16.0, 16.0]")
+                raise FingerError(
+                    f"{field}.range_mm: {_shown(list(limits))}; expected [low, high] in mm, as [-16.0, 16.0]"
+                )
             if max(abs(limits[0]), abs(limits[1])) > self.height_mm / 2:
                 raise FingerError(
                     f"{field}.range_mm: {list(limits)!r}; allowed is half the height, ±{self.height_mm / 2:g} mm"
                 )
 
 
-_COUNTS = [("core", 1, 16), ("rings", 1, 16), ("layers", 1, 400)]
+_MOST_TEXT = 1_000_000  # characters of a file; the template has 3000
+_MOST_CORE = 16
+_COUNTS = [("core", 1, _MOST_CORE), ("rings", 1, 16), ("layers", 1, 400)]
 _RANGES = [
     ("young_mpa", 1e-4, 1e5, "soft silicones have 0.1 to 0.6 MPa"),
     ("poisson", 0.01, 0.495, "silicones solve best at 0.45 to 0.48"),
@@ -243,7 +253,7 @@ def _check_keys(table: str, document: Mapping[str, Any]) -> None:
 
 def _sequence(field: str, value: Any) -> tuple[Any, ...]:
     if not isinstance(value, list | tuple):
-        raise FingerError(f"{field}: {value!r}; expected a list")
+        raise FingerError(f"{field}: {_shown(value)}; expected a list")
     return tuple(value)
 
 
@@ -252,19 +262,21 @@ def _pairs(field: str, value: Any) -> Pairs:
 
 
 def _check_pairs(field: str, pairs: Sequence[Sequence[float]]) -> None:
-    good = len(pairs) >= 2 and all(len(pair) == 2 and all(map(_finite, pair)) for pair in pairs)
+    good = 2 <= len(pairs) <= 1000 and all(len(pair) == 2 and all(map(_finite, pair)) for pair in pairs)
     if not good or any(b[0] <= a[0] for a, b in zip(pairs, pairs[1:])) or pairs[-1][0] > 2000:
-        raise FingerError(f"{field}: expected at least two [z, radius] pairs in mm with z ascending, up to 2000 mm")
+        raise FingerError(f"{field}: expected 2 to 1000 [z, radius] pairs in mm with z ascending, up to 2000 mm")
 
 
 def _check_count(field: str, value: Any, low: int, high: int) -> None:
     if type(value) is not int or not low <= value <= high:
-        raise FingerError(f"mesh.{field}: {value!r}; allowed are whole numbers {low} to {high}; 3, 1, 42 is usual")
+        raise FingerError(
+            f"mesh.{field}: {_shown(value)}; allowed are whole numbers {low} to {high}; 3, 1, 42 is usual"
+        )
 
 
 def _check_number(field: str, value: Any, low: float, high: float, remedy: str) -> None:
     if not _finite(value) or not low <= value <= high:
-        raise FingerError(f"{field}: {value!r}; allowed is {low:g} to {high:g}; {remedy}")
+        raise FingerError(f"{field}: {_shown(value)}; allowed is {low:g} to {high:g}; {remedy}")
 
 
 def _finite(value: Any) -> bool:
@@ -282,8 +294,16 @@ def _at(pairs: Pairs, z: float) -> float:
     return pairs[0][1] if z < pairs[0][0] else pairs[-1][1]
 
 
+def _shown(value: Any) -> str:
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # integers beyond 4300 digits have no decimal form
+        return "a number of thousands of digits"
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
 def _names(names: Any) -> str:
-    return ", ".join(f"'{name}'" for name in sorted(names))
+    return ", ".join(map(_shown, sorted(names)))
 
 
 def _quoted(text: str) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import SoftmapError, brief
 
 MAX_BYTES = 4 << 30
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -51,7 +51,9 @@ def read_npz(
     except SoftmapError:
         raise
     except Exception as fault:  # zipfile and zlib raise a dozen kinds on damaged files
-        raise error(f"{path.name}: not a readable .npz archive ({fault}); make it again or copy it again") from None
+        raise error(
+            f"{path.name}: not a readable .npz archive ({brief(fault)}); make it again or copy it again"
+        ) from None
 
 
 def _read_array(data: bytes, name: str, path: Path, error: type[SoftmapError]) -> NDArray[np.generic]:
@@ -75,4 +77,4 @@ def _read_array(data: bytes, name: str, path: Path, error: type[SoftmapError]) -
         array: NDArray[np.generic] = np.lib.format.read_array(stream, allow_pickle=False)
         return array
     except Exception as fault:
-        raise error(f"{path.name}: array '{name}' is not readable ({fault}); make the file again") from None
+        raise error(f"{path.name}: array {name!r:.60} is not readable ({brief(fault)}); make the file again") from None

@@ -53,6 +53,8 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
         return Run(**known, extra=stored)
     except RunError as fault:
         raise RunError(f"{path}: {fault}") from None
+    except MemoryError:
+        raise RunError(f"{path}: larger than this machine's free memory; cut the recording into shorter runs") from None
 
 
 class _Load:

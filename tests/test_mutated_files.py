@@ -6,6 +6,7 @@ packed again with right checksums, and a bundle's hashes are put right, so that 
 first door.
 """
 
+import faulthandler
 import importlib.util
 import io
 import json
@@ -20,6 +21,7 @@ import traceback
 import warnings
 import zipfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -272,15 +274,22 @@ def use_logs(folder):
 
 def use_finger(path):
     from softmap_edge.finger import Finger
+    from softmap_edge.simulator import Simulator
 
-    Finger.load(path)
+    finger = Finger.load(path)
+    Simulator(finger)
+    assert Finger.from_toml(finger.to_toml()) == finger
 
 
 def use_bundle(path):
     from softmap_edge.bundle import load_bundle
+    from softmap_edge.run import Run
 
     model = load_bundle(path)
     model.prior.evaluate(np.zeros((2, model.channels)))
+    run = Run(t=[0.0, 1.0], command=np.ones((2, model.channels)), t_seen=[0.5], gravity=[1.0, 0, 0], load=5.0)
+    model.predict(run)
+    model.features(run)
 
 
 FORMATS = [
@@ -293,6 +302,15 @@ FORMATS = [
 ]
 
 
+def _die_at_7(path):
+    if path.name == "spoilt" and (path.parent.parent / "seed").read_text() == "7":
+        os.abort()
+
+
+# Not a format: what the test of this file's own report uses.
+DYING = Format("dying", "softmap_edge.run", lambda folder: folder, lambda _, folder, __: folder / "spoilt", _die_at_7)
+
+
 # --- the child -----------------------------------------------------------------------------
 class Hang(BaseException):
     """One file took longer than PATIENCE."""
@@ -302,41 +320,45 @@ def _hang(*_):
     raise Hang
 
 
-def child(name, count, folder):
-    """Spoil and use `count` samples; print how many were refused and accepted, or the first that broke a promise."""
+def child(name, first, count, folder):
+    """Spoil and use samples; print how many were refused and accepted, or the first that broke a promise."""
     from softmap_edge.errors import SoftmapError
 
-    form = next(form for form in FORMATS if form.name == name)
+    form = next(form for form in [*FORMATS, DYING] if form.name == name)
     (folder / "sound").mkdir()
     sample = form.sample(folder / "sound")
     form.use(sample)  # the sample itself is sound
     signal.signal(signal.SIGALRM, _hang)
+    faulthandler.enable()  # a crash of the compiled core says where
     refused = accepted = 0
-    for seed in range(count):
+    for seed in range(first, first + count):
         (folder / "seed").write_text(str(seed))  # what a crash leaves behind
         place = folder / "place"
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
         spoilt = form.spoil(sample, place, np.random.default_rng([seed, len(name)]))
         signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+        faulthandler.dump_traceback_later(2 * PATIENCE, exit=True)  # compiled code does not hear the alarm
         try:
             form.use(spoilt)
             accepted += 1
         except SoftmapError as fault:
             refused += 1
-            if "\n" in str(fault) or not str(fault).strip():
-                print(f"seed {seed}: the message is not one line: {fault!r}")
+            if "\n" in str(fault) or not str(fault).strip() or len(str(fault)) > 1000:
+                print(f"seed {seed}: the message is not one line: {str(fault)[:2000]!r}")
                 return 1
         except BaseException:
             print(f"seed {seed}: not an error of ours:\n{traceback.format_exc()}")
             return 1
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
+            faulthandler.cancel_dump_traceback_later()
     print(json.dumps({"refused": refused, "accepted": accepted}))
     return 0
 
 
-def spoil_many(form, count, folder):
+def spoil_many(form, first, count, folder):
+    """Run a child over the seeds `first` and on; a child that fails, dies or hangs is told with its format and seed."""
     if importlib.util.find_spec(form.module) is None:
         pytest.skip(f"not run: {form.module} is not in this version")
 
@@ -344,19 +366,25 @@ def spoil_many(form, count, folder):
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
-    argv = [sys.executable, "-W", "error", __file__, form.name, str(count), str(folder)]
+    folder.mkdir(exist_ok=True)
+    argv = [sys.executable, "-W", "error", __file__, form.name, str(first), str(count), str(folder)]
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": "1"}
-    done = subprocess.run(
-        argv, capture_output=True, text=True, timeout=120 + 0.5 * count, preexec_fn=limit, env=environment, check=False
-    )
+    try:
+        done = subprocess.run(
+            argv, capture_output=True, text=True, timeout=120 + count, preexec_fn=limit, env=environment, check=False
+        )
+        end, said = f"exit {done.returncode}", done.stdout[-3000:] + done.stderr[-3000:]
+    except subprocess.TimeoutExpired as late:
+        done, end, said = None, f"stopped after {late.timeout:.0f} s", ""
     seed = (folder / "seed").read_text() if (folder / "seed").exists() else "none"
-    assert done.returncode == 0, f"{form.name}, last seed {seed}:\n{done.stdout[-3000:]}{done.stderr[-3000:]}"
+    again = f"{Path(__file__).name} '{form.name}' {seed} 1 FOLDER"
+    assert done is not None and done.returncode == 0, f"{form.name}, seed {seed}: {end}; again: {again}\n{said}"
     return json.loads(done.stdout)
 
 
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
 def test_500_damaged_files(form, tmp_path):
-    result = spoil_many(form, 500, tmp_path)
+    result = spoil_many(form, 0, 500, tmp_path)
     assert result["refused"] + result["accepted"] == 500
     assert result["refused"] > 100  # the damage is felt: an oracle that accepts everything fails here
 
@@ -364,8 +392,18 @@ def test_500_damaged_files(form, tmp_path):
 @pytest.mark.prove
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
 def test_10000_damaged_files(form, tmp_path):
-    assert spoil_many(form, 10_000, tmp_path)["refused"] > 2000
+    parts = range(0, 10_000, 2500)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        results = list(pool.map(lambda first: spoil_many(form, first, 2500, tmp_path / str(first)), parts))
+    assert sum(result["refused"] + result["accepted"] for result in results) == 10_000
+    assert sum(result["refused"] for result in results) > 2000
+
+
+def test_a_child_that_dies_names_its_seed(tmp_path):
+    """Without this a crash of the core would leave no way to see it again."""
+    with pytest.raises(AssertionError, match="dying, seed 7: exit -6"):
+        spoil_many(DYING, 0, 10, tmp_path)
 
 
 if __name__ == "__main__":
-    sys.exit(child(sys.argv[1], int(sys.argv[2]), Path(sys.argv[3])))
+    sys.exit(child(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4])))

@@ -98,7 +98,7 @@ def test_another_mesh_reports_the_same_material_points():
 
 def test_finger_survives_its_file(tmp_path):
     builtin = Finger.builtin()
-    finger = builtin.replace(name='a "quoted"\nname', tendons=builtin.tendons[:3], pairs=((0, 2), (1,)))
+    finger = builtin.replace(name='a "quoted" näme', tendons=builtin.tendons[:3], pairs=((0, 2), (1,)))
     (tmp_path / "finger.toml").write_text(finger.to_toml(), encoding="utf-8")
     assert Finger.load(tmp_path / "finger.toml") == finger
     assert Finger.from_toml(Finger.builtin().to_toml()) == Finger.builtin()

@@ -7,6 +7,7 @@ use super::conditions::{Conditions, Context};
 use super::declaration::*;
 use super::{REGISTRY, find};
 use crate::error::{Result, invalid};
+use crate::room::{room, zeros};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -236,7 +237,12 @@ impl Chain {
                 u.len()
             )));
         }
+        let mut out = zeros(
+            "a record (parameter sets, samples, channels)",
+            &[sets, u.len()],
+        )?;
         if states.is_empty() {
+            room("a state of every parameter set", &[sets, self.memory])?;
             let held: &[f64] = if samples > 0 {
                 &u[..self.channels]
             } else {
@@ -264,7 +270,6 @@ impl Chain {
             }
             first.map_or(Ok(()), |before| conditions.after(before))?;
         }
-        let mut out = vec![0.0; sets * u.len()];
         if !u.is_empty() {
             let conditions = &*conditions;
             out.par_chunks_exact_mut(u.len())

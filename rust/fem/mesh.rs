@@ -11,6 +11,10 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
 /// Corner of the core, as a fraction of the outer radius: keeps the ring's cells about as thick as wide.
 const CORE_FRACTION: f64 = 0.62;
+/// Nodes times nodes of a layer: the factored tangent is a band, and grows with this. Usual meshes have 3e4.
+const MOST_WORK: usize = 4_000_000;
+/// GB of the factor for each of these: 9 numbers of 8 bytes a pair of nodes, twice for the fill beyond a layer.
+const FACTOR_BYTES: f64 = 2.0 * 9.0 * 8e-9;
 /// Faces of a brick, seen from outside counter-clockwise.
 const FACES: [[usize; 4]; 6] = [
     [0, 3, 2, 1],
@@ -86,6 +90,15 @@ pub fn finger(profile: &[[f64; 2]], breaks: &[f64], resolution: Resolution) -> R
             "mesh core {core}, rings {rings}, layers {layers}: allowed are 1-16, 1-16 and at most 400; 3, 1, 42 is usual"
         )));
     }
+    let per_layer = (core + 1) * (core + 1) + 4 * core * rings;
+    let nodes = per_layer * (layers + 1);
+    if nodes * per_layer > MOST_WORK {
+        return Err(invalid(format!(
+            "mesh core {core}, rings {rings}, layers {layers}: {nodes} nodes, {per_layer} a layer, need about {:.1} GB a core to solve, at most {:.1} GB are allowed; 3, 1, 42 is usual",
+            nodes as f64 * per_layer as f64 * FACTOR_BYTES,
+            MOST_WORK as f64 * FACTOR_BYTES,
+        )));
+    }
     let levels = layer_heights(profile[profile.len() - 1][0], breaks, layers)?;
     let disc = unit_disc(core, rings);
     let nodes = levels
@@ -97,7 +110,6 @@ pub fn finger(profile: &[[f64; 2]], breaks: &[f64], resolution: Resolution) -> R
                 .collect::<Vec<_>>()
         })
         .collect();
-    let per_layer = disc.len();
     let mut bricks = Vec::new();
     for layer in 0..layers {
         let (low, high) = (layer * per_layer, (layer + 1) * per_layer);
@@ -462,6 +474,13 @@ mod tests {
             )
             .is_err()
         );
+        let most = Resolution {
+            core: 16,
+            rings: 16,
+            layers: 400,
+        };
+        let refused = finger(&CONE, &[90.0], most).unwrap_err().to_string();
+        assert!(refused.contains("526513 nodes"), "{refused}");
         assert!(finger(&[[0.0, 10.0], [0.0, 9.0]], &[], USUAL).is_err());
         assert!(finger(&[[0.0, 10.0], [50.0, f64::NAN]], &[], USUAL).is_err());
     }

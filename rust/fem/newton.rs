@@ -7,6 +7,7 @@
 use super::Vec3;
 use super::solid::{Load, Solid, Work, inner};
 use crate::error::{Error, Result};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Largest change of a shortening in one step, mm (median 2 to 3 iterations).
 const STEP_MM: f64 = 1.5;
@@ -41,6 +42,8 @@ pub struct Solver<'a> {
     pub iterations: usize,
     /// Steps that failed and were halved.
     pub halved: usize,
+    /// Set from elsewhere to stop before the next iteration.
+    stop: Option<&'a AtomicBool>,
 }
 
 impl<'a> Solver<'a> {
@@ -50,7 +53,20 @@ impl<'a> Solver<'a> {
             fresh: false,
             iterations: 0,
             halved: 0,
+            stop: None,
         })
+    }
+
+    /// The same, but ends with `Interrupted` soon after `stop` is set.
+    pub fn watching(solid: &'a Solid, stop: &'a AtomicBool) -> Result<Solver<'a>> {
+        Ok(Solver {
+            stop: Some(stop),
+            ..Solver::new(solid)?
+        })
+    }
+
+    fn stopped(&self) -> bool {
+        self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
     }
 
     /// Equilibrium without shortening under gravity and a tip load.
@@ -101,6 +117,7 @@ impl<'a> Solver<'a> {
                     done = next;
                     part = (1.5 * part).min(usual);
                 }
+                Err(_) if self.stopped() => return Err(Error::Interrupted),
                 Err(residual) => {
                     self.fresh = false;
                     self.halved += 1;
@@ -140,6 +157,9 @@ impl<'a> Solver<'a> {
         let mut x = self.predict(state, load).unwrap_or_else(|| state.x.clone());
         let mut residual = f64::NAN;
         for _ in 0..ITERATIONS {
+            if self.stopped() {
+                return Err(residual);
+            }
             let energy = self.work.assemble(&x, load);
             if !energy.is_finite() {
                 return Err(f64::INFINITY);

@@ -9,11 +9,15 @@ use super::newton::{Solver, State};
 use super::solid::{Load, Solid};
 use super::{Vec3, sub};
 use crate::error::{Error, Result, invalid};
+use crate::room::room;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Commands of a path that one thread solves one after the other.
 const CHUNK: usize = 64;
+
+/// Any command (mm), gravity (g) or tip load (N) beyond is a mistake: no finger has an equilibrium there.
+const LARGEST: f64 = 1e6;
 
 /// Names of the fields: displacement per 1 g of gravity and per 1 N on the tip.
 pub const FIELDS: [&str; 6] = [
@@ -86,10 +90,10 @@ impl Simulation {
 
     /// The load of a command.
     pub fn load(&self, command: &[f64], gravity: Vec3, tip: Vec3) -> Result<Load> {
-        let numbers = command.iter().chain(&gravity).chain(&tip);
-        if command.len() != self.channels() || !numbers.clone().all(|v| v.is_finite()) {
+        let mut numbers = command.iter().chain(&gravity).chain(&tip);
+        if command.len() != self.channels() || !numbers.all(|v| v.abs() <= LARGEST) {
             return Err(invalid(format!(
-                "command {command:?}, gravity {gravity:?}, load {tip:?}: expected {} finite commands in mm, and finite loads",
+                "command {command:?}, gravity {gravity:?}, load {tip:?}: expected {} commands in mm, and loads in g and N, each within ±{LARGEST:e}",
                 self.channels()
             )));
         }
@@ -124,17 +128,22 @@ impl Simulation {
                 axes.iter().map(Vec::len).collect::<Vec<_>>()
             )));
         }
+        let lengths: Vec<usize> = axes.iter().map(Vec::len).collect();
+        self.room("a sweep", &lengths, 1)?;
         let command: Vec<f64> = axes.iter().map(|a| a[nearest_home(a)]).collect();
-        let mut solver = Solver::new(&self.solid)?;
+        let mut solver = Solver::watching(&self.solid, &progress.stop)?;
+        let start = self.load(&command, gravity, tip)?;
         let mut home = solver.home(gravity, tip)?;
-        solver.advance(&mut home, &self.load(&command, gravity, tip)?)?;
+        solver.advance(&mut home, &start)?;
         drop(solver);
         // States along the axes done so far, with their commands; C order throughout.
         let mut spine = vec![(command, home)];
         for (c, axis) in axes.iter().enumerate().take(axes.len() - 1) {
             let grown = spine
                 .par_iter()
-                .map(|(u, state)| self.line(u, state, c, axis, |_, state| state.clone()))
+                .map(|(u, state)| {
+                    self.line(u, state, c, axis, &progress.stop, |_, state| state.clone())
+                })
                 .collect::<Result<Vec<_>>>()?;
             spine = grown
                 .into_iter()
@@ -146,12 +155,19 @@ impl Simulation {
             .par_iter()
             .map(|(u, state)| {
                 let mut stopped = Ok(());
-                let (_, shapes) = self.line(u, state, last, &axes[last], |solver, state| {
-                    if let Err(e) = progress.count() {
-                        stopped = Err(e);
-                    }
-                    self.shape(solver, state)
-                })?;
+                let (_, shapes) = self.line(
+                    u,
+                    state,
+                    last,
+                    &axes[last],
+                    &progress.stop,
+                    |solver, state| {
+                        if let Err(e) = progress.count() {
+                            stopped = Err(e);
+                        }
+                        self.shape(solver, state)
+                    },
+                )?;
                 stopped.map(|()| shapes)
             })
             .collect::<Result<Vec<_>>>()?;
@@ -165,6 +181,7 @@ impl Simulation {
         state: &State,
         axis: usize,
         values: &[f64],
+        stop: &AtomicBool,
         mut keep: impl FnMut(&Solver, &State) -> T,
     ) -> Result<(Vec<Vec<f64>>, Vec<T>)> {
         let start = nearest_home(values);
@@ -177,7 +194,7 @@ impl Simulation {
             })
             .collect();
         let mut kept: Vec<Option<T>> = vec![None; values.len()];
-        let mut solver = Solver::new(&self.solid)?;
+        let mut solver = Solver::watching(&self.solid, stop)?;
         let up: Vec<usize> = (start..values.len()).collect();
         let down: Vec<usize> = (0..start).rev().collect();
         for way in [up, down] {
@@ -202,6 +219,7 @@ impl Simulation {
         tip: Vec3,
         progress: &Progress,
     ) -> Result<Vec<Shape>> {
+        self.room("a path", &[commands.len()], 1)?;
         self.follow(commands, gravity, tip, progress, |solver, state| {
             Ok(self.shape(solver, state))
         })
@@ -215,7 +233,8 @@ impl Simulation {
         tip: Vec3,
         progress: &Progress,
     ) -> Result<Vec<Vec<Vec<Vec3>>>> {
-        let order = short_tour(commands);
+        self.room("the fields", &[commands.len()], FIELDS.len())?;
+        let order = short_tour(commands, &progress.stop)?;
         let sorted: Vec<Vec<f64>> = order.iter().map(|&i| commands[i].clone()).collect();
         let gravities = vec![gravity; sorted.len()];
         let found = self.follow(&sorted, &gravities, tip, progress, |solver, state| {
@@ -243,11 +262,14 @@ impl Simulation {
                 commands.len()
             )));
         }
+        for (u, &g) in commands.iter().zip(gravity) {
+            self.load(u, g, tip)?; // a bad one is refused before the others are solved
+        }
         let chunks = commands
             .par_chunks(CHUNK)
             .zip(gravity.par_chunks(CHUNK))
             .map(|(commands, gravity)| {
-                let mut solver = Solver::new(&self.solid)?;
+                let mut solver = Solver::watching(&self.solid, &progress.stop)?;
                 let mut state = solver.home(gravity[0], tip)?;
                 let mut kept = Vec::with_capacity(commands.len());
                 for (u, &g) in commands.iter().zip(gravity) {
@@ -260,6 +282,16 @@ impl Simulation {
             })
             .collect::<Result<Vec<_>>>()?;
         Ok(chunks.into_iter().flatten().collect())
+    }
+
+    /// Refuse an answer of several vectors a point that is too large to keep.
+    fn room(&self, what: &str, commands: &[usize], vectors: usize) -> Result<()> {
+        let a_command = [3 * vectors, self.points.weights.len()];
+        room(
+            &format!("{what} (commands, coordinates, points)"),
+            &[commands, &a_command].concat(),
+        )
+        .map(|_| ())
     }
 
     fn shape(&self, solver: &Solver, state: &State) -> Shape {
@@ -306,7 +338,7 @@ fn nearest_home(axis: &[f64]) -> usize {
 }
 
 /// An order in which each command is the nearest of those left: short ways between warm starts.
-fn short_tour(commands: &[Vec<f64>]) -> Vec<usize> {
+fn short_tour(commands: &[Vec<f64>], stop: &AtomicBool) -> Result<Vec<usize>> {
     let far = |a: &[f64], b: &[f64]| {
         a.iter()
             .zip(b)
@@ -316,6 +348,9 @@ fn short_tour(commands: &[Vec<f64>]) -> Vec<usize> {
     let mut here = vec![0.0; commands.first().map_or(0, Vec::len)];
     let mut order = Vec::with_capacity(left.len());
     while !left.is_empty() {
+        if stop.load(Ordering::Relaxed) {
+            return Err(Error::Interrupted);
+        }
         let distance = |i: usize| far(&commands[left[i]], &here);
         let next = (0..left.len())
             .min_by(|&a, &b| distance(a).total_cmp(&distance(b)))
@@ -324,7 +359,7 @@ fn short_tour(commands: &[Vec<f64>]) -> Vec<usize> {
         here = commands[taken].clone();
         order.push(taken);
     }
-    order
+    Ok(order)
 }
 
 #[cfg(test)]
@@ -505,6 +540,7 @@ mod tests {
     #[test]
     fn short_tours_take_the_nearest_next() {
         let commands: Vec<Vec<f64>> = [3.0, -1.0, 1.0, 2.0].iter().map(|&u| vec![u]).collect();
-        assert_eq!(short_tour(&commands), vec![1, 2, 3, 0]);
+        let stop = AtomicBool::new(false);
+        assert_eq!(short_tour(&commands, &stop).unwrap(), vec![1, 2, 3, 0]);
     }
 }

@@ -10,15 +10,12 @@ mod table;
 
 use crate::Error;
 use pyo3::create_exception;
-use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
+use pyo3::exceptions::PyKeyboardInterrupt;
+use pyo3::import_exception;
 use pyo3::prelude::*;
 
-create_exception!(
-    _core,
-    CoreError,
-    PyValueError,
-    "Bad input to the compiled core."
-);
+// One of the package's family, so that whoever catches SoftmapError catches this too.
+import_exception!(softmap_edge.errors, CoreError);
 create_exception!(
     _core,
     NoEquilibriumError,
@@ -39,6 +36,8 @@ impl From<Error> for PyErr {
 #[pymodule]
 mod _core {
     #[pymodule_export]
+    use super::NoEquilibriumError;
+    #[pymodule_export]
     use super::effects::{PyChain, effects};
     #[pymodule_export]
     use super::fem::Solid;
@@ -50,13 +49,12 @@ mod _core {
     use super::shape::PyShape;
     #[pymodule_export]
     use super::table::PyTable;
-    #[pymodule_export]
-    use super::{CoreError, NoEquilibriumError};
 
-    /// Names of the shape fields, in the order of `Chain.coefficients`.
+    /// Adds the base of its errors and `FIELDS`, the names of the shape fields in the order of `Chain.coefficients`.
     #[pymodule_init]
     fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
         use pyo3::types::PyModuleMethods;
+        module.add("CoreError", module.py().get_type::<super::CoreError>())?;
         module.add("FIELDS", crate::effects::FIELDS)
     }
 }

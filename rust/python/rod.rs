@@ -2,6 +2,7 @@
 
 use crate::python::shape::PyShape;
 use crate::rod::{Monomials, Rod, RodField};
+use crate::room::zeros;
 use crate::{Error, Result};
 use numpy::{
     IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
@@ -27,7 +28,7 @@ impl PyRod {
         degree: usize,
         angles: PyReadonlyArray2<'_, f64>,
         lengths: PyReadonlyArray2<'_, f64>,
-    ) -> PyResult<(Self, PyShape)> {
+    ) -> PyResult<PyClassInitializer<Self>> {
         let row = |array: &PyReadonlyArray1<'_, f64>| {
             array.as_array().iter().copied().collect::<Vec<f64>>()
         };
@@ -52,7 +53,7 @@ impl PyRod {
         let shape = PyShape {
             inner: Arc::new(rod.clone()),
         };
-        Ok((Self { rod }, shape))
+        Ok(PyClassInitializer::from(shape).add_subclass(Self { rod }))
     }
 }
 
@@ -85,14 +86,12 @@ impl PyRodField {
         name: &str,
         compliance: f64,
         lock: f64,
-    ) -> PyResult<(Self, PyShape)> {
+    ) -> PyResult<PyClassInitializer<Self>> {
         let field = RodField::new(rod.rod.clone(), name, compliance, lock)?;
-        Ok((
-            Self,
-            PyShape {
-                inner: Arc::new(field),
-            },
-        ))
+        let shape = PyShape {
+            inner: Arc::new(field),
+        };
+        Ok(PyClassInitializer::from(shape).add_subclass(Self))
     }
 }
 
@@ -107,8 +106,8 @@ pub fn monomials<'py>(
     let terms = Monomials::new(variables, degree)?;
     let rows: Vec<f64> = x.as_array().iter().copied().collect();
     let count = terms.len();
+    let mut out = zeros("monomials (rows, terms)", &[n, count])?;
     let out = py.detach(move || {
-        let mut out = vec![0.0; n * count];
         for (x, out) in rows
             .chunks_exact(variables)
             .zip(out.chunks_exact_mut(count))

@@ -1,6 +1,7 @@
 //! Binding of every shape: evaluation and slopes of a batch of commands, outside the interpreter's lock.
 
 use crate::Error;
+use crate::room::zeros;
 use crate::shape::Shape;
 use numpy::{
     IntoPyArray, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods,
@@ -50,8 +51,8 @@ impl PyShape {
         let (n, rows) = (u.shape()[0], self.rows(&u)?);
         let (shape, channels, size) =
             (self.inner.clone(), self.inner.channels(), self.inner.size());
+        let mut out = zeros("an answer (commands, outputs)", &[n, size])?;
         let out = py.detach(move || {
-            let mut out = vec![0.0; n * size];
             for (i, out) in out.chunks_exact_mut(size).enumerate() {
                 shape.eval(&rows[i * channels..(i + 1) * channels], out);
             }
@@ -69,8 +70,11 @@ impl PyShape {
         let (n, rows) = (u.shape()[0], self.rows(&u)?);
         let (shape, channels, size) =
             (self.inner.clone(), self.inner.channels(), self.inner.size());
+        let mut out = zeros(
+            "an answer (commands, outputs, channels)",
+            &[n, size, channels],
+        )?;
         let out = py.detach(move || {
-            let mut out = vec![0.0; n * size * channels];
             for (u, out) in rows
                 .chunks_exact(channels.max(1))
                 .zip(out.chunks_exact_mut((size * channels).max(1)))

@@ -1,0 +1,114 @@
+"""Sound files and sound arguments that ask for absurd work are refused at once, in one line, before memory is taken."""
+
+import time
+
+import numpy as np
+import pytest
+
+from softmap_edge import _core
+from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
+from softmap_edge.errors import BundleError, FingerError, SoftmapError
+from softmap_edge.finger import Finger
+from softmap_edge.npz import read_npz, write_npz
+from softmap_edge.run import Run
+from softmap_edge.simulator import Simulator
+
+LONG_AXIS = np.arange(2.0**21)
+AT_ONCE = 5.0  # s on a busy machine; the work itself would take hours or all the memory
+
+
+def simulator():
+    return Simulator(Finger.builtin().replace(core=1, layers=8))
+
+
+def million_frames():
+    times = np.arange(1_000_000.0)
+    return builtin_model().predict(Run(t=times[[0, -1]], command=np.zeros((2, 2)), t_seen=times))
+
+
+REQUESTS = {
+    "a mesh of half a million nodes": lambda: Simulator(Finger.builtin().replace(core=16, rings=16, layers=400)),
+    "a million layers": lambda: Finger.builtin().replace(layers=10**6),
+    "a profile of many pairs": lambda: Finger.builtin().replace(profile=tuple((z / 1e3, 9.0) for z in range(10**5))),
+    "a layer count of 5000 digits": lambda: Finger.builtin().replace(layers=10**5000),
+    "a young's modulus of 5000 digits": lambda: Finger.builtin().replace(young_mpa=10**5000),
+    "a file of 5000 digits": lambda: Finger.from_toml("name = " + "1" * 5000),
+    "a key of two lines": lambda: Finger.from_toml('"a\\nb" = 1'),
+    "a sweep of 25 million commands": lambda: simulator().sweep([np.linspace(-1, 1, 5000)] * 2),
+    "a path of 100 million commands": lambda: simulator().path(np.broadcast_to(np.zeros(2), (10**7, 2))),
+    "fields of a million commands": lambda: simulator().fields(np.zeros((10**6, 2))),
+    "a command of 1e308 mm": lambda: simulator().path([[1e308, 0.0]]),
+    "a gravity of 1e300 g": lambda: simulator().path([[0.0, 0.0]], gravity=[1e300, 0, 0]),
+    # 2^21 · 2^22 · 2^21 nodes are 2^64, which is 0 where the product wraps around
+    "a grid whose size overflows": lambda: _core.Table(
+        [LONG_AXIS, np.arange(2.0**22), LONG_AXIS], np.zeros((0, 1)), np.zeros(3), np.ones((1, 3))
+    ),
+    "a rod of a million channels": lambda: _core.Rod(
+        np.zeros(3), np.zeros(10**6), np.ones(10**6), 4, np.zeros((1, 2)), np.zeros((1, 1))
+    ),
+    "monomials of a million variables": lambda: _core.monomials(np.zeros((1, 10**6)), 4),
+    "a prediction of a million frames": million_frames,
+}
+
+
+@pytest.mark.parametrize("ask", REQUESTS.values(), ids=REQUESTS)
+def test_is_refused_at_once(ask):
+    start = time.monotonic()
+    with pytest.raises(SoftmapError) as fault:
+        ask()
+    assert "\n" not in str(fault.value) and len(str(fault.value)) < 500
+    assert time.monotonic() - start < AT_ONCE
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e308, -1e10])
+@pytest.mark.parametrize("file", ["prior", "fields", "template"])
+def test_a_bundle_of_numbers_beyond_any_robot_is_refused(file, value, tmp_path):
+    """The hash is right, the shape is right: only the number is absurd."""
+    model = builtin_model()
+    arrays = {name: dict(group) for name, group in model.made_from["_arrays"].items()}
+    if file != "template":
+        key = next(key for key in arrays[file] if key.startswith("coefficients"))
+        arrays[file][key] = np.array(arrays[file][key], float)
+        arrays[file][key][0, 0] = value
+        folder = save_bundle(model, tmp_path / "bundle", arrays)
+    else:
+        folder = save_bundle(model, tmp_path / "bundle")
+        content = read_npz(folder / "template.npz")
+        content["rest"] = np.array(content["rest"], float)
+        content["rest"][0, 0] = value
+        replaced(folder, "template.npz", content)
+    with pytest.raises(BundleError, match=f"{file}.npz: '"):
+        load_bundle(folder)
+
+
+def replaced(folder, name, content):
+    """Write other arrays into a bundle and put its hash right."""
+    before = (folder / "manifest.json").read_text()
+    from softmap_edge.bundle import _sha256
+
+    old = _sha256(folder / name)
+    write_npz(folder / name, content)
+    (folder / "manifest.json").write_text(before.replace(old, _sha256(folder / name)))
+
+
+def test_a_template_with_an_empty_slice_is_refused(tmp_path):
+    folder = save_bundle(builtin_model(), tmp_path / "bundle")
+    content = read_npz(folder / "template.npz")
+    content["rest"] = np.array(content["rest"], float)
+    content["rest"][0, 2] = 1e4  # one vertex far away: the slices between hold nothing
+    replaced(folder, "template.npz", content)
+    with pytest.raises(BundleError, match="holds none"):
+        load_bundle(folder)
+
+
+def test_a_finger_file_of_megabytes_is_refused(tmp_path):
+    (tmp_path / "finger.toml").write_text("#" * 2_000_000)
+    with pytest.raises(FingerError, match="longer than"):
+        Finger.load(tmp_path / "finger.toml")
+
+
+def test_what_is_large_but_reasonable_still_works():
+    """Without this the limits could refuse everything."""
+    finger = Finger.builtin().replace(core=6, rings=3, layers=60)
+    assert len(Simulator(finger).template.vertices) > 1500
+    assert Finger.builtin().replace(core=16, layers=40).other_mesh().core == 15
