@@ -20,12 +20,15 @@ test-rust:
 test-python: $(VENV)/.test
 	$(BIN)/python -m pytest -m "not prove"
 
+# rustfmt by file: `cargo fmt` does not see the modules that a macro declares (rust/effects/mod.rs).
 lint: $(VENV)/.lint
-	cargo fmt --check
+	rustfmt --check --edition 2024 $(filter %.rs,$(RUST))
 	cargo clippy --locked --all-targets --quiet -- -D warnings
+	cargo clippy --locked --features python --quiet -- -D warnings
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python -m mypy.stubtest softmap_edge._core
 
 bench: $(VENV)/.test
 	$(BIN)/python -m benches

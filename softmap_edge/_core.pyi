@@ -1,52 +1,74 @@
 """Types of the compiled core; the bindings in rust/python/ implement them."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import disjoint_base
 
 from softmap_edge.errors import CoreError as CoreError
 
-Floats = NDArray[np.float64]
+_Floats = NDArray[np.float64]
+
+__all__ = [
+    "Chain",
+    "CoreError",
+    "FIELDS",
+    "NoEquilibriumError",
+    "Predictor",
+    "Rod",
+    "RodField",
+    "Shape",
+    "Solid",
+    "Table",
+    "effects",
+    "monomial_degrees",
+    "monomials",
+]
 
 class NoEquilibriumError(CoreError): ...
 
+@disjoint_base
 class Shape:
     channels: int
     size: int
-    def evaluate(self, u: Floats) -> Floats: ...
-    def jacobian(self, u: Floats) -> Floats: ...
+    def evaluate(self, u: _Floats) -> _Floats: ...
+    def jacobian(self, u: _Floats) -> _Floats: ...
 
+@final
 class Rod(Shape):
-    def __init__(
-        self, base: Floats, centre: Floats, scale: Floats, degree: int, angles: Floats, lengths: Floats
-    ) -> None: ...
+    def __new__(
+        cls, base: _Floats, centre: _Floats, scale: _Floats, degree: int, angles: _Floats, lengths: _Floats
+    ) -> Self: ...
 
+@final
 class RodField(Shape):
-    def __init__(self, rod: Rod, name: str, compliance: float, lock: float = 0.0) -> None: ...
+    def __new__(cls, rod: Rod, name: str, compliance: float, lock: float = 0.0) -> Self: ...
 
-def monomials(x: Floats, degree: int) -> Floats: ...
+def monomials(x: _Floats, degree: int) -> _Floats: ...
 def monomial_degrees(variables: int, degree: int) -> list[int]: ...
 
+@final
 class Table(Shape):
-    def __init__(self, axes: Sequence[Floats], coefficients: Floats, mean: Floats, modes: Floats) -> None: ...
+    def __new__(cls, axes: Sequence[_Floats], coefficients: _Floats, mean: _Floats, modes: _Floats) -> Self: ...
     @property
-    def axes(self) -> list[Floats]: ...
+    def axes(self) -> list[_Floats]: ...
     @property
-    def coefficients(self) -> Floats: ...
+    def coefficients(self) -> _Floats: ...
     @property
-    def mean(self) -> Floats: ...
+    def mean(self) -> _Floats: ...
     @property
-    def modes(self) -> Floats: ...
-    def project(self, weights: Floats, offset: Floats) -> Table: ...
+    def modes(self) -> _Floats: ...
+    def project(self, weights: _Floats, offset: _Floats) -> Table: ...
 
 FIELDS: list[str]
 
 def effects() -> list[dict[str, Any]]: ...
 
+@final
 class Chain:
-    def __init__(self, names: Sequence[str], channels: int) -> None: ...
+    def __new__(cls, names: Sequence[str], channels: int) -> Self: ...
     @property
     def names(self) -> list[str]: ...
     @property
@@ -58,89 +80,91 @@ class Chain:
     @property
     def units(self) -> list[str]: ...
     @property
-    def null(self) -> Floats: ...
+    def null(self) -> _Floats: ...
     @property
-    def start(self) -> Floats: ...
+    def start(self) -> _Floats: ...
     @property
-    def low(self) -> Floats: ...
+    def low(self) -> _Floats: ...
     @property
-    def high(self) -> Floats: ...
+    def high(self) -> _Floats: ...
     @property
     def log(self) -> NDArray[np.bool_]: ...
     def rollout(
         self,
-        params: Floats,
-        u: Floats,
-        t: Floats,
-        gravity: Floats | None = None,
-        load: Floats | None = None,
-        temperature: Floats | None = None,
-        state: Floats | None = None,
-    ) -> Floats: ...
+        params: _Floats,
+        u: _Floats,
+        t: _Floats,
+        gravity: _Floats | None = None,
+        load: _Floats | None = None,
+        temperature: _Floats | None = None,
+        state: _Floats | None = None,
+    ) -> _Floats: ...
     def advance(
         self,
-        params: Floats,
-        u: Floats,
-        t: Floats,
-        gravity: Floats | None = None,
-        load: Floats | None = None,
-        temperature: Floats | None = None,
-        state: Floats | None = None,
-    ) -> tuple[Floats, Floats]: ...
-    def init(self, params: Floats, u0: Floats) -> Floats: ...
+        params: _Floats,
+        u: _Floats,
+        t: _Floats,
+        gravity: _Floats | None = None,
+        load: _Floats | None = None,
+        temperature: _Floats | None = None,
+        state: _Floats | None = None,
+    ) -> tuple[_Floats, _Floats]: ...
+    def init(self, params: _Floats, u0: _Floats) -> _Floats: ...
     def step(
         self,
-        params: Floats,
-        state: Floats,
-        u: Floats,
+        params: _Floats,
+        state: _Floats,
+        u: _Floats,
         dt: float,
         t: float,
-        gravity: Floats | None = None,
+        gravity: _Floats | None = None,
         load: float | None = None,
         temperature: float | None = None,
-    ) -> tuple[Floats, Floats]: ...
+    ) -> tuple[_Floats, _Floats]: ...
     def peek(
         self,
-        params: Floats,
-        state: Floats,
-        u: Floats,
+        params: _Floats,
+        state: _Floats,
+        u: _Floats,
         dt: float,
         t: float,
-        gravity: Floats | None = None,
+        gravity: _Floats | None = None,
         load: float | None = None,
         temperature: float | None = None,
-    ) -> Floats: ...
+    ) -> _Floats: ...
     def coefficients(
         self,
-        params: Floats,
-        gravity: Floats,
-        load: Floats | None = None,
-        temperature: Floats | None = None,
-    ) -> Floats: ...
+        params: _Floats,
+        gravity: _Floats,
+        load: _Floats | None = None,
+        temperature: _Floats | None = None,
+    ) -> _Floats: ...
 
+@final
 class Predictor:
-    def __init__(
-        self,
+    def __new__(
+        cls,
         prior: Shape,
         fields: dict[str, Shape],
         positions: NDArray[np.bool_],
-        gravity_reference: Floats,
-    ) -> None: ...
+        gravity_reference: _Floats,
+    ) -> Self: ...
     def predict(
         self,
         chain: Chain,
-        params: Floats,
-        u: Floats,
-        t: Floats,
-        t_seen: Floats,
-        gravity: Floats | None = None,
-        load: Floats | None = None,
-        temperature: Floats | None = None,
-    ) -> Floats: ...
+        params: _Floats,
+        u: _Floats,
+        t: _Floats,
+        t_seen: _Floats,
+        gravity: _Floats | None = None,
+        load: _Floats | None = None,
+        temperature: _Floats | None = None,
+    ) -> _Floats: ...
 
+@final
 class Solid:
-    def __init__(
-        self,
+    def __new__(
+        cls,
         profile: list[tuple[float, float]],
         core: int,
         rings: int,
@@ -153,36 +177,36 @@ class Solid:
         disc: float,
         routes: list[tuple[float, list[tuple[float, float]]]],
         drive: list[list[float]],
-        points: Floats | None = None,
+        points: _Floats | None = None,
         tolerance: float = 2.5,
-    ) -> None: ...
-    vertices: Floats
+    ) -> Self: ...
+    vertices: _Floats
     triangles: NDArray[np.int32]
-    nodes: Floats
+    nodes: _Floats
     bricks: NDArray[np.int64]
     fixed: NDArray[np.int64]
     core: int
     moduli: tuple[float, float]
-    def newton_step(self, x: Floats) -> Floats: ...
+    def newton_step(self, x: _Floats) -> _Floats: ...
     def sweep(
         self,
         axes: list[list[float]],
         gravity: tuple[float, float, float],
         load: tuple[float, float, float],
         progress: Callable[[float], None] | None = None,
-    ) -> tuple[Floats, Floats]: ...
+    ) -> tuple[_Floats, _Floats]: ...
     def path(
         self,
-        commands: Floats,
-        gravity: Floats,
+        commands: _Floats,
+        gravity: _Floats,
         load: tuple[float, float, float],
         progress: Callable[[float], None] | None = None,
-    ) -> tuple[Floats, Floats]: ...
+    ) -> tuple[_Floats, _Floats]: ...
     def fields(
         self,
-        commands: Floats,
+        commands: _Floats,
         gravity: tuple[float, float, float],
         load: tuple[float, float, float],
         progress: Callable[[float], None] | None = None,
-    ) -> dict[str, Floats]: ...
+    ) -> dict[str, _Floats]: ...
     def effort(self, command: list[float], gravity: tuple[float, float, float]) -> tuple[int, int]: ...

@@ -45,7 +45,11 @@ pub(super) fn low_pass(tau: f64, dt: f64) -> [f64; 3] {
         return [0.0, 0.0, 1.0];
     }
     let h = dt / tau;
-    let p = if h < SHORT { mean_of_fall(h) } else { -(-h).exp_m1() / h };
+    let p = if h < SHORT {
+        mean_of_fall(h)
+    } else {
+        -(-h).exp_m1() / h
+    };
     let fall = p * h;
     [1.0 - fall, p - 1.0 + fall, 1.0 - p]
 }
@@ -56,9 +60,20 @@ const SHORT: f64 = 0.1;
 /// `(1 − e^(−h))/h` by its series.
 #[inline]
 fn mean_of_fall(h: f64) -> f64 {
-    const INVERSE: [f64; 8] =
-        [1.0 / 2.0, 1.0 / 3.0, 1.0 / 4.0, 1.0 / 5.0, 1.0 / 6.0, 1.0 / 7.0, 1.0 / 8.0, 1.0 / 9.0];
-    INVERSE.iter().rev().fold(1.0, |sum, inverse| 1.0 - h * inverse * sum)
+    const INVERSE: [f64; 8] = [
+        1.0 / 2.0,
+        1.0 / 3.0,
+        1.0 / 4.0,
+        1.0 / 5.0,
+        1.0 / 6.0,
+        1.0 / 7.0,
+        1.0 / 8.0,
+        1.0 / 9.0,
+    ];
+    INVERSE
+        .iter()
+        .rev()
+        .fold(1.0, |sum, inverse| 1.0 - h * inverse * sum)
 }
 
 impl ChannelEffect for Lag {
