@@ -12,10 +12,11 @@ from softmap_edge import SoftmapError, __version__
 from softmap_edge.commands import ELSEWHERE, VERBS, Verb
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
+INTERRUPTED = 130  # as a shell reports Ctrl-C
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one verb; return 0 when done, 1 for a fault or a worse error, 2 for wrong use."""
+    """Run one verb; return 0 when done, 1 for a fault or a worse error, 2 for wrong use, 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else argv
     # Small factorisations are ten times slower with BLAS threads; read when numpy is first loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -32,7 +33,11 @@ def main(argv: list[str] | None = None) -> int:
         else:
             print(f"softmap: no verb '{argv[0]}'; there are {', '.join(verbs)}", file=sys.stderr)
         return WRONG_USE
-    return _run(verbs[argv[0]], argv[1:])
+    try:
+        return _run(verbs[argv[0]], argv[1:])
+    except KeyboardInterrupt:
+        print(f"softmap {argv[0]}: interrupted", file=sys.stderr)
+        return INTERRUPTED
 
 
 def _run(verb: Verb, argv: list[str]) -> int:
@@ -50,9 +55,6 @@ def _run(verb: Verb, argv: list[str]) -> int:
     except (SoftmapError, OSError) as error:
         print(f"softmap {verb.name}: {error}", file=sys.stderr)
         return WRONG_USE
-    except KeyboardInterrupt:
-        print(f"softmap {verb.name}: interrupted", file=sys.stderr)
-        return FAULT
 
 
 def _plugged_in() -> list[Verb]:

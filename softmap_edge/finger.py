@@ -96,8 +96,6 @@ class Finger:
         try:
             with Path(path).open(encoding="utf-8") as file:
                 text = file.read(_MOST_TEXT + 1)
-            if len(text) > _MOST_TEXT:
-                raise FingerError(f"{path}: longer than {_MOST_TEXT} characters; give a finger.toml")
         except (OSError, UnicodeDecodeError) as error:
             raise FingerError(f"{path}: cannot be read as a finger file ({error}); give a finger.toml") from None
         try:
@@ -108,6 +106,8 @@ class Finger:
     @classmethod
     def from_toml(cls, text: str) -> Finger:
         """Return the finger of a file's text; raises FingerError."""
+        if len(text) > _MOST_TEXT:
+            raise FingerError(f"longer than {_MOST_TEXT} characters; give a finger.toml")
         try:
             document = tomllib.loads(text)
         except (ValueError, RecursionError) as error:  # a number of thousands of digits is a plain ValueError

@@ -75,6 +75,14 @@ def _read_array(data: bytes, name: str, path: Path, error: type[SoftmapError]) -
             raise ValueError(f"shape {shape} of {dtype} needs {expected} bytes, {len(data) - stream.tell()} are there")
         stream.seek(0)
         array: NDArray[np.generic] = np.lib.format.read_array(stream, allow_pickle=False)
+        if dtype.kind == "U" and array.size and int(_code_points(array).max(initial=0)) > 0x10FFFF:
+            raise ValueError("it holds text that is not Unicode")
         return array
     except Exception as fault:
         raise error(f"{path.name}: array {name!r:.60} is not readable ({brief(fault)}); make the file again") from None
+
+
+def _code_points(array: NDArray[np.generic]) -> NDArray[np.uint32]:
+    """Return the characters of a text array as numbers: numpy reads damaged ones, Python ends in a SystemError."""
+    native = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("="), copy=False)
+    return native.reshape(-1).view(np.uint32)

@@ -41,7 +41,7 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
     """
     archive = read_npz(Path(path), RunError, limit)
     try:
-        stored = {name: fields.legal(name, array) for name, array in archive.items()}
+        stored: dict[str, NDArray[Any]] = dict(archive)
         known: dict[str, Any] = {name: stored.pop(name) for name in fields.AXES if name in stored}
         for name in ("robot", "command_unit"):
             if name in stored:

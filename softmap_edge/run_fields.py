@@ -104,15 +104,6 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
-def legal(name: str, value: NDArray[Any]) -> NDArray[Any]:
-    """Return a stored array; raise RunError when it holds text that is not Unicode (damage that numpy does not see)."""
-    if value.dtype.kind == "U" and value.size:
-        native = np.ascontiguousarray(value).astype(value.dtype.newbyteorder("="), copy=False)
-        if int(native.reshape(-1).view(np.uint32).max(initial=0)) > 0x10FFFF:
-            raise RunError(f"{name}: holds text that is not Unicode; the file is damaged, copy it again")
-    return value
-
-
 def text(name: str, value: NDArray[Any]) -> str:
     """Return a stored 0-d text field.
 

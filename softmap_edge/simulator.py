@@ -7,7 +7,9 @@ Quasi-static finite elements in the compiled core; all local cores are used, Ctr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import radians
@@ -16,15 +18,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from softmap_edge import _core
-from softmap_edge.errors import FingerError, SoftmapError
+from softmap_edge import __version__, _core
+from softmap_edge.errors import FingerError, SoftmapError, brief
 from softmap_edge.finger import Finger
 from softmap_edge.npz import read_npz, write_npz
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-SCHEMA = "softmap.sweep.file/1"
+SCHEMA = "softmap.sweep.file/2"
+UNITS = {"command": "mm", "vertices": "mm", "tension": "N", "gravity": "g", "tip_force": "N"}
+_NUMBERS = tuple(UNITS)
 
 
 class SimulationError(SoftmapError):
@@ -45,7 +49,8 @@ class Template:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Shapes over a grid: one array of mm a command, command (S, C) mm, vertices (S, N, 3) mm, tension (S, T) N.
+    """Shapes over a grid, and of what: one array of mm a command, command (S, C) mm, vertices (S, N, 3) mm, tension
+    (S, T) N, triangles (F, 3) int32 of the vertices; the finger, its gravity (3,) g and tip_force (3,) N.
 
     S runs over the grid in C order: the last axis is the fastest.
     """
@@ -54,33 +59,62 @@ class Sweep:
     command: Floats
     vertices: Floats
     tension: Floats
+    triangles: NDArray[np.int32]
+    finger: Finger
+    gravity: Floats
+    tip_force: Floats
 
     def save(self, path: str | Path) -> None:
-        """Write the sweep as `.npz` without pickles."""
-        arrays = {f"axis{c}": axis for c, axis in enumerate(self.axes)}
-        arrays |= {"command": self.command, "vertices": self.vertices, "tension": self.tension}
-        write_npz(Path(path), {**arrays, "schema": np.array(SCHEMA)})
+        """Write the sweep as `.npz` without pickles; the finger goes along as its `finger.toml`."""
+        arrays: dict[str, NDArray[np.generic]] = {f"axis{c}": axis for c, axis in enumerate(self.axes)}
+        arrays |= {name: getattr(self, name) for name in (*_NUMBERS, "triangles")}
+        texts = {"schema": SCHEMA, "finger": self.finger.to_toml(), "units": json.dumps(UNITS, sort_keys=True)}
+        # The simulator applies no effects of the library; a sweep made elsewhere names its own.
+        texts |= {"effects": "[]", "written_by": f"softmap-edge {__version__}"}
+        write_npz(Path(path), arrays | {name: np.array(text) for name, text in texts.items()})
 
     @classmethod
     def load(cls, path: str | Path) -> Sweep:
         """Read a sweep; raises SimulationError when the file is not one, damaged or newer."""
         content = read_npz(Path(path), SimulationError)
-        schema = str(content.pop("schema", "none"))
+        schema = str(content.get("schema", "none"))[:80]
         if schema != SCHEMA:
-            raise SimulationError(f"{path}: schema {schema}, expected {SCHEMA}; make it with `softmap sweep`")
+            raise SimulationError(f"{path}: schema {schema!r}, expected {SCHEMA}; make it with `softmap sweep`")
         try:
-            read = {name: np.asarray(array, dtype=np.float64) for name, array in content.items()}
-            axes = tuple(read[f"axis{c}"] for c in range(sum(name.startswith("axis") for name in read)))
-            arrays = [read[name] for name in ("command", "vertices", "tension")]
-        except (KeyError, ValueError, TypeError) as error:
-            raise SimulationError(f"{path}: not a sweep ({error}); make it with `softmap sweep`") from None
-        command, vertices, tension = arrays
-        size = int(np.prod([len(axis) for axis in axes])) if all(axis.ndim == 1 for axis in axes) else -1
-        good = command.shape == (size, len(axes)) and vertices.ndim == 3 and vertices.shape[::2] == (size, 3)
-        if not good or tension.ndim != 2 or len(tension) != size:
-            shapes = f"command {command.shape}, vertices {vertices.shape}, tension {tension.shape}"
-            raise SimulationError(f"{path}: {shapes} do not fit its axes; make it again with `softmap sweep`")
-        return cls(axes, command, vertices, tension)
+            units = json.loads(str(content["units"]))
+            finger = Finger.from_toml(str(content["finger"]))
+            names = [f"axis{c}" for c in range(len(finger.pairs))]
+            axes = tuple(_stored(content, name, "fiu").astype(np.float64) for name in names)
+            numbers = {name: _stored(content, name, "fiu").astype(np.float64) for name in _NUMBERS}
+            triangles = _stored(content, "triangles", "i").astype(np.int32)
+        except (SoftmapError, KeyError, ValueError, TypeError, RecursionError) as error:
+            raise SimulationError(f"{path}: not a sweep ({brief(error)}); make it with `softmap sweep`") from None
+        if units != UNITS:
+            raise SimulationError(f"{path}: units {units!r:.120}, expected {UNITS}; convert it")
+        sweep = cls(axes=axes, triangles=triangles, finger=finger, **numbers)
+        sweep._check(path)
+        return sweep
+
+    def _check(self, path: str | Path) -> None:
+        size = math.prod(len(axis) for axis in self.axes) if all(axis.ndim == 1 for axis in self.axes) else -1
+        n = self.vertices.shape[1] if self.vertices.ndim == 3 else 0
+        expected = {
+            "command": (size, len(self.axes)),
+            "vertices": (size, n, 3),
+            "tension": (size, len(self.finger.tendons)),
+            "triangles": (len(self.triangles) if self.triangles.ndim else -1, 3),
+            "gravity": (3,),
+            "tip_force": (3,),
+        }
+        for name, shape in expected.items():
+            array = getattr(self, name)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise SimulationError(
+                    f"{path}: {name} of shape {array.shape}, expected finite numbers of shape {shape} for axes of "
+                    f"{[axis.shape for axis in self.axes]}; make it again with `softmap sweep`"
+                )
+        if self.triangles.size and not 0 <= self.triangles.min() <= self.triangles.max() < n:
+            raise SimulationError(f"{path}: triangles point outside the {n} vertices; make it again")
 
 
 class Simulator:
@@ -141,7 +175,16 @@ class Simulator:
                 [axis.tolist() for axis in grid], self._gravity(gravity), _vector("load", load), progress
             )
         command = np.stack([a.ravel() for a in np.meshgrid(*grid, indexing="ij")], axis=1)
-        return Sweep(grid, command, vertices, tension)
+        return Sweep(
+            axes=grid,
+            command=command,
+            vertices=vertices,
+            tension=tension,
+            triangles=self.template.triangles,
+            finger=self.finger,
+            gravity=np.array(self._gravity(gravity)),
+            tip_force=np.array(_vector("load", load)),
+        )
 
     def path(
         self,
@@ -180,6 +223,13 @@ class Simulator:
 
     def _gravity(self, gravity: ArrayLike | None) -> tuple[float, float, float]:
         return _vector("gravity", self.finger.gravity if gravity is None else gravity)
+
+
+def _stored(content: Mapping[str, NDArray[np.generic]], name: str, kinds: str) -> NDArray[np.generic]:
+    array = content[name]
+    if array.dtype.kind not in kinds:
+        raise SimulationError(f"{name} holds {array.dtype}, expected numbers")
+    return array
 
 
 def _drive(finger: Finger) -> Floats:

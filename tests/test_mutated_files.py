@@ -119,6 +119,14 @@ def finger_sample(folder):
     return folder / "finger.toml"
 
 
+def sweep_sample(folder):
+    from softmap_edge.finger import Finger
+    from softmap_edge.simulator import Simulator
+
+    Simulator(Finger.builtin().replace(core=1, layers=4)).sweep([[0.0, 1.0], [0.0]]).save(folder / "sweep.npz")
+    return folder / "sweep.npz"
+
+
 def bundle_sample(folder):
     from softmap_edge.bundle import builtin_model, save_bundle
 
@@ -281,6 +289,14 @@ def use_finger(path):
     assert Finger.from_toml(finger.to_toml()) == finger
 
 
+def use_sweep(path):
+    from softmap_edge.simulator import Sweep
+
+    sweep = Sweep.load(path)
+    sweep.save(path.with_name("again.npz"))
+    np.testing.assert_array_equal(Sweep.load(path.with_name("again.npz")).vertices, sweep.vertices)
+
+
 def use_bundle(path):
     from softmap_edge.bundle import load_bundle
     from softmap_edge.run import Run
@@ -298,6 +314,7 @@ FORMATS = [
     Format("log", "softmap_edge.importer", logs_sample, spoil_one_of("log.csv"), use_logs),
     Format("mapping", "softmap_edge.importer", logs_sample, spoil_one_of("map.toml"), use_logs),
     Format("finger", "softmap_edge.finger", finger_sample, spoil_text_file, use_finger),
+    Format("sweep", "softmap_edge.simulator", sweep_sample, spoil_npz_file, use_sweep),
     Format("bundle", "softmap_edge.bundle", bundle_sample, spoil_bundle, use_bundle),
 ]
 

@@ -1,10 +1,13 @@
 """A user describes a finger, simulates it, saves the sweep, and is told what is wrong with a bad description."""
 
+import json
+
 import numpy as np
 import pytest
 
 from softmap_edge.errors import FingerError, SoftmapError
 from softmap_edge.finger import Finger, Tendon
+from softmap_edge.npz import read_npz
 from softmap_edge.simulator import NoEquilibriumError, SimulationError, Simulator, Sweep
 
 
@@ -55,6 +58,13 @@ def test_sweep_is_in_c_order_reports_progress_and_survives_its_file(simulator, t
     for name in ("command", "vertices", "tension"):
         np.testing.assert_array_equal(getattr(back, name), getattr(sweep, name))
     np.testing.assert_array_equal(back.axes[1], axes[1])
+    np.testing.assert_array_equal(back.triangles, simulator.template.triangles)
+    assert back.finger == simulator.finger and back.gravity.tolist() == [0, 0, 1] and not back.tip_force.any()
+    # What the file says of itself makes the same shapes again: nothing else has to be known.
+    again = Simulator(back.finger).sweep(back.axes, gravity=back.gravity, load=back.tip_force)
+    np.testing.assert_array_equal(again.vertices, back.vertices)
+    stored = read_npz(tmp_path / "sweep.npz")
+    assert json.loads(str(stored["units"]))["vertices"] == "mm" and json.loads(str(stored["effects"])) == []
 
 
 def test_same_input_gives_the_same_bytes(simulator):
