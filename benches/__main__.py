@@ -31,7 +31,7 @@ def main() -> int:
     """Run every benchmark; with `--json` print one document."""
     parser = argparse.ArgumentParser(prog="benches", description=__doc__)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--quick", action="store_true", help="leave out the 41×41 sweep")
+    parser.add_argument("--quick", action="store_true", help="leave out the 41×41 sweep and the trunk robot's table")
     args = parser.parse_args()
     rows = [newton_step(), rollouts(), equilibrium(), imports(), diagnosis(), table_against_simulator()]
     if not args.quick:
@@ -48,7 +48,24 @@ def main() -> int:
             else ""
         )
         print(f"{row['name']:<58} {row['value']:10.4g} {row['unit']:<3} {peer:<44} {row['wanted']}")
+    if not args.quick:
+        trunk()
     return 0
+
+
+def trunk() -> None:
+    """Print how well the rod predicts a real robot beside general regressors, where its logs are."""
+    from benches.trunk import print_table
+    from benches.trunk_load import FREE, find_logs, read
+
+    folder = find_logs()
+    if folder is None:
+        print("trunk robot: not run: no data; `make data` brings the logs")
+        return
+    print(
+        "\ntrunk robot, unloaded, five blocks 2 s apart (`python -m benches.trunk` goes on with the load)", flush=True
+    )
+    print_table(read(folder, FREE))
 
 
 def machine() -> dict[str, str]:

@@ -1,8 +1,9 @@
-"""Print how well the rod predicts a real trunk robot beside general regressors: same frames, same blocks, same inputs.
+"""Print every number of docs/trunk.md; first how well the rod predicts the trunk robot beside general regressors.
 
 Blocked cross-validation RMS over three markers and at the tip (mm), on the unloaded run of the trunk logs. Commands
 reach every model after the drive's delay and lag as the rod found them; encoders are un-held. The regressors get the
-nine marker coordinates as targets and inputs of unit variance. Run `python -m benches.trunk`; `make data` brings logs.
+nine marker coordinates as targets and inputs of unit variance: same frames, blocks and inputs for all. What the load
+changes is in `trunk_load.py`. Run `python -m benches.trunk` (some minutes); `make data` brings the logs.
 """
 
 from __future__ import annotations
@@ -24,14 +25,12 @@ from sklearn.multioutput import MultiOutputRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
-from softmap_edge.importer import import_logs, read_mapping
+from benches.trunk_load import FREE, find_logs, read, report
 from softmap_edge.rod import LearnedRod, learn
 from softmap_edge.rod_fit import Drive, Folds, folds
 from softmap_edge.run import Run, Source
 
 Floats = NDArray[np.float64]
-ROOT = Path(__file__).resolve().parent.parent
-LOGS = ("control_inputs_controlled_1.csv", "observations_controlled_1.csv")
 BLOCKS, GAP_S = 5, 2.0
 GP_TUNING_FRAMES = 500  # length scales are found on these, then all training frames are used
 SEED = 1
@@ -73,21 +72,24 @@ def main() -> int:
     if folder is None:
         print("not run: the trunk logs are absent; `make data` brings them")
         return 0
-    run = import_logs([folder / name for name in LOGS], read_mapping(ROOT / "examples/trunk.toml")).run
+    run = read(folder, FREE)
     if args.json:
         rows = list(table(run))
         print(json.dumps({"schema": "softmap.trunk_bench/1", "blocks": BLOCKS, "gap_s": GAP_S, "rows": rows}))
         return 0
+    print_table(run)
+    print()
+    for text in report(folder):
+        print(text, flush=True)
+    return 0
+
+
+def print_table(run: Run) -> None:
+    """Print the cross-validation errors of the rod and its peers, line by line as they are done."""
     print(f"{'model':<20} {'input':<17} {'3 markers mm':>12} {'tip mm':>8} {'seconds':>8}")
     for line in table(run):
         errors = f"{line['rms_mm']:12.2f} {line['tip_mm']:8.2f} {line['seconds']:8.1f}"
         print(f"{line['model']:<20} {line['input']:<17} {errors}", flush=True)
-    return 0
-
-
-def find_logs() -> Path | None:
-    """Return the folder of the trunk logs, or None."""
-    return next((p for p in (ROOT / "data/trunk", ROOT.parent / "shared/data/trunk") if p.is_dir()), None)
 
 
 def table(run: Run) -> Iterator[dict[str, float | str]]:

@@ -326,6 +326,7 @@ def _effect_lines(row: Mapping[str, Any]) -> list[str]:
 def parameter(value: Mapping[str, Any]) -> str:
     """Return a fitted parameter as 'value ± sigma unit', with as many digits as its sigma allows."""
     best, sigma, unit = number(value.get("value")), value.get("sigma") or 0.0, str(value.get("unit") or "")
+    unit = "" if unit == "1" else unit  # a plain number
     if best is None:
         return "–"
     if number(sigma) is None or sigma <= 0:
@@ -347,7 +348,7 @@ def _ladder_lines(error: Mapping[str, Any]) -> list[str]:
     lines += [f"  {name:<30}{mm(value):>8}  {bar(value, scale, 40)}" for name, value in steps]
     floor = number(error.get("floor"))
     if floor is not None:
-        lines.append(f"  {'floor':<30}{mm(floor):>8}  {bar(floor, scale, 40).replace('█', '░')}")
+        lines.append(f"  {'floor':<30}{mm(floor):>8}  {'░' * len(bar(floor, scale, 40))}")
         lines += _folded(f"floor: {error.get('floor_kind', 'origin not stated')}", 2)
     known = [("noise floor", error.get("noise_floor")), ("model's own held-out error", error.get("model_floor"))]
     told = [f"{name} {mm(value)} {unit}" for name, value in known if number(value) is not None]

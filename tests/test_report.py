@@ -81,6 +81,7 @@ def test_fall_is_counted_above_the_floor():
         ({"value": 0.6213, "sigma": 0.013, "unit": "mm"}, "0.621 ± 0.013 mm"),
         ({"value": 59.96, "sigma": 4.2, "unit": "g"}, "60.0 ± 4.2 g"),
         ({"value": 1.0, "sigma": None, "unit": ""}, "1 (uncertainty not known)"),
+        ({"value": 0.951, "sigma": 0.013, "unit": "1"}, "0.951 ± 0.013"),
         ({"value": 0.5, "sigma": 3e40, "unit": "mm"}, "0.5 ± 3e+40 mm"),
         ({"value": float("nan"), "sigma": 1.0}, "–"),
     ],

@@ -1,0 +1,121 @@
+"""Numbers of docs/trunk.md beyond its first table: the drive, seconds kept from the rod, and what the load changes.
+
+`python -m benches.trunk` prints them after the table. Errors are mm, RMS over the three markers. "Later" is the last
+30 % of a run; effects see only the first 60 % of the loaded one, and the rod none of the unloaded run's later moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from softmap_edge import Diagnosis, Model, Run, diagnose, import_logs, learn_model, read_mapping
+from softmap_edge.rod import RodParameters, learn
+from softmap_edge.rod_fit import Drive, Fit, folds
+
+ROOT = Path(__file__).resolve().parent.parent
+COMMANDS = "control_inputs_controlled_1.csv"
+FREE, LOADED = "observations_controlled_1.csv", "observations_controlled_1_100g.csv"
+HOLD_OUT = (103.0, 151.0)  # s, kept from the rod: the later part and the two seconds before it
+FITTED, LATER = 90.0, 105.0  # s: effects are fitted before the first, judged after the second
+BLOCKS, GAP_S = 5, 2.0
+OTHER_DRIVE = (0.175, 0.05)  # s, delay and lag that the page names as the rival of a pure delay
+SETS: tuple[tuple[str, ...], ...] = (
+    (),
+    ("offset",),
+    ("payload",),
+    ("gain",),
+    ("payload", "offset"),
+    ("gain", "offset"),
+)
+
+
+def find_logs() -> Path | None:
+    """Return the folder of the trunk logs, or None."""
+    return next((p for p in (ROOT / "data/trunk", ROOT.parent / "shared/data/trunk") if p.is_dir()), None)
+
+
+def read(folder: Path, observations: str) -> Run:
+    """Return one recording as a run, by the example's mapping."""
+    return import_logs([folder / COMMANDS, folder / observations], read_mapping(ROOT / "examples/trunk.toml")).run
+
+
+def reference(free: Run) -> tuple[Model, Model]:
+    """Return the rod of the unloaded run, on encoders, that has not seen the later moves; and it with free tendons."""
+    model, arrays = learn_model(free, hold_out=[HOLD_OUT])
+    slack = replace(RodParameters.from_arrays(arrays["prior"]), lock=0.0)
+    return model, replace(model, fields=slack.fields())
+
+
+def error(model: Model, run: Run) -> float:
+    """Return the RMS error in mm over the later frames; memory runs through the whole record."""
+    off = (model.predict(run) - run.markers)[run.t_seen >= LATER]
+    return float(np.sqrt((off**2).sum(axis=2).mean()))
+
+
+def fit(model: Model, run: Run, effects: Sequence[str]) -> Model:
+    """Return the model with `effects` fitted to the run's frames before `FITTED` by plain least squares."""
+    early = run.at(run.t_seen < FITTED)
+    now = model.with_effects((*model.chain_names, *effects), model.params)
+    free = [i for i, label in enumerate(now.chain.labels) if label.split(".")[0] in effects]
+    if not free:
+        return model
+    low, high, start = (np.asarray(getattr(now.chain, name), float)[free] for name in ("low", "high", "start"))
+    start = np.clip(start, low + 1e-3 * (high - low), high - 1e-3 * (high - low))
+
+    def at(x: np.ndarray) -> Model:
+        values = dict(model.params) | {now.chain.labels[i]: float(v) for i, v in zip(free, x)}
+        return model.with_effects(now.chain_names, values)
+
+    def off(x: np.ndarray) -> np.ndarray:
+        return (at(x).predict(early) - early.markers).ravel()
+
+    return at(least_squares(off, start, bounds=(low, high), x_scale=high - low, diff_step=1e-4).x)
+
+
+def load_table(model: Model, loaded: Run, sets: Sequence[tuple[str, ...]] = SETS) -> Iterator[tuple[str, int, float]]:
+    """Yield (effects, numbers fitted, later error in mm) for each set of effects."""
+    for effects in sets:
+        fitted = fit(model, loaded, effects)
+        yield " + ".join(effects) or "none", len(fitted.chain_params) - len(model.chain_params), error(fitted, loaded)
+
+
+def rods(free: Run) -> dict[str, float]:
+    """Return the rod's error (mm) and its drive (s) from commands and from encoders, and the rival drive's error."""
+    found = {}
+    for source in ("goal", "present"):
+        rod = learn(free, source, BLOCKS, GAP_S)
+        tip = float(np.sqrt((rod.residuals[:, -1] ** 2).sum(axis=1).mean()))
+        found |= {f"{source}: rod, cross-validation, mm": rod.error_mm, f"{source}: at the tip, mm": tip}
+        found |= {f"{source}: {label}, s": value for label, value in rod.chain_params.items()}
+        if source == "goal":
+            seen = free.t_seen[rod.frames]
+            regression = Fit(np.asarray(free.markers)[rod.frames], np.zeros(3), folds(seen, BLOCKS, GAP_S))
+            u = Drive(free.commands("goal"), free.t, seen).at([OTHER_DRIVE])[0]
+            other = regression.error(u, rod.made_from["degree"], rod.made_from["ridge"])
+            found["goal: delay 0.175 s and lag 0.05 s, error ratio"] = other / rod.error_mm
+    return found
+
+
+def diagnosed(model: Model, loaded: Run) -> Diagnosis:
+    """Return the diagnosis of the loaded run's frames before `FITTED`."""
+    return diagnose(model, loaded.at(loaded.t_seen < FITTED))
+
+
+def report(folder: Path) -> Iterator[str]:
+    """Yield the numbers of the page as lines."""
+    free, loaded = read(folder, FREE), read(folder, LOADED)
+    model, slack = reference(free)
+    numbers = rods(free) | {"unloaded, seconds kept from the rod, mm": error(model, free)}
+    for effects, count, later in load_table(model, loaded):
+        numbers[f"100 g, {effects} ({count} numbers), later, mm"] = later
+    for effects, _, later in load_table(slack, loaded, (("payload",), ("payload", "offset"))):
+        numbers[f"100 g, tendons free, {effects}, later, mm"] = later
+    found = diagnosed(model, loaded)
+    numbers["100 g, as diagnosed, later, mm"] = error(found.model, loaded)
+    yield from (f"{name:<52} {value:8.3f}" for name, value in numbers.items())
+    yield from ["", *str(found).splitlines()]

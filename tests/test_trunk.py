@@ -1,0 +1,110 @@
+"""docs/trunk.md as written: its commands run, its numbers come out, and a load of 100 g on a real robot is found.
+
+Without the logs everything here is skipped and says so; `make data` brings them.
+"""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from test_readme import lines
+
+from benches import trunk_load
+from softmap_edge import load_bundle
+from softmap_edge.cli import main
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs/trunk.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def folder():
+    found = trunk_load.find_logs()
+    if found is None:
+        pytest.skip("not run: the trunk logs are absent (make data brings them)")
+    return found
+
+
+@pytest.fixture(scope="module")
+def page(folder, tmp_path_factory):
+    """Run the blocks of the page in their order; give the folder and what the Python block left."""
+    there, names = tmp_path_factory.mktemp("trunk"), {}
+    (there / "data").mkdir()
+    (there / "data/trunk").symlink_to(folder)
+    (there / "examples").symlink_to(ROOT / "examples")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(there)
+        for language, text in BLOCKS:
+            if language == "python":
+                exec(compile(text, "docs/trunk.md", "exec"), names)
+                continue
+            for words in lines(text):
+                assert words[0] in ("make", "softmap")
+                assert words[0] == "make" or main(words[1:]) == 0, words
+    return there, names
+
+
+def assert_error_falls(before, after):
+    """What the page promises of the later seconds of the loaded run."""
+    assert 8.0 <= before.error["rms_mm"] <= 9.0
+    assert after.error["rms_mm"] <= 6.9
+
+
+def test_the_learned_rod_is_as_good_as_promised(page):
+    there, _ = page
+    model = load_bundle(there / "trunk.bundle")
+    assert model.kind == "rod" and model.vertex_error_mm <= 6.3
+    assert model.made_from["blocks"] == 5 and model.made_from["hold_out_s"] == [[103.0, 151.0]]
+
+
+def test_the_load_is_named_with_its_rival_and_never_in_grams(page):
+    document = page[1]["found"].to_dict()
+    effects = {entry["name"]: entry for entry in document["effects"]}
+    assert {"payload", "offset"} <= set(effects)
+    assert any("gain" in rival["effects"] for rival in document["rivals"])
+    units = {p["unit"] for entry in [*document["effects"], *document["faults"]] for p in entry["params"].values()}
+    assert not units & {"g", "kg", "N"} and '"unit": "g"' not in json.dumps(document)
+    assert effects["payload"]["params"]["payload.mass"]["unit"] == "of the rod's own load scale"
+    told = str(page[1]["found"]).split("Not testable")[0].split("Next experiment")[0]
+    assert not re.search(r"\d\s*(g|grams?)\b", told)
+
+
+def test_the_error_falls_on_moves_that_nothing_was_fitted_to(page):
+    from softmap_edge import compare
+
+    _, names = page
+    model, found, later = names["model"], names["found"], names["later"]
+    assert later.t_seen[0] >= 105 and len(later.t_seen) > 800
+    assert_error_falls(compare(model, later), compare(found.model, later))
+    with pytest.raises(AssertionError):  # the same promise, for the model without the effects
+        assert_error_falls(compare(model, later), compare(model, later))
+
+
+def numbers(row):
+    """Return the numbers of one row of a table of the page, to the right of its first column."""
+    found = re.search(rf"^\| {re.escape(row)} \|(.*)\|$", PAGE, re.MULTILINE)
+    assert found, f"no row '{row}'"
+    return [float(text) for text in re.findall(r"-?\d+\.?\d*", found[1])]
+
+
+def test_the_numbers_of_the_page_come_from_the_logs(folder, page):
+    """All but the peers of the rod, which take minutes: `python -m benches.trunk` prints those."""
+    free, loaded = (trunk_load.read(folder, name) for name in (trunk_load.FREE, trunk_load.LOADED))
+    rods = trunk_load.rods(free)
+    shown = [f"{source}: {what}" for source in ("goal", "present") for what in _RODS]
+    assert numbers("**rod**") == pytest.approx([rods[name] for name in shown], abs=0.02)
+    assert rods["goal: latency.delay, s"] == pytest.approx(0.22, abs=0.006)
+    assert abs(rods["goal: delay 0.175 s and lag 0.05 s, error ratio"] - 1.0) < 0.01
+    model, slack = trunk_load.reference(free)
+    assert "it is 5.54 mm" in PAGE and trunk_load.error(model, free) == pytest.approx(5.54, abs=0.02)
+    for effects, count, later in trunk_load.load_table(model, loaded):
+        row = {"payload": "dead load", "payload + offset": "dead load + offset"}.get(effects, effects)
+        assert numbers(row) == [count, pytest.approx(later, abs=0.02)], effects
+    for _, _, later in trunk_load.load_table(slack, loaded, (("payload",), ("payload", "offset"))):
+        assert min(abs(later - float(text)) for text in re.search(_FREE, PAGE).groups()) < 0.02
+
+
+_RODS = ("rod, cross-validation, mm", "at the tip, mm")
+_FREE = r"with free tendons the dead load reaches ([\d.]+) and with offset ([\d.]+)\)"
