@@ -1,6 +1,6 @@
 """Fit a rod to a reference run: the prior of a robot that has no simulator. Seconds; numpy and the core only.
 
-The rod (rust/rod.rs) turns commands into bending angles of K chords by a polynomial, then into markers. Its weights are
+The rod (rust/rod/) turns commands into bending angles of K chords by a polynomial, then into markers. Its weights are
 found by ridge regression, and with them the delay and lag of the drive, which stay effects of the chain.
 
     v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale

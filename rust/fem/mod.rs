@@ -1,7 +1,8 @@
 //! The simulator: quasi-static finite elements of a soft finger that is bent by cables.
 //!
 //! `mesh` builds the solid's bricks, `brick` is the material, `cable` the tendons, `sparse` the linear algebra,
-//! `solid` puts them together, `newton` finds equilibria, `sweep` visits many of them, `embed` carries material points.
+//! `solid` puts them together, `work` assembles and solves, `newton` finds equilibria, `sweep` visits many of them,
+//! `embed` carries material points.
 //! Units: mm, N, MPa (N/mm²), N·mm; gravity in multiples of g in the base frame (z along the rest axis to the tip).
 
 pub mod brick;
@@ -12,6 +13,7 @@ pub mod newton;
 pub mod solid;
 pub mod sparse;
 pub mod sweep;
+mod work;
 
 /// A point or vector in the base frame.
 pub type Vec3 = [f64; 3];

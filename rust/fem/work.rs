@@ -1,0 +1,225 @@
+//! One thread's work on a solid: residual and tangent at a state, the factored tangent, and solves with it.
+//!
+//! The tangent is K₀ + Σ kc b bᵀ over the taut cables, b = ∂L/∂x: K₀ (bricks and the cables' geometric stiffness) is sparse;
+//! the stiff dense rank-one terms stay out of the pattern and enter solves through the Woodbury identity (Hager 1989):
+//! (K₀ + B D Bᵀ)⁻¹ r = y − Z (D⁻¹ + BᵀZ)⁻¹ Bᵀ y with y = K₀⁻¹ r, Z = K₀⁻¹ B. Units as in `solid.rs`: mm, N, N/mm.
+
+use super::Vec3;
+use super::brick::Stiffness;
+use super::solid::{HELD, Load, Solid};
+use super::sparse::{Factor, solve_small};
+use crate::error::Result;
+
+/// Kept storage of one thread: residual, tangent and factor at the last assembled state.
+pub struct Work<'a> {
+    pub solid: &'a Solid,
+    /// Gradient of the total energy, N.
+    pub residual: Vec<f64>,
+    /// Cables that pull at the assembled state, and their b = ∂L/∂x.
+    pub taut: Vec<(usize, Vec<f64>)>,
+    /// What was added to the diagonal to make the factored tangent positive definite, N/mm.
+    pub shift: f64,
+    values: Vec<f64>,
+    factor: Factor,
+    solved: Vec<f64>,
+    small: Vec<Vec<f64>>,
+}
+
+impl<'a> Work<'a> {
+    pub fn new(solid: &'a Solid) -> Result<Work<'a>> {
+        let n = solid.unknowns();
+        Ok(Work {
+            solid,
+            residual: vec![0.0; n],
+            taut: Vec::new(),
+            shift: 0.0,
+            values: vec![0.0; solid.pattern.len()],
+            factor: Factor::new(&solid.pattern, solid.cables.len().max(1))?,
+            solved: Vec::new(),
+            small: Vec::new(),
+        })
+    }
+
+    /// Energy, residual and K₀ at a state; infinite energy (and nothing usable) where a brick is inside out.
+    pub fn assemble(&mut self, x: &[Vec3], load: &Load) -> f64 {
+        let solid = self.solid;
+        self.residual.fill(0.0);
+        self.values.fill(0.0);
+        self.taut.clear();
+        let mut energy = -solid.dead_work(x, load);
+        let (mut force, mut k): ([Vec3; 8], Stiffness) = ([[0.0; 3]; 8], [[[[0.0; 3]; 3]; 8]; 8]);
+        for ((brick, nodes), slots) in solid
+            .bricks
+            .iter()
+            .zip(&solid.mesh.bricks)
+            .zip(&solid.slots)
+        {
+            energy += brick.tangent(&nodes.map(|n| x[n]), solid.material, &mut force, &mut k);
+            if !energy.is_finite() {
+                return f64::INFINITY;
+            }
+            self.add_brick(nodes, slots, &force, &k);
+        }
+        for n in 0..x.len() {
+            let f = solid.dead_force(n, load);
+            solid.scatter(n, [-f[0], -f[1], -f[2]], &mut self.residual);
+        }
+        for (c, cable) in solid.cables.iter().enumerate() {
+            let d = load.shortening[c];
+            let tension = cable.tension(x, d);
+            energy += cable.energy(x, d);
+            if tension > 0.0 {
+                self.add_cable(c, x, tension);
+            }
+        }
+        energy
+    }
+
+    fn add_brick(
+        &mut self,
+        nodes: &[usize; 8],
+        slots: &[u32; 36],
+        force: &[Vec3; 8],
+        k: &Stiffness,
+    ) {
+        let solid = self.solid;
+        let mut pair = 0;
+        for a in 0..8 {
+            solid.scatter(nodes[a], force[a], &mut self.residual);
+            let fa = solid.free[nodes[a]];
+            for b in 0..=a {
+                let fb = solid.free[nodes[b]];
+                let slot = slots[pair] as usize;
+                pair += 1;
+                if fa == HELD || fb == HELD {
+                    continue;
+                }
+                if fa >= fb {
+                    solid.pattern.add(&mut self.values, fb, slot, &k[a][b]);
+                } else {
+                    let m = &k[a][b];
+                    let turned = std::array::from_fn(|i| std::array::from_fn(|j| m[j][i]));
+                    solid.pattern.add(&mut self.values, fa, slot, &turned);
+                }
+            }
+        }
+    }
+
+    fn add_cable(&mut self, c: usize, x: &[Vec3], tension: f64) {
+        let solid = self.solid;
+        let cable = &solid.cables[c];
+        let mut slope = vec![0.0; solid.unknowns()];
+        cable.slope(x, |n, v| solid.scatter(n, v, &mut slope));
+        for (r, s) in self.residual.iter_mut().zip(&slope) {
+            *r += tension * s;
+        }
+        self.taut.push((c, slope));
+        cable.geometric(x, tension, |a, b, block| {
+            let (fa, fb) = (solid.free[a], solid.free[b]);
+            if fa != HELD
+                && fb != HELD
+                && let Some(slot) = solid.pattern.slot(fa, fb)
+            {
+                solid.pattern.add(&mut self.values, fb, slot, &block);
+            }
+        });
+    }
+
+    /// Factor the assembled tangent, with a shift of its diagonal where it is indefinite; false when nothing helps.
+    pub fn refactor(&mut self) -> bool {
+        let pattern = &self.solid.pattern;
+        let mean = pattern.mean_diagonal(&self.values);
+        self.shift = 0.0;
+        let mut ok = self.factor.refactor(pattern, &self.values);
+        let mut next = 1e-4 * mean;
+        while !ok && next < mean {
+            let mut shifted = self.values.clone();
+            pattern.shift(&mut shifted, next);
+            self.shift = next;
+            ok = self.factor.refactor(pattern, &shifted);
+            next *= 4.0;
+        }
+        if !ok {
+            return false;
+        }
+        self.solved = self
+            .taut
+            .iter()
+            .flat_map(|(_, b)| b.iter().copied())
+            .collect();
+        if !self.taut.is_empty() {
+            self.factor.solve(pattern, &mut self.solved);
+        }
+        let n = self.solid.unknowns();
+        self.small = self
+            .taut
+            .iter()
+            .enumerate()
+            .map(|(i, (c, b))| {
+                let mut row: Vec<f64> = self
+                    .solved
+                    .chunks_exact(n.max(1))
+                    .map(|z| inner(b, z))
+                    .collect();
+                row[i] += 1.0 / self.solid.cables[*c].stiffness;
+                row
+            })
+            .collect();
+        true
+    }
+
+    /// Solve with the factored tangent (with its shift, if any) and the taut cables.
+    pub fn solve(&mut self, mut rhs: Vec<f64>) -> Vec<f64> {
+        self.factor.solve(&self.solid.pattern, &mut rhs);
+        let right: Vec<f64> = self.taut.iter().map(|(_, b)| inner(b, &rhs)).collect();
+        if let Some(s) = solve_small(self.small.clone(), right) {
+            for (z, s) in self.solved.chunks_exact(rhs.len().max(1)).zip(s) {
+                rhs.iter_mut().zip(z).for_each(|(r, z)| *r -= s * z);
+            }
+        }
+        rhs
+    }
+
+    /// Solve with the true tangent: conjugate gradients preconditioned by the shifted factor where there was a shift.
+    pub fn solve_exact(&mut self, rhs: Vec<f64>) -> Vec<f64> {
+        let mut x = self.solve(rhs.clone());
+        if self.shift == 0.0 {
+            return x;
+        }
+        let mut r = rhs.clone();
+        let product = self.multiply(&x);
+        r.iter_mut().zip(&product).for_each(|(r, p)| *r -= p);
+        let stop = 1e-10 * inner(&rhs, &rhs).sqrt();
+        let mut z = self.solve(r.clone());
+        let mut p = z.clone();
+        for _ in 0..200 {
+            let old = inner(&r, &z);
+            if inner(&r, &r).sqrt() <= stop {
+                break;
+            }
+            let q = self.multiply(&p);
+            let alpha = old / inner(&p, &q);
+            x.iter_mut().zip(&p).for_each(|(x, p)| *x += alpha * p);
+            r.iter_mut().zip(&q).for_each(|(r, q)| *r -= alpha * q);
+            z = self.solve(r.clone());
+            let beta = inner(&r, &z) / old;
+            p.iter_mut().zip(&z).for_each(|(p, z)| *p = z + beta * *p);
+        }
+        x
+    }
+
+    /// The assembled tangent, cables included, times a vector.
+    pub fn multiply(&self, x: &[f64]) -> Vec<f64> {
+        let mut y = vec![0.0; x.len()];
+        self.solid.pattern.multiply(&self.values, x, &mut y);
+        for (c, b) in &self.taut {
+            let s = self.solid.cables[*c].stiffness * inner(b, x);
+            y.iter_mut().zip(b).for_each(|(y, b)| *y += s * b);
+        }
+        y
+    }
+}
+
+pub(super) fn inner(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(p, q)| p * q).sum()
+}

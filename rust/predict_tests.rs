@@ -1,0 +1,94 @@
+//! The predictor: frames between samples, sets that share shapes, and what it says of absent fields.
+
+use super::*;
+use crate::table::Table;
+
+fn plane(slope: [f64; 3]) -> Arc<dyn Shape> {
+    let ends = slope.iter().map(|s| -s).chain(slope).collect();
+    let modes = vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    Arc::new(Table::new(vec![vec![-1.0, 1.0]], ends, vec![0.0; 3], modes).unwrap())
+}
+
+fn predictor(fields: &[&str]) -> Predictor {
+    let fields = fields
+        .iter()
+        .map(|name| (name.to_string(), plane([0.0, 1.0, 0.0])))
+        .collect();
+    Predictor::new(plane([1.0, 0.0, 2.0]), fields, vec![true], [0.0, 0.0, 1.0]).unwrap()
+}
+
+fn world(gravity: [f64; 3], load: f64) -> Conditions {
+    Conditions::new(vec![0.0, 1.0], vec![gravity], vec![load], vec![f64::NAN]).unwrap()
+}
+
+#[test]
+fn frames_lie_between_samples_and_sets_that_share_shapes_agree_with_single_ones() {
+    let names = ["offset", "payload", "mount"].map(String::from);
+    let chain = Chain::new(&names, 1).unwrap();
+    let body = predictor(&["tip_force_z"]);
+    let sets = [
+        [0.0; 8],
+        [0.5, 20.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+        [0.5, 40.0, 0.0, 0.0, 9.0, 0.0, 0.0, 0.0],
+        [0.5, 40.0, 0.0, 0.0, 0.0, 0.0, 2.0, 0.0],
+    ];
+    let run = |params: &[f64]| {
+        body.predict(
+            &chain,
+            params,
+            &[2.0, 4.0],
+            &mut world([0.0, 0.0, 1.0], 10.0),
+            &[0.25, 5.0],
+        )
+        .unwrap()
+    };
+    let batch = run(&sets.concat());
+    for (set, frames) in sets.iter().zip(batch.chunks_exact(6)) {
+        assert_eq!(run(set), frames);
+    }
+    let declared = 0.01 * 9.80665;
+    assert!((batch[0] - 2.5).abs() < 1e-12 && (batch[1] - declared * 2.5).abs() < 1e-12);
+    assert!((batch[3] - 4.0).abs() < 1e-12, "held beyond the end");
+    assert!(
+        (batch[7] - 3.0 * declared * 3.0).abs() < 1e-12 && (batch[8] - (6.0 + 1.0)).abs() < 1e-12
+    );
+}
+
+#[test]
+fn absent_fields_and_foreign_chains_are_told() {
+    let chain = Chain::new(&["payload".to_string()], 1).unwrap();
+    let body = predictor(&[]);
+    let error = |params: f64, gravity, load| {
+        body.predict(
+            &chain,
+            &[params],
+            &[0.0, 1.0],
+            &mut world(gravity, load),
+            &[0.5],
+        )
+        .err()
+        .map(|e| e.to_string())
+    };
+    assert_eq!(error(0.0, [0.0, 0.0, 1.0], 0.0), None);
+    assert!(
+        error(5.0, [0.0, 0.0, 1.0], 0.0)
+            .unwrap()
+            .contains("payload")
+    );
+    assert!(
+        error(0.0, [1.0, 0.0, 0.0], 0.0)
+            .unwrap()
+            .contains("gravity_x")
+    );
+    let other = Chain::new(&[], 2).unwrap();
+    assert!(
+        body.predict(
+            &other,
+            &[],
+            &[0.0; 4],
+            &mut world([0.0, 0.0, 1.0], 0.0),
+            &[0.5]
+        )
+        .is_err()
+    );
+}

@@ -1,0 +1,162 @@
+//! How a load bends the rod: marker displacements under one unit of weight or of tip force.
+//!
+//! A load turns every cross-section by its bending moment. With c = 1/(E·I) (N⁻¹·mm⁻²) the markers move, to first order, by
+//!   δp_i = c ∫_0^{s_i} [M(s)]_⊥ × (p_i − c(s)) ds      (mm),
+//! M(s) = (p_tip − c(s)) × F for a tip force F, M(s) = ∫_s^L (c(r) − c(s)) × (W/L) dr for a weight W spread evenly, ⊥ =
+//! without the part along the chord (twist is stiff). The centreline c(s) is the chords, on which the integrand is a cubic at
+//! most, so Simpson's rule is exact. Motors that hold keep every tendon's length, hence each chord's mean bending: the share
+//! `lock` of the mean of [M]_⊥ over the chord is carried by them. The robot's stiffness is not known from its shape: c is
+//! one nominal number and amounts of load are only meaningful as displacement.
+
+use super::{Rod, add, cross, dot, scaled, sub};
+use crate::error::{Error, Result, invalid};
+use crate::shape::Shape;
+
+/// What bends the rod.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Load {
+    /// A weight of 1 N spread evenly along the rod.
+    Weight,
+    /// A force of 1 N at the last marker.
+    TipForce,
+}
+
+/// Marker displacements (mm) of a rod under one unit load along one axis of the base frame.
+#[derive(Debug, Clone)]
+pub struct RodField {
+    rod: Rod,
+    load: Load,
+    axis: usize,
+    compliance: f64,
+    lock: f64,
+}
+
+impl RodField {
+    /// `name` is `gravity_x|y|z` (all of the weight turned along the axis) or `tip_force_x|y|z`; `compliance` c in
+    /// N⁻¹·mm⁻²: mm per N of tip force; for gravity the product c·W is mm per 1 g when W (N) is the robot's weight.
+    /// `lock` is the share of each chord's mean bending moment that its tendons carry: 0 free, 1 of fixed length.
+    pub fn new(rod: Rod, name: &str, compliance: f64, lock: f64) -> Result<Self> {
+        let parts = name.rsplit_once('_').and_then(|(load, axis)| {
+            let load = match load {
+                "gravity" => Load::Weight,
+                "tip_force" => Load::TipForce,
+                _ => return None,
+            };
+            Some((load, ["x", "y", "z"].iter().position(|&a| a == axis)?))
+        });
+        let Some((load, axis)) = parts else {
+            return Err(Error::Invalid(format!(
+                "a rod has no field {name:?}; it has gravity_x, gravity_y, gravity_z, tip_force_x, tip_force_y and tip_force_z"
+            )));
+        };
+        if !(compliance.is_finite() && compliance > 0.0) {
+            return Err(invalid(format!(
+                "a rod's compliance is {compliance} per N mm²; it must be positive"
+            )));
+        }
+        if !(0.0..=1.0).contains(&lock) {
+            return Err(invalid(format!(
+                "a rod's lock is {lock}; it is 0 (free tendons) to 1 (tendons that hold)"
+            )));
+        }
+        Ok(Self {
+            rod,
+            load,
+            axis,
+            compliance,
+            lock,
+        })
+    }
+
+    /// Bending moment per unit load at fraction `s` of chord `k`.
+    fn moment(&self, chain: &Chain, k: usize, s: f64) -> [f64; 3] {
+        let mut force = [0.0; 3];
+        force[self.axis] = 1.0;
+        let at = chain.at(k, s);
+        match self.load {
+            Load::TipForce => cross(sub(chain.points[chain.points.len() - 1], at), force),
+            Load::Weight => {
+                // First moment of what hangs beyond: the rest of this chord about its middle, then whole chords.
+                let rest = chain.lengths[k] * (1.0 - s);
+                let mut arm = scaled(sub(chain.at(k, 0.5 * (1.0 + s)), at), rest);
+                for j in k + 1..chain.lengths.len() {
+                    arm = add(arm, scaled(sub(chain.at(j, 0.5), at), chain.lengths[j]));
+                }
+                cross(scaled(arm, 1.0 / chain.total), force)
+            }
+        }
+    }
+}
+
+/// The chords at one command.
+struct Chain {
+    points: Vec<[f64; 3]>,
+    lengths: Vec<f64>,
+    total: f64,
+}
+
+impl Chain {
+    fn new(points: Vec<[f64; 3]>) -> Self {
+        let lengths: Vec<f64> = points
+            .windows(2)
+            .map(|p| dot(sub(p[1], p[0]), sub(p[1], p[0])).sqrt())
+            .collect();
+        let total = lengths.iter().sum();
+        Self {
+            points,
+            lengths,
+            total,
+        }
+    }
+
+    fn at(&self, k: usize, s: f64) -> [f64; 3] {
+        add(
+            self.points[k],
+            scaled(sub(self.points[k + 1], self.points[k]), s),
+        )
+    }
+}
+
+impl Shape for RodField {
+    fn channels(&self) -> usize {
+        self.rod.channels()
+    }
+
+    fn size(&self) -> usize {
+        self.rod.size()
+    }
+
+    fn eval(&self, u: &[f64], out: &mut [f64]) {
+        let chain = Chain::new(self.rod.points(u));
+        out.fill(0.0);
+        for k in 0..chain.lengths.len() {
+            let length = chain.lengths[k];
+            if length == 0.0 {
+                continue;
+            }
+            let tangent = scaled(sub(chain.points[k + 1], chain.points[k]), 1.0 / length);
+            let nodes = [(0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0)];
+            let bendings = nodes.map(|(s, _)| {
+                let moment = self.moment(&chain, k, s);
+                sub(moment, scaled(tangent, dot(moment, tangent)))
+            });
+            let mean = nodes
+                .iter()
+                .zip(&bendings)
+                .fold([0.0; 3], |sum, (node, bending)| {
+                    add(sum, scaled(*bending, node.1))
+                });
+            for ((s, weight), bending) in nodes.into_iter().zip(bendings) {
+                let bending = sub(bending, scaled(mean, self.lock));
+                let turn = scaled(bending, self.compliance * weight * length);
+                let at = chain.at(k, s);
+                for i in k..chain.lengths.len() {
+                    let shift = cross(turn, sub(chain.points[i + 1], at));
+                    for axis in 0..3 {
+                        out[3 * i + axis] += shift[axis];
+                    }
+                }
+            }
+        }
+    }
+}

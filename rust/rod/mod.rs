@@ -1,0 +1,232 @@
+//! The rod prior: a chain of chords whose bending angles are a polynomial of the commands, and how loads bend it.
+//!
+//! For a robot that has no simulator. Marker p_k (k = 1..K, base to tip) hangs on chord d_k = p_k − p_{k−1} below the
+//! base point p_0. In the base frame (z along the rest axis) chord k has the angle vector
+//!   v_k = β · d_xy/|d_xy|,  β = atan2(|d_xy|, d_z)  (rad),   so that  d_k = |d_k| · (v_k·sin β/β, cos β).
+//! Commands are normalised, q = (u − centre)/scale; all 2K angles are one polynomial of q (degree 1..4, monomials in
+//! graded order, intercept first), and every chord length (mm) is a quadratic of the 2K angles.
+//! Evaluation is closed form and smooth through the straight pose (β = 0). Limits: β beyond π folds back; outside the
+//! fitted commands a cubic grows fast and nothing is clamped. Fitting is done in `softmap_edge/rod.py`.
+//! `polynomial` holds the polynomials, `field` what loads do to the rod.
+
+mod field;
+mod polynomial;
+
+pub use field::{Load, RodField};
+pub use polynomial::Monomials;
+
+use crate::error::{Result, invalid};
+use crate::shape::Shape;
+use polynomial::Polynomial;
+
+fn finite(numbers: &[f64], what: &str) -> Result<()> {
+    match numbers.iter().position(|x| !x.is_finite()) {
+        Some(at) => Err(invalid(format!(
+            "{what} holds {} at position {at}; every number must be finite",
+            numbers[at]
+        ))),
+        None => Ok(()),
+    }
+}
+
+/// The regressed chord-angle rod: C commands to K markers.
+#[derive(Debug, Clone)]
+pub struct Rod {
+    base: [f64; 3],
+    centre: Vec<f64>,
+    scale: Vec<f64>,
+    angles: Polynomial,
+    lengths: Polynomial,
+}
+
+impl Rod {
+    /// Build from base point (mm), command centre and scale (C,), `degree`, angle weights (1 + F, 2K) in rad and length
+    /// weights (1 + 2K + K(2K+1), K) in mm, both row-major with the intercept first.
+    pub fn new(
+        base: [f64; 3],
+        centre: Vec<f64>,
+        scale: Vec<f64>,
+        degree: usize,
+        angles: Vec<f64>,
+        lengths: Vec<f64>,
+    ) -> Result<Self> {
+        if centre.len() != scale.len() {
+            return Err(invalid(format!(
+                "a rod's centre has {} channels and its scale {}; give one number of each per channel",
+                centre.len(),
+                scale.len()
+            )));
+        }
+        finite(&base, "a rod's base point")?;
+        finite(&centre, "a rod's command centre")?;
+        finite(&scale, "a rod's command scale")?;
+        if let Some(at) = scale.iter().position(|&s| s <= 0.0) {
+            return Err(invalid(format!(
+                "a rod's command scale [{at}] is {}; it must be positive",
+                scale[at]
+            )));
+        }
+        let monomials = Monomials::new(scale.len(), degree)?;
+        let rows = monomials.len() + 1;
+        if angles.is_empty() || angles.len() % (2 * rows) != 0 {
+            return Err(invalid(format!(
+                "a rod's angle weights hold {} numbers, expected {rows} rows (degree {degree}, {} channels) of two per chord",
+                angles.len(),
+                scale.len()
+            )));
+        }
+        let chords = angles.len() / (2 * rows);
+        let quadratic = Monomials::new(2 * chords, 2)?;
+        Ok(Self {
+            base,
+            centre,
+            scale,
+            angles: Polynomial::new(monomials, angles, 2 * chords, "a rod's angle weights")?,
+            lengths: Polynomial::new(quadratic, lengths, chords, "a rod's length weights")?,
+        })
+    }
+
+    /// Number of chords, which is the number of markers K.
+    pub fn chords(&self) -> usize {
+        self.lengths.outputs
+    }
+
+    /// The base point p_0 (mm).
+    pub fn base(&self) -> [f64; 3] {
+        self.base
+    }
+
+    fn normalised(&self, u: &[f64]) -> Vec<f64> {
+        u.iter()
+            .zip(&self.centre)
+            .zip(&self.scale)
+            .map(|((u, c), s)| (u - c) / s)
+            .collect()
+    }
+
+    /// Base point and markers at `u`: K + 1 points.
+    fn points(&self, u: &[f64]) -> Vec<[f64; 3]> {
+        let chords = self.chords();
+        let (mut v, mut lengths) = (vec![0.0; 2 * chords], vec![0.0; chords]);
+        self.angles.eval(&self.normalised(u), &mut v, None);
+        self.lengths.eval(&v, &mut lengths, None);
+        let mut points = vec![self.base];
+        let mut p = self.base;
+        for k in 0..chords {
+            let (x, y) = (v[2 * k], v[2 * k + 1]);
+            let bend = Bend::new(x, y);
+            p = add(
+                p,
+                scaled([bend.sinc * x, bend.sinc * y, bend.cos], lengths[k]),
+            );
+            points.push(p);
+        }
+        points
+    }
+}
+
+/// sin β/β, cos β and (β·cos β − sin β)/β³ with their limits 1, 1 and −1/3 at β = 0.
+struct Bend {
+    sinc: f64,
+    cos: f64,
+    /// d sinc / d x = x · rise.
+    rise: f64,
+}
+
+impl Bend {
+    fn new(x: f64, y: f64) -> Self {
+        let square = x * x + y * y;
+        let beta = square.sqrt();
+        // Below 0.02 rad the series is exact to 1e-16 and the quotients lose digits.
+        if beta < 0.02 {
+            let sinc = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0));
+            return Self {
+                sinc,
+                cos: beta.cos(),
+                rise: -1.0 / 3.0 + square / 30.0 * (1.0 - square / 28.0),
+            };
+        }
+        let (sin, cos) = beta.sin_cos();
+        Self {
+            sinc: sin / beta,
+            cos,
+            rise: (beta * cos - sin) / (square * beta),
+        }
+    }
+}
+
+impl Shape for Rod {
+    fn channels(&self) -> usize {
+        self.scale.len()
+    }
+
+    fn size(&self) -> usize {
+        3 * self.chords()
+    }
+
+    fn eval(&self, u: &[f64], out: &mut [f64]) {
+        for (out, p) in out.chunks_exact_mut(3).zip(self.points(u).iter().skip(1)) {
+            out.copy_from_slice(p);
+        }
+    }
+
+    fn jacobian(&self, u: &[f64], out: &mut [f64]) {
+        let (c, chords) = (self.channels(), self.chords());
+        let n = 2 * chords;
+        let (mut v, mut dv) = (vec![0.0; n], vec![0.0; n * c]);
+        self.angles.eval(&self.normalised(u), &mut v, Some(&mut dv));
+        let (mut lengths, mut dl) = (vec![0.0; chords], vec![0.0; chords * n]);
+        self.lengths.eval(&v, &mut lengths, Some(&mut dl));
+        for j in 0..c {
+            let mut slope = [0.0; 3];
+            for k in 0..chords {
+                let (x, y) = (v[2 * k], v[2 * k + 1]);
+                let (dx, dy) = (
+                    dv[2 * k * c + j] / self.scale[j],
+                    dv[(2 * k + 1) * c + j] / self.scale[j],
+                );
+                let stretch: f64 =
+                    (0..n).map(|i| dl[k * n + i] * dv[i * c + j]).sum::<f64>() / self.scale[j];
+                let bend = Bend::new(x, y);
+                let along = x * dx + y * dy;
+                let turn = [
+                    bend.sinc * dx + bend.rise * along * x,
+                    bend.sinc * dy + bend.rise * along * y,
+                    -bend.sinc * along,
+                ];
+                let chord = [bend.sinc * x, bend.sinc * y, bend.cos];
+                slope = add(slope, add(scaled(turn, lengths[k]), scaled(chord, stretch)));
+                for axis in 0..3 {
+                    out[(3 * k + axis) * c + j] = slope[axis];
+                }
+            }
+        }
+    }
+}
+
+fn add(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+}
+
+fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+fn scaled(a: [f64; 3], by: f64) -> [f64; 3] {
+    [a[0] * by, a[1] * by, a[2] * by]
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+#[cfg(test)]
+mod tests;
