@@ -2,6 +2,7 @@
 //!
 //! Nothing here knows Python except the `python` module, which only converts and forwards.
 
+pub mod cables;
 mod cubic;
 pub mod effects;
 pub mod error;

@@ -1,12 +1,14 @@
 //! From commands to what is seen: chain → shape and fields → sensing, for many parameter sets at once. Every fit calls this.
 //!
-//! A frame at time t is `sense(prior(u_eff(t)) + Σ c_k(t)·field_k(u_eff(t)))`. `u_eff` comes out of the chain at the command
+//! A frame at time t is `sense(prior(u_eff(t)) + Σ c_k(t)·field_k(u_eff(t)) + Σ ΔT_i·cable_i(u_eff(t)))`. `u_eff` comes out of the chain at the command
 //! times and is read linearly at the seen times. `c` holds the known physics, gravity declared by the run minus the
-//! gravity the prior was solved with (g) and the weight of the declared load (N), plus what the shape effects add.
+//! gravity the prior was solved with (g) and the weight of the declared load (N), plus what the shape effects add. ΔT is how
+//! the cables' tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
 //!
 //! Parameter sets that agree in all channel effects share their shapes: in a Jacobian, steps in shape and sensing parameters
-//! cost next to nothing. Limits: fields are linear (see `effects/gravity.rs`, `effects/payload.rs`).
+//! cost next to nothing. Limits: bodies answer linearly (see `effects/gravity.rs`, `effects/payload.rs`).
 
+use crate::cables::Cables;
 use crate::effects::{
     Chain, Coefficients, Conditions, Context, FIELDS, GRAVITY, TIP_FORCE, weight,
 };
@@ -24,6 +26,7 @@ const NEGLIGIBLE: f64 = 1e-6;
 pub struct Predictor {
     prior: Arc<dyn Shape>,
     fields: [Option<Arc<dyn Shape>>; FIELDS.len()],
+    cables: Option<Cables>,
     positions: Vec<bool>,
     reference: [f64; 3],
 }
@@ -45,6 +48,7 @@ impl Predictor {
     pub fn new(
         prior: Arc<dyn Shape>,
         fields: Vec<(String, Arc<dyn Shape>)>,
+        cables: Option<Cables>,
         positions: Vec<bool>,
         reference: [f64; 3],
     ) -> Result<Predictor> {
@@ -74,9 +78,21 @@ impl Predictor {
             }
             known[index] = Some(field);
         }
+        for field in cables.iter().flat_map(Cables::fields) {
+            if field.size() != prior.size() || field.channels() != prior.channels() {
+                return Err(invalid(format!(
+                    "a cable's field maps {} commands to {} numbers, the prior {} to {}; they must agree",
+                    field.channels(),
+                    field.size(),
+                    prior.channels(),
+                    prior.size()
+                )));
+            }
+        }
         Ok(Predictor {
             prior,
             fields: known,
+            cables,
             positions,
             reference,
         })
@@ -120,19 +136,20 @@ impl Predictor {
             &[sets, frames, size],
         )?;
         let job = self.prepare(chain, params, sets, u, conditions, t_seen)?;
-        let coefficients = self.coefficients(&job, sets)?;
-        let shared = self.shared_shapes(&job, &coefficients);
+        let loads = self.coefficients(&job, sets)?;
+        let weights = self.weights(&job, &loads);
+        let all: Vec<Option<&Arc<dyn Shape>>> = self.all_fields();
+        let shared = self.shared_shapes(&job, &all, &weights);
         if size > 0 {
             let width = chain.width();
             out.par_chunks_exact_mut(size).enumerate().for_each_init(
                 || vec![0.0; size],
                 |scratch, (i, frame)| {
                     let (b, k) = (i / frames, i % frames);
-                    match &shared[job.group[b]] {
-                        Some(shapes) => shapes.combine(k, size, &coefficients[i], frame),
-                        None => {
-                            self.combine(job.at(job.group[b], k), &coefficients[i], scratch, frame)
-                        }
+                    let (group, row) = (job.group[b], &weights[i * all.len()..(i + 1) * all.len()]);
+                    match &shared[group] {
+                        Some(shapes) => shapes.combine(k, size, row, frame),
+                        None => self.combine(job.at(group, k), &all, row, scratch, frame),
                     }
                     chain.sense(
                         &params[b * width..(b + 1) * width],
@@ -248,16 +265,62 @@ impl Predictor {
         ))
     }
 
+    /// Fields of the dead loads, then of the cables.
+    fn all_fields(&self) -> Vec<Option<&Arc<dyn Shape>>> {
+        let cables = self.cables.iter().flat_map(Cables::fields).map(Some);
+        self.fields
+            .iter()
+            .map(Option::as_ref)
+            .chain(cables)
+            .collect()
+    }
+
+    /// Weights (B, K, fields) of `all_fields`: the loads, and the changes of tension with which the cables answer them.
+    fn weights(&self, job: &Job, loads: &[Coefficients]) -> Vec<f64> {
+        let (frames, count) = (job.contexts.len(), FIELDS.len());
+        let Some(cables) = &self.cables else {
+            return loads.iter().flatten().copied().collect();
+        };
+        let mut loaded = vec![false; job.shared.len() * frames];
+        for (i, row) in loads.iter().enumerate() {
+            loaded[job.group[i / frames] * frames + i % frames] |= row.iter().any(|c| *c != 0.0);
+        }
+        let size = cables.size();
+        let mut places = vec![0.0; loaded.len() * size];
+        places
+            .par_chunks_exact_mut(size)
+            .zip(&loaded)
+            .enumerate()
+            .filter(|(_, (_, loaded))| **loaded)
+            .for_each(|(i, (place, _))| cables.at(job.at(i / frames, i % frames), place));
+        let width = count + cables.count();
+        let mut weights = vec![0.0; loads.len() * width];
+        weights
+            .par_chunks_exact_mut(width)
+            .zip(loads)
+            .enumerate()
+            .for_each(|(i, (row, loads))| {
+                let (own, change) = row.split_at_mut(count);
+                own.copy_from_slice(loads);
+                if loads.iter().any(|c| *c != 0.0) {
+                    let place = job.group[i / frames] * frames + i % frames;
+                    cables.answer(&places[place * size..(place + 1) * size], loads, change);
+                }
+            });
+        weights
+    }
+
     /// Prior and wanted fields at one command, combined into `frame`.
     fn combine(
         &self,
         u: &[f64],
-        coefficients: &Coefficients,
+        fields: &[Option<&Arc<dyn Shape>>],
+        weights: &[f64],
         scratch: &mut [f64],
         frame: &mut [f64],
     ) {
         self.prior.eval(u, frame);
-        for (field, weight) in self.fields.iter().zip(coefficients) {
+        for (field, weight) in fields.iter().zip(weights) {
             if let (Some(field), true) = (field, *weight != 0.0) {
                 field.eval(u, scratch);
                 frame
@@ -269,16 +332,19 @@ impl Predictor {
     }
 
     /// For each group with several members, its shapes at all frames, evaluated once.
-    fn shared_shapes(&self, job: &Job, coefficients: &[Coefficients]) -> Vec<Option<Shapes>> {
-        let frames = job.contexts.len();
-        let mut wanted = vec![[false; FIELDS.len()]; job.shared.len()];
-        for (b, group) in job.group.iter().enumerate() {
-            for set in &coefficients[b * frames..(b + 1) * frames] {
-                wanted[*group]
-                    .iter_mut()
-                    .zip(set)
-                    .for_each(|(wanted, value)| *wanted |= *value != 0.0);
-            }
+    fn shared_shapes(
+        &self,
+        job: &Job,
+        fields: &[Option<&Arc<dyn Shape>>],
+        weights: &[f64],
+    ) -> Vec<Option<Shapes>> {
+        let (frames, width) = (job.contexts.len(), fields.len());
+        let mut wanted = vec![vec![false; width]; job.shared.len()];
+        for (i, row) in weights.chunks_exact(width).enumerate() {
+            wanted[job.group[i / frames]]
+                .iter_mut()
+                .zip(row)
+                .for_each(|(wanted, value)| *wanted |= *value != 0.0);
         }
         let evaluate = |shape: &Arc<dyn Shape>, group: usize| {
             let mut values = vec![0.0; frames * shape.size()];
@@ -290,13 +356,9 @@ impl Predictor {
         };
         let shapes = |group: usize| Shapes {
             prior: evaluate(&self.prior, group),
-            fields: (0..FIELDS.len())
+            fields: (0..width)
                 .filter(|f| wanted[group][*f])
-                .filter_map(|f| {
-                    self.fields[f]
-                        .as_ref()
-                        .map(|field| (f, evaluate(field, group)))
-                })
+                .filter_map(|f| fields[f].map(|field| (f, evaluate(field, group))))
                 .collect(),
         };
         job.shared
@@ -323,11 +385,11 @@ struct Shapes {
 }
 
 impl Shapes {
-    fn combine(&self, k: usize, size: usize, coefficients: &Coefficients, frame: &mut [f64]) {
+    fn combine(&self, k: usize, size: usize, weights: &[f64], frame: &mut [f64]) {
         let row = k * size..(k + 1) * size;
         frame.copy_from_slice(&self.prior[row.clone()]);
         for (f, values) in &self.fields {
-            let weight = coefficients[*f];
+            let weight = weights[*f];
             frame
                 .iter_mut()
                 .zip(&values[row.clone()])

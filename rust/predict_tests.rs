@@ -14,7 +14,14 @@ fn predictor(fields: &[&str]) -> Predictor {
         .iter()
         .map(|name| (name.to_string(), plane([0.0, 1.0, 0.0])))
         .collect();
-    Predictor::new(plane([1.0, 0.0, 2.0]), fields, vec![true], [0.0, 0.0, 1.0]).unwrap()
+    Predictor::new(
+        plane([1.0, 0.0, 2.0]),
+        fields,
+        None,
+        vec![true],
+        [0.0, 0.0, 1.0],
+    )
+    .unwrap()
 }
 
 fn world(gravity: [f64; 3], load: f64) -> Conditions {

@@ -120,9 +120,14 @@ impl Cable {
             .sum()
     }
 
+    /// Stiffness × stretch at a shortening `d` (mm), N: the tension, or below zero how slack the cable is.
+    pub fn pull(&self, x: &[Vec3], d: f64) -> f64 {
+        self.stiffness * (self.length(x) - self.rest_length + d)
+    }
+
     /// Tension at a shortening `d` (mm), N: zero when slack.
     pub fn tension(&self, x: &[Vec3], d: f64) -> f64 {
-        (self.stiffness * (self.length(x) - self.rest_length + d)).max(0.0)
+        self.pull(x, d).max(0.0)
     }
 
     /// Energy at a shortening `d`, N·mm.

@@ -133,17 +133,17 @@ impl<'a> Solver<'a> {
         Ok(())
     }
 
-    /// Tension of each cable, N.
-    pub fn tensions(&self, state: &State) -> Vec<f64> {
+    /// Pull of each cable, N: its tension, or below zero how slack it is.
+    pub fn pulls(&self, state: &State) -> Vec<f64> {
         let cables = &self.work.solid.cables;
         cables
             .iter()
             .zip(&state.load.shortening)
-            .map(|(c, &d)| c.tension(&state.x, d))
+            .map(|(c, &d)| c.pull(&state.x, d))
             .collect()
     }
 
-    /// Assemble and factor at an equilibrium, so that `work.solve_exact` answers with its compliance.
+    /// Assemble and factor at an equilibrium, so that `work` answers with its compliance.
     pub fn linearise(&mut self, state: &State) -> Result<()> {
         self.work.assemble(&state.x, &state.load);
         self.fresh = self.work.refactor();

@@ -244,7 +244,7 @@ fn the_cable_s_work_is_the_energy_gained_over_a_stroke() {
             tip: [0.0; 3],
         };
         solver.advance(&mut state, &goal).unwrap();
-        pulls.push(solver.tensions(&state)[0]);
+        pulls.push(solver.pulls(&state)[0]);
         energies.push(solid.energy(&state.x, &goal));
     }
     let weight = |k: usize| {

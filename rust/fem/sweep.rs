@@ -7,6 +7,7 @@
 use super::embed::Points;
 use super::newton::{Solver, State};
 use super::solid::{Load, Solid};
+use super::work::inner;
 use super::{Vec3, sub};
 use crate::error::{Error, Result, invalid};
 use crate::room::room;
@@ -47,11 +48,20 @@ impl Progress {
     }
 }
 
-/// What one command gave: places of the points, tension of each cable.
+/// What one command gave: places of the points, and the pull of each cable (N; below zero how slack it is).
 #[derive(Debug, Clone, Default)]
 pub struct Shape {
     pub places: Vec<Vec3>,
-    pub tension: Vec<f64>,
+    pub pull: Vec<f64>,
+}
+
+/// How an equilibrium answers small loads and tensions while all other tensions stay as they are.
+#[derive(Debug, Clone, Default)]
+pub struct Compliance {
+    /// Displacements of the points per unit of each of `FIELDS`, then per 1 N in each cable.
+    pub fields: Vec<Vec<Vec3>>,
+    /// Stretch of each cable under the same, mm: rows (cables, fields).
+    pub stretch: Vec<f64>,
 }
 
 /// A solid with the points that are reported and the map from commands to shortenings.
@@ -225,22 +235,23 @@ impl Simulation {
         })
     }
 
-    /// Displacements of the points per unit of each of `FIELDS`, at the equilibrium of each command.
+    /// The compliance at the equilibrium of each command.
     pub fn fields(
         &self,
         commands: &[Vec<f64>],
         gravity: Vec3,
         tip: Vec3,
         progress: &Progress,
-    ) -> Result<Vec<Vec<Vec<Vec3>>>> {
-        self.room("the fields", &[commands.len()], FIELDS.len())?;
+    ) -> Result<Vec<Compliance>> {
+        let fields = FIELDS.len() + self.solid.cables.len();
+        self.room("the fields", &[commands.len()], fields)?;
         let order = short_tour(commands, &progress.stop)?;
         let sorted: Vec<Vec<f64>> = order.iter().map(|&i| commands[i].clone()).collect();
         let gravities = vec![gravity; sorted.len()];
         let found = self.follow(&sorted, &gravities, tip, progress, |solver, state| {
             self.compliance(solver, state)
         })?;
-        let mut answer = vec![Vec::new(); found.len()];
+        let mut answer = vec![Compliance::default(); found.len()];
         for (i, field) in order.into_iter().zip(found) {
             answer[i] = field;
         }
@@ -297,14 +308,18 @@ impl Simulation {
     fn shape(&self, solver: &Solver, state: &State) -> Shape {
         Shape {
             places: self.points.place(&state.x),
-            tension: solver.tensions(state),
+            pull: solver.pulls(state),
         }
     }
 
-    fn compliance(&self, solver: &mut Solver, state: &State) -> Result<Vec<Vec<Vec3>>> {
+    fn compliance(&self, solver: &mut Solver, state: &State) -> Result<Compliance> {
         solver.linearise(state)?;
+        let work = &mut solver.work;
         let at = self.points.place(&state.x);
-        (0..FIELDS.len())
+        let cables: Vec<Vec<f64>> = (0..self.solid.cables.len())
+            .map(|c| work.slope(c, &state.x))
+            .collect();
+        let forces = (0..FIELDS.len())
             .map(|f| {
                 let mut unit = Load {
                     shortening: Vec::new(),
@@ -317,17 +332,22 @@ impl Simulation {
                     &mut unit.tip
                 };
                 part[f % 3] = 1.0;
-                let step = solver.work.solve_exact(self.solid.dead_vector(&unit));
-                let moved = self
-                    .points
-                    .place(&self.solid.displace(&state.x, &step, 1.0));
-                Ok(moved
-                    .into_iter()
-                    .zip(&at)
-                    .map(|(p, q)| sub(p, *q))
-                    .collect())
+                self.solid.dead_vector(&unit)
             })
-            .collect()
+            .chain(cables.iter().map(|b| b.iter().map(|b| -b).collect()));
+        let (mut fields, mut columns) = (Vec::new(), Vec::new());
+        for force in forces {
+            let step = work.solve_slack(force);
+            let moved = self
+                .points
+                .place(&self.solid.displace(&state.x, &step, 1.0));
+            fields.push(moved.iter().zip(&at).map(|(p, q)| sub(*p, *q)).collect());
+            columns.push(cables.iter().map(|b| inner(b, &step)).collect::<Vec<f64>>());
+        }
+        let stretch = (0..cables.len())
+            .flat_map(|i| columns.iter().map(move |column| column[i]))
+            .collect();
+        Ok(Compliance { fields, stretch })
     }
 }
 

@@ -108,8 +108,7 @@ impl<'a> Work<'a> {
     fn add_cable(&mut self, c: usize, x: &[Vec3], tension: f64) {
         let solid = self.solid;
         let cable = &solid.cables[c];
-        let mut slope = vec![0.0; solid.unknowns()];
-        cable.slope(x, |n, v| solid.scatter(n, v, &mut slope));
+        let slope = self.slope(c, x);
         for (r, s) in self.residual.iter_mut().zip(&slope) {
             *r += tension * s;
         }
@@ -180,32 +179,18 @@ impl<'a> Work<'a> {
         rhs
     }
 
-    /// Solve with the true tangent: conjugate gradients preconditioned by the shifted factor where there was a shift.
-    pub fn solve_exact(&mut self, rhs: Vec<f64>) -> Vec<f64> {
-        let mut x = self.solve(rhs.clone());
-        if self.shift == 0.0 {
-            return x;
-        }
-        let mut r = rhs.clone();
-        let product = self.multiply(&x);
-        r.iter_mut().zip(&product).for_each(|(r, p)| *r -= p);
-        let stop = 1e-10 * inner(&rhs, &rhs).sqrt();
-        let mut z = self.solve(r.clone());
-        let mut p = z.clone();
-        for _ in 0..200 {
-            let old = inner(&r, &z);
-            if inner(&r, &r).sqrt() <= stop {
-                break;
-            }
-            let q = self.multiply(&p);
-            let alpha = old / inner(&p, &q);
-            x.iter_mut().zip(&p).for_each(|(x, p)| *x += alpha * p);
-            r.iter_mut().zip(&q).for_each(|(r, q)| *r -= alpha * q);
-            z = self.solve(r.clone());
-            let beta = inner(&r, &z) / old;
-            p.iter_mut().zip(&z).for_each(|(p, z)| *p = z + beta * *p);
-        }
-        x
+    /// Solve with K₀ alone: the tension of every cable stays as it is. Where K₀ is indefinite, a body that its cables hold
+    /// up would fall over at constant tension; the shift then bounds the answer.
+    pub fn solve_slack(&mut self, mut rhs: Vec<f64>) -> Vec<f64> {
+        self.factor.solve(&self.solid.pattern, &mut rhs);
+        rhs
+    }
+
+    /// ∂L/∂x of a cable, taut or not.
+    pub fn slope(&self, cable: usize, x: &[Vec3]) -> Vec<f64> {
+        let mut slope = vec![0.0; self.solid.unknowns()];
+        self.solid.cables[cable].slope(x, |n, v| self.solid.scatter(n, v, &mut slope));
+        slope
     }
 
     /// The assembled tangent, cables included, times a vector.

@@ -178,7 +178,7 @@ impl Solid {
         matrix(py, &step)
     }
 
-    /// Places (S, N, 3) and tensions (S, T) over the grid `axes`, last axis fastest.
+    /// Places (S, N, 3) and pulls (S, T) over the grid `axes`, last axis fastest.
     #[pyo3(signature = (axes, gravity, load, progress=None))]
     fn sweep<'py>(
         &self,
@@ -195,7 +195,7 @@ impl Solid {
         self.bent(py, shapes)
     }
 
-    /// Places (K, N, 3) and tensions (K, T) along commands (K, C), each under its gravity (K, 3).
+    /// Places (K, N, 3) and pulls (K, T) along commands (K, C), each under its gravity (K, 3).
     #[pyo3(signature = (commands, gravity, load, progress=None))]
     fn path<'py>(
         &self,
@@ -212,7 +212,8 @@ impl Solid {
         self.bent(py, shapes)
     }
 
-    /// Displacement (S, N, 3) per unit of each field, by name, at the equilibria of commands (S, C).
+    /// At the equilibria of commands (S, C), all tensions as they are: displacement (S, N, 3) per unit of each field, by
+    /// name, then per 1 N in each cable as `tension_0…`, and `stretch` (S, T, fields) of the cables under the same.
     #[pyo3(signature = (commands, gravity, load, progress=None))]
     fn fields<'py>(
         &self,
@@ -227,14 +228,28 @@ impl Solid {
             self.simulation.fields(&commands, gravity, load, p)
         })?;
         let answer = PyDict::new(py);
-        for (f, name) in FIELDS.iter().enumerate() {
-            let points: Vec<f64> = found
+        let (samples, points) = (found.len(), self.simulation.points.weights.len());
+        let cables = self.simulation.solid.cables.len();
+        let names = FIELDS.iter().map(|name| name.to_string());
+        for (f, name) in names
+            .chain((0..cables).map(|c| format!("tension_{c}")))
+            .enumerate()
+        {
+            let moved: Vec<f64> = found
                 .iter()
-                .flat_map(|s| s[f].iter().flatten().copied())
+                .flat_map(|s| s.fields[f].iter().flatten().copied())
                 .collect();
-            let shape = [found.len(), self.simulation.points.weights.len(), 3];
-            answer.set_item(name, PyArray1::from_vec(py, points).reshape(shape)?)?;
+            answer.set_item(
+                name,
+                PyArray1::from_vec(py, moved).reshape([samples, points, 3])?,
+            )?;
         }
+        let stretch: Vec<f64> = found
+            .iter()
+            .flat_map(|s| s.stretch.iter().copied())
+            .collect();
+        let shape = [samples, cables, FIELDS.len() + cables];
+        answer.set_item("stretch", PyArray1::from_vec(py, stretch).reshape(shape)?)?;
         Ok(answer)
     }
 
@@ -266,17 +281,14 @@ impl Solid {
             .iter()
             .flat_map(|s| s.places.iter().flatten().copied())
             .collect();
-        let tension: Vec<f64> = shapes
-            .iter()
-            .flat_map(|s| s.tension.iter().copied())
-            .collect();
+        let pull: Vec<f64> = shapes.iter().flat_map(|s| s.pull.iter().copied()).collect();
         Ok((
             PyArray1::from_vec(py, places).reshape([
                 count,
                 self.simulation.points.weights.len(),
                 3,
             ])?,
-            PyArray1::from_vec(py, tension).reshape([count, cables])?,
+            PyArray1::from_vec(py, pull).reshape([count, cables])?,
         ))
     }
 }
