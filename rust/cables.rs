@@ -14,6 +14,7 @@
 use crate::effects::FIELDS;
 use crate::error::{Result, invalid};
 use crate::shape::Shape;
+use crate::table::Table;
 use std::sync::Arc;
 
 const LOADS: usize = FIELDS.len();
@@ -25,25 +26,25 @@ const SETTLED: f64 = 1e-9;
 #[derive(Clone)]
 pub struct Cables {
     stiffness: Vec<f64>,
-    pull: Arc<dyn Shape>,
-    compliance: Arc<dyn Shape>,
-    fields: Vec<Arc<dyn Shape>>,
+    pull: Arc<Table>,
+    stretch: Arc<Table>,
+    fields: Vec<Arc<Table>>,
 }
 
 /// What `answer` works with at one command: pulls (n,) and rows (n, loads + n) of L and C.
 pub struct Place<'a> {
     pub pull: &'a [f64],
-    pub compliance: &'a [f64],
+    pub stretch: &'a [f64],
 }
 
 impl Cables {
-    /// `stiffness` (n,) N/mm; `pull` gives n numbers in N, `compliance` (n, loads + n) row by row in mm per unit; `fields` are
+    /// `stiffness` (n,) N/mm; `pull` gives n numbers in N, `stretch` (n, loads + n) row by row in mm per unit; `fields` are
     /// the displacements per 1 N in each cable.
     pub fn new(
         stiffness: Vec<f64>,
-        pull: Arc<dyn Shape>,
-        compliance: Arc<dyn Shape>,
-        fields: Vec<Arc<dyn Shape>>,
+        pull: Arc<Table>,
+        stretch: Arc<Table>,
+        fields: Vec<Arc<Table>>,
     ) -> Result<Cables> {
         let n = stiffness.len();
         if n == 0 || stiffness.iter().any(|k| !(k.is_finite() && *k > 0.0)) {
@@ -51,26 +52,37 @@ impl Cables {
                 "cable stiffnesses {stiffness:?} N/mm: give each cable one number above 0"
             )));
         }
-        if pull.size() != n || compliance.size() != n * (LOADS + n) || fields.len() != n {
+        if pull.size() != n || stretch.size() != n * (LOADS + n) || fields.len() != n {
             return Err(invalid(format!(
-                "{n} cables want {n} pulls, {} compliances and {n} fields, got {}, {} and {}",
+                "{n} cables want {n} pulls, {} stretches and {n} fields, got {}, {} and {}",
                 n * (LOADS + n),
                 pull.size(),
-                compliance.size(),
+                stretch.size(),
                 fields.len()
             )));
         }
         let channels = pull.channels();
-        if compliance.channels() != channels || fields.iter().any(|f| f.channels() != channels) {
+        if stretch.channels() != channels || fields.iter().any(|f| f.channels() != channels) {
             return Err(invalid(
-                "pulls, compliances and fields of cables must take the same commands",
+                "pulls, stretches and fields of cables must take the same commands",
             ));
         }
         Ok(Cables {
             stiffness,
             pull,
-            compliance,
+            stretch,
             fields,
+        })
+    }
+
+    /// The same cables with their fields seen through a linear map: `weights` (M, M2), `offset` (M2,).
+    pub fn project(&self, weights: &[f64], offset: &[f64]) -> Result<Cables> {
+        let fields = self.fields.iter();
+        Ok(Cables {
+            fields: fields
+                .map(|f| f.project(weights, offset).map(Arc::new))
+                .collect::<Result<_>>()?,
+            ..self.clone()
         })
     }
 
@@ -80,20 +92,20 @@ impl Cables {
     }
 
     /// Displacements per 1 N in each cable, all other tensions as they are.
-    pub fn fields(&self) -> &[Arc<dyn Shape>] {
-        &self.fields
+    pub fn fields(&self) -> impl Iterator<Item = &dyn Shape> {
+        self.fields.iter().map(|f| f.as_ref() as &dyn Shape)
     }
 
     /// Numbers that `place` writes.
     pub fn size(&self) -> usize {
-        self.pull.size() + self.compliance.size()
+        self.pull.size() + self.stretch.size()
     }
 
-    /// Pulls and compliances at a command, one after the other.
+    /// Pulls and stretches at a command, one after the other.
     pub fn at(&self, u: &[f64], out: &mut [f64]) {
-        let (pull, compliance) = out.split_at_mut(self.pull.size());
+        let (pull, stretch) = out.split_at_mut(self.pull.size());
         self.pull.eval(u, pull);
-        self.compliance.eval(u, compliance);
+        self.stretch.eval(u, stretch);
     }
 
     /// Change of each tension (n,) N under the loads, at a place that `at` wrote.
@@ -101,7 +113,7 @@ impl Cables {
         let (pull, rows) = place.split_at(self.count());
         let place = Place {
             pull,
-            compliance: rows,
+            stretch: rows,
         };
         let before: Vec<f64> = pull.iter().map(|p| p.max(0.0)).collect();
         // Stretch without any tension: what tension then takes away is −C T.
@@ -179,7 +191,7 @@ impl Cables {
 impl Place<'_> {
     fn row(&self, i: usize) -> &[f64] {
         let width = LOADS + self.pull.len();
-        &self.compliance[i * width..(i + 1) * width]
+        &self.stretch[i * width..(i + 1) * width]
     }
 }
 
@@ -190,9 +202,8 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::table::Table;
 
-    fn constant(values: Vec<f64>) -> Arc<dyn Shape> {
+    fn constant(values: Vec<f64>) -> Arc<Table> {
         Arc::new(Table::new(vec![], vec![], values, vec![]).unwrap())
     }
 
@@ -261,7 +272,7 @@ mod tests {
         let (pull, rows) = place.split_at(2);
         let place = Place {
             pull,
-            compliance: rows,
+            stretch: rows,
         };
         let (free, before) = ([0.4, -0.2], [0.05, 0.05]);
         let one = cables.active_set(&place, &free, &before).unwrap();

@@ -138,7 +138,7 @@ impl Predictor {
         let job = self.prepare(chain, params, sets, u, conditions, t_seen)?;
         let loads = self.coefficients(&job, sets)?;
         let weights = self.weights(&job, &loads);
-        let all: Vec<Option<&Arc<dyn Shape>>> = self.all_fields();
+        let all: Vec<Option<&dyn Shape>> = self.all_fields();
         let shared = self.shared_shapes(&job, &all, &weights);
         if size > 0 {
             let width = chain.width();
@@ -266,13 +266,10 @@ impl Predictor {
     }
 
     /// Fields of the dead loads, then of the cables.
-    fn all_fields(&self) -> Vec<Option<&Arc<dyn Shape>>> {
+    fn all_fields(&self) -> Vec<Option<&dyn Shape>> {
         let cables = self.cables.iter().flat_map(Cables::fields).map(Some);
-        self.fields
-            .iter()
-            .map(Option::as_ref)
-            .chain(cables)
-            .collect()
+        let dead = self.fields.iter().map(Option::as_deref);
+        dead.chain(cables).collect()
     }
 
     /// Weights (B, K, fields) of `all_fields`: the loads, and the changes of tension with which the cables answer them.
@@ -314,7 +311,7 @@ impl Predictor {
     fn combine(
         &self,
         u: &[f64],
-        fields: &[Option<&Arc<dyn Shape>>],
+        fields: &[Option<&dyn Shape>],
         weights: &[f64],
         scratch: &mut [f64],
         frame: &mut [f64],
@@ -335,7 +332,7 @@ impl Predictor {
     fn shared_shapes(
         &self,
         job: &Job,
-        fields: &[Option<&Arc<dyn Shape>>],
+        fields: &[Option<&dyn Shape>],
         weights: &[f64],
     ) -> Vec<Option<Shapes>> {
         let (frames, width) = (job.contexts.len(), fields.len());
@@ -346,7 +343,7 @@ impl Predictor {
                 .zip(row)
                 .for_each(|(wanted, value)| *wanted |= *value != 0.0);
         }
-        let evaluate = |shape: &Arc<dyn Shape>, group: usize| {
+        let evaluate = |shape: &dyn Shape, group: usize| {
             let mut values = vec![0.0; frames * shape.size()];
             let chunks = values.par_chunks_exact_mut(shape.size().max(1));
             chunks
@@ -355,7 +352,7 @@ impl Predictor {
             values
         };
         let shapes = |group: usize| Shapes {
-            prior: evaluate(&self.prior, group),
+            prior: evaluate(self.prior.as_ref(), group),
             fields: (0..width)
                 .filter(|f| wanted[group][*f])
                 .filter_map(|f| fields[f].map(|field| (f, evaluate(field, group))))

@@ -12,6 +12,7 @@ from softmap_edge.errors import CoreError as CoreError
 _Floats = NDArray[np.float64]
 
 __all__ = [
+    "Cables",
     "Chain",
     "CoreError",
     "FIELDS",
@@ -141,6 +142,12 @@ class Chain:
     ) -> _Floats: ...
 
 @final
+class Cables:
+    def __new__(cls, stiffness: _Floats, pull: Table, stretch: Table, fields: Sequence[Table]) -> Self: ...
+    def project(self, weights: _Floats, offset: _Floats) -> Cables: ...
+    count: int
+
+@final
 class Predictor:
     def __new__(
         cls,
@@ -148,6 +155,7 @@ class Predictor:
         fields: dict[str, Shape],
         positions: NDArray[np.bool_],
         gravity_reference: _Floats,
+        cables: Cables | None = None,
     ) -> Self: ...
     def predict(
         self,

@@ -6,18 +6,18 @@ The form error is measured, not assumed (DESIGN §9): commands off the grid, sol
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import __version__
-from softmap_edge.bundle import Arrays, fields_from, table_from
+from softmap_edge.bundle import Arrays, cables_from, fields_from, table_from
 from softmap_edge.features import section_features, sections_of
 from softmap_edge.finger import Finger
 from softmap_edge.model import Model, tip_of
-from softmap_edge.simulator import Simulator, Sweep
+from softmap_edge.simulator import Compliance, Simulator, Sweep
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -52,15 +52,18 @@ def from_sweep(
     rest, triangles = simulator.template.vertices, simulator.template.triangles
     prior = compress(sweep.vertices.reshape(len(sweep.command), -1), modes)
     prior |= {f"axis{c}": np.asarray(axis) for c, axis in enumerate(sweep.axes)}
+    prior["pull"] = sweep.pull.astype(np.float32)
     field_axes = [np.linspace(axis[0], axis[-1], FIELD_STEPS) for axis in sweep.axes]
     grid = np.stack([g.ravel() for g in np.meshgrid(*field_axes, indexing="ij")], axis=1)
     report("fields", 0.0)
     fields = _field_arrays(simulator.fields(grid), field_axes)
+    fields["stiffness"] = np.full(len(finger.tendons), finger.cable_stiffness_n_mm)
     report("fields", 1.0)
     model = Model(
         kind="table",
         prior=table_from(prior),
         fields=fields_from(fields),
+        cables=cables_from(prior, fields),
         rest=np.asarray(np.float32(rest), float),
         triangles=np.asarray(triangles, np.int32),
         form_error=np.zeros((27, 3)),
@@ -108,8 +111,9 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
     return np.sqrt(np.mean(np.concatenate(squares), axis=0)), float(np.sqrt(np.mean(np.concatenate(vertex_squares))))
 
 
-def _field_arrays(fields: Mapping[str, Floats], axes: list[Floats]) -> Arrays:
-    """Compress all fields to modes that they share; `coefficients_NAME` on the grid of `axes`."""
+def _field_arrays(compliance: Compliance, axes: list[Floats]) -> Arrays:
+    """Compress all fields to modes that they share; `coefficients_NAME` on the grid of `axes`, and `stretch`."""
+    fields = compliance.fields
     names = sorted(fields)
     flat = np.concatenate([fields[name].reshape(len(fields[name]), -1) for name in names])
     scale = np.concatenate([np.full(len(fields[n]), np.sqrt((fields[n] ** 2).mean()) + 1e-12) for n in names])
@@ -120,6 +124,7 @@ def _field_arrays(fields: Mapping[str, Floats], axes: list[Floats]) -> Arrays:
     for name in names:
         values = fields[name].reshape(len(fields[name]), -1)
         arrays[f"coefficients_{name}"] = np.linalg.lstsq(stored.T, values.T, rcond=None)[0].T.astype(np.float32)
+    arrays["stretch"] = compliance.stretch.reshape(len(compliance.stretch), -1).astype(np.float32)
     return arrays
 
 

@@ -30,6 +30,7 @@ SCHEMA = 1
 _MAX_BYTES = 256 << 20
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
 _KINDS = ("table", "rod")
+_TENSION = "tension_"  # what the field of a tendon is called, before its number
 _LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
 _MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
 
@@ -180,10 +181,12 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     if manifest["kind"] == "table":
         prior: Any = table_from(arrays["prior"])
         fields = fields_from(arrays["fields"])
+        cables = cables_from(arrays["prior"], arrays["fields"])
     else:
         from softmap_edge.rod import rod_from_arrays
 
         prior, fields = rod_from_arrays(arrays["prior"])
+        cables = None
     rest = np.asarray(template["rest"], float)
     if rest.ndim != 2 or rest.shape[1] != 3 or prior.size != rest.size:
         raise BundleError(f"{folder.name}: template {rest.shape} and prior of {prior.size} numbers do not fit together")
@@ -201,6 +204,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         kind=manifest["kind"],
         prior=prior,
         fields=fields,
+        cables=cables,
         rest=rest,
         triangles=triangles,
         form_error=np.asarray(template["form_error_mm"], float),
@@ -234,7 +238,35 @@ def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, Any]:
     return {
         name: table_from({**shared, "coefficients": arrays[f"coefficients_{name}"], "mean": np.zeros(size)})
         for name in sorted(names)
+        if not name.startswith(_TENSION)
     }
+
+
+def cables_from(
+    prior: Mapping[str, NDArray[np.generic]], fields: Mapping[str, NDArray[np.generic]]
+) -> _core.Cables | None:
+    """Return the cables stored as `pull` beside the prior and as `stiffness`, `stretch`, tension fields beside the fields.
+
+    None for a prior without them: its fields answer loads alone.
+    """
+    if "stiffness" not in fields:
+        return None
+    shared = {key: value for key, value in fields.items() if key.startswith("axis") or key == "modes"}
+    still = np.zeros(shared["modes"].shape[1])
+    names = [f"coefficients_{_TENSION}{i}" for i in range(fields["stiffness"].size)]
+    return _core.Cables(
+        np.asarray(fields["stiffness"], np.float64),
+        _plain_table(prior, "pull"),
+        _plain_table(fields, "stretch"),
+        [table_from({**shared, "coefficients": fields[name], "mean": still}) for name in names],
+    )
+
+
+def _plain_table(arrays: Mapping[str, NDArray[np.generic]], name: str) -> _core.Table:
+    """Return the table of the numbers (S, n) called `name` over `axis0…`, each its own mode."""
+    axes = {key: value for key, value in arrays.items() if key.startswith("axis")}
+    width = arrays[name].shape[1]
+    return table_from({**axes, "coefficients": arrays[name], "mean": np.zeros(width), "modes": np.eye(width)})
 
 
 def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:

@@ -53,6 +53,7 @@ class Model:
     chain_names: tuple[str, ...] = ()
     chain_params: Floats = field(default_factory=lambda: np.zeros(0))
     made_from: Mapping[str, Any] = field(default_factory=dict)
+    cables: _core.Cables | None = None  # how tendons answer loads; a rod has none
 
     @property
     def channels(self) -> int:
@@ -201,7 +202,7 @@ class Model:
     @cached_property
     def _points(self) -> Any:
         everywhere = np.ones(len(self.rest), bool)
-        return _core.Predictor(self.prior, dict(self.fields), everywhere, self.gravity_reference)
+        return _core.Predictor(self.prior, dict(self.fields), everywhere, self.gravity_reference, self.cables)
 
     @cached_property
     def _sections_predictor(self) -> Any:
@@ -216,7 +217,9 @@ class Model:
     def _projected(self, mapping: FeatureMap) -> Any:
         matrix, zero = mapping.matrix(), np.zeros(3 * len(mapping.weights))
         fields = {name: shape.project(matrix, zero) for name, shape in self.fields.items()}
-        return _core.Predictor(self.prior.project(matrix, zero), fields, mapping.positions, self.gravity_reference)
+        cables = None if self.cables is None else self.cables.project(matrix, zero)
+        prior = self.prior.project(matrix, zero)
+        return _core.Predictor(prior, fields, mapping.positions, self.gravity_reference, cables)
 
 
 def tip_of(vertices: Floats) -> NDArray[np.int64]:

@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 SCHEMA = "softmap.sweep.file/2"
-UNITS = {"command": "mm", "vertices": "mm", "tension": "N", "gravity": "g", "tip_force": "N"}
+UNITS = {"command": "mm", "vertices": "mm", "pull": "N", "gravity": "g", "tip_force": "N"}
 _NUMBERS = tuple(UNITS)
 
 
@@ -48,9 +48,21 @@ class Template:
 
 
 @dataclass(frozen=True)
+class Compliance:
+    """How S equilibria answer small loads and tensions while all (other) tensions of the T tendons stay as they are.
+
+    fields: displacement (S, N, 3) mm per 1 g (`gravity_x|y|z`), per 1 N on the tip (`tip_force_x|y|z`) and per 1 N in
+    each tendon (`tension_0…`), by name · stretch: (S, T, 6 + T) mm of each tendon under the same, in that order.
+    """
+
+    fields: dict[str, Floats]
+    stretch: Floats
+
+
+@dataclass(frozen=True)
 class Sweep:
-    """Shapes over a grid, and of what: one array of mm a command, command (S, C) mm, vertices (S, N, 3) mm, tension
-    (S, T) N, triangles (F, 3) int32 of the vertices; the finger, its gravity (3,) g and tip_force (3,) N.
+    """Shapes over a grid, and of what: one array of mm a command, command (S, C) mm, vertices (S, N, 3) mm, pull
+    (S, T) N of the tendons (below zero: how slack), triangles (F, 3) int32 of the vertices; the finger, its gravity (3,) g and tip_force (3,) N.
 
     S runs over the grid in C order: the last axis is the fastest.
     """
@@ -58,11 +70,16 @@ class Sweep:
     axes: tuple[Floats, ...]
     command: Floats
     vertices: Floats
-    tension: Floats
+    pull: Floats
     triangles: NDArray[np.int32]
     finger: Finger
     gravity: Floats
     tip_force: Floats
+
+    @property
+    def tension(self) -> Floats:
+        """Tension (S, T) N of the tendons, zero when slack."""
+        return np.maximum(self.pull, 0.0)
 
     def save(self, path: str | Path) -> None:
         """Write the sweep as `.npz` without pickles; the finger goes along as its `finger.toml`."""
@@ -101,7 +118,7 @@ class Sweep:
         expected = {
             "command": (size, len(self.axes)),
             "vertices": (size, n, 3),
-            "tension": (size, len(self.finger.tendons)),
+            "pull": (size, len(self.finger.tendons)),
             "triangles": (len(self.triangles) if self.triangles.ndim else -1, 3),
             "gravity": (3,),
             "tip_force": (3,),
@@ -171,7 +188,7 @@ class Simulator:
         """
         grid = tuple(_array("axis", axis, (None,)) for axis in axes)
         with _told():
-            vertices, tension = self.solid.sweep(
+            vertices, pull = self.solid.sweep(
                 [axis.tolist() for axis in grid], self._gravity(gravity), _vector("load", load), progress
             )
         command = np.stack([a.ravel() for a in np.meshgrid(*grid, indexing="ij")], axis=1)
@@ -179,7 +196,7 @@ class Simulator:
             axes=grid,
             command=command,
             vertices=vertices,
-            tension=tension,
+            pull=pull,
             triangles=self.template.triangles,
             finger=self.finger,
             gravity=np.array(self._gravity(gravity)),
@@ -211,15 +228,15 @@ class Simulator:
         gravity: ArrayLike | None = None,
         load: ArrayLike = (0.0, 0.0, 0.0),
         progress: Progress | None = None,
-    ) -> dict[str, Floats]:
-        """Return the displacement (S, N, 3) mm per unit of small loads at commands (S, C) mm, by name.
+    ) -> Compliance:
+        """Return how the equilibria of commands (S, C) mm under `gravity` and `load` answer small loads and tensions.
 
-        `gravity_x|y|z` per 1 g, `tip_force_x|y|z` per 1 N, linear at the equilibrium under `gravity` and `load`.
         Raises SimulationError.
         """
         u = _array("commands", commands, (None, len(self.finger.pairs)))
         with _told():
-            return self.solid.fields(u, self._gravity(gravity), _vector("load", load), progress)
+            found = self.solid.fields(u, self._gravity(gravity), _vector("load", load), progress)
+        return Compliance(found, found.pop("stretch"))
 
     def _gravity(self, gravity: ArrayLike | None) -> tuple[float, float, float]:
         return _vector("gravity", self.finger.gravity if gravity is None else gravity)

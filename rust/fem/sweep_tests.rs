@@ -91,7 +91,7 @@ fn answered(s: &Simulation, command: &[f64], loads: &[f64; 6]) -> Vec<Vec3> {
     let progress = Progress::default();
     let found = s.fields(&commands, HANGING, [0.0; 3], &progress).unwrap();
     let start = s.path(&commands, &[HANGING], [0.0; 3], &progress).unwrap();
-    let constant = |values: Vec<f64>| -> Arc<dyn crate::shape::Shape> {
+    let constant = |values: Vec<f64>| -> Arc<Table> {
         Arc::new(Table::new(vec![], vec![], values, vec![]).unwrap())
     };
     let n = s.solid.cables.len();

@@ -1,6 +1,7 @@
 //! Bindings: convert arrays, release the interpreter, forward. No logic lives here.
 
 mod arrays;
+mod cables;
 mod effects;
 mod fem;
 mod predict;
@@ -37,6 +38,8 @@ impl From<Error> for PyErr {
 mod _core {
     #[pymodule_export]
     use super::NoEquilibriumError;
+    #[pymodule_export]
+    use super::cables::PyCables;
     #[pymodule_export]
     use super::effects::{PyChain, effects};
     #[pymodule_export]

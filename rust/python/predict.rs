@@ -1,6 +1,7 @@
 //! Binding of the predictor.
 
 use super::arrays::floats;
+use super::cables::PyCables;
 use super::effects::{Maybe, PyChain, Value, vector};
 use super::shape::PyShape;
 use crate::Result;
@@ -19,11 +20,13 @@ pub struct PyPredictor {
 impl PyPredictor {
     /// `positions` (V,) is true for places and false for directions; `gravity_reference` (3,) is what the prior was solved with.
     #[new]
+    #[pyo3(signature = (prior, fields, positions, gravity_reference, cables=None))]
     fn new(
         prior: PyRef<'_, PyShape>,
         fields: &Bound<'_, PyDict>,
         positions: Vec<bool>,
         gravity_reference: Value<'_, '_>,
+        cables: Option<PyRef<'_, PyCables>>,
     ) -> PyResult<PyPredictor> {
         let mut shapes = vec![];
         for (name, field) in fields.iter() {
@@ -31,8 +34,9 @@ impl PyPredictor {
             shapes.push((name.extract::<String>()?, field.inner.clone()));
         }
         let reference = vector("gravity_reference", gravity_reference)?;
+        let cables = cables.map(|c| c.inner.clone());
         let predictor: Result<_> =
-            Predictor::new(prior.inner.clone(), shapes, positions, reference);
+            Predictor::new(prior.inner.clone(), shapes, cables, positions, reference);
         Ok(PyPredictor {
             predictor: predictor?,
         })

@@ -10,7 +10,7 @@ use std::sync::Arc;
 /// Modes on a tensor grid of commands: `axes` [(n_c,)] mm, `coefficients` (n_1·…·n_C, m), `mean` (M,), `modes` (m, M).
 #[pyclass(name = "Table", module = "softmap_edge._core", extends = PyShape, frozen)]
 pub struct PyTable {
-    table: Arc<Table>,
+    pub table: Arc<Table>,
 }
 
 fn wrap(table: Table) -> PyClassInitializer<PyTable> {
