@@ -6,15 +6,15 @@ separately written laws of `truth_laws.py`. What is seen are the template's mate
 
     command ─laws─> u ─finite elements (own mesh, modulus, true weights)─> points ─mount─> ─camera noise─> run
 
-Shapes come from a sweep of `STEPS` × `STEPS` commands on the truth's own mesh for each (modulus, weights), interpolated
-with all its modes and kept in memory; `Truth.interpolation_error` measures what that costs and a test pins it.
-The strength of each secret is scaled until it moves the section centroids by a drawn 1.2-3.6 mm RMS on the standard
-protocol. Units: mm, s, N, g. Randomness only from the seeds; the same arguments give the same numbers.
+Every frame is solved: tendons that change between slack and taut put kinks into the shapes, which no table of a sweep
+holds (one of 15 × 15 commands was 0.8 mm off beside them). Only the search for the strength of a secret interpolates.
+It is scaled until the section centroids move by a drawn 1.2-3.6 mm RMS on the standard protocol.
+Units: mm, s, N, g. Randomness only from the seeds; the same arguments give the same numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -35,10 +35,9 @@ Vector = tuple[float, float, float]
 
 BATCHES = (0.9, 0.95, 1.05, 1.1)  # modulus of the second finger against the first: its batch of silicone, by seed
 LAYERS = 0.75  # of the first finger's layers: another mesh along the body, where it bends
-STEPS = 15  # commands a channel in a truth's sweep, closer together near zero where tendons fall slack
-ROUGH_STEPS = 5  # to find the strength of a weight before it is solved properly
-CROWDING = 1.0  # sinh spacing: the innermost step is about two thirds of the outermost
-GRIDS = (15.0, 18.0)  # mm, half-ranges of the sweeps; the smallest that holds what reaches the body is used
+STEPS = 9  # commands a channel of the sweep that finds the strength of a secret,
+WEIGHT_STEPS = 5  # and of one that needs a sweep of its own for it
+REACH = 18.0  # mm: no farther command may reach the body
 TARGET = (1.2, 3.6)  # mm RMS of the section centroids, drawn; what is accepted lies in 1-4 mm
 SECTIONS = 9
 
@@ -110,30 +109,22 @@ class Truth:
             u = secret.law.command(protocol.t, u)
         return np.stack([np.interp(protocol.t_seen, protocol.t, u[:, c]) for c in range(u.shape[1])], axis=1)
 
-    def shapes(self, protocol: Protocol, steps: int = STEPS) -> Floats:
+    def shapes(self, protocol: Protocol) -> Floats:
         """Return the true points (K, N, 3) mm, as they would appear to a camera without noise."""
+        return self._shapes(protocol, _solved)
+
+    def rough(self, protocol: Protocol, steps: int) -> Floats:
+        """Return the points about, interpolated in a sweep of `steps` commands a channel."""
+        return self._shapes(protocol, lambda *state: _interpolated(*state, steps))
+
+    def _shapes(self, protocol: Protocol, body: Callable[[float, Vector, Vector, Floats], Floats]) -> Floats:
         u = self.to_body(protocol)
         points = np.empty((protocol.frames, *template().shape))
         for frames, gravity, force in self._weights(protocol):
-            table = _body(self.modulus, gravity, force, _grid(u), steps)
-            points[frames] = table.evaluate(np.ascontiguousarray(u[frames])).reshape(-1, *template().shape)
-        return self._seen(points)
-
-    def solved(self, protocol: Protocol, every: int) -> tuple[NDArray[np.int64], Floats]:
-        """Solve each `every`-th frame by the finite elements themselves: indices (F,) and points (F, N, 3) mm."""
-        u = self.to_body(protocol)
-        chosen = np.arange(0, protocol.frames, every)
-        points = np.empty((chosen.size, *template().shape))
-        for frames, gravity, force in self._weights(protocol):
-            inside = np.isin(chosen, frames)
-            if inside.any():
-                points[inside] = _simulator(self.modulus).path(u[chosen[inside]], gravity=gravity, load=force)
-        return chosen, self._seen(points)
-
-    def interpolation_error(self, protocol: Protocol, every: int = 12) -> float:
-        """Return the RMS distance mm between interpolated and solved points, over each `every`-th frame."""
-        chosen, solved = self.solved(protocol, every)
-        return _rms(self.shapes(protocol)[chosen] - solved)
+            points[frames] = body(self.modulus, gravity, force, u[frames])
+        for secret in self.secrets:
+            points = secret.law.seen(points)
+        return points
 
     def measure(self, protocol: Protocol, seed: int = 0) -> Run:
         """Run the protocol on this finger before the camera; `seed` draws the camera's noise."""
@@ -158,11 +149,6 @@ class Truth:
                 gravity, force = secret.law.gravity(gravity), force + secret.law.force(direction)
             parts.append((np.flatnonzero((declared == direction).all(axis=1)), _vector(gravity), _vector(force)))
         return parts
-
-    def _seen(self, points: Floats) -> Floats:
-        for secret in self.secrets:
-            points = secret.law.seen(points)
-        return points
 
 
 def hide(names: Sequence[str], seed: int, camera: Camera | None = None) -> Truth:
@@ -211,17 +197,18 @@ def _drawn(name: str, seed: int, camera: Camera) -> Secret:
     protocol = standard_protocol(_finger_channels())
     is_weight = name in ("gravity", "payload")
 
-    def moved(strength: float, steps: int) -> float:
-        there = Truth(seed, (Secret(law.scaled(strength), 0.0),), camera)
-        return _rms(centroids(there.shapes(protocol, steps)) - centroids(there.twin().shapes(protocol, steps)))
+    def there(strength: float) -> Truth:
+        return Truth(seed, (Secret(law.scaled(strength), 0.0),), camera)
 
-    strength = 1.0
-    for _ in range(1 if is_weight else 8):  # a weight costs a sweep each time, and moves the body in proportion
-        distance = moved(strength, ROUGH_STEPS if is_weight else STEPS)
+    strength, steps = 1.0, WEIGHT_STEPS if is_weight else STEPS
+    for _ in range(2 if is_weight else 8):  # a weight costs a sweep each time, and moves the body nearly in proportion
+        truth = there(strength)
+        distance = _rms(centroids(truth.rough(protocol, steps)) - centroids(truth.twin().rough(protocol, steps)))
         strength = float(np.clip(strength * target / distance, strength / 4, min(strength * 4, law.LIMIT)))
         if abs(distance - target) < 0.02 * target:
             break
-    distance = moved(strength, STEPS)
+    truth = there(strength)
+    distance = _rms(centroids(truth.shapes(protocol)) - centroids(truth.twin().shapes(protocol)))
     if not 1.0 <= distance <= 4.0:
         raise SoftmapError(
             f"'{name}' with seed {seed} moves the finger by {distance:.2f} mm RMS at {strength:.2f} of its usual "
@@ -237,17 +224,6 @@ def _rms(difference: Floats) -> float:
 
 def _vector(v: Floats) -> Vector:
     return (float(v[0]), float(v[1]), float(v[2]))
-
-
-def _grid(u: Floats) -> float:
-    """Return the half-range mm of the smallest sweep that holds the commands u."""
-    largest = float(np.max(np.abs(u)))
-    for reach in GRIDS:
-        if largest <= reach:
-            return reach
-    raise SoftmapError(
-        f"commands of {largest:.1f} mm reach the body, the truth is solved to {GRIDS[-1]} mm; hide less or move less"
-    )
 
 
 @lru_cache(maxsize=1)
@@ -273,11 +249,46 @@ def _simulator(modulus: float) -> Simulator:
     return Simulator(other, template=Simulator(finger).template)
 
 
+def _solved(modulus: float, gravity: Vector, force: Vector, u: Floats) -> Floats:
+    """Solve the second finger under these weights at each command (K, C) mm: points (K, N, 3) mm."""
+    largest = float(np.max(np.abs(u), initial=0.0))
+    if largest > REACH:
+        raise SoftmapError(
+            f"commands of {largest:.1f} mm reach the body, the truth is solved to {REACH:g} mm; hide less or move less"
+        )
+    places, which = np.unique(np.round(u, 6), axis=0, return_inverse=True)
+    return _path(modulus, gravity, force, places.tobytes(), u.shape[1])[which.ravel()]
+
+
+@lru_cache(maxsize=48)
+def _path(modulus: float, gravity: Vector, force: Vector, commands: bytes, channels: int) -> Floats:
+    """Solve different commands, each from a near one."""
+    places = np.frombuffer(commands).reshape(-1, channels)
+    order = _tour(places)
+    points = np.empty((len(places), *template().shape))
+    points[order] = _simulator(modulus).path(places[order], gravity=gravity, load=force)
+    return points
+
+
+def _tour(places: Floats) -> NDArray[np.int64]:
+    """Return an order of the places (K, C) in which each is near the one before: always on to the nearest."""
+    left = np.ones(len(places), bool)
+    order = [int(np.argmin(np.sum(places**2, axis=1)))]
+    for _ in range(len(places) - 1):
+        left[order[-1]] = False
+        distance = np.sum((places - places[order[-1]]) ** 2, axis=1)
+        order.append(int(np.argmin(np.where(left, distance, np.inf))))
+    return np.array(order)
+
+
+def _interpolated(modulus: float, gravity: Vector, force: Vector, u: Floats, steps: int) -> Floats:
+    return _sweep(modulus, gravity, force, steps).evaluate(u).reshape(-1, *template().shape)
+
+
 @lru_cache(maxsize=64)
-def _body(modulus: float, gravity: Vector, force: Vector, reach: float, steps: int) -> _core.Table:
+def _sweep(modulus: float, gravity: Vector, force: Vector, steps: int) -> _core.Table:
     """Sweep the second finger under these weights and interpolate with every mode that matters (to 0.1 µm)."""
-    crowded = reach * np.sinh(CROWDING * np.linspace(-1.0, 1.0, steps)) / np.sinh(CROWDING)
-    axes = [crowded] * _finger_channels()
+    axes = [np.linspace(-REACH, REACH, steps)] * _finger_channels()
     sweep = _simulator(modulus).sweep(axes, gravity=gravity, load=force)
     values = np.asarray(sweep.vertices, dtype=np.float64).reshape(len(sweep.command), -1)
     mean = values.mean(axis=0)

@@ -244,6 +244,7 @@ class TrueWeight(Law):
     """g_true = (1 + e) R g: density off by e, the mounting askew by two angles."""
 
     NAME = "gravity"
+    LIMIT = 4.0  # twice the weight, 48 degrees: less moves some fingers by less than 1 mm
     density_excess: float
     askew_deg: Numbers  # about x and y of the base frame
 

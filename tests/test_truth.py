@@ -210,11 +210,29 @@ def test_secret_moves_the_centroids_by_what_it_says(name):
     assert rms == pytest.approx(truth.secrets[0].displacement_mm)
 
 
-def test_interpolated_truth_is_the_solved_one():
+def test_every_frame_is_the_equilibrium_found_on_its_own():
+    from softmap_edge import truth
     from softmap_edge.truth import hide
 
-    truth = hide([], 4)
-    assert truth.interpolation_error(standard_protocol(), every=25) < 0.15  # mm, under the camera's 0.43
+    finger, p = hide(["payload"], 4), standard_protocol()
+    chosen = np.arange(0, p.frames, 40)
+    (frames, gravity, force), *_ = [part for part in finger._weights(p)]
+    chosen = np.intersect1d(chosen, frames)
+    own = [truth._simulator(finger.modulus).path(u[None], gravity=gravity, load=force) for u in finger.to_body(p)[chosen]]
+    # Both stop where the next Newton step moves no node by 2e-4 mm.
+    assert np.abs(finger.shapes(p)[chosen] - np.concatenate(own)).max() < 2e-3
+    # What a sweep of the same finger would make of it: why frames are solved.
+    assert np.abs(finger.rough(p, 15)[chosen] - np.concatenate(own)).max() > 0.1
+
+
+def test_a_tour_visits_every_place_once_and_makes_short_steps():
+    from softmap_edge.truth import _tour
+
+    places = np.random.default_rng(0).uniform(-10, 10, (200, 2))
+    order = _tour(places)
+    assert sorted(order) == list(range(200))
+    steps = np.linalg.norm(np.diff(places[order], axis=0), axis=1)
+    assert np.median(steps) < 1.5  # 20 mm / sqrt(200) = 1.4 between neighbours of a grid
 
 
 def test_a_measured_finger_is_a_run():
