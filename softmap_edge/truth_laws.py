@@ -244,14 +244,14 @@ class TrueWeight(Law):
     """g_true = (1 + e) R g: density off by e, the mounting askew by two angles."""
 
     NAME = "gravity"
-    LIMIT = 4.0  # twice the weight, 48 degrees: less moves some fingers by less than 1 mm
+    LIMIT = 4.0  # twice the weight or half of it, 56 degrees: less moves some fingers by less than 1 mm
     density_excess: float
     askew_deg: Numbers  # about x and y of the base frame
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         angle = rng.uniform(0.0, 2 * np.pi)
-        return cls(float(rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.3)), (12 * np.cos(angle), 12 * np.sin(angle)))
+        return cls(float(rng.uniform(-0.12, 0.3)), (14 * np.cos(angle), 14 * np.sin(angle)))
 
     def scaled(self, s: float) -> Self:
         return replace(self, density_excess=s * self.density_excess, askew_deg=tuple(s * x for x in self.askew_deg))

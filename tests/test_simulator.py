@@ -74,8 +74,14 @@ def test_same_input_gives_the_same_bytes(simulator):
 
 def test_gravity_and_load_move_the_finger_as_their_fields_say(simulator):
     command = [[5.0, -3.0]]
-    fields = simulator.fields(command)
-    assert sorted(fields) == [f"{kind}_{axis}" for kind in ("gravity", "tip_force") for axis in "xyz"]
+    compliance = simulator.fields(command)
+    fields, stretch = compliance.fields, compliance.stretch
+    loads = [f"{kind}_{axis}" for kind in ("gravity", "tip_force") for axis in "xyz"]
+    assert list(fields) == [*loads, *(f"tension_{t}" for t in range(4))]
+    assert stretch.shape == (1, 4, 10)
+    # Pulling a tendon shortens its path; what one does to another's path the other does to the one's.
+    assert (np.diagonal(stretch[0, :, 6:]) < 0).all()
+    assert np.allclose(stretch[0, :, 6:], stretch[0, :, 6:].T, rtol=1e-6, atol=1e-9)
     base = simulator.path(command)
     heavier = simulator.path(command, gravity=np.array([0.05, 0, 1.0])) - base
     pushed = simulator.path(command, load=(0.0, 0.01, 0.0)) - base
