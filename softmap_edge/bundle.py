@@ -245,7 +245,7 @@ def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, Any]:
 def cables_from(
     prior: Mapping[str, NDArray[np.generic]], fields: Mapping[str, NDArray[np.generic]]
 ) -> _core.Cables | None:
-    """Return the cables stored as `pull` beside the prior and as `stiffness`, `stretch`, tension fields beside the fields.
+    """Return the cables stored as `pull` beside the prior, and as `stiffness`, `stretch` and tension fields.
 
     None for a prior without them: its fields answer loads alone.
     """

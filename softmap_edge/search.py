@@ -76,7 +76,10 @@ class Search:
         return self._fits[key]
 
     def starts(self, effect: str) -> list[Floats]:
-        """Return scaled starting points of one effect alone: the declared one, and others on log scales."""
+        """Return scaled starting points of one effect alone: the declared one, its signs, and others on log scales.
+
+        Tendons that fall slack put a kink at home, where the slope on one side says nothing about the other.
+        """
         space = self.problem.space((effect,), free=(effect,))
         points = [space.start.copy()]
         for i in np.flatnonzero(space.log):
@@ -84,6 +87,11 @@ class Search:
                 point = space.start.copy()
                 point[i] = space.low[i] + share * (space.high[i] - space.low[i])
                 points.append(point)
+        signed = ~space.log & (space.low < 0)
+        if signed.all():
+            every_other = np.where(np.arange(len(signed)) % 2, -1.0, 1.0)
+            signs = [-1.0, every_other, -every_other] if len(signed) > 1 else [-1.0]
+            points += [np.clip(sign * space.start, space.low, space.high) for sign in signs]
         return points[:7]
 
     def screen(self, parent: Fit, effect: str) -> tuple[float, list[Floats]]:

@@ -62,7 +62,8 @@ class Compliance:
 @dataclass(frozen=True)
 class Sweep:
     """Shapes over a grid, and of what: one array of mm a command, command (S, C) mm, vertices (S, N, 3) mm, pull
-    (S, T) N of the tendons (below zero: how slack), triangles (F, 3) int32 of the vertices; the finger, its gravity (3,) g and tip_force (3,) N.
+    (S, T) N of the tendons (below zero: how slack), triangles (F, 3) int32 of the vertices; the finger, its gravity
+    (3,) g and tip_force (3,) N.
 
     S runs over the grid in C order: the last axis is the fastest.
     """

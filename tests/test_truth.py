@@ -218,7 +218,8 @@ def test_every_frame_is_the_equilibrium_found_on_its_own():
     chosen = np.arange(0, p.frames, 40)
     (frames, gravity, force), *_ = [part for part in finger._weights(p)]
     chosen = np.intersect1d(chosen, frames)
-    own = [truth._simulator(finger.modulus).path(u[None], gravity=gravity, load=force) for u in finger.to_body(p)[chosen]]
+    body = truth._simulator(finger.modulus)
+    own = [body.path(u[None], gravity=gravity, load=force) for u in finger.to_body(p)[chosen]]
     # Both stop where the next Newton step moves no node by 2e-4 mm.
     assert np.abs(finger.shapes(p)[chosen] - np.concatenate(own)).max() < 2e-3
     # What a sweep of the same finger would make of it: why frames are solved.
