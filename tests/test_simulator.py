@@ -95,9 +95,9 @@ def test_gravity_and_load_move_the_finger_as_their_fields_say(simulator):
     for heavy, load in (([0.05, 0.0, 1.0], 0.0), ([0.0, 0.0, 1.0], 10.0), ([0.4, -0.3, 0.87], 20.0)):
         seen = simulator.path(command, gravity=heavy, load=9.80665e-3 * load * np.array(heavy))[0] - vertices[0]
 
-        def said(cables, heavy=heavy, load=load, points=len(seen)):
+        def said(cables, heavy=heavy, load=load, seen=seen):
             body = {name: table(fields[name]) for name in loads}
-            predictor = _core.Predictor(table(vertices), body, np.ones(points, bool), [0.0, 0.0, 1.0], cables)
+            predictor = _core.Predictor(table(vertices), body, np.ones(len(seen), bool), [0.0, 0.0, 1.0], cables)
             record = np.array(command * 2), np.array([0.0, 1.0]), np.array([0.5])
             chain = _core.Chain([], 2)
             world = {"gravity": np.array([heavy] * 2), "load": np.full(2, load)}
