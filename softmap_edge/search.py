@@ -89,9 +89,9 @@ class Search:
                 points.append(point)
         signed = ~space.log & (space.low < 0)
         if signed.all():
-            every_other = np.where(np.arange(len(signed)) % 2, -1.0, 1.0)
-            signs = [-1.0, every_other, -every_other] if len(signed) > 1 else [-1.0]
-            points += [np.clip(sign * space.start, space.low, space.high) for sign in signs]
+            every_other = np.where(np.arange(len(signed)) % 2, -space.start, space.start)
+            flipped = [-space.start, every_other, -every_other][: 3 if len(signed) > 1 else 1]
+            points += [np.clip(point, space.low, space.high) for point in flipped]
         return points[:7]
 
     def screen(self, parent: Fit, effect: str) -> tuple[float, list[Floats]]:

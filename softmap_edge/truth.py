@@ -115,7 +115,7 @@ class Truth:
 
     def rough(self, protocol: Protocol, steps: int) -> Floats:
         """Return the points about, interpolated in a sweep of `steps` commands a channel."""
-        return self._shapes(protocol, lambda *state: _interpolated(*state, steps))
+        return self._shapes(protocol, lambda m, g, f, u: _interpolated(m, g, f, u, steps))
 
     def _shapes(self, protocol: Protocol, body: Callable[[float, Vector, Vector, Floats], Floats]) -> Floats:
         u = self.to_body(protocol)
