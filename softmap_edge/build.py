@@ -1,6 +1,6 @@
 """Make a model from a finger: sweep, fields, compression to modes, and a measured form error.
 
-The form error is measured, not assumed (DESIGN §9): commands off the grid, solved on another mesh with the modulus
+The form error is measured, not assumed: commands off the grid, solved on another mesh with the modulus
 10 % up and 10 % down, against the table; per feature and over the vertices.
 """
 
@@ -22,7 +22,7 @@ from softmap_edge.simulator import Compliance, Simulator, Sweep
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-MODES = 16  # facts: 12 modes hold the shape set of a finger to 0.016 mm
+MODES = 16  # 12 modes hold the shapes of a finger to 0.016 mm
 FIELD_MODES = 12
 FIELD_STEPS = 11  # a field is smooth: a grid of 11 a channel
 FORM_COMMANDS = 24

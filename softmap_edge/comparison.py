@@ -25,19 +25,6 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SCHEMA = "softmap.comparison/1"
-HASHED = (
-    "t",
-    "command",
-    "ticks",
-    "present",
-    "t_seen",
-    "vertices",
-    "markers",
-    "visible",
-    "gravity",
-    "load",
-    "temperature",
-)
 
 
 @dataclass(frozen=True)
@@ -178,7 +165,7 @@ def compare(model: Any, run: Any) -> Comparison:
     }
     floor, kind = noise_floor(state, seen, visible, predicted, _template(model, seen))
     return Comparison(
-        run={"robot": run.robot or "not named", "sha256": digest(run)},
+        run={"robot": run.robot or "not named", "sha256": run.hash()},
         bundle={"robot": model.robot, "effects": list(model.chain_names), "sha256": _model_digest(model)},
         frames=len(seen),
         error=error,
@@ -235,18 +222,6 @@ def series(run: Any, before: Any, after: Any = None, kind: str = "held out") -> 
         tip_before=tip_before,
         tip_after=tip_after,
     )
-
-
-def digest(run: Any) -> str:
-    """Return the SHA-256 of a run's arrays: the same numbers give the same hash wherever the file lies."""
-    sha = hashlib.sha256()
-    for name in HASHED:
-        value = getattr(run, name, None)
-        if value is not None:
-            array = np.ascontiguousarray(value)
-            sha.update(f"{name} {array.dtype.str} {array.shape}".encode())
-            sha.update(array.tobytes())
-    return sha.hexdigest()
 
 
 def _aligned(model: Any, run: Any) -> tuple[Floats, Floats, Mask]:

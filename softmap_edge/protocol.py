@@ -1,6 +1,6 @@
 """The command records that show what a finger lacks: a standard protocol, and a run of another kind to judge by.
 
-A protocol is a list of blocks (DISCOVERY §3.9): home revisits, triangles of growing size, small loops at two offsets,
+A protocol is a list of blocks: home revisits, triangles of growing size, small loops at two offsets,
 diagonals, staircases with long dwells, fast triangles; each in two mounting orientations, because one cannot tell the
 weight of the body from a weight at the tip. The other run holds circles, spirals and smooth random moves.
 Units: s, mm of tendon shortening, gravity in g in the base frame. Limit: straight moves at constant speed, without the

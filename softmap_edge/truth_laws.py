@@ -13,7 +13,7 @@
     mount       rigid rotation (Rodrigues) and shift of all points seen     exact rotation
 
 Units: s, mm, g, degrees. Each law is in equilibrium with its first command held for ever. `scaled(s)` multiplies the
-strength and keeps the character; `LIMIT` is the largest s inside the plausible range of DISCOVERY §5. Loops over time
+strength and keeps the character; `LIMIT` is the largest s that is still plausible for a real finger. Loops over time
 stand here in Python on purpose: they judge the compiled loops. Pinned by `tests/test_truth.py` against closed forms.
 """
 

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from softmap_edge.features import FeatureMap
+from softmap_edge.run import Run
 
 SECTIONS, LENGTH, RADIUS = 6, 100.0, 10.0
 
@@ -176,15 +177,22 @@ def protocol(rng=None, minutes=4.0):
     return t, u
 
 
+class Recording(SimpleNamespace):
+    """What a diagnosis uses of a run, with the features themselves in place of vertices."""
+
+    hash = Run.hash
+
+    def arrays(self):
+        return {name: np.asarray(value) for name, value in vars(self).items() if value is not None}
+
+
 def record_run(hidden=None, seed=0, noise=0.15, warp=0.1, t=None, u=None, frames=350, moving=True, other=False):
     """Return a run of the arm with hidden effects `{label: value}`, camera noise and a smooth static error."""
     rng = np.random.default_rng(seed)
     if t is None:
         t, u = protocol(np.random.default_rng(seed + 77) if other else None)
     t_seen = np.linspace(t[0] + 0.1, t[-1], frames) if moving is True else np.asarray(moving, float)
-    run = SimpleNamespace(
-        t=t, command=u, t_seen=t_seen, gravity=None, load=None, temperature=None, block=None, features=None
-    )
+    run = Recording(t=t, command=u, t_seen=t_seen, gravity=None, load=None, temperature=None, block=None, features=None)
     hidden = hidden or {}
     names = tuple({label.split(".")[0] for label in hidden})
     arm = Arm().with_effects(names, dict(zip(Chain(names, 2).labels, Chain(names, 2).null)) | hidden)
