@@ -92,8 +92,8 @@ impl Cables {
     }
 
     /// Displacements per 1 N in each cable, all other tensions as they are.
-    pub fn fields(&self) -> impl Iterator<Item = &dyn Shape> {
-        self.fields.iter().map(|f| f.as_ref() as &dyn Shape)
+    pub fn fields(&self) -> impl Iterator<Item = Arc<dyn Shape>> {
+        self.fields.iter().map(|f| f.clone() as Arc<dyn Shape>)
     }
 
     /// Numbers that `place` writes.

@@ -7,6 +7,7 @@ mod cubic;
 pub mod effects;
 pub mod error;
 pub mod fem;
+pub mod fields;
 pub mod predict;
 #[cfg(feature = "python")]
 mod python;

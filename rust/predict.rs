@@ -13,6 +13,7 @@ use crate::effects::{
     Chain, Coefficients, Conditions, Context, FIELDS, GRAVITY, TIP_FORCE, weight,
 };
 use crate::error::{Result, invalid};
+use crate::fields::Fields;
 use crate::room::zeros;
 use crate::shape::Shape;
 use rayon::prelude::*;
@@ -25,7 +26,8 @@ const NEGLIGIBLE: f64 = 1e-6;
 /// A prior, its fields and what the outputs are.
 pub struct Predictor {
     prior: Arc<dyn Shape>,
-    fields: [Option<Arc<dyn Shape>>; FIELDS.len()],
+    /// Fields of the dead loads, then of the cables.
+    fields: Fields,
     cables: Option<Cables>,
     positions: Vec<bool>,
     reference: [f64; 3],
@@ -59,7 +61,7 @@ impl Predictor {
                 positions.len()
             )));
         }
-        let mut known: [Option<Arc<dyn Shape>>; FIELDS.len()] = Default::default();
+        let mut known: Vec<Option<Arc<dyn Shape>>> = vec![None; FIELDS.len()];
         for (name, field) in fields {
             let Some(index) = FIELDS.iter().position(|known| *known == name) else {
                 return Err(invalid(format!(
@@ -79,6 +81,7 @@ impl Predictor {
             known[index] = Some(field);
         }
         for field in cables.iter().flat_map(Cables::fields) {
+            known.push(Some(field.clone()));
             if field.size() != prior.size() || field.channels() != prior.channels() {
                 return Err(invalid(format!(
                     "a cable's field maps {} commands to {} numbers, the prior {} to {}; they must agree",
@@ -91,7 +94,7 @@ impl Predictor {
         }
         Ok(Predictor {
             prior,
-            fields: known,
+            fields: Fields::new(known),
             cables,
             positions,
             reference,
@@ -130,7 +133,7 @@ impl Predictor {
             ));
         }
         let sets = chain.sets(params)?;
-        let (size, frames) = (self.prior.size(), t_seen.len());
+        let (size, frames, count) = (self.prior.size(), t_seen.len(), self.fields.count());
         let mut out = zeros(
             "a prediction (parameter sets, frames, outputs)",
             &[sets, frames, size],
@@ -138,18 +141,21 @@ impl Predictor {
         let job = self.prepare(chain, params, sets, u, conditions, t_seen)?;
         let loads = self.coefficients(&job, sets)?;
         let weights = self.weights(&job, &loads);
-        let all: Vec<Option<&dyn Shape>> = self.all_fields();
-        let shared = self.shared_shapes(&job, &all, &weights);
+        let shared = self.shared_shapes(&job, &weights);
         if size > 0 {
             let width = chain.width();
             out.par_chunks_exact_mut(size).enumerate().for_each_init(
                 || vec![0.0; size],
                 |scratch, (i, frame)| {
                     let (b, k) = (i / frames, i % frames);
-                    let (group, row) = (job.group[b], &weights[i * all.len()..(i + 1) * all.len()]);
+                    let (group, row) = (job.group[b], &weights[i * count..(i + 1) * count]);
                     match &shared[group] {
                         Some(shapes) => shapes.combine(k, size, row, frame),
-                        None => self.combine(job.at(group, k), &all, row, scratch, frame),
+                        None => {
+                            let u = job.at(group, k);
+                            self.prior.eval(u, frame);
+                            self.fields.add(u, row, scratch, frame);
+                        }
                     }
                     chain.sense(
                         &params[b * width..(b + 1) * width],
@@ -237,7 +243,7 @@ impl Predictor {
                 for (f, value) in sum.iter_mut().enumerate() {
                     if value.abs() <= NEGLIGIBLE {
                         *value = 0.0;
-                    } else if self.fields[f].is_none() {
+                    } else if self.fields.get(f).is_none() {
                         return Err(self.absent(job.chain, f, *value));
                     }
                 }
@@ -265,14 +271,7 @@ impl Predictor {
         ))
     }
 
-    /// Fields of the dead loads, then of the cables.
-    fn all_fields(&self) -> Vec<Option<&dyn Shape>> {
-        let cables = self.cables.iter().flat_map(Cables::fields).map(Some);
-        let dead = self.fields.iter().map(Option::as_deref);
-        dead.chain(cables).collect()
-    }
-
-    /// Weights (B, K, fields) of `all_fields`: the loads, and the changes of tension with which the cables answer them.
+    /// Weights (B, K, fields) of the fields: the loads, and the changes of tension with which the cables answer them.
     fn weights(&self, job: &Job, loads: &[Coefficients]) -> Vec<f64> {
         let (frames, count) = (job.contexts.len(), FIELDS.len());
         let Some(cables) = &self.cables else {
@@ -307,35 +306,9 @@ impl Predictor {
         weights
     }
 
-    /// Prior and wanted fields at one command, combined into `frame`.
-    fn combine(
-        &self,
-        u: &[f64],
-        fields: &[Option<&dyn Shape>],
-        weights: &[f64],
-        scratch: &mut [f64],
-        frame: &mut [f64],
-    ) {
-        self.prior.eval(u, frame);
-        for (field, weight) in fields.iter().zip(weights) {
-            if let (Some(field), true) = (field, *weight != 0.0) {
-                field.eval(u, scratch);
-                frame
-                    .iter_mut()
-                    .zip(scratch.iter())
-                    .for_each(|(sum, value)| *sum += weight * value);
-            }
-        }
-    }
-
     /// For each group with several members, its shapes at all frames, evaluated once.
-    fn shared_shapes(
-        &self,
-        job: &Job,
-        fields: &[Option<&dyn Shape>],
-        weights: &[f64],
-    ) -> Vec<Option<Shapes>> {
-        let (frames, width) = (job.contexts.len(), fields.len());
+    fn shared_shapes(&self, job: &Job, weights: &[f64]) -> Vec<Option<Shapes>> {
+        let (frames, width) = (job.contexts.len(), self.fields.count());
         let mut wanted = vec![vec![false; width]; job.shared.len()];
         for (i, row) in weights.chunks_exact(width).enumerate() {
             wanted[job.group[i / frames]]
@@ -355,7 +328,7 @@ impl Predictor {
             prior: evaluate(self.prior.as_ref(), group),
             fields: (0..width)
                 .filter(|f| wanted[group][*f])
-                .filter_map(|f| fields[f].map(|field| (f, evaluate(field, group))))
+                .filter_map(|f| self.fields.get(f).map(|field| (f, evaluate(field, group))))
                 .collect(),
         };
         job.shared

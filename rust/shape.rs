@@ -3,6 +3,8 @@
 //! A shape maps C command numbers (mm) to M output numbers (mm, or per-unit displacements for a field). The table, the
 //! rod and whatever comes later implement this trait; nothing that consumes a shape can tell which one it is.
 
+use crate::table::Table;
+
 /// A map from commands to shape numbers.
 pub trait Shape: Send + Sync {
     /// Number of command channels C.
@@ -13,6 +15,11 @@ pub trait Shape: Send + Sync {
 
     /// The M outputs at the command `u` (C,), written to `out` (M,).
     fn eval(&self, u: &[f64], out: &mut [f64]);
+
+    /// The table that this shape is, if it is one.
+    fn table(&self) -> Option<&Table> {
+        None
+    }
 
     /// The slopes d out[m] / d u[c] at `u`, written to `out[m * C + c]`, shape (M, C).
     ///

@@ -140,25 +140,72 @@ impl Table {
         Table::new(self.axes.clone(), self.coefficients.clone(), mean, modes)
     }
 
-    /// Interpolate the mode weights with one stencil per axis.
-    fn blend(&self, stencils: &[Stencil; MAX_CHANNELS], weights: &mut [f64]) {
-        weights.fill(0.0);
+    /// Tables without means on the same grid with the same modes as one: mode weights (nodes, tables · m), to be asked by
+    /// `add_blended` only. None if they differ.
+    pub fn side_by_side(tables: &[&Table]) -> Option<Table> {
+        let first = tables.first()?;
+        let alike = tables.iter().all(|t| {
+            t.axes == first.axes && t.modes == first.modes && t.mean.iter().all(|m| *m == 0.0)
+        });
+        let count = first.count;
+        if !alike || count == 0 || count > STACK_MODES {
+            return None;
+        }
+        let nodes = first.coefficients.len() / count;
+        let coefficients = (0..nodes)
+            .flat_map(|n| {
+                tables
+                    .iter()
+                    .map(move |t| &t.coefficients[n * count..(n + 1) * count])
+            })
+            .flatten()
+            .copied()
+            .collect();
+        Some(Table {
+            coefficients,
+            ..(*first).clone()
+        })
+    }
+
+    /// Add Σ_t w_t·table_t(u) to `out` (M,), for what `side_by_side` made of the tables t.
+    pub fn add_blended(&self, u: &[f64], weights: &[f64], out: &mut [f64]) {
+        let (mut sum, count) = ([0.0; STACK_MODES], self.count);
+        self.visit(&self.stencils(u, None), |node, share| {
+            let rows = self.coefficients[node * count * weights.len()..].chunks_exact(count);
+            for (row, weight) in rows.zip(weights).filter(|(_, weight)| **weight != 0.0) {
+                let factor = share * weight;
+                sum.iter_mut()
+                    .zip(row)
+                    .for_each(|(sum, value)| *sum += factor * value);
+            }
+        });
+        self.expand(&sum[..count], out);
+    }
+
+    /// Call `add(node, share)` for the nodes of one stencil per axis.
+    fn visit(&self, stencils: &[Stencil; MAX_CHANNELS], mut add: impl FnMut(usize, f64)) {
         let length = |c: usize| self.axes.get(c).map_or(1, Vec::len);
         let [a, b, c] = stencils;
         for i in 0..a.count {
             for j in 0..b.count {
                 let row = ((a.first + i) * length(1) + b.first + j) * length(2) + c.first;
                 for k in 0..c.count {
-                    let weight = a.weights[i] * b.weights[j] * c.weights[k];
-                    let node =
-                        &self.coefficients[(row + k) * self.count..(row + k + 1) * self.count];
-                    weights
-                        .iter_mut()
-                        .zip(node)
-                        .for_each(|(sum, value)| *sum += weight * value);
+                    add(row + k, a.weights[i] * b.weights[j] * c.weights[k]);
                 }
             }
         }
+    }
+
+    /// Interpolate the mode weights with one stencil per axis.
+    fn blend(&self, stencils: &[Stencil; MAX_CHANNELS], weights: &mut [f64]) {
+        weights.fill(0.0);
+        self.visit(stencils, |node, share| {
+            let row = &self.coefficients[node * self.count..(node + 1) * self.count];
+            weights
+                .iter_mut()
+                .zip(row)
+                .for_each(|(sum, value)| *sum += share * value);
+        });
     }
 
     /// Add `Σ weight_m·mode_m` to `out` (M,).
@@ -188,6 +235,10 @@ impl Table {
 }
 
 impl Shape for Table {
+    fn table(&self) -> Option<&Table> {
+        Some(self)
+    }
+
     fn channels(&self) -> usize {
         self.axes.len()
     }

@@ -24,8 +24,12 @@ BEAM, REFITS, LARGEST = 2, 5, 4
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
 VISIBLE_MM = 0.12  # least RMS displacement of the centreline
 SHARE = 0.01  # least share of the explained misfit: an effect's form is never exact, and its rest is nobody's effect
+PROMISING = (
+    0.03  # least share of the explained misfit that a larger set wins, for the search to go on without a valid one
+)
 EQUAL = 6.0  # difference of EBIC (odds of 20) below which two sets of the same size count as equally good
 RIVAL_SE, RIVAL_SHARE = 2.0, 0.6  # standard errors within which a rival stands; least share of the rivalled fall
+RIVAL_WORSE = 1.0  # a rival whose held-out error in mm is twice as large is none, whatever its folds say
 
 
 @dataclass(frozen=True)
@@ -240,10 +244,13 @@ class Search:
             self.progress(f"{size} effect{'s' if size > 1 else ''}: best {' + '.join(children[0].effects)}")
             if self.score(children[0], dispersion) >= min(self.score(b, dispersion) for b in [chosen, *beam]):
                 break
-            beam = children[:BEAM]
+            beam_before, beam = beam, children[:BEAM]
             good = next((c for c in beam if self.valid(c)), None)
-            if good is None:
-                continue  # a pair may need its third; what is not accepted is never reported
+            if good is None:  # a pair may need its third; what is not accepted is never reported
+                won = min(b.cost for b in [chosen, *beam_before]) - beam[0].cost
+                if won < PROMISING * (self.null.cost - beam[0].cost):
+                    break
+                continue
             chosen = self._swapped(good)
             if frozenset(chosen.effects) not in {frozenset(b.effects) for b in beam}:
                 beam = [chosen, beam[0]]
@@ -299,7 +306,9 @@ class Search:
                 theirs = self.cv(other)
                 share = float((rest[0] - theirs[0]).sum() / max(float((rest[0] - mine[0]).sum()), 1e-300))
                 behind = self._behind(other, mine)
-                worse = self.held_out_mm(other) / max(self.held_out_mm(fit), 1e-300) - 1.0
+                worse = self.held_out_mm(other) / max(self.held_out_mm(fit), 1e-9) - 1.0
+                if worse > RIVAL_WORSE or any(set(other.effects) == set(f.effects) for _, f, _ in found):
+                    continue
                 level = self.problem.record.model.kind == "rod" and worse < CV_FALL
                 if share >= RIVAL_SHARE and (behind <= RIVAL_SE or level):
                     why = (

@@ -1,0 +1,99 @@
+//! The fields of a prior: how far each load and each cable's tension moves the body, and their weighted sum at a command.
+//!
+//! Fields of one sweep share their grid and their modes. Their mode weights are blended together, Σ_f w_f·a_fm(u), and the
+//! modes expanded once: a sum of seven fields then costs as much as one or two. Other fields (a rod's) are added one by one.
+
+use crate::shape::Shape;
+use crate::table::Table;
+use std::sync::Arc;
+
+/// Fields in a fixed order; some may be absent.
+pub struct Fields {
+    members: Vec<Option<Arc<dyn Shape>>>,
+    /// The same, in one table of mode weights (nodes, fields · modes), if they share grid and modes.
+    together: Option<Table>,
+}
+
+impl Fields {
+    /// Take fields in order.
+    pub fn new(members: Vec<Option<Arc<dyn Shape>>>) -> Fields {
+        let together = Fields::together(&members);
+        Fields { members, together }
+    }
+
+    /// Number of fields, absent ones included.
+    pub fn count(&self) -> usize {
+        self.members.len()
+    }
+
+    /// One field, if it is there.
+    pub fn get(&self, field: usize) -> Option<&dyn Shape> {
+        self.members[field].as_deref()
+    }
+
+    /// Add Σ w_f·field_f(u) to `frame` (M,); `scratch` (M,) is overwritten.
+    pub fn add(&self, u: &[f64], weights: &[f64], scratch: &mut [f64], frame: &mut [f64]) {
+        if weights.iter().all(|w| *w == 0.0) {
+            return;
+        }
+        if let Some(table) = &self.together {
+            return table.add_blended(u, weights, frame);
+        }
+        for (field, weight) in self.members.iter().zip(weights) {
+            if let (Some(field), true) = (field, *weight != 0.0) {
+                field.eval(u, scratch);
+                frame
+                    .iter_mut()
+                    .zip(scratch.iter())
+                    .for_each(|(sum, value)| *sum += weight * value);
+            }
+        }
+    }
+
+    fn together(members: &[Option<Arc<dyn Shape>>]) -> Option<Table> {
+        let tables: Option<Vec<&Table>> = members
+            .iter()
+            .map(|field| field.as_ref().and_then(|field| field.table()))
+            .collect();
+        Table::side_by_side(&tables?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(coefficients: [f64; 6], mode: f64) -> Arc<dyn Shape> {
+        let modes = vec![mode, 0.0, 1.0, 0.0, 2.0, 0.0];
+        let axes = vec![vec![-1.0, 0.0, 2.0]];
+        Arc::new(Table::new(axes, coefficients.to_vec(), vec![0.0; 3], modes).unwrap())
+    }
+
+    fn sum(fields: &Fields, weights: &[f64]) -> Vec<f64> {
+        let (mut scratch, mut frame) = (vec![0.0; 3], vec![5.0; 3]);
+        fields.add(&[0.7], weights, &mut scratch, &mut frame);
+        frame
+    }
+
+    #[test]
+    fn fields_of_one_sweep_are_summed_together_as_one_by_one() {
+        let one = table([1.0, 2.0, -1.0, 0.5, 3.0, 1.0], 1.0);
+        let two = table([0.0, 1.0, 4.0, 2.0, -1.0, 1.5], 1.0);
+        let other = table([0.0, 1.0, 4.0, 2.0, -1.0, 1.5], 1.5);
+        let together = Fields::new(vec![Some(one.clone()), Some(two.clone())]);
+        let apart = Fields::new(vec![Some(one.clone()), Some(two), None]);
+        assert!(together.together.is_some() && apart.together.is_none());
+        assert!(Fields::new(vec![Some(one), Some(other)]).together.is_none());
+        for weights in [[0.0, 0.0], [2.0, 0.0], [0.3, -1.5]] {
+            let (a, b) = (
+                sum(&together, &weights),
+                sum(&apart, &[weights[0], weights[1], 0.0]),
+            );
+            // Round-off of a sum in another order.
+            assert!(
+                a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-13),
+                "{a:?} {b:?}"
+            );
+        }
+    }
+}
