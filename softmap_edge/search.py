@@ -298,7 +298,7 @@ class Search:
 
     def rivals(self, fit: Fit) -> list[tuple[str, Fit, str]]:
         """Return (member, rival set, why) for sets within two standard errors in blocked cross-validation."""
-        found = []
+        found: list[tuple[str, Fit, str]] = []
         mine = self.cv(fit)
         for member in fit.effects:
             rest = self.cv(self.get(frozenset(fit.effects) - {member}))

@@ -1,10 +1,7 @@
 """The promise of the whole tool: a hidden effect is named, its error falls on another run, and silence is kept.
 
-Truths never use the effect library. All of it runs under `make prove` until the diagnosis holds every line; then the
-tests of one seed each move to `make test`, and the ten seeds and thirty nulls stay.
+Truths never use the effect library. One seed of each runs in `make test`; ten seeds and thirty nulls in `make prove`.
 """
-
-from functools import cache
 
 import numpy as np
 import pytest
@@ -13,8 +10,6 @@ from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.demo import trial
 from softmap_edge.truth import hide
 from softmap_edge.truth_laws import LAWS
-
-pytestmark = pytest.mark.prove
 
 SEED = 4  # the seed of `make test`: a batch that is 10 % softer
 PROVE_SEEDS = range(10)
@@ -31,7 +26,6 @@ FAMILIES = [
 ]
 
 
-@cache
 def case(names, seed):
     return trial(builtin_model(), hide(names, seed))
 
@@ -72,14 +66,9 @@ def test_hidden_effect_is_named_first_and_its_error_falls(name):
     assert 1.0 <= story.truth.secrets[0].displacement_mm <= 4.0
     assert story.before_mm > story.floor_mm + 0.1, told(story)
     assert first(story, name), told(story)
-    assert story.fall > 0.6, told(story)
-
-
-def test_error_falls_by_most_of_what_can_be_removed():
-    stories = [case((name,), SEED) for name in LAWS]
-    assert np.median([story.fall for story in stories]) >= FALL, "\n".join(map(told, stories))
-    # doing nothing fails the same assertion, on every one of them
-    assert not any(fell(s.before_mm, s.before_mm, s.floor_mm) for s in stories)
+    assert fell(story.before_mm, story.after_mm, story.floor_mm), told(story)
+    # Doing nothing fails the same assertion.
+    assert not fell(story.before_mm, story.before_mm, story.floor_mm)
 
 
 @pytest.mark.parametrize("seed", [4, 8])
@@ -110,5 +99,5 @@ def test_ten_seeds_of_each(name):
 @pytest.mark.prove
 def test_thirty_seeds_of_nothing():
     stories = [case((), seed) for seed in NULL_SEEDS]
-    wrong = [told(story) for story in stories if claimed(story)]
+    wrong = [told(story) for story in stories if claimed(story) or story.diagnosis.verdict != "nothing"]
     assert len(wrong) <= 1, "\n".join(wrong)
