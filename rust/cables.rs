@@ -11,8 +11,9 @@
 //! then moves by its fields at constant tension for c and for T' − T. Without this, fields are wrong by half their size near
 //! home, where tendons change between slack and taut. Limit: L, C and the fields are those of the unloaded equilibrium.
 
-use crate::effects::FIELDS;
+use crate::dense;
 use crate::error::{Result, invalid};
+use crate::loads::FIELDS;
 use crate::shape::Shape;
 use crate::table::Table;
 use std::sync::Arc;
@@ -148,7 +149,7 @@ impl Cables {
                 })
                 .collect();
             let right = set.iter().map(|&i| free[i]).collect();
-            let tension = crate::fem::sparse::solve_small(matrix, right)?;
+            let tension = dense::solve(matrix, right)?;
             let mut all = vec![0.0; n];
             set.iter().zip(&tension).for_each(|(&i, &t)| all[i] = t);
             let next: Vec<bool> = (0..n)

@@ -4,10 +4,12 @@
 
 pub mod cables;
 mod cubic;
+mod dense;
 pub mod effects;
 pub mod error;
 pub mod fem;
 pub mod fields;
+pub mod loads;
 pub mod predict;
 #[cfg(feature = "python")]
 mod python;
@@ -15,5 +17,6 @@ pub mod rod;
 mod room;
 pub mod shape;
 pub mod table;
+mod vector;
 
 pub use error::{Error, Result};

@@ -1,19 +1,18 @@
 //! From commands to what is seen: chain → shape and fields → sensing, for many parameter sets at once. Every fit calls this.
 //!
-//! A frame at time t is `sense(prior(u_eff(t)) + Σ c_k(t)·field_k(u_eff(t)) + Σ ΔT_i·cable_i(u_eff(t)))`. `u_eff` comes out of the chain at the command
-//! times and is read linearly at the seen times. `c` holds the known physics, gravity declared by the run minus the
-//! gravity the prior was solved with (g) and the weight of the declared load (N), plus what the shape effects add. ΔT is how
-//! the cables' tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
+//! A frame at time t is `sense(prior(u_eff) + Σ c_k·field_k(u_eff) + Σ ΔT_i·cable_i(u_eff))`. `u_eff(t)` comes out of the
+//! chain at the command times and is read linearly at the seen times. `c(t)` holds the known physics, gravity declared by
+//! the run minus the gravity the prior was solved with (g) and the weight of the declared load (N), plus what the shape
+//! effects add. ΔT(t) is how the cables' tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
 //!
 //! Parameter sets that agree in all channel effects share their shapes: in a Jacobian, steps in shape and sensing parameters
 //! cost next to nothing. Limits: bodies answer linearly (see `effects/gravity.rs`, `effects/payload.rs`).
 
 use crate::cables::Cables;
-use crate::effects::{
-    Chain, Coefficients, Conditions, Context, FIELDS, GRAVITY, TIP_FORCE, weight,
-};
+use crate::effects::{Chain, Conditions, Context};
 use crate::error::{Result, invalid};
 use crate::fields::Fields;
+use crate::loads::{Coefficients, FIELDS, GRAVITY, TIP_FORCE, weight};
 use crate::room::zeros;
 use crate::shape::Shape;
 use rayon::prelude::*;

@@ -2,12 +2,16 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.errors import BundleError
+from softmap_edge.finger import Finger
+from softmap_edge.run import Run
+from softmap_edge.simulator import Simulator
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +40,30 @@ def test_built_in_bundle_is_small_and_has_548_vertices(finger):
     assert len(model.rest) == 548
     assert len(model.tip_indices) == 27  # 5 % of 548
     assert 0.05 < model.vertex_error_mm < 1.5  # measured on another mesh, never zero
+
+
+LEANING = (np.sin(np.radians(35.0)), 0.0, np.cos(np.radians(35.0)))
+
+
+@pytest.mark.parametrize(
+    ("gravity", "grams", "limit"),
+    [((1.0, 0.0, 0.0), 0.0, 0.07), ((0.0, 0.0, 1.0), 25.0, 0.13), (LEANING, 25.0, 0.11), (LEANING, 60.0, 0.23)],
+)
+def test_loads_move_the_built_in_finger_as_the_simulator_says(finger, gravity, grams, limit):
+    """The limits that docs/effects.md states: shares of what the load moves, RMS over vertices and eleven commands."""
+    u = np.vstack([np.zeros((1, 2)), np.random.default_rng(3).uniform(-14.0, 14.0, (10, 2))])
+    simulator = Simulator(Finger.builtin())
+    truth = simulator.path(u, gravity=gravity, load=9.80665e-3 * grams * np.array(gravity)) - simulator.path(u)
+    t = np.arange(11.0)
+    loaded = Run(t=t, command=u, t_seen=t, gravity=np.array(gravity), load=np.full(11, grams))
+
+    def error(model):
+        moved = model.predict(loaded) - model.predict(Run(t=t, command=u, t_seen=t))
+        return np.sqrt(np.mean((moved - truth) ** 2)) / np.sqrt(np.mean(truth**2))
+
+    model = load_bundle(finger)
+    assert error(model) < limit
+    assert error(replace(model, cables=None)) > 2.0 * limit  # tendons that keep their tension answer otherwise
 
 
 def test_effects_travel_with_the_bundle(finger, tmp_path):

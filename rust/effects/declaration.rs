@@ -7,6 +7,8 @@
 use super::conditions::{Conditions, Context};
 use crate::error::Result;
 
+pub use crate::loads::{Coefficients, FIELDS, GRAVITY, STANDARD_GRAVITY, TIP_FORCE, weight};
+
 /// Where in the path from command to camera an effect acts; chains are composed in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
@@ -85,26 +87,6 @@ impl Declaration {
             .sum()
     }
 }
-
-/// Names of the shape fields: displacement per 1 g of gravity, and per 1 N at the tip, along the axes of the base.
-pub const FIELDS: [&str; 6] = [
-    "gravity_x",
-    "gravity_y",
-    "gravity_z",
-    "tip_force_x",
-    "tip_force_y",
-    "tip_force_z",
-];
-
-/// Where the gravity triple and the tip force triple begin in [`FIELDS`].
-pub const GRAVITY: usize = 0;
-pub const TIP_FORCE: usize = 3;
-
-/// Coefficients of [`FIELDS`].
-pub type Coefficients = [f64; FIELDS.len()];
-
-/// Standard gravity, m/s² = N/kg (exact by convention).
-pub const STANDARD_GRAVITY: f64 = 9.80665;
 
 /// A change of the command numbers, with or without memory.
 pub trait ChannelEffect: Sync {

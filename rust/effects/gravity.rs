@@ -3,7 +3,9 @@
 //! The gravity that acts is `(1 + density)·R·g`, `g` the unit vector that the run declares and `R` a turn by `tilt_x` about
 //! the base's x axis, then by `tilt_y` about y. The coefficients of the fields gravity_x|y|z (displacement per 1 g) are its
 //! difference to `g`; what the run declares is applied as known physics elsewhere (`predict.rs`).
-//! Limit: fields are linear; facts of the simulator give 2–4 % error at 1 g, 10 % at home where tendons go slack.
+//! The body answers linearly at constant tension, the tendons by falling slack or taut (`cables.rs`).
+//! Limit: all of that is taken at the unloaded equilibrium. On the built-in finger, horizontal instead of hanging, vertices
+//! are 0.12 mm off where gravity moves them by 2.5 mm (RMS, eleven commands); pinned by tests/test_bundle.py.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -17,7 +19,7 @@ pub static EFFECT: Effect = Effect {
         formula: "c = (1 + density) · R_y(tilt_y) · R_x(tilt_x) · g − g  on gravity_x, gravity_y, gravity_z",
         doc: "Own weight other than declared: another density, or a mount that leans against the vertical.",
         signature: "A sag that is the same for every speed and history, and changes with the orientation of the base.",
-        reference: "Linear response of the equilibrium to a body force, from the tangent of the simulator.",
+        reference: "Linear response at constant tendon tension, from the simulator's tangent; tensions by complementarity.",
         needs: &[],
         parameters: &[
             Parameter {

@@ -10,7 +10,6 @@ mod declaration;
 pub use chain::Chain;
 pub use conditions::{Conditions, Context, bracket};
 pub use declaration::*;
-pub(crate) use payload::weight;
 
 macro_rules! registry {
     ($($name:ident)*) => {

@@ -15,22 +15,5 @@ pub mod sparse;
 pub mod sweep;
 mod work;
 
-/// A point or vector in the base frame.
-pub type Vec3 = [f64; 3];
-
-pub(crate) fn dot(a: Vec3, b: Vec3) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-pub(crate) fn sub(a: Vec3, b: Vec3) -> Vec3 {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-pub(crate) fn norm(a: Vec3) -> f64 {
-    dot(a, a).sqrt()
-}
-
-/// `a + s b`
-pub(crate) fn axpy(a: Vec3, s: f64, b: Vec3) -> Vec3 {
-    [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]]
-}
+pub use crate::vector::Vec3;
+pub(crate) use crate::vector::{axpy, dot, norm, sub};

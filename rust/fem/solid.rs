@@ -9,11 +9,10 @@ use super::mesh::{self, Mesh, Resolution};
 use super::sparse::Pattern;
 use super::{Vec3, axpy, dot, sub};
 use crate::error::{Result, invalid};
+use crate::loads::STANDARD_GRAVITY;
 
 pub use super::work::Work;
 
-/// Standard gravity, mm/s², times kg → N/(mm/s²): 1 kg weighs 9.80665 N.
-const STANDARD_GRAVITY: f64 = 9.80665;
 /// Part of the height over which a tip load is spread.
 const TIP_PART: f64 = 0.1;
 /// Number of a clamped node among the free ones.
@@ -110,7 +109,7 @@ impl Solid {
         }
         let weight = volume
             .iter()
-            .map(|v| v * density * 1e-9 * STANDARD_GRAVITY)
+            .map(|v| v * density * 1e-9 * STANDARD_GRAVITY) // kg/m³ = 1e-9 kg/mm³
             .collect();
         let tip = tip_shares(&mesh, &volume);
         let (mut free, mut blocks) = (vec![HELD; mesh.nodes.len()], 0);

@@ -185,31 +185,6 @@ impl Factor {
     }
 }
 
-/// Solve a small dense symmetric system by elimination with pivoting; None when singular.
-pub fn solve_small(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
-    let n = b.len();
-    for c in 0..n {
-        let pivot = (c..n).max_by(|&i, &j| a[i][c].abs().total_cmp(&a[j][c].abs()))?;
-        if a[pivot][c] == 0.0 || !a[pivot][c].is_finite() {
-            return None;
-        }
-        a.swap(c, pivot);
-        b.swap(c, pivot);
-        for r in c + 1..n {
-            let f = a[r][c] / a[c][c];
-            for k in c..n {
-                a[r][k] -= f * a[c][k];
-            }
-            b[r] -= f * b[c];
-        }
-    }
-    for c in (0..n).rev() {
-        let known: f64 = (c + 1..n).map(|k| a[c][k] * b[k]).sum();
-        b[c] = (b[c] - known) / a[c][c];
-    }
-    Some(b)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -240,12 +215,5 @@ mod tests {
         pattern.shift(&mut values, -8.0);
         assert!(!factor.refactor(&pattern, &values));
         assert!(pattern.slot(3, 0).is_none());
-    }
-
-    #[test]
-    fn small_dense_systems_are_solved() {
-        let a = vec![vec![0.0, 2.0], vec![2.0, 1.0]];
-        assert_eq!(solve_small(a, vec![4.0, 4.0]), Some(vec![1.0, 2.0]));
-        assert_eq!(solve_small(vec![vec![0.0]], vec![1.0]), None);
     }
 }

@@ -10,6 +10,7 @@ use super::solid::{Load, Solid};
 use super::work::inner;
 use super::{Vec3, sub};
 use crate::error::{Error, Result, invalid};
+use crate::loads::{FIELDS, TIP_FORCE};
 use crate::room::room;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -19,16 +20,6 @@ const CHUNK: usize = 64;
 
 /// Any command (mm), gravity (g) or tip load (N) beyond is a mistake: no finger has an equilibrium there.
 const LARGEST: f64 = 1e6;
-
-/// Names of the fields: displacement per 1 g of gravity and per 1 N on the tip.
-pub const FIELDS: [&str; 6] = [
-    "gravity_x",
-    "gravity_y",
-    "gravity_z",
-    "tip_force_x",
-    "tip_force_y",
-    "tip_force_z",
-];
 
 /// How far a long computation is, and whether to stop it.
 #[derive(Debug, Default)]
@@ -50,7 +41,7 @@ impl Progress {
 
 /// What one command gave: places of the points, and the pull of each cable (N; below zero how slack it is).
 #[derive(Debug, Clone, Default)]
-pub struct Shape {
+pub struct Configuration {
     pub places: Vec<Vec3>,
     pub pull: Vec<f64>,
 }
@@ -126,7 +117,7 @@ impl Simulation {
         gravity: Vec3,
         tip: Vec3,
         progress: &Progress,
-    ) -> Result<Vec<Shape>> {
+    ) -> Result<Vec<Configuration>> {
         if axes.len() != self.channels()
             || axes
                 .iter()
@@ -175,7 +166,7 @@ impl Simulation {
                         if let Err(e) = progress.count() {
                             stopped = Err(e);
                         }
-                        self.shape(solver, state)
+                        self.configuration(solver, state)
                     },
                 )?;
                 stopped.map(|()| shapes)
@@ -228,10 +219,10 @@ impl Simulation {
         gravity: &[Vec3],
         tip: Vec3,
         progress: &Progress,
-    ) -> Result<Vec<Shape>> {
+    ) -> Result<Vec<Configuration>> {
         self.room("a path", &[commands.len()], 1)?;
         self.follow(commands, gravity, tip, progress, |solver, state| {
-            Ok(self.shape(solver, state))
+            Ok(self.configuration(solver, state))
         })
     }
 
@@ -305,8 +296,8 @@ impl Simulation {
         .map(|_| ())
     }
 
-    fn shape(&self, solver: &Solver, state: &State) -> Shape {
-        Shape {
+    fn configuration(&self, solver: &Solver, state: &State) -> Configuration {
+        Configuration {
             places: self.points.place(&state.x),
             pull: solver.pulls(state),
         }
@@ -326,7 +317,7 @@ impl Simulation {
                     gravity: [0.0; 3],
                     tip: [0.0; 3],
                 };
-                let part = if f < 3 {
+                let part = if f < TIP_FORCE {
                     &mut unit.gravity
                 } else {
                     &mut unit.tip

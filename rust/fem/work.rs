@@ -7,7 +7,8 @@
 use super::Vec3;
 use super::brick::Stiffness;
 use super::solid::{HELD, Load, Solid};
-use super::sparse::{Factor, solve_small};
+use super::sparse::Factor;
+use crate::dense;
 use crate::error::Result;
 
 /// Kept storage of one thread: residual, tangent and factor at the last assembled state.
@@ -171,7 +172,7 @@ impl<'a> Work<'a> {
     pub fn solve(&mut self, mut rhs: Vec<f64>) -> Vec<f64> {
         self.factor.solve(&self.solid.pattern, &mut rhs);
         let right: Vec<f64> = self.taut.iter().map(|(_, b)| inner(b, &rhs)).collect();
-        if let Some(s) = solve_small(self.small.clone(), right) {
+        if let Some(s) = dense::solve(self.small.clone(), right) {
             for (z, s) in self.solved.chunks_exact(rhs.len().max(1)).zip(s) {
                 rhs.iter_mut().zip(z).for_each(|(r, z)| *r -= s * z);
             }

@@ -2,7 +2,8 @@
 
 use super::arrays::{Floats, floats};
 use crate::Error;
-use crate::effects::{Chain, Conditions, Context, FIELDS, Kind, Parameter, REGISTRY};
+use crate::effects::{Chain, Conditions, Context, Kind, Parameter, REGISTRY};
+use crate::loads::FIELDS;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};

@@ -6,8 +6,9 @@ use crate::fem::embed::Points;
 use crate::fem::mesh::Resolution;
 use crate::fem::newton::Solver;
 use crate::fem::solid::{Design, Load, Solid as FemSolid, Work};
-use crate::fem::sweep::{FIELDS, Progress, Shape, Simulation};
+use crate::fem::sweep::{Configuration, Progress, Simulation};
 use crate::fem::{Vec3, brick};
+use crate::loads::FIELDS;
 use crate::{Error, Result};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -275,7 +276,7 @@ impl Solid {
 }
 
 impl Solid {
-    fn bent<'py>(&self, py: Python<'py>, shapes: Vec<Shape>) -> PyResult<Bent<'py>> {
+    fn bent<'py>(&self, py: Python<'py>, shapes: Vec<Configuration>) -> PyResult<Bent<'py>> {
         let (count, cables) = (shapes.len(), self.simulation.solid.cables.len());
         let places: Vec<f64> = shapes
             .iter()

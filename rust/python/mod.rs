@@ -58,6 +58,6 @@ mod _core {
     fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
         use pyo3::types::PyModuleMethods;
         module.add("CoreError", module.py().get_type::<super::CoreError>())?;
-        module.add("FIELDS", crate::effects::FIELDS)
+        module.add("FIELDS", crate::loads::FIELDS)
     }
 }

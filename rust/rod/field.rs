@@ -8,9 +8,11 @@
 //! `lock` of the mean of [M]_⊥ over the chord is carried by them. The robot's stiffness is not known from its shape: c is
 //! one nominal number and amounts of load are only meaningful as displacement.
 
-use super::{Rod, add, cross, dot, scaled, sub};
-use crate::error::{Error, Result, invalid};
+use super::Rod;
+use crate::error::{Result, invalid};
+use crate::loads::{FIELDS, GRAVITY, TIP_FORCE};
 use crate::shape::Shape;
+use crate::vector::{add, cross, dot, norm, scaled, sub};
 
 /// What bends the rod.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,18 +38,16 @@ impl RodField {
     /// N⁻¹·mm⁻²: mm per N of tip force; for gravity the product c·W is mm per 1 g when W (N) is the robot's weight.
     /// `lock` is the share of each chord's mean bending moment that its tendons carry: 0 free, 1 of fixed length.
     pub fn new(rod: Rod, name: &str, compliance: f64, lock: f64) -> Result<Self> {
-        let parts = name.rsplit_once('_').and_then(|(load, axis)| {
-            let load = match load {
-                "gravity" => Load::Weight,
-                "tip_force" => Load::TipForce,
-                _ => return None,
-            };
-            Some((load, ["x", "y", "z"].iter().position(|&a| a == axis)?))
-        });
-        let Some((load, axis)) = parts else {
-            return Err(Error::Invalid(format!(
-                "a rod has no field {name:?}; it has gravity_x, gravity_y, gravity_z, tip_force_x, tip_force_y and tip_force_z"
+        let Some(field) = FIELDS.iter().position(|known| *known == name) else {
+            return Err(invalid(format!(
+                "a rod has no field {name:?}; it has {}",
+                FIELDS.join(", ")
             )));
+        };
+        let (load, axis) = if field < TIP_FORCE {
+            (Load::Weight, field - GRAVITY)
+        } else {
+            (Load::TipForce, field - TIP_FORCE)
         };
         if !(compliance.is_finite() && compliance > 0.0) {
             return Err(invalid(format!(
@@ -69,38 +69,35 @@ impl RodField {
     }
 
     /// Bending moment per unit load at fraction `s` of chord `k`.
-    fn moment(&self, chain: &Chain, k: usize, s: f64) -> [f64; 3] {
+    fn moment(&self, chords: &Chords, k: usize, s: f64) -> [f64; 3] {
         let mut force = [0.0; 3];
         force[self.axis] = 1.0;
-        let at = chain.at(k, s);
+        let at = chords.at(k, s);
         match self.load {
-            Load::TipForce => cross(sub(chain.points[chain.points.len() - 1], at), force),
+            Load::TipForce => cross(sub(chords.points[chords.points.len() - 1], at), force),
             Load::Weight => {
                 // First moment of what hangs beyond: the rest of this chord about its middle, then whole chords.
-                let rest = chain.lengths[k] * (1.0 - s);
-                let mut arm = scaled(sub(chain.at(k, 0.5 * (1.0 + s)), at), rest);
-                for j in k + 1..chain.lengths.len() {
-                    arm = add(arm, scaled(sub(chain.at(j, 0.5), at), chain.lengths[j]));
+                let rest = chords.lengths[k] * (1.0 - s);
+                let mut arm = scaled(sub(chords.at(k, 0.5 * (1.0 + s)), at), rest);
+                for j in k + 1..chords.lengths.len() {
+                    arm = add(arm, scaled(sub(chords.at(j, 0.5), at), chords.lengths[j]));
                 }
-                cross(scaled(arm, 1.0 / chain.total), force)
+                cross(scaled(arm, 1.0 / chords.total), force)
             }
         }
     }
 }
 
 /// The chords at one command.
-struct Chain {
+struct Chords {
     points: Vec<[f64; 3]>,
     lengths: Vec<f64>,
     total: f64,
 }
 
-impl Chain {
+impl Chords {
     fn new(points: Vec<[f64; 3]>) -> Self {
-        let lengths: Vec<f64> = points
-            .windows(2)
-            .map(|p| dot(sub(p[1], p[0]), sub(p[1], p[0])).sqrt())
-            .collect();
+        let lengths: Vec<f64> = points.windows(2).map(|p| norm(sub(p[1], p[0]))).collect();
         let total = lengths.iter().sum();
         Self {
             points,
@@ -127,17 +124,17 @@ impl Shape for RodField {
     }
 
     fn eval(&self, u: &[f64], out: &mut [f64]) {
-        let chain = Chain::new(self.rod.points(u));
+        let chords = Chords::new(self.rod.points(u));
         out.fill(0.0);
-        for k in 0..chain.lengths.len() {
-            let length = chain.lengths[k];
+        for k in 0..chords.lengths.len() {
+            let length = chords.lengths[k];
             if length == 0.0 {
                 continue;
             }
-            let tangent = scaled(sub(chain.points[k + 1], chain.points[k]), 1.0 / length);
+            let tangent = scaled(sub(chords.points[k + 1], chords.points[k]), 1.0 / length);
             let nodes = [(0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0)];
             let bendings = nodes.map(|(s, _)| {
-                let moment = self.moment(&chain, k, s);
+                let moment = self.moment(&chords, k, s);
                 sub(moment, scaled(tangent, dot(moment, tangent)))
             });
             let mean = nodes
@@ -149,9 +146,9 @@ impl Shape for RodField {
             for ((s, weight), bending) in nodes.into_iter().zip(bendings) {
                 let bending = sub(bending, scaled(mean, self.lock));
                 let turn = scaled(bending, self.compliance * weight * length);
-                let at = chain.at(k, s);
-                for i in k..chain.lengths.len() {
-                    let shift = cross(turn, sub(chain.points[i + 1], at));
+                let at = chords.at(k, s);
+                for i in k..chords.lengths.len() {
+                    let shift = cross(turn, sub(chords.points[i + 1], at));
                     for axis in 0..3 {
                         out[3 * i + axis] += shift[axis];
                     }

@@ -17,6 +17,7 @@ pub use polynomial::Monomials;
 
 use crate::error::{Result, invalid};
 use crate::shape::Shape;
+use crate::vector::{add, scaled};
 use polynomial::Polynomial;
 
 fn finite(numbers: &[f64], what: &str) -> Result<()> {
@@ -202,30 +203,6 @@ impl Shape for Rod {
             }
         }
     }
-}
-
-fn add(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
-}
-
-fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-fn scaled(a: [f64; 3], by: f64) -> [f64; 3] {
-    [a[0] * by, a[1] * by, a[2] * by]
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
 }
 
 #[cfg(test)]
