@@ -21,6 +21,7 @@ Mask = NDArray[np.bool_]
 
 WINDOW_SAMPLES, WINDOW_SHORTEST, WINDOW_LONGEST = 3.0, 0.1, 0.5  # velocity window: median periods; s; s
 STILL = 0.005  # of the largest command span, per second: slower than this is not a motion
+TURNED = 0.02  # change of the unit gravity vector between frames, about a degree: another orientation
 HOME = 0.1  # of the largest |command|: closer to zero than this is "home"
 DWELL_EDGES = (0.0, 0.5, 2.0, 5.0, 10.0, 30.0)  # s, from the moment when the command stopped
 FINE_CHANNELS = 3  # up to here a command's cells are thirds of its range, beyond only its sign
@@ -34,7 +35,7 @@ class Conditions:
     velocity: Floats  # (K, C) mm/s
     speed: Floats  # (K,) mm/s
     moving: Mask  # (K,)
-    visit: NDArray[np.int64]  # (K,) which uninterrupted dwell the frame belongs to; -1 while moving
+    visit: NDArray[np.int64]  # (K,) which uninterrupted dwell in one orientation the frame belongs to; -1 while moving
     dwell: Floats  # (K,) s
     history: Floats  # (K,) mm
     time: Floats  # (K,) s since the first seen frame
@@ -80,17 +81,22 @@ def conditions(run: Any, command: Floats) -> Conditions:
     v = velocity(seen)
     speed = np.linalg.norm(v, axis=1)
     moving = speed > threshold
+    gravity = _at_seen(run, "gravity", t, seen, 3)
+    visit = last + 1
+    if gravity is not None and len(seen):  # a robot that is turned while it stands still is not seen twice alike
+        turned = np.r_[False, np.linalg.norm(np.diff(gravity, axis=0), axis=1) > TURNED]
+        visit = visit + (len(t) + 1) * np.cumsum(turned)
     stopped = np.where(last >= 0, t[last] - window + period, t[0])
     return Conditions(
         command=_sample(seen, t, u),
         velocity=v,
         speed=speed,
         moving=moving,
-        visit=np.where(moving, -1, last + 1).astype(np.int64),
+        visit=np.where(moving, -1, visit).astype(np.int64),
         dwell=np.where(moving, 0.0, np.maximum(seen - stopped, 0.0)),
         history=np.maximum.accumulate(np.max(np.abs(u), axis=1))[index],
         time=seen - seen[0] if len(seen) else seen,
-        gravity=_at_seen(run, "gravity", t, seen, 3),
+        gravity=gravity,
         temperature=_at_seen(run, "temperature", t, seen, 1),
     )
 

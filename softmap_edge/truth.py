@@ -37,6 +37,7 @@ BATCHES = (0.9, 0.95, 1.05, 1.1)  # modulus of the second finger against the fir
 LAYERS = 0.75  # of the first finger's layers: another mesh along the body, where it bends
 STEPS = 9  # commands a channel of the sweep that finds the strength of a secret,
 WEIGHT_STEPS = 5  # and of one that needs a sweep of its own for it
+EVERY = 3  # every third frame tells how far a secret moves the finger
 REACH = 18.0  # mm: no farther command may reach the body
 TARGET = (1.2, 3.6)  # mm RMS of the section centroids, drawn; what is accepted lies in 1-4 mm
 SECTIONS = 9
@@ -109,19 +110,23 @@ class Truth:
             u = secret.law.command(protocol.t, u)
         return np.stack([np.interp(protocol.t_seen, protocol.t, u[:, c]) for c in range(u.shape[1])], axis=1)
 
-    def shapes(self, protocol: Protocol) -> Floats:
-        """Return the true points (K, N, 3) mm, as they would appear to a camera without noise."""
-        return self._shapes(protocol, _solved)
+    def shapes(self, protocol: Protocol, every: int = 1) -> Floats:
+        """Return the true points (K, N, 3) mm of each `every`-th frame, as a camera without noise would see them."""
+        return self._shapes(protocol, _solved, every)
 
     def rough(self, protocol: Protocol, steps: int) -> Floats:
         """Return the points about, interpolated in a sweep of `steps` commands a channel."""
         return self._shapes(protocol, lambda m, g, f, u: _interpolated(m, g, f, u, steps))
 
-    def _shapes(self, protocol: Protocol, body: Callable[[float, Vector, Vector, Floats], Floats]) -> Floats:
+    def _shapes(
+        self, protocol: Protocol, body: Callable[[float, Vector, Vector, Floats], Floats], every: int = 1
+    ) -> Floats:
         u = self.to_body(protocol)
         points = np.empty((protocol.frames, *template().shape))
         for frames, gravity, force in self._weights(protocol):
-            points[frames] = body(self.modulus, gravity, force, u[frames])
+            wanted = frames[frames % every == 0]
+            points[wanted] = body(self.modulus, gravity, force, u[wanted])
+        points = points[::every]
         for secret in self.secrets:
             points = secret.law.seen(points)
         return points
@@ -207,8 +212,8 @@ def _drawn(name: str, seed: int, camera: Camera) -> Secret:
         strength = float(np.clip(strength * target / distance, strength / 4, min(strength * 4, law.LIMIT)))
         if abs(distance - target) < 0.02 * target:
             break
-    truth = there(strength)
-    distance = _rms(centroids(truth.shapes(protocol)) - centroids(truth.twin().shapes(protocol)))
+    truth, thin = there(strength), slice(None, None, EVERY)
+    distance = _rms(centroids(truth.shapes(protocol)[thin]) - centroids(truth.twin().shapes(protocol, EVERY)))
     if not 1.0 <= distance <= 4.0:
         raise SoftmapError(
             f"'{name}' with seed {seed} moves the finger by {distance:.2f} mm RMS at {strength:.2f} of its usual "

@@ -166,6 +166,15 @@ def test_conditions_of_a_known_motion():
     assert state.visit[at(7)] == state.visit[at(9)] != state.visit[at(23)]
 
 
+def test_a_dwell_ends_where_the_robot_is_turned():
+    gravity = np.tile([0.0, 0.0, 1.0], (1251, 1))
+    still = conditions(triangle(gravity=gravity), triangle().command)
+    gravity[400:] = [0.5, 0.0, 0.866]  # at 8 s, in the dwell from 5 to 10 s
+    turned = conditions(triangle(gravity=gravity), triangle().command)
+    assert still.visit[70] == still.visit[90]
+    assert turned.visit[70] != turned.visit[90] and turned.dwell[90] == still.dwell[90]
+
+
 def test_orientations_are_told_apart():
     flip = np.tile([0.0, 0.0, 1.0], (1251, 1))
     flip[600:] = [1.0, 0.0, 0.0]

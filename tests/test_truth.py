@@ -204,7 +204,7 @@ def test_secret_moves_the_centroids_by_what_it_says(name):
 
     p = standard_protocol()
     truth = hide([name], 4)
-    moved = centroids(truth.shapes(p)) - centroids(truth.twin().shapes(p))
+    moved = centroids(truth.shapes(p, 3)) - centroids(truth.twin().shapes(p, 3))
     rms = np.sqrt((moved**2).sum(axis=2).mean())
     assert 1.0 <= rms <= 4.0
     assert rms == pytest.approx(truth.secrets[0].displacement_mm)
