@@ -97,7 +97,7 @@ def side_by_side(ours, peer) -> tuple[float, float]:
 def newton_step() -> dict[str, object]:
     """One assembly and one solve of the 1204-node finger, without its cables in both."""
     finger = Finger.builtin()
-    solid = _core.Solid.from_toml(finger.to_toml()) if hasattr(_core.Solid, "from_toml") else Simulator(finger).solid
+    solid = Simulator(finger).solid
     nodes = solid.nodes
     peer = NumpySolid(nodes, solid.bricks, finger.young_mpa, finger.poisson, solid.fixed)
     bent = nodes + 0.02 * np.sin(nodes / 7.0) * (nodes[:, 2:] / nodes[:, 2].max())

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from softmap_edge import Diagnosis, Model, Run, diagnose, import_logs, learn_model, read_mapping
 from softmap_edge.rod import RodParameters, learn
-from softmap_edge.rod_fit import Drive, Fit, folds
+from softmap_edge.rod_fit import Drive, Regression, folds
 
 ROOT = Path(__file__).resolve().parent.parent
 COMMANDS = "control_inputs_controlled_1.csv"
@@ -46,8 +46,8 @@ def read(folder: Path, observations: str) -> Run:
 
 def reference(free: Run) -> tuple[Model, Model]:
     """Return the rod of the unloaded run, on encoders, that has not seen the later moves; and it with free tendons."""
-    model, arrays = learn_model(free, hold_out=[HOLD_OUT])
-    slack = replace(RodParameters.from_arrays(arrays["prior"]), lock=0.0)
+    model = learn_model(free, hold_out=[HOLD_OUT])
+    slack = replace(RodParameters.from_arrays(model.arrays["prior"]), lock=0.0)
     return model, replace(model, fields=slack.fields())
 
 
@@ -94,7 +94,7 @@ def rods(free: Run) -> dict[str, float]:
         found |= {f"{source}: {label}, s": value for label, value in rod.chain_params.items()}
         if source == "goal":
             seen = free.t_seen[rod.frames]
-            regression = Fit(np.asarray(free.markers)[rod.frames], np.zeros(3), folds(seen, BLOCKS, GAP_S))
+            regression = Regression(np.asarray(free.markers)[rod.frames], np.zeros(3), folds(seen, BLOCKS, GAP_S))
             u = Drive(free.commands("goal"), free.t, seen).at([OTHER_DRIVE])[0]
             other = regression.error(u, rod.made_from["degree"], rod.made_from["ridge"])
             found["goal: delay 0.175 s and lag 0.05 s, error ratio"] = other / rod.error_mm

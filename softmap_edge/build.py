@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import __version__
-from softmap_edge.bundle import Arrays, cables_from, fields_from, table_from
-from softmap_edge.features import section_features, sections_of
+from softmap_edge.bundle import cables_from, fields_from, table_from
+from softmap_edge.features import SECTIONS
 from softmap_edge.finger import Finger
-from softmap_edge.model import Model, tip_of
+from softmap_edge.model import Arrays, Model, tip_of
 from softmap_edge.simulator import Compliance, Simulator, Sweep
 
 Floats = NDArray[np.float64]
@@ -29,10 +29,8 @@ FORM_COMMANDS = 24
 FORM_SEED = 20
 
 
-def build_model(
-    finger: Finger, steps: int = 41, progress: Progress | None = None, modes: int = MODES
-) -> tuple[Model, dict[str, Arrays]]:
-    """Simulate `finger` over its command range and return its table model with the arrays of its bundle.
+def build_model(finger: Finger, steps: int = 41, progress: Progress | None = None, modes: int = MODES) -> Model:
+    """Simulate `finger` over its command range and return its table model.
 
     `steps` commands a channel (odd, at least 5) over `finger.command_range`. `progress` is called with (what, share).
     Raises NoEquilibriumError where the simulator finds none, SoftmapError for a bad argument.
@@ -45,9 +43,7 @@ def build_model(
     return from_sweep(finger, simulator, sweep, report, modes)
 
 
-def from_sweep(
-    finger: Finger, simulator: Simulator, sweep: Sweep, report: Progress, modes: int = MODES
-) -> tuple[Model, dict[str, Arrays]]:
+def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progress, modes: int = MODES) -> Model:
     """Compress a sweep of `finger` to a table model, add its fields and measure its form error."""
     rest, triangles = simulator.template.vertices, simulator.template.triangles
     prior = compress(sweep.vertices.reshape(len(sweep.command), -1), modes)
@@ -66,18 +62,19 @@ def from_sweep(
         cables=cables_from(prior, fields),
         rest=np.asarray(np.float32(rest), float),
         triangles=np.asarray(triangles, np.int32),
-        form_error=np.zeros((27, 3)),
+        form_error=np.zeros((3 * SECTIONS, 3)),
         vertex_error_mm=0.0,
         tip_indices=tip_of(sweep.vertices),
         gravity_reference=np.asarray(finger.gravity, float),
         command_range=np.array([[axis[0], axis[-1]] for axis in sweep.axes], float),
         robot=finger.name,
         made_from={"softmap-edge": __version__, "finger": finger.name, "steps": len(sweep.axes[0]), "modes": modes},
+        arrays={"prior": prior, "fields": fields},
     )
     report("form error", 0.0)
     error, vertex_error = form_error(model, finger, simulator)
     report("form error", 1.0)
-    return replace(model, form_error=error, vertex_error_mm=vertex_error), {"prior": prior, "fields": fields}
+    return replace(model, form_error=error, vertex_error_mm=vertex_error)
 
 
 def compress(values: Floats, modes: int) -> Arrays:
@@ -100,13 +97,12 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
     rng = np.random.default_rng(FORM_SEED)
     low, high = model.command_range.T
     commands = rng.uniform(low * 0.85, high * 0.85, (FORM_COMMANDS, model.channels))
-    mapping = section_features(model.rest, sections_of(model.rest))
     predicted = model.prior.evaluate(commands).reshape(FORM_COMMANDS, -1, 3)
     squares, vertex_squares = [], []
     for factor in (0.9, 1.1):
         other = Simulator(finger.other_mesh().replace(young_mpa=finger.young_mpa * factor), template=simulator.template)
         error = other.path(commands) - predicted
-        squares.append(mapping(error) ** 2)
+        squares.append(model.feature_map(error) ** 2)
         vertex_squares.append((error**2).sum(axis=2))
     return np.sqrt(np.mean(np.concatenate(squares), axis=0)), float(np.sqrt(np.mean(np.concatenate(vertex_squares))))
 

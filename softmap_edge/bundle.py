@@ -34,19 +34,15 @@ _TENSION = "tension_"  # what the field of a tendon is called, before its number
 _LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
 _MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
 
-Arrays = dict[str, NDArray[np.generic]]
 
-
-def save_bundle(model: Model, path: str | Path, arrays: Mapping[str, Arrays] | None = None) -> Path:
+def save_bundle(model: Model, path: str | Path) -> Path:
     """Write `model` as a bundle folder at `path`; the same model gives the same bytes. Return the folder.
 
-    `arrays` are the contents of `prior.npz` and `fields.npz`; without it they are those the model was loaded from.
     Raises BundleError when `path` exists and is not a bundle.
     """
     folder = Path(path)
-    source = arrays if arrays is not None else model.made_from.get("_arrays")
-    if source is None:
-        raise BundleError("this model was not built or loaded as a bundle, so it has no arrays to write")
+    if not model.arrays:
+        raise BundleError("this model has no arrays to write; build it, learn it, or load it from a bundle")
     if (
         folder.exists()
         and not (folder / "manifest.json").exists()
@@ -57,7 +53,7 @@ def save_bundle(model: Model, path: str | Path, arrays: Mapping[str, Arrays] | N
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     for name in ("prior", "fields"):
-        write_npz(partial / f"{name}.npz", source[name])
+        write_npz(partial / f"{name}.npz", model.arrays[name])
     template: dict[str, NDArray[np.generic]] = {
         "rest": model.rest.astype(np.float32),
         "triangles": model.triangles.astype(np.uint16 if len(model.rest) < 65536 else np.uint32),
@@ -78,7 +74,7 @@ def save_bundle(model: Model, path: str | Path, arrays: Mapping[str, Arrays] | N
         "command_range": model.command_range.tolist(),
         "gravity_reference": model.gravity_reference.tolist(),
         "held_out_error_mm": float(model.vertex_error_mm),
-        "made_from": {key: value for key, value in model.made_from.items() if not key.startswith("_")},
+        "made_from": dict(model.made_from),
         "written_by": f"softmap-edge {__version__}",
         "sha256": {name: _sha256(partial / name) for name in _FILES},
     }
@@ -215,7 +211,8 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         robot=manifest["robot"],
         command_unit=str(manifest.get("command_unit", "mm")),
         input=str(manifest.get("input", "present")),
-        made_from={**_made_from(manifest), "_arrays": {"prior": arrays["prior"], "fields": arrays["fields"]}},
+        made_from=_made_from(manifest),
+        arrays={"prior": arrays["prior"], "fields": arrays["fields"]},
     )
     if model.form_error.shape != (len(model.positions), 3):
         raise BundleError(

@@ -337,7 +337,7 @@ def _drawn(model: Any, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[np.
 def _model_digest(model: Any) -> str:
     """A hash of what predicts: the prior's and the fields' arrays, the template, the chain and its parameters."""
     sha = hashlib.sha256()
-    for room, arrays in sorted(dict(model.made_from.get("_arrays", {})).items()):
+    for room, arrays in sorted(model.arrays.items()):
         for name in sorted(arrays):
             sha.update(f"{room}/{name}".encode())
             sha.update(np.ascontiguousarray(arrays[name]).tobytes())

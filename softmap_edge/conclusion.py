@@ -31,7 +31,6 @@ from softmap_edge.search import Search
 
 Floats = NDArray[np.float64]
 
-VERDICTS = ("identified", "ambiguous", "partly_explained", "nothing", "cannot_tell", "measurement_fault")
 TEMPERATURE = 4.0  # of the probabilities: forms of the library are never exact; not yet fitted on a bank
 UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "cannot tell"
 

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.conclusion import VERDICTS, conclude, parameters
+from softmap_edge.conclusion import conclude, parameters
 from softmap_edge.errors import SoftmapError
 from softmap_edge.evidence import EXPERIMENTS, Hidden, orientations
 from softmap_edge.fit import Fit, Problem, Record
 from softmap_edge.noise import command_kernel, estimate_noise, form_covariance, rod_noise, whitener
+from softmap_edge.report import VERDICTS, diagnosis_text
 from softmap_edge.search import Search
 
 if TYPE_CHECKING:
@@ -96,8 +97,6 @@ class Diagnosis:
         raise SoftmapError(f"the diagnosis does not name '{name}'; it names {named}")
 
     def __str__(self) -> str:
-        from softmap_edge.report import diagnosis_text
-
         return diagnosis_text(self.to_dict())
 
 

@@ -122,7 +122,7 @@ class Finger:
         return replace(self, **changes)
 
     def other_mesh(self) -> Finger:
-        """Return the same finger on another mesh, finer where allowed: the second opinion of form errors and truths."""
+        """Return the same finger on another mesh, finer where allowed: the second opinion of the form error."""
         core = self.core + 1 if self.core < _MOST_CORE else self.core - 1
         return self.replace(core=core, layers=max(1, round(self.layers * 0.9)))
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
+Arrays = dict[str, NDArray[np.generic]]
 Shape = Any  # a compiled shape: _core.Table, _core.Rod, _core.RodField
 _TIP_SHARE = 0.05
 
@@ -34,7 +35,8 @@ class Model:
 
     `prior` maps commands (n, C) to flattened points (n, 3N) mm; `fields` are displacements per 1 g or per 1 N;
     `rest` (N, 3) mm are the template's vertices or the markers at rest; `form_error` (V, 3) mm is the measured
-    held-out error of each feature; `made_from` says what made the model (versions, seeds, hashes).
+    held-out error of each feature; `made_from` says what made the model (versions, seeds, hashes); `arrays` are the
+    contents of `prior.npz` and `fields.npz`, from which prior, fields and cables were compiled.
     """
 
     kind: str
@@ -54,6 +56,7 @@ class Model:
     chain_params: Floats = field(default_factory=lambda: np.zeros(0))
     made_from: Mapping[str, Any] = field(default_factory=dict)
     cables: _core.Cables | None = None  # how tendons answer loads; a rod has none
+    arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
 
     @property
     def channels(self) -> int:

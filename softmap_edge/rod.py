@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import __version__, _core
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.rod_fit import Drive, Fit, choose_degree, fit_drive, folds, normalise, refine_drive, rms
+from softmap_edge.rod_fit import Drive, Regression, choose_degree, fit_drive, folds, normalise, refine_drive, rms
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
-FIELDS = ("gravity_x", "gravity_y", "gravity_z", "tip_force_x", "tip_force_y", "tip_force_z")
 DEGREES = (1, 2, 3)
 RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
 LOCK = 1.0  # the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
@@ -65,7 +64,7 @@ class RodParameters:
     def fields(self) -> dict[str, _core.RodField]:
         """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1 N."""
         rod = self.compiled()
-        return {name: _core.RodField(rod, name, self.compliance, self.lock) for name in FIELDS}
+        return {name: _core.RodField(rod, name, self.compliance, self.lock) for name in _core.FIELDS}
 
     def to_arrays(self) -> Arrays:
         """Return the arrays of `prior.npz`."""
@@ -176,7 +175,7 @@ def learn(
         )
     drive = Drive(commands, t, run.t_seen[frames])
     markers = np.asarray(run.markers[frames], float)
-    fit = Fit(markers, _base(base), parts)
+    fit = Regression(markers, _base(base), parts)
     delay, lag = fit_drive(fit, drive, degrees[-1])
     u = drive.at([(delay, lag)])[0]
     chosen, ridge = choose_degree(fit, u, degrees)
@@ -212,8 +211,8 @@ def learn(
 
 def learn_model(
     run: Run, input: Source | None = None, hold_out: Sequence[tuple[float, float]] = (), **options: Any
-) -> tuple[Model, dict[str, Arrays]]:
-    """Learn a rod and return it as a model with the arrays of its bundle; arguments as for `learn`."""
+) -> Model:
+    """Learn a rod and return it as a model; arguments as for `learn`."""
     from softmap_edge.model import Model
 
     learned = learn(run, input, hold_out=hold_out, **options)
@@ -235,8 +234,9 @@ def learn_model(
         command_unit=run.command_unit,
         input=learned.input,
         made_from=learned.made_from,
+        arrays={"prior": learned.to_arrays(), "fields": {}},
     )
-    return model.with_effects(learned.chain_names, learned.chain_params), {"prior": learned.to_arrays(), "fields": {}}
+    return model.with_effects(learned.chain_names, learned.chain_params)
 
 
 def rod_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[_core.Rod, dict[str, _core.RodField]]:

@@ -84,7 +84,7 @@ def _ridge(features: Floats, targets: Floats, penalty: Floats, folds: Folds) -> 
     return weights
 
 
-class Fit:
+class Regression:
     """Markers as chords from a base point, and the regression on them."""
 
     def __init__(self, markers: Floats, base: Floats, folds: Folds) -> None:
@@ -154,7 +154,7 @@ class Drive:
         return before + self.share * (rolled[:, self.after] - before)
 
 
-def fit_drive(fit: Fit, drive: Drive, degree: int) -> tuple[float, float]:
+def fit_drive(fit: Regression, drive: Drive, degree: int) -> tuple[float, float]:
     """Search delay and lag on a grid with a polynomial of at most degree 2."""
     best, pair = np.inf, (0.0, 0.0)
     for delay in DELAYS:
@@ -166,12 +166,14 @@ def fit_drive(fit: Fit, drive: Drive, degree: int) -> tuple[float, float]:
     return pair
 
 
-def choose_degree(fit: Fit, u: Floats, degrees: Sequence[int]) -> tuple[int, float]:
+def choose_degree(fit: Regression, u: Floats, degrees: Sequence[int]) -> tuple[int, float]:
     """Return the degree and the ridge with the lowest cross-validation error."""
     return min(product(degrees, RIDGE_STEPS), key=lambda choice: fit.error(u, *choice))
 
 
-def refine_drive(fit: Fit, drive: Drive, degree: int, ridge: float, delay: float, lag: float) -> tuple[float, float]:
+def refine_drive(
+    fit: Regression, drive: Drive, degree: int, ridge: float, delay: float, lag: float
+) -> tuple[float, float]:
     """Refine delay and lag, then drop each that is not worth its place in the chain."""
 
     def error(x: Floats) -> float:

@@ -46,7 +46,7 @@ class Lean:
     command_unit: str = "mm"
     chain_names: tuple = ()
     params: dict = field(default_factory=dict)
-    made_from: dict = field(default_factory=dict)
+    arrays: dict = field(default_factory=dict)
 
     def commands(self, run):
         return run.command

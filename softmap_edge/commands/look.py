@@ -11,7 +11,9 @@ import numpy as np
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model, load_bundle
 from softmap_edge.errors import SoftmapError
+from softmap_edge.model import Model
 from softmap_edge.npz import write_npz
+from softmap_edge.run import Run
 
 
 def predict_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,12 +26,8 @@ def predict_arguments(parser: argparse.ArgumentParser) -> None:
 def predict(args: argparse.Namespace) -> int:
     """Predict shapes for a run or one command."""
     model = load_bundle(args.bundle) if args.bundle else builtin_model()
-    if Path(args.input).suffix == ".npz":
-        from softmap_edge.run import Run
-
-        points = model.predict(Run.load(args.input))
-    else:
-        points = model.prior.evaluate(_command(args.input, model.channels)).reshape(1, -1, 3)
+    run = Run.load(args.input) if Path(args.input).suffix == ".npz" else _held(args.input, model)
+    points = model.predict(run)
     tip = points[:, model.tip_indices].mean(axis=1)
     if args.out:
         write_npz(Path(args.out), {"points": points, "tip": tip})
@@ -71,11 +69,12 @@ def effects(args: argparse.Namespace) -> int:
     return 0
 
 
-def _command(text: str, channels: int) -> np.ndarray:
+def _held(text: str, model: Model) -> Run:
+    """Return a run of one command, held until all memory has settled."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         raise SoftmapError(f"'{text}' is neither a run (.npz) nor a command such as 8,-3") from None
-    if len(numbers) != channels or not np.all(np.isfinite(numbers)):
-        raise SoftmapError(f"'{text}': {len(numbers)} numbers, this model takes {channels} finite commands in mm")
-    return np.array([numbers])
+    if len(numbers) != model.channels or not np.all(np.isfinite(numbers)):
+        raise SoftmapError(f"'{text}': {len(numbers)} numbers, this model takes {model.channels} finite commands in mm")
+    return Run(t=np.zeros(1), command=np.array([numbers]), t_seen=np.zeros(1), command_unit=model.command_unit)

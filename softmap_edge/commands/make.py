@@ -28,8 +28,8 @@ def build(args: argparse.Namespace) -> int:
     _check_steps(args.steps)
     finger = _finger(args.finger)
     with Bar(args.json) as bar:
-        model, arrays = build_model(finger, args.steps, bar)
-    folder = save_bundle(model, args.out, arrays)
+        model = build_model(finger, args.steps, bar)
+    folder = save_bundle(model, args.out)
     size = sum(file.stat().st_size for file in folder.iterdir())
     result = {
         "schema": "softmap.build/1",
@@ -66,8 +66,8 @@ def learn(args: argparse.Namespace) -> int:
     from softmap_edge.run import Run
 
     held_out = [_interval(text) for text in args.hold_out]
-    model, arrays = learn_model(Run.load(args.run), input=args.input, hold_out=held_out)
-    save_bundle(model, args.out, arrays)
+    model = learn_model(Run.load(args.run), input=args.input, hold_out=held_out)
+    save_bundle(model, args.out)
     result = {
         "schema": "softmap.learn/1",
         "bundle": str(args.out),

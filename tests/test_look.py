@@ -1,0 +1,38 @@
+"""The verbs that look at a model: predict runs all of it, effects lists the registry."""
+
+import json
+
+import numpy as np
+import pytest
+
+from softmap_edge import _core
+from softmap_edge.bundle import builtin_model, save_bundle
+from softmap_edge.cli import main
+from softmap_edge.npz import read_npz
+
+
+def test_predict_takes_one_command_through_the_effects_of_the_bundle(tmp_path, capsys):
+    model = builtin_model()
+    shifted = model.with_effects(["offset", "mount"], {"offset.shift[0]": 2.0, "mount.shift_x": 1.5})
+    bundle = save_bundle(shifted, tmp_path / "bundle")
+    assert main(["predict", "6,-3", "--bundle", str(bundle), "--out", str(tmp_path / "p.npz"), "--json"]) == 0
+    expected = model.prior.evaluate(np.array([[8.0, -3.0]])).reshape(1, -1, 3) + [1.5, 0.0, 0.0]
+    np.testing.assert_allclose(read_npz(tmp_path / "p.npz")["points"], expected, atol=1e-9)
+    tip = json.loads(capsys.readouterr().out)["tip_mm"]
+    np.testing.assert_allclose(tip, expected[:, model.tip_indices].mean(axis=1), atol=1e-4)
+
+
+@pytest.mark.parametrize("text", ["6", "6,-3,1", "6,nan", "six,seven"])
+def test_what_is_no_command_is_refused_in_one_line(text, capsys):
+    assert main(["predict", text]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_effects_lists_the_registry_and_shows_one_in_full(capsys):
+    assert main(["effects", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["effects"] == _core.effects()
+    assert main(["effects", "creep"]) == 0
+    shown = capsys.readouterr().out
+    for parameter in ("strength", "tau"):
+        assert parameter in shown
+    assert main(["effects", "nosuch"]) == 2
