@@ -145,7 +145,6 @@ class Chain:
 class Cables:
     def __new__(cls, stiffness: _Floats, pull: Table, stretch: Table, fields: Sequence[Table]) -> Self: ...
     def project(self, weights: _Floats, offset: _Floats) -> Cables: ...
-    count: int
 
 @final
 class Predictor:
@@ -193,8 +192,6 @@ class Solid:
     nodes: _Floats
     bricks: NDArray[np.int64]
     fixed: NDArray[np.int64]
-    core: int
-    moduli: tuple[float, float]
     def newton_step(self, x: _Floats) -> _Floats: ...
     def sweep(
         self,
@@ -217,4 +214,3 @@ class Solid:
         load: tuple[float, float, float],
         progress: Callable[[float], None] | None = None,
     ) -> dict[str, _Floats]: ...
-    def effort(self, command: list[float], gravity: tuple[float, float, float]) -> tuple[int, int]: ...

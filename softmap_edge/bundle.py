@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import __version__, _core
 from softmap_edge.errors import BundleError, SoftmapError, brief
-from softmap_edge.model import Model
+from softmap_edge.model import Arrays, Model
 from softmap_edge.npz import read_npz, write_npz
 
 SCHEMA = 1
@@ -158,11 +158,12 @@ def table_from(arrays: Mapping[str, NDArray[np.generic]], prefix: str = "") -> _
     return _core.Table(axes, np.ascontiguousarray(arrays[f"{prefix}coefficients"], np.float64), mean, modes)
 
 
-def _model(folder: Path, manifest: dict[str, Any]) -> Model:
+def _arrays(folder: Path) -> dict[str, Arrays]:
+    """Read the archives of a bundle; only finite numbers of a plausible size, which also keeps overflow out later."""
     arrays = {
         name: read_npz(folder / f"{name}.npz", BundleError, _MAX_BYTES) for name in ("prior", "fields", "template")
     }
-    for name, group in arrays.items():  # also keeps overflow out of everything that is computed from them
+    for name, group in arrays.items():
         for key, array in group.items():
             if array.dtype.kind not in "fiub" or not np.all(np.isfinite(array)):
                 raise BundleError(f"{folder.name}: {name}.npz: '{key}' is not all finite numbers; build it again")
@@ -173,6 +174,11 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
                 )
             if key in ("triangles", "tip") and array.dtype.kind not in "iu":
                 raise BundleError(f"{folder.name}: {name}.npz: '{key}' holds {array.dtype}, expected whole numbers")
+    return arrays
+
+
+def _model(folder: Path, manifest: dict[str, Any]) -> Model:
+    arrays = _arrays(folder)
     template = arrays["template"]
     if manifest["kind"] == "table":
         prior: Any = table_from(arrays["prior"])
@@ -218,13 +224,18 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         raise BundleError(
             f"{folder.name}: form error of shape {model.form_error.shape}, expected ({len(model.positions)}, 3)"
         )
+    return model.with_effects(*_chain(folder))
+
+
+def _chain(folder: Path) -> tuple[list[str], dict[str, float]]:
+    """Read names and parameters of the effects."""
     effects = _json(folder / "effects.json")
     names, params = effects.get("chain"), effects.get("params")
     if not isinstance(names, list) or not all(isinstance(n, str) for n in names) or not isinstance(params, dict):
         raise BundleError(f"{folder.name}: effects.json needs a list `chain` and a table `params`")
     if not all(_finite_number(v) for v in params.values()):
         raise BundleError(f"{folder.name}: effects.json: every parameter must be a number within ±{_LARGEST:g}")
-    return model.with_effects(names, params)
+    return names, params
 
 
 def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
+from softmap_edge.features import SECTIONS, sections_of
 from softmap_edge.finger import Finger
 from softmap_edge.protocol import Protocol, standard_protocol
 from softmap_edge.run import Run
@@ -40,7 +41,6 @@ WEIGHT_STEPS = 5  # and of one that needs a sweep of its own for it
 EVERY = 3  # every third frame tells how far a secret moves the finger
 REACH = 18.0  # mm: no farther command may reach the body
 TARGET = (1.2, 3.6)  # mm RMS of the section centroids, drawn; what is accepted lies in 1-4 mm
-SECTIONS = 9
 
 
 @dataclass(frozen=True)
@@ -181,16 +181,15 @@ def surprise(seed: int) -> list[str]:
     return [str(name) for name in rng.choice(list(LAWS), size=int(rng.choice([1, 2], p=[0.65, 0.35])), replace=False)]
 
 
+@lru_cache(maxsize=1)
 def template() -> Floats:
     """Return the material points (N, 3) mm that are seen: the vertices of the first finger's template."""
-    return _template()
+    return np.asarray(Simulator(_finger()).template.vertices, dtype=np.float64)
 
 
 def centroids(points: Floats) -> Floats:
     """Return the section centroids (K, 9, 3) mm of points (K, N, 3): nine slices of the body at rest."""
-    z = template()[:, 2]
-    edges = np.linspace(z.min(), z.max() + 1e-9, SECTIONS + 1)
-    section = np.searchsorted(edges, z, side="right") - 1
+    section = sections_of(template())
     return np.stack([points[:, section == s].mean(axis=1) for s in range(SECTIONS)], axis=1)
 
 
@@ -238,11 +237,6 @@ def _finger() -> Finger:
 
 def _finger_channels() -> int:
     return len(_finger().command_range)
-
-
-@lru_cache(maxsize=1)
-def _template() -> Floats:
-    return np.asarray(Simulator(_finger()).template.vertices, dtype=np.float64)
 
 
 @lru_cache(maxsize=8)

@@ -7,7 +7,7 @@
 use super::Vec3;
 use super::solid::{Load, Solid, Work};
 use super::work::inner;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, invalid};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Largest change of a shortening in one step, mm (median 2 to 3 iterations).
@@ -39,10 +39,6 @@ pub struct Solver<'a> {
     pub work: Work<'a>,
     /// Whether the factor in `work` belongs to the last state that was reached.
     fresh: bool,
-    /// Newton iterations spent so far.
-    pub iterations: usize,
-    /// Steps that failed and were halved.
-    pub halved: usize,
     /// Set from elsewhere to stop before the next iteration.
     stop: Option<&'a AtomicBool>,
 }
@@ -52,8 +48,6 @@ impl<'a> Solver<'a> {
         Ok(Solver {
             work: Work::new(solid)?,
             fresh: false,
-            iterations: 0,
-            halved: 0,
             stop: None,
         })
     }
@@ -121,7 +115,6 @@ impl<'a> Solver<'a> {
                 Err(_) if self.stopped() => return Err(Error::Interrupted),
                 Err(residual) => {
                     self.fresh = false;
-                    self.halved += 1;
                     part *= 0.5;
                     if part < SMALLEST_PART * usual {
                         return Err(no_equilibrium(&load, residual));
@@ -170,7 +163,6 @@ impl<'a> Solver<'a> {
                 .residual
                 .iter()
                 .fold(0.0, |m: f64, r| m.max(r.abs()));
-            self.iterations += 1;
             let factored = self.work.refactor();
             if residual < BALANCED || !factored {
                 if !factored {
@@ -251,6 +243,31 @@ impl<'a> Solver<'a> {
         let moved = solid.displace(&state.x, &step, 1.0);
         (solid.energy(&moved, load) < solid.energy(&state.x, load)).then_some(moved)
     }
+}
+
+/// One Newton step of the bricks alone, without cables or loads, at node places (n,): the displacement (n,) mm.
+pub fn newton_step(solid: &Solid, x: &[Vec3]) -> Result<Vec<Vec3>> {
+    if x.len() != solid.mesh.nodes.len() {
+        return Err(invalid(format!(
+            "x: {} nodes given, the mesh has {}; give every node its place",
+            x.len(),
+            solid.mesh.nodes.len()
+        )));
+    }
+    // Paid out this far, every cable is slack.
+    let slack = Load {
+        shortening: vec![-1e9; solid.cables.len()],
+        gravity: [0.0; 3],
+        tip: [0.0; 3],
+    };
+    let mut work = Work::new(solid)?;
+    if !work.assemble(x, &slack).is_finite() || !work.refactor() {
+        return Err(Error::NoEquilibrium(
+            "no Newton step: a brick is inside out; bend less".into(),
+        ));
+    }
+    let step = work.solve(work.residual.iter().map(|r| -r).collect());
+    Ok(solid.displace(&vec![[0.0; 3]; x.len()], &step, 1.0))
 }
 
 /// Number of steps on the way to a load, before rounding up.

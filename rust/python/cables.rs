@@ -41,10 +41,4 @@ impl PyCables {
         let inner = py.detach(|| self.inner.project(&weights, &offset))?;
         Ok(PyCables { inner })
     }
-
-    /// Number of cables n.
-    #[getter]
-    fn count(&self) -> usize {
-        self.inner.count()
-    }
 }

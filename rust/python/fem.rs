@@ -1,15 +1,15 @@
 //! Binding of the simulator: one class that holds a solid, its reported points and its drive.
 
+use crate::Result;
 use crate::error::invalid;
+use crate::fem::Vec3;
 use crate::fem::cable::{Averaging, Route};
 use crate::fem::embed::Points;
 use crate::fem::mesh::Resolution;
-use crate::fem::newton::Solver;
-use crate::fem::solid::{Design, Load, Solid as FemSolid, Work};
+use crate::fem::newton::newton_step;
+use crate::fem::solid::{Design, Solid as FemSolid};
 use crate::fem::sweep::{Configuration, Progress, Simulation};
-use crate::fem::{Vec3, brick};
 use crate::loads::FIELDS;
-use crate::{Error, Result};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -26,7 +26,6 @@ type Pairs = Vec<(f64, f64)>;
 #[pyclass(frozen, module = "softmap_edge._core")]
 pub struct Solid {
     simulation: Simulation,
-    core: usize,
 }
 
 #[pymethods]
@@ -77,7 +76,6 @@ impl Solid {
         };
         Ok(Solid {
             simulation: Simulation::new(solid, points, drive)?,
-            core,
         })
     }
 
@@ -137,12 +135,6 @@ impl Solid {
         )
     }
 
-    /// Cells across the core of the mesh.
-    #[getter]
-    fn core(&self) -> usize {
-        self.core
-    }
-
     /// One Newton step of the bricks alone at node places (n, 3): the displacement (n, 3) mm.
     fn newton_step<'py>(
         &self,
@@ -150,32 +142,7 @@ impl Solid {
         x: PyReadonlyArray2<f64>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let x = vectors(&x, "x")?;
-        let solid = &self.simulation.solid;
-        if x.len() != solid.mesh.nodes.len() {
-            return Err(invalid(format!(
-                "x: {} nodes given, the mesh has {}",
-                x.len(),
-                solid.mesh.nodes.len()
-            ))
-            .into());
-        }
-        let step = py.detach(|| -> Result<Vec<Vec3>> {
-            // Paid out, every cable is slack: only the bricks are left.
-            let slack = Load {
-                shortening: vec![-1e9; solid.cables.len()],
-                gravity: [0.0; 3],
-                tip: [0.0; 3],
-            };
-            let mut work = Work::new(solid)?;
-            if !work.assemble(&x, &slack).is_finite() || !work.refactor() {
-                return Err(Error::NoEquilibrium(
-                    "no Newton step: a brick is inside out; bend less".into(),
-                ));
-            }
-            let rhs = work.residual.iter().map(|r| -r).collect();
-            let step = work.solve(rhs);
-            Ok(solid.displace(&vec![[0.0; 3]; x.len()], &step, 1.0))
-        })?;
+        let step = py.detach(|| newton_step(&self.simulation.solid, &x))?;
         matrix(py, &step)
     }
 
@@ -252,26 +219,6 @@ impl Solid {
         let shape = [samples, cables, FIELDS.len() + cables];
         answer.set_item("stretch", PyArray1::from_vec(py, stretch).reshape(shape)?)?;
         Ok(answer)
-    }
-
-    /// Newton iterations and halved steps on the way from home to a command: what the solver spends.
-    fn effort(&self, py: Python<'_>, command: Vec<f64>, gravity: Vec3) -> PyResult<(usize, usize)> {
-        Ok(py.detach(|| -> Result<(usize, usize)> {
-            let mut solver = Solver::new(&self.simulation.solid)?;
-            let mut state = solver.home(gravity, [0.0; 3])?;
-            solver.advance(
-                &mut state,
-                &self.simulation.load(&command, gravity, [0.0; 3])?,
-            )?;
-            Ok((solver.iterations, solver.halved))
-        })?)
-    }
-
-    /// Shear and bulk modulus, MPa.
-    #[getter]
-    fn moduli(&self) -> (f64, f64) {
-        let brick::Material { mu, kappa } = self.simulation.solid.material;
-        (mu, kappa)
     }
 }
 

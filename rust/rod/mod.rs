@@ -92,11 +92,6 @@ impl Rod {
         self.lengths.outputs
     }
 
-    /// The base point p_0 (mm).
-    pub fn base(&self) -> [f64; 3] {
-        self.base
-    }
-
     fn normalised(&self, u: &[f64]) -> Vec<f64> {
         u.iter()
             .zip(&self.centre)
