@@ -16,7 +16,6 @@ __all__ = [
     "Chain",
     "CoreError",
     "FIELDS",
-    "NoEquilibriumError",
     "Predictor",
     "Rod",
     "RodField",
@@ -27,8 +26,6 @@ __all__ = [
     "monomial_degrees",
     "monomials",
 ]
-
-class NoEquilibriumError(CoreError): ...
 
 @disjoint_base
 class Shape:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,10 @@ from numpy.typing import NDArray
 from softmap_edge.conditions import Cell, cells, conditions
 from softmap_edge.errors import ComparisonError
 from softmap_edge.floor import noise_floor
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+    from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -132,7 +136,7 @@ class Series:
     tip_after: Floats | None  # (K, 3)
 
 
-def compare(model: Any, run: Any) -> Comparison:
+def compare(model: Model, run: Run) -> Comparison:
     """Measure how far a model's prediction is from a run, and where.
 
     Args:
@@ -151,7 +155,7 @@ def compare(model: Any, run: Any) -> Comparison:
     distance = np.sqrt(squared[visible])
     state = conditions(run, model.commands(run))
     where = {"section": _by_section(model, squared, visible)}
-    for name, row in cells(state, getattr(model, "command_unit", "mm")).items():
+    for name, row in cells(state, model.command_unit).items():
         where[name] = [_bin_of(cell, squared, visible) for cell in row]
     where = {name: [row for row in rows if row.n > 0] for name, rows in where.items()}
     tip_seen, tip_predicted = _tips(model, predicted, seen, visible)
@@ -176,7 +180,7 @@ def compare(model: Any, run: Any) -> Comparison:
     )
 
 
-def series(run: Any, before: Any, after: Any = None, kind: str = "held out") -> Series:
+def series(run: Run, before: Model, after: Model | None = None, kind: str = "held out") -> Series:
     """Collect what the pictures of a run need, for one model or for a model before and after a change.
 
     Args:
@@ -224,7 +228,7 @@ def series(run: Any, before: Any, after: Any = None, kind: str = "held out") -> 
     )
 
 
-def _aligned(model: Any, run: Any) -> tuple[Floats, Floats, Mask]:
+def _aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
     """Prediction, measurement (hidden points zero) and visibility with equal shapes, or an error that says why not."""
     if len(run.t_seen) == 0:
         raise ComparisonError(
@@ -237,7 +241,7 @@ def _aligned(model: Any, run: Any) -> tuple[Floats, Floats, Mask]:
             f"the model predicts {predicted.shape} (frames, points, xyz), the run has {seen.shape}; "
             "take the bundle of this robot and template"
         )
-    declared = getattr(run, "visible", None)
+    declared = run.visible
     visible = np.all(np.isfinite(seen), axis=2)
     if declared is not None:
         visible = visible & np.asarray(declared, bool)
@@ -261,7 +265,7 @@ def _mean_root(squared: Floats, visible: Mask, axis: int) -> Floats:
     return np.asarray(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
 
 
-def _tips(model: Any, predicted: Floats, seen: Floats, visible: Mask) -> tuple[Floats, Floats]:
+def _tips(model: Model, predicted: Floats, seen: Floats, visible: Mask) -> tuple[Floats, Floats]:
     """Tip centroids seen and predicted, over the tip points visible in a frame; NaN where none is.
 
     Markers carried on a template: the marker that moves most is the tip.
@@ -276,7 +280,7 @@ def _tips(model: Any, predicted: Floats, seen: Floats, visible: Mask) -> tuple[F
     return both[0], both[1]
 
 
-def _by_section(model: Any, squared: Floats, visible: Mask) -> list[Bin]:
+def _by_section(model: Model, squared: Floats, visible: Mask) -> list[Bin]:
     """One bin per section of the template, base first, with its height range; one per marker for markers."""
     count = squared.shape[1]
     markers = len(model.triangles) == 0 or len(model.rest) != count
@@ -302,7 +306,7 @@ def _bin_of(cell: Cell, squared: Floats, visible: Mask) -> Bin:
     return Bin(cell.label, cell.low, cell.high, count, _rms(squared[cell.frames][inside]) if count else 0.0)
 
 
-def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Any, rms: float) -> dict[str, Any]:
+def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run, rms: float) -> dict[str, Any]:
     """The bin that stands out most in each condition, worst first, and the worst frame."""
     least = max(3, round(0.02 * len(squared)))
     found: list[dict[str, Any]] = []
@@ -319,13 +323,13 @@ def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Any
     }
 
 
-def _template(model: Any, seen: Floats) -> Floats | None:
+def _template(model: Model, seen: Floats) -> Floats | None:
     """The template at rest (N, 3), if the seen points are its vertices."""
     whole = len(model.triangles) > 0 and len(model.rest) == seen.shape[1]
     return np.asarray(model.rest, float) if whole else None
 
 
-def _drawn(model: Any, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[np.int64] | None]:
+def _drawn(model: Model, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[np.int64] | None]:
     """Where to draw the points: on the template with its triangles, or where the markers were on average."""
     rest = _template(model, seen)
     if rest is not None:
@@ -334,7 +338,7 @@ def _drawn(model: Any, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[np.
     return seen.sum(axis=0) / count[:, None], None
 
 
-def _model_digest(model: Any) -> str:
+def _model_digest(model: Model) -> str:
     """A hash of what predicts: the prior's and the fields' arrays, the template, the chain and its parameters."""
     sha = hashlib.sha256()
     for room, arrays in sorted(model.arrays.items()):

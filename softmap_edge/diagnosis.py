@@ -25,6 +25,7 @@ from softmap_edge.report import VERDICTS, diagnosis_text
 from softmap_edge.search import Search
 
 if TYPE_CHECKING:
+    from softmap_edge.model import Model
     from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
@@ -51,7 +52,7 @@ class Diagnosis:
     unexplained: dict[str, Any]
     next: list[dict[str, Any]]
     made_from: dict[str, Any]
-    model: Any = field(default=None, repr=False)
+    model: Any = field(default=None, repr=False)  # a Model; callers of `diagnose` need not look for None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document softmap.diagnosis/1."""
@@ -101,7 +102,7 @@ class Diagnosis:
 
 
 def diagnose(
-    model: Any,
+    model: Model,
     run: Run,
     held_out: Run | None = None,
     effects: Sequence[str] | None = None,
@@ -142,7 +143,7 @@ def diagnose(
     return Diagnosis(**conclude(search, fit, other, demoted, impossible, seed), model=found)
 
 
-def refit(model: Any, run: Run, library: Any = None) -> tuple[Any, dict[str, Any]]:
+def refit(model: Model, run: Run, library: Any = None) -> tuple[Model, dict[str, Any]]:
     """Fit the parameters of a model's own effects again to a run.
 
     Returns:

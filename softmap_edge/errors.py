@@ -25,6 +25,14 @@ class FingerError(SoftmapError):
     """A finger description cannot be built."""
 
 
+class SimulationError(SoftmapError):
+    """A simulation was asked for something impossible."""
+
+
+class NoEquilibriumError(SimulationError):
+    """The simulator found no equilibrium; the message says where, how far off, and what to try."""
+
+
 class CoreError(SoftmapError, ValueError):
     """The compiled core was asked for something impossible."""
 

@@ -111,13 +111,10 @@ class Model:
 
     def commands(self, run: Run) -> Floats:
         """Return the run's commands (T, C) as this model takes them: the present position if there is one."""
-        u = run.present if self.input == "present" and run.present is not None else run.command
-        if u is None and run.ticks is not None:
-            raise RunError("the run has ticks only; give it `command` in mm or calibrate the bundle (ticks → mm) first")
-        if u is None or u.shape[1] != self.channels:
-            got = 0 if u is None else u.shape[1]
+        u = run.commands("goal" if self.input == "goal" else None)
+        if u.shape[1] != self.channels:
             raise RunError(
-                f"the run has {got} commands a sample, this model of '{self.robot}' takes {self.channels}; "
+                f"the run has {u.shape[1]} commands a sample, this model of '{self.robot}' takes {self.channels}; "
                 "it is a run of another robot, or the mapping misses columns"
             )
         return np.ascontiguousarray(u, float)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.errors import FingerError, SoftmapError, brief
+from softmap_edge.errors import FingerError, SimulationError, SoftmapError, brief
 from softmap_edge.finger import Finger
 from softmap_edge.npz import read_npz, write_npz
 
@@ -29,14 +29,6 @@ Progress = Callable[[float], None]
 SCHEMA = "softmap.sweep.file/2"
 UNITS = {"command": "mm", "vertices": "mm", "pull": "N", "gravity": "g", "tip_force": "N"}
 _NUMBERS = tuple(UNITS)
-
-
-class SimulationError(SoftmapError):
-    """A simulation was asked for something impossible."""
-
-
-class NoEquilibriumError(SimulationError):
-    """The simulator found no equilibrium; the message says where, how far off, and what to try."""
 
 
 @dataclass(frozen=True)
@@ -281,10 +273,8 @@ def _shape(shape: tuple[int | None, ...]) -> str:
 
 @contextmanager
 def _told() -> Iterator[None]:
-    """Turn the core's errors into this package's."""
+    """Tell what the core refuses as a fault of the simulation that was asked for."""
     try:
         yield
-    except _core.NoEquilibriumError as error:
-        raise NoEquilibriumError(str(error)) from None
     except _core.CoreError as error:
         raise SimulationError(str(error)) from None

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from softmap_edge import _core
-from softmap_edge.errors import FingerError, SoftmapError
+from softmap_edge.errors import FingerError, NoEquilibriumError, SimulationError, SoftmapError
 from softmap_edge.finger import Finger, Tendon
 from softmap_edge.npz import read_npz
-from softmap_edge.simulator import NoEquilibriumError, SimulationError, Simulator, Sweep
+from softmap_edge.simulator import Simulator, Sweep
 
 
 @pytest.fixture(scope="module")

@@ -10,19 +10,13 @@ mod shape;
 mod table;
 
 use crate::Error;
-use pyo3::create_exception;
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::import_exception;
 use pyo3::prelude::*;
 
-// One of the package's family, so that whoever catches SoftmapError catches this too.
+// Of the package's family, so that whoever catches SoftmapError catches these too.
 import_exception!(softmap_edge.errors, CoreError);
-create_exception!(
-    _core,
-    NoEquilibriumError,
-    CoreError,
-    "The simulator found no equilibrium."
-);
+import_exception!(softmap_edge.errors, NoEquilibriumError);
 
 impl From<Error> for PyErr {
     fn from(error: Error) -> PyErr {
@@ -36,8 +30,6 @@ impl From<Error> for PyErr {
 
 #[pymodule]
 mod _core {
-    #[pymodule_export]
-    use super::NoEquilibriumError;
     #[pymodule_export]
     use super::cables::PyCables;
     #[pymodule_export]
