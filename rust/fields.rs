@@ -4,14 +4,14 @@
 //! modes expanded once: a sum of seven fields then costs as much as one or two. Other fields (a rod's) are added one by one.
 
 use crate::shape::Shape;
-use crate::table::Table;
+use crate::table::{Table, TableSum};
 use std::sync::Arc;
 
 /// Fields in a fixed order; some may be absent.
 pub struct Fields {
     members: Vec<Option<Arc<dyn Shape>>>,
-    /// The same, in one table of mode weights (nodes, fields · modes), if they share grid and modes.
-    together: Option<Table>,
+    /// The same side by side, if all are tables that share grid and modes.
+    together: Option<TableSum>,
 }
 
 impl Fields {
@@ -36,8 +36,8 @@ impl Fields {
         if weights.iter().all(|w| *w == 0.0) {
             return;
         }
-        if let Some(table) = &self.together {
-            return table.add_blended(u, weights, frame);
+        if let Some(sum) = &self.together {
+            return sum.add(u, weights, frame);
         }
         for (field, weight) in self.members.iter().zip(weights) {
             if let (Some(field), true) = (field, *weight != 0.0) {
@@ -50,12 +50,12 @@ impl Fields {
         }
     }
 
-    fn together(members: &[Option<Arc<dyn Shape>>]) -> Option<Table> {
+    fn together(members: &[Option<Arc<dyn Shape>>]) -> Option<TableSum> {
         let tables: Option<Vec<&Table>> = members
             .iter()
             .map(|field| field.as_ref().and_then(|field| field.table()))
             .collect();
-        Table::side_by_side(&tables?)
+        TableSum::new(&tables?)
     }
 }
 

@@ -1,7 +1,8 @@
 //! What every family of shapes promises: commands in, numbers out, slopes on request.
 //!
 //! A shape maps C command numbers (mm) to M output numbers (mm, or per-unit displacements for a field). The table, the
-//! rod and whatever comes later implement this trait; nothing that consumes a shape can tell which one it is.
+//! rod and whatever comes later implement this trait; what consumes a shape need not know which one it is (`fields.rs`
+//! asks for tables, to sum them faster).
 
 use crate::table::Table;
 

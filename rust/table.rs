@@ -140,48 +140,6 @@ impl Table {
         Table::new(self.axes.clone(), self.coefficients.clone(), mean, modes)
     }
 
-    /// Tables without means on the same grid with the same modes as one: mode weights (nodes, tables · m), to be asked by
-    /// `add_blended` only. None if they differ.
-    pub fn side_by_side(tables: &[&Table]) -> Option<Table> {
-        let first = tables.first()?;
-        let alike = tables.iter().all(|t| {
-            t.axes == first.axes && t.modes == first.modes && t.mean.iter().all(|m| *m == 0.0)
-        });
-        let count = first.count;
-        if !alike || count == 0 || count > STACK_MODES {
-            return None;
-        }
-        let nodes = first.coefficients.len() / count;
-        let coefficients = (0..nodes)
-            .flat_map(|n| {
-                tables
-                    .iter()
-                    .map(move |t| &t.coefficients[n * count..(n + 1) * count])
-            })
-            .flatten()
-            .copied()
-            .collect();
-        Some(Table {
-            coefficients,
-            ..(*first).clone()
-        })
-    }
-
-    /// Add Σ_t w_t·table_t(u) to `out` (M,), for what `side_by_side` made of the tables t.
-    pub fn add_blended(&self, u: &[f64], weights: &[f64], out: &mut [f64]) {
-        let (mut sum, count) = ([0.0; STACK_MODES], self.count);
-        self.visit(&self.stencils(u, None), |node, share| {
-            let rows = self.coefficients[node * count * weights.len()..].chunks_exact(count);
-            for (row, weight) in rows.zip(weights).filter(|(_, weight)| **weight != 0.0) {
-                let factor = share * weight;
-                sum.iter_mut()
-                    .zip(row)
-                    .for_each(|(sum, value)| *sum += factor * value);
-            }
-        });
-        self.expand(&sum[..count], out);
-    }
-
     /// Call `add(node, share)` for the nodes of one stencil per axis.
     fn visit(&self, stencils: &[Stencil; MAX_CHANNELS], mut add: impl FnMut(usize, f64)) {
         let length = |c: usize| self.axes.get(c).map_or(1, Vec::len);
@@ -231,6 +189,55 @@ impl Table {
             stencils[c] = stencil(axis, u[c], derivative == Some(c));
         }
         stencils
+    }
+}
+
+/// Tables without means on one grid with one set of modes, whose weighted sum expands the modes once.
+#[derive(Debug, Clone)]
+pub struct TableSum {
+    /// Grid and modes that all share.
+    shared: Table,
+    /// Mode weights (nodes, tables, m) of all.
+    coefficients: Vec<f64>,
+}
+
+impl TableSum {
+    /// Put `tables` side by side; None if their grids or modes differ, or if they have a mean.
+    pub fn new(tables: &[&Table]) -> Option<TableSum> {
+        let first = *tables.first()?;
+        let alike = tables.iter().all(|t| {
+            t.axes == first.axes && t.modes == first.modes && t.mean.iter().all(|m| *m == 0.0)
+        });
+        let count = first.count;
+        if !alike || count == 0 || count > STACK_MODES {
+            return None;
+        }
+        let nodes = first.coefficients.len() / count;
+        let row = |n: usize| n * count..(n + 1) * count;
+        let coefficients = (0..nodes)
+            .flat_map(|n| tables.iter().flat_map(move |t| &t.coefficients[row(n)]))
+            .copied()
+            .collect();
+        Some(TableSum {
+            shared: first.clone(),
+            coefficients,
+        })
+    }
+
+    /// Add Σ_t w_t·table_t(u) to `out` (M,).
+    pub fn add(&self, u: &[f64], weights: &[f64], out: &mut [f64]) {
+        let (shared, count) = (&self.shared, self.shared.count);
+        let mut sum = [0.0; STACK_MODES];
+        shared.visit(&shared.stencils(u, None), |node, share| {
+            let rows = self.coefficients[node * count * weights.len()..].chunks_exact(count);
+            for (row, weight) in rows.zip(weights).filter(|(_, weight)| **weight != 0.0) {
+                let factor = share * weight;
+                sum.iter_mut()
+                    .zip(row)
+                    .for_each(|(sum, value)| *sum += factor * value);
+            }
+        });
+        shared.expand(&sum[..count], out);
     }
 }
 
