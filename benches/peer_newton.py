@@ -17,7 +17,8 @@ class NumpySolid:
     def __init__(self, nodes, bricks, young, poisson, fixed):
         self.nodes, self.bricks = np.asarray(nodes, float), np.asarray(bricks)
         self.mu, self.kappa = young / (2 * (1 + poisson)), young / (3 * (1 - 2 * poisson))
-        corners = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], float)
+        around = ((-1, -1), (1, -1), (1, 1), (-1, 1))  # counter-clockwise, as the bricks' corners are numbered
+        corners = np.array([[x, y, z] for z in (-1, 1) for x, y in around], float)
         points = corners / np.sqrt(3)
         slope = np.empty((8, 8, 3))
         for q, xi in enumerate(points):

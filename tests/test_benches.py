@@ -1,0 +1,30 @@
+"""The peers of the benchmarks do the same work as the core: a ratio of different work would say nothing."""
+
+import numpy as np
+
+from benches.peer_newton import NumpySolid
+from benches.peer_rollout import backlash_and_creep
+from softmap_edge import _core
+from softmap_edge.finger import Finger
+from softmap_edge.simulator import Simulator
+
+
+def test_the_numpy_solid_takes_the_same_newton_step():
+    finger = Finger.builtin()
+    solid = Simulator(finger).solid
+    peer = NumpySolid(solid.nodes, solid.bricks, finger.young_mpa, finger.poisson, solid.fixed)
+    bent = solid.nodes + 0.02 * np.sin(solid.nodes / 7.0) * (solid.nodes[:, 2:] / solid.nodes[:, 2].max())
+    ours, theirs = solid.newton_step(bent).ravel()[peer.free], peer.newton_step(bent)
+    # Round-off of two factorisations of one matrix; the step itself is 0.02 mm.
+    assert np.abs(ours).max() > 1e-3 and np.abs(ours - theirs).max() < 1e-10
+
+
+def test_the_numpy_rollout_gives_the_same_records():
+    t = np.arange(400) * 0.02
+    u = 8 * np.sin(0.7 * t[:, None] + [0.0, 1.0])
+    chain = _core.Chain(["backlash", "creep"], 2)
+    params = np.stack([chain.start, 1.1 * np.asarray(chain.start)])
+    at = {label: k for k, label in enumerate(chain.labels)}
+    gap, strength, tau = (params[:, at[k]].copy() for k in ("backlash.gap", "creep.strength", "creep.tau"))
+    ours, theirs = chain.rollout(params, u, t), backlash_and_creep(gap, strength, tau, u, t)
+    assert np.abs(ours - u).max() > 0.1 and np.abs(ours - theirs).max() < 1e-9
