@@ -43,6 +43,7 @@ def page() -> str:
 
 
 def _section(effect: dict[str, Any]) -> str:
+    block, minutes = effect["experiment"]
     needs = ", ".join(effect["needs"]) or "nothing beyond commands"
     facts = f"{effect['role']} effect of the stage *{effect['stage']}*, family *{effect['family']}*"
     if effect["kind"] == "fault":
@@ -61,6 +62,7 @@ def _section(effect: dict[str, Any]) -> str:
             effect["doc"],
             "",
             f"- **While it is missing:** {effect['signature']}",
+            f"- **To show it:** {block} ({minutes:g} min).",
             f"- **Kind:** {facts}.",
             f"- **Needs in a run:** {needs}.",
             f"- **Reference:** {effect['reference']}",

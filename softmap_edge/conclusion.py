@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from softmap_edge.conditions import cells
 from softmap_edge.evidence import (
-    DEFAULT_EXPERIMENT,
-    EXPERIMENTS,
-    Hidden,
     Leftover,
+    Untestable,
     equivalents,
+    experiment,
     form_rms,
     ladder,
     ladder_on,
@@ -40,7 +39,7 @@ def conclude(
     fit: Fit,
     other: Record | None = None,
     demoted: Sequence[str] = (),
-    impossible: Sequence[Hidden] = (),
+    impossible: Sequence[Untestable] = (),
     seed: int = 0,
 ) -> dict[str, Any]:
     """Say what a finished search means.
@@ -84,7 +83,7 @@ def conclude(
             "blocked_r2": left.blocked_r2,
             "predicted_by": left.predicted_by,
         },
-        "next": _next(rivals, hidden),
+        "next": _next(rivals, hidden, registry),
         "made_from": _made_from(search, order, other, demoted, registry, seed),
     }
 
@@ -155,7 +154,7 @@ def _rivals(
 ) -> list[dict[str, Any]]:
     rivals = [{"member": member, "effects": list(other.effects), "why": why} for member, other, why in found]
     for member in fit.effects:
-        for twin in equivalents(search.problem.record, member, list(registry)):
+        for twin in equivalents(search.problem.record, member, registry):
             swapped = [twin if e == member else e for e in fit.effects]
             if twin in fit.effects or any(set(swapped) == set(r["effects"]) for r in rivals):
                 continue
@@ -165,7 +164,7 @@ def _rivals(
 
 
 def _verdict(
-    physics: list[Any], faults: list[Any], rivals: list[Any], left: Leftover, hidden: list[Hidden], count: int
+    physics: list[Any], faults: list[Any], rivals: list[Any], left: Leftover, hidden: list[Untestable], count: int
 ) -> str:
     if left.claim:
         return "partly_explained"
@@ -182,7 +181,7 @@ def _sentence(
     faults: list[dict[str, Any]],
     rivals: list[dict[str, Any]],
     left: Leftover,
-    hidden: list[Hidden],
+    hidden: list[Untestable],
     error: dict[str, Any],
     demoted: Sequence[str],
 ) -> str:
@@ -257,12 +256,14 @@ def _where(record: Record, fit: Fit) -> dict[str, list[dict[str, Any]]]:
     return found
 
 
-def _next(rivals: list[dict[str, Any]], hidden: list[Hidden]) -> list[dict[str, Any]]:
+def _next(
+    rivals: list[dict[str, Any]], hidden: list[Untestable], registry: dict[str, dict[str, Any]]
+) -> list[dict[str, Any]]:
     """Return the blocks that would settle what is open; the separation is not simulated here and says so by null."""
     blocks: dict[str, dict[str, Any]] = {}
     for rival in rivals:
         other = next((e for e in rival["effects"] if e != rival["member"]), rival["member"])
-        block, minutes = EXPERIMENTS.get(rival["member"], DEFAULT_EXPERIMENT)
+        block, minutes = experiment(registry, rival["member"])
         entry = blocks.setdefault(block, {"block": block, "minutes": minutes, "settles": [], "separation": None})
         entry["settles"] += [n for n in (rival["member"], other) if n not in entry["settles"]]
     for item in hidden:

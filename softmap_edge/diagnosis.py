@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.conclusion import conclude, parameters
 from softmap_edge.errors import SoftmapError
-from softmap_edge.evidence import EXPERIMENTS, Hidden, orientations
+from softmap_edge.evidence import Untestable, experiment, orientations
 from softmap_edge.fit import Fit, Problem, Record
 from softmap_edge.noise import command_kernel, estimate_noise, form_covariance, rod_noise, whitener
 from softmap_edge.report import VERDICTS, diagnosis_text
@@ -177,7 +177,7 @@ def refit(model: Model, run: Run, library: Any = None) -> tuple[Model, dict[str,
 
 def _candidates(
     record: Record, registry: dict[str, dict[str, Any]], wanted: Sequence[str] | None
-) -> tuple[list[str], list[Hidden]]:
+) -> tuple[list[str], list[Untestable]]:
     unknown = [name for name in wanted or () if name not in registry]
     if unknown:
         raise SoftmapError(f"no effect '{unknown[0]}'; there are {', '.join(registry)}")
@@ -188,14 +188,14 @@ def _candidates(
     for name in names:
         missing = [f for f in registry[name].get("needs", []) if getattr(record.run, f, None) is None]
         if registry[name]["role"] == "channel" and record.model.channels == 0:
-            impossible.append(Hidden(name, "nothing is commanded in this run", "a run with commands", 1.0))
+            impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
         elif missing:
-            impossible.append(Hidden(name, f"the run does not declare {', '.join(missing)}", "declare it", 1.0))
+            impossible.append(Untestable(name, f"the run does not declare {', '.join(missing)}", "declare it", 1.0))
     if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record) == 1:
         # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than
         # its form error, and a tilt of gravity is an offset. The simpler member stands for the family.
-        block, minutes = EXPERIMENTS["gravity"]
-        impossible.append(Hidden("gravity", "in one orientation a rod cannot tell it from payload", block, minutes))
+        block, minutes = experiment(registry, "gravity")
+        impossible.append(Untestable("gravity", "in one orientation a rod cannot tell it from payload", block, minutes))
     out = {h.name for h in impossible}
     return [n for n in names if n not in out], impossible
 

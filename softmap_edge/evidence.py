@@ -11,7 +11,7 @@ tests/test_diagnosis.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,43 +24,12 @@ from softmap_edge.search import VISIBLE_MM, Search
 Floats = NDArray[np.float64]
 
 DETECTABLE = 5.0  # whitened size (standard deviations) below which a signature counts as not shown
-DISTINCT = 0.03  # least share of a signature that no rival can imitate, for its effect to be told apart
 RIDGE = 3.0  # ridge on standardised columns
 LEFT_R2, LEFT_FORM, LEFT_SHARE = 0.12, 1.5, 0.25  # what makes a leftover worth a claim
 
-# Which condition an effect needs to show itself, and the block that gives it.
-EXPERIMENTS: dict[str, tuple[str, float]] = {
-    "latency": ("fast triangle of full range, seen while it moves", 0.5),
-    "lag": ("fast and slow triangle of full range, seen while it moves", 1.0),
-    "rate_limit": ("fast triangles of two speeds", 1.0),
-    "clock_shift": ("one sharp step seen by camera and servo", 0.2),
-    "backlash": ("small loops at two offsets", 1.5),
-    "friction": ("loops at small and at large bend", 1.5),
-    "hysteresis": ("triangles of growing size, up and back", 2.0),
-    "creep": ("staircase with dwells of 6 to 10 s", 2.0),
-    "tendon_creep": ("one dwell of a minute, then home", 2.0),
-    "mullins": ("growing amplitude, then back", 2.0),
-    "thermal_softening": ("a warm-up, nothing else changed", 10.0),
-    "gravity": ("the same moves in another orientation, declared in the run", 3.0),
-    "payload": ("the same moves with a known 10 g", 3.0),
-    "offset": ("home and both signs of every channel", 1.0),
-    "gain": ("full range, both signs, at least three levels", 1.0),
-    "coupling": ("single axes, then diagonals", 1.5),
-    "mount": ("points near the base, home revisits", 0.5),
-}
-DEFAULT_EXPERIMENT = ("the standard protocol in two orientations", 6.0)
-
-# Structural equivalents: (members, condition that resolves them); the condition is looked up in the run.
-EQUIVALENTS: list[tuple[tuple[str, str], str]] = [
-    (("gravity", "payload"), "orientation"),
-    (("latency", "clock_shift"), "never"),
-    (("offset", "pre_curve"), "never"),
-    (("gain", "tendon_stretch"), "load"),
-]
-
 
 @dataclass(frozen=True)
-class Hidden:
+class Untestable:
     """An effect that this run cannot show (or cannot tell from another): why, and the experiment that would."""
 
     name: str
@@ -94,27 +63,32 @@ def orientations(record: Record) -> int:
     return max(1, len(found))
 
 
-def equivalents(record: Record, name: str, candidates: Sequence[str]) -> list[str]:
+def equivalents(record: Record, name: str, registry: Mapping[str, dict[str, Any]]) -> list[str]:
     """Return the candidates that this run cannot tell from `name` by their form."""
     resolved = {
         "orientation": orientations(record) > 1,
         "load": record.run.load is not None and float(np.ptp(record.run.load)) > 0,
         "never": False,
     }
-    pairs = [set(pair) for pair, by in EQUIVALENTS if name in pair and not resolved[by]]
-    return [c for c in candidates if c != name and any(c in pair for pair in pairs)]
+    return [twin for twin, by in registry[name]["alike"].items() if twin in registry and not resolved[by]]
 
 
-def not_testable(search: Search, fit: Fit, registry: dict[str, dict[str, Any]]) -> list[Hidden]:
+def experiment(registry: Mapping[str, dict[str, Any]], name: str) -> tuple[str, float]:
+    """Return what to record so that an effect shows itself, and the minutes that takes."""
+    block, minutes = registry[name]["experiment"]
+    return str(block), float(minutes)
+
+
+def not_testable(search: Search, fit: Fit, registry: dict[str, dict[str, Any]]) -> list[Untestable]:
     """Return the candidates outside the fit whose signature at mid-range this run does not show."""
     problem, found = search.problem, []
     for name in search.candidates:
         if name in fit.effects:
             continue
-        block, minutes = EXPERIMENTS.get(name, DEFAULT_EXPERIMENT)
+        block, minutes = experiment(registry, name)
         missing = [f for f in registry[name].get("needs", []) if getattr(problem.record.run, f, None) is None]
         if missing:
-            found.append(Hidden(name, f"the run does not declare {', '.join(missing)}", block, minutes))
+            found.append(Untestable(name, f"the run does not declare {', '.join(missing)}", block, minutes))
             continue
         signature = strongest(problem, name)
         moved = problem.record.rms_mm(signature)
@@ -126,7 +100,7 @@ def not_testable(search: Search, fit: Fit, registry: dict[str, dict[str, Any]]) 
             why = f"at mid-range its signature has {size:.1f} standard deviations here, {DETECTABLE:g} are needed"
         else:
             continue
-        found.append(Hidden(name, why, block, minutes))
+        found.append(Untestable(name, why, block, minutes))
     return found
 
 

@@ -170,21 +170,12 @@ class Whitener:
         factor = 1.0 / np.sqrt(1.0 + kernel.strength[:, None] * self.form[None, :]) - 1.0
         return np.asarray(modes + kernel.basis @ (factor * inside))
 
-    def explained_form(self, modes: Floats) -> Floats:
-        """Return the part of `modes` (K, M) that the form error alone would explain (posterior mean)."""
-        if not len(self.kernel.strength) or not np.any(self.form > 0):
-            return np.zeros_like(modes)
-        gain = self.kernel.strength[:, None] * self.form
-        return np.asarray(self.kernel.basis @ (gain / (1.0 + gain) * (self.kernel.basis.T @ modes)))
-
     def __call__(self, difference: Floats) -> Floats:
         """Return the whitened difference (..., K, M)."""
         return self.shrink(self.modes(difference))
 
 
-def whitener(
-    noise: Noise, form: Floats, signatures: Floats, kernel: Kernel, calibrate: Floats | None = None
-) -> Whitener:
+def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel) -> Whitener:
     """Build the whitener on the span of the signatures.
 
     Args:
@@ -192,7 +183,6 @@ def whitener(
         form: covariance (F, F) mm² of the model's own error; zeros switch it off.
         signatures: feature differences (S, K, F) mm that candidates would make; their span is what is looked at.
         kernel: kernel over the commands of the frames.
-        calibrate: replicate deviations (n, F) mm on which each mode is brought to unit variance, if there are many.
 
     Returns:
         Whitener: with at most 24 modes.
@@ -213,9 +203,6 @@ def whitener(
     total = max(float(values.sum()), 1e-300)
     keep = [int(i) for rank, i in enumerate(order) if rank < 3 or values[i] > 2e-4 * total]
     project = vectors[:, keep].T @ inverse
-    if calibrate is not None and len(calibrate) >= 4 * ENOUGH:
-        scale = np.sqrt(np.mean((calibrate @ project.T) ** 2, axis=0))
-        project = project / np.clip(scale, 0.3, 3.0)[:, None]
     return Whitener(project, np.einsum("mf,fg,mg->m", project, form, project), kernel)
 
 

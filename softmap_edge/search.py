@@ -62,11 +62,6 @@ class Search:
 
     # --- fits -----------------------------------------------------------------------------------
 
-    @property
-    def fits(self) -> list[Fit]:
-        """All sets fitted so far."""
-        return list(self._fits.values())
-
     def get(self, effects: Sequence[str] | frozenset[str]) -> Fit:
         """Return the fit of a set, fitting it if it is new."""
         key = frozenset(effects)

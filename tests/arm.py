@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from softmap_edge import _core
 from softmap_edge.features import FeatureMap
 from softmap_edge.run import Run
 
@@ -27,8 +28,11 @@ def entry(name, family, stage, role, kind, parameters):
     return dict(
         name=name, family=family, stage=stage, role=role, formula="", doc="", signature="", reference="the test's own",
         needs=[], kind=kind, parameters=parameters,
+        experiment=REGISTRY[name]["experiment"], alike=REGISTRY[name]["alike"],
     )  # fmt: skip
 
+
+REGISTRY = {e["name"]: e for e in _core.effects()}
 
 EFFECTS = [
     entry("offset", "actuation map", "command", "channel", "effect", [parameter("shift", "mm", 0, 0.5, -3, 3, True)]),

@@ -6,6 +6,7 @@ Truths never use the effect library. One seed of each runs in `make test`; ten s
 import numpy as np
 import pytest
 
+from softmap_edge import _core
 from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.demo import trial
 from softmap_edge.truth import hide
@@ -15,15 +16,7 @@ SEED = 4  # the seed of `make test`: a batch that is 10 % softer
 PROVE_SEEDS = range(10)
 NULL_SEEDS = range(30)
 FALL = 0.85  # of the removable error, median over the cases
-# DESIGN §9: who may stand for whom when the data cannot separate them
-FAMILIES = [
-    {"offset", "gain", "coupling", "routing", "asymmetry", "tendon_stretch", "saturation", "eccentric_pulley"},
-    {"latency", "lag", "rate_limit", "clock_shift"},
-    {"backlash", "friction", "hysteresis"},
-    {"creep", "tendon_creep", "thermal_softening", "anchor_slip", "camera_drift", "mullins"},
-    {"gravity", "payload"},
-    {"mount", "scale", "lens"},
-]
+FAMILY = {effect["name"]: effect["family"] for effect in _core.effects()}
 
 
 def case(names, seed):
@@ -41,9 +34,8 @@ def first(story, name):
     named = claimed(story)
     if named[:1] == [name]:
         return True
-    family = next(f for f in FAMILIES if name in f)
     rivals = {member for rival in document["rivals"] for member in rival["effects"]}
-    return bool(named) and document["verdict"] == "ambiguous" and named[0] in family and name in rivals
+    return bool(named) and document["verdict"] == "ambiguous" and FAMILY[named[0]] == FAMILY[name] and name in rivals
 
 
 def fell(before, after, floor):

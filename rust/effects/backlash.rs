@@ -18,6 +18,8 @@ pub static EFFECT: Effect = Effect {
               drags along.",
         signature: "A loop of constant width between there and back; no motion at all just after a reversal.",
         reference: "Play operator: Krasnosel'skii and Pokrovskii, Systems with Hysteresis, Springer 1989.",
+        experiment: ("small loops at two offsets", 1.5),
+        alike: &[],
         needs: &[],
         parameters: &[Parameter {
             name: "gap",

@@ -19,6 +19,8 @@ pub static EFFECT: Effect = Effect {
         signature: "Drift while a command is held, in the direction of the last move; the same command looks different after a \
                     long dwell elsewhere.",
         reference: "Prony series of linear viscoelasticity: Christensen, Theory of Viscoelasticity, 1982.",
+        experiment: ("staircase with dwells of 6 to 10 s", 2.0),
+        alike: &[],
         needs: &[],
         parameters: &[
             Parameter {

@@ -73,6 +73,10 @@ pub struct Declaration {
     /// What the error looks like while the effect is missing from the model.
     pub signature: &'static str,
     pub reference: &'static str,
+    /// What to record so that the effect shows itself, and how many minutes that takes.
+    pub experiment: (&'static str, f64),
+    /// Effects of the same form, and what in a run tells them apart: "orientation", "load" or "never".
+    pub alike: &'static [(&'static str, &'static str)],
     /// Fields a run must carry for the effect to be computed at all.
     pub needs: &'static [&'static str],
     pub parameters: &'static [Parameter],

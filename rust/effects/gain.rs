@@ -16,6 +16,8 @@ pub static EFFECT: Effect = Effect {
               A finger of another modulus is hardly seen under servo displacement and would hide here.",
         signature: "Static, odd in the command: nothing at home, growing with the bend, the same on the way there and back.",
         reference: "Linear map from servo angle to tendon shortening; the matrix A of the command calibration in the paper.",
+        experiment: ("full range, both signs, at least three levels", 1.0),
+        alike: &[],
         needs: &[],
         parameters: &[Parameter {
             name: "factor",

@@ -20,6 +20,11 @@ pub static EFFECT: Effect = Effect {
         doc: "Own weight other than declared: another density, or a mount that leans against the vertical.",
         signature: "A sag that is the same for every speed and history, and changes with the orientation of the base.",
         reference: "Linear response at constant tendon tension, from the simulator's tangent; tensions by complementarity.",
+        experiment: (
+            "the same moves in another orientation, declared in the run",
+            3.0,
+        ),
+        alike: &[("payload", "orientation")],
         needs: &[],
         parameters: &[
             Parameter {

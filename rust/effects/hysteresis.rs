@@ -19,6 +19,8 @@ pub static EFFECT: Effect = Effect {
         signature: "A loop between there and back whose width grows with the swing and saturates; motion sets in at once \
                     after a reversal, but too small.",
         reference: "Prandtl–Ishlinskii operator: Krejčí and Kuhnen, IEE Proc. Control Theory Appl. 148 (2001) 185.",
+        experiment: ("triangles of growing size, up and back", 2.0),
+        alike: &[],
         needs: &[],
         parameters: &[
             Parameter {

@@ -18,6 +18,11 @@ pub static EFFECT: Effect = Effect {
         signature: "Error in proportion to speed like latency, but corners and steps come out rounded.",
         reference: "First-order hold equivalent of a first-order low pass (Franklin, Powell, Workman, Digital Control of \
                     Dynamic Systems).",
+        experiment: (
+            "fast and slow triangle of full range, seen while it moves",
+            1.0,
+        ),
+        alike: &[],
         needs: &[],
         parameters: &[Parameter {
             name: "tau",

@@ -27,6 +27,8 @@ pub static EFFECT: Effect = Effect {
               rounding it.",
         signature: "Error in proportion to speed, with the sign of the motion; none at rest; corners keep their shape.",
         reference: "Dead time of a sampled drive (any text on process control).",
+        experiment: ("fast triangle of full range, seen while it moves", 0.5),
+        alike: &[],
         needs: &[],
         parameters: &[Parameter {
             name: "delay",

@@ -44,6 +44,8 @@ pub static EFFECT: Effect = Effect {
         doc: "The clamped base is misplaced in the measured frame: a rigid turn and shift of everything seen.",
         signature: "Static and rigid, at home too: even the clamped base has moved.",
         reference: "Rotation vector by Rodrigues' formula.",
+        experiment: ("points near the base, home revisits", 0.5),
+        alike: &[],
         needs: &[],
         parameters: &[
             turn("turn_x", "x component of the rotation vector"),

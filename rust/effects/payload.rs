@@ -20,6 +20,8 @@ pub static EFFECT: Effect = Effect {
         doc: "An undeclared mass at the tip: a marker, a gripped object, a camera cable.",
         signature: "A sag towards the ground that grows towards the tip, the same for every speed and history.",
         reference: "Linear response at constant tendon tension, from the simulator's tangent; tensions by complementarity.",
+        experiment: ("the same moves with a known 10 g", 3.0),
+        alike: &[("gravity", "orientation")],
         needs: &[],
         parameters: &[Parameter {
             name: "mass",

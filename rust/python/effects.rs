@@ -7,6 +7,7 @@ use crate::loads::FIELDS;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
+use std::collections::HashMap;
 
 pub(super) type Value<'a, 'py> = &'a Bound<'py, PyAny>;
 pub(super) type Maybe<'py> = Option<Bound<'py, PyAny>>;
@@ -37,6 +38,8 @@ pub fn effects<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         entry.set_item("doc", d.doc)?;
         entry.set_item("signature", d.signature)?;
         entry.set_item("reference", d.reference)?;
+        entry.set_item("experiment", d.experiment)?;
+        entry.set_item("alike", d.alike.iter().copied().collect::<HashMap<_, _>>())?;
         entry.set_item("needs", d.needs.to_vec())?;
         let parameters = PyList::empty(py);
         for p in d.parameters {
