@@ -7,10 +7,13 @@ OUT ?= out
 
 RUST := $(shell find rust -name '*.rs') Cargo.toml Cargo.lock
 
-.PHONY: demo test lint bench prove docs wheel data builtin clean test-rust test-python
+.PHONY: demo build test lint bench prove docs wheel data builtin clean test-rust test-python
 
 demo: $(VENV)/.core
 	$(BIN)/softmap demo --out $(OUT)/demo
+
+# The package and the command `softmap` in .venv, compiled anew if a Rust file changed.
+build: $(VENV)/.core
 
 test: test-rust test-python
 
@@ -63,6 +66,7 @@ $(VENV)/.venv:
 
 # The package itself, compiled; python files are used in place.
 $(VENV)/.core: $(VENV)/.venv $(RUST) pyproject.toml
+	@echo "Compiling the core: a few minutes …"
 	$(UV) --reinstall-package softmap-edge -e '.[report]'
 	touch $@
 

@@ -51,7 +51,12 @@ def _run(verb: Verb, argv: list[str]) -> int:
     except SystemExit as stop:  # argparse has printed why
         return int(stop.code or 0)
     try:
-        return int(getattr(module, function)(args))
+        code = int(getattr(module, function)(args))
+        sys.stdout.flush()  # a closed pipe is told here, not when the interpreter ends
+        return code
+    except BrokenPipeError:  # the reader, `head` perhaps, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
     except (SoftmapError, OSError) as error:
         print(f"softmap {verb.name}: {error}", file=sys.stderr)
         return WRONG_USE

@@ -261,7 +261,16 @@ def _marker_figure(places: Floats, shown: Sequence[tuple[str, Floats]], scale: N
         axes.scatter(x, y, c=values, s=240, cmap=ERROR_MAP, norm=scale, edgecolors=INK, linewidths=0.8, zorder=2)
         for k, value in enumerate(values):
             text = f"marker {k + 1}: {mm(float(value))} mm"
-            axes.annotate(text, (x[k], y[k]), (13, 0), textcoords="offset points", va="center", size=8)
+            left = x[k] > 0.5 * (x.min() + x.max())  # towards the side with more room
+            axes.annotate(
+                text,
+                (x[k], y[k]),
+                (-13 if left else 13, 0),
+                textcoords="offset points",
+                va="center",
+                ha="right" if left else "left",
+                size=8,
+            )
         axes.set_title(f"{name}: worst marker {mm(float(np.nanmax(values)))} mm rms")
         axes.set(xlabel=f"mean {'xyz'[first]}, mm", ylabel=f"mean {'xyz'[second]}, mm")
         axes.margins(x=0.4, y=0.2)

@@ -97,7 +97,10 @@ class Finger:
             with Path(path).open(encoding="utf-8") as file:
                 text = file.read(_MOST_TEXT + 1)
         except (OSError, UnicodeDecodeError) as error:
-            raise FingerError(f"{path}: cannot be read as a finger file ({error}); give a finger.toml") from None
+            raise FingerError(
+                f"{path}: cannot be read as a finger file ({error}); give a finger.toml; a copy of "
+                "softmap_edge/data/finger.toml is a start"
+            ) from None
         try:
             return cls.from_toml(text)
         except FingerError as error:

@@ -7,7 +7,7 @@ everything else recorded beside them is interpolated to those times, and what wa
 A held encoder (read more slowly than it is logged, so that rows repeat) lags by half its period; it is
 un-held by a straight line between the rows where a new value arrives. Longer stillness stays stillness: only
 gaps up to three typical holds are bridged, and nothing is done when the typical hold is over 0.25 s, for
-that is a robot at rest. tests/test_import.py pins all of it; docs: the comments of examples/trunk.toml.
+that is a robot at rest. tests/test_import.py pins all of it; docs/mapping.md lists the keys.
 """
 
 from __future__ import annotations

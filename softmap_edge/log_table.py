@@ -148,6 +148,8 @@ def _all_there(path: Path, names: list[str], wanted: list[Column], line: str, de
     other = _delimiter(line)
     if len(names) == 1 and other != delimiter and line.count(other):
         hint = f"; the file seems to be cut by '{other}', not by '{delimiter}'"
+    if line.lstrip().startswith("#"):
+        hint = "; the line read as header is a comment: set skip_rows to the number of lines above the header"
     raise RunError(f"{path}: no column {listed}; there are {', '.join(names)[:200]}{hint}; change the mapping")
 
 

@@ -1,7 +1,7 @@
 """The mapping file of an import: which column is what, in which unit, frame and rate; read and checked.
 
-Every key is known: a misspelt one is named with those that exist. The form is shown with comments in
-    examples/trunk.toml.
+Every key is known: a misspelt one is named with those that exist. docs/mapping.md lists them;
+examples/trunk.toml shows the form.
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 Shape = Any  # a compiled shape: _core.Table, _core.Rod, _core.RodField
 _TIP_SHARE = 0.05
+BEYOND = 0.05  # share of its range by which a command may leave it before a word is said
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +120,19 @@ class Model:
             )
         return np.ascontiguousarray(u, float)
 
+    def beyond(self, run: Run) -> list[str]:
+        """Return a sentence for each channel whose commands leave the range that the model was made for."""
+        u, notes = self.commands(run), []
+        for c, (low, high) in enumerate(self.command_range if len(u) else ()):
+            least, most = float(u[:, c].min()), float(u[:, c].max())
+            slack = BEYOND * (high - low)
+            if least < low - slack or most > high + slack:
+                notes.append(
+                    f"channel {c} goes from {least:.3g} to {most:.3g} {self.command_unit}, the model of '{self.robot}' "
+                    f"was made from {low:.3g} to {high:.3g}; beyond, it extrapolates"
+                )
+        return notes
+
     def predict(self, run: Run) -> Floats:
         """Return the points (K, N, 3) mm at the run's seen times; markers of the run if it has markers."""
         vertices = self._run_predictor(self._points, self.chain, self.chain_params[None], run)[0]
@@ -181,7 +195,8 @@ class Model:
             return None
         if run.marker_rest is None:
             raise RunError(
-                "the run has markers but no `marker_rest` (M, 3) mm, so they cannot be placed on the template"
+                f"the run has markers but no `marker_rest` (M, 3) mm, so they cannot be placed on the model of "
+                f"'{self.robot}'; give marker_rest_mm in the mapping, or with --bundle a model learnt from such markers"
             )
         return attach(np.asarray(run.marker_rest, float), self.rest)
 

@@ -247,6 +247,14 @@ def _demand(value: Any, kind: Any, name: str) -> Any:
     return value
 
 
+STATIC_ADDED = "+ static correction"
+LADDER_NOTE = (
+    "Measured at the middles of the body's sections, or at the markers; a comparison takes every point. "
+    "A static correction is a polynomial of the command fitted to what is left: "
+    "what it cannot remove depends on history or on conditions."
+)
+
+
 def ladder(error: Mapping[str, Any]) -> list[tuple[str, float]]:
     """Return the steps of a diagnosis's error ladder as (what, mm), the model alone first.
 
@@ -258,7 +266,7 @@ def ladder(error: Mapping[str, Any]) -> list[tuple[str, float]]:
     """
     steps = [("model alone", error.get("model")), ("static correction only", error.get("static_residual"))]
     steps += [(f"+ {row.get('added', '?')}", row.get("value")) for row in error.get("ladder") or []]
-    steps.append(("+ static correction", error.get("with_static_residual")))
+    steps.append((STATIC_ADDED, error.get("with_static_residual")))
     return [(name, known) for name, value in steps if (known := number(value)) is not None]
 
 
@@ -350,6 +358,7 @@ def _ladder_lines(error: Mapping[str, Any]) -> list[str]:
     if floor is not None:
         lines.append(f"  {'floor':<30}{mm(floor):>8}  {'░' * len(bar(floor, scale, 40))}")
         lines += _folded(f"floor: {error.get('floor_kind', 'origin not stated')}", 2)
+    lines += _folded(LADDER_NOTE, 2)
     known = [("noise floor", error.get("noise_floor")), ("model's own held-out error", error.get("model_floor"))]
     told = [f"{name} {mm(value)} {unit}" for name, value in known if number(value) is not None]
     return [*lines, *([f"  {' · '.join(told)}"] if told else [])]
@@ -388,7 +397,7 @@ def _unexplained_lines(left: Mapping[str, Any]) -> list[str]:
         return []
     chi, r2 = left.get("chi2_per_n"), left.get("blocked_r2")
     facts = [f"{mm(left.get('rms_mm'))} mm RMS"]
-    facts += [f"chi²/n {chi:.3g}"] if isinstance(chi, (int, float)) else []
+    facts += [f"chi²/n {chi:.3g} (1 is noise alone)"] if isinstance(chi, (int, float)) else []
     facts += [f"predictable share (blocked R²) {r2:.2g}"] if isinstance(r2, (int, float)) else []
     by = left.get("predicted_by")
     named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "")

@@ -18,6 +18,8 @@ from typing import Any
 from softmap_edge.comparison import Comparison, Series
 from softmap_edge.errors import ReportError
 from softmap_edge.report import (
+    LADDER_NOTE,
+    STATIC_ADDED,
     VERDICTS,
     check_diagnosis,
     check_pair,
@@ -185,14 +187,17 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
     if story.before is not None:
         old, new = story.before.error["rms_mm"], story.after.error["rms_mm"] if story.after else None
         floor, origin = story.before.noise_floor_mm, "camera noise, RMS"
-        note = story.series.kind if story.series else "this run"
+        kind = story.series.kind if story.series else ""
+        told = {"held out": "a run not fitted", "fitted": "the run fitted"}.get(kind, "this run")
+        note = f"all points, {told}"
     else:
-        steps = [value for name, value in ladder(error) if name.startswith("+")]
+        told = str(error.get("kind", "held out"))
+        steps = [value for name, value in ladder(error) if name.startswith("+") and name != STATIC_ADDED]
         old, new = number(error.get("model")), steps[-1] if steps else None
         floor, origin, note = (
             number(error.get("floor")),
             str(error.get("floor_kind") or "floor"),
-            str(error.get("kind", "held out")),
+            told,
         )
     cards = [("error before" if new is not None else "error", f"{mm(old)} mm", f"RMS, {note}", "before")]
     if number(new) is not None and number(old) is not None:
@@ -204,8 +209,8 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
     cards.append(("floor", f"{mm(floor)} mm", origin, "floor"))
     if story.before is not None and story.after is None:
         tip = story.before.error["tip_rms_mm"]
-        cards.insert(1, ("error of the tip", f"{mm(tip)} mm", f"RMS, {note}", "before"))
-        cards.insert(2, ("95 % of points within", f"{mm(story.before.error['p95_mm'])} mm", note, "before"))
+        cards.insert(1, ("error of the tip", f"{mm(tip)} mm", f"RMS, {told}", "before"))
+        cards.insert(2, ("95 % of points within", f"{mm(story.before.error['p95_mm'])} mm", told, "before"))
     return cards
 
 
@@ -220,7 +225,9 @@ def _body(story: Story, figures: ModuleType) -> str:
     if story.series is None:
         return ""
     picture = _picture(figures.body(story.series), "RMS error of each point, drawn on the body")
-    note = f"RMS over all frames of each point, mm, one colour scale, shape at rest, base left; {_kind(story)}."
+    markers = story.series.triangles is None
+    drawn = "markers at their mean places, axes of different scale" if markers else "shape at rest, base left"
+    note = f"RMS over all frames of each point, mm, one colour scale, {drawn}; {_kind(story)}."
     return _section("Error on the body", picture, note)
 
 
@@ -240,6 +247,7 @@ def _ladder(story: Story, figures: ModuleType) -> str:
     note += f"Floor: {_text(error.get('floor_kind', 'origin not stated'))}. "
     known = [("Noise floor", error.get("noise_floor")), ("Model's own held-out error", error.get("model_floor"))]
     note += "".join(f"{name}: {mm(value)} {_text(unit)}. " for name, value in known if number(value) is not None)
+    note += LADDER_NOTE
     return _section(
         "What each effect removes", _picture(figures.ladder_bars(error), "Error ladder down to the floor"), note
     )
@@ -347,7 +355,7 @@ def _unexplained(left: Mapping[str, Any]) -> str:
     chi, share = number(left.get("chi2_per_n")), number(left.get("blocked_r2"))
     rows = [
         ("size", f"{mm(left.get('rms_mm'))} mm RMS"),
-        ("against the noise", "–" if chi is None else f"chi² per number {chi:.3g}"),
+        ("against the noise", "–" if chi is None else f"chi² per number {chi:.3g} (1 is noise alone)"),
         ("predictable share", "–" if share is None else f"blocked R² {share:.2g}"),
         ("follows", named),
     ]

@@ -34,6 +34,7 @@ def summary(run: Run) -> dict[str, Any]:
         "frames": run.frames,
         "frame_rate_hz": _rate(run.t_seen),
         "seen": kind,
+        "points_mm": _extent(seen),
         "points_per_frame": None if seen is None or seen.ndim != 3 else int(seen.shape[1]),
         "visible_share": 1.0 if run.visible is None or not run.visible.size else _rounded(run.visible.mean()),
         "encoders": run.present is not None or run.present_ticks is not None,
@@ -65,6 +66,9 @@ def sentences(document: dict[str, Any]) -> list[str]:
     each = "" if d["points_per_frame"] is None else f" of {d['points_per_frame']} {d['seen']}"
     part = "" if d["visible_share"] == 1.0 else f", {100 * d['visible_share']:.1f} % visible"
     lines.append(f"seen      {d['frames']} frames{each}{rate}{part}")
+    if d["points_mm"]:
+        ranges = ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, (low, high) in zip("xyz", d["points_mm"]))
+        lines.append(f"          {ranges} mm in the base frame")
     lines.append(f"repeats   visits of home: {d['home_visits']}, other places visited again: {d['places_revisited']}")
     told = [f"gravity {d['gravity']}"] if d["gravity"] else []
     told += [f"{name} {_span(d[key])} {u}" for name, key, u in _TOLD if d[key] is not None]
@@ -90,7 +94,20 @@ def _rounded(value: Any) -> float:
 
 
 def _rate(t: np.ndarray[Any, np.dtype[np.float64]]) -> float | None:
-    return _rounded(1.0 / np.median(np.diff(t))) if len(t) > 1 else None
+    if len(t) < 2:
+        return None
+    step = np.diff(t)
+    usual = step[step <= 1.5 * np.median(step)]  # without gaps; the mean, for logged times are rounded
+    return _rounded(1.0 / usual.mean())
+
+
+def _extent(seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> list[list[float]] | None:
+    """Where the points were: lowest and highest x, y, z in mm."""
+    if seen is None or not seen.size or seen.shape[-1] != 3:
+        return None
+    flat = seen.reshape(-1, 3)
+    flat = flat[np.isfinite(flat).all(axis=1)]
+    return [[_rounded(c.min()), _rounded(c.max())] for c in flat.T] if len(flat) else None
 
 
 def _ranges(run: Run) -> list[list[float]]:
@@ -145,8 +162,6 @@ def _missing(run: Run, document: dict[str, Any]) -> list[str]:
         gaps.append("command: only ticks are given; a calibration turns them into mm")
     if run.gravity is None:
         gaps.append("gravity: the orientation of the robot is taken to be that of its model")
-    if run.temperature is None:
-        gaps.append("temperature: thermal softening cannot be told")
     if run.markers is not None and run.marker_rest is None:
         gaps.append("marker_rest: the rest place of the markers has to come from the model")
     if run.sigma is None:

@@ -4,6 +4,7 @@ import hashlib
 import http.server
 import importlib.util
 import json
+import re
 import sys
 import threading
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softmap_edge import mapping
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
 from softmap_edge.importer import import_logs, read_mapping, unhold
@@ -53,6 +55,35 @@ def fault(folder, log_text, mapping=ONE_LOG):
         imported(folder, log_text, mapping)
     assert "\n" not in str(found.value)
     return str(found.value)
+
+
+PAGE = (ROOT / "docs" / "mapping.md").read_text(encoding="utf-8")
+PAGE_MAP = re.search(r"^```toml\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)[1]
+
+
+# --- what docs/mapping.md says -------------------------------------------------------------
+def test_the_example_of_the_page_brings_markers_into_the_base_frame(tmp_path):
+    names = ["stamp", "servo_a", "servo_b"] + [f"m{k}_{axis}" for k in range(1, 6) for axis in "xyz"]
+    base = np.array([[0.0, 0.0, 24.0 * k] for k in range(1, 6)]) + [3.0, 5.0, 0.0]  # x, y, z of five markers
+    seen = np.stack([base[:, 0] + 310, base[:, 2] + 45, 820 - base[:, 1]], axis=1)
+    rows = [[1000 + k / 30, 90.0 * k, 0.0, *seen.ravel()] for k in range(4)]
+    lines = ["# finger lab, servo in degrees", ",".join(names), *(",".join(map(str, row)) for row in rows)]
+    run = imported(tmp_path, "\n".join(lines), PAGE_MAP).run
+    np.testing.assert_allclose(run.markers, np.broadcast_to(base, (4, 5, 3)), atol=1e-9)
+    np.testing.assert_allclose(run.command[:, 0], np.arange(4) * 4 * np.pi)  # 90° of 8 mm
+    assert run.t[0] == 0.0 and run.t_seen[-1] == pytest.approx(0.1)
+    assert "set skip_rows" in fault(tmp_path, "\n".join(lines), PAGE_MAP.replace("skip_rows = 1", ""))
+
+
+def test_every_key_and_unit_is_on_the_page(tmp_path, monkeypatch):
+    asked = set()
+    get = mapping._Table.get
+    monkeypatch.setattr(mapping._Table, "get", lambda self, key, *rest: asked.add(key) or get(self, key, *rest))
+    (tmp_path / "map.toml").write_text(PAGE_MAP, encoding="utf-8")
+    read_mapping(tmp_path / "map.toml")
+    asked |= set(mapping._UNITS) | {unit for units in mapping._UNITS.values() for unit in units} | set(mapping.TIME)
+    assert {"skip_last_rows", "marker_rest_mm", "load_g", "spool_radius_mm"} <= asked
+    assert [key for key in sorted(asked) if not re.search(rf"[`\[]{key}\b|, {key}[, ]", PAGE)] == []
 
 
 # --- what a mapping can say ----------------------------------------------------------------

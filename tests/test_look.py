@@ -1,6 +1,9 @@
 """The verbs that look at a model: predict runs all of it, effects lists the registry."""
 
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -26,6 +29,24 @@ def test_predict_takes_one_command_through_the_effects_of_the_bundle(tmp_path, c
 def test_what_is_no_command_is_refused_in_one_line(text, capsys):
     assert main(["predict", text]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_commands_beyond_the_range_of_the_model_are_told(capsys):
+    assert main(["predict", "16.5,-16"]) == 0
+    assert capsys.readouterr().err == ""  # within a twentieth of the range
+    assert main(["predict", "45,0", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["frames"] == 1
+    assert err.count("\n") == 1 and "channel 0" in err and "-16 to 16" in err
+
+
+def test_a_reader_that_stops_early_is_no_error():
+    program = "import sys; from softmap_edge.cli import main; sys.exit(main(['effects', '--json']))"
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run([sys.executable, "-c", program], stdout=writing, stderr=subprocess.PIPE, check=False)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 def test_effects_lists_the_registry_and_shows_one_in_full(capsys):

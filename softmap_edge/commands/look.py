@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,8 @@ def predict(args: argparse.Namespace) -> int:
     """Predict shapes for a run or one command."""
     model = load_bundle(args.bundle) if args.bundle else builtin_model()
     run = Run.load(args.input) if Path(args.input).suffix == ".npz" else _held(args.input, model)
+    for note in model.beyond(run):
+        print(f"softmap predict: {note}", file=sys.stderr)
     points = model.predict(run)
     tip = points[:, model.tip_indices].mean(axis=1)
     if args.out:
@@ -42,7 +45,7 @@ def predict(args: argparse.Namespace) -> int:
         return 0
     shown = "\n".join(f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm" for x, y, z in tip[:10])
     more = f"\n… {len(tip) - 10} more frames" if len(tip) > 10 else ""
-    print(f"{len(points)} shapes of {points.shape[1]} points\n{shown}{more}")
+    print(f"{len(points)} shape{'s' * (len(points) != 1)} of {points.shape[1]} points\n{shown}{more}")
     return 0
 
 

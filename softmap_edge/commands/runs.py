@@ -23,7 +23,9 @@ _WIDTH = 48  # characters of a trace
 def import_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `import`."""
     parser.add_argument("logs", nargs="+", metavar="LOG.csv", help="the logs of one recording")
-    parser.add_argument("--map", required=True, help="mapping file (examples/trunk.toml shows the form)")
+    parser.add_argument(
+        "--map", required=True, help="mapping file: docs/mapping.md lists its keys, examples/trunk.toml shows the form"
+    )
     parser.add_argument("--out", required=True, help="the run to write (.npz)")
 
 

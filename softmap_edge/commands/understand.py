@@ -30,6 +30,7 @@ def compare(args: argparse.Namespace) -> int:
     from softmap_edge.report import pair_text
 
     run, models = _run(args.run), [_bundle(path) for path in args.bundle or [None]]
+    _warn("compare", models[0], run)
     found = [measure(model, run) for model in models]
     if args.json:
         documents = [c.to_dict() for c in found]
@@ -61,6 +62,7 @@ def diagnose(args: argparse.Namespace) -> int:
     model, run = _bundle(args.bundle), _run(args.run)
     held_out = _run(args.held_out) if args.held_out else None
     wanted = _names(args.effects) if args.effects else None
+    _warn("diagnose", model, run)
     found = find(model, run, held_out, wanted, args.seed, _progress(args))
     if args.out:
         _write_json(args.out, found.to_dict())
@@ -143,6 +145,12 @@ def _bundle(path: str | None) -> Any:
     from softmap_edge.bundle import builtin_model, load_bundle
 
     return builtin_model() if path is None else load_bundle(path)
+
+
+def _warn(verb: str, model: Any, run: Any) -> None:
+    """Tell on stderr, beside any document, where the commands of the run leave the range of the model."""
+    for note in model.beyond(run):
+        print(f"softmap {verb}: {note}", file=sys.stderr)
 
 
 def _names(text: str) -> list[str]:
