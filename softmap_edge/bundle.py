@@ -43,12 +43,7 @@ def save_bundle(model: Model, path: str | Path) -> Path:
     folder = Path(path)
     if not model.arrays:
         raise BundleError("this model has no arrays to write; build it, learn it, or load it from a bundle")
-    if (
-        folder.exists()
-        and not (folder / "manifest.json").exists()
-        and any(folder.iterdir() if folder.is_dir() else [1])
-    ):
-        raise BundleError(f"{folder} exists and is not a bundle; choose another name or remove it")
+    check_folder(folder)
     partial = folder.with_name(folder.name + ".part")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
@@ -83,6 +78,16 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         shutil.rmtree(folder)
     partial.replace(folder)
     return folder
+
+
+def check_folder(folder: Path) -> None:
+    """Raise BundleError when `folder` holds something that is not a bundle, which is never overwritten."""
+    if (
+        folder.exists()
+        and not (folder / "manifest.json").exists()
+        and any(folder.iterdir() if folder.is_dir() else [1])
+    ):
+        raise BundleError(f"{folder} exists and is not a bundle; choose another name or remove it")
 
 
 def load_bundle(path: str | Path) -> Model:

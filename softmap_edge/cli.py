@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import re
 import sys
 from importlib.metadata import entry_points
 
@@ -12,6 +13,7 @@ from softmap_edge import SoftmapError, __version__
 from softmap_edge.commands import ELSEWHERE, VERBS, Verb
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
+NEGATIVE = re.compile(r"-[\d.][^:]*,")
 INTERRUPTED = 130  # as a shell reports Ctrl-C
 
 
@@ -46,6 +48,8 @@ def _run(verb: Verb, argv: list[str]) -> int:
     parser = argparse.ArgumentParser(prog=f"softmap {verb.name}", description=verb.help)
     getattr(module, f"{function.rstrip('_')}_arguments")(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of text")
+    # A command such as -8,3 is no option; argparse leaves alone what holds a space.
+    argv = [f" {word}" if NEGATIVE.match(word) else word for word in argv]
     try:
         args = parser.parse_args(argv)
     except SystemExit as stop:  # argparse has printed why
@@ -57,9 +61,20 @@ def _run(verb: Verb, argv: list[str]) -> int:
     except BrokenPipeError:  # the reader, `head` perhaps, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
-    except (SoftmapError, OSError) as error:
+    except SoftmapError as error:
         print(f"softmap {verb.name}: {error}", file=sys.stderr)
         return WRONG_USE
+    except OSError as error:
+        print(f"softmap {verb.name}: {_of_the_system(error)}", file=sys.stderr)
+        return WRONG_USE
+
+
+def _of_the_system(error: OSError) -> str:
+    """Return what the operating system refused, and what to do."""
+    path = error.filename2 or error.filename
+    if path is None or error.strerror is None:
+        return str(error)
+    return f"{path}: {error.strerror.lower()}; give a path that exists and may be used for this"
 
 
 def _plugged_in() -> list[Verb]:

@@ -71,7 +71,7 @@ class Comparison:
             "run": self.run,
             "bundle": self.bundle,
             "frames": self.frames,
-            "error": self.error,
+            "error": {key: value if math.isfinite(value) else None for key, value in self.error.items()},
             "noise_floor_mm": self.noise_floor_mm,
             "where": {name: [row.to_dict() for row in rows] for name, rows in self.where.items()},
             "worst": self.worst,
@@ -103,7 +103,7 @@ class Comparison:
                 run=dict(document["run"]),
                 bundle=dict(document["bundle"]),
                 frames=int(document["frames"]),
-                error={key: float(document["error"][key]) for key in ERROR_KEYS},
+                error={key: _length(document["error"][key]) for key in ERROR_KEYS},
                 noise_floor_mm=None if floor is None else float(floor),
                 where=where,
                 worst=dict(document["worst"]),
@@ -354,6 +354,11 @@ def _made_from(kind: str) -> dict[str, Any]:
     from softmap_edge import __version__
 
     return {"softmap_edge": __version__, "numpy": np.__version__, "noise_floor": kind}
+
+
+def _length(value: Any) -> float:
+    """Read a length; null is one that is not known, as the tip's where the tip is never seen."""
+    return math.nan if value is None else float(value)
 
 
 def _bin(row: Any) -> Bin:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.conditions import cells
 from softmap_edge.evidence import (
+    LEFT_R2,
     Leftover,
     Untestable,
     equivalents,
@@ -188,9 +189,11 @@ def _sentence(
     names = " + ".join(e["name"] for e in [*physics, *faults])
     after = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
     fall = f"the held-out error falls from {error['model']:.2f} to {after:.2f} mm"
-    lost = f" Dropped, because the error on the independent run did not fall: {', '.join(demoted)}." if demoted else ""
+    judge = error["held_out_on"]
+    lost = f" Dropped, because the error on {judge} did not fall: {', '.join(demoted)}." if demoted else ""
     cannot = f" These data cannot show {', '.join(h.name for h in hidden)}." if hidden else ""
-    unknown = f"{left.rms_mm:.2f} mm RMS are left that {left.predicted_by or 'something unknown'} predicts"
+    by = left.predicted_by if left.blocked_r2 >= LEFT_R2 else "none of its conditions"
+    unknown = f"{left.rms_mm:.2f} mm RMS are left that {by} predicts"
     if verdict == "identified":
         return f"The model lacks {names}; {fall}.{lost}"
     if verdict == "ambiguous":
@@ -228,7 +231,7 @@ def _error(search: Search, order: list[str], other: Record | None) -> dict[str, 
 
 
 def _where(record: Record, fit: Fit) -> dict[str, list[dict[str, Any]]]:
-    """Return the measured error by section and by condition as bins `{label, low, high, n, rms_mm}`."""
+    """Return the measured error by section and by condition as bins `{label, low, high, n, rms_mm}`, if any is seen."""
     squares = record.squares(record.seen - fit.predicted)  # (K, places)
     sections = record.section[record.positions]
 
@@ -253,7 +256,7 @@ def _where(record: Record, fit: Fit) -> dict[str, list[dict[str, Any]]]:
             }
             for c in row
         ]
-    return found
+    return {name: [row for row in rows if row["rms_mm"] is not None] for name, rows in found.items()}
 
 
 def _next(
@@ -288,8 +291,8 @@ def _made_from(
     return {
         "softmap": __version__,
         "seed": seed,
-        "run": record.run.hash(),
-        "held_out": None if other is None else other.run.hash(),
+        "run": record.whole.hash(),
+        "held_out": None if other is None else other.whole.hash(),
         "frames": len(record),
         "robot": getattr(record.model, "robot", None),
         "own_effects": list(record.model.chain_names),

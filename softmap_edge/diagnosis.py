@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 SCHEMA = "softmap.diagnosis/1"
+BEYOND = 0.05  # share of the range, and of the frames, that may lie outside what a model was made from unsaid
+OWN_FALL = 0.7  # fall of the held-out error by a refit from which the model's own numbers are in doubt
 SIGNATURE_FRAMES = 1500  # frames on which the span of the signatures is found
 
 
@@ -138,9 +140,13 @@ def diagnose(
     other = None if held_out is None else Record(model, held_out, library)
     demoted: list[str] = []
     if other is not None:
-        fit, demoted = _demote(search, fit, other)
+        fit, demoted = _demote(search, fit, lambda f: _error_on(f, other), 0.995)
+    else:  # form error can swallow what a static effect does wrong on unseen blocks; in mm it shows
+        fit, demoted = _demote(search, fit, search.held_out_mm, 1.0)
     found = model.with_effects(fit.space.names, fit.params) if fit.effects else model
-    return Diagnosis(**conclude(search, fit, other, demoted, impossible, seed), model=found)
+    document = conclude(search, fit, other, demoted, impossible, seed)
+    document["sentence"] += _outside(record) + _own_misfit(record)
+    return Diagnosis(**document, model=found)
 
 
 def refit(model: Model, run: Run, library: Any = None) -> tuple[Model, dict[str, Any]]:
@@ -200,6 +206,31 @@ def _candidates(
     return [n for n in names if n not in out], impossible
 
 
+def _outside(record: Record) -> str:
+    """Say how much of a run lies beyond the commands that the model was made from, where it extrapolates."""
+    reach = getattr(record.model, "command_range", None)
+    if reach is None or not len(record):
+        return ""
+    low, high = np.asarray(reach, float).T
+    slack = BEYOND * (high - low)
+    beyond = np.any((record.command < low - slack) | (record.command > high + slack), axis=1).mean()
+    if beyond < BEYOND:
+        return ""
+    return f" {100 * beyond:.0f} % of the frames lie beyond the commands that the model was made from: a guess there."
+
+
+def _own_misfit(record: Record) -> str:
+    """Say so when the effects that the model has already are wrong in their numbers: what is missing may be that."""
+    if not record.model.chain_names:
+        return ""
+    report = refit(record.model, record.whole, record.library)[1]
+    before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
+    if after > OWN_FALL * before:
+        return ""
+    names = " + ".join(record.model.chain_names)
+    return f" But its own {names} does not fit this run: `softmap refit` alone takes {before:.2f} mm to {after:.2f} mm."
+
+
 def _problem(record: Record, candidates: Sequence[str]) -> Problem:
     """Measure the noise, set up the form error and look along the span of the candidates' signatures."""
     chain = record.library.Chain(list(record.model.chain_names), record.model.channels)
@@ -239,18 +270,19 @@ def _signatures(record: Record, name: str, base: Floats, frames: NDArray[Any]) -
     return [s[frames] for s in shifts if np.any(np.abs(s) > 1e-9)]
 
 
-def _demote(search: Search, fit: Fit, other: Record) -> tuple[Fit, list[str]]:
-    """Drop members until each lowers the error on an independent run, whatever they do on this one."""
+def _error_on(fit: Fit, other: Record) -> float:
+    """Return the error mm of a fit on an independent run."""
+    params = np.array([[fit.params[label] for label in fit.space.labels]])
+    return other.rms_mm(other.seen - other.predict(fit.space.names, params)[0])
+
+
+def _demote(search: Search, fit: Fit, error: Callable[[Fit], float], share: float) -> tuple[Fit, list[str]]:
+    """Drop members as long as the `error` (mm, on what was not fitted) is at most `share` of what it is with them."""
     demoted: list[str] = []
-
-    def error(f: Fit) -> float:
-        params = np.array([[f.params[label] for label in f.space.labels]])
-        return other.rms_mm(other.seen - other.predict(f.space.names, params)[0])
-
     while fit.effects:
         rests = {e: search.get(frozenset(fit.effects) - {e}) for e in fit.effects}
         useless = min(rests, key=lambda e: error(rests[e]))
-        if error(rests[useless]) > 0.995 * error(fit):
+        if error(rests[useless]) > share * error(fit):
             break
         demoted.append(useless)
         fit = rests[useless]

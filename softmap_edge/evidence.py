@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.fit import Fit, Problem, Record
+from softmap_edge.noise import scaled_commands
 from softmap_edge.search import VISIBLE_MM, Search
 
 Floats = NDArray[np.float64]
@@ -26,6 +27,7 @@ Floats = NDArray[np.float64]
 DETECTABLE = 5.0  # whitened size (standard deviations) below which a signature counts as not shown
 RIDGE = 3.0  # ridge on standardised columns
 LEFT_R2, LEFT_FORM, LEFT_SHARE = 0.12, 1.5, 0.25  # what makes a leftover worth a claim
+MOST_FORM, MOST_SHARE = 3.0, 0.5  # or, predictable or not: so many form errors, and most of what there was
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def not_testable(search: Search, fit: Fit, registry: dict[str, dict[str, Any]]) 
         if missing:
             found.append(Untestable(name, f"the run does not declare {', '.join(missing)}", block, minutes))
             continue
-        signature = strongest(problem, name)
+        signature = np.where(np.isfinite(problem.record.seen), strongest(problem, name), np.nan)
         moved = problem.record.rms_mm(signature)
         white = problem.white(problem.whitener.modes(signature) * problem.gain)
         size = float(np.linalg.norm(white)) / np.sqrt(search.dispersion(fit))
@@ -140,12 +142,14 @@ def leftover(search: Search, fit: Fit) -> Leftover:
     rms = float(np.sqrt(max(0.0, record.rms_mm(record.seen - fit.predicted) ** 2 - noise**2)))
     form = form_rms(record)
     start = record.rms_mm(record.seen - search.null.predicted)
+    removable = np.sqrt(max(0.0, start**2 - noise**2))
     claim = (
         r2 >= LEFT_R2
         and chi2 > 1.5
         and predictable > max(search.visible_mm, LEFT_FORM * form)
-        and predictable > LEFT_SHARE * np.sqrt(max(0.0, start**2 - noise**2))
+        and predictable > LEFT_SHARE * removable
     )
+    claim |= rms > max(search.visible_mm, MOST_FORM * form) and rms > MOST_SHARE * removable
     return Leftover(rms, chi2, r2, best if r2 > 0.02 else None, bool(claim))
 
 
@@ -157,7 +161,7 @@ def form_rms(record: Record) -> float:
 def condition_columns(record: Record) -> dict[str, Floats]:
     """Return the columns that a leftover may depend on, by condition; each (K, n)."""
     state, k = record.state, len(record)
-    u = record.command / np.maximum(0.5 * record.spread, 1e-9)
+    u = scaled_commands(record.command, 0.5 * record.spread)
     v = state.velocity
     pace = v / np.maximum(np.abs(v).max(axis=0, initial=0.0), 1e-9)
     sign = last_direction(state.velocity, state.moving)
@@ -270,7 +274,7 @@ def ladder_on(search: Search, other: Record, order: Sequence[str]) -> dict[str, 
 
 def _static(record: Record, at: Record, residual: Floats, train: NDArray[np.int64]) -> Floats:
     """Return a static residual (K of `at`, F) trained on frames `train` of `record`."""
-    half = np.maximum(0.5 * record.spread, 1e-9)
-    columns = np.concatenate([static_basis(record.command / half), static_basis(at.command / half)])
+    half = 0.5 * record.spread
+    columns = np.concatenate([static_basis(scaled_commands(r.command, half)) for r in (record, at)])
     values = np.concatenate([np.where(np.isfinite(residual), residual, 0.0), np.zeros((len(at), residual.shape[1]))])
     return ridge(columns[:, 1:], values, train, 0.03 * len(train))[len(record) :]

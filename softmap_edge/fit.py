@@ -41,8 +41,12 @@ class Record:
         """Bind a model to a run; `library` has `Chain(names, channels)` and `effects()` (the compiled core)."""
         if library is None:
             from softmap_edge import _core as library
-        self.model, self.run, self.library = model, run, library
+        self.model, self.run, self.whole, self.library = model, run, run, library
         seen = np.asarray(model.seen_features(run), float)
+        some = np.isfinite(seen).any(axis=(1, 2))
+        if not some.all():  # a frame in which nothing is seen holds nothing out, and its loss of 0 speaks for nobody
+            self.run, seen = run.at(some), seen[some]
+            run = self.run
         self.frames, self.features = seen.shape[0], seen.shape[1] * 3
         self.seen: Floats = seen.reshape(self.frames, self.features)
         self.t_seen: Floats = np.asarray(run.t_seen, float)

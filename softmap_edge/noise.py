@@ -125,11 +125,16 @@ class Kernel:
     strength: Floats
 
 
+def scaled_commands(command: Floats, unit: Floats) -> Floats:
+    """Return commands (K, C) in multiples of `unit` (C,); a channel that is never moved tells nothing and is 0."""
+    return np.asarray(command / np.where(unit > 1e-9, unit, np.inf))
+
+
 def command_kernel(command: Floats, spread: Floats, rank: int = RANK) -> Kernel:
     """Return the squared-exponential kernel over commands (K, C), scaled by `spread` (C,), at rank <= `rank`."""
     if command.shape[0] == 0:
         return Kernel(np.zeros((0, 0)), np.zeros(0))
-    x = command / np.maximum(spread, 1e-9) / KERNEL_LENGTH if command.shape[1] else np.zeros((len(command), 1))
+    x = scaled_commands(command, spread * KERNEL_LENGTH) if command.shape[1] else np.zeros((len(command), 1))
     centres = [int(np.argmax(np.sum((x - x.mean(axis=0)) ** 2, axis=1)))]
     far = np.sum((x - x[centres[0]]) ** 2, axis=1)
     while len(centres) < min(rank, len(x)) and far.max() > 1e-4:

@@ -47,7 +47,9 @@ def read_npz(
                     )
             return arrays
     except FileNotFoundError:
-        raise error(f"{path}: no such file") from None
+        raise error(f"{path}: no such file; check its name and folder") from None
+    except IsADirectoryError:
+        raise error(f"{path}: a folder, not an .npz file; give the file") from None
     except SoftmapError:
         raise
     except Exception as fault:  # zipfile and zlib raise a dozen kinds on damaged files

@@ -1,6 +1,7 @@
 """Diagnosis: what is hidden is named, silence and doubt are answers, documents survive a round trip.
 
-The arm of `arm.py` carries the statistics; hidden effects of other forms on the simulated finger are judged elsewhere.
+The arm of `arm.py` carries the statistics, the built-in finger what a run can do to a diagnosis; hidden effects of
+other forms on the simulated finger are judged elsewhere.
 """
 
 import json
@@ -10,9 +11,13 @@ import numpy as np
 import pytest
 from arm import LIBRARY, Arm, protocol, record_run
 
+from softmap_edge.bundle import builtin_model
+from softmap_edge.comparison import compare
 from softmap_edge.diagnosis import Diagnosis, diagnose, refit
 from softmap_edge.errors import SoftmapError
+from softmap_edge.protocol import standard_protocol
 from softmap_edge.report import diagnosis_text
+from softmap_edge.run import Run
 
 HIDDEN = {
     "offset": {"offset.shift[0]": 0.9, "offset.shift[1]": -0.9},
@@ -173,3 +178,82 @@ def test_rod_frames_count_by_their_correlation():
     t, u = protocol()
     assert named(diagnosed(HIDDEN["backlash"] | {"backlash.gap": 2.5}, rod, t=t, u=u, frames=1000)) == {"backlash"}
     assert not named(diagnosed({}, rod, t=t, u=u, frames=1000))
+
+
+# --- what a run can do to a diagnosis, on the built-in finger ------------------------------------
+
+
+def finger_run(names=(), params=None, acting=None, noise=0.25):
+    """A run of the standard protocol on the built-in finger itself; `acting` replaces the command that acts."""
+    shown = standard_protocol(2)
+    model = builtin_model()
+    rest = np.broadcast_to(model.rest, (shown.frames, *model.rest.shape))
+    run = Run(shown.t, shown.command, shown.t_seen, vertices=rest, gravity=shown.gravity, robot=model.robot)
+    true = model.with_effects(names, params or {})
+    points = true.predict(run if acting is None else replace(run, command=acting(shown.command)))
+    return replace(run, vertices=points + noise * np.random.default_rng(0).normal(size=points.shape))
+
+
+@pytest.mark.parametrize(
+    "acting",
+    [lambda u: np.clip(u, -8.0, 8.0), lambda u: np.sign(u) * np.maximum(np.abs(u) - 1.0, 0.0)],
+    ids=["saturation", "dead zone"],
+)
+def test_what_no_effect_explains_is_no_effect(acting):
+    """A static law outside the library: an effect that the form error lets pass must still win in mm, or go."""
+    found = diagnose(builtin_model(), finger_run(acting=acting))
+    assert found.verdict == "partly_explained"
+    values = [found.error["model"]] + [step["value"] for step in found.error["ladder"]]
+    assert values[-1] == min(values)
+
+
+def test_tiny_effect_is_no_larger_lie():
+    found = diagnose(builtin_model(), finger_run(["offset"], {"offset.shift[0]": 0.1}))
+    assert found.error["ladder"] == [] or found.error["ladder"][-1]["value"] < found.error["model"]
+
+
+def test_large_error_is_not_nothing():
+    run = finger_run()
+    points = run.vertices.copy()
+    points[50:60] += 30.0  # the camera lost the finger
+    found = diagnose(builtin_model(), replace(run, vertices=points))
+    assert found.verdict == "partly_explained" and not named(found)
+
+
+def test_finger_that_is_partly_seen():
+    """Frames and parts that are never seen make no NaN, and no claim on what they would show."""
+    model = builtin_model()
+    run = finger_run(["backlash"], {"backlash.gap": 1.0})
+    late, base = np.ones((2, *run.vertices.shape[:2]), bool)
+    late[: run.frames // 2] = False
+    base[:, model.rest[:, 2] > 8.0] = False
+    found = diagnose(model, replace(run, visible=late))
+    assert named(found) == {"backlash"} and found.made_from["run"] == replace(run, visible=late).hash()
+    blind = diagnose(model, replace(run, visible=base))
+    assert blind.verdict == "cannot_tell" and len(blind.not_testable) == len(blind.made_from["candidates"])
+    for document in (found, blind, compare(model, replace(run, visible=base))):
+        assert str(document) and json.dumps(document.to_dict(), allow_nan=False)
+
+
+def test_command_that_never_changes():
+    model = builtin_model()
+    t = np.arange(0.0, 60.0, 0.02)
+    seen = np.arange(0.5, 59.0, 0.5)
+    rest = np.broadcast_to(model.rest, (len(seen), *model.rest.shape))
+    run = Run(t, np.tile([3.0, 2.0], (len(t), 1)), seen, vertices=rest, gravity=[0.0, 0.0, 1.0])
+    points = model.predict(run) + 0.25 * np.random.default_rng(0).normal(size=rest.shape)
+    assert diagnose(model, replace(run, vertices=points)).verdict == "cannot_tell"
+
+
+def test_what_a_model_has_already_may_be_wrong_in_its_numbers():
+    """A rival that repairs a wrong number is not told without the number."""
+    run = finger_run(["backlash"], {"backlash.gap": 1.5})
+    wrong, right = (builtin_model().with_effects(["backlash"], {"backlash.gap": gap}) for gap in (1.0, 1.5))
+    assert "`softmap refit` alone takes" in diagnose(wrong, run).sentence
+    assert "refit" not in diagnose(right, run).sentence
+
+
+def test_extrapolation_is_told():
+    run = finger_run()
+    assert "beyond the commands" not in diagnose(builtin_model(), run, effects=["gain"]).sentence
+    assert "beyond the commands" in diagnose(builtin_model(), replace(run, command=2 * run.command)).sentence

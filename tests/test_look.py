@@ -57,3 +57,31 @@ def test_effects_lists_the_registry_and_shows_one_in_full(capsys):
     for parameter in ("strength", "tau"):
         assert parameter in shown
     assert main(["effects", "nosuch"]) == 2
+
+
+def test_command_may_begin_with_a_minus(capsys):
+    assert main(["predict", "-8,3", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["tip_mm"][0][0] < 0
+
+
+@pytest.mark.parametrize(
+    ("verb", "option", "path", "what"),
+    [
+        (["predict", "8,3"], "--out", "p.txt", "saved as .npz"),
+        (["sweep"], "--out", "s.txt", "saved as .npz"),
+        (["sweep"], "--out", "none/s.npz", "make it first"),
+        (["compare", "run.npz"], "--html", "none/r.html", "make it first"),
+        (["diagnose", "run.npz"], "--html", "folder", "a folder"),
+        (["diagnose", "run.npz"], "--out", "none/d.json", "make it first"),
+        (["build"], "--out", "folder", "not a bundle"),
+        (["demo"], "--out", "folder/of", "file exists"),
+        (["learn", "run.npz"], "--out", "folder", "not a bundle"),
+        (["refit", "run.npz", "--bundle", "b"], "--out", "folder", "not a bundle"),
+    ],
+)
+def test_where_nothing_can_be_written_is_said_before_the_work(verb, option, path, what, tmp_path, capsys):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "of").write_text("someone")
+    assert main([*verb, option, str(tmp_path / path)]) == 2
+    error = capsys.readouterr().err
+    assert what in error and error.count("\n") == 1

@@ -72,6 +72,15 @@ def test_kernel_is_low_rank_and_right():
     assert np.allclose(kernel.basis.T @ kernel.basis, np.eye(len(kernel.strength)), atol=1e-9)
 
 
+def test_channel_that_stands_still_tells_nothing():
+    """Wherever it stands: 3 mm divided by a spread of nothing drowned the distances in rounding."""
+    command = np.column_stack([np.linspace(-5, 5, 40), np.full(40, 3.0)])
+    moved, still = (command_kernel(c, np.ptp(c, axis=0)) for c in (command[:, :1], command))
+    assert still.strength == pytest.approx(moved.strength)
+    constant = command_kernel(command[:, 1:], np.zeros(1))
+    assert constant.strength == pytest.approx([40.0])
+
+
 def test_whitened_form_error_and_noise_have_unit_variance():
     rng = np.random.default_rng(5)
     count = 300

@@ -7,6 +7,7 @@ import pytest
 
 from softmap_edge import _core
 from softmap_edge.bundle import load_bundle, save_bundle
+from softmap_edge.cli import main
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.rod import LearnedRod, RodParameters, learn, learn_model
 from softmap_edge.rod_fit import Drive, Regression, folds
@@ -97,6 +98,15 @@ def test_frames_held_out_are_never_looked_at(truth, plain):
     rod = learn(spoiled, hold_out=[(20.0, 30.0)])
     assert rod.error_mm < 1e-3 and not np.any(inside[rod.frames])
     assert learn(spoiled).error_mm > 50.0
+
+
+@pytest.mark.parametrize("interval", ["30:20", "nan:20", "1000:2000"])
+def test_holding_out_nothing_is_an_error(plain, interval, tmp_path, capsys):
+    """Who asks for blocks to be kept from the fit must not get a model that has seen everything."""
+    plain.save(tmp_path / "run.npz")
+    arguments = ["learn", str(tmp_path / "run.npz"), "--out", str(tmp_path / "rod"), "--hold-out", interval]
+    assert main(arguments) == 2
+    assert "--hold-out" in capsys.readouterr().err and not (tmp_path / "rod").exists()
 
 
 def test_frames_near_a_block_do_not_predict_it():

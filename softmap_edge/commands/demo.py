@@ -116,6 +116,7 @@ def demo(args: argparse.Namespace) -> int:
     started = time.monotonic()
     say: Callable[[str], None] = (lambda text: None) if args.json else (lambda text: print(text, flush=True))
     names = _hidden_names(args.hide, args.seed)
+    Path(args.out).mkdir(parents=True, exist_ok=True)  # before the work, not after it
     say("Taking the model of the built-in finger, made from a simulated sweep.")
     model = builtin_model()
     say("Making a second finger: another mesh, another batch of silicone, and a secret …")

@@ -11,6 +11,7 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model, load_bundle
+from softmap_edge.commands.output import check_file
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.npz import write_npz
@@ -26,6 +27,7 @@ def predict_arguments(parser: argparse.ArgumentParser) -> None:
 
 def predict(args: argparse.Namespace) -> int:
     """Predict shapes for a run or one command."""
+    check_file("--out", args.out, ".npz")
     model = load_bundle(args.bundle) if args.bundle else builtin_model()
     run = Run.load(args.input) if Path(args.input).suffix == ".npz" else _held(args.input, model)
     for note in model.beyond(run):

@@ -7,8 +7,10 @@ import json
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softmap_edge.bundle import save_bundle
+from softmap_edge.commands.output import check_bundle, check_file
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.finger import Finger
@@ -26,6 +28,7 @@ def build(args: argparse.Namespace) -> int:
     from softmap_edge.build import build_model
 
     _check_steps(args.steps)
+    check_bundle(args.out)
     finger = _finger(args.finger)
     with Bar(args.json) as bar:
         model = build_model(finger, args.steps, bar)
@@ -65,8 +68,13 @@ def learn(args: argparse.Namespace) -> int:
     from softmap_edge.rod import learn_model
     from softmap_edge.run import Run
 
+    check_bundle(args.out)
     held_out = [_interval(text) for text in args.hold_out]
-    model = learn_model(Run.load(args.run), input=args.input, hold_out=held_out)
+    run = Run.load(args.run)
+    for text, (low, high) in zip(args.hold_out, held_out):
+        if not np.any((run.t_seen >= low) & (run.t_seen < high)):
+            raise SoftmapError(f"--hold-out {text}: no frame is seen then; the run is seen {_span(run.t_seen)}")
+    model = learn_model(run, input=args.input, hold_out=held_out)
     save_bundle(model, args.out)
     result = {
         "schema": "softmap.learn/1",
@@ -97,6 +105,7 @@ def sweep(args: argparse.Namespace) -> int:
     from softmap_edge.simulator import Simulator
 
     _check_steps(args.steps)
+    check_file("--out", args.out, ".npz")
     finger = _finger(args.finger)
     axes = [np.linspace(low, high, args.steps) for low, high in finger.command_range]
     with Bar(args.json) as bar:
@@ -121,4 +130,10 @@ def _interval(text: str) -> tuple[float, float]:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
         raise SoftmapError(f"--hold-out '{text}': expected T0:T1 in seconds, as 60:120") from None
+    if not low < high:
+        raise SoftmapError(f"--hold-out '{text}': it ends before it begins; give T0:T1 in seconds, as 60:120")
     return low, high
+
+
+def _span(t_seen: NDArray[np.float64]) -> str:
+    return f"from {t_seen[0]:g} to {t_seen[-1]:g} s" if len(t_seen) else "at no time"

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from softmap_edge.commands.output import check_file
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.importer import import_logs, read_mapping
 from softmap_edge.run import Run
@@ -31,8 +32,7 @@ def import_arguments(parser: argparse.ArgumentParser) -> None:
 
 def import_(args: argparse.Namespace) -> int:
     """Read logs by a mapping and write a run."""
-    if Path(args.out).suffix != ".npz":  # before the work, not after it
-        raise RunError(f"{args.out}: a run is saved as .npz; give --out a name that ends so")
+    check_file("--out", args.out, ".npz")
     imported = import_logs(args.logs, read_mapping(args.map))
     run = imported.run
     run.save(args.out)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from softmap_edge.commands.output import check_bundle, check_file
 from softmap_edge.errors import SoftmapError
 
 
@@ -29,6 +30,7 @@ def compare(args: argparse.Namespace) -> int:
     from softmap_edge.comparison import compare as measure
     from softmap_edge.report import pair_text
 
+    check_file("--html", args.html)
     run, models = _run(args.run), [_bundle(path) for path in args.bundle or [None]]
     _warn("compare", models[0], run)
     found = [measure(model, run) for model in models]
@@ -59,6 +61,8 @@ def diagnose(args: argparse.Namespace) -> int:
     """Name the effect that a model lacks; 0 whatever the verdict, since silence and doubt are answers."""
     from softmap_edge.diagnosis import diagnose as find
 
+    check_file("--html", args.html)
+    check_file("--out", args.out)
     model, run = _bundle(args.bundle), _run(args.run)
     held_out = _run(args.held_out) if args.held_out else None
     wanted = _names(args.effects) if args.effects else None
@@ -127,6 +131,7 @@ def refit(args: argparse.Namespace) -> int:
     """Fit the effects of a bundle again; 1 if the held-out error does not fall."""
     from softmap_edge.diagnosis import refit as fit_again
 
+    check_bundle(args.out)
     model, report = fit_again(_bundle(args.bundle), _run(args.run))
     _write(args, model, report)
     return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
