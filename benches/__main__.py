@@ -18,6 +18,7 @@ import numpy as np
 import scipy
 
 from benches.peer_newton import NumpySolid
+from benches.peer_rollout import NUMBERS as PEER_NUMBERS
 from benches.peer_rollout import backlash_and_creep
 from softmap_edge import __version__, _core
 from softmap_edge.bundle import builtin_model
@@ -113,10 +114,8 @@ def rollouts() -> dict[str, object]:
     chain = _core.Chain(["backlash", "creep"], 2)
     params = np.repeat(np.asarray(chain.start)[None], 51, axis=0) * rng.uniform(0.9, 1.1, (51, len(chain.start)))
     at = {label: k for k, label in enumerate(chain.labels)}
-    gap, strength, tau = (params[:, at[k]].copy() for k in ("backlash.gap", "creep.strength", "creep.tau"))
-    ours_s, peer_s = side_by_side(
-        lambda: chain.rollout(params, u, t), lambda: backlash_and_creep(gap, strength, tau, u, t)
-    )
+    numbers = [params[:, at[name]].copy() for name in PEER_NUMBERS]
+    ours_s, peer_s = side_by_side(lambda: chain.rollout(params, u, t), lambda: backlash_and_creep(*numbers, u, t))
     return ratio("rollouts of two effects, 51 × 2000 steps", ours_s, peer_s, "NumPy", "wanted ≥ 8")
 
 

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
+NUMBERS = ("backlash.gap", "creep.strength", "creep.tau", "creep.spread")
 
-def backlash_and_creep(gap, strength, tau, u, t):
-    """Return (B, T, C) mm: play of full width `gap` (B,) mm, then a relaxation of `strength` (B,), `tau` (B,) s."""
+
+def backlash_and_creep(gap, strength, tau, spread, u, t):
+    """Return (B, T, C) mm: play of full width `gap` (B,) mm, then `strength` (B,) times the mean of two relaxations.
+
+    Their times `tau · spread` and `tau / spread` (B,) are in s.
+    """
     half, strength = gap[:, None] / 2, strength[:, None]
+    times = np.stack([tau * spread, tau / spread])  # (2, B)
     out = np.empty((len(gap), *u.shape))
     played = np.broadcast_to(u[0], (len(gap), u.shape[1])).copy()
-    crept = played.copy()
-    out[:, 0] = played + strength * crept
+    crept = np.stack([played, played])
+    out[:, 0] = played + strength * crept.mean(axis=0)
     for k in range(1, len(t)):
         before, played = played, np.clip(played, u[k] - half, u[k] + half)
-        part = ((t[k] - t[k - 1]) / tau)[:, None]
+        part = ((t[k] - t[k - 1]) / times)[:, :, None]
         kept = np.exp(-part)
         mean = (1 - kept) / part  # exact for what is linear between samples, as in rust/effects/lag.rs
         crept = kept * crept + (mean - kept) * before + (1 - mean) * played
-        out[:, k] = played + strength * crept
+        out[:, k] = played + 0.5 * strength * (crept[0] + crept[1])
     return out

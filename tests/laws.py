@@ -175,7 +175,9 @@ ORACLES = {
     "lag": lambda p, u, t: relaxed(u, t, p["tau"]),
     "backlash": lambda p, u, t: played(u, p["gap"] / 2),
     "hysteresis": prandtl_ishlinskii,
-    "creep": lambda p, u, t: u + p["strength"] * relaxed(u, t, p["tau"]),
+    "creep": lambda p, u, t: (
+        u + p["strength"] * 0.5 * (relaxed(u, t, p["tau"] * p["spread"]) + relaxed(u, t, p["tau"] / p["spread"]))
+    ),
     "gravity": gravity_coefficients,
     "payload": payload_coefficients,
     "mount": mounted,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from benches.peer_newton import NumpySolid
-from benches.peer_rollout import backlash_and_creep
+from benches.peer_rollout import NUMBERS, backlash_and_creep
 from softmap_edge import _core
 from softmap_edge.finger import Finger
 from softmap_edge.simulator import Simulator
@@ -25,6 +25,6 @@ def test_the_numpy_rollout_gives_the_same_records():
     chain = _core.Chain(["backlash", "creep"], 2)
     params = np.stack([chain.start, 1.1 * np.asarray(chain.start)])
     at = {label: k for k, label in enumerate(chain.labels)}
-    gap, strength, tau = (params[:, at[k]].copy() for k in ("backlash.gap", "creep.strength", "creep.tau"))
-    ours, theirs = chain.rollout(params, u, t), backlash_and_creep(gap, strength, tau, u, t)
+    numbers = [params[:, at[name]].copy() for name in NUMBERS]
+    ours, theirs = chain.rollout(params, u, t), backlash_and_creep(*numbers, u, t)
     assert np.abs(ours - u).max() > 0.1 and np.abs(ours - theirs).max() < 1e-9

@@ -1,8 +1,9 @@
-//! Creep: under a held command the body goes on bending slowly (one Prony term).
+//! Creep: under a held command the body goes on bending slowly (two Prony terms).
 //!
-//! `y = x + strength·z`, `tau·z' = x − z`: the response to a step is `1 + strength·(1 − e^(−t/tau))`. Advanced exactly for
-//! commands linear between samples, as in `lag.rs`. Memory starts in equilibrium, `z = x`. Units 1 and s.
-//! Limit: one relaxation time; bodies with a broad spectrum are matched over about a decade of dwell times.
+//! `y = x + strength·(z₁ + z₂)/2`, `tau·spread·z₁' = x − z₁`, `(tau/spread)·z₂' = x − z₂`: the response to a step is one plus
+//! strength times the mean of two relaxations, whose times lie `spread` above and below `tau`; one relaxation at spread 1.
+//! Advanced exactly for commands linear between samples, as in `lag.rs`. Memory starts in equilibrium, `z = x`. Units 1 and s.
+//! Limit: two equal terms; spectra of more than two decades, and lopsided ones, are matched about their middle only.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -14,7 +15,7 @@ pub static EFFECT: Effect = Effect {
         family: "slow drift",
         stage: Stage::Material,
         kind: Kind::Effect,
-        formula: "y = x + strength · z,  tau · dz/dt = x − z",
+        formula: "y = x + strength · (z₁ + z₂)/2,  tau · spread · dz₁/dt = x − z₁,  tau / spread · dz₂/dt = x − z₂",
         doc: "Viscoelastic creep of the body: after the quick response, a slow one in the same direction, and a slow way back.",
         signature: "Drift while a command is held, in the direction of the last move; the same command looks different after a \
                     long dwell elsewhere.",
@@ -41,7 +42,17 @@ pub static EFFECT: Effect = Effect {
                 low: 1.0,
                 high: 100.0,
                 per_channel: false,
-                doc: "relaxation time",
+                doc: "relaxation time, the geometric mean of both",
+            },
+            Parameter {
+                name: "spread",
+                unit: "1",
+                null: 1.0,
+                start: 2.0,
+                low: 1.0,
+                high: 10.0,
+                per_channel: false,
+                doc: "how far the two relaxation times lie above and below tau, as a factor",
             },
         ],
     },
@@ -52,25 +63,29 @@ struct Creep;
 
 impl ChannelEffect for Creep {
     fn state_size(&self, channels: usize) -> usize {
-        2 * channels
+        3 * channels
     }
 
     fn settle(&self, params: &[f64], x: &mut [f64], state: &mut [f64]) {
-        let (slow, before) = state.split_at_mut(x.len());
-        slow.copy_from_slice(x);
-        before.copy_from_slice(x);
+        for held in state.chunks_exact_mut(x.len().max(1)) {
+            held.copy_from_slice(x);
+        }
         x.iter_mut().for_each(|x| *x += params[0] * *x);
     }
 
     #[inline]
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
-        let (slow, before) = state.split_at_mut(x.len());
-        let [a, b, c] = low_pass(params[1], context.dt);
-        for ((x, slow), before) in x.iter_mut().zip(slow).zip(before) {
+        let [strength, tau, spread] = [params[0], params[1], params[2]];
+        let (slow, rest) = state.split_at_mut(x.len());
+        let (quick, before) = rest.split_at_mut(x.len());
+        let [a, b, c] = low_pass(tau * spread, context.dt);
+        let [d, e, f] = low_pass(tau / spread, context.dt);
+        for (((x, slow), quick), before) in x.iter_mut().zip(slow).zip(quick).zip(before) {
             let u = *x;
             *slow = a * *slow + b * *before + c * u;
+            *quick = d * *quick + e * *before + f * u;
             *before = u;
-            *x = u + params[0] * *slow;
+            *x = u + 0.5 * strength * (*slow + *quick);
         }
     }
 }
