@@ -3,7 +3,7 @@
 //! At a command the prior knows the pull p of each cable in N (stiffness × stretch: its tension T where positive, how slack
 //! it is where negative). Under dead loads c (g, N) the stretches change with the loads and with the tensions,
 //!
-//!     p'ᵢ = pᵢ + kᵢ (Lᵢ·c + Σⱼ Cᵢⱼ (T'ⱼ − Tⱼ)),   T'ᵢ = max(0, p'ᵢ)
+//! `p'ᵢ = pᵢ + kᵢ (Lᵢ·c + Σⱼ Cᵢⱼ (T'ⱼ − Tⱼ))`, `T'ᵢ = max(0, p'ᵢ)`
 //!
 //! with L and C the stretch per unit load and per unit tension while all other tensions stay. It is a linear
 //! complementarity problem with the matrix 1/k − C, positive definite because a pulled cable gets shorter; solved by the
