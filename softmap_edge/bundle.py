@@ -69,6 +69,7 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         "command_range": model.command_range.tolist(),
         "gravity_reference": model.gravity_reference.tolist(),
         "held_out_error_mm": float(model.vertex_error_mm),
+        "held_out_error_per_g_mm": float(model.error_per_g_mm),
         "made_from": dict(model.made_from),
         "written_by": f"softmap-edge {__version__}",
         "sha256": {name: _sha256(partial / name) for name in _FILES},
@@ -144,6 +145,8 @@ def load_manifest(path: str | Path) -> dict[str, Any]:
         _require({"command_unit": "mm", **manifest}, name, _plain, "a printable text of at most 100 characters")
     _require({"input": "present", **manifest}, "input", lambda v: v in ("present", "goal"), "'present' or 'goal'")
     _require(manifest, "held_out_error_mm", _finite_number, "a number in mm")
+    if "held_out_error_per_g_mm" in manifest:
+        _require(manifest, "held_out_error_per_g_mm", _finite_number, "a number in mm")
     _require(manifest, "gravity_reference", lambda v: _floats(v, 3), "three numbers")
     _require(
         manifest,
@@ -216,6 +219,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         triangles=triangles,
         form_error=np.asarray(template["form_error_mm"], float),
         vertex_error_mm=float(manifest["held_out_error_mm"]),
+        error_per_g_mm=float(manifest.get("held_out_error_per_g_mm", 0.0)),
         tip_indices=tip,
         gravity_reference=np.array(manifest["gravity_reference"], float),
         command_range=np.array(manifest["command_range"], float).reshape(-1, 2),

@@ -56,6 +56,7 @@ class Model:
     chain_names: tuple[str, ...] = ()
     chain_params: Floats = field(default_factory=lambda: np.zeros(0))
     made_from: Mapping[str, Any] = field(default_factory=dict)
+    error_per_g_mm: float = 0.0  # by which its own error grows for each g away from the reference
     cables: _core.Cables | None = None  # how tendons answer loads; a rod has none
     arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
 
@@ -183,11 +184,16 @@ class Model:
         return self.feature_map if carry is None else marker_features(len(carry))
 
     def run_form_error(self, run: Run) -> Floats:
-        """Return the model's own held-out error (V, 3) mm for the features of this run."""
+        """Return the model's own held-out error (V, 3) mm for the features of this run, in its orientations."""
         carry = self._carry(run)
-        if carry is None:
-            return self.form_error
-        return np.full((len(carry), 3), self.vertex_error_mm / np.sqrt(3.0))
+        error = self.form_error
+        if carry is not None:
+            error = np.full((len(carry), 3), self.vertex_error_mm / np.sqrt(3.0))
+        if run.gravity is None or not self.error_per_g_mm:
+            return error
+        away = np.broadcast_to(run.gravity, (len(run.t), 3)) - self.gravity_reference
+        more = self.error_per_g_mm**2 * float(np.mean(np.sum(away**2, axis=1)))
+        return np.asarray(error * np.sqrt(1.0 + more / max(self.vertex_error_mm, 1e-9) ** 2))
 
     def _carry(self, run: Run) -> Floats | None:
         """Weights (M, N) that carry a run's markers on the template; None where points are the model's own."""
