@@ -20,7 +20,6 @@ from softmap_edge.evidence import (
     Untestable,
     equivalents,
     experiment,
-    form_rms,
     ladder,
     ladder_on,
     leftover,
@@ -215,7 +214,7 @@ def _sentence(
 def _error(search: Search, order: list[str], other: Record | None) -> dict[str, Any]:
     problem, record = search.problem, search.problem.record
     found = ladder(search, order) if other is None else ladder_on(search, other, order)
-    noise, form = problem.noise.rms_mm(record.positions), form_rms(record)
+    noise, form = problem.noise.rms_mm(record.positions), record.form_mm
     measured = record.model.kind != "rod"
     replicates = measured and "replicates" in problem.noise.source
     return {

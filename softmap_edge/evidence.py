@@ -140,7 +140,7 @@ def leftover(search: Search, fit: Fit) -> Leftover:
     predictable = float(np.sqrt(max(0.0, share) * np.mean(np.sum(places**2, axis=1)) / count))
     noise = problem.noise.rms_mm(record.positions)
     rms = float(np.sqrt(max(0.0, record.rms_mm(record.seen - fit.predicted) ** 2 - noise**2)))
-    form = form_rms(record)
+    form = record.form_mm
     start = record.rms_mm(record.seen - search.null.predicted)
     removable = np.sqrt(max(0.0, start**2 - noise**2))
     claim = (
@@ -151,11 +151,6 @@ def leftover(search: Search, fit: Fit) -> Leftover:
     )
     claim |= rms > max(search.visible_mm, MOST_FORM * form) and rms > MOST_SHARE * removable
     return Leftover(rms, chi2, r2, best if r2 > 0.02 else None, bool(claim))
-
-
-def form_rms(record: Record) -> float:
-    """Return the model's own held-out error in mm RMS over the places."""
-    return float(np.sqrt(np.mean(np.sum(record.form_error[record.positions] ** 2, axis=1))))
 
 
 def condition_columns(record: Record) -> dict[str, Floats]:

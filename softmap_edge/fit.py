@@ -88,6 +88,11 @@ class Record:
         places = difference.reshape(len(difference), -1, 3)[:, self.positions]
         return np.asarray(np.sum(places**2, axis=2))
 
+    @property
+    def form_mm(self) -> float:
+        """Return the model's own held-out error in mm RMS over the places."""
+        return float(np.sqrt(np.mean(np.sum(self.form_error[self.positions] ** 2, axis=1))))
+
     def __len__(self) -> int:
         return int(self.frames)
 

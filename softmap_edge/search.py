@@ -206,8 +206,7 @@ class Search:
         static = np.sum(self.problem.whitener.shrink(modes) ** 2) < 0.5 * np.sum(modes**2)
         if record.model.kind == "rod" or not static:
             return self.visible_mm
-        form = float(np.sqrt(np.mean(np.sum(record.form_error[record.positions] ** 2, axis=1))))
-        return max(self.visible_mm, form)
+        return max(self.visible_mm, record.form_mm)
 
     def _cv_fall(self, rest: Fit, fit: Fit) -> tuple[float, float]:
         """Return the relative fall of the held-out loss and the share of folds where it falls.

@@ -7,7 +7,6 @@ first door.
 """
 
 import faulthandler
-import importlib.util
 import io
 import json
 import os
@@ -39,10 +38,9 @@ NASTY = [*NUMBERS, *WORDS, "1" * 400, "[" * 300, "[[log]]", "a = 1", "1979-05-27
 
 @dataclass(frozen=True)
 class Format:
-    """A kind of file: its module (absent: skipped), how a sound sample is made, spoiled and used."""
+    """A kind of file: how a sound sample is made, spoiled and used."""
 
     name: str
-    module: str
     sample: Callable[[Path], Path]
     spoil: Callable[[Path, Path, np.random.Generator], Path]
     use: Callable[[Path], object]
@@ -309,13 +307,13 @@ def use_bundle(path):
 
 
 FORMATS = [
-    Format("run", "softmap_edge.run", run_sample, spoil_npz_file, use_run),
-    Format("run of clouds", "softmap_edge.run", clouds_sample, spoil_npz_file, use_run),
-    Format("log", "softmap_edge.importer", logs_sample, spoil_one_of("log.csv"), use_logs),
-    Format("mapping", "softmap_edge.importer", logs_sample, spoil_one_of("map.toml"), use_logs),
-    Format("finger", "softmap_edge.finger", finger_sample, spoil_text_file, use_finger),
-    Format("sweep", "softmap_edge.simulator", sweep_sample, spoil_npz_file, use_sweep),
-    Format("bundle", "softmap_edge.bundle", bundle_sample, spoil_bundle, use_bundle),
+    Format("run", run_sample, spoil_npz_file, use_run),
+    Format("run of clouds", clouds_sample, spoil_npz_file, use_run),
+    Format("log", logs_sample, spoil_one_of("log.csv"), use_logs),
+    Format("mapping", logs_sample, spoil_one_of("map.toml"), use_logs),
+    Format("finger", finger_sample, spoil_text_file, use_finger),
+    Format("sweep", sweep_sample, spoil_npz_file, use_sweep),
+    Format("bundle", bundle_sample, spoil_bundle, use_bundle),
 ]
 
 
@@ -325,7 +323,7 @@ def _die_at_7(path):
 
 
 # Not a format: what the test of this file's own report uses.
-DYING = Format("dying", "softmap_edge.run", lambda folder: folder, lambda _, folder, __: folder / "spoilt", _die_at_7)
+DYING = Format("dying", lambda folder: folder, lambda _, folder, __: folder / "spoilt", _die_at_7)
 
 
 # --- the child -----------------------------------------------------------------------------
@@ -376,8 +374,6 @@ def child(name, first, count, folder):
 
 def spoil_many(form, first, count, folder):
     """Run a child over the seeds `first` and on; a child that fails, dies or hangs is told with its format and seed."""
-    if importlib.util.find_spec(form.module) is None:
-        pytest.skip(f"not run: {form.module} is not in this version")
 
     def limit():
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
