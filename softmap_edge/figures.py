@@ -23,7 +23,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from softmap_edge.comparison import Series
-from softmap_edge.report import WHERE, ladder, mm
+from softmap_edge.report import WHERE, ladder
+from softmap_edge.report_numbers import mm
 
 Floats = NDArray[np.float64]
 

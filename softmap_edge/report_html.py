@@ -23,14 +23,10 @@ from softmap_edge.report import (
     VERDICTS,
     check_diagnosis,
     check_pair,
-    fall,
     ladder,
-    mm,
-    number,
     parameter,
-    percent,
-    tamed,
 )
+from softmap_edge.report_numbers import fall, mm, number, percent, tamed
 from softmap_edge.report_style import PAGE, TONES
 
 INSTALL = "pip install 'softmap-edge[report]'"

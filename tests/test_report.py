@@ -14,8 +14,9 @@ from test_compare import lean, triangle
 
 from softmap_edge.comparison import compare, series
 from softmap_edge.errors import ReportError
-from softmap_edge.report import bar, diagnosis_text, fall, pair_text, parameter, tamed
+from softmap_edge.report import diagnosis_text, pair_text, parameter
 from softmap_edge.report_html import write_html
+from softmap_edge.report_numbers import bar, fall, tamed
 
 DIAGNOSIS = {
     "schema": "softmap.diagnosis/1",

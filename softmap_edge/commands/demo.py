@@ -20,8 +20,8 @@ from softmap_edge.diagnosis import Diagnosis, diagnose
 from softmap_edge.errors import ReportError
 from softmap_edge.model import Model
 from softmap_edge.protocol import other_protocol, standard_protocol
-from softmap_edge.report import fall
 from softmap_edge.report_html import write_html
+from softmap_edge.report_numbers import fall
 from softmap_edge.run import Run
 from softmap_edge.truth import Truth, hide, surprise
 

@@ -1,0 +1,61 @@
+"""How reports write numbers: lengths, shares, bars of text, and what is too large for a line."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+BAR = 28
+LARGEST = 1e6  # numbers beyond it are written as powers of ten: a fit that ran away must not fill the screen
+LONG_NUMBER = re.compile(r"(?<![\w.])([+-]?)([1-9]\d{6,})(?:\.\d*)?(?!\w)")
+EIGHTHS = " ▏▎▍▌▋▊▉█"
+
+
+def bar(value: float, scale: float, width: int = BAR) -> str:
+    """Return a bar of eighth blocks, `width` characters long at `value == scale`; empty for what is not finite."""
+    if not math.isfinite(value) or not math.isfinite(scale) or scale <= 0 or value <= 0:
+        return ""
+    eighths = max(1, round(min(value / scale, 1.0) * width * 8))
+    return "█" * (eighths // 8) + (EIGHTHS[eighths % 8] if eighths % 8 else "")
+
+
+def mm(value: Any) -> str:
+    """Return a length with three figures ('0.123', '12.3'), or '–' where it is not known."""
+    if not isinstance(value, (int, float)) or not math.isfinite(value):
+        return "–"
+    if abs(value) >= LARGEST:
+        return f"{value:.1e}"
+    return f"{value:.3f}" if abs(value) < 1 else f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
+
+
+def fall(before: float, after: float, floor: float | None = None) -> float | None:
+    """Return the share of the error above `floor` (0 without one) that is gone, or None when there is none."""
+    base = floor or 0.0
+    removable = before - base
+    return (before - after) / removable if removable > 0 and math.isfinite(after) else None
+
+
+def percent(share: Any) -> str:
+    """Return a share as '87 %', or '–' where it is not known."""
+    known = number(share)
+    if known is None:
+        return "–"
+    return f"{100 * known:.0f} %" if abs(100 * known) < LARGEST else f"{100 * known:.1e} %"
+
+
+def number(value: Any) -> float | None:
+    """Return a finite number as a float, anything else as None."""
+    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
+
+
+def tamed(text: Any) -> str:
+    """Return a sentence with its numbers of seven digits and more written as powers of ten ('+1.2e+31 % in mm')."""
+
+    def short(found: re.Match[str]) -> str:
+        sign, digits = found.groups()
+        power = len(digits) - 1  # by hand: a number of 400 digits is beyond a float
+        leading = f"{int(digits[:6]) / 1e5:.1f}"
+        return f"{sign}1.0e+{power + 1:02d}" if leading == "10.0" else f"{sign}{leading}e+{power:02d}"
+
+    return LONG_NUMBER.sub(short, str(text))
