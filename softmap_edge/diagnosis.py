@@ -9,19 +9,21 @@ doubt are answers. `diagnose` is deterministic: the same input gives the same do
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.conclusion import conclude, parameters
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import SoftmapError, brief
 from softmap_edge.evidence import Untestable, experiment, orientations
 from softmap_edge.fit import Fit, Problem, Record
 from softmap_edge.noise import command_kernel, estimate_noise, form_covariance, rod_noise, whitener
-from softmap_edge.report import VERDICTS, diagnosis_text
+from softmap_edge.report import VERDICTS, check_diagnosis, diagnosis_text
 from softmap_edge.search import Search
 
 if TYPE_CHECKING:
@@ -85,7 +87,21 @@ class Diagnosis:
             values[f.name] = document[f.name]
         if values["verdict"] not in VERDICTS:
             raise SoftmapError(f"unknown verdict {values['verdict']!r}; there are {', '.join(VERDICTS)}")
+        check_diagnosis(document)
         return cls(**values)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Diagnosis:
+        """Read the document that `softmap diagnose --out` wrote.
+
+        Raises:
+            SoftmapError: no readable JSON, or not a diagnosis.
+        """
+        try:
+            document = json.loads(Path(path).read_text(encoding="utf-8"))
+        except (ValueError, RecursionError) as error:
+            raise SoftmapError(f"{path} is not JSON ({brief(error)}); make it with `softmap diagnose --out`") from None
+        return cls.from_dict(document)
 
     def params_of(self, name: str) -> dict[str, float]:
         """Return the fitted parameters of one named effect or fault by label.

@@ -107,6 +107,9 @@ class Model:
         params = np.asarray(params, float)
         if params.shape != (len(chain.labels),):
             raise SoftmapError(f"{len(chain.labels)} parameters wanted ({', '.join(chain.labels)}), got {params.shape}")
+        if not np.isfinite(params).all():
+            wrong = chain.labels[int(np.argmin(np.isfinite(params)))]
+            raise SoftmapError(f"{wrong} is not a finite number; give each parameter one")
         return replace(self, chain_names=tuple(names), chain_params=params)
 
     # --- from runs ------------------------------------------------------------------------------

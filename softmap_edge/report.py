@@ -172,8 +172,10 @@ def check_diagnosis(document: Any) -> None:
             _demand(row, Mapping, f"an entry of {key}")
     for row in [*(document.get("effects") or []), *(document.get("faults") or [])]:
         _demand(row.get("displacement_mm") or {}, Mapping, "displacement_mm")
-        for value in _demand(row.get("params") or {}, Mapping, "params").values():
-            _demand(value, Mapping, "an entry of params")
+        _demand(row.get("name"), str, "the name of an effect")
+        for label, value in _demand(row.get("params"), Mapping, "params").items():
+            if number(_demand(value, Mapping, "an entry of params").get("value")) is None:
+                raise ReportError(f"damaged diagnosis: {label} has no finite value; make it again")
     for row in document.get("rivals") or []:
         _demand(row.get("effects") or [], list, "effects of a rival")
     for row in _demand((document.get("error") or {}).get("ladder") or [], list, "ladder"):

@@ -30,6 +30,19 @@ HIDDEN = {
 }
 
 
+# The least that a reader relies on.
+SOUND = (
+    {
+        "schema": "softmap.diagnosis/1",
+        "verdict": "identified",
+        "sentence": "The model lacks backlash.",
+        "effects": [{"name": "backlash", "params": {"backlash.gap": {"value": 0.4, "sigma": 0.1, "unit": "mm"}}}],
+    }
+    | {name: [] for name in ("faults", "rivals", "not_testable", "next")}
+    | {name: {} for name in ("where", "error", "unexplained", "made_from")}
+)
+
+
 def diagnosed(hidden, model=None, **settings):
     return diagnose(model or Arm(), record_run(hidden, **settings), library=LIBRARY)
 
@@ -161,6 +174,27 @@ def test_same_input_same_document_and_round_trip():
 def test_broken_documents_are_refused(broken, match):
     with pytest.raises(SoftmapError, match=match):
         Diagnosis.from_dict(broken)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "match"),
+    [
+        (lambda entry: entry.pop("name"), "name of an effect"),
+        (lambda entry: entry.update(params=7), "params"),
+        (lambda entry: entry["params"]["backlash.gap"].update(value="wide"), "backlash.gap"),
+        (lambda entry: entry["params"]["backlash.gap"].update(value=float("nan")), "backlash.gap"),
+    ],
+)
+def test_broken_effects_never_reach_a_model(spoil, match, tmp_path):
+    document = json.loads(json.dumps(SOUND))
+    Diagnosis.from_dict(document)
+    spoil(document["effects"][0])
+    (tmp_path / "d.json").write_text(json.dumps(document))
+    with pytest.raises(SoftmapError, match=match):
+        Diagnosis.load(tmp_path / "d.json")
+    (tmp_path / "d.json").write_text("{" + 5000 * "9")
+    with pytest.raises(SoftmapError, match="not JSON"):
+        Diagnosis.load(tmp_path / "d.json")
 
 
 def test_wrong_use_is_an_error():

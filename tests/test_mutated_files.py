@@ -117,6 +117,13 @@ def finger_sample(folder):
     return folder / "finger.toml"
 
 
+def diagnosis_sample(folder):
+    from test_diagnosis import SOUND
+
+    (folder / "d.json").write_text(json.dumps(SOUND, indent=1), encoding="utf-8")
+    return folder / "d.json"
+
+
 def sweep_sample(folder):
     from softmap_edge.finger import Finger
     from softmap_edge.simulator import Simulator
@@ -287,6 +294,16 @@ def use_finger(path):
     assert Finger.from_toml(finger.to_toml()) == finger
 
 
+def use_diagnosis(path):
+    from softmap_edge.bundle import builtin_model
+    from softmap_edge.diagnosis import Diagnosis
+
+    found = Diagnosis.load(path)
+    str(found)
+    for entry in found.effects:
+        builtin_model().with_effects([entry["name"]], found.params_of(entry["name"]))
+
+
 def use_sweep(path):
     from softmap_edge.simulator import Sweep
 
@@ -313,6 +330,7 @@ FORMATS = [
     Format("mapping", logs_sample, spoil_one_of("map.toml"), use_logs),
     Format("finger", finger_sample, spoil_text_file, use_finger),
     Format("sweep", sweep_sample, spoil_npz_file, use_sweep),
+    Format("diagnosis", diagnosis_sample, spoil_text_file, use_diagnosis),
     Format("bundle", bundle_sample, spoil_bundle, use_bundle),
 ]
 

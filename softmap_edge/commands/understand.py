@@ -89,7 +89,7 @@ def add(args: argparse.Namespace) -> int:
     """Write a bundle with effects of a diagnosis added, with their fitted numbers."""
     from softmap_edge.diagnosis import Diagnosis
 
-    model, diagnosis = _bundle(args.bundle), Diagnosis.from_dict(_read_json(args.source))
+    model, diagnosis = _bundle(args.bundle), Diagnosis.load(args.source)
     names = _names(args.name)
     twice = [n for n in names if n in model.chain_names]
     if twice:
@@ -204,10 +204,3 @@ def _progress(args: argparse.Namespace) -> Callable[[str], None] | None:
 
 def _write_json(path: str, document: dict[str, Any]) -> None:
     Path(path).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-
-
-def _read_json(path: str) -> Any:
-    try:
-        return json.loads(Path(path).read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise SoftmapError(f"{path} is not JSON ({error}); make it with `softmap diagnose --out`") from error
