@@ -8,6 +8,7 @@ tests/test_diagnosis.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,12 +27,27 @@ from softmap_edge.evidence import (
     not_testable,
 )
 from softmap_edge.fit import Fit, Record
-from softmap_edge.search import Search
+from softmap_edge.search import RIVAL_SHARE, Search
 
 Floats = NDArray[np.float64]
 
 TEMPERATURE = 4.0  # of the probabilities: forms of the library are never exact; not yet fitted on a bank
 UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "cannot tell"
+
+
+@dataclass(frozen=True)
+class OwnMisfit:
+    """Effects that the model has already, which fit the run much better with other numbers: mm RMS, after held out."""
+
+    names: tuple[str, ...]
+    before_mm: float
+    after_mm: float
+
+    def __str__(self) -> str:
+        return (
+            f"the model's own {' + '.join(self.names)} does not fit this run: "
+            f"`softmap refit` alone takes {self.before_mm:.2f} mm to {self.after_mm:.2f} mm"
+        )
 
 
 def conclude(
@@ -40,6 +56,7 @@ def conclude(
     other: Record | None = None,
     demoted: Sequence[str] = (),
     impossible: Sequence[Untestable] = (),
+    own: OwnMisfit | None = None,
     seed: int = 0,
 ) -> dict[str, Any]:
     """Say what a finished search means.
@@ -50,6 +67,7 @@ def conclude(
         other: an independent run on which errors are held out; blocks of the searched one without it.
         demoted: effects that were dropped because the independent run spoke against them.
         impossible: effects that were never candidates, and why.
+        own: what the model's own effects would reach with other numbers, if that is much.
         seed: kept in the document.
 
     Returns:
@@ -63,14 +81,21 @@ def conclude(
     left = leftover(search, fit)
     hidden = [*not_testable(search, fit, registry), *impossible]
     rivals = _rivals(search, fit, found, registry)
+    if own is not None and fit.effects:
+        fall = own.before_mm - search.held_out_mm(fit)
+        if own.before_mm - own.after_mm >= RIVAL_SHARE * fall:
+            block = ("`softmap refit` on this run, then diagnose again", 0.0)
+            rivals.insert(0, {"member": order[0], "effects": list(own.names), "why": str(own), "experiment": block})
     entries = _entries(search, fit, other, order, weights, rivals, registry)
     faults = [e for e in entries if registry[e["name"]]["kind"] == "fault"]
     physics = [e for e in entries if registry[e["name"]]["kind"] != "fault"]
     error = _error(search, order, other)
-    verdict = _verdict(physics, faults, rivals, left, hidden, len(search.candidates) + len(impossible))
+    doubts = [*([str(own)] if own else []), *_at_bounds(entries)]
+    verdict = _verdict(physics, faults, [*rivals, *doubts], left, hidden, len(search.candidates) + len(impossible))
     return {
         "verdict": verdict,
-        "sentence": _sentence(verdict, physics, faults, rivals, left, hidden, error, demoted),
+        "sentence": _sentence(verdict, physics, faults, rivals, left, hidden, error, demoted)
+        + "".join(f" But {doubt}." for doubt in doubts),
         "effects": physics,
         "faults": faults,
         "rivals": [{"effects": r["effects"], "why": r["why"]} for r in rivals],
@@ -132,8 +157,11 @@ def _shift_on(fit: Fit, other: Record, name: str) -> Floats:
 
 
 def parameters(record: Record, fit: Fit, sigma: Floats, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Return the fitted parameters of the effects `names` by label: value, sigma, unit, and whether at a bound."""
-    values = fit.space.values(fit.x)
+    """Return the fitted parameters of the effects `names` by label: value, sigma, unit, and whether at a bound.
+
+    A bound where the effect ends (no payload, one creep time) is none.
+    """
+    values, null = fit.space.values(fit.x), fit.space.scaled(fit.space.null)
     in_commands = {e["name"] for e in record.library.effects() if e["role"] == "channel"}
     found = {}
     for j, i in enumerate(fit.space.free):
@@ -144,9 +172,20 @@ def parameters(record: Record, fit: Fit, sigma: Floats, names: Sequence[str]) ->
             unit = "of the rod's own load scale"  # its stiffness is unknown, so grams would be a claim without ground
         if unit == "mm" and label.split(".")[0] in in_commands:
             unit = getattr(record.model, "command_unit", "mm")
-        at_bound = bool(fit.x[j] <= fit.space.low[j] + 1e-6 or fit.x[j] >= fit.space.high[j] - 1e-6)
+        bounds = [x for x in (fit.space.low[j], fit.space.high[j]) if abs(x - null[j]) > 1e-6]
+        at_bound = any(abs(fit.x[j] - x) <= 1e-6 for x in bounds)
         found[label] = {"value": float(values[j]), "sigma": float(sigma[j]), "unit": unit, "at_bound": at_bound}
     return found
+
+
+def _at_bounds(entries: list[dict[str, Any]]) -> list[str]:
+    return [
+        f"{label} is at its bound of {p['value']:.3g}{'' if p['unit'] == '1' else ' ' + p['unit']}: "
+        "the true value lies beyond, or another effect acts"
+        for entry in entries
+        for label, p in entry["params"].items()
+        if p["at_bound"]
+    ]
 
 
 def _rivals(
@@ -164,12 +203,12 @@ def _rivals(
 
 
 def _verdict(
-    physics: list[Any], faults: list[Any], rivals: list[Any], left: Leftover, hidden: list[Untestable], count: int
+    physics: list[Any], faults: list[Any], doubts: list[Any], left: Leftover, hidden: list[Untestable], count: int
 ) -> str:
     if left.claim:
         return "partly_explained"
     if physics:
-        return "ambiguous" if rivals else "identified"
+        return "ambiguous" if doubts else "identified"
     if faults:
         return "measurement_fault"
     return "cannot_tell" if len(hidden) >= UNTESTABLE_SHARE * count else "nothing"
@@ -197,7 +236,8 @@ def _sentence(
         return f"The model lacks {names}; {fall}.{lost}"
     if verdict == "ambiguous":
         also = "; ".join(dict.fromkeys(" + ".join(r["effects"]) for r in rivals))
-        return f"The model lacks {names} or a rival that these data do not rule out ({also}); {fall}.{lost}"
+        other = f"a rival that these data do not rule out ({also})" if rivals else "something that looks like it"
+        return f"The model lacks {names} or {other}; {fall}.{lost}"
     if verdict == "partly_explained" and names:
         return f"The model lacks {names}, and something that is not among the candidates: {unknown}; {fall}.{lost}"
     if verdict == "partly_explained":
@@ -265,7 +305,7 @@ def _next(
     blocks: dict[str, dict[str, Any]] = {}
     for rival in rivals:
         other = next((e for e in rival["effects"] if e != rival["member"]), rival["member"])
-        block, minutes = experiment(registry, rival["member"])
+        block, minutes = rival.get("experiment") or experiment(registry, rival["member"])
         entry = blocks.setdefault(block, {"block": block, "minutes": minutes, "settles": [], "separation": None})
         entry["settles"] += [n for n in (rival["member"], other) if n not in entry["settles"]]
     for item in hidden:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.conclusion import conclude, parameters
+from softmap_edge.conclusion import OwnMisfit, conclude, parameters
 from softmap_edge.errors import SoftmapError, brief
 from softmap_edge.evidence import Untestable, experiment, orientations
 from softmap_edge.fit import Fit, Problem, Record
@@ -160,8 +160,8 @@ def diagnose(
     else:  # form error can swallow what a static effect does wrong on unseen blocks; in mm it shows
         fit, demoted = _demote(search, fit, search.held_out_mm, 1.0)
     found = model.with_effects(fit.space.names, fit.params) if fit.effects else model
-    document = conclude(search, fit, other, demoted, impossible, seed)
-    document["sentence"] += _outside(record) + _own_misfit(record)
+    document = conclude(search, fit, other, demoted, impossible, _own_misfit(record), seed)
+    document["sentence"] += _outside(record)
     return Diagnosis(**document, model=found)
 
 
@@ -235,16 +235,13 @@ def _outside(record: Record) -> str:
     return f" {100 * beyond:.0f} % of the frames lie beyond the commands that the model was made from: a guess there."
 
 
-def _own_misfit(record: Record) -> str:
-    """Say so when the effects that the model has already are wrong in their numbers: what is missing may be that."""
+def _own_misfit(record: Record) -> OwnMisfit | None:
+    """Return what the effects that the model has already would reach with other numbers, if that is much."""
     if not record.model.chain_names:
-        return ""
+        return None
     report = refit(record.model, record.whole, record.library)[1]
     before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
-    if after > OWN_FALL * before:
-        return ""
-    names = " + ".join(record.model.chain_names)
-    return f" But its own {names} does not fit this run: `softmap refit` alone takes {before:.2f} mm to {after:.2f} mm."
+    return OwnMisfit(tuple(record.model.chain_names), before, after) if after <= OWN_FALL * before else None
 
 
 def _problem(record: Record, candidates: Sequence[str]) -> Problem:

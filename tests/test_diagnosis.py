@@ -283,8 +283,19 @@ def test_what_a_model_has_already_may_be_wrong_in_its_numbers():
     """A rival that repairs a wrong number is not told without the number."""
     run = finger_run(["backlash"], {"backlash.gap": 1.5})
     wrong, right = (builtin_model().with_effects(["backlash"], {"backlash.gap": gap}) for gap in (1.0, 1.5))
-    assert "`softmap refit` alone takes" in diagnose(wrong, run).sentence
-    assert "refit" not in diagnose(right, run).sentence
+    found = diagnose(wrong, run)
+    assert found.verdict == "ambiguous" and found.rivals[0]["effects"] == ["backlash"]
+    assert "`softmap refit` alone takes" in found.sentence and "softmap refit" in found.next[0]["block"]
+    found = diagnose(right, run)
+    assert found.verdict == "nothing" and "refit" not in found.sentence
+
+
+def test_what_lies_beyond_a_bound_is_never_identified():
+    """A second of delay, twice what the library allows: lag stands in for the rest, and the bound says so."""
+    late = lambda u: np.concatenate([np.tile(u[:1], (50, 1)), u])[: len(u)]  # noqa: E731
+    found = diagnose(builtin_model(), finger_run(acting=late))
+    assert found.verdict == "ambiguous" and found.effects[-1]["params"]["latency.delay"]["at_bound"]
+    assert "latency.delay is at its bound of 0.5 s" in found.sentence
 
 
 def test_extrapolation_is_told():
