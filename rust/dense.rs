@@ -1,4 +1,4 @@
-//! Small dense linear systems: a handful of cables, never a mesh.
+//! Small dense linear systems: a handful of cables or segments, never a mesh.
 
 /// Solve A x = b by elimination with pivoting; None when A is singular.
 pub(crate) fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
@@ -25,9 +25,54 @@ pub(crate) fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
     Some(b)
 }
 
+/// The Cholesky factor of a positive definite system, for as many right sides as one likes.
+#[derive(Debug, Clone)]
+pub(crate) struct Factor {
+    lower: Vec<f64>,
+    n: usize,
+}
+
+impl Factor {
+    /// Factorise the lower triangle of `a` (n, n), row-major. A pivot lost to round-off is kept at 1e-14 of its diagonal.
+    pub(crate) fn new(mut a: Vec<f64>, n: usize) -> Self {
+        for i in 0..n {
+            for k in 0..=i {
+                let known: f64 = (0..k).map(|m| a[i * n + m] * a[k * n + m]).sum();
+                let rest = a[i * n + k] - known;
+                a[i * n + k] = if i == k {
+                    rest.max(1e-14 * a[i * n + i]).sqrt()
+                } else {
+                    rest / a[k * n + k]
+                };
+            }
+        }
+        Self { lower: a, n }
+    }
+
+    /// Replace `b` (n,) by the solution.
+    pub(crate) fn solve(&self, b: &mut [f64]) {
+        let (a, n) = (&self.lower, self.n);
+        for i in 0..n {
+            let known: f64 = (0..i).map(|k| a[i * n + k] * b[k]).sum();
+            b[i] = (b[i] - known) / a[i * n + i];
+        }
+        for i in (0..n).rev() {
+            let known: f64 = (i + 1..n).map(|k| a[k * n + i] * b[k]).sum();
+            b[i] = (b[i] - known) / a[i * n + i];
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::solve;
+    use super::{Factor, solve};
+
+    #[test]
+    fn positive_definite_systems_are_solved() {
+        let mut b = [8.0, 10.0];
+        Factor::new(vec![4.0, 0.0, 2.0, 3.0], 2).solve(&mut b); // only the lower triangle is read
+        assert!((b[0] - 0.5).abs() < 1e-15 && (b[1] - 3.0).abs() < 1e-15);
+    }
 
     #[test]
     fn small_dense_systems_are_solved() {

@@ -15,6 +15,8 @@ __all__ = [
     "Cables",
     "Chain",
     "CoreError",
+    "ElasticField",
+    "ElasticRod",
     "FIELDS",
     "Predictor",
     "Rod",
@@ -43,6 +45,27 @@ class Rod(Shape):
 @final
 class RodField(Shape):
     def __new__(cls, rod: Rod, name: str, compliance: float, lock: float = 0.0) -> Self: ...
+
+@final
+class ElasticRod(Shape):
+    def __new__(
+        cls,
+        segments: int,
+        channels: int,
+        ends: Sequence[int],
+        channel: Sequence[int],
+        pull: Sequence[float],
+        at: Sequence[float],
+        numbers: _Floats,
+    ) -> Self: ...
+    @property
+    def labels(self) -> list[str]: ...
+    def state(self, u: _Floats) -> tuple[_Floats, _Floats]: ...
+    def number_slopes(self, u: _Floats) -> tuple[_Floats, _Floats]: ...
+
+@final
+class ElasticField(Shape):
+    def __new__(cls, rod: ElasticRod, name: str, flexibility: float) -> Self: ...
 
 def monomials(x: _Floats, degree: int) -> _Floats: ...
 def monomial_degrees(variables: int, degree: int) -> list[int]: ...

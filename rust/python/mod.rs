@@ -3,6 +3,7 @@
 mod arrays;
 mod cables;
 mod effects;
+mod elastic;
 mod fem;
 mod predict;
 mod rod;
@@ -34,6 +35,8 @@ mod _core {
     use super::cables::PyCables;
     #[pymodule_export]
     use super::effects::{PyChain, effects};
+    #[pymodule_export]
+    use super::elastic::{PyElasticField, PyElasticRod};
     #[pymodule_export]
     use super::fem::Solid;
     #[pymodule_export]

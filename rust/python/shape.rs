@@ -7,6 +7,7 @@ use numpy::{
     IntoPyArray, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// A map from commands to numbers; `Rod` and `RodField` are of this kind.
@@ -53,9 +54,11 @@ impl PyShape {
             (self.inner.clone(), self.inner.channels(), self.inner.size());
         let mut out = zeros("an answer (commands, outputs)", &[n, size])?;
         let out = py.detach(move || {
-            for (i, out) in out.chunks_exact_mut(size).enumerate() {
-                shape.eval(&rows[i * channels..(i + 1) * channels], out);
-            }
+            out.par_chunks_exact_mut(size.max(1))
+                .enumerate()
+                .for_each(|(i, out)| {
+                    shape.eval(&rows[i * channels..(i + 1) * channels], out);
+                });
             out
         });
         out.into_pyarray(py).reshape([n, size])
@@ -75,12 +78,9 @@ impl PyShape {
             &[n, size, channels],
         )?;
         let out = py.detach(move || {
-            for (u, out) in rows
-                .chunks_exact(channels.max(1))
-                .zip(out.chunks_exact_mut((size * channels).max(1)))
-            {
-                shape.jacobian(u, out);
-            }
+            rows.par_chunks_exact(channels.max(1))
+                .zip(out.par_chunks_exact_mut((size * channels).max(1)))
+                .for_each(|(u, out)| shape.jacobian(u, out));
             out
         });
         out.into_pyarray(py).reshape([n, size, channels])

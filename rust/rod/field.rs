@@ -23,6 +23,20 @@ pub enum Load {
     TipForce,
 }
 
+impl Load {
+    /// The load and the axis of the field called `name`.
+    pub(super) fn of(name: &str) -> Result<(Self, usize)> {
+        match FIELDS.iter().position(|known| *known == name) {
+            Some(field) if field < TIP_FORCE => Ok((Load::Weight, field - GRAVITY)),
+            Some(field) => Ok((Load::TipForce, field - TIP_FORCE)),
+            None => Err(invalid(format!(
+                "a rod has no field {name:?}; it has {}",
+                FIELDS.join(", ")
+            ))),
+        }
+    }
+}
+
 /// Marker displacements (mm) of a rod under one unit load along one axis of the base frame.
 #[derive(Debug, Clone)]
 pub struct RodField {
@@ -38,17 +52,7 @@ impl RodField {
     /// N⁻¹·mm⁻²: mm per N of tip force; for gravity the product c·W is mm per 1 g when W (N) is the robot's weight.
     /// `lock` is the share of each chord's mean bending moment that its tendons carry: 0 free, 1 of fixed length.
     pub fn new(rod: Rod, name: &str, compliance: f64, lock: f64) -> Result<Self> {
-        let Some(field) = FIELDS.iter().position(|known| *known == name) else {
-            return Err(invalid(format!(
-                "a rod has no field {name:?}; it has {}",
-                FIELDS.join(", ")
-            )));
-        };
-        let (load, axis) = if field < TIP_FORCE {
-            (Load::Weight, field - GRAVITY)
-        } else {
-            (Load::TipForce, field - TIP_FORCE)
-        };
+        let (load, axis) = Load::of(name)?;
         if !(compliance.is_finite() && compliance > 0.0) {
             return Err(invalid(format!(
                 "a rod's compliance is {compliance} per N mm²; it must be positive"

@@ -1,6 +1,7 @@
-//! The rod prior: a chain of chords whose bending angles are a polynomial of the commands, and how loads bend it.
+//! The rod priors, for a robot that has no simulator, and how loads bend them: `elastic` where its tendons are known, else
+//! what stands here, a chain of chords whose bending angles are a polynomial of the commands.
 //!
-//! For a robot that has no simulator. Marker p_k (k = 1..K, base to tip) hangs on chord d_k = p_k − p_{k−1} below the
+//! Marker p_k (k = 1..K, base to tip) hangs on chord d_k = p_k − p_{k−1} below the
 //! base point p_0. In the base frame (z along the rest axis) chord k has the angle vector
 //!   v_k = β · d_xy/|d_xy|,  β = atan2(|d_xy|, d_z)  (rad),   so that  d_k = |d_k| · (v_k·sin β/β, cos β).
 //! Commands are normalised, q = (u − centre)/scale; all 2K angles are one polynomial of q (degree 1..4, monomials in
@@ -9,10 +10,18 @@
 //! fitted commands a cubic grows fast and nothing is clamped. Fitting is done in `softmap_edge/rod.py`.
 //! `polynomial` holds the polynomials, `field` what loads do to the rod.
 
+mod arc;
+mod elastic;
+mod elastic_field;
+mod elastic_slopes;
 mod field;
+mod layout;
 mod polynomial;
 
+pub use elastic::ElasticRod;
+pub use elastic_field::ElasticField;
 pub use field::{Load, RodField};
+pub use layout::{Layout, Tendon};
 pub use polynomial::Monomials;
 
 use crate::error::{Result, invalid};
@@ -200,5 +209,7 @@ impl Shape for Rod {
     }
 }
 
+#[cfg(test)]
+mod elastic_tests;
 #[cfg(test)]
 mod tests;
