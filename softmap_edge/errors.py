@@ -17,6 +17,10 @@ class ComparisonError(SoftmapError):
     """A model and a run cannot be compared."""
 
 
+class AlignError(SoftmapError):
+    """The frame of a run cannot be found from what it shows."""
+
+
 class ReportError(SoftmapError):
     """A report cannot be written or read."""
 

@@ -87,6 +87,8 @@ class Run:
         visible: (K, N) bool. sigma: () or (K, N) mm, one standard deviation. block: (K,) integer or text
             labels.
         marker_rest: (M, 3) mm, the markers of the straight robot. robot: its name.
+        frame: (3, 4) [R | mm], what took the points from where they were recorded to the base frame (`softmap align`);
+            frame_sigma: (6,) its standard deviations, deg and mm, about the axes of the base frame.
         extra: fields that this version does not know, kept as they are.
 
     Raises:
@@ -111,6 +113,8 @@ class Run:
     sigma: Array | None = None
     block: NDArray[Any] | None = None
     marker_rest: Array | None = None
+    frame: Array | None = None
+    frame_sigma: Array | None = None
     robot: str | None = None
     command_unit: str = "mm"
     extra: dict[str, NDArray[Any]] = field(default_factory=dict)

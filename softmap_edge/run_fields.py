@@ -17,8 +17,8 @@ from softmap_edge.errors import RunError
 if TYPE_CHECKING:
     from softmap_edge.run import Run
 
-# field: (axes, type). Axes: T command rows, C channels, K frames, N points a frame, P points in all, S = K +
-# 1.
+# field: (axes, type). Axes: T command rows, C channels, K frames, N points a frame, P points in all, S = K + 1;
+# a digit is itself.
 AXES: dict[str, tuple[str, str]] = {
     "t": ("T", "real"),
     "t_seen": ("K", "real"),
@@ -38,6 +38,8 @@ AXES: dict[str, tuple[str, str]] = {
     "sigma": ("KN", "real"),
     "block": ("K", "label"),
     "marker_rest": ("N3", "real"),
+    "frame": ("34", "real"),
+    "frame_sigma": ("6", "real"),
 }
 _TIME = (-1e11, 1e11, "s", "convert the time to seconds")
 _TICKS = (-1e7, 1e7, "ticks", "a servo turn has about 4096 ticks; give ticks counted from home")
@@ -58,6 +60,8 @@ RANGES: dict[str, tuple[float, float, str, str]] = {
     "markers": _PLACE,
     "points": _PLACE,
     "marker_rest": _PLACE,
+    "frame": (-1e6, 1e6, "", "give the rotation and the shift in mm"),
+    "frame_sigma": (0.0, 1e6, "", "give standard deviations in degrees and mm"),
     "sigma": (1e-9, 1e3, "mm", "give the standard deviation of a coordinate in mm"),
 }
 _COMMAND_LIMIT = 1000.0  # mm: more tendon than any finger has; ticks and micrometres exceed it
@@ -135,7 +139,7 @@ def check(run: Run) -> None:
 
 def _sizes(run: Run) -> dict[str, tuple[int, str]]:
     """The length of each axis and the field that sets it."""
-    sizes = {"3": (3, "")}
+    sizes = {axis: (int(axis), "") for axis in "346"}
     if run.t.ndim == 1:
         sizes["T"] = (len(run.t), "t")
     if run.t_seen.ndim == 1:
@@ -261,6 +265,10 @@ def _units(run: Run) -> None:
             raise RunError(
                 f"gravity: length {worst:.4g}, expected a unit vector in the base frame; divide it by its length"
             )
+    if run.frame is not None:
+        turn = run.frame[:, :3]
+        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-6 or np.linalg.det(turn) < 0:
+            raise RunError("frame: its first three columns are no rotation; make it with `softmap align`")
     for name in ("command", "present"):
         value = getattr(run, name)
         if run.command_unit == "mm" and value is not None and value.size and np.abs(value).max() > _COMMAND_LIMIT:

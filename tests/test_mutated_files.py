@@ -56,6 +56,8 @@ def run_sample(folder):
         command=np.column_stack([t, -t]),
         gravity=np.array([0.0, 0, 1]),
         temperature=np.full(12, 20.0),
+        frame=np.eye(3, 4),
+        frame_sigma=np.ones(6),
         t_seen=t[::2],
         markers=np.arange(72.0).reshape(6, 4, 3),
         visible=np.ones((6, 4), bool),

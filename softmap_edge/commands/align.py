@@ -1,0 +1,129 @@
+"""The verb align: bring what was seen from the camera's or mocap's frame to the robot's base frame, once."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from typing import Any
+
+import numpy as np
+
+from softmap_edge.align import align_base, align_home, clamped_places
+from softmap_edge.bundle import builtin_model, load_bundle
+from softmap_edge.commands.output import check_file
+from softmap_edge.errors import AlignError
+from softmap_edge.rigid import Pose
+from softmap_edge.run import Run
+
+_HOW = "give --base clamped, --base 0 1 2 (numbers whose places are in `marker_rest`) or --base 0:X,Y,Z 1:X,Y,Z …"
+
+
+def align_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `align`."""
+    parser.add_argument("run", help="a run (.npz) in the frame of the camera or mocap")
+    parser.add_argument("--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it")
+    parser.add_argument("--out", required=True, metavar="RUN", help="the run in the base frame (.npz)")
+    parser.add_argument(
+        "--base",
+        nargs="+",
+        metavar="POINT",
+        help="points fixed to the base instead of home frames: clamped, or numbers of markers, each with its place in "
+        "the base frame in mm unless `marker_rest` has it: 0:30,0,0 1:0,30,0 2:-30,0,0",
+    )
+    parser.add_argument("--follow-base", action="store_true", help="hold a base that moves still, frame by frame")
+    parser.add_argument("--drop-base", action="store_true", help="leave the base markers out of the run afterwards")
+    parser.add_argument("--like", metavar="RUN", help="take the transform of a run that was aligned already")
+
+
+def align(args: argparse.Namespace) -> int:
+    """Find the transform from the frame of the measurement to the base, and write the run in the base frame."""
+    check_file("--out", args.out, ".npz")
+    run = Run.load(args.run)
+    if args.like:
+        return _like(args, run)
+    if (args.follow_base or args.drop_base) and not args.base:
+        raise AlignError(f"--follow-base and --drop-base need base points; {_HOW}")
+    places = _places(args, run) if args.base else {}
+    found = align_base(run, places, args.follow_base) if args.base else align_home(run, _bundle(args))
+    aligned = found.apply(run)
+    if args.drop_base:
+        aligned = without(aligned, list(places))
+    aligned.save(args.out)
+    if args.json:
+        print(json.dumps(found.to_dict() | {"run": args.run, "out": args.out, "hash": aligned.hash()}))
+    else:
+        print(f"{found}\nwritten to {args.out}")
+    return 0
+
+
+def _bundle(args: argparse.Namespace) -> Any:
+    return load_bundle(args.bundle) if args.bundle else builtin_model()
+
+
+def _like(args: argparse.Namespace, run: Run) -> int:
+    """Apply the transform of another run: cameras and base stood as they were."""
+    if args.base or args.follow_base or args.drop_base:
+        raise AlignError("--like takes a transform that is known; it goes with no --base")
+    other = Run.load(args.like)
+    if other.frame is None or other.frame_sigma is None:
+        raise AlignError(f"{args.like}: was not aligned; `softmap align` it first and give its output")
+    if run.frame is not None:
+        raise AlignError(f"{args.run}: is aligned already; give the run as it was recorded")
+    pose = Pose(other.frame[:, :3], other.frame[:, 3])
+    change: dict[str, Any] = {"frame": other.frame, "frame_sigma": other.frame_sigma}
+    for name in ("vertices", "markers", "points"):
+        seen = getattr(run, name)
+        change |= {} if seen is None else {name: pose(seen)}
+    aligned = dataclasses.replace(run, **change)
+    aligned.save(args.out)
+    document = {"schema": "softmap.align/1", "method": "like", "like": args.like, "run": args.run, "out": args.out}
+    text = (
+        f"{args.out}: in the base frame by the transform of {args.like}; cameras and base must stand as they did then"
+    )
+    print(json.dumps(document) if args.json else text)
+    return 0
+
+
+def _places(args: argparse.Namespace, run: Run) -> dict[int, Any]:
+    """Return the base-frame place of each point that --base names."""
+    if args.base == ["clamped"]:
+        return clamped_places(run, _bundle(args))
+    places: dict[int, Any] = {}
+    for word in " ".join(args.base).replace(", ", ",").split():
+        for part in [word] if ":" in word else word.split(","):
+            number, _, place = part.partition(":")
+            try:
+                index = int(number)
+                at = np.array([float(x) for x in place.split(",")]) if place else _rest(run, index)
+            except ValueError:
+                raise AlignError(f"--base {part}: no number of a marker; {_HOW}") from None
+            if at.shape != (3,) or index in places:
+                raise AlignError(f"--base {part}: expected one place of three numbers in mm for each marker; {_HOW}")
+            places[index] = at
+    return places
+
+
+def _rest(run: Run, index: int) -> Any:
+    if run.marker_rest is None:
+        raise AlignError(f"--base {index}: the run has no `marker_rest`, so its place is not known; give {index}:X,Y,Z")
+    if not 0 <= index < len(run.marker_rest):
+        raise AlignError(f"--base {index}: the run has markers 0 to {len(run.marker_rest) - 1}")
+    return run.marker_rest[index]
+
+
+def without(run: Run, names: list[int]) -> Run:
+    """Return the run without some of its markers."""
+    if run.markers is None:
+        raise AlignError("--drop-base leaves markers out; vertices belong to the template and stay")
+    keep = np.setdiff1d(np.arange(run.markers.shape[1]), names)
+    if not len(keep):
+        raise AlignError("--drop-base: no marker is left; the run needs markers on the robot too")
+    change: dict[str, Any] = {"markers": run.markers[:, keep]}
+    for name in ("visible", "sigma"):
+        value = getattr(run, name)
+        if value is not None and value.ndim:
+            change[name] = value[:, keep]
+    if run.marker_rest is not None:
+        change["marker_rest"] = run.marker_rest[keep]
+    return dataclasses.replace(run, **change)
