@@ -1,14 +1,13 @@
-"""Reads one CSV log as columns of numbers or text; what is missing or cut short is named with its line.
+"""Reads the columns of one log that a mapping asks for, and its time; what is odd about either is told.
 
-The whole table goes through numpy's compiled reader; only when that stumbles are the lines read one by one,
-to say where, or to take empty cells as "not seen".
+Whatever the format, a log is named columns (`softmap_edge/logs/`, one reader each). Rows that are the row before once
+more, time and all, are left out; a time that stands still or goes backwards is refused unless the mapping says what
+to do; missing rows are counted where the log has a regular clock.
 """
 
 from __future__ import annotations
 
-import csv
-import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.mapping import Column, Log
+from softmap_edge.logs.columns import Array, Cells, Columns
+from softmap_edge.logs.text import find_delimiter, open_text
+from softmap_edge.mapping import Clock, Column, Log
 
-Array = NDArray[np.float64]
-LIMIT = 2**30  # bytes of one log: about 5 million rows of 16 columns
 LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
-_ABSENT = {"", "nan", "na", "n/a", "null", "none", "-nan"}
+_REGULAR = 0.2  # of the usual step: what a clock with jitter stays within
 
 
 @dataclass(frozen=True)
@@ -31,17 +30,39 @@ class LogTable:
     path: Path
     t: Array  # (rows,) s
     names: list[str]
+    units: dict[str, str]
     values: dict[int, Array]
     labels: NDArray[Any] | None
+    notes: tuple[str, ...]
 
     def numbers(self, columns: tuple[Column, ...]) -> Array:
         """Return (rows, len(columns)); absent cells are NaN."""
         return np.stack([self.values[place(self.path, self.names, column)] for column in columns], axis=1)
 
-    def texts(self, column: Column) -> NDArray[Any]:
+    def texts(self) -> NDArray[Any]:
         """Return the (rows,) labels."""
         assert self.labels is not None
         return self.labels
+
+    def unit(self, column: Column) -> str | None:
+        """Return the unit of a column, where the file states one."""
+        return self.units.get(self.names[place(self.path, self.names, column)])
+
+    def rows(self, keep: NDArray[np.bool_]) -> LogTable:
+        """Return the same with some of its rows."""
+        values = {k: column[keep] for k, column in self.values.items()}
+        return replace(self, t=self.t[keep], values=values, labels=None if self.labels is None else self.labels[keep])
+
+
+def open_log(path: Path, log: Log | None = None) -> Columns:
+    """Open a log of whatever format; without `log` everything about it is found.
+
+    Raises:
+        RunError: it is absent, damaged, or in no format that is read here.
+    """
+    skip_rows, skip_last, header = (0, 0, None) if log is None else (log.skip_rows, log.skip_last_rows, log.header)
+    delimiter, decimal = (None, None) if log is None else (log.delimiter, log.decimal)
+    return open_text(path, delimiter, decimal, header, skip_rows, skip_last)
 
 
 def read_log(path: Path, log: Log) -> LogTable:
@@ -50,170 +71,144 @@ def read_log(path: Path, log: Log) -> LogTable:
     Raises:
         RunError: the file is absent or too large, a column is missing, or a line cannot be read.
     """
-    lines = _lines(path, log)
-    delimiter = log.delimiter or _delimiter(lines[0])
-    head = next(csv.reader([lines[0]], delimiter=delimiter), [])
-    names = [name.strip() for name in head] if log.header else [str(k) for k in range(len(head))]
-    if log.header and head and all(_is_number(name) for name in names):
-        raise RunError(
-            f"{path}: has no header line (the first line is numbers); set header = false and give column numbers"
-        )
-    body = lines[1:] if log.header else lines
-    first = log.skip_rows + 1 + int(log.header)  # the line number of body[0]
-    if log.skip_last_rows:
-        body = body[: -log.skip_last_rows]
-    if not body:
-        raise RunError(f"{path}: holds no rows; give a log that holds data, or fewer skip_rows")
+    columns = open_log(path, log)
+    names = columns.names
     wanted: list[Column] = [column for quantity in log.rows.values() for column in quantity.columns]
-    wanted += list(log.markers.columns) if log.markers else []
+    wanted += [column for points in (log.markers, log.base) if points is not None for column in points.columns]
     wanted += [] if log.clock.column is None else [log.clock.column]
-    _all_there(path, names, [*wanted, *([] if log.block is None else [log.block])], lines[0], delimiter)
+    _all_there(path, names, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
     places = sorted({place(path, names, column) for column in wanted})
-    block = None if log.block is None else place(path, names, log.block)
-    numbers = _fast(body, delimiter, places, log.decimal, len(names)) if block is None and places else None
-    labels = None
-    if numbers is None:
-        numbers, labels = _slow(path, body, first, delimiter, places, block, names, log.decimal)
-    _within_reason(path, numbers, places, names, first)
-    values = dict(zip(places, numbers.T))
-    count = (
-        np.arange(len(body), dtype=float) if log.clock.column is None else values[place(path, names, log.clock.column)]
-    )
-    t = count * log.clock.seconds + log.clock.offset_s
-    if not np.isfinite(t).all():
-        row = int(np.flatnonzero(~np.isfinite(t))[0])
-        raise RunError(f"{path}: line {first + row}: the time is empty or not a number; remove the line")
-    if log.clock.repeated == "drop" and len(t) > 1:
-        fresh = np.r_[True, t[1:] > np.maximum.accumulate(t)[:-1]]
-        t, values = t[fresh], {k: column[fresh] for k, column in values.items()}
-        labels = None if labels is None else labels[fresh]
-    return LogTable(path, t, names, values, labels)
-
-
-def _within_reason(path: Path, numbers: Array, places: list[int], names: list[str], first: int) -> None:
-    wild = np.abs(numbers) > LARGEST  # infinity as well; NaN is an absent cell
-    if wild.any():
-        row, j = (int(i) for i in np.argwhere(wild)[0])
-        raise RunError(
-            f"{path}: line {first + row}, column {names[places[j]]}: {numbers[row, j]:g} is no measurement; "
-            "correct or remove the line"
-        )
+    cells = columns.read(places, None if log.block is None else place(path, names, log.block))
+    _within_reason(path, columns.where, cells, places, names)
+    clock = None if log.clock.column is None else places.index(place(path, names, log.clock.column))
+    t, cells, notes = _clock(path, columns.where, cells, clock, log.clock)
+    values = dict(zip(places, cells.numbers.T))
+    return LogTable(path, t, names, columns.units, values, cells.labels, (*cells.notes, *notes))
 
 
 def place(path: Path, names: list[str], column: Column) -> int:
     """Return the position of a column given by name or by number.
 
     Raises:
-        RunError: there is no such column.
+        RunError: there is no such column, or several have this name.
     """
     if isinstance(column, int):
         if 0 <= column < len(names):
             return column
         raise RunError(f"{path}: no column number {column}; there are {len(names)}, counted from 0")
     if column in names:
+        if names.count(column) > 1:
+            numbers = " and ".join(str(k) for k, name in enumerate(names) if name == column)
+            raise RunError(f"{path}: columns {numbers} are all called '{column[:60]}'; give the number instead")
         return names.index(column)
     raise RunError(f"{path}: no column '{column[:60]}'; there are {', '.join(names)[:200]}")
 
 
-def _lines(path: Path, log: Log) -> list[str]:
-    try:
-        if path.stat().st_size > LIMIT:
-            raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log")
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as cause:
-        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a CSV log") from cause
-    except UnicodeDecodeError as cause:
-        raise RunError(f"{path}: byte {cause.start} is not text; give a CSV log in UTF-8") from cause
-    if "\0" in text:
-        raise RunError(f"{path}: holds zero bytes; the file is damaged or not a CSV log")
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")[log.skip_rows :]
-    while lines and not lines[-1].strip():
-        lines.pop()
-    if not lines:
-        raise RunError(f"{path}: holds no lines after {log.skip_rows} skipped ones; give a log that holds data")
-    return lines
-
-
-def _delimiter(line: str) -> str:
-    """The delimiter that cuts the first line into most cells."""
-    return max((",", ";", "\t", "|", " "), key=line.count)
-
-
-def _all_there(path: Path, names: list[str], wanted: list[Column], line: str, delimiter: str) -> None:
+def _all_there(path: Path, names: list[str], wanted: list[Column], delimiter: str | None) -> None:
     missing = [c for c in wanted if (c not in names if isinstance(c, str) else not 0 <= c < len(names))]
     if not missing:
         return
     listed = ", ".join(str(column)[:40] for column in dict.fromkeys(missing[:8]))
     hint = ""
-    other = _delimiter(line)
-    if len(names) == 1 and other != delimiter and line.count(other):
+    if len(names) == 1 and delimiter is not None and (other := find_delimiter(names[0])) in names[0]:
         hint = f"; the file seems to be cut by '{other}', not by '{delimiter}'"
-    if line.lstrip().startswith("#"):
-        hint = "; the line read as header is a comment: set skip_rows to the number of lines above the header"
     raise RunError(f"{path}: no column {listed}; there are {', '.join(names)[:200]}{hint}; change the mapping")
 
 
-def _fast(body: list[str], delimiter: str, places: list[int], decimal: str, width: int) -> Array | None:
-    """The whole table by numpy's compiled reader; None where it stumbles or lines differ in cells."""
-    cut = width - 1
-    if any(line.count(delimiter) != cut for line in body):
-        return None
-    text = "\n".join(body)
-    if '"' in text:
-        return None
-    if decimal == ",":
-        text = text.replace(",", ".")
-    try:
-        return np.loadtxt(io.StringIO(text), delimiter=delimiter, usecols=places, comments=None, ndmin=2, dtype=float)
-    except (ValueError, OverflowError):
-        return None
-
-
-def _slow(
-    path: Path,
-    body: list[str],
-    first: int,
-    delimiter: str,
-    places: list[int],
-    block: int | None,
-    names: list[str],
-    decimal: str,
-) -> tuple[Array, NDArray[Any] | None]:
-    numbers = np.empty((len(body), len(places)))
-    labels: list[str] = []
-    try:
-        rows = list(csv.reader(body, delimiter=delimiter, skipinitialspace=True))
-    except csv.Error as cause:
-        raise RunError(f"{path}: is not a CSV log ({cause}); export it again") from cause
-    if len(rows) != len(body):
-        raise RunError(f"{path}: a quoted cell runs over several lines; export the log without quotes")
-    for k, cells in enumerate(rows):
-        if len(cells) != len(names):
+def _within_reason(path: Path, where: str, cells: Cells, places: list[int], names: list[str]) -> None:
+    for j, column in enumerate(places):
+        wild = np.abs(cells.numbers[:, j]) > LARGEST  # infinity as well; NaN is an absent cell
+        if wild.any():
+            row = int(np.argmax(wild))
             raise RunError(
-                f"{path}: line {first + k} has {len(cells)} cells, expected {len(names)}; the file may "
-                "be cut short: "
-                "remove the line, or set skip_last_rows"
+                f"{path}: {where} {cells.lines[row]}, column {names[column]}: {cells.numbers[row, j]:g} is no "
+                "measurement; correct or remove the line"
             )
-        for j, column in enumerate(places):
-            cell = cells[column].strip()
-            if cell.lower() in _ABSENT:
-                numbers[k, j] = np.nan
-                continue
-            try:
-                numbers[k, j] = float(cell.replace(",", ".") if decimal == "," else cell)
-            except ValueError:
-                hint = '; set decimal = "," in the mapping' if "," in cell else ""
-                raise RunError(
-                    f"{path}: line {first + k}, column {names[column]}: '{cell[:40]}' is not a number{hint}"
-                ) from None
-        if block is not None:
-            labels.append(cells[block].strip())
-    return numbers, np.array(labels) if block is not None else None
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell.replace(",", "."))
-    except ValueError:
-        return False
-    return True
+# --- time ----------------------------------------------------------------------------------
+def _clock(path: Path, where: str, cells: Cells, column: int | None, clock: Clock) -> tuple[Array, Cells, list[str]]:
+    """The time of the rows in s, the rows that have one, and what was odd."""
+    notes: list[str] = []
+    count = np.arange(len(cells.numbers), dtype=float) if column is None else cells.numbers[:, column]
+    t = count * clock.seconds + clock.offset_s
+    empty = ~np.isfinite(t)
+    if empty.any():
+        if not np.isnan(cells.numbers[empty]).all():
+            row = int(np.argmax(empty & np.isfinite(cells.numbers).any(axis=1)))
+            raise RunError(f"{path}: {where} {cells.lines[row]}: the time is empty or not a number; remove the line")
+        notes.append(f"{int(empty.sum())} empty rows were left out")
+        t, cells = t[~empty], _kept(cells, ~empty)
+    if len(t) == 0:
+        raise RunError(f"{path}: holds no rows; give a log that holds data")
+    same = np.r_[False, np.diff(t) == 0]
+    if same.any():
+        at = np.flatnonzero(same)
+        again = np.zeros(len(t), bool)
+        before, after = cells.numbers[at - 1], cells.numbers[at]
+        again[at] = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
+        if cells.labels is not None:
+            again[at] &= cells.labels[at - 1] == cells.labels[at]
+        if again.any():
+            notes.append(f"{int(again.sum())} rows that repeat the row before, time and all, were left out")
+            t, cells = t[~again], _kept(cells, ~again)
+    if clock.repeated == "drop" and len(t) > 1:
+        fresh = np.r_[True, t[1:] > np.maximum.accumulate(t)[:-1]]
+        if not fresh.all():
+            notes.append(f"{int((~fresh).sum())} rows whose time does not increase were dropped")
+            t, cells = t[fresh], _kept(cells, fresh)
+    _increasing(path, where, t, cells, spread=clock.repeated == "spread")
+    if clock.repeated == "spread" and (np.diff(t) == 0).any():
+        notes.append(f"{int((np.diff(t) == 0).sum())} rows share a time with the row before and were spread evenly")
+        t = _spread(t)
+    return t, cells, [*notes, *_gaps(where, t, cells)]
+
+
+def _kept(cells: Cells, keep: NDArray[np.bool_]) -> Cells:
+    labels = None if cells.labels is None else cells.labels[keep]
+    return replace(cells, numbers=cells.numbers[keep], labels=labels, lines=cells.lines[keep])
+
+
+def _increasing(path: Path, where: str, t: Array, cells: Cells, spread: bool) -> None:
+    step = np.diff(t)
+    late = step < 0 if spread else step <= 0
+    if not late.any():
+        return
+    row = int(np.argmax(late)) + 1
+    back = step[row - 1] < 0
+    remedy = 'set time.repeated = "drop" to leave such rows out'
+    if not back:
+        remedy += ', or "spread" to place rows of one time evenly up to the next'
+    raise RunError(
+        f"{path}: time {'goes backwards' if back else 'stands still'} at row {row} ({where} {cells.lines[row]}: "
+        f"{t[row]:.10g} s after {t[row - 1]:.10g} s), {int(late.sum())} such rows; {remedy}"
+    )
+
+
+def _spread(t: Array) -> Array:
+    """Rows of one time, evenly from it to the next time; the last ones at the usual step."""
+    first = np.flatnonzero(np.r_[True, np.diff(t) > 0])
+    count = np.diff(np.r_[first, len(t)])
+    width = np.diff(t[first])
+    usual = float(np.median(width / count[:-1])) if len(width) else 1.0
+    step = np.r_[width / count[:-1], usual]
+    within = np.arange(len(t)) - np.repeat(first, count)
+    return np.asarray(np.repeat(t[first], count) + within * np.repeat(step, count))
+
+
+def _gaps(where: str, t: Array, cells: Cells) -> list[str]:
+    """Rows that a regular clock should have had."""
+    step = np.diff(t)
+    if len(step) < 10:
+        return []
+    usual = float(np.median(step))
+    if (np.abs(step - usual) <= _REGULAR * usual).mean() < 0.9:
+        return []
+    gaps = step > 1.5 * usual
+    if not gaps.any():
+        return []
+    missing, row = int(np.rint(step[gaps] / usual - 1).sum()), int(np.argmax(step))
+    return [
+        f"{missing} rows are missing in {int(gaps.sum())} gaps, the longest {step[row]:.3g} s after {where} "
+        f"{cells.lines[row]} (usual step {usual:.3g} s); nothing is made up for them"
+    ]

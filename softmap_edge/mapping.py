@@ -7,6 +7,7 @@ examples/trunk.toml shows the form.
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,11 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.toml_table import TomlTable, shown
 
 Array = NDArray[np.float64]
 Column = str | int
 
 SCHEMA = "softmap.mapping/1"
+FILE = "file"  # the unit that the file itself states; mm where it states none
 LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}  # → mm
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}  # → s
 ANGLE = ("deg", "rad")
@@ -32,8 +35,10 @@ _UNITS: dict[str, tuple[str, ...]] = {
     "current": ("mA", "A"),
     "temperature": ("degC", "K"),
     "load": ("g", "kg", "N"),
-    "markers": tuple(LENGTH),
+    "markers": (*LENGTH, FILE),
+    "base": (*LENGTH, FILE),
 }
+POINTS = ("markers", "base")
 _SIZE = 1_000_000  # bytes: a mapping is a page
 
 
@@ -47,6 +52,8 @@ class Quantity:
     offset: Array
     held: str = "keep"
     spool_radius_mm: float = 1.0
+    labels: tuple[str, ...] = ()  # of markers
+    swaps: str = "report"
 
 
 @dataclass(frozen=True)
@@ -61,17 +68,19 @@ class Clock:
 
 @dataclass(frozen=True)
 class Log:
-    """One file of the logs."""
+    """One file of the logs, or one topic of a file."""
 
     file: str | None
+    topic: str | None
     delimiter: str | None
-    decimal: str
+    decimal: str | None
     header: bool
     skip_rows: int
     skip_last_rows: int
     clock: Clock
     rows: dict[str, Quantity]
     markers: Quantity | None
+    base: Quantity | None
     block: Column | None
 
 
@@ -97,6 +106,11 @@ class Mapping:
     load_g: tuple[tuple[str, float], ...] = ()
     declare_load: bool = True
 
+    def to_base(self, points: Array) -> Array:
+        """Return points (..., 3) mm of the log's frame in the base frame: shifted, then axes turned."""
+        shifted = points - self.origin_mm
+        return np.stack([sign * shifted[..., axis] for axis, sign in self.axes], axis=-1)
+
 
 def read_mapping(path: str | os.PathLike[str]) -> Mapping:
     """Read a mapping file.
@@ -118,73 +132,10 @@ def read_mapping(path: str | os.PathLike[str]) -> Mapping:
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError, ValueError) as cause:
         text = " ".join(str(cause).split())[:160]
         raise RunError(f"{path}: is not a TOML file ({text}); examples/trunk.toml shows the form") from cause
-    return _mapping(path, _Table(document, str(path)))
+    return _mapping(path, TomlTable(document, str(path)))
 
 
-class _Table:
-    """A TOML table that remembers what was asked for, so that what nobody asked for can be named."""
-
-    def __init__(self, values: Any, where: str) -> None:
-        if not isinstance(values, dict):
-            raise RunError(f"{where}: {_kind(values)}, expected a table; examples/trunk.toml shows the form")
-        self.values, self.where, self.asked = values, where, list[str]()
-
-    def get(self, key: str, kinds: tuple[type, ...], default: Any = None) -> Any:
-        self.asked.append(key)
-        if key not in self.values:
-            return default
-        value = self.values[key]
-        if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-            names = " or ".join(
-                {str: "text", int: "a whole number", float: "a number"}.get(k, k.__name__) for k in kinds
-            )
-            raise RunError(f"{self.where}: {key} is {_kind(value)}, expected {names}")
-        return value
-
-    def number(self, key: str, default: float | None = None, low: float = -1e12, high: float = 1e12) -> float | None:
-        value = self.get(key, (int, float), default)
-        if value is None:
-            return None
-        if not low <= value <= high:  # also false for NaN
-            raise RunError(f"{self.where}: {key} = {_shown(value)}, expected {low:g} to {high:g}")
-        return float(value)
-
-    def whole(self, key: str, default: int | None, low: int, high: int) -> int | None:
-        value = self.get(key, (int,), default)
-        if value is not None and not low <= value <= high:
-            raise RunError(f"{self.where}: {key} = {_shown(value)}, expected {low} to {high}")
-        return None if value is None else int(value)
-
-    def choice(self, key: str, allowed: tuple[str, ...], default: str) -> str:
-        value = str(self.get(key, (str,), default))
-        if value not in allowed:
-            raise RunError(f"{self.where}: {key} = '{value[:40]}', expected one of {', '.join(allowed)}")
-        return value
-
-    def table(self, key: str) -> _Table:
-        return _Table(self.get(key, (dict,), {}), f"{self.where}: {key}")
-
-    def numbers(self, key: str, shape: tuple[int | None, ...]) -> Array | None:
-        value = self.get(key, (list, int, float))
-        if value is None:
-            return None
-        try:
-            array = np.array(value, float)
-        except (ValueError, TypeError, OverflowError) as cause:
-            raise RunError(f"{self.where}: {key} is not a list of numbers; expected shape {shape}") from cause
-        if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape)):
-            raise RunError(f"{self.where}: {key} has shape {array.shape}, expected {shape}")
-        if not (np.abs(array) <= 1e12).all():  # also false for NaN
-            raise RunError(f"{self.where}: {key} holds NaN or a number beyond 1e12; give plain numbers")
-        return array
-
-    def done(self) -> None:
-        unknown = [key for key in self.values if key not in self.asked]
-        if unknown:
-            raise RunError(f"{self.where}: no key '{unknown[0][:60]}'; there are {', '.join(self.asked)}")
-
-
-def _mapping(path: Path, top: _Table) -> Mapping:
+def _mapping(path: Path, top: TomlTable) -> Mapping:
     schema = top.get("schema", (str,), "")
     if schema != SCHEMA:
         raise RunError(
@@ -207,7 +158,7 @@ def _mapping(path: Path, top: _Table) -> Mapping:
         robot=top.get("robot", (str,)),
         command_unit=unit,
         zero_time=bool(top.get("zero_time", (bool,), False)),
-        logs=tuple(_log(_Table(log, f"{path}: log {k + 1}"), unit) for k, log in enumerate(logs)),
+        logs=tuple(_log(TomlTable(log, f"{path}: log {k + 1}"), unit) for k, log in enumerate(logs)),
         axes=_axes(frame),
         origin_mm=np.zeros(3) if origin is None else origin,
         command_rate_hz=commands.number("rate_hz", None, 1e-3, 1e5),
@@ -226,7 +177,7 @@ def _mapping(path: Path, top: _Table) -> Mapping:
     return mapping
 
 
-def _loads(constant: _Table) -> tuple[tuple[str, float], ...]:
+def _loads(constant: TomlTable) -> tuple[tuple[str, float], ...]:
     value = constant.get("load_g", (int, float, dict))
     if isinstance(value, dict):
         table = constant.table("load_g")
@@ -235,7 +186,7 @@ def _loads(constant: _Table) -> tuple[tuple[str, float], ...]:
     return () if grams is None else (("*", grams),)
 
 
-def _axes(frame: _Table) -> tuple[tuple[int, int], ...]:
+def _axes(frame: TomlTable) -> tuple[tuple[int, int], ...]:
     names = frame.get("axes", (list,), ["x", "y", "z"])
     signs = [(-1 if str(name).startswith("-") else 1, str(name).lstrip("+-")) for name in names]
     if sorted(letter for _, letter in signs) != ["x", "y", "z"]:
@@ -253,7 +204,7 @@ def _axes(frame: _Table) -> tuple[tuple[int, int], ...]:
     return axes
 
 
-def _log(table: _Table, command_unit: str) -> Log:
+def _log(table: TomlTable, command_unit: str) -> Log:
     time = table.table("time")
     column = _column(time, "column")
     rate = time.number("rate_hz", None, 1e-6, 1e7)
@@ -264,53 +215,56 @@ def _log(table: _Table, command_unit: str) -> Log:
         column=column,
         seconds=TIME[unit] if rate is None else 1.0 / rate,
         offset_s=time.number("offset_s", 0.0) or 0.0,
-        repeated=time.choice("repeated", ("refuse", "drop"), "refuse"),
+        repeated=time.choice("repeated", ("refuse", "drop", "spread"), "refuse"),
     )
     time.done()
-    rows = {name: _quantity(table, name, command_unit) for name in _UNITS if name != "markers" and name in table.values}
-    markers = _quantity(table, "markers", command_unit) if "markers" in table.values else None
+    rows = {name: _quantity(table, name, command_unit) for name in _UNITS if name in table.values}
+    markers, base = (rows.pop(name, None) for name in POINTS)
     delimiter = table.get("delimiter", (str,))
     if delimiter is not None and (len(delimiter) != 1 or delimiter in '\r\n"'):
         raise RunError(f"{table.where}: delimiter = '{delimiter[:20]}', expected one character such as , or ; or a tab")
     log = Log(
         file=table.get("file", (str,)),
+        topic=table.get("topic", (str,)),
         delimiter=delimiter,
-        decimal=table.choice("decimal", (".", ","), "."),
+        decimal=table.choice("decimal", (".", ","), ".") if "decimal" in table.values else table.get("decimal", (str,)),
         header=bool(table.get("header", (bool,), True)),
         skip_rows=table.whole("skip_rows", 0, 0, 10**9) or 0,
         skip_last_rows=table.whole("skip_last_rows", 0, 0, 10**9) or 0,
         clock=clock,
         rows=rows,
         markers=markers,
+        base=base,
         block=_column(table, "block"),
     )
     if log.decimal == "," and log.delimiter == ",":
         raise RunError(f"{table.where}: comma is both delimiter and decimal; the file cannot be read so")
     table.asked += list(_UNITS)
     table.done()
-    if log.block is not None and markers is None:
-        raise RunError(f"{table.where}: block labels belong to the log with the markers; move them there")
+    if (log.block is not None or base is not None) and markers is None:
+        what = "block labels belong" if base is None else "base markers belong"
+        raise RunError(f"{table.where}: {what} to the log with the markers; move them there")
     return log
 
 
-def _column(table: _Table, key: str) -> Column | None:
+def _column(table: TomlTable, key: str) -> Column | None:
     value = table.get(key, (str, int))
     return value if isinstance(value, str | int) else None
 
 
-def _quantity(log: _Table, name: str, command_unit: str) -> Quantity:
+def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     table = log.table(name)
     listed = table.get("columns", (list,), [])
     flat: list[Any] = [cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])]
     if not flat or not all(isinstance(cell, str | int) and not isinstance(cell, bool) for cell in flat):
         raise RunError(f"{table.where}: columns = {str(listed)[:60]}, expected a list of column names or numbers")
-    if name == "markers" and (len(flat) % 3 or any(isinstance(e, list) and len(e) != 3 for e in listed)):
+    if name in POINTS and (len(flat) % 3 or any(isinstance(e, list) and len(e) != 3 for e in listed)):
         raise RunError(f'{table.where}: {len(flat)} columns, expected x, y, z of each marker: [["x1", "y1", "z1"], …]')
     if name in ("temperature", "load") and len(flat) != 1:
         raise RunError(f"{table.where}: {len(flat)} columns, expected one")
     own = command_unit if name in ("command", "present") else _UNITS[name][0]
     allowed = _UNITS[name] if own in _UNITS[name] else (*_UNITS[name], own)
-    unit = table.choice("unit", allowed, own)
+    unit = table.choice("unit", allowed, FILE if name in POINTS else own)
     radius = table.number("spool_radius_mm", None, 1e-3, 1e4)
     if name in ("command", "present") and command_unit == "mm" and unit not in LENGTH and radius is None:
         raise RunError(
@@ -333,27 +287,48 @@ def _quantity(log: _Table, name: str, command_unit: str) -> Quantity:
         unit=unit,
         scale=_per_column(table, "scale", len(flat), 1.0),
         offset=_per_column(table, "offset", len(flat), 0.0),
-        held=table.choice("held", ("auto", "keep", "unhold"), "auto" if name.startswith("present") else "keep"),
+        held=table.choice("held", *_held(name)),
         spool_radius_mm=1.0 if radius is None else radius,
+        labels=_labels(table, name, flat),
+        swaps=table.choice("swaps", ("report", "mend"), "report") if name == "markers" else "report",
     )
     table.done()
     return quantity
 
 
-def _per_column(table: _Table, key: str, count: int, default: float) -> Array:
+def _held(name: str) -> tuple[tuple[str, ...], str]:
+    """What may be said of held samples, and the default."""
+    if name in POINTS:
+        return ("auto", "keep"), "auto" if name == "markers" else "keep"
+    return ("auto", "keep", "unhold"), "auto" if name.startswith("present") else "keep"
+
+
+def _labels(table: TomlTable, name: str, columns: list[Column]) -> tuple[str, ...]:
+    """The names of the markers: as given, else what the names of their three columns begin with."""
+    if name != "markers":
+        return ()
+    count = len(columns) // 3
+    given = table.get("labels", (list,))
+    if given is not None:
+        if len(given) != count or not all(isinstance(label, str) for label in given):
+            raise RunError(f"{table.where}: labels = {shown(given)}, expected {count} texts, one for each marker")
+        return tuple(given)
+    return tuple(_label([str(column) for column in columns[3 * k : 3 * k + 3]], k) for k in range(count))
+
+
+def _label(triple: list[str], k: int) -> str:
+    """What three names share once their x, y, z is taken out: x1, y1, z1 are marker 1."""
+    for turned in (False, True):  # x at the end, or the x in front
+        cut = [re.sub(r"[xX]|[yY]|[zZ]", "", name[::-1] if turned else name, count=1) for name in triple]
+        shared = (cut[0][::-1] if turned else cut[0]).strip(" ._-:")
+        if len(set(cut)) == 1 and shared:
+            return f"marker {shared}" if shared.isdigit() else shared
+    return f"marker {k}"
+
+
+def _per_column(table: TomlTable, key: str, count: int, default: float) -> Array:
     if isinstance(table.values.get(key), list):
         values = table.numbers(key, (count,))
         assert values is not None
         return values
     return np.full(count, table.number(key, default))
-
-
-def _kind(value: Any) -> str:
-    return f"{type(value).__name__} {_shown(value)!r}"
-
-
-def _shown(value: Any) -> str:
-    try:
-        return str(value)[:40]
-    except ValueError:  # python does not print whole numbers of more than 4300 digits
-        return "a number of thousands of digits"

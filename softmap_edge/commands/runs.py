@@ -43,12 +43,14 @@ def import_(args: argparse.Namespace) -> int:
         "channels": run.channels,
         "frames": run.frames,
         "notes": list(imported.notes),
+        "doubts": list(imported.doubts),
         "hash": run.hash(),
     }
     if args.json:
         print(json.dumps(document, ensure_ascii=False))
     else:
-        print("\n".join([str(run), *(f"  {note}" for note in imported.notes), f"written to {args.out}"]))
+        lines = [*(f"  {note}" for note in imported.notes), *(f"  look at: {doubt}" for doubt in imported.doubts)]
+        print("\n".join([str(run), *lines, f"written to {args.out}"]))
     return DONE
 
 

@@ -1,0 +1,104 @@
+"""Samples that repeat because they are read more slowly than they are logged: found, said, undone.
+
+A held encoder lags by half its period on average; it is un-held by a straight line between the rows where a new
+value arrives. Longer stillness stays stillness: only gaps up to three typical holds are bridged, and nothing is done
+when the typical hold is over 0.25 s, for that is a robot at rest. Slow moves of a coarse encoder repeat as well, but
+without a beat: new values must be evenly spaced. Channels read in turn (a bus that asks one motor a row) are un-held
+one by one. A frame of markers that repeats the one before bit for bit is an old picture (no sensor repeats its noise)
+and is left out, unless it stays longer than 0.25 s: that may be a simulation at rest. tests/test_import_held.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+LONGEST_HOLD = 0.25  # s: an encoder polled more slowly than 4 Hz is not worth un-holding
+_FRESH = 0.7  # of the rows: with more new values than this, repeats are chance
+_FEW = 10  # frames: too few to tell an old picture from a made-up log
+_EVEN = 0.8  # of the gaps between new values lie within a row of a multiple of the typical one
+
+
+@dataclass(frozen=True)
+class Held:
+    """What was held: the typical time between new values in s (0 when nothing was), the share of repeated rows."""
+
+    hold_s: float = 0.0
+    share: float = 0.0
+    in_turn: bool = False  # channels are read one after the other
+
+    def __str__(self) -> str:
+        how = "each channel in turn " if self.in_turn else ""
+        return (
+            f"{100 * self.share:.0f} % of the rows repeat the one before (read {how}every {self.hold_s * 1e3:.0f} ms)"
+        )
+
+
+def unhold(t: Array, rows: Array) -> tuple[Array, Held]:
+    """Replace held samples by the line between the rows where new values arrive.
+
+    Args:
+        t: (T,) s. rows: (T, C).
+
+    Returns:
+        The rows un-held, and what was held.
+    """
+    if len(rows) < 3 or rows.shape[1] == 0:
+        return rows, Held()
+    new = np.vstack([np.ones((1, rows.shape[1]), bool), np.diff(rows, axis=0) != 0])
+    knots, hold = _knots(t, np.flatnonzero(new.any(axis=1)))
+    if knots is not None:
+        lines = [np.interp(t, t[knots], rows[knots, c]) for c in range(rows.shape[1])]
+        return np.stack(lines, axis=1), Held(hold, 1.0 - float(new.any(axis=1).mean()))
+    done, holds = rows.copy(), []
+    for c in range(rows.shape[1]):
+        fresh = np.flatnonzero(new[:, c])
+        knots, hold = _knots(t, fresh)
+        if knots is not None:
+            done[:, c] = np.interp(t, t[knots], rows[knots, c])
+            holds.append(hold)
+    if not holds:
+        return rows, Held()
+    return done, Held(float(np.median(holds)), 1.0 - float(new.mean()), in_turn=True)
+
+
+def _knots(t: Array, fresh: NDArray[np.int64]) -> tuple[NDArray[np.int64] | None, float]:
+    """The rows between which to draw lines, and the typical hold in s; None where nothing is held."""
+    if len(fresh) < 3 or len(fresh) > _FRESH * len(t):
+        return None, 0.0
+    gaps = np.diff(fresh)
+    typical, hold = int(np.median(gaps)), float(np.median(np.diff(t[fresh])))
+    if typical < 2 or hold > LONGEST_HOLD or not _even(gaps):
+        return None, 0.0
+    still = np.flatnonzero(gaps > 3 * typical)  # the value really stayed: keep it until one hold before the next
+    return np.union1d(fresh, fresh[still + 1] - typical), hold
+
+
+def _even(gaps: NDArray[np.int64]) -> bool:
+    """Whether new values come at the beat of a clock, and not as a slow move passes the steps of an encoder."""
+    typical = int(np.median(gaps))
+    slack = 0 if typical < 4 else 1  # of a beat of 3 rows every gap is within one
+    return bool((np.abs(gaps - typical * np.rint(gaps / typical)) <= slack).mean() >= _EVEN)
+
+
+def repeated_frames(t: Array, points: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Find frames that are the one before once more.
+
+    Args:
+        t: (K,) s. points: (K, ...) coordinates, NaN where nothing was seen.
+
+    Returns:
+        Two (K,) masks: frames of a hold of at most 0.25 s, and frames of longer stillness.
+    """
+    flat = points.reshape(len(points), -1)
+    same = (flat[1:] == flat[:-1]) | (np.isnan(flat[1:]) & np.isnan(flat[:-1]))
+    again = np.r_[False, same.all(axis=1)]
+    if len(t) < _FEW:
+        return np.zeros(len(t), bool), np.zeros(len(t), bool)
+    first = np.flatnonzero(~again)  # where each picture is new
+    ends = np.r_[first[1:], len(t)] - 1
+    long = np.repeat(t[ends] - t[first] > LONGEST_HOLD, ends - first + 1)
+    return again & ~long, again & long

@@ -1,0 +1,89 @@
+"""A TOML table that is read key by key and then says which of its keys nobody knows.
+
+Every fault is one RunError that names the file, the key, what was found and what is expected.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import RunError
+
+Array = NDArray[np.float64]
+
+
+class TomlTable:
+    """A TOML table that remembers what was asked for, so that what nobody asked for can be named."""
+
+    def __init__(self, values: Any, where: str) -> None:
+        if not isinstance(values, dict):
+            raise RunError(f"{where}: {kind(values)}, expected a table; examples/trunk.toml shows the form")
+        self.values, self.where, self.asked = values, where, list[str]()
+
+    def get(self, key: str, kinds: tuple[type, ...], default: Any = None) -> Any:
+        self.asked.append(key)
+        if key not in self.values:
+            return default
+        value = self.values[key]
+        if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+            names = " or ".join(
+                {str: "text", int: "a whole number", float: "a number"}.get(k, k.__name__) for k in kinds
+            )
+            raise RunError(f"{self.where}: {key} is {kind(value)}, expected {names}")
+        return value
+
+    def number(self, key: str, default: float | None = None, low: float = -1e12, high: float = 1e12) -> float | None:
+        value = self.get(key, (int, float), default)
+        if value is None:
+            return None
+        if not low <= value <= high:  # also false for NaN
+            raise RunError(f"{self.where}: {key} = {shown(value)}, expected {low:g} to {high:g}")
+        return float(value)
+
+    def whole(self, key: str, default: int | None, low: int, high: int) -> int | None:
+        value = self.get(key, (int,), default)
+        if value is not None and not low <= value <= high:
+            raise RunError(f"{self.where}: {key} = {shown(value)}, expected {low} to {high}")
+        return None if value is None else int(value)
+
+    def choice(self, key: str, allowed: tuple[str, ...], default: str) -> str:
+        value = str(self.get(key, (str,), default))
+        if value not in allowed:
+            raise RunError(f"{self.where}: {key} = '{value[:40]}', expected one of {', '.join(allowed)}")
+        return value
+
+    def table(self, key: str) -> TomlTable:
+        return TomlTable(self.get(key, (dict,), {}), f"{self.where}: {key}")
+
+    def numbers(self, key: str, shape: tuple[int | None, ...]) -> Array | None:
+        value = self.get(key, (list, int, float))
+        if value is None:
+            return None
+        try:
+            array = np.array(value, float)
+        except (ValueError, TypeError, OverflowError) as cause:
+            raise RunError(f"{self.where}: {key} is not a list of numbers; expected shape {shape}") from cause
+        if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape)):
+            raise RunError(f"{self.where}: {key} has shape {array.shape}, expected {shape}")
+        if not (np.abs(array) <= 1e12).all():  # also false for NaN
+            raise RunError(f"{self.where}: {key} holds NaN or a number beyond 1e12; give plain numbers")
+        return array
+
+    def done(self) -> None:
+        unknown = [key for key in self.values if key not in self.asked]
+        if unknown:
+            raise RunError(f"{self.where}: no key '{unknown[0][:60]}'; there are {', '.join(self.asked)}")
+
+
+def kind(value: Any) -> str:
+    return f"{type(value).__name__} {shown(value)!r}"
+
+
+def shown(value: Any) -> str:
+    try:
+        return str(value)[:40]
+    except ValueError:  # python does not print whole numbers of more than 4300 digits
+        return "a number of thousands of digits"

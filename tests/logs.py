@@ -1,0 +1,46 @@
+"""Logs as laboratories write them, made for the tests of `softmap import`, and where the published ones are."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softmap_edge.errors import RunError
+from softmap_edge.importer import import_logs, read_mapping
+
+ROOT = Path(__file__).resolve().parent.parent
+ONE_LOG = """schema = "softmap.mapping/1"
+robot = "bench"
+[[log]]
+time = { column = "t" }
+command = { columns = ["a", "b"] }
+markers = { columns = [["x", "y", "z"], ["p", "q", "r"]], unit = "m" }
+"""
+
+
+def trunk_folder():
+    for folder in (ROOT.parent / "shared" / "data" / "trunk", ROOT / "data" / "trunk"):
+        if (folder / "control_inputs_controlled_1.csv").is_file():
+            return folder
+    pytest.skip("not run: the trunk logs are not here; `make data` brings them")
+
+
+def made_log(rows=20, delimiter=",", seed=0):
+    """A log of two channels and two markers in metres, as text and as numbers."""
+    rng = np.random.default_rng(seed)
+    table = np.column_stack([np.arange(rows) * 0.1, rng.uniform(-9, 9, (rows, 2)), rng.uniform(-0.1, 0.1, (rows, 6))])
+    lines = [delimiter.join("tabxyzpqr")] + [delimiter.join(repr(float(x)) for x in row) for row in table]
+    return "\n".join(lines) + "\n", table
+
+
+def imported(folder, log_text, mapping=ONE_LOG, name="log.csv"):
+    (folder / name).write_text(log_text, encoding="utf-8")
+    (folder / "map.toml").write_text(mapping, encoding="utf-8")
+    return import_logs([folder / name], read_mapping(folder / "map.toml"))
+
+
+def fault(folder, log_text, mapping=ONE_LOG):
+    with pytest.raises(RunError) as found:
+        imported(folder, log_text, mapping)
+    assert "\n" not in str(found.value)
+    return str(found.value)
