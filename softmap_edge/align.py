@@ -24,19 +24,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.align_checks import (
-    Moved,
     check_mirror,
     check_places,
     check_scale,
     check_turns,
     check_whole,
-    find_motion,
     student,
+)
+from softmap_edge.align_groups import (
+    GROUP_FRAMES,
+    Groups,
+    Moved,
+    base_motion,
+    find_motion,
+    follow,
+    group,
+    small_pose,
 )
 from softmap_edge.conditions import conditions
 from softmap_edge.errors import AlignError
 from softmap_edge.noise import form_covariance
-from softmap_edge.rigid import Pose, gain, kabsch, refined, robust, rotation, rotation_vector
+from softmap_edge.rigid import Pose, gain, kabsch, refined, robust, rotation_vector
 from softmap_edge.run import Run
 
 if TYPE_CHECKING:
@@ -49,25 +57,9 @@ SCHEMA = "softmap.align/1"
 HOME = "home frames"
 AT_HOME = 0.03  # of the largest |command|: closer to zero than this is at home (an encoder's offset included)
 SETTLED = 1.0  # s after the last motion from which the robot rests
-VISITS, GROUP_FRAMES = 2, 3  # least visits of home, and frames of a group
-STRETCHES, INSTANTS = 12, 120  # groups of time at most where the base is always seen; and to look for its motion in
-WINDOWS = (1, 2, 4, 8, 16, 32, 64)  # frames to each side over which poses of the base may be averaged
-LEVER = 100.0  # mm from the base at which a turn of it is weighed against a shift
+VISITS = 2  # least visits of home
+STRETCHES = 12  # groups of time at most where the base is always seen
 CLAMPED = 1e-6  # mm above the base: a vertex of a template that is clamped
-
-
-@dataclass(frozen=True, eq=False)
-class _Groups:
-    """Points averaged over groups of frames: `source` and `target` (G, N, 3) mm, `count` (G, N) frames, `t` (G, 2) s.
-
-    `noise` mm, one coordinate of one frame.
-    """
-
-    source: Floats
-    target: Floats
-    count: NDArray[np.int64]
-    t: Floats
-    noise: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,14 +153,14 @@ def align_home(run: Run, model: Model) -> Alignment:
     check_whole(predicted, seen.shape)
     target = np.zeros_like(seen)
     target[inside] = predicted
-    groups = _group(run, seen, visible, target, visits)
+    groups = group(run, seen, visible, target, visits)
     form, section = _form(model, run)
     motion = None
     if not model.markers and run.vertices is not None:  # the clamped ring says whether it is the base that moved
         ring = sorted(clamped_places(run, model))
 
         def motion(pose: Pose) -> Moved | None:
-            return _motion(run, seen[:, ring], visible[:, ring], model.rest[ring], model.rest, pose)
+            return base_motion(run, seen[:, ring], visible[:, ring], model.rest[ring], model.rest, pose)
 
     found = _solve(groups, form, section, HOME, f"the model of '{model.robot}'", motion)
     if run.robot and run.robot != model.robot:
@@ -176,12 +168,12 @@ def align_home(run: Run, model: Model) -> Alignment:
     return found
 
 
-def align_base(run: Run, places: dict[int, Floats], follow: bool = False) -> Alignment:
+def align_base(run: Run, places: dict[int, Floats], held: bool = False) -> Alignment:
     """Find the frame from points that are fixed to the base.
 
     Args:
         run: with markers or vertices. places: base-frame position (3,) mm of each named point of the run.
-        follow: also find a pose for every frame, so that a base that moves is held still.
+        held: also find a pose for every frame, so that a base that moves is held still.
 
     Raises:
         AlignError: fewer than three places, places on a line, mirrored or in other units.
@@ -193,7 +185,7 @@ def align_base(run: Run, places: dict[int, Floats], follow: bool = False) -> Ali
         raise AlignError(f"base point {outside[0]}: the run has points 0 to {seen.shape[1] - 1}; name one of them")
     target = np.array([places[n] for n in names])
     check_places(target)
-    return _from_base(run, seen, visible, names, target, follow)
+    return _from_base(run, seen, visible, names, target, held)
 
 
 def clamped_places(run: Run, model: Model) -> dict[int, Floats]:
@@ -251,28 +243,6 @@ def _stretches(frames: int) -> int:
     return max(1, min(STRETCHES, frames // GROUP_FRAMES))
 
 
-def _group(run: Run, seen: Floats, visible: Mask, target: Floats, parts: Sequence[NDArray[np.int64]]) -> _Groups:
-    """Average each point over each group: the median of what is visible, which a frame gone wrong does not move."""
-    shape = (len(parts), seen.shape[1], 3)
-    source, wanted, squares, freedom = np.zeros(shape), np.zeros(shape), 0.0, 0
-    count = np.array([visible[frames].sum(axis=0) for frames in parts])
-    for g, frames in enumerate(parts):
-        look = np.where(visible[frames][..., None], seen[frames], np.nan)
-        known = count[g] > 0
-        source[g, known] = np.nanmedian(look[:, known], axis=0)
-        wanted[g, known] = np.nanmean(np.where(np.isnan(look), np.nan, target[frames])[:, known], axis=0)
-        step = np.diff(look, axis=0)
-        step = np.abs(step[np.isfinite(step)])
-        if len(step):
-            squares += len(step) * (float(np.median(step)) / 0.6745) ** 2 / 2.0
-            freedom += len(step)
-    noise = float(np.sqrt(squares / freedom)) if freedom else 0.0
-    if run.sigma is not None:
-        noise = max(noise, float(np.median(run.sigma)))
-    t = np.array([[run.t_seen[frames[0]], run.t_seen[frames[-1]]] for frames in parts])
-    return _Groups(source, wanted, count, t, max(noise, 1e-6))
-
-
 def _form(model: Model, run: Run) -> tuple[Floats, NDArray[np.int64]]:
     """Return the model's own error (S, 3) mm at the places along its body, and the place (N,) of each point."""
     mapping, error = model.run_feature_map(run), model.run_form_error(run)
@@ -282,7 +252,7 @@ def _form(model: Model, run: Run) -> tuple[Floats, NDArray[np.int64]]:
 
 
 def _solve(
-    groups: _Groups,
+    groups: Groups,
     form: Floats,
     section: NDArray[np.int64],
     method: str,
@@ -312,7 +282,7 @@ def _solve(
     residual = np.where(inlier[..., None], pose(groups.source) - groups.target, 0.0)
     left = float(np.sqrt((residual**2).sum() / max(1, inlier.sum())))
     scale = check_scale(groups.source, groups.target, inlier, what, left)
-    poses = np.stack([_small(groups, g, weight[g], pose) for g in range(len(weight))])
+    poses = np.stack([small_pose(groups, g, weight[g], pose) for g in range(len(weight))])
     place = (groups.target * seen[..., None]).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)[:, None]
     answer = gain(place, weight.mean(axis=0))  # (6, N, 3)
     noise = np.einsum("inc,n,jnc->ij", answer, (sensor**2).mean(axis=0), answer)  # of one group
@@ -341,21 +311,13 @@ def _solve(
     )  # fmt: skip
 
 
-def _wander(groups: _Groups, inlier: Mask, pose: Pose) -> Floats:
+def _wander(groups: Groups, inlier: Mask, pose: Pose) -> Floats:
     """Return how far each point (N,) is scattered between the groups, mm a coordinate, beside the rigid pose."""
     count = inlier.sum(axis=0)
     left = np.where(inlier[..., None], pose(groups.source) - groups.target, 0.0)
     mean = left.sum(axis=0) / np.maximum(count, 1)[:, None]
     square = np.where(inlier[..., None], (left - mean) ** 2, 0.0).sum(axis=(0, 2)) / 3.0
     return np.asarray(np.sqrt(square / np.maximum(count - 1, 1)))
-
-
-def _small(groups: _Groups, g: int, weight: Floats, pose: Pose) -> Floats:
-    """Return the small turn (rad) and shift (mm) (6,) of one group against the pose of all; NaN where it has none."""
-    if (weight > 0).sum() < 3:
-        return np.full(6, np.nan)
-    own = kabsch(groups.source[g], groups.target[g], weight)
-    return own.after(pose.inverse()).vector()
 
 
 def _shape_covariance(
@@ -375,7 +337,7 @@ def _shape_covariance(
 # --- points of the base -------------------------------------------------------------------------
 
 
-def _from_base(run: Run, seen: Floats, visible: Mask, names: Sequence[int], target: Floats, follow: bool) -> Alignment:
+def _from_base(run: Run, seen: Floats, visible: Mask, names: Sequence[int], target: Floats, held: bool) -> Alignment:
     points, known = seen[:, names], visible[:, names]
     usable = np.flatnonzero(known.sum(axis=1) >= 3)
     if len(usable) < GROUP_FRAMES:
@@ -384,86 +346,19 @@ def _from_base(run: Run, seen: Floats, visible: Mask, names: Sequence[int], targ
             "that the cameras see"
         )
     parts = np.array_split(usable, _stretches(len(usable)))
-    groups = _group(run, points, known, np.broadcast_to(target, points.shape), parts)
+    groups = group(run, points, known, np.broadcast_to(target, points.shape), parts)
     form = np.full((len(names), 3), groups.noise)
 
     def motion(pose: Pose) -> Moved | None:
         some = np.where(visible[usable[::10], :, None], pose(seen[usable[::10]]), np.nan).reshape(-1, 3)
         far = some[np.isfinite(some).all(axis=1)]
-        return _motion(run, points, known, target, far[np.argsort(-np.linalg.norm(far, axis=1))[:1]], pose)
+        return base_motion(run, points, known, target, far[np.argsort(-np.linalg.norm(far, axis=1))[:1]], pose)
 
     what = "the places of the base points"
     found = _solve(groups, form, np.arange(len(names)), "base points", what, motion)
     named = [names[i] for i in found.wrong_points]
     found = dataclasses.replace(found, wrong_points=named, used_frames=len(usable))
-    return _followed(run, points, known, target, found) if follow else found
-
-
-def _followed(run: Run, points: Floats, known: Mask, target: Floats, found: Alignment) -> Alignment:
-    """Give every frame a pose, smoothed as far as the base's motion allows; unseen ones take those beside them."""
-    noise = max(found.noise_mm / np.sqrt(3.0), 1e-6)
-    poses, weight = refined(points, target, np.full(len(target), noise), known, found.pose)
-    index = np.flatnonzero((weight > 0).sum(axis=1) >= 3)
-    small = poses.after(found.pose.inverse()).vector()
-    k = np.arange(len(points))
-    small = np.stack([np.interp(k, index, small[index, i]) for i in range(6)], axis=1)
-    answer = gain(target, np.full(len(target), noise**-2.0))
-    one = noise**2 * np.einsum("inc,inc->i", answer, answer)  # (6,) variance of one frame's pose
-    half = _window(small, one)
-    every = Pose(*_pose_parts(_smoothed(small, half))).after(found.pose)
-    turn = float(np.sqrt(one[:3].sum() / (2 * half + 1)))
-    note = f"the base is held still frame by frame, smoothed over {2 * half + 1} frames; that adds noise of "
-    note += f"{np.degrees(turn):.2g} deg, {100 * turn:.2g} mm for each 100 mm from the base"
-    gaps = len(points) - len(index)
-    note += f"; {gaps} frames showed too few base points and took their neighbours' pose" if gaps else ""
-    return dataclasses.replace(found, frames=every, notes=[*found.notes, note])
-
-
-def _pose_parts(small: Floats) -> tuple[Floats, Floats]:
-    return rotation(small[:, :3]), small[:, 3:]
-
-
-def _smoothed(small: Floats, half: int) -> Floats:
-    """Return the running mean of (K, 6) over `half` frames to each side, fewer at the ends."""
-    total = np.concatenate([np.zeros((1, small.shape[1])), np.cumsum(small, axis=0)])
-    k = np.arange(len(small))
-    reach = np.minimum(np.minimum(k, len(small) - 1 - k), half)
-    return np.asarray((total[k + reach + 1] - total[k - reach]) / (2 * reach + 1)[:, None])
-
-
-def _window(small: Floats, one: Floats) -> int:
-    """Return over how many frames to each side poses (K, 6) may be averaged: what foretells a frame best.
-
-    `one` (6,): variance of one frame's pose by sensor noise; a motion that neighbours foretell no better is left raw.
-    """
-    unit = np.array([LEVER] * 3 + [1.0] * 3)
-    best, least = 0, 2.0 * float(np.sum(one * unit**2))
-    for half in WINDOWS:
-        if len(small) < 4 * half + 2:
-            break
-        mean = (_smoothed(small, half) * (2 * half + 1) - small) / (2 * half)
-        error = float(np.mean(np.sum(((small - mean) * unit)[half:-half] ** 2, axis=1)))
-        if error < 0.99 * least:
-            best, least = half, error
-    return best
-
-
-def _motion(run: Run, points: Floats, known: Mask, target: Floats, far: Floats, pose: Pose) -> Moved | None:
-    """Return how base points (K, B, 3) at `target` (B, 3) move within a run; `far` (N, 3) are the robot's points."""
-    usable = np.flatnonzero(known.sum(axis=1) >= 3)
-    if len(target) < 3 or len(usable) < 2 * GROUP_FRAMES:
-        return None
-    parts = np.array_split(usable, min(INSTANTS, len(usable) // GROUP_FRAMES))
-    groups = _group(run, points, known, np.broadcast_to(target, points.shape), parts)
-    seen, sigma = groups.count > 0, np.full(len(target), groups.noise)
-    weight = refined(groups.source, groups.target, sigma, seen, pose)[1] / groups.noise**2
-    poses = np.stack([_small(groups, g, weight[g], pose) for g in range(len(parts))])
-    good = np.isfinite(poses).all(axis=1)
-    poses, t = poses[good], groups.t[good]
-    # A marker that is mistaken for another leaves a mark in one group or two; a motion stays.
-    around = np.clip(np.arange(len(poses))[:, None] + np.arange(-2, 3), 0, max(len(poses) - 1, 0))
-    poses = np.median(poses[around], axis=1)
-    answer = gain(target, weight.mean(axis=0))
-    variance = 1.57 * groups.noise**2 / np.maximum(groups.count, 1).mean(axis=0)
-    noise = np.einsum("inc,n,jnc->ij", answer, variance, answer)
-    return find_motion(poses, noise, t, far, "the base")
+    if not held:
+        return found
+    frames, note = follow(points, known, target, found.noise_mm, found.pose)
+    return dataclasses.replace(found, frames=frames, notes=[*found.notes, note])

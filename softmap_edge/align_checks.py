@@ -1,20 +1,15 @@
-"""What an alignment refuses (units, mirrors, lines, other robots), and how it tells that a base has moved.
+"""What an alignment refuses: other units, mirrors, lines, other robots. Every refusal has its number and its remedy.
 
-Every refusal names its number and its remedy. Motion: the two groups of frames between which the farthest point of the
-robot is displaced most; it counts when it is far above the noise of the groups and large enough to matter. Units: mm.
-Pinned by tests/test_align.py.
+Units: mm, rad. Pinned by tests/test_align.py.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import AlignError
-from softmap_edge.rigid import Pose, jacobian, robust
+from softmap_edge.rigid import Pose, robust
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -28,38 +23,6 @@ MIRRORED = 0.5  # of what is left: a mirrored frame that leaves less is the trut
 SOUND = 0.9  # of the points, those that are nearest: what a fit is judged by
 SHAPE = 0.12  # of the extent: what may be left between the points and the model of the same robot
 STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228)  # 97.5 %, 1 to 10 degrees of freedom
-MOVED_TURN, MOVED_MM = np.radians(0.25), 0.25  # what a base may do unsaid
-MOVED_CHI2 = 50.0  # of six numbers: by chance in one of 10⁸
-
-
-@dataclass(frozen=True)
-class Moved:
-    """A motion within a run: of what, by how much (deg, mm at the origin, mm at the robot's farthest point), and when.
-
-    `gradual` is False where more than 60 % of it happens between two neighbouring groups of frames.
-    """
-
-    what: str
-    turn_deg: float
-    shift_mm: float
-    farthest_mm: float
-    from_s: float
-    to_s: float
-    gradual: bool
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain numbers and texts."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
-
-    def __str__(self) -> str:
-        how = "gradually between" if self.gradual else "between"
-        text = (
-            f"{self.what} MOVED within the run, {how} {self.from_s:.2f} s and {self.to_s:.2f} s: by "
-            f"{self.turn_deg:.2f} deg and {self.shift_mm:.2f} mm, {self.farthest_mm:.2f} mm at the far end"
-        )
-        if self.what == "home":
-            return text + ". The base moved, or the robot did not come home (creep, play); base markers would tell"
-        return text + ". Base markers take it out frame by frame (--follow-base); or fix the base and record again"
 
 
 def check_whole(predicted: Floats, shape: tuple[int, ...]) -> None:
@@ -171,38 +134,3 @@ def student(freedom: int) -> float:
     if freedom < 1:
         return STUDENT[0] / 1.96
     return (STUDENT[freedom - 1] if freedom <= len(STUDENT) else 1.96 + 2.4 / (freedom - 1)) / 1.96
-
-
-def find_motion(poses: Floats, noise: Floats, t: Floats, points: Floats, what: str) -> Moved | None:
-    """Tell whether groups of frames are displaced against each other.
-
-    Args:
-        poses: (G, 6) small turns (rad) and shifts (mm). noise: (6, 6) covariance of one. t: (G, 2) s, first and last
-            frame of each. points: (N, 3) mm, whose farthest displacement is told. what: "the base" or "home".
-    """
-    known = np.flatnonzero(np.isfinite(poses).all(axis=1))
-    if len(known) < 2:
-        return None
-    poses, t = poses[known], t[known]
-    if len(poses) > 4:  # cameras tremble more slowly than a frame: what neighbours differ by, but for a steady drift
-        step = np.diff(poses, axis=0)
-        tremble = 1.4826 * np.median(np.abs(step - np.median(step, axis=0)), axis=0) / np.sqrt(2.0)
-        noise = noise + np.diag(np.maximum(tremble**2 - np.diag(noise), 0.0))
-    delta = poses[None] - poses[:, None]  # (G, G, 6) from a to b
-    travel = np.linalg.norm(np.einsum("nci,abi->abnc", jacobian(points), delta), axis=-1).max(axis=-1)
-    scaled = np.linalg.pinv(2.0 * noise + np.diag([1e-12] * 3 + [1e-9] * 3), hermitian=True)
-    chi2 = np.einsum("abi,ij,abj->ab", delta, scaled, delta)
-    turn, shift = np.linalg.norm(delta[..., :3], axis=-1), np.linalg.norm(delta[..., 3:], axis=-1)
-    large = ((turn > MOVED_TURN) | (shift > MOVED_MM)) & (chi2 > MOVED_CHI2)
-    if not large.any():
-        return None
-    pair = np.unravel_index(int(np.argmax(np.where(large, travel, 0.0))), travel.shape)
-    a, b = int(min(pair)), int(max(pair))
-    steps = np.array([travel[i, i + 1] for i in range(a, b)])
-    jump = int(np.argmax(steps))
-    gradual = bool(steps[jump] < 0.6 * travel[a, b])
-    first, last = (a, b) if gradual else (a + jump, a + jump + 1)
-    return Moved(
-        what, float(np.degrees(turn[a, b])), float(shift[a, b]), float(travel[a, b]), float(t[first].mean()),
-        float(t[last].mean()), gradual,
-    )  # fmt: skip

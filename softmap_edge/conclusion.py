@@ -27,6 +27,7 @@ from softmap_edge.evidence import (
     not_testable,
 )
 from softmap_edge.fit import Fit, Record
+from softmap_edge.folds import labelled
 from softmap_edge.search import RIVAL_SHARE, Search
 
 Floats = NDArray[np.float64]
@@ -265,8 +266,12 @@ def _error(search: Search, order: list[str], other: Record | None) -> dict[str, 
         "model_floor": form,
         "floor": noise if replicates else form,
         "floor_kind": "noise of replicates" if replicates else "the model's own held-out error",
-        "held_out_on": "blocks of this run" if other is None else "an independent run",
+        "held_out_on": _judge(record) if other is None else "an independent run",
     }
+
+
+def _judge(record: Record) -> str:
+    return "labelled blocks of this run" if labelled(record.run.block) else "blocks of this run"
 
 
 def _where(record: Record, fit: Fit) -> dict[str, list[dict[str, Any]]]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.conclusion import OwnMisfit, conclude, parameters
 from softmap_edge.errors import SoftmapError, brief
-from softmap_edge.evidence import Untestable, experiment, orientations
+from softmap_edge.evidence import Untestable, equivalents, experiment, orientations, shown, unseen
 from softmap_edge.fit import Fit, Problem, Record
 from softmap_edge.noise import command_kernel, estimate_noise, form_covariance, rod_noise, whitener
 from softmap_edge.report import VERDICTS, check_diagnosis, diagnosis_text
@@ -35,6 +35,7 @@ Floats = NDArray[np.float64]
 SCHEMA = "softmap.diagnosis/1"
 BEYOND = 0.05  # share of the range, and of the frames, that may lie outside what a model was made from unsaid
 OWN_FALL = 0.7  # fall of the held-out error by a refit from which the model's own numbers are in doubt
+ALIKE = 0.95  # cosine between two whitened signatures from which they cannot be told apart by their form
 SIGNATURE_FRAMES = 1500  # frames on which the span of the signatures is found
 
 
@@ -194,6 +195,50 @@ def refit(model: Model, run: Run, library: Any = None) -> tuple[Model, dict[str,
     return model.with_effects(own, fit.params), document
 
 
+def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]:
+    """Say, before any fit, which effects would show in a run: how large each is at mid-range against the noise.
+
+    Returns:
+        list: for each effect `{name, shows, moved_mm, deviations, why, alike, experiment, minutes}`: `deviations` is
+        the size of its signature in standard deviations, `alike` the effects whose signature is the same here within
+        5 %, `experiment` what to record where it does not show or is not alone.
+
+    Raises:
+        SoftmapError: as `diagnose`.
+    """
+    record = Record(model, run, library)
+    registry = {e["name"]: e for e in record.library.effects()}
+    candidates, impossible = _candidates(record, registry, None)
+    problem = _problem(record, candidates)
+    seen = {name: shown(problem, name) for name in candidates}
+    size = {name: float(np.linalg.norm(white)) for name, (_, white) in seen.items()}
+    found = {h.name: _showing(h.name, False, None, None, h.why, [], (h.experiment, h.minutes)) for h in impossible}
+    for name, (moved, white) in seen.items():
+        why = unseen(moved, size[name])
+        twins = equivalents(record, name, registry)
+        for other in candidates if why is None else ():
+            product = size[name] * size[other]
+            if other != name and product > 0 and abs(float(white @ seen[other][1])) > ALIKE * product:
+                twins += [other] if other not in twins else []
+        found[name] = _showing(name, why is None, moved, size[name], why, twins, experiment(registry, name))
+    return [found[name] for name in registry if name in found]
+
+
+def _showing(
+    name: str,
+    shows: bool,
+    moved: float | None,
+    size: float | None,
+    why: str | None,
+    alike: list[str],
+    recorded: tuple[str, float],
+) -> dict[str, Any]:
+    block, minutes = recorded
+    return dict(
+        name=name, shows=shows, moved_mm=moved, deviations=size, why=why, alike=alike, experiment=block, minutes=minutes
+    )
+
+
 # --- preparation --------------------------------------------------------------------------------
 
 
@@ -213,7 +258,7 @@ def _candidates(
             impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
         elif missing:
             impossible.append(Untestable(name, f"the run does not declare {', '.join(missing)}", "declare it", 1.0))
-    if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record) == 1:
+    if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record.run.gravity) == 1:
         # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than
         # its form error, and a tilt of gravity is an offset. The simpler member stands for the family.
         block, minutes = experiment(registry, "gravity")

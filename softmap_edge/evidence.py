@@ -51,9 +51,8 @@ class Leftover:
     claim: bool
 
 
-def orientations(record: Record) -> int:
-    """Return how many orientations the run declares that differ by more than 20 degrees (1 if none is declared)."""
-    gravity = record.run.gravity
+def orientations(gravity: Floats | None) -> int:
+    """Return how many orientations (T, 3) or (3,) differ by more than 20 degrees (1 if none is declared)."""
     if gravity is None:
         return 1
     rows = np.atleast_2d(np.asarray(gravity, float))
@@ -68,7 +67,7 @@ def orientations(record: Record) -> int:
 def equivalents(record: Record, name: str, registry: Mapping[str, dict[str, Any]]) -> list[str]:
     """Return the candidates that this run cannot tell from `name` by their form."""
     resolved = {
-        "orientation": orientations(record) > 1,
+        "orientation": orientations(record.run.gravity) > 1,
         "load": record.run.load is not None and float(np.ptp(record.run.load)) > 0,
         "never": False,
     }
@@ -92,18 +91,26 @@ def not_testable(search: Search, fit: Fit, registry: dict[str, dict[str, Any]]) 
         if missing:
             found.append(Untestable(name, f"the run does not declare {', '.join(missing)}", block, minutes))
             continue
-        signature = np.where(np.isfinite(problem.record.seen), strongest(problem, name), np.nan)
-        moved = problem.record.rms_mm(signature)
-        white = problem.white(problem.whitener.modes(signature) * problem.gain)
-        size = float(np.linalg.norm(white)) / np.sqrt(search.dispersion(fit))
-        if moved < VISIBLE_MM:
-            why = f"at mid-range it would move the centreline by {moved:.2f} mm RMS on these commands"
-        elif size < DETECTABLE:
-            why = f"at mid-range its signature has {size:.1f} standard deviations here, {DETECTABLE:g} are needed"
-        else:
-            continue
-        found.append(Untestable(name, why, block, minutes))
+        moved, white = shown(problem, name)
+        why = unseen(moved, float(np.linalg.norm(white)) / np.sqrt(search.dispersion(fit)))
+        if why is not None:
+            found.append(Untestable(name, why, block, minutes))
     return found
+
+
+def shown(problem: Problem, name: str) -> tuple[float, Floats]:
+    """Return how an effect at mid-range shows in a run: mm RMS of the centreline, and its whitened signature (n,)."""
+    signature = np.where(np.isfinite(problem.record.seen), strongest(problem, name), np.nan)
+    return problem.record.rms_mm(signature), problem.white(problem.whitener.modes(signature) * problem.gain)
+
+
+def unseen(moved: float, size: float) -> str | None:
+    """Return why a signature of `size` standard deviations that moves the body by `moved` mm is not seen, if so."""
+    if moved < VISIBLE_MM:
+        return f"at mid-range it would move the centreline by {moved:.2f} mm RMS on these commands"
+    if size < DETECTABLE:
+        return f"at mid-range its signature has {size:.1f} standard deviations here, {DETECTABLE:g} are needed"
+    return None
 
 
 def strongest(problem: Problem, name: str) -> Floats:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.conditions import Conditions, conditions
 from softmap_edge.errors import SoftmapError
+from softmap_edge.folds import run_folds
 from softmap_edge.noise import Kernel, Noise, Whitener, command_kernel
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ Floats = NDArray[np.float64]
 STEP = 4e-3  # of the range of a parameter
 ITERATIONS = 14
 CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
-FOLDS, GAP = 8, 1.0  # blocks of time, and the seconds left out beside each
 
 
 class Record:
@@ -181,7 +181,7 @@ class Problem:
         self.gain = 1.0 / np.sqrt(noise.inflation)
         seen = np.isfinite(record.seen).any(axis=1)
         self.numbers = float(seen.sum() * len(whitener.form)) / noise.inflation
-        self.folds = time_folds(record.t_seen)
+        self.folds = run_folds(record.t_seen, record.run.block)
 
     def modes(self, predicted: Floats) -> Floats:
         """Return the residual modes (..., K, M) of predictions (..., K, F)."""
@@ -320,20 +320,3 @@ def newton_step(space: Space, x: Floats, jacobian: Floats, residual: Floats, dam
             break
         free = free[~outside[free]]
     return ahead
-
-
-def time_folds(t_seen: Floats, count: int = FOLDS) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Return (train, test) frame indices of `count` blocks of time; a second beside each test block trains nothing."""
-    frames = len(t_seen)
-    if frames < 2 * count:
-        count = max(2, frames // 4)
-    if frames < 8:
-        raise SoftmapError(f"{frames} seen frames cannot be held out in blocks; record at least 8, better 60")
-    folds = []
-    for test in np.array_split(np.arange(frames), count):
-        before, after = t_seen[test[0]] - GAP, t_seen[test[-1]] + GAP
-        train = np.flatnonzero((t_seen < before) | (t_seen > after))
-        if len(train) < frames // 4:
-            train = np.setdiff1d(np.arange(frames), test)
-        folds.append((train, test))
-    return folds

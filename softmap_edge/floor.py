@@ -42,22 +42,9 @@ def noise_floor(
     Returns:
         tuple: mm (None when no estimate is possible) and a sentence.
     """
-    settled = ~state.moving & (state.dwell >= SETTLED)
-    pair = settled[1:] & settled[:-1] & (state.visit[1:] == state.visit[:-1]) if len(seen) > 1 else np.zeros(0, bool)
-    if int(pair.sum()) >= MIN_PAIRS:
-        both = visible[1:][pair] & visible[:-1][pair]
-        step = np.sum((seen[1:][pair] - seen[:-1][pair]) ** 2, axis=2)[both]
-        if len(step):
-            visits = len(np.unique(state.visit[1:][pair]))
-            return _rms(step / 2.0), f"{int(pair.sum())} pairs of successive frames inside {visits} dwells"
-    groups = _replicates(state, settled)
-    if sum(len(group) - 1 for group in groups) >= MIN_PAIRS:
-        value = _within(groups, seen, visible)
-        if value is not None:
-            return (
-                value,
-                f"{len(groups)} commands seen repeatedly; what the robot remembers counts as noise here",
-            )
+    known = replicates(state, seen, visible)
+    if known is not None:
+        return known
     rough = None if rest is None else _roughness(seen - predicted, visible, rest)
     if rough is not None:
         return rough, "no replicates: from the roughness of the residual over the body, independent noise only"
@@ -73,6 +60,24 @@ def noise_floor(
 
 def _rms(squares: Floats) -> float:
     return math.sqrt(float(np.mean(squares)))
+
+
+def replicates(state: Conditions, seen: Floats, visible: Mask) -> tuple[float, str] | None:
+    """Return the noise (mm, as a distance) of frames that should be equal, and which they are; None without them."""
+    settled = ~state.moving & (state.dwell >= SETTLED)
+    pair = settled[1:] & settled[:-1] & (state.visit[1:] == state.visit[:-1]) if len(seen) > 1 else np.zeros(0, bool)
+    if int(pair.sum()) >= MIN_PAIRS:
+        both = visible[1:][pair] & visible[:-1][pair]
+        step = np.sum((seen[1:][pair] - seen[:-1][pair]) ** 2, axis=2)[both]
+        if len(step):
+            visits = len(np.unique(state.visit[1:][pair]))
+            return _rms(step / 2.0), f"{int(pair.sum())} pairs of successive frames inside {visits} dwells"
+    groups = _replicates(state, settled)
+    if sum(len(group) - 1 for group in groups) >= MIN_PAIRS:
+        value = _within(groups, seen, visible)
+        if value is not None:
+            return value, f"{len(groups)} commands seen repeatedly; what the robot remembers counts as noise here"
+    return None
 
 
 def _roughness(residual: Floats, visible: Mask, rest: Floats) -> float | None:

@@ -7,20 +7,25 @@ usual grid never mixed).
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 import numpy as np
 
+from softmap_edge.advice import WIDTH, Word, advice, advice_lines
 from softmap_edge.conditions import HOME, conditions
 from softmap_edge.run import Run
 
 SCHEMA = "softmap.check/1"
+FAR = 2.0  # of the extent of what is seen: farther from the origin is no base frame
 SAME_PLACE = 0.02  # of a channel's range
-ENOUGH_VISITS = 3  # home at the start, at the end and in between: what drift and noise can be told apart with
 
 
 def summary(run: Run) -> dict[str, Any]:
-    """Return what a run holds, with units in the keys; `missing` and `warnings` are sentences."""
+    """Return what a run holds, with units in the keys; `missing` and `warnings` are sentences.
+
+    `can_tell` and `cannot_tell` are lists of `{about, tells, text, remedy, minutes}` (`advice.Word`).
+    """
     kind = next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None)
     seen = None if kind is None else getattr(run, kind)
     document: dict[str, Any] = {
@@ -49,6 +54,9 @@ def summary(run: Run) -> dict[str, Any]:
         "hash": run.hash(),
     }
     document["missing"] = _missing(run, document)
+    words = advice(run, document["home_visits"])
+    document["can_tell"] = [word.to_dict() for word in words if word.tells]
+    document["cannot_tell"] = [word.to_dict() for word in words if not word.tells]
     document["warnings"] = _warnings(run)
     return document
 
@@ -78,8 +86,13 @@ def sentences(document: dict[str, Any]) -> list[str]:
         lines.append(f"blocks    {len(d['blocks'])}: {', '.join(d['blocks'][:8])}{' …' * (len(d['blocks']) > 8)}")
     if d["unknown_fields"]:
         lines.append(f"kept      {', '.join(d['unknown_fields'])} (not known here, ignored)")
-    lines += [f"missing   {text}" for text in d["missing"]]
-    return lines + [f"look at   {text}" for text in d["warnings"]]
+    lines += [line for text in d["missing"] for line in _hung("missing", text)]
+    lines += [line for text in d["warnings"] for line in _hung("look at", text)]
+    return lines + advice_lines([Word(**word) for word in [*d["can_tell"], *d["cannot_tell"]]])
+
+
+def _hung(name: str, text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent=f"{name:<10}", subsequent_indent=" " * 10)
 
 
 _TOLD = (("load", "load_g", "g"), ("temperature", "temperature_c", "°C"))
@@ -135,29 +148,26 @@ def _visits(run: Run) -> dict[str, int]:
     if not (span > 0).any():
         return none
     state = conditions(run, rows)
-    home, places = 0, list[tuple[int, ...]]()
-    last_home = False
+    top = np.abs(rows).max()
+    away = run.t[np.abs(rows).max(axis=1) > HOME * top]  # s, when the command was elsewhere
+    home, places, since = 0, list[tuple[int, ...]](), -np.inf
     for visit in np.unique(state.visit[state.visit >= 0]):
-        place = np.median(state.command[state.visit == visit], axis=0)
-        at_home = bool(np.abs(place).max() <= HOME * np.abs(rows).max())
-        home += at_home and not last_home
-        last_home = at_home
-        if not at_home:
+        frames = state.visit == visit
+        place = np.median(state.command[frames], axis=0)
+        if np.abs(place).max() > HOME * top:
             places.append(tuple(np.rint(place / np.where(span > 0, SAME_PLACE * span, 1.0)).astype(int)))
+            continue
+        begins, ends = run.t_seen[frames][[0, -1]]
+        home += since == -np.inf or bool(((away > since) & (away < begins)).any())
+        since = ends
     _, counts = np.unique(np.array(places), axis=0, return_counts=True) if places else (None, np.zeros(0))
     return {"home_visits": int(home), "places_revisited": int((counts > 1).sum())}
 
 
 def _missing(run: Run, document: dict[str, Any]) -> list[str]:
     gaps = []
-    if run.channels == 0:
-        gaps.append("commands: effects of the drive cannot be told")
-    if run.frames == 0:
-        gaps.append("frames: nothing was seen, so nothing can be compared")
-    elif document["seen"] is None:
+    if run.frames and document["seen"] is None:
         gaps.append("points: there are times of frames but no vertices, markers or points")
-    if run.frames and run.channels and document["home_visits"] < ENOUGH_VISITS and not document["places_revisited"]:
-        gaps.append("repeats: visit home at the start, at the end and in between; without it noise is only estimated")
     if run.command is None and run.ticks is not None:
         gaps.append("command: only ticks are given; a calibration turns them into mm")
     if run.gravity is None:
@@ -181,6 +191,27 @@ def _warnings(run: Run) -> list[str]:
             notes.append(f"{name} has a gap of {step.max():.3g} s after row {row} (usual step {np.median(step):.3g} s)")
     if run.visible is not None and run.visible.size and run.visible.mean() < 0.5:
         notes.append(f"only {100 * run.visible.mean():.0f} % of the points are visible")
+    away = _far_away(run)
+    if away is not None:
+        notes.append(away)
     if run.command_unit != "mm":
         notes.append(f"commands are in {run.command_unit}: every figure about the drive carries that unit")
     return notes
+
+
+def _far_away(run: Run) -> str | None:
+    """Say so where no point comes near the origin, which is the middle of the robot's base."""
+    seen = run.vertices if run.vertices is not None else run.markers
+    if seen is None or seen.shape[1] < 2 or run.frame is not None:
+        return None
+    flat = seen[:: max(1, len(seen) // 100)].reshape(-1, 3)
+    flat = flat[np.isfinite(flat).all(axis=1)]
+    if len(flat) < 2:
+        return None
+    nearest, extent = float(np.linalg.norm(flat, axis=1).min()), float(np.ptp(flat, axis=0).max())
+    if nearest <= FAR * extent:
+        return None
+    return (
+        f"the points come no nearer to the origin than {nearest:.0f} mm: if they are in the frame of the camera, "
+        "`softmap align` brings them to the base"
+    )

@@ -223,7 +223,7 @@ def test_a_base_that_moves_is_reported_and_held_still(rigid):
     steady, moving = (marked(7, noise=0.05, play=0.0, base=BASE, turns=turns) for turns in (None, rigid))
     places = dict(enumerate(BASE))
     assert align_base(steady, places).moved is None
-    found = align_base(moving, places, follow=True)
+    found = align_base(moving, places, held=True)
     assert found.moved.turn_deg == pytest.approx(1.2 if rigid is slip else 1.37, abs=0.1)
     assert found.moved.gradual == (rigid is drift)
     if rigid is slip:

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from arm import LIBRARY, Arm, record_run
 
-from softmap_edge.diagnosis import _problem
+from softmap_edge.diagnosis import _problem, diagnose
 from softmap_edge.errors import SoftmapError
-from softmap_edge.fit import Problem, Record, newton_step, time_folds
+from softmap_edge.fit import Problem, Record, newton_step
+from softmap_edge.folds import FOLDS, run_folds
+from softmap_edge.protocol import standard_protocol
 
 NAMES = [e["name"] for e in LIBRARY.effects()]
 
@@ -82,14 +84,53 @@ def test_newton_step_stays_inside():
 
 def test_folds_hold_out_blocks_of_time():
     t = np.arange(200) * 0.5
-    folds = time_folds(t)
+    folds = run_folds(t)
     assert np.array_equal(np.sort(np.concatenate([test for _, test in folds])), np.arange(200))
     for train, test in folds:
         assert not set(train) & set(test)
         assert np.all(np.diff(test) == 1)
         assert np.min(np.abs(t[train][:, None] - t[test][None])) > 1.0
     with pytest.raises(SoftmapError, match="at least 8"):
-        time_folds(np.arange(5.0))
+        run_folds(np.arange(5.0))
+
+
+def test_folds_hold_out_whole_labels_where_there_are_enough():
+    """Six pulls after one another, as on a nine-tendon robot: a block of time holds them all, a fold by label one."""
+    names = [f"pull {k}" for k in range(6)] + [f"circle {k}" for k in range(12)]
+    labels, t = np.repeat(names, 20), np.arange(360) * 0.5
+    folds = run_folds(t, labels)
+    assert np.array_equal(np.sort(np.concatenate([test for _, test in folds])), np.arange(360))
+    for train, test in folds:
+        assert not set(labels[train]) & set(labels[test]) and len(set(labels[test])) >= 2
+        assert np.min(np.abs(t[train][:, None] - t[test][None])) > 1.0
+        assert any(label.startswith("pull") for label in labels[train])
+    by_time = run_folds(t)
+    assert max(sum(label.startswith("pull") for label in labels[test]) for _, test in by_time) >= 45
+    assert max(sum(label.startswith("pull") for label in labels[test]) for _, test in folds) == 20
+
+
+@pytest.mark.parametrize("labels", [None, np.repeat(np.arange(10), 20), np.zeros(200, int)])
+def test_few_labels_leave_blocks_of_time(labels):
+    """The standard protocol has ten: what a diagnosis decided before there were labels, it decides still."""
+    t = np.arange(200) * 0.5
+    for (train, test), (old_train, old_test) in zip(run_folds(t, labels), run_folds(t), strict=True):
+        assert np.array_equal(train, old_train) and np.array_equal(test, old_test)
+    assert len(np.unique(standard_protocol(2).block)) < 2 * FOLDS
+
+
+def test_labels_that_change_with_every_frame_still_leave_something_to_fit():
+    folds = run_folds(np.arange(96) * 0.2, np.arange(96) % 24)
+    assert len(folds) == FOLDS and all(len(train) == 84 for train, _ in folds)
+
+
+def test_a_diagnosis_judges_by_labels_and_says_so():
+    run = record_run({"backlash.gap": 2.0})
+    run.block = np.repeat(np.arange(25), 14)
+    record = Record(Arm(), run, LIBRARY)
+    found = diagnose(Arm(), run, library=LIBRARY).to_dict()
+    assert found["error"]["held_out_on"] == "labelled blocks of this run"
+    assert [e["name"] for e in found["effects"]] == ["backlash"]
+    assert len({tuple(test) for _, test in run_folds(record.t_seen, run.block)}) == FOLDS
 
 
 def test_held_out_loss_knows_overfitting():

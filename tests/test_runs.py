@@ -267,8 +267,9 @@ def test_check_says_what_a_run_holds(tmp_path, capsys):
 def test_check_names_what_is_missing_and_fails_on_a_fault(tmp_path, capsys):
     Run(t=np.arange(4.0), command=np.arange(4.0)[:, None]).save(tmp_path / "blind.npz")
     assert main(["check", str(tmp_path / "blind.npz"), "--json"]) == 0
-    missing = " ".join(json.loads(capsys.readouterr().out)["missing"])
-    assert "nothing was seen" in missing and "gravity" in missing
+    document = json.loads(capsys.readouterr().out)
+    assert "gravity" in " ".join(document["missing"])
+    assert document["cannot_tell"][0]["text"] == "anything: no frame was seen" and document["can_tell"] == []
     np.savez(tmp_path / "bad.npz", t=[0.0, 1.0], command=np.zeros((3, 1)))
     assert main(["check", str(tmp_path / "bad.npz")]) == 1
     assert "command: shape (3, 1)" in capsys.readouterr().err

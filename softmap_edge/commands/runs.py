@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from softmap_edge.advice import effect_lines
 from softmap_edge.commands.output import check_file
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.importer import import_logs, read_mapping
@@ -57,6 +58,7 @@ def import_(args: argparse.Namespace) -> int:
 def check_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `check`."""
     parser.add_argument("path", help="a run (.npz) or a bundle folder")
+    parser.add_argument("--bundle", metavar="DIR", help="of a run: say which effects would show against this model's")
 
 
 def check(args: argparse.Namespace) -> int:
@@ -64,7 +66,7 @@ def check(args: argparse.Namespace) -> int:
     path = _existing(args.path)
     document: dict[str, Any] = {"schema": SCHEMA, "path": str(path), "kind": "bundle" if path.is_dir() else "run"}
     try:
-        document |= {"sound": True, "fault": None} | (_bundle(path) if path.is_dir() else summary(Run.load(path)))
+        document |= {"sound": True, "fault": None} | (_bundle(path) if path.is_dir() else _run(path, args.bundle))
     except SoftmapError as fault:
         document |= {"sound": False, "fault": str(fault)}
     if args.json:
@@ -73,6 +75,7 @@ def check(args: argparse.Namespace) -> int:
         print(f"not sound: {document['fault']}", file=sys.stderr)
     else:
         lines = sentences(document) if document["kind"] == "run" else _bundle_lines(document)
+        lines += effect_lines(document["effects"]) if args.bundle and document["kind"] == "run" else []
         print("\n".join([f"sound     {path}", *lines]))
     return DONE if document["sound"] else FAULT
 
@@ -107,6 +110,17 @@ def _existing(path: str) -> Path:
     if not Path(path).exists():
         raise RunError(f"{path}: no such file or folder; give a run (.npz) or a bundle folder")
     return Path(path)
+
+
+def _run(path: Path, bundle: str | None) -> dict[str, Any]:
+    run = Run.load(path)
+    document = summary(run)
+    if bundle is not None:
+        from softmap_edge.bundle import load_bundle
+        from softmap_edge.diagnosis import showing
+
+        document["effects"] = showing(load_bundle(bundle), run)
+    return document
 
 
 def _bundle(path: Path) -> dict[str, Any]:

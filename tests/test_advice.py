@@ -1,0 +1,198 @@
+"""`softmap check` says what a run can and cannot tell, each from a number, with a remedy; with a model, per effect."""
+
+import json
+
+import numpy as np
+import pytest
+
+from softmap_edge import Run, builtin_model, save_bundle
+from softmap_edge.advice import WIDTH, advice
+from softmap_edge.cli import main
+from softmap_edge.protocol import standard_protocol
+from softmap_edge.run_summary import sentences, summary
+
+
+def full(**change):
+    """The standard protocol seen by twelve markers with noise: a run that can tell nearly everything."""
+    p = standard_protocol()
+    rng = np.random.default_rng(0)
+    rest = 40 * rng.normal(size=(12, 3)) + [0, 0, 60]
+    fields = {
+        "t": p.t, "command": p.command, "gravity": p.gravity, "t_seen": p.t_seen, "marker_rest": rest,
+        "temperature": np.linspace(20, 26, len(p.t)), "robot": "finger",
+        "markers": rest + 0.1 * rng.normal(size=(p.frames, 12, 3)),
+    }  # fmt: skip
+    return Run(**(fields | change))
+
+
+def answers(run):
+    return {word["about"]: word for key in ("can_tell", "cannot_tell") for word in summary(run)[key]}
+
+
+def test_a_full_protocol_can_tell_everything():
+    found = summary(full())
+    assert found["cannot_tell"] == [] and len(found["can_tell"]) == 9
+    assert "2 orientations" in answers(full())["orientation"]["text"]
+    assert answers(full())["noise"]["text"].startswith("noise from physics: the noise is 0.17 mm")  # √3 · 0.1
+
+
+def held(t):
+    return np.zeros((len(t), 2))
+
+
+def one_way(t):
+    return np.column_stack([np.minimum(t / 20.0, 12.0), -np.minimum(t / 25.0, 10.0) * (t > 60)])
+
+
+def together(t):
+    return np.column_stack([6 * np.sin(t / 3), 6 * np.sin(t / 3)])
+
+
+def alone(t):
+    return np.column_stack([6 * np.sin(t / 3), 0 * t])
+
+
+def triangle(t):
+    wave = 12 * (2 * np.abs((t / 8) % 2 - 1) - 1)
+    return np.column_stack([wave, -np.roll(wave, 100)])
+
+
+@pytest.mark.parametrize(
+    ("command", "about", "words"),
+    [
+        (held, "drive", "the commands never change"),
+        (one_way, "direction", "channel 0, 1 is seen coming from one side only"),
+        (one_way, "sides", "pulled to one side only"),
+        (together, "channels", "channel 0 from channel 1: they move together (correlation 1.00)"),
+        (alone, "channels", "channel 1: it never moves"),
+        (triangle, "speed", "always moves at about 4"),
+        (triangle, "dwell", "rest for 0."),
+        (triangle, "home", "home is visited never"),
+        (triangle, "noise", "nothing is seen twice"),
+    ],
+)
+def test_what_the_motion_cannot_tell_is_said_with_a_remedy(command, about, words):
+    run = full(command=command(standard_protocol().t))
+    words_about = [word for word in summary(run)["cannot_tell"] if word["about"] == about]
+    assert any(words in word["text"] for word in words_about), summary(run)["cannot_tell"]
+    assert all(word["remedy"] and word["minutes"] > 0 for word in words_about)
+
+
+@pytest.mark.parametrize(
+    ("change", "about", "words"),
+    [
+        ({"gravity": None}, "orientation", "the orientation is not declared"),
+        ({"gravity": np.array([0.0, 0, 1])}, "orientation", "in one orientation"),
+        ({"temperature": None}, "temperature", "no temperature is logged"),
+        ({"temperature": 21.0}, "temperature", "changes by 0.0 °C only"),
+        ({"marker_rest": np.arange(12)[:, None] * [0.0, 0.1, 10]}, "markers", "lie on one line"),
+    ],
+)
+def test_what_was_not_declared_or_seen_is_said(change, about, words):
+    found = answers(full(**change))[about]
+    assert not found["tells"] and words in found["text"]
+
+
+def test_few_frames_and_one_marker_are_said():
+    run = full()
+    assert "5 frames are too few" in answers(run.at(np.arange(5)))["frames"]["text"]
+    assert "30 frames leave few" in answers(run.at(np.arange(30)))["frames"]["text"]
+    tip = full(markers=run.markers[:, :1], marker_rest=run.marker_rest[:1])
+    assert "one marker is seen" in answers(tip)["markers"]["text"]
+
+
+def test_a_changing_load_stands_for_a_second_orientation():
+    run = full(gravity=np.array([0.0, 0, 1]), load=np.where(np.arange(len(full().t)) < 3000, 0.0, 10.0))
+    assert answers(run)["orientation"]["tells"]
+
+
+def test_a_run_without_commands_says_so():
+    still = Run(
+        t_seen=np.arange(80.0), t=np.arange(80.0), markers=np.random.default_rng(0).normal(size=(80, 4, 3)) * 20
+    )
+    found = answers(still)
+    assert "nothing is commanded" in found["drive"]["text"] and "speed" not in found
+    assert advice(still, 0)[0].tells
+
+
+def test_the_text_is_for_a_terminal_and_adds_the_minutes_up(tmp_path, capsys):
+    full(command=triangle(standard_protocol().t), temperature=None).save(tmp_path / "run.npz")
+    assert main(["check", str(tmp_path / "run.npz")]) == 0
+    text = capsys.readouterr().out
+    assert max(len(line) for line in text.splitlines() if str(tmp_path) not in line) <= WIDTH
+    document = summary(Run.load(tmp_path / "run.npz"))
+    minutes = sum(word["minutes"] for word in document["cannot_tell"])
+    assert f"about {minutes:g} minutes" in text
+    assert text.index("From this run one can tell") < text.index("From this run one cannot tell")
+    assert text.count("      > ") == len(document["cannot_tell"])
+    assert sentences(document)[-1] in text
+
+
+def test_points_far_from_the_base_are_told_to_be_aligned():
+    run = full()
+    assert not any("align" in note for note in summary(run)["warnings"])
+    camera = full(markers=run.markers + [0, 0, 900.0])
+    assert any("softmap align" in note for note in summary(camera)["warnings"])
+    framed = full(markers=run.markers + [0, 0, 900.0], frame=np.eye(3, 4))
+    assert not any("align" in note for note in summary(framed)["warnings"])
+
+
+def test_visits_of_home_without_a_dwell_between_are_counted():
+    t = np.arange(0, 60, 0.05)
+    u = np.where((t % 10) < 6, 0.0, 8 * np.sin(np.pi * ((t % 10) - 6) / 4))  # six homes, never at rest elsewhere
+    run = Run(t=t, command=u[:, None], t_seen=t[::4], markers=np.random.default_rng(0).normal(size=(300, 4, 3)) * 20)
+    assert summary(run)["home_visits"] == 6
+
+
+# --- with a model --------------------------------------------------------------------------
+
+
+def recorded(p, command=None, gravity=None, noise=0.25):
+    model = builtin_model()
+    record = {
+        "t": p.t, "command": p.command if command is None else command, "t_seen": p.t_seen, "robot": model.robot,
+        "gravity": p.gravity if gravity is None else gravity,
+    }  # fmt: skip
+    blank = np.repeat(model.rest[None], p.frames, axis=0)
+    points = model.predict(Run(**record, vertices=blank))
+    return Run(**record, vertices=points + noise * np.random.default_rng(1).normal(size=points.shape))
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    return str(save_bundle(builtin_model(), tmp_path_factory.mktemp("advice") / "finger"))
+
+
+def effects_of(run, bundle, folder, capsys):
+    run.save(folder / "run.npz")
+    assert main(["check", str(folder / "run.npz"), "--bundle", bundle, "--json"]) == 0
+    return {row["name"]: row for row in json.loads(capsys.readouterr().out)["effects"]}
+
+
+def test_every_effect_of_the_registry_has_its_line(bundle, tmp_path, capsys):
+    from softmap_edge import _core
+
+    found = effects_of(recorded(standard_protocol()), bundle, tmp_path, capsys)
+    assert list(found) == [e["name"] for e in _core.effects()]
+    assert all(row["shows"] and not row["alike"] for row in found.values())
+    assert main(["check", str(tmp_path / "run.npz"), "--bundle", bundle]) == 0
+    text = capsys.readouterr().out
+    assert all(f"+ {name}" in text for name in found)
+
+
+def test_effects_that_a_poor_run_cannot_show_are_named_with_the_experiment(bundle, tmp_path, capsys):
+    p = standard_protocol()
+    still = effects_of(recorded(p, held(p.t), np.array([0.0, 0, 1])), bundle, tmp_path, capsys)
+    for name in ("gain", "latency", "lag", "backlash", "hysteresis", "creep"):
+        assert not still[name]["shows"] and "mm RMS on these commands" in still[name]["why"], name
+    assert still["gravity"]["alike"] == ["payload"] and "orientation" in still["gravity"]["experiment"]
+    slow = effects_of(recorded(p, p.command * 0.02), bundle, tmp_path, capsys)
+    assert not slow["gain"]["shows"]
+    main(["check", str(tmp_path / "run.npz"), "--bundle", bundle])
+    assert "does not show" in capsys.readouterr().out
+
+
+def test_larger_noise_hides_more(bundle, tmp_path, capsys):
+    p = standard_protocol()
+    clear, noisy = (effects_of(recorded(p, noise=n), bundle, tmp_path, capsys) for n in (0.1, 2.0))
+    assert all(clear[name]["deviations"] > 3 * noisy[name]["deviations"] for name in ("latency", "backlash", "creep"))
