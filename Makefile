@@ -53,7 +53,7 @@ data: $(VENV)/.core
 
 # The bundle of the built-in finger, which ships in the wheel; run after a change to the simulator or to finger.toml.
 builtin: $(VENV)/.core
-	$(BIN)/softmap build --out softmap_edge/data/finger
+	$(BIN)/softmap build --out softmap_edge/data/finger --force
 
 clean:
 	rm -rf $(VENV) target dist build $(OUT) softmap_edge/*.so

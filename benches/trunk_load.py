@@ -14,7 +14,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from softmap_edge import Diagnosis, Model, Run, diagnose, import_logs, learn_model, read_mapping
-from softmap_edge.rod import RodParameters, learn
+from softmap_edge.polynomial_rod import RodParameters
+from softmap_edge.rod import learn
 from softmap_edge.rod_fit import Drive, Regression, folds
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from softmap_edge.mapping import read_mapping
     from softmap_edge.model import Model
     from softmap_edge.report_html import write_html
+    from softmap_edge.robot import Robot
     from softmap_edge.rod import learn_model
     from softmap_edge.run import Run
     from softmap_edge.simulator import Simulator
@@ -31,6 +32,7 @@ __all__ = [
     "Diagnosis",
     "Finger",
     "Model",
+    "Robot",
     "Run",
     "Simulator",
     "SoftmapError",
@@ -62,6 +64,7 @@ _HOMES = {
     "mapping": ["read_mapping"],
     "model": ["Model"],
     "report_html": ["write_html"],
+    "robot": ["Robot"],
     "rod": ["learn_model"],
     "run": ["Run"],
     "simulator": ["Simulator"],

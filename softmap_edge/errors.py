@@ -29,6 +29,10 @@ class FingerError(SoftmapError):
     """A finger description cannot be built."""
 
 
+class RobotError(SoftmapError):
+    """The description of a tendon robot cannot be read, or a run is not one of that robot."""
+
+
 class SimulationError(SoftmapError):
     """A simulation was asked for something impossible."""
 

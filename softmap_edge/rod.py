@@ -1,16 +1,12 @@
 """Fit a rod to a reference run: the prior of a robot that has no simulator. Seconds; numpy and the core only.
 
-The rod (rust/rod/) turns commands into bending angles of K chords by a polynomial, then into markers. Its weights are
-found by ridge regression, and with them the delay and lag of the drive, which stay effects of the chain.
-
-    v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
-
-Penalty: n · ridge · RIDGE[degree of the monomial] on all weights but the intercept, n frames. Degree, ridge, delay and
-lag are those with the lowest blocked cross-validation error: contiguous blocks in time, and frames closer than `gap_s`
-to a block are not used to predict it. These few choices are made on the blocks that give the stated error, so it is
-slightly low; frames in `hold_out` are never looked at.
-Known limit: memory other than delay and lag is not fitted; one marker at the end of each chord, base to tip.
-tests/test_rod.py pins exact recovery and the error on real data.
+Two rods (rust/rod/) turn commands into markers. Where the robot's tendons are described (`robot.py`) it is the elastic
+one, fitted by `elastic_fit.py`; else a chain of chords whose bending angles are a polynomial (`polynomial_rod.py`).
+With either, delay and lag of the drive are found, which stay effects of the chain; a log too slow for them has none.
+Degree, ridge, delay and lag are those with the lowest error; frames closer than `gap_s` to a block are not used to
+predict it. These few choices are made on the blocks that give the stated error, so it is slightly low; frames in
+`hold_out` are never looked at. Known limit: memory other than delay and lag is not fitted.
+tests/test_rod.py and tests/test_elastic.py pin exact recovery and the error on real data.
 """
 
 from __future__ import annotations
@@ -23,77 +19,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.rod_fit import Drive, Regression, choose_degree, fit_drive, folds, normalise, refine_drive, rms
+from softmap_edge.elastic import ElasticParameters
+from softmap_edge.elastic_fit import Number, fit_elastic, fit_for
+from softmap_edge.errors import SoftmapError
+from softmap_edge.polynomial_rod import RodParameters, fit_polynomial
+from softmap_edge.reference_run import Fitted, Rod, Seen, observe
+from softmap_edge.rod_fit import folds, rms
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
+    from softmap_edge.robot import Robot
     from softmap_edge.run import Run, Source
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
-DEGREES = (1, 2, 3)
 RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
-LOCK = 1.0  # the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
-TIP_PER_NEWTON = 0.1  # nominal: 1 N across the tip moves it by a tenth of the length; the stiffness itself is not seen
-
-
-@dataclass(frozen=True, eq=False)
-class RodParameters:
-    """The numbers of a rod.
-
-    `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + G, K)
-    mm, the nominal `compliance` of its load fields in N⁻¹·mm⁻² and their `lock`: how far the tendons hold each chord's
-    mean bending against a load, 0 (not at all) to 1 (motors that hold, tendons that do not stretch).
-    """
-
-    base: Floats
-    centre: Floats
-    scale: Floats
-    degree: int
-    angles: Floats
-    lengths: Floats
-    compliance: float
-    lock: float = LOCK
-
-    def compiled(self) -> _core.Rod:
-        """Return the compiled rod: commands (n, C) to markers (n, 3K) mm."""
-        return _core.Rod(self.base, self.centre, self.scale, self.degree, self.angles, self.lengths)
-
-    def fields(self) -> dict[str, _core.RodField]:
-        """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1 N."""
-        rod = self.compiled()
-        return {name: _core.RodField(rod, name, self.compliance, self.lock) for name in _core.FIELDS}
-
-    def to_arrays(self) -> Arrays:
-        """Return the arrays of `prior.npz`."""
-        arrays: Arrays = {name: getattr(self, name) for name in ("base", "centre", "scale", "angles", "lengths")}
-        single = {"degree": self.degree, "compliance": self.compliance, "lock": self.lock}
-        return arrays | {name: np.array([value]) for name, value in single.items()}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> RodParameters:
-        """Read the arrays of `prior.npz`.
-
-        Raises:
-            SoftmapError: an array is missing or has the wrong number of axes.
-        """
-        axes = {"base": 1, "centre": 1, "scale": 1, "angles": 2, "lengths": 2, "degree": 1, "compliance": 1, "lock": 1}
-        values: dict[str, Floats] = {}
-        for name, ndim in axes.items():
-            if name not in arrays or np.ndim(arrays[name]) != ndim:
-                got = f"of {np.ndim(arrays[name])} axes" if name in arrays else "missing"
-                raise SoftmapError(f"rod: array '{name}' is {got}, expected {ndim} axes; learn the bundle again")
-            values[name] = np.ascontiguousarray(arrays[name], float)
-        single = {name: values.pop(name).tolist() for name in ("degree", "compliance", "lock")}
-        for name, value in single.items():
-            if len(value) != 1:
-                raise SoftmapError(f"rod: '{name}' holds {len(value)} numbers, expected one; learn the bundle again")
-        (degree,), (compliance,), (lock,) = single.values()
-        if degree not in (1, 2, 3, 4):
-            raise SoftmapError(f"rod: degree {degree}, expected 1 to 4; learn the bundle again")
-        return cls(degree=int(degree), compliance=compliance, lock=lock, **values)
+USELESS = 0.8  # share of that straying from which a held-out error says that commands explain little
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +44,11 @@ class LearnedRod:
 
     `chain_names` and `chain_params` (by label, s) are the delay and lag of the drive that belong in the bundle's chain.
     `error_mm` is the blocked cross-validation RMS over all markers, `per_fold_mm` (blocks,), `per_marker_mm` (K,);
-    `form_error` (K, 3) mm is its RMS by marker and axis; `residuals` (n, K, 3) mm (predicted − seen) at `frames` (n,).
+    `form_error` (K, 3) mm is its RMS by marker and axis; `residuals` (n, K, 3) mm (predicted − seen) at `frames` (n,);
+    `numbers` are what was fitted of an elastic rod; `notes` say what to beware of.
     """
 
-    rod: RodParameters
+    rod: Rod
     input: Source
     chain_names: tuple[str, ...]
     chain_params: Mapping[str, float]
@@ -116,6 +59,8 @@ class LearnedRod:
     residuals: Floats
     frames: NDArray[np.intp]
     made_from: Mapping[str, Any]
+    numbers: tuple[Number, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def to_arrays(self) -> Arrays:
         """Return the arrays of `prior.npz` (delay and lag live in `effects.json`)."""
@@ -126,10 +71,11 @@ class LearnedRod:
         drive = ", ".join(f"{label} {value:.3f} s" for label, value in self.chain_params.items()) or "no delay, no lag"
         markers = ", ".join(f"{value:.2f}" for value in self.per_marker_mm)
         blocks = ", ".join(f"{value:.2f}" for value in self.per_fold_mm)
-        return (
-            f"rod of {len(self.per_marker_mm)} chords, degree {self.rod.degree}, on the {self.input} command; {drive}\n"
-            f"blocked cross-validation {self.error_mm:.2f} mm RMS (markers {markers}; blocks {blocks})"
-        )
+        lines = [
+            f"{self.rod}, on the {self.input} command; {drive}",
+            f"blocked cross-validation {self.error_mm:.2f} mm RMS (markers {markers}; blocks {blocks})",
+        ]
+        return "\n".join([*lines, *(f"  {number}" for number in self.numbers), *self.notes])
 
 
 def learn(
@@ -142,80 +88,108 @@ def learn(
     base: ArrayLike | None = None,
     degree: int | None = None,
     rate_hz: float = RATE_HZ,
+    robot: Robot | None = None,
+    seed: int = 0,
 ) -> LearnedRod:
-    """Fit a rod, its degree and the delay and lag of the drive to a reference run with markers.
+    """Fit a rod and the delay and lag of the drive to a reference run with markers.
 
     Args:
         run: commands (T, C) and markers (K, M, 3) mm, base to tip, in the base frame (z along the rest axis).
         input: "goal" or "present"; None takes the present positions where the run has them.
-        blocks: contiguous blocks of the cross-validation.
+        blocks: contiguous blocks of the cross-validation; an elastic rod takes the run's `block` labels if it has any.
         gap_s: s, frames this close to a block are not used to predict it.
         hold_out: intervals (t0, t1) s whose frames are not used at all.
         base: (3,) mm, the point from which the first chord starts; None is the origin of the base frame. It is not
             fitted: markers do not tell it (on the trunk any depth from 0 to 94 mm predicts equally well within 0.1 mm).
         degree: of the polynomial; None chooses among 1, 2, 3.
         rate_hz: at most so many frames a second are used.
+        robot: a description of the robot's tendons; with it the rod is elastic, without it a polynomial.
+        seed: of the starts of an elastic fit.
 
     Raises:
-        RunError: the run has no markers or no commands, or too few frames.
+        RunError: the run has no markers or no commands, too few frames, or hardly moves.
+        RobotError: the run is not one of that robot.
     """
-    source: Source = input or ("goal" if run.present is None else "present")
-    commands, t = np.ascontiguousarray(run.commands(source)), np.ascontiguousarray(run.t)
-    if run.markers is None or commands.shape[1] == 0 or len(t) < 2:
-        raise RunError("a rod is learned from markers and at least two rows of commands; this run lacks one of them")
-    frames = _usable(run, hold_out, rate_hz)
-    degrees: tuple[int, ...] = DEGREES if degree is None else (degree,)
-    parts = folds(run.t_seen[frames], blocks, gap_s)
-    smallest = min(len(train) for _, train in parts)
-    degrees = tuple(d for d in degrees if 2 * len(_core.monomial_degrees(commands.shape[1], d)) < smallest)
-    if not degrees:
-        raise RunError(
-            f"{len(frames)} usable frames leave {smallest} to learn from beside a block, too few for a polynomial of "
-            f"{commands.shape[1]} commands; record longer, use fewer blocks or a smaller gap_s"
-        )
-    drive = Drive(commands, t, run.t_seen[frames])
-    markers = np.asarray(run.markers[frames], float)
-    fit = Regression(markers, _base(base), parts)
-    delay, lag = fit_drive(fit, drive, degrees[-1])
-    u = drive.at([(delay, lag)])[0]
-    chosen, ridge = choose_degree(fit, u, degrees)
-    delay, lag = refine_drive(fit, drive, chosen, ridge, delay, lag)
-    u = drive.at([(delay, lag)])[0]
-    residuals = fit.cross_validate(normalise(u), chosen, ridge)
-    weights = fit.weights(u, chosen, ridge)
-    rod = RodParameters(
-        fit.base, weights.centre, weights.scale, chosen, weights.angles, weights.lengths, _nominal(fit.lengths)
-    )
-    params = {"latency.delay": delay, "lag.tau": lag}
+    seen = observe(run, input, hold_out, rate_hz)
+    if robot is None:
+        fitted = fit_polynomial(seen, blocks, gap_s, base, degree)
+    elif base is not None or degree is not None:
+        raise SoftmapError("base and degree belong to the polynomial rod; an elastic one has base_mm in its robot.toml")
+    else:
+        seen = fit_for(robot, seen)
+        labels = None if run.block is None or len(np.unique(run.block[seen.frames])) < 2 else run.block[seen.frames]
+        fitted = fit_elastic(seen, robot, folds(seen.t, blocks, gap_s, labels), seed)
     made_from = {
-        "softmap-edge": __version__, "run": run.hash(), "frames": len(frames), "rate_hz": rate_hz, "degree": chosen,
-        "ridge": ridge, "blocks": blocks, "gap_s": gap_s, "hold_out_s": [list(map(float, pair)) for pair in hold_out],
-        "per_fold_mm": [round(rms(residuals[test]), 4) for test, _ in parts],
-        "per_marker_mm": [round(rms(residuals[:, k]), 4) for k in range(residuals.shape[1])],
-        "compliance": "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams",
+        "softmap-edge": __version__, "run": run.hash(), "frames": len(seen.frames), "rate_hz": rate_hz,
+        "blocks": len(fitted.parts), "gap_s": gap_s, "hold_out_s": [list(map(float, pair)) for pair in hold_out],
     }  # fmt: skip
+    return _learned(seen, fitted, made_from)
+
+
+def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> LearnedRod:
+    """Put together what was fitted, how far off it is, and what to beware of."""
+    residuals, params = fitted.residuals, dict(zip(("latency.delay", "lag.tau"), fitted.pair))
+    per_fold = [rms(residuals[test]) for test, _ in fitted.parts]
+    per_marker = [rms(residuals[:, k]) for k in range(residuals.shape[1])]
+    notes = _notes(seen, fitted, rms(residuals))
+    more = {
+        "per_fold_mm": [round(error, 4) for error in per_fold],
+        "per_marker_mm": [round(error, 4) for error in per_marker],
+        "compliance": "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams",
+        "notes": list(notes),
+    }
+    if fitted.numbers:
+        more["numbers"] = [str(number) for number in fitted.numbers]
     return LearnedRod(
-        rod=rod,
-        input=source,
+        rod=fitted.rod,
+        input=seen.source,
         chain_names=tuple(label.split(".")[0] for label, value in params.items() if value > 0),
         chain_params={label: value for label, value in params.items() if value > 0},
         error_mm=rms(residuals),
-        per_fold_mm=np.array([rms(residuals[test]) for test, _ in parts]),
-        per_marker_mm=np.array([rms(residuals[:, k]) for k in range(residuals.shape[1])]),
+        per_fold_mm=np.array(per_fold),
+        per_marker_mm=np.array(per_marker),
         form_error=np.sqrt((residuals**2).mean(axis=0)),
         residuals=residuals,
-        frames=frames,
-        made_from=made_from,
+        frames=seen.frames,
+        made_from={**made_from, **fitted.made_from, **more},
+        numbers=fitted.numbers,
+        notes=notes,
     )
 
 
+def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
+    """Return what the user should know before trusting the rod."""
+    notes, unit = [], seen.run.command_unit
+    commands, stray = seen.drive.u, seen.stray
+    for c in np.flatnonzero(np.ptp(commands, axis=0) == 0):
+        notes.append(f"command {c + 1} stays at {commands[0, c]:g} {unit}: the rod does not know what it does")
+    if error > USELESS * stray:
+        notes.append(
+            f"the held-out error of {error:.2f} mm is hardly below the {stray:.2f} mm of always answering the mean "
+            "pose: the commands do not explain these markers, or the run is too short"
+        )
+    vague = [number.label for number in fitted.numbers if number.note]
+    if vague:
+        notes.append(f"this run does not tell {', '.join(vague)}; make them known in robot.toml, or record other moves")
+    return tuple(notes)
+
+
 def learn_model(
-    run: Run, input: Source | None = None, hold_out: Sequence[tuple[float, float]] = (), **options: Any
+    run: Run,
+    input: Source | None = None,
+    hold_out: Sequence[tuple[float, float]] = (),
+    robot: Robot | None = None,
+    **options: Any,
 ) -> Model:
     """Learn a rod and return it as a model; arguments as for `learn`."""
+    learned = learn(run, input, hold_out=hold_out, robot=robot, **options)
+    return learned_model(run, learned)
+
+
+def learned_model(run: Run, learned: LearnedRod) -> Model:
+    """Return the model of a rod that was learned from `run`."""
     from softmap_edge.model import Model
 
-    learned = learn(run, input, hold_out=hold_out, **options)
     rod, markers = learned.rod.compiled(), len(learned.per_marker_mm)
     commands = run.commands(learned.input)
     home = rod.evaluate(np.zeros((1, commands.shape[1]))).reshape(-1, 3)
@@ -230,7 +204,7 @@ def learn_model(
         tip_indices=np.array([markers - 1]),
         gravity_reference=_gravity(run),
         command_range=np.stack([commands.min(axis=0), commands.max(axis=0)], axis=1),
-        robot=run.robot or "robot",
+        robot=run.robot or str(learned.made_from.get("robot", "robot")),
         command_unit=run.command_unit,
         input=learned.input,
         made_from=learned.made_from,
@@ -239,40 +213,11 @@ def learn_model(
     return model.with_effects(learned.chain_names, learned.chain_params)
 
 
-def rod_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[_core.Rod, dict[str, _core.RodField]]:
+def rod_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[_core.Shape, dict[str, Any]]:
     """Return the compiled rod and its load fields from the arrays of `prior.npz`."""
-    parameters = RodParameters.from_arrays(arrays)
-    return parameters.compiled(), parameters.fields()
-
-
-# --- which frames -----------------------------------------------------------------------------
-
-
-def _usable(run: Run, hold_out: Sequence[tuple[float, float]], rate_hz: float) -> NDArray[np.intp]:
-    assert run.markers is not None
-    keep = np.all(np.isfinite(run.markers), axis=(1, 2))
-    if run.visible is not None:
-        keep &= np.all(run.visible, axis=1)
-    for low, high in hold_out:
-        keep &= (run.t_seen < low) | (run.t_seen >= high)
-    slot = np.floor((run.t_seen - run.t_seen[:1]) * rate_hz + 1e-6)
-    index = np.flatnonzero(keep)
-    if len(index):
-        index = index[np.concatenate([[True], np.diff(slot[index]) > 0])]
-    return index
-
-
-def _base(base: ArrayLike | None) -> Floats:
-    point = np.zeros(3) if base is None else np.array(base, float)
-    if point.shape != (3,) or not np.all(np.isfinite(point)):
-        raise SoftmapError(f"base of shape {point.shape}: expected three finite numbers in mm")
-    return point
-
-
-def _nominal(lengths: Floats) -> float:
-    """Return the nominal compliance c (N⁻¹·mm⁻²): 1 N across straight locked chords moves the tip by c·Σ l_k³/12."""
-    mean = lengths.mean(axis=0)
-    return float(12.0 * TIP_PER_NEWTON * mean.sum() / (mean**3).sum())
+    kind: type[ElasticParameters | RodParameters] = ElasticParameters if "numbers" in arrays else RodParameters
+    parameters = kind.from_arrays(arrays)
+    return parameters.compiled(), dict(parameters.fields())
 
 
 def _gravity(run: Run) -> Floats:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +19,14 @@ from softmap_edge.errors import RunError
 
 Floats = NDArray[np.float64]
 Folds = list[tuple[NDArray[np.intp], NDArray[np.intp]]]  # (frames tested, frames trained on)
+Error = Callable[[Floats], float]  # commands u_eff (n, C) → mm
 
 RIDGE = (3e-5, 9e-4, 3e-4, 3e-4)  # by degree 1…4, for |q| ≤ 1
 RIDGE_STEPS = (1e-7, 0.1, 1.0 / 3.0, 1.0, 3.0, 10.0)
 LENGTH_RIDGE = 1e-10
 DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4)  # s, coarse search
 LAGS = (0.0, 0.03, 0.06, 0.12, 0.24)  # s
+MOST_FOLDS = 10
 WORTH = 0.01  # delay or lag enter the chain only if the cross-validation error falls by this share
 
 
@@ -37,16 +40,34 @@ class Weights:
     lengths: Floats
 
 
-def folds(t: Floats, blocks: int, gap_s: float) -> Folds:
-    """Cut frames at `t` (n,) s into contiguous blocks; each is predicted from the frames over `gap_s` away."""
+def folds(t: Floats, blocks: int, gap_s: float, labels: NDArray[Any] | None = None) -> Folds:
+    """Cut frames at `t` (n,) s into folds; each is predicted from the frames over `gap_s` away from all of it.
+
+    Without `labels` (n,) a fold is a block of time. With them it is whole labels, dealt out in turn to at most
+    `MOST_FOLDS` folds, so that moves of one kind, recorded one after the other, do not all fall into one fold.
+
+    Raises:
+        RunError: too few frames or labels, or a fold leaves nothing to learn from.
+    """
+    if labels is None:
+        fold = np.repeat(np.arange(max(blocks, 1)), [len(part) for part in np.array_split(t, max(blocks, 1))])
+    else:
+        _, first, label = np.unique(labels, return_index=True, return_inverse=True)
+        order = np.argsort(np.argsort(first))  # labels in the order in which they appear
+        blocks = min(MOST_FOLDS, len(first))
+        fold = order[label] % max(blocks, 1)
     if blocks < 2 or len(t) < 2 * blocks:
         raise RunError(
             f"{len(t)} usable frames and {blocks} blocks; cross-validation needs 2 blocks of 2 frames or more"
         )
     parts: Folds = []
-    for test in np.array_split(np.arange(len(t)), blocks):
-        train = np.flatnonzero((t < t[test[0]] - gap_s) | (t > t[test[-1]] + gap_s))
-        parts.append((test, train))
+    for k in range(blocks):
+        test = np.flatnonzero(fold == k)
+        after = np.searchsorted(t[test], t)
+        away = np.minimum(
+            np.abs(t - t[test[np.minimum(after, len(test) - 1)]]), np.abs(t - t[test[np.maximum(after - 1, 0)]])
+        )
+        parts.append((test, np.flatnonzero((fold != k) & (away > gap_s))))
     return parts
 
 
@@ -154,15 +175,15 @@ class Drive:
         return before + self.share * (rolled[:, self.after] - before)
 
 
-def fit_drive(fit: Regression, drive: Drive, degree: int) -> tuple[float, float]:
-    """Search delay and lag on a grid with a polynomial of at most degree 2."""
+def fit_drive(error: Error, drive: Drive) -> tuple[float, float]:
+    """Return the delay and lag (s) of a grid whose commands have the least error."""
     best, pair = np.inf, (0.0, 0.0)
     for delay in DELAYS:
         pairs = [drive.admissible(delay, lag) for lag in LAGS]
         for candidate, u in zip(pairs, drive.at(pairs)):
-            error = fit.error(u, min(degree, 2), 1.0)
-            if error < best:
-                best, pair = error, candidate
+            reached = error(u)
+            if reached < best:
+                best, pair = reached, candidate
     return pair
 
 
@@ -171,19 +192,17 @@ def choose_degree(fit: Regression, u: Floats, degrees: Sequence[int]) -> tuple[i
     return min(product(degrees, RIDGE_STEPS), key=lambda choice: fit.error(u, *choice))
 
 
-def refine_drive(
-    fit: Regression, drive: Drive, degree: int, ridge: float, delay: float, lag: float
-) -> tuple[float, float]:
+def refine_drive(error: Error, drive: Drive, delay: float, lag: float) -> tuple[float, float]:
     """Refine delay and lag, then drop each that is not worth its place in the chain."""
 
-    def error(x: Floats) -> float:
-        return fit.error(drive.at([drive.admissible(float(x[0]), float(x[1]))])[0], degree, ridge)
+    def at(x: Floats) -> float:
+        return error(drive.at([drive.admissible(float(x[0]), float(x[1]))])[0])
 
     # Along (1, −1) delay and lag trade places and the error hardly changes, so that direction is searched too.
-    found = _descend(error, np.array([delay, lag]), np.array([[0.02, 0.0], [0.0, 0.02], [0.02, -0.02]]), halvings=4)
+    found = _descend(at, np.array([delay, lag]), np.array([[0.02, 0.0], [0.0, 0.02], [0.02, -0.02]]), halvings=4)
     candidates = [(0.0, 0.0), (float(found.sum()), 0.0), (0.0, float(found.sum())), tuple(found)]
     pairs = [drive.admissible(max(float(a), 0.0), max(float(b), 0.0)) for a, b in candidates]
-    errors = [error(np.array(pair)) for pair in pairs]
+    errors = [at(np.array(pair)) for pair in pairs]
     for pair, reached in zip(pairs, errors):  # simplest first
         if reached <= min(errors) * (1.0 + WORTH):
             return pair

@@ -119,6 +119,11 @@ def finger_sample(folder):
     return folder / "finger.toml"
 
 
+def robot_sample(folder):
+    shutil.copy(Path(__file__).parents[1] / "examples/tdcr_robot.toml", folder / "robot.toml")
+    return folder / "robot.toml"
+
+
 def diagnosis_sample(folder):
     from test_diagnosis import SOUND
 
@@ -138,6 +143,22 @@ def bundle_sample(folder):
     from softmap_edge.bundle import builtin_model, save_bundle
 
     return save_bundle(builtin_model(), folder / "bundle")
+
+
+def elastic_sample(folder):
+    from softmap_edge.bundle import save_bundle
+    from softmap_edge.robot import Robot
+    from softmap_edge.rod import learn_model
+    from softmap_edge.run import Run
+
+    robot = Robot.load(robot_sample(folder))
+    (folder / "robot.toml").unlink()
+    t = np.arange(0.0, 40.0, 0.5)
+    command = 4.0 * np.sin((0.3 + 0.1 * np.arange(9)) * t[:, None])
+    markers = robot.layout.compiled(robot.start).evaluate(command).reshape(-1, 1, 3)
+    return save_bundle(
+        learn_model(Run(t=t, command=command, t_seen=t, markers=markers), robot=robot), folder / "bundle"
+    )
 
 
 # --- damage --------------------------------------------------------------------------------
@@ -187,10 +208,10 @@ def spoil_text(text, rng):
 
 def spoil_npz(data, rng):
     """Injure the archive itself, or an array in it (its header, its type, its values), packed again soundly."""
-    if rng.random() < 0.25:
-        return spoil_bytes(data, rng)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = [[entry.filename, archive.read(entry)] for entry in archive.infolist()]
+    if rng.random() < 0.25 or not entries:
+        return spoil_bytes(data, rng)
     entry = entries[int(rng.integers(len(entries)))]
     kind = int(rng.integers(6))
     if kind == 0:
@@ -296,6 +317,13 @@ def use_finger(path):
     assert Finger.from_toml(finger.to_toml()) == finger
 
 
+def use_robot(path):
+    from softmap_edge.robot import Robot
+
+    robot = Robot.load(path)
+    robot.layout.compiled(robot.coordinates().numbers(np.zeros(len(robot.coordinates().labels))))
+
+
 def use_diagnosis(path):
     from softmap_edge.bundle import builtin_model
     from softmap_edge.diagnosis import Diagnosis
@@ -333,7 +361,9 @@ FORMATS = [
     Format("finger", finger_sample, spoil_text_file, use_finger),
     Format("sweep", sweep_sample, spoil_npz_file, use_sweep),
     Format("diagnosis", diagnosis_sample, spoil_text_file, use_diagnosis),
+    Format("robot", robot_sample, spoil_text_file, use_robot),
     Format("bundle", bundle_sample, spoil_bundle, use_bundle),
+    Format("elastic bundle", elastic_sample, spoil_bundle, use_bundle),
 ]
 
 

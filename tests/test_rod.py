@@ -9,7 +9,8 @@ from softmap_edge import _core
 from softmap_edge.bundle import load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.rod import LearnedRod, RodParameters, learn, learn_model
+from softmap_edge.polynomial_rod import RodParameters
+from softmap_edge.rod import LearnedRod, learn, learn_model
 from softmap_edge.rod_fit import Drive, Regression, folds
 from softmap_edge.run import Run
 

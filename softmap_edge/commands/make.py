@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.bundle import save_bundle
-from softmap_edge.commands.output import check_bundle, check_file
+from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.finger import Finger
@@ -19,7 +20,7 @@ from softmap_edge.finger import Finger
 def build_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `build`."""
     parser.add_argument("finger", nargs="?", help="finger.toml; without it the built-in finger")
-    parser.add_argument("--out", required=True, help="bundle folder to write")
+    bundle_arguments(parser)
     parser.add_argument("--steps", type=int, default=41, help="commands a channel in the sweep (default 41)")
 
 
@@ -28,7 +29,7 @@ def build(args: argparse.Namespace) -> int:
     from softmap_edge.build import build_model
 
     _check_steps(args.steps)
-    check_bundle(args.out)
+    check_bundle(args.out, args.force)
     finger = _finger(args.finger)
     with Bar(args.json) as bar:
         model = build_model(finger, args.steps, bar)
@@ -54,7 +55,8 @@ def build(args: argparse.Namespace) -> int:
 def learn_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `learn`."""
     parser.add_argument("run", help="reference run (.npz)")
-    parser.add_argument("--out", required=True, help="bundle folder to write")
+    bundle_arguments(parser)
+    parser.add_argument("--robot", metavar="FILE", help="robot.toml: its tendons, for a rod that knows them")
     parser.add_argument(
         "--input", choices=["goal", "present"], help="what moves the model (default: present if recorded)"
     )
@@ -65,16 +67,20 @@ def learn_arguments(parser: argparse.ArgumentParser) -> None:
 
 def learn(args: argparse.Namespace) -> int:
     """Fit a rod to a reference run and write its bundle."""
-    from softmap_edge.rod import learn_model
+    from softmap_edge.robot import Robot
+    from softmap_edge.rod import learn as fit
+    from softmap_edge.rod import learned_model
     from softmap_edge.run import Run
 
-    check_bundle(args.out)
+    check_bundle(args.out, args.force)
     held_out = [_interval(text) for text in args.hold_out]
+    robot = None if args.robot is None else Robot.load(args.robot)
     run = Run.load(args.run)
     for text, (low, high) in zip(args.hold_out, held_out):
         if not np.any((run.t_seen >= low) & (run.t_seen < high)):
             raise SoftmapError(f"--hold-out {text}: no frame is seen then; the run is seen {_span(run.t_seen)}")
-    model = learn_model(run, input=args.input, hold_out=held_out)
+    learned = fit(run, args.input, hold_out=held_out, robot=robot)
+    model = learned_model(run, learned)
     save_bundle(model, args.out)
     result = {
         "schema": "softmap.learn/1",
@@ -84,12 +90,17 @@ def learn(args: argparse.Namespace) -> int:
         "markers": len(model.rest),
         "held_out_error_mm": round(model.vertex_error_mm, 4),
         "params": model.params,
+        "numbers": [number.to_dict() for number in learned.numbers],
+        "notes": list(learned.notes),
     }
-    text = (
+    lines = [
         f"{args.out}: rod model of '{model.robot}', {model.channels} channels, {len(model.rest)} markers, "
         f"own blocked cross-validation error {model.vertex_error_mm:.2f} mm"
-    )
-    print(json.dumps(result) if args.json else text)
+    ]
+    lines += [f"  {number}" for number in learned.numbers]
+    print(json.dumps(result) if args.json else "\n".join(lines))
+    for note in learned.notes:
+        print(f"softmap learn: {note}", file=sys.stderr)
     return 0
 
 

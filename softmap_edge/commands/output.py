@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from softmap_edge.bundle import check_folder
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import BundleError, SoftmapError
 
 
 def check_file(option: str, path: str | None, suffix: str = "") -> None:
@@ -21,6 +22,15 @@ def check_file(option: str, path: str | None, suffix: str = "") -> None:
         raise SoftmapError(f"{option} {path}: there is no folder {file.parent}; make it first")
 
 
-def check_bundle(path: str) -> None:
-    """Raise BundleError when no bundle can be written at `path`."""
-    check_folder(Path(path))
+def bundle_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare where a bundle goes, the same for every verb that writes one."""
+    parser.add_argument("--out", required=True, metavar="DIR", help="bundle folder to write")
+    parser.add_argument("--force", action="store_true", help="replace the bundle that stands there")
+
+
+def check_bundle(path: str, force: bool = False) -> None:
+    """Raise BundleError when no bundle can be written at `path`: something else, or a bundle and no `force`."""
+    folder = Path(path)
+    check_folder(folder)
+    if not force and (folder / "manifest.json").exists():
+        raise BundleError(f"--out {path}: a bundle stands there already; give another name, or --force to replace it")

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.output import check_bundle, check_file
+from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
 from softmap_edge.errors import SoftmapError
 
 
@@ -82,13 +82,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("name", metavar="NAME[,NAME]", help="the effects to add")
     parser.add_argument("--from", dest="source", required=True, metavar="FILE", help="a diagnosis, JSON")
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
-    parser.add_argument("--out", required=True, metavar="DIR", help="the new bundle")
+    bundle_arguments(parser)
 
 
 def add(args: argparse.Namespace) -> int:
     """Write a bundle with effects of a diagnosis added, with their fitted numbers."""
     from softmap_edge.diagnosis import Diagnosis
 
+    check_bundle(args.out, args.force)
     model, diagnosis = _bundle(args.bundle), Diagnosis.load(args.source)
     names = _names(args.name)
     twice = [n for n in names if n in model.chain_names]
@@ -105,11 +106,12 @@ def remove_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap remove`."""
     parser.add_argument("name", metavar="NAME[,NAME]", help="the effects to remove")
     parser.add_argument("--bundle", required=True, metavar="DIR", help="the model")
-    parser.add_argument("--out", required=True, metavar="DIR", help="the new bundle")
+    bundle_arguments(parser)
 
 
 def remove(args: argparse.Namespace) -> int:
     """Write a bundle without some of its effects."""
+    check_bundle(args.out, args.force)
     model, names = _bundle(args.bundle), _names(args.name)
     for name in names:
         if name not in model.chain_names:
@@ -124,14 +126,14 @@ def refit_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap refit`."""
     parser.add_argument("run", help="the measured run, .npz")
     parser.add_argument("--bundle", required=True, metavar="DIR", help="the model with effects")
-    parser.add_argument("--out", required=True, metavar="DIR", help="the new bundle")
+    bundle_arguments(parser)
 
 
 def refit(args: argparse.Namespace) -> int:
     """Fit the effects of a bundle again; 1 if the held-out error does not fall."""
     from softmap_edge.diagnosis import refit as fit_again
 
-    check_bundle(args.out)
+    check_bundle(args.out, args.force)
     model, report = fit_again(_bundle(args.bundle), _run(args.run))
     _write(args, model, report)
     return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
