@@ -55,6 +55,7 @@ Mask = NDArray[np.bool_]
 
 SCHEMA = "softmap.align/1"
 HOME = "home frames"
+BASE_MARKERS = "base_markers"  # the field in which an import keeps them
 AT_HOME = 0.03  # of the largest |command|: closer to zero than this is at home (an encoder's offset included)
 SETTLED = 1.0  # s after the last motion from which the robot rests
 VISITS = 2  # least visits of home
@@ -92,6 +93,9 @@ class Alignment:
             seen = getattr(run, name)
             if seen is not None:
                 change[name] = (self.frames or poses)(seen) if seen.ndim == 3 else poses(seen)
+        base = base_markers(run)
+        if base.shape[1]:
+            change["extra"] = run.extra | {BASE_MARKERS: (self.frames or poses)(base)}
         before = Pose(np.eye(3), np.zeros(3)) if run.frame is None else Pose(run.frame[:, :3], run.frame[:, 3])
         whole = poses.after(before)
         change |= {"frame": np.column_stack([whole.rotation, whole.shift]), "frame_sigma": self.sigma}
@@ -172,13 +176,18 @@ def align_base(run: Run, places: dict[int, Floats], held: bool = False) -> Align
     """Find the frame from points that are fixed to the base.
 
     Args:
-        run: with markers or vertices. places: base-frame position (3,) mm of each named point of the run.
+        run: with markers or vertices. places: base-frame position (3,) mm of each named point of the run; those of its
+            `base_markers` are counted on behind the others.
         held: also find a pose for every frame, so that a base that moves is held still.
 
     Raises:
         AlignError: fewer than three places, places on a line, mirrored or in other units.
     """
     seen, visible = _seen(run, run.seen_points)
+    base = base_markers(run)
+    whole = np.all(np.isfinite(base), axis=2)
+    seen = np.concatenate([seen, np.where(whole[..., None], base, 0.0)], axis=1)
+    visible = np.concatenate([visible, whole], axis=1)
     names = sorted(places)
     outside = [n for n in names if not 0 <= n < seen.shape[1]]
     if outside:
@@ -186,6 +195,20 @@ def align_base(run: Run, places: dict[int, Floats], held: bool = False) -> Align
     target = np.array([places[n] for n in names])
     check_places(target)
     return _from_base(run, seen, visible, names, target, held)
+
+
+def base_markers(run: Run) -> Floats:
+    """Return the markers on the base (K, B, 3) mm that an import keeps beside those of the robot; B = 0 without any.
+
+    Raises:
+        AlignError: the field has another shape.
+    """
+    base = run.extra.get(BASE_MARKERS)
+    if base is None:
+        return np.zeros((run.frames, 0, 3))
+    if base.ndim != 3 or base.shape[0] != run.frames or base.shape[2] != 3 or base.dtype.kind != "f":
+        raise AlignError(f"{BASE_MARKERS}: {base.dtype} of shape {base.shape}, expected ({run.frames}, B, 3) mm")
+    return np.asarray(base, float)
 
 
 def clamped_places(run: Run, model: Model) -> dict[int, Floats]:

@@ -59,6 +59,7 @@ class Model:
     error_per_g_mm: float = 0.0  # by which its own error grows for each g away from the reference
     cables: _core.Cables | None = None  # how tendons answer loads; a rod has none
     arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
+    _attached: dict[bytes, Floats] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def channels(self) -> int:
@@ -204,10 +205,15 @@ class Model:
             return None
         if run.marker_rest is None:
             raise RunError(
-                f"the run has markers but no `marker_rest` (M, 3) mm, so they cannot be placed on the model of "
-                f"'{self.robot}'; give marker_rest_mm in the mapping, or with --bundle a model learnt from such markers"
+                f"the run has {run.markers.shape[1]} markers but no `marker_rest` (M, 3) mm, so it is not known which "
+                f"place on the model of '{self.robot}' each one is; give marker_rest_mm in the mapping, or with --bundle "
+                "a model learnt from such markers"
             )
-        return attach(np.asarray(run.marker_rest, float), self.rest)
+        key = run.marker_rest.tobytes()  # a fit asks for every prediction; frames of one run share their places
+        if key not in self._attached:
+            self._attached.clear()
+            self._attached[key] = attach(np.asarray(run.marker_rest, float), self.rest)
+        return self._attached[key]
 
     def _run_predictor(self, predictor: Any, chain: _core.Chain, params: Floats, run: Run) -> Floats:
         gravity = None if run.gravity is None else np.broadcast_to(run.gravity, (len(run.t), 3)).astype(float)

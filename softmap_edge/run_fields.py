@@ -66,6 +66,7 @@ RANGES: dict[str, tuple[float, float, str, str]] = {
 }
 _COMMAND_LIMIT = 1000.0  # mm: more tendon than any finger has; ticks and micrometres exceed it
 _SMALLEST = 1.0  # mm: a robot whose points all lie within this is a robot in metres
+_STRETCH = 4.0  # no robot is that much longer or shorter than at rest; other units are ten times off
 _TICK = 1e-9  # s: no clock of ours is finer
 _SAMPLE = 200_000  # values looked at for the extent: enough for any file, quick for the largest
 
@@ -283,6 +284,10 @@ def _units(run: Run) -> None:
             f"{run.t[0]:.6g} to "
             f"{run.t[-1]:.6g} s; bring both to one clock"
         )
+    if run.markers is not None and run.marker_rest is not None:
+        hidden = None if run.visible is None else ~run.visible[..., None]
+        seen = run.markers if hidden is None else np.where(hidden, np.nan, run.markers)
+        _same_units(seen, run.marker_rest)
     for name in ("vertices", "markers", "points", "marker_rest"):
         value = getattr(run, name)
         if value is None or value.size < 6 or (value.ndim == 3 and value.shape[1] < 2):
@@ -292,3 +297,21 @@ def _units(run: Run) -> None:
         extent = float(np.ptp(sample, axis=0).max()) if len(sample) > 1 else _SMALLEST
         if extent < _SMALLEST:
             raise RunError(f"{name}: all points lie within {extent:.3g} mm, which looks like metres; multiply by 1000")
+
+
+def _same_units(markers: NDArray[np.float64], rest: NDArray[np.float64]) -> None:
+    """Compare the spread of the markers with that of their places at rest: bending halves it at most."""
+    if len(rest) < 2 or not len(markers):
+        return
+    frames = markers[:: max(1, len(markers) // 50)]
+    spread = np.sqrt(np.var(frames, axis=1).sum(axis=1))  # a frame that is not seen whole gives none
+    spread = spread[np.isfinite(spread)]
+    at_rest = float(np.sqrt(np.var(rest, axis=0).sum()))
+    if not len(spread) or at_rest <= 0:
+        return
+    ratio = float(np.median(spread)) / at_rest
+    if not 1.0 / _STRETCH < ratio < _STRETCH:
+        raise RunError(
+            f"marker_rest: the markers are spread {ratio:.3g} times as far as their places at rest, at most "
+            f"{_STRETCH:g} times (or 1/{_STRETCH:g}) is plausible; give both in mm, in the same order"
+        )

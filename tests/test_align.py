@@ -273,8 +273,6 @@ LINE = np.array([[0.0, 0, z] for z in (10, 40, 70, 110)])
     [
         (lambda run: marked(rest=LINE), ["one line", "rotation about it (about z)", "--base"]),
         (lambda run: changed(run, markers=run.markers * [1, 1, -1]), ["mirrored", "axes"]),
-        (lambda run: changed(run, markers=run.markers / 10), ["0.1 times", "centimetres", "mm"]),
-        (lambda run: changed(run, markers=run.markers / 25.4), ["inches"]),
         (lambda run: changed(run, markers=run.markers * 1.3), ["1.3 times", "another robot"]),
         (
             lambda run: marked(visits=2).slice_time(0.0, 7.5),
@@ -291,8 +289,16 @@ def test_what_cannot_work_is_refused_with_its_number_and_remedy(spoil, words):
         assert word in str(fault.value)
 
 
+@pytest.mark.parametrize(("factor", "words"), [(10.0, "0.1 times"), (25.4, "inches"), (0.1, "tenths of a mm")])
+def test_vertices_in_other_units_are_refused(factor, words, filmed):
+    with pytest.raises(AlignError, match="wrong units.*convert the points to mm") as fault:
+        align_home(changed(filmed[1], vertices=filmed[1].vertices / factor), builtin_model())
+    assert words in str(fault.value)
+
+
 def changed(run, **fields):
-    return Run(**{**run.arrays(), "robot": builtin_model().robot, "command_unit": "mm", **fields})
+    known = {k: v for k, v in run.arrays().items() if k not in run.extra}
+    return Run(**{**known, "robot": builtin_model().robot, "command_unit": "mm", "extra": run.extra, **fields})
 
 
 def test_a_run_of_another_robot_is_refused():
@@ -332,6 +338,35 @@ def test_base_markers_can_be_left_out_afterwards(tmp_path, capsys):
     out = Run.load(tmp_path / "out.npz")
     assert out.markers.shape[1] == len(SIDES) == len(out.marker_rest) == out.visible.shape[1]
     assert "4 points" in capsys.readouterr().out
+
+
+def test_markers_that_an_import_keeps_beside_the_run_give_the_frame_too(tmp_path, capsys):
+    """`base_markers`: with their places, or without, when only their motion is taken out."""
+    both = marked(7, noise=0.05, play=0.0, base=BASE, turns=slip)
+    extra = {"base_markers": np.array(both.markers[:, :4]), "marker_labels": np.array([f"m{k}" for k in range(12)])}
+    run = changed(without(both, [0, 1, 2, 3]), extra=extra)
+    run.save(tmp_path / "run.npz")
+    words = [
+        "align",
+        str(tmp_path / "run.npz"),
+        "--out",
+        str(tmp_path / "out.npz"),
+        "--follow-base",
+        "--json",
+        "--base",
+    ]
+    named = [f"b{k}:" + ",".join(map(str, place)) for k, place in enumerate(BASE)]
+    assert main([*words, *named]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["moved"]["turn_deg"] == pytest.approx(1.2, abs=0.1)
+    out = Run.load(tmp_path / "out.npz")
+    assert out.markers.shape[1] == 12 and compare(builtin_model(), out).error["rms_mm"] < 0.3
+    moved = out.extra["base_markers"] - BASE
+    assert np.sqrt(np.nanmean(moved**2)) < 0.1
+    assert main([*words, "b0", "b1", "b2", "b3"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert np.abs(document["transform"]["turn_deg"]).max() < 0.7 and document["removed_by_frame"]
+    assert main([*words, "b0", "b1", "b7"]) == 2 and "b0 to b3" in capsys.readouterr().err
 
 
 def test_a_frame_that_is_no_rotation_is_refused():

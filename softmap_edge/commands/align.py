@@ -9,14 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.align import align_base, align_home, clamped_places
+from softmap_edge.align import align_base, align_home, base_markers, clamped_places
 from softmap_edge.bundle import builtin_model, load_bundle
 from softmap_edge.commands.output import check_file
 from softmap_edge.errors import AlignError
 from softmap_edge.rigid import Pose
 from softmap_edge.run import Run
 
-_HOW = "give --base clamped, --base 0 1 2 (numbers whose places are in `marker_rest`) or --base 0:X,Y,Z 1:X,Y,Z …"
+_HOW = (
+    "give --base clamped, --base 0 1 2 (numbers whose places are in `marker_rest`), --base 0:X,Y,Z 1:X,Y,Z … or, of "
+    "the run's `base_markers`, --base b0:X,Y,Z b1:X,Y,Z … (b0 alone: where it is seen on average)"
+)
 
 
 def align_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +32,8 @@ def align_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="POINT",
         help="points fixed to the base instead of home frames: clamped, or numbers of markers, each with its place in "
-        "the base frame in mm unless `marker_rest` has it: 0:30,0,0 1:0,30,0 2:-30,0,0",
+        "the base frame in mm unless `marker_rest` has it: 0:30,0,0 1:0,30,0 2:-30,0,0; b0 is the first of the run's "
+        "`base_markers`",
     )
     parser.add_argument("--follow-base", action="store_true", help="hold a base that moves still, frame by frame")
     parser.add_argument("--drop-base", action="store_true", help="leave the base markers out of the run afterwards")
@@ -94,8 +98,11 @@ def _places(args: argparse.Namespace, run: Run) -> dict[int, Any]:
         for part in [word] if ":" in word else word.split(","):
             number, _, place = part.partition(":")
             try:
-                index = int(number)
-                at = np.array([float(x) for x in place.split(",")]) if place else _rest(run, index)
+                of_base = number.startswith("b")
+                index = int(number[of_base:])
+                own = _mean if of_base else _rest
+                at = np.array([float(x) for x in place.split(",")]) if place else own(run, index)
+                index += _markers(run) if of_base else 0
             except ValueError:
                 raise AlignError(f"--base {part}: no number of a marker; {_HOW}") from None
             if at.shape != (3,) or index in places:
@@ -112,8 +119,22 @@ def _rest(run: Run, index: int) -> Any:
     return run.marker_rest[index]
 
 
+def _markers(run: Run) -> int:
+    return int(run.seen_points.shape[1])
+
+
+def _mean(run: Run, index: int) -> Any:
+    """Return where a base marker is seen in the middle: then only its motion is taken out."""
+    base = base_markers(run)
+    if not 0 <= index < base.shape[1]:
+        held = f"b0 to b{base.shape[1] - 1}" if base.shape[1] else "none"
+        raise AlignError(f"--base b{index}: the run's base markers are {held}")
+    return np.nanmedian(base[:, index], axis=0)
+
+
 def without(run: Run, names: list[int]) -> Run:
     """Return the run without some of its markers."""
+    names = [n for n in names if n < _markers(run)]  # base markers of their own stand beside the run's
     if run.markers is None:
         raise AlignError("--drop-base leaves markers out; vertices belong to the template and stay")
     keep = np.setdiff1d(np.arange(run.markers.shape[1]), names)
@@ -124,6 +145,9 @@ def without(run: Run, names: list[int]) -> Run:
         value = getattr(run, name)
         if value is not None and value.ndim:
             change[name] = value[:, keep]
+    labels = run.extra.get("marker_labels")
+    if labels is not None and labels.shape == (run.markers.shape[1],):
+        change["extra"] = run.extra | {"marker_labels": labels[keep]}
     if run.marker_rest is not None:
         change["marker_rest"] = run.marker_rest[keep]
     return dataclasses.replace(run, **change)
