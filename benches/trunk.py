@@ -26,8 +26,9 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from benches.trunk_load import FREE, find_logs, read, report
+from softmap_edge.folds import Folds, folds
 from softmap_edge.rod import LearnedRod, learn
-from softmap_edge.rod_fit import Drive, Folds, folds
+from softmap_edge.rod_fit import Drive
 from softmap_edge.run import Run, Source
 
 Floats = NDArray[np.float64]

@@ -14,9 +14,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from softmap_edge import Diagnosis, Model, Run, diagnose, import_logs, learn_model, read_mapping
+from softmap_edge.folds import folds
 from softmap_edge.polynomial_rod import RodParameters
 from softmap_edge.rod import learn
-from softmap_edge.rod_fit import Drive, Regression, folds
+from softmap_edge.rod_fit import Drive, Regression
 
 ROOT = Path(__file__).resolve().parent.parent
 COMMANDS = "control_inputs_controlled_1.csv"

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.elastic import Coordinates, ElasticParameters
 from softmap_edge.errors import RobotError
+from softmap_edge.folds import Folds
 from softmap_edge.reference_run import Fitted, Seen
-from softmap_edge.rod_fit import Drive, Folds, fit_drive, refine_drive, rms
+from softmap_edge.rod_fit import Drive, fit_drive, refine_drive, rms
 
 if TYPE_CHECKING:
     from softmap_edge.robot import Robot

@@ -14,18 +14,50 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import RunError, SoftmapError
 
 Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
+Index = NDArray[np.intp]
+Folds = list[tuple[Index, Index]]  # (frames tested, frames trained on)
 
-FOLDS, GAP = 8, 1.0  # parts of a run, and the seconds left out beside what is held out
+FOLDS, GAP = 8, 1.0  # of a diagnosis, and the seconds left out beside what is held out
+MOST_FOLDS = 10
 LEAST_FRAMES = 8
 LABELS_A_FOLD = 2  # fewer, and a fold would hold out one kind of motion and nothing else
 
 
+def folds(t: Floats, blocks: int, gap_s: float, labels: NDArray[Any] | None = None, most: int = MOST_FOLDS) -> Folds:
+    """Cut frames at `t` (n,) s into folds; each is predicted from the frames over `gap_s` away from all of it.
+
+    Without `labels` (n,) a fold is a block of time. With them it is whole labels, dealt out in turn to at most `most`
+    folds.
+
+    Raises:
+        RunError: too few frames or labels.
+    """
+    if labels is None:
+        fold = np.repeat(np.arange(max(blocks, 1)), [len(part) for part in np.array_split(t, max(blocks, 1))])
+    else:
+        _, first, label = np.unique(labels, return_index=True, return_inverse=True)
+        order = np.argsort(np.argsort(first))  # labels in the order in which they appear
+        blocks = min(most, len(first))
+        fold = order[label.reshape(-1)] % max(blocks, 1)
+    if blocks < 2 or len(t) < 2 * blocks:
+        raise RunError(
+            f"{len(t)} usable frames and {blocks} blocks; cross-validation needs 2 blocks of 2 frames or more"
+        )
+    parts: Folds = []
+    for k in range(blocks):
+        test = np.flatnonzero(fold == k)
+        after = np.searchsorted(t[test], t)
+        last, next_ = np.maximum(after - 1, 0), np.minimum(after, len(test) - 1)
+        away = np.minimum(np.abs(t - t[test[last]]), np.abs(t - t[test[next_]]))
+        parts.append((test, np.flatnonzero((fold != k) & (away > gap_s))))
+    return parts
+
+
 def run_folds(t_seen: Floats, labels: NDArray[Any] | None = None) -> list[tuple[Index, Index]]:
-    """Return (train, test) frame indices: by label where there are 16 or more, else by blocks of time.
+    """Return (train, test) frame indices of a diagnosis: by label where there are 16 or more, else by blocks of time.
 
     Args:
         t_seen: (K,) s. labels: (K,), one for each frame.
@@ -36,13 +68,9 @@ def run_folds(t_seen: Floats, labels: NDArray[Any] | None = None) -> list[tuple[
     frames = len(t_seen)
     if frames < LEAST_FRAMES:
         raise SoftmapError(f"{frames} seen frames cannot be held out in blocks; record at least 8, better 60")
-    if labelled(labels):
-        fold = dealt(labels, FOLDS)
-    else:
-        count = FOLDS if frames >= 2 * FOLDS else max(2, frames // 4)
-        fold = np.repeat(np.arange(count), [len(part) for part in np.array_split(t_seen, count)])
+    count = FOLDS if frames >= 2 * FOLDS else max(2, frames // 4)
     found = []
-    for test, train in apart(t_seen, fold, GAP):
+    for test, train in folds(t_seen, count, GAP, labels if labelled(labels) else None, FOLDS):
         if len(train) < frames // 4:  # labels that change with every frame leave nothing a second away
             train = np.setdiff1d(np.arange(frames), test)
         found.append((train, test))
@@ -50,28 +78,5 @@ def run_folds(t_seen: Floats, labels: NDArray[Any] | None = None) -> list[tuple[
 
 
 def labelled(labels: NDArray[Any] | None) -> bool:
-    """Whether frames have labels enough to be held out by them."""
+    """Whether frames have labels enough for a diagnosis to hold them out whole."""
     return labels is not None and len(np.unique(labels)) >= LABELS_A_FOLD * FOLDS
-
-
-def dealt(labels: NDArray[Any] | None, most: int) -> Index:
-    """Return the fold (n,) of each frame: whole labels, dealt out in turn to at most `most` folds."""
-    _, first, label = np.unique(np.asarray(labels), return_index=True, return_inverse=True)
-    order = np.argsort(np.argsort(first))  # labels in the order in which they appear
-    return np.asarray(order[label.reshape(-1)] % max(1, min(most, len(first))), np.int64)
-
-
-def apart(t: Floats, fold: Index, gap_s: float) -> list[tuple[Index, Index]]:
-    """Return (test, train) for each fold: frames of it, and frames over `gap_s` s away from all of them.
-
-    Args:
-        t: (n,) s, increasing. fold: (n,) number of the fold of each frame.
-    """
-    parts = []
-    for k in range(int(fold.max(initial=-1)) + 1):
-        test = np.flatnonzero(fold == k)
-        after = np.searchsorted(t[test], t)
-        last, next_ = np.maximum(after - 1, 0), np.minimum(after, len(test) - 1)
-        away = np.minimum(np.abs(t - t[test[last]]), np.abs(t - t[test[next_]]))
-        parts.append((test, np.flatnonzero((fold != k) & (away > gap_s))))
-    return parts

@@ -206,8 +206,8 @@ class Model:
         if run.marker_rest is None:
             raise RunError(
                 f"the run has {run.markers.shape[1]} markers but no `marker_rest` (M, 3) mm, so it is not known which "
-                f"place on the model of '{self.robot}' each one is; give marker_rest_mm in the mapping, or with --bundle "
-                "a model learnt from such markers"
+                f"place on the model of '{self.robot}' each one is; give marker_rest_mm in the mapping, or with "
+                "--bundle a model learnt from such markers"
             )
         key = run.marker_rest.tobytes()  # a fit asks for every prediction; frames of one run share their places
         if key not in self._attached:

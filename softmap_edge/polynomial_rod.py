@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.folds import folds
 from softmap_edge.reference_run import TIP_PER_NEWTON, Fitted, Seen
-from softmap_edge.rod_fit import Regression, choose_degree, fit_drive, folds, normalise, refine_drive
+from softmap_edge.rod_fit import Regression, choose_degree, fit_drive, normalise, refine_drive
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]

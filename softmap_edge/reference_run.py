@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError
-from softmap_edge.rod_fit import Drive, Folds, rms
+from softmap_edge.folds import Folds
+from softmap_edge.rod_fit import Drive, rms
 
 if TYPE_CHECKING:
     from softmap_edge.elastic_fit import Number

@@ -22,9 +22,10 @@ from softmap_edge import __version__, _core
 from softmap_edge.elastic import ElasticParameters
 from softmap_edge.elastic_fit import Number, fit_elastic, fit_for
 from softmap_edge.errors import SoftmapError
+from softmap_edge.folds import folds
 from softmap_edge.polynomial_rod import RodParameters, fit_polynomial
 from softmap_edge.reference_run import Fitted, Rod, Seen, observe
-from softmap_edge.rod_fit import folds, rms
+from softmap_edge.rod_fit import rms
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model

@@ -9,16 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.errors import RunError
+from softmap_edge.folds import Folds
 
 Floats = NDArray[np.float64]
-Folds = list[tuple[NDArray[np.intp], NDArray[np.intp]]]  # (frames tested, frames trained on)
 Error = Callable[[Floats], float]  # commands u_eff (n, C) → mm
 
 RIDGE = (3e-5, 9e-4, 3e-4, 3e-4)  # by degree 1…4, for |q| ≤ 1
@@ -26,7 +24,6 @@ RIDGE_STEPS = (1e-7, 0.1, 1.0 / 3.0, 1.0, 3.0, 10.0)
 LENGTH_RIDGE = 1e-10
 DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4)  # s, coarse search
 LAGS = (0.0, 0.03, 0.06, 0.12, 0.24)  # s
-MOST_FOLDS = 10
 WORTH = 0.01  # delay or lag enter the chain only if the cross-validation error falls by this share
 
 
@@ -38,37 +35,6 @@ class Weights:
     scale: Floats
     angles: Floats
     lengths: Floats
-
-
-def folds(t: Floats, blocks: int, gap_s: float, labels: NDArray[Any] | None = None) -> Folds:
-    """Cut frames at `t` (n,) s into folds; each is predicted from the frames over `gap_s` away from all of it.
-
-    Without `labels` (n,) a fold is a block of time. With them it is whole labels, dealt out in turn to at most
-    `MOST_FOLDS` folds, so that moves of one kind, recorded one after the other, do not all fall into one fold.
-
-    Raises:
-        RunError: too few frames or labels, or a fold leaves nothing to learn from.
-    """
-    if labels is None:
-        fold = np.repeat(np.arange(max(blocks, 1)), [len(part) for part in np.array_split(t, max(blocks, 1))])
-    else:
-        _, first, label = np.unique(labels, return_index=True, return_inverse=True)
-        order = np.argsort(np.argsort(first))  # labels in the order in which they appear
-        blocks = min(MOST_FOLDS, len(first))
-        fold = order[label] % max(blocks, 1)
-    if blocks < 2 or len(t) < 2 * blocks:
-        raise RunError(
-            f"{len(t)} usable frames and {blocks} blocks; cross-validation needs 2 blocks of 2 frames or more"
-        )
-    parts: Folds = []
-    for k in range(blocks):
-        test = np.flatnonzero(fold == k)
-        after = np.searchsorted(t[test], t)
-        away = np.minimum(
-            np.abs(t - t[test[np.minimum(after, len(test) - 1)]]), np.abs(t - t[test[np.maximum(after - 1, 0)]])
-        )
-        parts.append((test, np.flatnonzero((fold != k) & (away > gap_s))))
-    return parts
 
 
 def normalise(u: Floats) -> Floats:

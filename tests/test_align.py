@@ -289,7 +289,7 @@ def test_what_cannot_work_is_refused_with_its_number_and_remedy(spoil, words):
         assert word in str(fault.value)
 
 
-@pytest.mark.parametrize(("factor", "words"), [(10.0, "0.1 times"), (25.4, "inches"), (0.1, "tenths of a mm")])
+@pytest.mark.parametrize(("factor", "words"), [(10.0, "centimetres"), (25.4, "inches"), (0.1, "tenths of a mm")])
 def test_vertices_in_other_units_are_refused(factor, words, filmed):
     with pytest.raises(AlignError, match="wrong units.*convert the points to mm") as fault:
         align_home(changed(filmed[1], vertices=filmed[1].vertices / factor), builtin_model())

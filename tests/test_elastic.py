@@ -13,8 +13,8 @@ from softmap_edge import save_bundle as save
 from softmap_edge.cli import main
 from softmap_edge.elastic import ElasticParameters
 from softmap_edge.errors import RobotError, RunError, SoftmapError
+from softmap_edge.folds import folds
 from softmap_edge.rod import learn
-from softmap_edge.rod_fit import folds
 
 ROOT = Path(__file__).parents[1]
 TDCR = next((p for p in (ROOT / "data/tdcr", ROOT.parent / "shared/data/tdcr") if p.is_dir()), None)

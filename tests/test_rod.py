@@ -9,9 +9,10 @@ from softmap_edge import _core
 from softmap_edge.bundle import load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.folds import folds
 from softmap_edge.polynomial_rod import RodParameters
 from softmap_edge.rod import LearnedRod, learn, learn_model
-from softmap_edge.rod_fit import Drive, Regression, folds
+from softmap_edge.rod_fit import Drive, Regression
 from softmap_edge.run import Run
 
 ROOT = Path(__file__).parent.parent
