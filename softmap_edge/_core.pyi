@@ -18,6 +18,7 @@ __all__ = [
     "ElasticField",
     "ElasticRod",
     "FIELDS",
+    "Mesh",
     "Predictor",
     "Rod",
     "RodField",
@@ -189,29 +190,38 @@ class Predictor:
     ) -> _Floats: ...
 
 @final
+class Mesh:
+    @staticmethod
+    def finger(profile: list[tuple[float, float]], breaks: list[float], core: int, rings: int, layers: int) -> Mesh: ...
+    @staticmethod
+    def block(size: tuple[float, float, float], cells: tuple[int, int, int]) -> Mesh: ...
+    @staticmethod
+    def tetrahedra(nodes: _Floats, cells: NDArray[np.int64], refine: int) -> Mesh: ...
+    nodes: _Floats
+    cells: NDArray[np.int64]
+    fixed: NDArray[np.int64]
+    height: float
+
+@final
 class Solid:
     def __new__(
         cls,
-        profile: list[tuple[float, float]],
-        core: int,
-        rings: int,
-        layers: int,
+        mesh: Mesh,
         young: float,
         poisson: float,
         density: float,
+        regions: Sequence[tuple[tuple[float, float, float], tuple[float, float, float], float | None, float]],
         cable_stiffness: float,
         ring: float,
         disc: float,
-        routes: list[tuple[float, list[tuple[float, float]]]],
+        routes: Sequence[tuple[float, float, list[tuple[float, float]]] | list[tuple[float, float, float]]],
         drive: list[list[float]],
+        by_tension: bool = False,
         points: _Floats | None = None,
         tolerance: float = 2.5,
     ) -> Self: ...
     vertices: _Floats
     triangles: NDArray[np.int32]
-    nodes: _Floats
-    bricks: NDArray[np.int64]
-    fixed: NDArray[np.int64]
     def newton_step(self, x: _Floats) -> _Floats: ...
     def sweep(
         self,
@@ -227,6 +237,14 @@ class Solid:
         load: tuple[float, float, float],
         progress: Callable[[float], None] | None = None,
     ) -> tuple[_Floats, _Floats]: ...
+    def path_from(
+        self,
+        other: Solid,
+        commands: _Floats,
+        gravity: tuple[float, float, float],
+        load: tuple[float, float, float],
+        progress: Callable[[float], None] | None = None,
+    ) -> _Floats: ...
     def fields(
         self,
         commands: _Floats,

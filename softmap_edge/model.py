@@ -253,7 +253,8 @@ class Model:
 
 
 def tip_of(vertices: Floats) -> NDArray[np.int64]:
-    """Return the tip's vertices: the 5 % that move most over a sweep (S, N, 3) mm."""
+    """Return the tip's vertices: the 5 % that move most over a sweep (S, N, 3) mm, or the highest if none move."""
     movement = np.linalg.norm(vertices - vertices.mean(axis=0), axis=2).mean(axis=0)
+    movement = movement if movement.max() > 1e-6 else vertices[0, :, 2]
     count = max(1, round(_TIP_SHARE * len(movement)))
     return np.sort(np.argsort(-movement, kind="stable")[:count])

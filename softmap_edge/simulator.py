@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import radians
 from pathlib import Path
 
 import numpy as np
@@ -53,9 +52,9 @@ class Compliance:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Shapes over a grid, and of what: one array of mm a command, command (S, C) mm, vertices (S, N, 3) mm, pull
-    (S, T) N of the tendons (below zero: how slack), triangles (F, 3) int32 of the vertices; the finger, its gravity
-    (3,) g and tip_force (3,) N.
+    """Shapes over a grid, and of what: one array a command, command (S, C) mm (N by tension), vertices (S, N, 3) mm,
+    pull (S, T) N of the tendons (below zero: how slack), triangles (F, 3) int32 of the vertices; the finger, its
+    gravity (3,) g and tip_force (3,) N.
 
     S runs over the grid in C order: the last axis is the fastest.
     """
@@ -78,7 +77,8 @@ class Sweep:
         """Write the sweep as `.npz` without pickles; the finger goes along as its `finger.toml`."""
         arrays: dict[str, NDArray[np.generic]] = {f"axis{c}": axis for c, axis in enumerate(self.axes)}
         arrays |= {name: getattr(self, name) for name in (*_NUMBERS, "triangles")}
-        texts = {"schema": SCHEMA, "finger": self.finger.to_toml(), "units": json.dumps(UNITS, sort_keys=True)}
+        units = UNITS | {"command": self.finger.command_unit}
+        texts = {"schema": SCHEMA, "finger": self.finger.to_toml(), "units": json.dumps(units, sort_keys=True)}
         # The simulator applies no effects of the library; a sweep made elsewhere names its own.
         texts |= {"effects": "[]", "written_by": f"softmap-edge {__version__}"}
         write_npz(Path(path), arrays | {name: np.array(text) for name, text in texts.items()})
@@ -99,8 +99,9 @@ class Sweep:
             triangles = _stored(content, "triangles", "i").astype(np.int32)
         except (SoftmapError, KeyError, ValueError, TypeError, RecursionError) as error:
             raise SimulationError(f"{path}: not a sweep ({brief(error)}); make it with `softmap sweep`") from None
-        if units != UNITS:
-            raise SimulationError(f"{path}: units {units!r:.120}, expected {UNITS}; convert it")
+        expected = UNITS | {"command": finger.command_unit}
+        if units != expected:
+            raise SimulationError(f"{path}: units {units!r:.120}, expected {expected}; convert it")
         sweep = cls(axes=axes, triangles=triangles, finger=finger, **numbers)
         sweep._check(path)
         return sweep
@@ -139,18 +140,17 @@ class Simulator:
         points = None if template is None else np.ascontiguousarray(template.vertices, dtype=np.float64)
         try:
             self.solid = _core.Solid(
-                profile=list(finger.profile),
-                core=finger.core,
-                rings=finger.rings,
-                layers=finger.layers,
+                mesh=finger.solid.cells([z for tendon in finger.tendons for z in tendon.ends()]),
                 young=finger.young_mpa,
                 poisson=finger.poisson,
                 density=finger.density_kg_m3,
+                regions=[region.boxed() for region in finger.regions],
                 cable_stiffness=finger.cable_stiffness_n_mm,
                 ring=finger.guide_ring_mm,
                 disc=finger.anchor_disc_mm,
-                routes=[(radians(tendon.angle_deg), list(tendon.route)) for tendon in finger.tendons],
+                routes=[tendon.way() for tendon in finger.tendons],
                 drive=_drive(finger).tolist(),
+                by_tension=finger.command_unit == "N",
                 points=points,
             )
         except _core.CoreError as error:
@@ -176,15 +176,15 @@ class Simulator:
     ) -> Sweep:
         """Simulate every command of a grid.
 
-        axes: one ascending array of mm for each command · gravity: (3,) g in the base frame, None for the finger's
-        own · load: (3,) N on the tip · progress: called with the share done, 0 to 1. Raises SimulationError.
+        axes: one ascending array of mm (or N) for each command · gravity: (3,) g in the base frame, None for the
+        finger's own · load: (3,) N on the tip · progress: called with the share done, 0 to 1. Raises SimulationError.
         """
         grid = tuple(_array("axis", axis, (None,)) for axis in axes)
         with _told():
             vertices, pull = self.solid.sweep(
                 [axis.tolist() for axis in grid], self._gravity(gravity), _vector("load", load), progress
             )
-        command = np.stack([a.ravel() for a in np.meshgrid(*grid, indexing="ij")], axis=1)
+        command = np.stack([a.ravel() for a in np.meshgrid(*grid, indexing="ij")], axis=1) if grid else np.zeros((1, 0))
         return Sweep(
             axes=grid,
             command=command,
@@ -215,6 +215,15 @@ class Simulator:
         with _told():
             return self.solid.path(u, rows, _vector("load", load), progress)[0]
 
+    def path_from(self, other: Simulator, commands: ArrayLike, gravity: ArrayLike | None = None) -> Floats:
+        """Return what `path` does, solving from the equilibria of `other`, the same finger on a rougher mesh.
+
+        For meshes on which the way from home would take hours. Raises SimulationError.
+        """
+        u = _array("commands", commands, (None, len(self.finger.pairs)))
+        with _told():
+            return self.solid.path_from(other.solid, u, self._gravity(gravity), (0.0, 0.0, 0.0))
+
     def fields(
         self,
         commands: ArrayLike,
@@ -243,7 +252,7 @@ def _stored(content: Mapping[str, NDArray[np.generic]], name: str, kinds: str) -
 
 
 def _drive(finger: Finger) -> Floats:
-    """Return the shortening of each tendon per mm of each command, (T, C)."""
+    """Return what each tendon is told (mm or N) per unit of each command, (T, C)."""
     drive = np.zeros((len(finger.tendons), len(finger.pairs)))
     for c, (pulled, *paid_out) in enumerate(finger.pairs):
         drive[pulled, c] = 1.0

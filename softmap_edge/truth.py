@@ -15,7 +15,7 @@ Units: mm, s, N, g. Randomness only from the seeds; the same arguments give the 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -88,11 +88,12 @@ class Secret:
 
 @dataclass(frozen=True)
 class Truth:
-    """A second finger: its batch of silicone (by `seed`) and its secrets, in the order in which they act."""
+    """A second finger: its batch of silicone (by `seed`), its secrets in the order in which they act, and the first."""
 
     seed: int
     secrets: tuple[Secret, ...] = ()
     camera: Camera = field(default_factory=Camera)
+    finger: Finger = field(default_factory=Finger.builtin)
 
     @property
     def modulus(self) -> float:
@@ -101,7 +102,7 @@ class Truth:
 
     def twin(self) -> Truth:
         """Return the same finger without its secrets: the floor of every error."""
-        return Truth(self.seed, (), self.camera)
+        return Truth(self.seed, (), self.camera, self.finger)
 
     def to_body(self, protocol: Protocol) -> Floats:
         """Return the command (K, C) mm that reaches the body at the seen times."""
@@ -116,16 +117,16 @@ class Truth:
 
     def rough(self, protocol: Protocol, steps: int) -> Floats:
         """Return the points about, interpolated in a sweep of `steps` commands a channel."""
-        return self._shapes(protocol, lambda m, g, f, u: _interpolated(m, g, f, u, steps))
+        return self._shapes(protocol, lambda body, m, g, f, u: _interpolated(body, m, g, f, u, steps))
 
     def _shapes(
-        self, protocol: Protocol, body: Callable[[float, Vector, Vector, Floats], Floats], every: int = 1
+        self, protocol: Protocol, body: Callable[[Finger, float, Vector, Vector, Floats], Floats], every: int = 1
     ) -> Floats:
         u = self.to_body(protocol)
-        points = np.empty((protocol.frames, *template().shape))
+        points = np.empty((protocol.frames, *template(self.finger).shape))
         for frames, gravity, force in self._weights(protocol):
             wanted = frames[frames % every == 0]
-            points[wanted] = body(self.modulus, gravity, force, u[wanted])
+            points[wanted] = body(self.finger, self.modulus, gravity, force, u[wanted])
         points = points[::every]
         for secret in self.secrets:
             points = secret.law.seen(points)
@@ -141,7 +142,7 @@ class Truth:
             t_seen=protocol.t_seen,
             vertices=self.camera.look(self.shapes(protocol), protocol.t_seen, rng),
             block=protocol.block,
-            robot=_finger().name,
+            robot=self.finger.name,
         )
 
     def _weights(self, protocol: Protocol) -> list[tuple[NDArray[np.int64], Vector, Vector]]:
@@ -156,10 +157,11 @@ class Truth:
         return parts
 
 
-def hide(names: Sequence[str], seed: int, camera: Camera | None = None) -> Truth:
+def hide(names: Sequence[str], seed: int, camera: Camera | None = None, finger: Finger | None = None) -> Truth:
     """Make a second finger that hides the effects `names`, strengths drawn from `seed`.
 
-    Args: `names` out of `LAWS` (none: nothing is hidden); `seed` ≥ 0 draws batch, characters and strengths.
+    Args: `names` out of `LAWS` (none: nothing is hidden); `seed` ≥ 0 draws batch, characters and strengths; `finger` is
+    the first one, usually the built-in.
     Returns the truth; each secret alone moves the section centroids by 1-4 mm RMS on the standard protocol.
     Raises SoftmapError for an unknown or repeated name.
     """
@@ -170,9 +172,8 @@ def hide(names: Sequence[str], seed: int, camera: Camera | None = None) -> Truth
         raise SoftmapError(f"each effect can be hidden once, got {', '.join(names)}")
     if seed < 0:
         raise SoftmapError(f"seed {seed} is negative; give 0 or more")
-    camera = camera or Camera()
-    secrets = tuple(_drawn(name, seed, camera) for name in LAWS if name in names)
-    return Truth(seed, secrets, camera)
+    plain = Truth(seed, (), camera or Camera(), finger or _builtin())
+    return replace(plain, secrets=tuple(_drawn(name, plain) for name in LAWS if name in names))
 
 
 def surprise(seed: int) -> list[str]:
@@ -181,38 +182,42 @@ def surprise(seed: int) -> list[str]:
     return [str(name) for name in rng.choice(list(LAWS), size=int(rng.choice([1, 2], p=[0.65, 0.35])), replace=False)]
 
 
-@lru_cache(maxsize=1)
-def template() -> Floats:
+@lru_cache(maxsize=4)
+def template(finger: Finger | None = None) -> Floats:
     """Return the material points (N, 3) mm that are seen: the vertices of the first finger's template."""
-    return np.asarray(Simulator(_finger()).template.vertices, dtype=np.float64)
+    return np.asarray(Simulator(finger or _builtin()).template.vertices, dtype=np.float64)
 
 
-def centroids(points: Floats) -> Floats:
+def centroids(points: Floats, finger: Finger | None = None) -> Floats:
     """Return the section centroids (K, 9, 3) mm of points (K, N, 3): nine slices of the body at rest."""
-    section = sections_of(template())
+    section = sections_of(template(finger))
     return np.stack([points[:, section == s].mean(axis=1) for s in range(SECTIONS)], axis=1)
 
 
-def _drawn(name: str, seed: int, camera: Camera) -> Secret:
-    """Draw a law and scale it until it moves the section centroids by the drawn target."""
+def _drawn(name: str, plain: Truth) -> Secret:
+    """Draw a law and scale it until it moves the section centroids of a finger by the drawn target."""
+    seed, channels = plain.seed, len(plain.finger.pairs)
     rng = np.random.default_rng([seed, list(LAWS).index(name)])
-    law = LAWS[name].draw(rng, _finger_channels())
+    law = LAWS[name].draw(rng, channels)
     target = float(rng.uniform(*TARGET))
-    protocol = standard_protocol(_finger_channels())
+    protocol = standard_protocol(channels)
     is_weight = name in ("gravity", "payload")
 
     def there(strength: float) -> Truth:
-        return Truth(seed, (Secret(law.scaled(strength), 0.0),), camera)
+        return replace(plain, secrets=(Secret(law.scaled(strength), 0.0),))
+
+    def apart(one: Floats, other: Floats) -> float:
+        return _rms(centroids(one, plain.finger) - centroids(other, plain.finger))
 
     strength, steps = 1.0, WEIGHT_STEPS if is_weight else STEPS
     for _ in range(2 if is_weight else 8):  # a weight costs a sweep each time, and moves the body nearly in proportion
         truth = there(strength)
-        distance = _rms(centroids(truth.rough(protocol, steps)) - centroids(truth.twin().rough(protocol, steps)))
+        distance = apart(truth.rough(protocol, steps), plain.rough(protocol, steps))
         strength = float(np.clip(strength * target / distance, strength / 4, min(strength * 4, law.LIMIT)))
         if abs(distance - target) < 0.02 * target:
             break
     truth, thin = there(strength), slice(None, None, EVERY)
-    distance = _rms(centroids(truth.shapes(protocol)[thin]) - centroids(truth.twin().shapes(protocol, EVERY)))
+    distance = apart(truth.shapes(protocol)[thin], plain.shapes(protocol, EVERY))
     if not 1.0 <= distance <= 4.0:
         raise SoftmapError(
             f"'{name}' with seed {seed} moves the finger by {distance:.2f} mm RMS at {strength:.2f} of its usual "
@@ -231,24 +236,18 @@ def _vector(v: Floats) -> Vector:
 
 
 @lru_cache(maxsize=1)
-def _finger() -> Finger:
+def _builtin() -> Finger:
     return Finger.builtin()
 
 
-def _finger_channels() -> int:
-    return len(_finger().command_range)
-
-
 @lru_cache(maxsize=8)
-def _simulator(modulus: float) -> Simulator:
+def _simulator(finger: Finger, modulus: float) -> Simulator:
     """Return the second finger: another mesh, another batch, the first finger's material points."""
-    finger = _finger()
-    layers = round(LAYERS * finger.layers)
-    other = finger.replace(layers=layers, young_mpa=finger.young_mpa * modulus)
+    other = finger.replace(solid=finger.solid.along(LAYERS), young_mpa=finger.young_mpa * modulus)
     return Simulator(other, template=Simulator(finger).template)
 
 
-def _solved(modulus: float, gravity: Vector, force: Vector, u: Floats) -> Floats:
+def _solved(finger: Finger, modulus: float, gravity: Vector, force: Vector, u: Floats) -> Floats:
     """Solve the second finger under these weights at each command (K, C) mm: points (K, N, 3) mm."""
     largest = float(np.max(np.abs(u), initial=0.0))
     if largest > REACH:
@@ -256,16 +255,16 @@ def _solved(modulus: float, gravity: Vector, force: Vector, u: Floats) -> Floats
             f"commands of {largest:.1f} mm reach the body, the truth is solved to {REACH:g} mm; hide less or move less"
         )
     places, which = np.unique(np.round(u, 6), axis=0, return_inverse=True)
-    return _path(modulus, gravity, force, places.tobytes(), u.shape[1])[which.ravel()]
+    return _path(finger, modulus, gravity, force, places.tobytes(), u.shape[1])[which.ravel()]
 
 
 @lru_cache(maxsize=48)
-def _path(modulus: float, gravity: Vector, force: Vector, commands: bytes, channels: int) -> Floats:
+def _path(finger: Finger, modulus: float, gravity: Vector, force: Vector, commands: bytes, channels: int) -> Floats:
     """Solve different commands, each from a near one."""
     places = np.frombuffer(commands).reshape(-1, channels)
     order = _tour(places)
-    points = np.empty((len(places), *template().shape))
-    points[order] = _simulator(modulus).path(places[order], gravity=gravity, load=force)
+    points = np.empty((len(places), *template(finger).shape))
+    points[order] = _simulator(finger, modulus).path(places[order], gravity=gravity, load=force)
     return points
 
 
@@ -280,15 +279,15 @@ def _tour(places: Floats) -> NDArray[np.int64]:
     return np.array(order)
 
 
-def _interpolated(modulus: float, gravity: Vector, force: Vector, u: Floats, steps: int) -> Floats:
-    return _sweep(modulus, gravity, force, steps).evaluate(u).reshape(-1, *template().shape)
+def _interpolated(finger: Finger, modulus: float, gravity: Vector, force: Vector, u: Floats, steps: int) -> Floats:
+    return _sweep(finger, modulus, gravity, force, steps).evaluate(u).reshape(-1, *template(finger).shape)
 
 
 @lru_cache(maxsize=64)
-def _sweep(modulus: float, gravity: Vector, force: Vector, steps: int) -> _core.Table:
+def _sweep(finger: Finger, modulus: float, gravity: Vector, force: Vector, steps: int) -> _core.Table:
     """Sweep the second finger under these weights and interpolate with every mode that matters (to 0.1 µm)."""
-    axes = [np.linspace(-REACH, REACH, steps)] * _finger_channels()
-    sweep = _simulator(modulus).sweep(axes, gravity=gravity, load=force)
+    axes = [np.linspace(-REACH, REACH, steps)] * len(finger.pairs)
+    sweep = _simulator(finger, modulus).sweep(axes, gravity=gravity, load=force)
     values = np.asarray(sweep.vertices, dtype=np.float64).reshape(len(sweep.command), -1)
     mean = values.mean(axis=0)
     left, size, modes = np.linalg.svd(values - mean, full_matrices=False)

@@ -112,4 +112,4 @@ def test_what_is_large_but_reasonable_still_works():
     """Without this the limits could refuse everything."""
     finger = Finger.builtin().replace(core=6, rings=3, layers=60)
     assert len(Simulator(finger).template.vertices) > 1500
-    assert Finger.builtin().replace(core=16, layers=40).other_mesh().core == 15
+    assert Finger.builtin().replace(core=16, layers=40).other_mesh().solid.core == 15

@@ -11,9 +11,9 @@ from softmap_edge.simulator import Simulator
 
 def test_the_numpy_solid_takes_the_same_newton_step():
     finger = Finger.builtin()
-    solid = Simulator(finger).solid
-    peer = NumpySolid(solid.nodes, solid.bricks, finger.young_mpa, finger.poisson, solid.fixed)
-    bent = solid.nodes + 0.02 * np.sin(solid.nodes / 7.0) * (solid.nodes[:, 2:] / solid.nodes[:, 2].max())
+    solid, mesh = Simulator(finger).solid, finger.solid.cells([95.0])
+    peer = NumpySolid(mesh.nodes, mesh.cells, finger.young_mpa, finger.poisson, mesh.fixed)
+    bent = mesh.nodes + 0.02 * np.sin(mesh.nodes / 7.0) * (mesh.nodes[:, 2:] / mesh.nodes[:, 2].max())
     ours, theirs = solid.newton_step(bent).ravel()[peer.free], peer.newton_step(bent)
     # Round-off of two factorisations of one matrix; the step itself is 0.02 mm.
     assert np.abs(ours).max() > 1e-3 and np.abs(ours - theirs).max() < 1e-10

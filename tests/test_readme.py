@@ -56,7 +56,7 @@ class SecondFinger:
     def __init__(self, finger):
         first = Simulator(finger)
         other = Simulator(
-            finger.replace(layers=finger.layers + 3, young_mpa=0.95 * finger.young_mpa), template=first.template
+            finger.replace(layers=finger.solid.layers + 3, young_mpa=0.95 * finger.young_mpa), template=first.template
         )
         rest = np.asarray(first.template.vertices)
         rings = [np.flatnonzero(np.abs(rest[:, 2] - z) < 1e-6) for z in np.unique(rest[:, 2].round(6))]

@@ -31,7 +31,7 @@ def test_builtin_finger_has_the_stated_template():
     corners = template.vertices[template.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
     volume_cm3 = np.einsum("ij,ij->", corners[:, 0], normals) / 3e3
-    z, r = np.array(Finger.builtin().profile).T
+    z, r = np.array(Finger.builtin().solid.profile).T
     cones = np.pi / 3 * np.diff(z) * (r[1:] ** 2 + r[1:] * r[:-1] + r[:-1] ** 2)
     assert volume_cm3 == pytest.approx(cones.sum() / 1e3, rel=5e-3)  # layers cut the profile's corners
     np.testing.assert_allclose(normals.sum(axis=0), 0, atol=1e-9)

@@ -218,7 +218,7 @@ def test_every_frame_is_the_equilibrium_found_on_its_own():
     chosen = np.arange(0, p.frames, 40)
     (frames, gravity, force), *_ = [part for part in finger._weights(p)]
     chosen = np.intersect1d(chosen, frames)
-    body = truth._simulator(finger.modulus)
+    body = truth._simulator(finger.finger, finger.modulus)
     own = [body.path(u[None], gravity=gravity, load=force) for u in finger.to_body(p)[chosen]]
     # Both stop where the next Newton step moves no node by 2e-4 mm.
     assert np.abs(finger.shapes(p)[chosen] - np.concatenate(own)).max() < 2e-3

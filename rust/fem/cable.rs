@@ -1,42 +1,22 @@
 //! Tendons: elastic cables that pull and never push, led through guides in the solid.
 //!
-//! Energy kc/2 ⟨L − (L₀ − d)⟩₊² with the cable's length L through its guides, its rest length L₀, the shortening d (mm)
-//! and the stiffness kc of cable and drive together (N/mm). A guide is not a point: a point load cuts into a mesh like a
-//! wire and its depth depends on the mesh. Each guide is the average over a ring (the anchor over a disc) of moving-least-
-//! squares interpolants of one layer's nodes. Their weights are smooth in the guide's place and reproduce linear fields,
-//! so that rest position and rigid motion are exact. There is a guide at every layer: a cable in a continuous channel.
-//! Frictionless. Limit: guides stay in their rest layer, so a channel must not run sideways.
+//! Driven by shortening: energy kc/2 ⟨L − (L₀ − d)⟩₊² with the cable's length L through its guides (`guide.rs`), its rest
+//! length L₀, the shortening d (mm) and the stiffness kc of cable and drive together (N/mm). Driven by tension: energy
+//! T (L − L₀) with T = ⟨command⟩₊ in N, whatever the length. Frictionless.
 
-use super::mesh::{Mesh, radius_at};
-use super::{Vec3, axpy, dot, norm, sub};
+use super::guide::{Averaging, Route, Weights, guides};
+use super::mesh::Mesh;
+use super::{Vec3, axpy, norm, sub};
 use crate::error::{Result, invalid};
-use std::f64::consts::TAU;
 
-/// Reach of the smooth weights over the outer radius: the same on every mesh, so that refinement does not let cables cut in
-/// deeper (a reach of two cells moved the tip by 3 mm of 18 between a core of 2 and of 6 cells).
-const REACH: f64 = 0.75;
-/// Coarser cores have too few nodes within it; theirs reaches farther in proportion.
-const REACH_CORE: usize = 3;
-/// Places on a ring.
-const RING_PLACES: usize = 12;
-
-/// Where a tendon runs: its angle about z and its distance from the axis along z.
-#[derive(Debug, Clone)]
-pub struct Route {
-    pub angle: f64,
-    /// `(z, radius)` in mm, ascending; the first is where the cable leaves the base, the last is the anchor.
-    pub path: Vec<[f64; 2]>,
+/// What a cable's command is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Drive {
+    /// Shortening, mm.
+    Shortening,
+    /// Tension, N.
+    Tension,
 }
-
-/// Averaging of the guides, mm.
-#[derive(Debug, Clone, Copy)]
-pub struct Averaging {
-    pub ring: f64,
-    pub disc: f64,
-}
-
-/// Node weights; they sum to 1.
-pub type Weights = Vec<(usize, f64)>;
 
 /// A cable bound to a mesh.
 #[derive(Debug, Clone)]
@@ -44,63 +24,28 @@ pub struct Cable {
     pub guides: Vec<Weights>,
     pub rest_length: f64,
     pub stiffness: f64,
+    pub drive: Drive,
 }
 
 impl Cable {
-    /// Bind a route to the layers of a finger mesh; refused where a guide would leave the solid.
+    /// Bind a route to a mesh; refused where a guide would leave the solid.
     pub fn new(
         mesh: &Mesh,
-        profile: &[[f64; 2]],
-        core: usize,
         route: &Route,
         averaging: Averaging,
         stiffness: f64,
+        drive: Drive,
     ) -> Result<Cable> {
-        let path = &route.path;
         if !(stiffness.is_finite() && stiffness > 0.0) {
             return Err(invalid(format!(
                 "cable stiffness {stiffness} N/mm: must be above 0; cable and drive have about 20"
             )));
         }
-        if path.len() < 2 || !path.windows(2).all(|w| w[1][0] > w[0][0]) || path[0][0] < 0.0 {
-            return Err(invalid(
-                "tendon route: expected at least two (z, radius) pairs in mm, z ascending from 0 or above",
-            ));
-        }
-        let (first, last) = (path[0][0], path[path.len() - 1][0]);
-        if last > mesh.height() + 1e-9 {
-            return Err(invalid(format!(
-                "tendon ends at z = {last} mm, outside the solid of {} mm; end it lower",
-                mesh.height()
-            )));
-        }
-        let on_route: Vec<usize> = (0..mesh.levels.len())
-            .filter(|&k| mesh.levels[k] > first - 1e-6 && mesh.levels[k] < last + 1e-6)
-            .collect();
-        let mut guides = Vec::new();
-        for (i, &layer) in on_route.iter().enumerate() {
-            let z = mesh.levels[layer];
-            let (r, outer) = (radius_at(path, z), radius_at(profile, z));
-            let anchor = i + 1 == on_route.len();
-            let spread = if anchor {
-                averaging.disc
-            } else {
-                averaging.ring
-            };
-            if !(r.is_finite() && r >= 0.0 && r + spread <= outer) {
-                return Err(invalid(format!(
-                    "tendon at angle {:.0}° runs outside the solid at z = {z:.1} mm: radius {r:.2} + {spread:.1} mm of channel, the solid ends at {outer:.2} mm; route it further inside",
-                    route.angle.to_degrees()
-                )));
-            }
-            let centre = [r * route.angle.cos(), r * route.angle.sin()];
-            let reach = REACH * outer * REACH_CORE as f64 / core.min(REACH_CORE) as f64;
-            guides.push(guide(mesh, layer, centre, spread, anchor, reach)?);
-        }
         let mut cable = Cable {
-            guides,
+            guides: guides(mesh, route, averaging)?,
             rest_length: 0.0,
             stiffness,
+            drive,
         };
         cable.rest_length = cable.length(&mesh.nodes);
         Ok(cable)
@@ -120,20 +65,26 @@ impl Cable {
             .sum()
     }
 
-    /// Stiffness × stretch at a shortening `d` (mm), N: the tension, or below zero how slack the cable is.
-    pub fn pull(&self, x: &[Vec3], d: f64) -> f64 {
-        self.stiffness * (self.length(x) - self.rest_length + d)
+    /// Pull at a command (mm or N), N: the tension, or below zero how slack the cable is (stiffness × stretch).
+    pub fn pull(&self, x: &[Vec3], command: f64) -> f64 {
+        match self.drive {
+            Drive::Shortening => self.stiffness * (self.length(x) - self.rest_length + command),
+            Drive::Tension => command,
+        }
     }
 
-    /// Tension at a shortening `d` (mm), N: zero when slack.
-    pub fn tension(&self, x: &[Vec3], d: f64) -> f64 {
-        self.pull(x, d).max(0.0)
+    /// Tension at a command, N: zero when slack.
+    pub fn tension(&self, x: &[Vec3], command: f64) -> f64 {
+        self.pull(x, command).max(0.0)
     }
 
-    /// Energy at a shortening `d`, N·mm.
-    pub fn energy(&self, x: &[Vec3], d: f64) -> f64 {
-        let tension = self.tension(x, d);
-        0.5 * tension * tension / self.stiffness
+    /// Energy at a command, N·mm.
+    pub fn energy(&self, x: &[Vec3], command: f64) -> f64 {
+        let tension = self.tension(x, command);
+        match self.drive {
+            Drive::Shortening => 0.5 * tension * tension / self.stiffness,
+            Drive::Tension => tension * (self.length(x) - self.rest_length),
+        }
     }
 
     /// Call `add(node, dL/dx)` for every node that a guide weighs (a node comes up several times).
@@ -200,83 +151,11 @@ impl Cable {
     }
 }
 
-/// Average of smooth interpolants over a ring (or a disc: rings of equal area and the centre).
-fn guide(
-    mesh: &Mesh,
-    layer: usize,
-    centre: [f64; 2],
-    spread: f64,
-    disc: bool,
-    reach: f64,
-) -> Result<Weights> {
-    let first = layer * mesh.per_layer;
-    let mut total = vec![0.0; mesh.per_layer];
-    // Radii at the middle of four rings of equal area.
-    let radii: Vec<f64> = if disc {
-        (0..4)
-            .map(|i| spread * ((i as f64 + 0.5) / 4.0).sqrt())
-            .collect()
-    } else {
-        vec![spread]
-    };
-    let share = 1.0 / (radii.len() * RING_PLACES) as f64;
-    for r in radii {
-        for k in 0..RING_PLACES {
-            let angle = TAU * k as f64 / RING_PLACES as f64;
-            let place = [centre[0] + r * angle.cos(), centre[1] + r * angle.sin()];
-            add_moving_least_squares(
-                &mesh.nodes[first..first + mesh.per_layer],
-                place,
-                reach,
-                share,
-                &mut total,
-            )?;
-        }
-    }
-    Ok(total
-        .iter()
-        .enumerate()
-        .filter(|(_, w)| **w != 0.0)
-        .map(|(i, &w)| (first + i, w))
-        .collect())
-}
-
-/// Add `share` × the weights φᵢ (1, xᵢ − x)·M⁻¹·(1, 0, 0), M = Σ φᵢ (1, xᵢ − x)(1, xᵢ − x)ᵀ, φ = (1 − s²)³ within `reach`.
-fn add_moving_least_squares(
-    nodes: &[Vec3],
-    place: [f64; 2],
-    reach: f64,
-    share: f64,
-    total: &mut [f64],
-) -> Result<()> {
-    let row = |n: &Vec3| [1.0, (n[0] - place[0]) / reach, (n[1] - place[1]) / reach];
-    let bump = |r: &Vec3| (1.0 - r[1] * r[1] - r[2] * r[2]).max(0.0).powi(3);
-    let mut moment = [[0.0; 3]; 3];
-    for n in nodes {
-        let r = row(n);
-        let phi = bump(&r);
-        for i in 0..3 {
-            moment[i] = axpy(moment[i], phi * r[i], r);
-        }
-    }
-    let (inverse, det) = super::brick::cofactor(&moment);
-    if det.is_nan() || det < 1e-9 * moment[0][0].powi(3).max(1e-12) {
-        return Err(invalid(format!(
-            "tendon guide at x = {:.1}, y = {:.1} mm has too few nodes around it; use a finer core or more rings",
-            place[0], place[1]
-        )));
-    }
-    for (n, w) in nodes.iter().zip(total) {
-        let r = row(n);
-        *w += share * bump(&r) * dot(inverse[0], r) / det;
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fem::mesh::{Resolution, finger};
+    use crate::fem::mesh::{Resolution, finger, radius_at};
+    use crate::fem::tetrahedra::{tests::cut_block, tetrahedra};
 
     const PROFILE: [[f64; 2]; 2] = [[0.0, 12.0], [60.0, 9.0]];
     const AVERAGE: Averaging = Averaging {
@@ -295,11 +174,12 @@ mod tests {
             },
         )
         .unwrap();
-        let route = Route {
+        let route = Route::Formula {
             angle,
+            turn: 0.0,
             path: vec![[0.0, 8.0], [50.0, 6.0]],
         };
-        let cable = Cable::new(&mesh, &PROFILE, 3, &route, AVERAGE, 20.0).unwrap();
+        let cable = Cable::new(&mesh, &route, AVERAGE, 20.0, Drive::Shortening).unwrap();
         (mesh, cable)
     }
 
@@ -391,8 +271,88 @@ mod tests {
             vec![[0.0, 8.0], [61.0, 6.0]],
             vec![[0.0, 8.0]],
         ] {
-            let route = Route { angle: 0.0, path };
-            assert!(Cable::new(&mesh, &PROFILE, 3, &route, AVERAGE, 20.0).is_err());
+            let route = Route::Formula {
+                angle: 0.0,
+                turn: 0.0,
+                path,
+            };
+            assert!(Cable::new(&mesh, &route, AVERAGE, 20.0, Drive::Shortening).is_err());
         }
+    }
+
+    #[test]
+    fn a_route_by_points_is_the_formula_it_samples_and_a_helix_turns() {
+        let (mesh, straight) = setup(0.7);
+        let (c, s) = (0.7f64.cos(), 0.7f64.sin());
+        let points = Route::Points(vec![[8.0 * c, 8.0 * s, 0.0], [6.0 * c, 6.0 * s, 50.0]]);
+        let same = Cable::new(&mesh, &points, AVERAGE, 20.0, Drive::Shortening).unwrap();
+        assert!((same.length(&bent(&mesh)) - straight.length(&bent(&mesh))).abs() < 1e-9);
+        let helix = Route::Formula {
+            angle: 0.7,
+            turn: 1.5,
+            path: vec![[0.0, 7.0], [50.0, 7.0]],
+        };
+        let helix = Cable::new(&mesh, &helix, AVERAGE, 20.0, Drive::Shortening).unwrap();
+        // The chords between eleven guides are a little shorter than the curve.
+        let curve = (50f64.powi(2) + (7.0f64 * 1.5).powi(2)).sqrt();
+        assert!((helix.rest_length / curve - 1.0).abs() < 1e-3 && helix.rest_length < curve);
+        let last = helix.place(helix.guides.len() - 1, &mesh.nodes);
+        assert!((last[1].atan2(last[0]) - 2.2).abs() < 1e-9);
+    }
+
+    #[test]
+    fn guides_in_a_free_mesh_lie_on_the_route_follow_a_linear_field_and_are_smooth() {
+        let (nodes, cells) = cut_block([3, 3, 6], [18.0, 18.0, 48.0]);
+        let mesh = tetrahedra(nodes, &cells, 0).unwrap();
+        let cable = |shift: f64| {
+            let points = (0..9).map(|k| [6.0 + shift, 1.0, 5.0 * k as f64]).collect();
+            Cable::new(
+                &mesh,
+                &Route::Points(points),
+                AVERAGE,
+                20.0,
+                Drive::Shortening,
+            )
+        };
+        let field = |p: &Vec3| [p[0] + 0.1 * p[2], 1.2 * p[1] - 0.3 * p[0], 0.9 * p[2] + 3.0];
+        let moved: Vec<Vec3> = mesh.nodes.iter().map(field).collect();
+        // Inside, at the wall, and in a channel outside it.
+        for shift in [0.0, 3.0, 5.5] {
+            let cable = cable(shift).unwrap();
+            for g in 0..9 {
+                let place = [6.0 + shift, 1.0, 5.0 * g as f64];
+                assert!(norm(sub(cable.place(g, &mesh.nodes), place)) < 1e-9);
+                assert!(norm(sub(cable.place(g, &moved), field(&place))) < 1e-9);
+            }
+        }
+        let message = cable(6.2).unwrap_err().to_string();
+        assert!(message.contains("3.20 mm outside"), "{message}");
+        // A jump between cells would be some 0.1 mm; the steepest slope is a few mm for each mm of shift.
+        let x = bent(&mesh);
+        let length = |shift: f64| cable(shift).unwrap().length(&x);
+        for k in 0..80 {
+            let at = -3.0 + 0.1 * k as f64;
+            let step = |h: f64| (length(at + h) - length(at)).abs();
+            assert!(
+                step(1e-5) < 1e-4 && step(0.1) > 1e-4,
+                "at {at}: {} {}",
+                step(1e-5),
+                step(0.1)
+            );
+        }
+    }
+
+    #[test]
+    fn a_cable_driven_by_tension_pulls_with_it_at_any_length() {
+        let (mesh, mut cable) = setup(0.3);
+        cable.drive = Drive::Tension;
+        let x = bent(&mesh);
+        assert_eq!(
+            (cable.tension(&x, 3.0), cable.tension(&x, -3.0)),
+            (3.0, 0.0)
+        );
+        assert!(
+            (cable.energy(&x, 3.0) - 3.0 * (cable.length(&x) - cable.rest_length)).abs() < 1e-12
+        );
     }
 }

@@ -1,14 +1,21 @@
 //! Material points carried by a solid: where the points of one mesh go on another.
 //!
-//! A point is bound at rest to the brick that holds it by its natural coordinates (Newton's method on the trilinear map).
+//! A point is bound at rest to the cell that holds it by its natural coordinates (Newton's method on the cell's map).
 //! Meshes of one finger differ by their facets: a point up to `tolerance` mm outside is extrapolated, farther is refused.
 
-use super::mesh::{Mesh, brick_place, shape};
+use super::mesh::Mesh;
+use super::natural::{Kind, MOST_NODES};
 use super::{Vec3, norm, sub};
 use crate::error::{Result, invalid};
+use rayon::prelude::*;
 
-/// Bricks tried around a point, nearest first.
-const CANDIDATES: usize = 24;
+/// Cells tried around a point, nearest centre first; tetrahedra differ more in size.
+fn candidates(kind: Kind) -> usize {
+    match kind {
+        Kind::Brick => 24,
+        Kind::Tetrahedron => 120,
+    }
+}
 
 /// Points as weighted sums of nodes.
 #[derive(Debug, Clone)]
@@ -26,24 +33,19 @@ impl Points {
 
     /// Points bound at rest; refused when farther than `tolerance` mm outside.
     pub fn embedded(mesh: &Mesh, points: &[Vec3], tolerance: f64) -> Result<Points> {
-        let centres: Vec<Vec3> = mesh
-            .bricks
-            .iter()
-            .map(|b| {
-                std::array::from_fn(|i| b.iter().map(|&n| mesh.nodes[n][i]).sum::<f64>() / 8.0)
-            })
-            .collect();
+        let finder = Finder::new(mesh);
         let weights = points
-            .iter()
+            .par_iter()
             .enumerate()
             .map(|(index, &p)| {
-                let (brick, xi, outside) = nearest(mesh, &centres, p);
+                let (cell, xi, outside) = finder.nearest(p);
                 if outside.is_nan() || outside > tolerance {
                     return Err(invalid(format!(
                         "template vertex {index} at {p:.2?} mm lies {outside:.2} mm outside the solid (allowed {tolerance} mm); the template must belong to this finger's shape"
                     )));
                 }
-                Ok(mesh.bricks[brick].iter().copied().zip(shape(xi).0).collect())
+                let nodes = &finder.cells[cell];
+                Ok(nodes.iter().copied().zip(mesh.kind.shape(xi).0).collect())
             })
             .collect::<Result<_>>()?;
         Ok(Points { weights })
@@ -61,51 +63,62 @@ impl Points {
     }
 }
 
-/// Brick, natural coordinates and distance outside (mm) of the brick that fits a point best.
-fn nearest(mesh: &Mesh, centres: &[Vec3], p: Vec3) -> (usize, Vec3, f64) {
-    let mut order: Vec<usize> = (0..centres.len()).collect();
-    let far = |b: usize| norm(sub(centres[b], p));
-    let count = CANDIDATES.min(order.len());
-    if count < order.len() {
-        order.select_nth_unstable_by(count, |&a, &b| far(a).total_cmp(&far(b)));
-    }
-    let mut best = (0, [0.0; 3], f64::INFINITY);
-    for &b in &order[..count] {
-        let corners = mesh.bricks[b].map(|n| mesh.nodes[n]);
-        if let Some(xi) = natural(&corners, p) {
-            let inside = xi.map(|v| v.clamp(-1.0, 1.0));
-            let outside = if inside == xi {
-                0.0
-            } else {
-                norm(sub(brick_place(&corners, inside).0, p))
-            };
-            if outside < best.2 {
-                best = (b, xi, outside);
-            }
-        }
-    }
-    best
+/// Finds the cell that holds a place of the rest configuration.
+pub(super) struct Finder<'a> {
+    mesh: &'a Mesh,
+    cells: Vec<&'a [usize]>,
+    centres: Vec<Vec3>,
 }
 
-/// Natural coordinates of a point near a brick.
-fn natural(corners: &[Vec3; 8], p: Vec3) -> Option<Vec3> {
-    let mut xi = [0.0; 3];
-    for _ in 0..30 {
-        let (x, jacobian) = brick_place(corners, xi);
-        let gap = sub(p, x);
-        let (cofactor, det) = super::brick::cofactor(&jacobian);
-        // J⁻¹ is the transposed cofactor over the determinant.
-        let step: Vec3 =
-            std::array::from_fn(|i| (0..3).map(|k| cofactor[k][i] * gap[k]).sum::<f64>() / det);
-        for i in 0..3 {
-            xi[i] = (xi[i] + step[i]).clamp(-4.0, 4.0);
-        }
-        if norm(step) < 1e-13 {
-            break;
+impl<'a> Finder<'a> {
+    pub fn new(mesh: &'a Mesh) -> Finder<'a> {
+        let cells: Vec<&[usize]> = mesh.each_cell().collect();
+        let corners = mesh.kind.corners();
+        let centre = |cell: &&[usize]| {
+            let sum = |i: usize| {
+                cell[..corners]
+                    .iter()
+                    .map(|&n| mesh.nodes[n][i])
+                    .sum::<f64>()
+            };
+            std::array::from_fn(|i| sum(i) / corners as f64)
+        };
+        Finder {
+            mesh,
+            centres: cells.iter().map(centre).collect(),
+            cells,
         }
     }
-    let settled = norm(sub(brick_place(corners, xi).0, p)) < 1e-9;
-    settled.then_some(xi)
+
+    /// Cell, natural coordinates and distance outside (mm) of the cell that fits a point best.
+    pub fn nearest(&self, p: Vec3) -> (usize, Vec3, f64) {
+        let kind = self.mesh.kind;
+        let mut order: Vec<usize> = (0..self.cells.len()).collect();
+        let far = |b: usize| norm(sub(self.centres[b], p));
+        let count = candidates(kind).min(order.len());
+        if count < order.len() {
+            order.select_nth_unstable_by(count, |&a, &b| far(a).total_cmp(&far(b)));
+        }
+        let mut best = (0, [0.0; 3], f64::INFINITY);
+        for &b in &order[..count] {
+            let mut nodes = [[0.0; 3]; MOST_NODES];
+            for (at, &n) in nodes.iter_mut().zip(self.cells[b]) {
+                *at = self.mesh.nodes[n];
+            }
+            if let Some(xi) = kind.natural(&nodes, p) {
+                let inside = kind.inside(xi);
+                let outside = if inside == xi {
+                    0.0
+                } else {
+                    norm(sub(kind.place(&nodes, inside).0, p))
+                };
+                if outside < best.2 {
+                    best = (b, xi, outside);
+                }
+            }
+        }
+        best
+    }
 }
 
 #[cfg(test)]

@@ -1,10 +1,12 @@
-//! Meshes of 8-node bricks: the round tapered finger as an O-grid, and a plain block for the proofs.
+//! Meshes, and those made of 8-node bricks: the round tapered finger as an O-grid, and the plain block.
 //!
+//! The base frame's origin is at the centre of the clamped base, z runs to the tip; what lies at z = 0 or below is held.
 //! A layer of the O-grid is a square core of `core` × `core` cells inside `rings` rings of 4·`core` cells. The outer
 //! polygon is inflated to the area of the circle, so that weight and axial stiffness are right on every resolution.
 //! 3×3 core, 1 ring, 42 layers: 1204 nodes, 882 bricks, 548 surface vertices.
 
-use super::{Vec3, axpy};
+use super::Vec3;
+use super::natural::Kind;
 use crate::error::{Result, invalid};
 use std::collections::HashMap;
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
@@ -15,28 +17,35 @@ const CORE_FRACTION: f64 = 0.62;
 const MOST_WORK: usize = 4_000_000;
 /// GB of the factor for each of these: 9 numbers of 8 bytes a pair of nodes, twice for the fill beyond a layer.
 const FACTOR_BYTES: f64 = 2.0 * 9.0 * 8e-9;
-/// Faces of a brick, seen from outside counter-clockwise.
-const FACES: [[usize; 4]; 6] = [
-    [0, 3, 2, 1],
-    [4, 5, 6, 7],
-    [0, 1, 5, 4],
-    [1, 2, 6, 5],
-    [2, 3, 7, 6],
-    [3, 0, 4, 7],
-];
 
-/// Bricks in the rest configuration, with the clamped nodes and the outer surface.
+/// What the cross-section of a mesh is known to be.
+#[derive(Debug, Clone)]
+pub enum Section {
+    /// Round: the profile `(z, radius)` and the cells across the core.
+    Disc(Vec<[f64; 2]>, usize),
+    /// A block: half its width and depth, and the fewest cells across.
+    Rectangle([f64; 2], usize),
+    /// Anything: only the cells know.
+    Free,
+}
+
+/// Cells of one kind in the rest configuration, with the clamped nodes and the outer surface.
 #[derive(Debug, Clone)]
 pub struct Mesh {
     pub nodes: Vec<Vec3>,
-    pub bricks: Vec<[usize; 8]>,
+    pub kind: Kind,
+    /// Nodes of the cells, one cell after the other.
+    pub cells: Vec<usize>,
     /// Held at rest.
     pub clamped: Vec<bool>,
     /// Node of each surface vertex, ascending.
     pub surface: Vec<usize>,
     /// Corners of the surface triangles as indices into `surface`, outward.
     pub triangles: Vec<[usize; 3]>,
-    /// Height of each layer of nodes, mm, from the base to the tip.
+    /// From the clamped base to the tip, mm.
+    pub height: f64,
+    pub section: Section,
+    /// Height of each layer of nodes, mm, from the base to the tip; none in a mesh without layers.
     pub levels: Vec<f64>,
     /// Nodes in a layer; layer k holds the nodes k·per_layer .. (k+1)·per_layer.
     pub per_layer: usize,
@@ -126,23 +135,36 @@ pub fn finger(profile: &[[f64; 2]], breaks: &[f64], resolution: Resolution) -> R
             ]);
         }
     }
-    Ok(Mesh::new(nodes, bricks, levels, per_layer))
+    let section = Section::Disc(profile.to_vec(), core);
+    Ok(Mesh::layered(nodes, bricks, section, levels, per_layer))
 }
 
-/// A block of `cells` bricks and `size` mm, one corner at the origin; the face z = 0 is clamped.
-pub fn block(cells: [usize; 3], size: Vec3) -> Mesh {
+/// A block of `cells` bricks and `size` mm, z = 0 at its clamped face, x and y through its middle.
+pub fn block(cells: [usize; 3], size: Vec3) -> Result<Mesh> {
     let [nx, ny, nz] = cells;
-    let step = [
-        size[0] / nx as f64,
-        size[1] / ny as f64,
-        size[2] / nz as f64,
-    ];
+    if !size.iter().all(|s| s.is_finite() && *s > 0.0) {
+        return Err(invalid(format!(
+            "block of {size:?} mm: each length must be above 0; measure width, depth and height"
+        )));
+    }
+    let per_layer = nx.saturating_add(1).saturating_mul(ny.saturating_add(1));
+    let work = per_layer
+        .saturating_mul(per_layer)
+        .saturating_mul(nz.saturating_add(1));
+    if cells.contains(&0) || nz > 400 || work > MOST_WORK {
+        return Err(invalid(format!(
+            "block of {cells:?} cells: allowed are 1 or more each way, at most 400 along z, and about {:.1} GB a core to solve; 4, 4, 20 is usual",
+            MOST_WORK as f64 * FACTOR_BYTES,
+        )));
+    }
+    let step: Vec3 = std::array::from_fn(|i| size[i] / cells[i] as f64);
     let at = |i: usize, j: usize, k: usize| (k * (ny + 1) + j) * (nx + 1) + i;
     let (mut nodes, mut bricks) = (Vec::new(), Vec::new());
     for k in 0..=nz {
         for j in 0..=ny {
             for i in 0..=nx {
-                nodes.push([i as f64 * step[0], j as f64 * step[1], k as f64 * step[2]]);
+                let (x, y) = (i as f64 * step[0], j as f64 * step[1]);
+                nodes.push([x - 0.5 * size[0], y - 0.5 * size[1], k as f64 * step[2]]);
                 if i < nx && j < ny && k < nz {
                     let q = |k: usize| {
                         [
@@ -161,27 +183,38 @@ pub fn block(cells: [usize; 3], size: Vec3) -> Mesh {
         }
     }
     let levels = (0..=nz).map(|k| k as f64 * step[2]).collect();
-    Mesh::new(nodes, bricks, levels, (nx + 1) * (ny + 1))
+    let section = Section::Rectangle([0.5 * size[0], 0.5 * size[1]], nx.min(ny));
+    Ok(Mesh::layered(nodes, bricks, section, levels, per_layer))
 }
 
 impl Mesh {
-    fn new(nodes: Vec<Vec3>, bricks: Vec<[usize; 8]>, levels: Vec<f64>, per_layer: usize) -> Mesh {
+    fn layered(
+        nodes: Vec<Vec3>,
+        bricks: Vec<[usize; 8]>,
+        section: Section,
+        levels: Vec<f64>,
+        per_layer: usize,
+    ) -> Mesh {
         let clamped = (0..nodes.len()).map(|n| n < per_layer).collect();
-        let (surface, triangles) = outer_surface(&bricks);
+        let cells = bricks.into_flattened();
+        let (surface, triangles) = outer_surface(Kind::Brick, &cells);
         Mesh {
             nodes,
-            bricks,
+            kind: Kind::Brick,
+            cells,
             clamped,
             surface,
             triangles,
+            height: levels[levels.len() - 1],
+            section,
             levels,
             per_layer,
         }
     }
 
-    /// Height of the finger, mm.
-    pub fn height(&self) -> f64 {
-        self.levels[self.levels.len() - 1]
+    /// Nodes of each cell.
+    pub fn each_cell(&self) -> std::slice::ChunksExact<'_, usize> {
+        self.cells.chunks_exact(self.kind.nodes())
     }
 }
 
@@ -289,23 +322,27 @@ fn disc_cells(core: usize, rings: usize) -> Vec<[usize; 4]> {
     cells
 }
 
-/// Vertices and outward triangles of the faces that belong to one brick only.
-fn outer_surface(bricks: &[[usize; 8]]) -> (Vec<usize>, Vec<[usize; 3]>) {
-    let mut seen: HashMap<[usize; 4], usize> = HashMap::new();
-    let faces = |b: &[usize; 8]| FACES.map(|f| f.map(|c| b[c]));
-    let key = |mut f: [usize; 4]| {
+/// Vertices and outward triangles of the faces that belong to one cell only.
+pub(super) fn outer_surface(kind: Kind, cells: &[usize]) -> (Vec<usize>, Vec<[usize; 3]>) {
+    let mut seen: HashMap<Vec<usize>, usize> = HashMap::new();
+    let faces = |cell: &[usize]| -> Vec<Vec<usize>> {
+        let corners = |f: &&[usize]| f.iter().map(|&c| cell[c]).collect();
+        kind.faces().iter().map(corners).collect()
+    };
+    let key = |f: &[usize]| {
+        let mut f = f.to_vec();
         f.sort_unstable();
         f
     };
-    for brick in bricks {
-        for face in faces(brick) {
-            *seen.entry(key(face)).or_default() += 1;
+    for cell in cells.chunks_exact(kind.nodes()) {
+        for face in faces(cell) {
+            *seen.entry(key(&face)).or_default() += 1;
         }
     }
-    let outer: Vec<[usize; 4]> = bricks
-        .iter()
+    let outer: Vec<Vec<usize>> = cells
+        .chunks_exact(kind.nodes())
         .flat_map(faces)
-        .filter(|&f| seen[&key(f)] == 1)
+        .filter(|f| seen[&key(f)] == 1)
         .collect();
     let mut surface: Vec<usize> = outer.iter().flatten().copied().collect();
     surface.sort_unstable();
@@ -313,48 +350,10 @@ fn outer_surface(bricks: &[[usize; 8]]) -> (Vec<usize>, Vec<[usize; 3]>) {
     let place: HashMap<usize, usize> = surface.iter().enumerate().map(|(i, &n)| (n, i)).collect();
     let triangles = outer
         .iter()
-        .flat_map(|f| [[f[0], f[1], f[2]], [f[0], f[2], f[3]]])
+        .flat_map(|f| (2..f.len()).map(|k| [f[0], f[k - 1], f[k]]))
         .map(|t| t.map(|n| place[&n]))
         .collect();
     (surface, triangles)
-}
-
-/// Trilinear shape functions at natural coordinates in [−1, 1]³, and their derivatives.
-pub fn shape(xi: Vec3) -> ([f64; 8], [Vec3; 8]) {
-    const CORNER: [[f64; 3]; 8] = [
-        [-1., -1., -1.],
-        [1., -1., -1.],
-        [1., 1., -1.],
-        [-1., 1., -1.],
-        [-1., -1., 1.],
-        [1., -1., 1.],
-        [1., 1., 1.],
-        [-1., 1., 1.],
-    ];
-    let (mut value, mut slope) = ([0.0; 8], [[0.0; 3]; 8]);
-    for (a, c) in CORNER.iter().enumerate() {
-        let f = [1.0 + c[0] * xi[0], 1.0 + c[1] * xi[1], 1.0 + c[2] * xi[2]];
-        value[a] = 0.125 * f[0] * f[1] * f[2];
-        slope[a] = [
-            0.125 * c[0] * f[1] * f[2],
-            0.125 * f[0] * c[1] * f[2],
-            0.125 * f[0] * f[1] * c[2],
-        ];
-    }
-    (value, slope)
-}
-
-/// Place and Jacobian dx/dξ (rows x, columns ξ) of a brick at natural coordinates.
-pub fn brick_place(corners: &[Vec3; 8], xi: Vec3) -> (Vec3, [Vec3; 3]) {
-    let (value, slope) = shape(xi);
-    let (mut x, mut jacobian) = ([0.0; 3], [[0.0; 3]; 3]);
-    for a in 0..8 {
-        x = axpy(x, value[a], corners[a]);
-        for i in 0..3 {
-            jacobian[i] = axpy(jacobian[i], corners[a][i], slope[a]);
-        }
-    }
-    (x, jacobian)
 }
 
 #[cfg(test)]

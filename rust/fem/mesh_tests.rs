@@ -1,7 +1,7 @@
 //! The mesh: stated counts, a closed surface of the right volume, symmetry, refused resolutions.
 
 use super::*;
-use crate::fem::{dot, sub};
+use crate::fem::{axpy, dot, sub};
 
 const CONE: [[f64; 2]; 3] = [[0.0, 16.0], [90.0, 10.0], [110.0, 4.0]];
 const USUAL: Resolution = Resolution {
@@ -30,7 +30,7 @@ fn volume_and_closed(mesh: &Mesh) -> (f64, Vec3) {
 fn usual_resolution_has_the_stated_counts() {
     let mesh = finger(&CONE, &[90.0], USUAL).unwrap();
     assert_eq!(
-        (mesh.nodes.len(), mesh.bricks.len(), mesh.surface.len()),
+        (mesh.nodes.len(), mesh.cells.len() / 8, mesh.surface.len()),
         (1204, 882, 548)
     );
     assert_eq!(mesh.triangles.len(), 2 * (12 * 42 + 2 * 21));

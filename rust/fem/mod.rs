@@ -1,18 +1,23 @@
 //! The simulator: quasi-static finite elements of a soft finger that is bent by cables.
 //!
-//! `mesh` builds the solid's bricks, `brick` is the material, `cable` the tendons, `sparse` the linear algebra,
-//! `solid` puts them together, `work` assembles and solves, `newton` finds equilibria, `sweep` visits many of them,
+//! `mesh` builds bricks and `tetrahedra` takes cells made elsewhere, `element` is what a cell of either kind stores and
+//! `natural` its shape functions, `material` what it is made of, `cable` the tendons and `guide` their way through the
+//! nodes, `sparse` the linear algebra, `solid` puts them together, `work` assembles and solves, `newton` finds equilibria, `sweep` visits many of them,
 //! `embed` carries material points.
 //! Units: mm, N, MPa (N/mm²), N·mm; gravity in multiples of g in the base frame (z along the rest axis to the tip).
 
-pub mod brick;
 pub mod cable;
+pub mod element;
 pub mod embed;
+pub mod guide;
+pub mod material;
 pub mod mesh;
+pub mod natural;
 pub mod newton;
 pub mod solid;
 pub mod sparse;
 pub mod sweep;
+pub mod tetrahedra;
 mod work;
 
 pub use crate::vector::Vec3;

@@ -5,6 +5,7 @@
 //! a step that fails is halved. Limit: it follows one branch; a snap-through ends on whatever branch lies downhill.
 
 use super::Vec3;
+use super::cable::Drive;
 use super::solid::{Load, Solid, Work};
 use super::work::inner;
 use crate::error::{Error, Result, invalid};
@@ -12,6 +13,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Largest change of a shortening in one step, mm (median 2 to 3 iterations).
 const STEP_MM: f64 = 1.5;
+/// Largest change of a tension in one step, N.
+const STEP_N: f64 = 1.0;
 /// Largest change of gravity in one step, g, and of the tip load, N.
 const STEP_GRAVITY: f64 = 0.5;
 const STEP_TIP: f64 = 0.1;
@@ -68,7 +71,7 @@ impl<'a> Solver<'a> {
     pub fn home(&mut self, gravity: Vec3, tip: Vec3) -> Result<State> {
         let solid = self.work.solid;
         let still = Load {
-            shortening: vec![0.0; solid.cables.len()],
+            cables: vec![0.0; solid.cables.len()],
             gravity: [0.0; 3],
             tip: [0.0; 3],
         };
@@ -96,7 +99,10 @@ impl<'a> Solver<'a> {
     /// Move an equilibrium to another load; on failure the state is the last equilibrium on the way.
     pub fn advance(&mut self, state: &mut State, goal: &Load) -> Result<()> {
         let start = state.load.clone();
-        let usual = 1.0 / steps(&start, goal).clamp(1.0, MOST_STEPS).ceil();
+        let usual = 1.0
+            / steps(self.work.solid, &start, goal)
+                .clamp(1.0, MOST_STEPS)
+                .ceil();
         let mut part = usual;
         let (mut done, mut first) = (0.0, true);
         while first || done < 1.0 {
@@ -131,7 +137,7 @@ impl<'a> Solver<'a> {
         let cables = &self.work.solid.cables;
         cables
             .iter()
-            .zip(&state.load.shortening)
+            .zip(&state.load.cables)
             .map(|(c, &d)| c.pull(&state.x, d))
             .collect()
     }
@@ -147,8 +153,30 @@ impl<'a> Solver<'a> {
         }
     }
 
+    /// Newton's method from a guess of the places at a load, as another mesh of the same solid gives it.
+    pub fn settle(&mut self, guess: Vec<Vec3>, load: &Load) -> Result<State> {
+        let mut state = State {
+            x: guess.clone(),
+            load: load.clone(),
+        };
+        match self.newton(&mut state, guess, load) {
+            Ok(()) => Ok(state),
+            Err(_) if self.stopped() => Err(Error::Interrupted),
+            Err(residual) => Err(no_equilibrium(load, residual)),
+        }
+    }
+
     fn step(&mut self, state: &mut State, load: &Load) -> std::result::Result<(), f64> {
-        let mut x = self.predict(state, load).unwrap_or_else(|| state.x.clone());
+        let x = self.predict(state, load).unwrap_or_else(|| state.x.clone());
+        self.newton(state, x, load)
+    }
+
+    fn newton(
+        &mut self,
+        state: &mut State,
+        mut x: Vec<Vec3>,
+        load: &Load,
+    ) -> std::result::Result<(), f64> {
         let mut residual = f64::NAN;
         for _ in 0..ITERATIONS {
             if self.stopped() {
@@ -206,7 +234,7 @@ impl<'a> Solver<'a> {
         }
         let whole = (LONGEST / longest).min(1.0);
         let mut alpha = whole;
-        // Energies of 100 N·mm are summed from a thousand bricks: this is their round-off.
+        // Energies of 100 N·mm are summed from a thousand cells: this is their round-off.
         let noise = 1e-12 * (1.0 + energy.abs());
         while alpha > 1e-6 {
             let moved = solid.displace(x, &step, alpha);
@@ -230,14 +258,23 @@ impl<'a> Solver<'a> {
         let solid = self.work.solid;
         let change = |a: Vec3, b: Vec3| [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
         let mut rhs = solid.dead_vector(&Load {
-            shortening: Vec::new(),
+            cables: Vec::new(),
             gravity: change(state.load.gravity, load.gravity),
             tip: change(state.load.tip, load.tip),
         });
-        for (c, b) in &self.work.taut {
-            let pull =
-                solid.cables[*c].stiffness * (load.shortening[*c] - state.load.shortening[*c]);
-            rhs.iter_mut().zip(b).for_each(|(r, b)| *r -= pull * b);
+        let mut pull = |c: usize, b: &[f64]| {
+            let (cable, [from, to]) = (&solid.cables[c], [&state.load, load].map(|l| l.cables[c]));
+            let more = match cable.drive {
+                Drive::Shortening => cable.stiffness * (to - from),
+                Drive::Tension => to.max(0.0) - from.max(0.0),
+            };
+            rhs.iter_mut().zip(b).for_each(|(r, b)| *r -= more * b);
+        };
+        self.work.taut.iter().for_each(|(c, b)| pull(*c, b));
+        for (c, cable) in solid.cables.iter().enumerate() {
+            if cable.drive == Drive::Tension {
+                pull(c, &self.work.slope(c, &state.x));
+            }
         }
         let step = self.work.solve(rhs);
         let moved = solid.displace(&state.x, &step, 1.0);
@@ -245,7 +282,7 @@ impl<'a> Solver<'a> {
     }
 }
 
-/// One Newton step of the bricks alone, without cables or loads, at node places (n,): the displacement (n,) mm.
+/// One Newton step of the elements alone, without cables or loads, at node places (n,): the displacement (n,) mm.
 pub fn newton_step(solid: &Solid, x: &[Vec3]) -> Result<Vec<Vec3>> {
     if x.len() != solid.mesh.nodes.len() {
         return Err(invalid(format!(
@@ -256,14 +293,14 @@ pub fn newton_step(solid: &Solid, x: &[Vec3]) -> Result<Vec<Vec3>> {
     }
     // Paid out this far, every cable is slack.
     let slack = Load {
-        shortening: vec![-1e9; solid.cables.len()],
+        cables: vec![-1e9; solid.cables.len()],
         gravity: [0.0; 3],
         tip: [0.0; 3],
     };
     let mut work = Work::new(solid)?;
     if !work.assemble(x, &slack).is_finite() || !work.refactor() {
         return Err(Error::NoEquilibrium(
-            "no Newton step: a brick is inside out; bend less".into(),
+            "no Newton step: a cell is inside out; bend less".into(),
         ));
     }
     let step = work.solve(work.residual.iter().map(|r| -r).collect());
@@ -271,13 +308,21 @@ pub fn newton_step(solid: &Solid, x: &[Vec3]) -> Result<Vec<Vec3>> {
 }
 
 /// Number of steps on the way to a load, before rounding up.
-fn steps(from: &Load, to: &Load) -> f64 {
+fn steps(solid: &Solid, from: &Load, to: &Load) -> f64 {
     let largest = |a: &[f64], b: &[f64], unit: f64| {
         a.iter()
             .zip(b)
             .fold(0.0, |m: f64, (p, q)| m.max((p - q).abs() / unit))
     };
-    largest(&from.shortening, &to.shortening, STEP_MM)
+    let commands = from.cables.iter().zip(&to.cables).zip(&solid.cables);
+    commands
+        .fold(0.0, |m: f64, ((p, q), cable)| {
+            let unit = match cable.drive {
+                Drive::Shortening => STEP_MM,
+                Drive::Tension => STEP_N,
+            };
+            m.max((p - q).abs() / unit)
+        })
         .max(largest(&from.gravity, &to.gravity, STEP_GRAVITY))
         .max(largest(&from.tip, &to.tip, STEP_TIP))
 }
@@ -291,7 +336,7 @@ fn between(a: &Load, b: &Load, t: f64) -> Load {
     };
     let mix3 = |p: Vec3, q: Vec3| std::array::from_fn(|i| p[i] + t * (q[i] - p[i]));
     Load {
-        shortening: mix(&a.shortening, &b.shortening),
+        cables: mix(&a.cables, &b.cables),
         gravity: mix3(a.gravity, b.gravity),
         tip: mix3(a.tip, b.tip),
     }
@@ -299,8 +344,8 @@ fn between(a: &Load, b: &Load, t: f64) -> Load {
 
 fn no_equilibrium(load: &Load, residual: f64) -> Error {
     Error::NoEquilibrium(format!(
-        "no equilibrium at tendon shortenings {:.3?} mm, gravity {:.2?} g, tip load {:.3?} N: largest force out of balance {residual:.2e} N (allowed {BALANCED:.0e}); try smaller commands or loads, a stiffer material, or a finer mesh",
-        load.shortening, load.gravity, load.tip
+        "no equilibrium at tendon commands {:.3?} (mm, or N by tension), gravity {:.2?} g, tip load {:.3?} N: largest force out of balance {residual:.2e} N (allowed {BALANCED:.0e}); try smaller commands or loads, a stiffer material, or a finer mesh",
+        load.cables, load.gravity, load.tip
     ))
 }
 

@@ -1,14 +1,16 @@
-//! The solid: bricks, cables and dead loads on one mesh; their total energy and the pattern of their equations.
+//! The solid: elements, cables and dead loads on one mesh; their total energy and the pattern of their equations.
 //!
-//! Total energy = Σ bricks + Σ cables − Σ f·(x − X) with dead nodal forces f: own weight (consistent, ρ g) and a tip load
+//! Total energy = Σ elements + Σ cables − Σ f·(x − X) with dead nodal forces f: own weight (consistent, ρ g) and a tip load
 //! spread over the last tenth of the height. Its residual and tangent are assembled and solved in `work.rs`.
 
-use super::brick::{Brick, Material};
-use super::cable::{Averaging, Cable, Route};
-use super::mesh::{self, Mesh, Resolution};
+use super::cable::{Cable, Drive};
+use super::element::{Element, elements};
+use super::guide::{Averaging, Route};
+use super::material::Body;
+use super::mesh::Mesh;
 use super::sparse::Pattern;
 use super::{Vec3, axpy, dot, sub};
-use crate::error::{Result, invalid};
+use crate::error::Result;
 use crate::loads::STANDARD_GRAVITY;
 
 pub use super::work::Work;
@@ -21,30 +23,27 @@ pub(super) const HELD: usize = usize::MAX;
 /// What a finger is made of (mm, MPa, kg/m³, N/mm).
 #[derive(Debug, Clone)]
 pub struct Design {
-    pub profile: Vec<[f64; 2]>,
-    pub resolution: Resolution,
-    pub young: f64,
-    pub poisson: f64,
-    pub density: f64,
+    pub mesh: Mesh,
+    pub body: Body,
     pub cable_stiffness: f64,
     pub averaging: Averaging,
     pub routes: Vec<Route>,
+    pub drive: Drive,
 }
 
-/// What acts on a solid: shortening of each cable (mm), gravity (g), force on the tip (N).
+/// What acts on a solid: command of each cable (shortening in mm, or tension in N), gravity (g), force on the tip (N).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Load {
-    pub shortening: Vec<f64>,
+    pub cables: Vec<f64>,
     pub gravity: Vec3,
     pub tip: Vec3,
 }
 
-/// Bricks, cables and the pattern of their equations.
+/// Elements, cables and the pattern of their equations.
 pub struct Solid {
     pub mesh: Mesh,
     pub cables: Vec<Cable>,
-    pub material: Material,
-    pub(super) bricks: Vec<Brick>,
+    pub(super) elements: Vec<Box<dyn Element>>,
     /// Free number of each node, or HELD.
     pub(super) free: Vec<usize>,
     /// Weight of each node under 1 g, N.
@@ -52,64 +51,39 @@ pub struct Solid {
     /// Share of a tip load of each node; sums to 1.
     tip: Vec<f64>,
     pub(super) pattern: Pattern,
-    /// Place in the pattern of each pair (a, b ≤ a) of each brick.
-    pub(super) slots: Vec<[u32; 36]>,
+    /// Place in the pattern of each pair (a, b ≤ a) of each element, one element after the other.
+    pub(super) slots: Vec<u32>,
 }
 
 impl Solid {
     /// The finger of a design; refused with the reason when it cannot be built.
-    pub fn finger(design: &Design) -> Result<Solid> {
-        let breaks: Vec<f64> = design
-            .routes
-            .iter()
-            .flat_map(|r| r.path.first().into_iter().chain(r.path.last()))
-            .map(|p| p[0])
-            .collect();
-        let mesh = mesh::finger(&design.profile, &breaks, design.resolution)?;
-        let cables = design
-            .routes
-            .iter()
-            .map(|route| {
-                let core = design.resolution.core;
-                Cable::new(
-                    &mesh,
-                    &design.profile,
-                    core,
-                    route,
-                    design.averaging,
-                    design.cable_stiffness,
-                )
-            })
-            .collect::<Result<Vec<_>>>()?;
-        Solid::new(
-            mesh,
-            cables,
-            Material::new(design.young, design.poisson)?,
-            design.density,
-        )
+    pub fn build(design: Design) -> Result<Solid> {
+        let bind = |route: &Route| {
+            let Design {
+                mesh,
+                averaging,
+                cable_stiffness,
+                drive,
+                ..
+            } = &design;
+            Cable::new(mesh, route, *averaging, *cable_stiffness, *drive)
+        };
+        let cables = design.routes.iter().map(bind).collect::<Result<Vec<_>>>()?;
+        Solid::new(design.mesh, cables, &design.body)
     }
 
-    /// Any mesh with cables bound to it; density in kg/m³.
-    pub fn new(mesh: Mesh, cables: Vec<Cable>, material: Material, density: f64) -> Result<Solid> {
-        if !(density.is_finite() && density >= 0.0) {
-            return Err(invalid(format!(
-                "density {density} kg/m³: must be 0 or more; silicones have about 1070"
-            )));
-        }
-        let bricks = mesh
-            .bricks
-            .iter()
-            .map(|b| Brick::new(&b.map(|n| mesh.nodes[n])))
-            .collect::<Result<Vec<_>>>()?;
+    /// Any mesh with cables bound to it.
+    pub fn new(mesh: Mesh, cables: Vec<Cable>, body: &Body) -> Result<Solid> {
+        let elements = elements(mesh.kind, &mesh.cells, &mesh.nodes, body)?;
         let mut volume = vec![0.0; mesh.nodes.len()];
-        for (brick, nodes) in bricks.iter().zip(&mesh.bricks) {
-            for (a, &n) in nodes.iter().enumerate() {
-                volume[n] += brick.share[a];
+        for element in &elements {
+            for (&n, share) in element.nodes().iter().zip(element.share()) {
+                volume[n] += share;
             }
         }
         let weight = volume
             .iter()
-            .map(|v| v * density * 1e-9 * STANDARD_GRAVITY) // kg/m³ = 1e-9 kg/mm³
+            .map(|v| v * body.density * 1e-9 * STANDARD_GRAVITY) // kg/m³ = 1e-9 kg/mm³
             .collect();
         let tip = tip_shares(&mesh, &volume);
         let (mut free, mut blocks) = (vec![HELD; mesh.nodes.len()], 0);
@@ -117,25 +91,26 @@ impl Solid {
             free[n] = blocks;
             blocks += 1;
         }
-        let inside = mesh.bricks.iter().flat_map(|b| {
-            let pairs = |a: usize| (0..=a).map(move |c| (b[a].max(b[c]), b[a].min(b[c])));
-            (0..8).flat_map(pairs).collect::<Vec<_>>()
+        let inside = elements.iter().flat_map(|e| {
+            let nodes = e.nodes();
+            let pairs = move |a: usize| {
+                (0..=a).map(move |c| (nodes[a].max(nodes[c]), nodes[a].min(nodes[c])))
+            };
+            (0..nodes.len()).flat_map(pairs)
         });
         let pairs = inside
             .chain(cables.iter().flat_map(Cable::couplings))
             .map(|(a, b)| (free[a], free[b]))
             .filter(|&(a, b)| a != HELD && b != HELD);
         let pattern = Pattern::new(blocks, pairs)?;
-        let slots = mesh
-            .bricks
+        let slots = elements
             .iter()
-            .map(|b| brick_slots(&pattern, &b.map(|n| free[n])))
+            .flat_map(|e| element_slots(&pattern, &free, e.nodes()))
             .collect();
         Ok(Solid {
             mesh,
             cables,
-            material,
-            bricks,
+            elements,
             free,
             weight,
             tip,
@@ -155,17 +130,17 @@ impl Solid {
         axpy(own, self.tip[node], load.tip)
     }
 
-    /// Total energy, N·mm; infinite where a brick is inside out.
+    /// Total energy, N·mm; infinite where a cell is inside out.
     pub fn energy(&self, x: &[Vec3], load: &Load) -> f64 {
         let mut energy = 0.0;
-        for (brick, nodes) in self.bricks.iter().zip(&self.mesh.bricks) {
-            energy += brick.energy(&nodes.map(|n| x[n]), self.material);
+        for element in &self.elements {
+            energy += element.energy(x);
             if !energy.is_finite() {
                 return f64::INFINITY;
             }
         }
-        for (cable, &d) in self.cables.iter().zip(&load.shortening) {
-            energy += cable.energy(x, d);
+        for (cable, &command) in self.cables.iter().zip(&load.cables) {
+            energy += cable.energy(x, command);
         }
         energy - self.dead_work(x, load)
     }
@@ -213,8 +188,8 @@ impl Solid {
 
 /// Shares of a tip load: volume in the last tenth of the height, faded in over half of it so that no mesh is special.
 fn tip_shares(mesh: &Mesh, volume: &[f64]) -> Vec<f64> {
-    let part = TIP_PART * mesh.height();
-    let fade = |z: f64| ((z - mesh.height() + part) / (0.5 * part)).clamp(0.0, 1.0);
+    let part = TIP_PART * mesh.height;
+    let fade = |z: f64| ((z - mesh.height + part) / (0.5 * part)).clamp(0.0, 1.0);
     let mut share: Vec<f64> = (0..volume.len())
         .map(|n| volume[n] * fade(mesh.nodes[n][2]))
         .collect();
@@ -223,16 +198,15 @@ fn tip_shares(mesh: &Mesh, volume: &[f64]) -> Vec<f64> {
     share
 }
 
-fn brick_slots(pattern: &Pattern, free: &[usize; 8]) -> [u32; 36] {
-    let (mut slots, mut pair) = ([0; 36], 0);
-    for a in 0..8 {
-        for b in 0..=a {
-            if free[a] != HELD && free[b] != HELD {
-                let slot = pattern.slot(free[a].max(free[b]), free[a].min(free[b]));
-                slots[pair] = slot.unwrap_or(0) as u32; // every pair of a brick is in the pattern
-            }
-            pair += 1;
+fn element_slots(pattern: &Pattern, free: &[usize], nodes: &[usize]) -> Vec<u32> {
+    let pairs =
+        (0..nodes.len()).flat_map(|a| (0..=a).map(move |b| (free[nodes[a]], free[nodes[b]])));
+    let slot = |(a, b): (usize, usize)| {
+        if a == HELD || b == HELD {
+            return 0;
         }
-    }
-    slots
+        // Every pair of an element is in the pattern.
+        pattern.slot(a.max(b), a.min(b)).unwrap_or(0) as u32
+    };
+    pairs.map(slot).collect()
 }

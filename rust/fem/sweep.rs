@@ -21,6 +21,9 @@ const CHUNK: usize = 64;
 /// Any command (mm), gravity (g) or tip load (N) beyond is a mistake: no finger has an equilibrium there.
 const LARGEST: f64 = 1e6;
 
+/// By how much the nodes of one mesh may lie outside another of the same solid, mm.
+const FACETS: f64 = 2.5;
+
 /// How far a long computation is, and whether to stop it.
 #[derive(Debug, Default)]
 pub struct Progress {
@@ -55,11 +58,11 @@ pub struct Compliance {
     pub stretch: Vec<f64>,
 }
 
-/// A solid with the points that are reported and the map from commands to shortenings.
+/// A solid with the points that are reported and the map from commands to cables.
 pub struct Simulation {
     pub solid: Solid,
     pub points: Points,
-    /// Shortening of cable t per mm of command c: `drive[t][c]`.
+    /// What cable t is told (shortening or tension) per unit of command c: `drive[t][c]`.
     pub drive: Vec<Vec<f64>>,
 }
 
@@ -70,7 +73,7 @@ impl Simulation {
         let even = drive
             .iter()
             .all(|row| row.len() == channels && row.iter().all(|v| v.is_finite()));
-        if drive.len() != solid.cables.len() || channels == 0 || !even {
+        if drive.len() != solid.cables.len() || !even {
             return Err(invalid(format!(
                 "drive: {} rows for {} tendons; give each tendon one finite number for each command",
                 drive.len(),
@@ -94,17 +97,17 @@ impl Simulation {
         let mut numbers = command.iter().chain(&gravity).chain(&tip);
         if command.len() != self.channels() || !numbers.all(|v| v.abs() <= LARGEST) {
             return Err(invalid(format!(
-                "command {command:?}, gravity {gravity:?}, load {tip:?}: expected {} commands in mm, and loads in g and N, each within ±{LARGEST:e}",
+                "command {command:?}, gravity {gravity:?}, load {tip:?}: expected {} commands in mm or N, and loads in g and N, each within ±{LARGEST:e}",
                 self.channels()
             )));
         }
-        let shortening = self
+        let cables = self
             .drive
             .iter()
             .map(|row| row.iter().zip(command).map(|(a, u)| a * u).sum())
             .collect();
         Ok(Load {
-            shortening,
+            cables,
             gravity,
             tip,
         })
@@ -124,7 +127,7 @@ impl Simulation {
                 .any(|a| a.is_empty() || a.windows(2).any(|w| w[1] <= w[0]))
         {
             return Err(invalid(format!(
-                "sweep axes: expected {} ascending axes in mm, got lengths {:?}",
+                "sweep axes: expected {} ascending axes, got lengths {:?}",
                 self.channels(),
                 axes.iter().map(Vec::len).collect::<Vec<_>>()
             )));
@@ -136,6 +139,10 @@ impl Simulation {
         let start = self.load(&command, gravity, tip)?;
         let mut home = solver.home(gravity, tip)?;
         solver.advance(&mut home, &start)?;
+        if axes.is_empty() {
+            progress.count()?;
+            return Ok(vec![self.configuration(&solver, &home)]);
+        }
         drop(solver);
         // States along the axes done so far, with their commands; C order throughout.
         let mut spine = vec![(command, home)];
@@ -226,6 +233,37 @@ impl Simulation {
         })
     }
 
+    /// The same with the guesses of another mesh of this solid: Newton's method from where its equilibria put the nodes.
+    pub fn path_from(
+        &self,
+        other: &Simulation,
+        commands: &[Vec<f64>],
+        gravity: Vec3,
+        tip: Vec3,
+        progress: &Progress,
+    ) -> Result<Vec<Configuration>> {
+        let mesh = &self.solid.mesh;
+        let carried = Points::embedded(&other.solid.mesh, &mesh.nodes, FACETS)?;
+        let gravities = vec![gravity; commands.len()];
+        let rough = other.follow(commands, &gravities, tip, progress, |_, state| {
+            Ok(state.clone())
+        })?;
+        let mut solver = Solver::watching(&self.solid, &progress.stop)?;
+        rough
+            .into_iter()
+            .map(|state| {
+                let mut guess = carried.place(&state.x);
+                for (n, place) in guess.iter_mut().enumerate() {
+                    if mesh.clamped[n] {
+                        *place = mesh.nodes[n];
+                    }
+                }
+                let settled = solver.settle(guess, &state.load)?;
+                Ok(self.configuration(&solver, &settled))
+            })
+            .collect()
+    }
+
     /// The compliance at the equilibrium of each command.
     pub fn fields(
         &self,
@@ -313,7 +351,7 @@ impl Simulation {
         let forces = (0..FIELDS.len())
             .map(|f| {
                 let mut unit = Load {
-                    shortening: Vec::new(),
+                    cables: Vec::new(),
                     gravity: [0.0; 3],
                     tip: [0.0; 3],
                 };

@@ -3,8 +3,10 @@
 use super::*;
 use crate::cables::Cables;
 use crate::fem::axpy;
-use crate::fem::cable::{Averaging, Route};
-use crate::fem::mesh::Resolution;
+use crate::fem::cable::Drive;
+use crate::fem::guide::{Averaging, Route};
+use crate::fem::material::Body;
+use crate::fem::mesh::{Resolution, finger};
 use crate::fem::norm;
 use crate::fem::solid::Design;
 use crate::table::Table;
@@ -12,26 +14,26 @@ use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
 fn small(core: usize, layers: usize, points: Option<&[Vec3]>) -> Simulation {
-    let route = |k: usize| Route {
+    let route = |k: usize| Route::Formula {
         angle: k as f64 * FRAC_PI_2,
+        turn: 0.0,
         path: vec![[0.0, 8.0], [55.0, 5.5]],
     };
-    let solid = Solid::finger(&Design {
-        profile: vec![[0.0, 12.0], [60.0, 9.0]],
-        resolution: Resolution {
-            core,
-            rings: 1,
-            layers,
-        },
-        young: 0.3,
-        poisson: 0.46,
-        density: 1070.0,
+    let resolution = Resolution {
+        core,
+        rings: 1,
+        layers,
+    };
+    let solid = Solid::build(Design {
+        mesh: finger(&[[0.0, 12.0], [60.0, 9.0]], &[55.0], resolution).unwrap(),
+        body: Body::uniform(0.3, 0.46, 1070.0).unwrap(),
         cable_stiffness: 20.0,
         averaging: Averaging {
             ring: 1.5,
             disc: 2.0,
         },
         routes: (0..4).map(route).collect(),
+        drive: Drive::Shortening,
     })
     .unwrap();
     let points = match points {
@@ -202,6 +204,28 @@ fn another_mesh_reports_the_same_points() {
         "{moved} {}",
         largest(&a, &b)
     );
+}
+
+#[test]
+fn guesses_of_a_rough_mesh_lead_to_the_equilibria_of_a_fine_one() {
+    let rough = small(2, 8, None);
+    let template: Vec<Vec3> = rough
+        .solid
+        .mesh
+        .surface
+        .iter()
+        .map(|&n| rough.solid.mesh.nodes[n])
+        .collect();
+    let fine = small(3, 16, Some(&template));
+    let commands = vec![vec![6.0, 3.0], vec![-8.0, 1.0]];
+    let go = Progress::default();
+    let guessed = fine
+        .path_from(&rough, &commands, HANGING, [0.0; 3], &go)
+        .unwrap();
+    let alone = fine.path(&commands, &[HANGING; 2], [0.0; 3], &go).unwrap();
+    for (a, b) in guessed.iter().zip(&alone) {
+        assert!(largest(&a.places, &b.places) < 1e-4);
+    }
 }
 
 #[test]

@@ -1,11 +1,13 @@
 //! One thread's work on a solid: residual and tangent at a state, the factored tangent, and solves with it.
 //!
-//! The tangent is K₀ + Σ kc b bᵀ over the taut cables, b = ∂L/∂x: K₀ (bricks and the cables' geometric stiffness) is sparse;
+//! The tangent is K₀ + Σ kc b bᵀ over the taut elastic cables, b = ∂L/∂x: K₀ (elements and the cables' geometric stiffness) is sparse;
 //! the stiff dense rank-one terms stay out of the pattern and enter solves through the Woodbury identity (Hager 1989):
 //! (K₀ + B D Bᵀ)⁻¹ r = y − Z (D⁻¹ + BᵀZ)⁻¹ Bᵀ y with y = K₀⁻¹ r, Z = K₀⁻¹ B. Units as in `solid.rs`: mm, N, N/mm.
 
 use super::Vec3;
-use super::brick::Stiffness;
+use super::cable::Drive;
+use super::element::Block;
+use super::natural::MOST_NODES;
 use super::solid::{HELD, Load, Solid};
 use super::sparse::Factor;
 use crate::dense;
@@ -16,7 +18,7 @@ pub struct Work<'a> {
     pub solid: &'a Solid,
     /// Gradient of the total energy, N.
     pub residual: Vec<f64>,
-    /// Cables that pull at the assembled state, and their b = ∂L/∂x.
+    /// Elastic cables that pull at the assembled state, and their b = ∂L/∂x.
     pub taut: Vec<(usize, Vec<f64>)>,
     /// What was added to the diagonal to make the factored tangent positive definite, N/mm.
     pub shift: f64,
@@ -41,34 +43,32 @@ impl<'a> Work<'a> {
         })
     }
 
-    /// Energy, residual and K₀ at a state; infinite energy (and nothing usable) where a brick is inside out.
+    /// Energy, residual and K₀ at a state; infinite energy (and nothing usable) where a cell is inside out.
     pub fn assemble(&mut self, x: &[Vec3], load: &Load) -> f64 {
         let solid = self.solid;
         self.residual.fill(0.0);
         self.values.fill(0.0);
         self.taut.clear();
         let mut energy = -solid.dead_work(x, load);
-        let (mut force, mut k): ([Vec3; 8], Stiffness) = ([[0.0; 3]; 8], [[[[0.0; 3]; 3]; 8]; 8]);
-        for ((brick, nodes), slots) in solid
-            .bricks
-            .iter()
-            .zip(&solid.mesh.bricks)
-            .zip(&solid.slots)
-        {
-            energy += brick.tangent(&nodes.map(|n| x[n]), solid.material, &mut force, &mut k);
+        let width = solid.mesh.kind.nodes();
+        let pairs = width * (width + 1) / 2;
+        let mut force = [[0.0; 3]; MOST_NODES];
+        let mut k = [[[0.0; 3]; 3]; MOST_NODES * (MOST_NODES + 1) / 2];
+        for (element, slots) in solid.elements.iter().zip(solid.slots.chunks_exact(pairs)) {
+            energy += element.tangent(x, &mut force[..width], &mut k[..pairs]);
             if !energy.is_finite() {
                 return f64::INFINITY;
             }
-            self.add_brick(nodes, slots, &force, &k);
+            self.add_element(element.nodes(), slots, &force, &k);
         }
         for n in 0..x.len() {
             let f = solid.dead_force(n, load);
             solid.scatter(n, [-f[0], -f[1], -f[2]], &mut self.residual);
         }
         for (c, cable) in solid.cables.iter().enumerate() {
-            let d = load.shortening[c];
-            let tension = cable.tension(x, d);
-            energy += cable.energy(x, d);
+            let command = load.cables[c];
+            let tension = cable.tension(x, command);
+            energy += cable.energy(x, command);
             if tension > 0.0 {
                 self.add_cable(c, x, tension);
             }
@@ -76,29 +76,22 @@ impl<'a> Work<'a> {
         energy
     }
 
-    fn add_brick(
-        &mut self,
-        nodes: &[usize; 8],
-        slots: &[u32; 36],
-        force: &[Vec3; 8],
-        k: &Stiffness,
-    ) {
+    fn add_element(&mut self, nodes: &[usize], slots: &[u32], force: &[Vec3], k: &[Block]) {
         let solid = self.solid;
         let mut pair = 0;
-        for a in 0..8 {
+        for a in 0..nodes.len() {
             solid.scatter(nodes[a], force[a], &mut self.residual);
             let fa = solid.free[nodes[a]];
             for b in 0..=a {
                 let fb = solid.free[nodes[b]];
-                let slot = slots[pair] as usize;
+                let (slot, m) = (slots[pair] as usize, &k[pair]);
                 pair += 1;
                 if fa == HELD || fb == HELD {
                     continue;
                 }
                 if fa >= fb {
-                    solid.pattern.add(&mut self.values, fb, slot, &k[a][b]);
+                    solid.pattern.add(&mut self.values, fb, slot, m);
                 } else {
-                    let m = &k[a][b];
                     let turned = std::array::from_fn(|i| std::array::from_fn(|j| m[j][i]));
                     solid.pattern.add(&mut self.values, fa, slot, &turned);
                 }
@@ -113,7 +106,9 @@ impl<'a> Work<'a> {
         for (r, s) in self.residual.iter_mut().zip(&slope) {
             *r += tension * s;
         }
-        self.taut.push((c, slope));
+        if cable.drive == Drive::Shortening {
+            self.taut.push((c, slope));
+        }
         cable.geometric(x, tension, |a, b, block| {
             let (fa, fb) = (solid.free[a], solid.free[b]);
             if fa != HELD

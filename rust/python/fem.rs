@@ -1,14 +1,17 @@
-//! Binding of the simulator: one class that holds a solid, its reported points and its drive.
+//! Binding of the simulator: meshes, and one class that holds a solid, its reported points and its drive.
 
 use crate::Result;
 use crate::error::invalid;
 use crate::fem::Vec3;
-use crate::fem::cable::{Averaging, Route};
+use crate::fem::cable::Drive;
 use crate::fem::embed::Points;
-use crate::fem::mesh::Resolution;
+use crate::fem::guide::{Averaging, Route};
+use crate::fem::material::{Body, Region};
+use crate::fem::mesh::{self, Resolution};
 use crate::fem::newton::newton_step;
 use crate::fem::solid::{Design, Solid as FemSolid};
 use crate::fem::sweep::{Configuration, Progress, Simulation};
+use crate::fem::tetrahedra::tetrahedra;
 use crate::loads::FIELDS;
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -22,6 +25,103 @@ const LOOK: Duration = Duration::from_millis(50);
 type Bent<'py> = (Bound<'py, PyArray3<f64>>, Bound<'py, PyArray2<f64>>);
 type Pairs = Vec<(f64, f64)>;
 
+/// A solid's cells at rest.
+#[pyclass(frozen, module = "softmap_edge._core")]
+pub struct Mesh {
+    mesh: mesh::Mesh,
+}
+
+#[pymethods]
+impl Mesh {
+    /// The round finger of a profile of (z, radius) mm; `breaks` are heights that must be layers.
+    #[staticmethod]
+    fn finger(
+        profile: Pairs,
+        breaks: Vec<f64>,
+        core: usize,
+        rings: usize,
+        layers: usize,
+    ) -> PyResult<Mesh> {
+        let resolution = Resolution {
+            core,
+            rings,
+            layers,
+        };
+        Ok(Mesh {
+            mesh: mesh::finger(&paired(profile), &breaks, resolution)?,
+        })
+    }
+
+    /// The block of `size` mm in `cells` bricks.
+    #[staticmethod]
+    fn block(size: Vec3, cells: [usize; 3]) -> PyResult<Mesh> {
+        Ok(Mesh {
+            mesh: mesh::block(cells, size)?,
+        })
+    }
+
+    /// Tetrahedra (E, 4) or (E, 10) of nodes (n, 3) mm, each split into eight `refine` times.
+    #[staticmethod]
+    fn tetrahedra(
+        py: Python<'_>,
+        nodes: PyReadonlyArray2<f64>,
+        cells: PyReadonlyArray2<i64>,
+        refine: usize,
+    ) -> PyResult<Mesh> {
+        let nodes = vectors(&nodes, "nodes")?;
+        // A negative number is no node; as an unsigned one it is beyond all.
+        let numbers =
+            |row: numpy::ndarray::ArrayView1<i64>| row.iter().map(|&n| n as usize).collect();
+        let cells: Vec<Vec<usize>> = cells.as_array().rows().into_iter().map(numbers).collect();
+        Ok(Mesh {
+            mesh: py.detach(|| tetrahedra(nodes, &cells, refine))?,
+        })
+    }
+
+    /// Nodes at rest (n, 3) mm.
+    #[getter]
+    fn nodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        matrix(py, &self.mesh.nodes)
+    }
+
+    /// Nodes of the cells (E, 8) of bricks or (E, 10) of tetrahedra.
+    #[getter]
+    fn cells<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i64>>> {
+        let width = self.mesh.kind.nodes();
+        PyArray1::from_vec(py, self.mesh.cells.iter().map(|&n| n as i64).collect())
+            .reshape([self.mesh.cells.len() / width, width])
+    }
+
+    /// Numbers of the clamped nodes.
+    #[getter]
+    fn fixed<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
+        let clamped = &self.mesh.clamped;
+        PyArray1::from_vec(
+            py,
+            (0..clamped.len())
+                .filter(|&n| clamped[n])
+                .map(|n| n as i64)
+                .collect(),
+        )
+    }
+
+    /// From the clamped base to the tip, mm.
+    #[getter]
+    fn height(&self) -> f64 {
+        self.mesh.height
+    }
+}
+
+/// A region of another modulus: box (low, high) mm, the angle its side faces (rad) or None, modulus MPa.
+type Boxed = (Vec3, Vec3, Option<f64>, f64);
+
+/// A tendon by points (n, 3) mm, or by (angle, turn, (z, radius) pairs) in rad and mm.
+#[derive(FromPyObject)]
+enum Way {
+    Formula((f64, f64, Pairs)),
+    Points(Vec<Vec3>),
+}
+
 /// A finger's solid; `points` (rest places of another template, mm) are reported instead of its own surface.
 #[pyclass(frozen, module = "softmap_edge._core")]
 pub struct Solid {
@@ -30,53 +130,66 @@ pub struct Solid {
 
 #[pymethods]
 impl Solid {
+    /// `drive[t][c]` is what tendon t is told per unit of command c: mm of shortening, or N if `by_tension`.
     #[new]
-    #[pyo3(signature = (profile, core, rings, layers, young, poisson, density, cable_stiffness, ring, disc, routes, drive, points=None, tolerance=2.5))]
+    #[pyo3(signature = (mesh, young, poisson, density, regions, cable_stiffness, ring, disc, routes, drive, by_tension=false, points=None, tolerance=2.5))]
     fn new(
-        profile: Pairs,
-        core: usize,
-        rings: usize,
-        layers: usize,
+        py: Python<'_>,
+        mesh: &Mesh,
         young: f64,
         poisson: f64,
         density: f64,
+        regions: Vec<Boxed>,
         cable_stiffness: f64,
         ring: f64,
         disc: f64,
-        routes: Vec<(f64, Pairs)>,
+        routes: Vec<Way>,
         drive: Vec<Vec<f64>>,
+        by_tension: bool,
         points: Option<PyReadonlyArray2<f64>>,
         tolerance: f64,
     ) -> PyResult<Solid> {
-        let pairs = |p: Pairs| p.into_iter().map(|(a, b)| [a, b]).collect::<Vec<_>>();
-        let routes = routes
-            .into_iter()
-            .map(|(angle, path)| Route {
-                angle,
-                path: pairs(path),
-            })
-            .collect();
-        let solid = FemSolid::finger(&Design {
-            profile: pairs(profile),
-            resolution: Resolution {
-                core,
-                rings,
-                layers,
-            },
+        let region = |(low, high, side, young): Boxed| Region {
+            low,
+            high,
+            side,
             young,
-            poisson,
-            density,
+        };
+        let route = |way| match way {
+            Way::Formula((angle, turn, path)) => Route::Formula {
+                angle,
+                turn,
+                path: paired(path),
+            },
+            Way::Points(points) => Route::Points(points),
+        };
+        let design = Design {
+            mesh: mesh.mesh.clone(),
+            body: Body::new(
+                young,
+                poisson,
+                density,
+                regions.into_iter().map(region).collect(),
+            )?,
             cable_stiffness,
             averaging: Averaging { ring, disc },
-            routes,
-        })?;
-        let points = match points {
-            None => Points::surface(&solid.mesh),
-            Some(array) => Points::embedded(&solid.mesh, &vectors(&array, "points")?, tolerance)?,
+            routes: routes.into_iter().map(route).collect(),
+            drive: if by_tension {
+                Drive::Tension
+            } else {
+                Drive::Shortening
+            },
         };
-        Ok(Solid {
-            simulation: Simulation::new(solid, points, drive)?,
-        })
+        let template = points.map(|p| vectors(&p, "points")).transpose()?;
+        let simulation = py.detach(|| {
+            let solid = FemSolid::build(design)?;
+            let points = match template {
+                None => Points::surface(&solid.mesh),
+                Some(places) => Points::embedded(&solid.mesh, &places, tolerance)?,
+            };
+            Simulation::new(solid, points, drive)
+        })?;
+        Ok(Solid { simulation })
     }
 
     /// Surface vertices at rest (N, 3) mm.
@@ -108,34 +221,7 @@ impl Solid {
         PyArray1::from_vec(py, flat).reshape([self.simulation.solid.mesh.triangles.len(), 3])
     }
 
-    /// Nodes of the bricks at rest (n, 3) mm.
-    #[getter]
-    fn nodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        matrix(py, &self.simulation.solid.mesh.nodes)
-    }
-
-    /// Corners of the bricks (E, 8).
-    #[getter]
-    fn bricks<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i64>>> {
-        let bricks = &self.simulation.solid.mesh.bricks;
-        PyArray1::from_vec(py, bricks.iter().flatten().map(|&n| n as i64).collect())
-            .reshape([bricks.len(), 8])
-    }
-
-    /// Numbers of the clamped nodes.
-    #[getter]
-    fn fixed<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        let clamped = &self.simulation.solid.mesh.clamped;
-        PyArray1::from_vec(
-            py,
-            (0..clamped.len())
-                .filter(|&n| clamped[n])
-                .map(|n| n as i64)
-                .collect(),
-        )
-    }
-
-    /// One Newton step of the bricks alone at node places (n, 3): the displacement (n, 3) mm.
+    /// One Newton step of the elements alone at node places (n, 3): the displacement (n, 3) mm.
     fn newton_step<'py>(
         &self,
         py: Python<'py>,
@@ -178,6 +264,25 @@ impl Solid {
             self.simulation.path(&commands, &gravity, load, p)
         })?;
         self.bent(py, shapes)
+    }
+
+    /// Places (K, N, 3) at commands (K, C) under one gravity, Newton's method starting where `other` puts the nodes.
+    #[pyo3(signature = (other, commands, gravity, load, progress=None))]
+    fn path_from<'py>(
+        &self,
+        py: Python<'py>,
+        other: &Solid,
+        commands: PyReadonlyArray2<f64>,
+        gravity: Vec3,
+        load: Vec3,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let commands = rows(&commands);
+        let shapes = watched(py, commands.len(), progress, |p| {
+            self.simulation
+                .path_from(&other.simulation, &commands, gravity, load, p)
+        })?;
+        Ok(self.bent(py, shapes)?.0)
     }
 
     /// At the equilibria of commands (S, C), all tensions as they are: displacement (S, N, 3) per unit of each field, by
@@ -289,12 +394,12 @@ fn matrix<'py>(py: Python<'py>, points: &[Vec3]) -> PyResult<Bound<'py, PyArray2
 }
 
 fn rows(array: &PyReadonlyArray2<f64>) -> Vec<Vec<f64>> {
-    array
-        .as_array()
-        .rows()
-        .into_iter()
-        .map(|r| r.to_vec())
-        .collect()
+    let view = array.as_array();
+    (0..view.nrows()).map(|i| view.row(i).to_vec()).collect()
+}
+
+fn paired(pairs: Pairs) -> Vec<[f64; 2]> {
+    pairs.into_iter().map(|(a, b)| [a, b]).collect()
 }
 
 fn vectors(array: &PyReadonlyArray2<f64>, name: &str) -> Result<Vec<Vec3>> {

@@ -38,7 +38,7 @@ mod _core {
     #[pymodule_export]
     use super::elastic::{PyElasticField, PyElasticRod};
     #[pymodule_export]
-    use super::fem::Solid;
+    use super::fem::{Mesh, Solid};
     #[pymodule_export]
     use super::predict::PyPredictor;
     #[pymodule_export]

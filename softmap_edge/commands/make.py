@@ -21,7 +21,7 @@ def build_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `build`."""
     parser.add_argument("finger", nargs="?", help="finger.toml; without it the built-in finger")
     bundle_arguments(parser)
-    parser.add_argument("--steps", type=int, default=41, help="commands a channel in the sweep (default 41)")
+    parser.add_argument("--steps", type=int, help="commands a channel in the sweep (41, of three channels 13)")
 
 
 def build(args: argparse.Namespace) -> int:
@@ -34,18 +34,19 @@ def build(args: argparse.Namespace) -> int:
     with Bar(args.json) as bar:
         model = build_model(finger, args.steps, bar)
     folder = save_bundle(model, args.out)
+    commands = int(model.made_from["steps"]) ** model.channels
     size = sum(file.stat().st_size for file in folder.iterdir())
     result = {
         "schema": "softmap.build/1",
         "bundle": str(args.out),
         "kind": "table",
         "vertices": len(model.rest),
-        "commands": args.steps**model.channels,
+        "commands": commands,
         "held_out_error_mm": round(model.vertex_error_mm, 4),
         "bytes": size,
     }
     text = (
-        f"{args.out}: table of {finger.name}, {len(model.rest)} vertices, {args.steps**model.channels} commands, "
+        f"{args.out}: table of {finger.name}, {len(model.rest)} vertices, {commands} commands, "
         f"own held-out error {model.vertex_error_mm:.2f} mm (another mesh, modulus ±10 %), {size / 1000:.0f} kB"
     )
     print(json.dumps(result) if args.json else text)
@@ -108,17 +109,18 @@ def sweep_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `sweep`."""
     parser.add_argument("finger", nargs="?", help="finger.toml; without it the built-in finger")
     parser.add_argument("--out", required=True, help="sweep file to write (.npz)")
-    parser.add_argument("--steps", type=int, default=41, help="commands a channel (default 41)")
+    parser.add_argument("--steps", type=int, help="commands a channel (41, of three channels 13)")
 
 
 def sweep(args: argparse.Namespace) -> int:
     """Simulate a grid of commands and write commands and vertices."""
+    from softmap_edge.build import grid_axes
     from softmap_edge.simulator import Simulator
 
     _check_steps(args.steps)
     check_file("--out", args.out, ".npz")
     finger = _finger(args.finger)
-    axes = [np.linspace(low, high, args.steps) for low, high in finger.command_range]
+    axes = grid_axes(finger, args.steps)
     with Bar(args.json) as bar:
         result = Simulator(finger).sweep(axes, progress=lambda share: bar("sweep", share))
     result.save(Path(args.out))
@@ -131,8 +133,8 @@ def _finger(path: str | None) -> Finger:
     return Finger.builtin() if path is None else Finger.load(Path(path))
 
 
-def _check_steps(steps: int) -> None:
-    if not 5 <= steps <= 201:
+def _check_steps(steps: int | None) -> None:
+    if steps is not None and not 5 <= steps <= 201:
         raise SoftmapError(f"--steps {steps}: give 5 to 201 commands a channel")
 
 

@@ -1,0 +1,127 @@
+//! What a body is made of: modulus, Poisson's ratio and density, and where the modulus differs.
+//!
+//! μ = E/2(1+ν), κ = E/3(1−2ν) in MPa. A region is a box in the rest configuration, or the half of it that faces an angle
+//! about z (one side of the section stiffer); the last region that holds a place decides its modulus. The modulus is taken
+//! at Gauss points, so that a border between regions need not follow the mesh. Limit: a border inside a cell is smeared
+//! over it.
+
+use super::Vec3;
+use crate::error::{Result, invalid};
+
+/// Shear and bulk modulus, MPa.
+#[derive(Debug, Clone, Copy)]
+pub struct Material {
+    pub mu: f64,
+    pub kappa: f64,
+}
+
+impl Material {
+    /// From Young's modulus (MPa) and Poisson's ratio.
+    pub fn new(young: f64, poisson: f64) -> Result<Material> {
+        if !(young.is_finite() && young > 0.0) {
+            return Err(invalid(format!(
+                "Young's modulus {young} MPa: must be above 0; soft silicones have 0.05 to 1"
+            )));
+        }
+        if !(poisson > 0.0 && poisson < 0.4999) {
+            return Err(invalid(format!(
+                "Poisson's ratio {poisson}: allowed is 0 to 0.4999; silicones take 0.45 to 0.49"
+            )));
+        }
+        Ok(Material {
+            mu: young / (2.0 * (1.0 + poisson)),
+            kappa: young / (3.0 * (1.0 - 2.0 * poisson)),
+        })
+    }
+}
+
+/// Where the modulus is another: a box in mm, and the half of the section that faces `side` (radians about z), if any.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Region {
+    pub low: Vec3,
+    pub high: Vec3,
+    pub side: Option<f64>,
+    pub young: f64,
+}
+
+impl Region {
+    fn holds(&self, p: Vec3) -> bool {
+        let boxed = (0..3).all(|i| self.low[i] <= p[i] && p[i] <= self.high[i]);
+        boxed
+            && self
+                .side
+                .is_none_or(|a| p[0] * a.cos() + p[1] * a.sin() > 0.0)
+    }
+}
+
+/// A body's material (MPa, kg/m³).
+#[derive(Debug, Clone)]
+pub struct Body {
+    pub density: f64,
+    base: Material,
+    regions: Vec<(Region, Material)>,
+}
+
+impl Body {
+    /// Refuses numbers that no material has.
+    pub fn new(young: f64, poisson: f64, density: f64, regions: Vec<Region>) -> Result<Body> {
+        if !(density.is_finite() && density >= 0.0) {
+            return Err(invalid(format!(
+                "density {density} kg/m³: must be 0 or more; silicones have about 1070"
+            )));
+        }
+        let regions = regions
+            .into_iter()
+            .map(|r| Ok((r.clone(), Material::new(r.young, poisson)?)))
+            .collect::<Result<_>>()?;
+        Ok(Body {
+            density,
+            base: Material::new(young, poisson)?,
+            regions,
+        })
+    }
+
+    /// One material everywhere.
+    pub fn uniform(young: f64, poisson: f64, density: f64) -> Result<Body> {
+        Body::new(young, poisson, density, Vec::new())
+    }
+
+    /// The material at a place of the rest configuration.
+    pub fn at(&self, p: Vec3) -> Material {
+        let last = self.regions.iter().rev().find(|(r, _)| r.holds(p));
+        last.map_or(self.base, |(_, material)| *material)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_region_that_holds_a_place_decides() {
+        let far = f64::INFINITY;
+        let region = |low: f64, high: f64, side: Option<f64>, young: f64| Region {
+            low: [-far, -far, low],
+            high: [far, far, high],
+            side,
+            young,
+        };
+        let regions = vec![
+            region(10.0, 30.0, None, 0.6),
+            region(20.0, 40.0, Some(0.0), 1.2),
+        ];
+        let body = Body::new(0.3, 0.45, 1000.0, regions).unwrap();
+        let young = |p: Vec3| body.at(p).mu * 2.0 * 1.45;
+        for (p, e) in [
+            ([1.0, 0.0, 5.0], 0.3),
+            ([1.0, 0.0, 15.0], 0.6),
+            ([1.0, 0.0, 25.0], 1.2),
+            ([-1.0, 0.0, 25.0], 0.6),
+            ([-1.0, 0.0, 35.0], 0.3),
+        ] {
+            assert!((young(p) - e).abs() < 1e-12, "{p:?}");
+        }
+        assert!(Body::uniform(0.3, 0.5, 1000.0).is_err() && Body::uniform(0.3, 0.4, -1.0).is_err());
+        assert!(Body::new(0.3, 0.4, 1.0, vec![region(0.0, 1.0, None, f64::NAN)]).is_err());
+    }
+}
