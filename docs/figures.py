@@ -1,4 +1,4 @@
-"""Make the pictures of the README: a simulated second finger with hidden backlash, found, added and compared.
+"""Make the pictures of the pages: a simulated second finger with hidden backlash, found and added; the protocol.
 
 `python docs/figures.py` writes them beside this file; `--out` names another folder, `--seed` another finger.
 """
@@ -6,15 +6,50 @@
 from __future__ import annotations
 
 import argparse
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
 from softmap_edge import builtin_model, diagnose, series
-from softmap_edge.figures import body, ladder_bars, over_time
-from softmap_edge.protocol import other_protocol, standard_protocol
+from softmap_edge.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, body, ladder_bars, over_time
+from softmap_edge.protocol import Protocol, other_protocol, standard_protocol
 from softmap_edge.truth import hide
 
 SEED = 1  # of the second finger; any other tells the same story with other numbers
+
+
+def plan(protocol: Protocol) -> bytes:
+    """Draw the commands of a protocol in its first orientation, its parts shaded and named (SVG)."""
+    turned = protocol.t[np.flatnonzero(np.any(protocol.gravity != protocol.gravity[0], axis=1))[0]]
+    rows, frames = protocol.t < turned, protocol.t_seen < turned
+    t, seen = protocol.t[rows], protocol.t_seen[frames]
+    kinds = np.array([label.split("[")[0] for label in protocol.block[frames]])
+    starts = np.flatnonzero(np.r_[True, kinds[1:] != kinds[:-1]])
+    edges = np.r_[seen[starts], t[-1]]
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDE, 3.2), layout="constrained")
+        panels = figure.subplots(protocol.command.shape[1], 1, sharex=True, sharey=True)
+        for c, (axes, colour) in enumerate(zip(panels, (BEFORE, AFTER))):
+            axes.plot(t, protocol.command[rows, c], color=colour, linewidth=1.2)
+            at_seen = np.interp(seen, protocol.t, protocol.command[:, c])
+            axes.plot(seen, at_seen, ".", color=INK, markersize=2.2)
+            for k, (low, high) in enumerate(zip(edges[:-1], edges[1:])):
+                axes.axvspan(low, high, color=FAINT, alpha=0.9 if k % 2 else 0.35, linewidth=0)
+            axes.set_ylabel(f"channel {c}, mm")
+            axes.margins(x=0)
+        for low, high, kind in zip(edges[:-1], edges[1:], kinds[starts]):
+            name = kind.replace(" ", "\n") if high - low < 12 else kind
+            panels[0].annotate(
+                name, ((low + high) / 2, 1.03), xycoords=("data", "axes fraction"), ha="center", size=7.5
+            )
+        panels[-1].set_xlabel("time, s")
+        target = io.BytesIO()
+        figure.savefig(target, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
+        return target.getvalue()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -30,6 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     (args.out / "error_over_time.svg").write_bytes(over_time(seen))
     (args.out / "error_on_the_body.png").write_bytes(body(seen))
     (args.out / "error_ladder.svg").write_bytes(ladder_bars(found.error))
+    (args.out / "protocol.svg").write_bytes(plan(standard_protocol(model.channels)))
     print(found.sentence)
     return 0
 

@@ -111,9 +111,9 @@ def _visible(run: Run, seen: Floats) -> NDArray[np.bool_]:
 def _home(run: Run, visits: int) -> Word:
     if visits >= ENOUGH_VISITS:
         return Word("home", True, f"drift, and whether the base moved: home is visited {visits} times")
-    often = {0: "never", 1: "once", 2: "twice"}[visits]
+    often = {0: "never visited", 1: "visited once", 2: "visited twice"}[visits]
     return Word(
-        "home", False, f"drift from play, and whether the base moved: home is visited {often}",
+        "home", False, f"drift from play, and whether the base moved: home is {often}",
         "rest at home for 5 s at the start, at the end and once in between", 0.5,
     )  # fmt: skip
 
@@ -247,7 +247,7 @@ def effect_lines(effects: list[dict[str, Any]]) -> list[str]:
     for row in effects:
         if row["shows"]:
             size = f"{row['moved_mm']:5.2f} mm {row['deviations']:7.0f} times"
-            twins = f", but like {' and '.join(row['alike'])}" if row["alike"] else ""
+            twins = f", but like {', '.join(row['alike'])}" if row["alike"] else ""
             lines.append(f"  + {row['name']:<12}{size}   shows{twins}")
         else:
             lines += folded(f"- {row['name']:<12}does not show: {row['why']}", 2)

@@ -67,7 +67,7 @@ def triangle(t):
         (alone, "channels", "channel 1: it never moves"),
         (triangle, "speed", "always moves at about 4"),
         (triangle, "dwell", "rest for 0."),
-        (triangle, "home", "home is visited never"),
+        (triangle, "home", "home is never visited"),
         (triangle, "noise", "nothing is seen twice"),
     ],
 )
