@@ -217,6 +217,7 @@ class Solid:
         routes: Sequence[tuple[float, float, list[tuple[float, float]]] | list[tuple[float, float, float]]],
         drive: list[list[float]],
         by_tension: bool = False,
+        pretension: float = 0.0,
         points: _Floats | None = None,
         tolerance: float = 2.5,
     ) -> Self: ...

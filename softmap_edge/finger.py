@@ -21,7 +21,12 @@ from softmap_edge.tendons import Region, Tendon, check_commands, region_from, te
 __all__ = ["Finger", "Region", "Tendon"]
 
 _MATERIAL = ("young_mpa", "poisson", "density_kg_m3")
-_CABLE = ("stiffness_n_mm", "guide_ring_mm", "anchor_disc_mm")
+_CABLE = {
+    "stiffness_n_mm": "cable_stiffness_n_mm",
+    "guide_ring_mm": "guide_ring_mm",
+    "anchor_disc_mm": "anchor_disc_mm",
+}
+_FITTED = ("young_mpa", "cable_stiffness_n_mm", "pretension_mm")  # numbers that [fit] may give bounds for
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,8 @@ class Finger:
     tendons · pairs: for each command the tendon it shortens (or pulls) and, if any, the one it pays out (or pulls
     where it is negative) · command_range: (low, high) for each command, in command_unit: "mm" of shortening or "N" of
     tension · cable_stiffness_n_mm · guide_ring_mm, anchor_disc_mm: over what a tendon's forces are spread · regions of
-    another modulus.
+    another modulus · pretension_mm: by how much every tendon is too short at command 0, below zero how slack ·
+    bounds: which numbers a fit to a run may change, and how far (low, high).
     """
 
     name: str
@@ -49,6 +55,13 @@ class Finger:
     guide_ring_mm: float = 1.5
     anchor_disc_mm: float = 2.0
     regions: tuple[Region, ...] = ()
+    pretension_mm: float = 0.0
+    bounds: tuple[tuple[str, tuple[float, float]], ...] = ()
+
+    @property
+    def fit(self) -> dict[str, tuple[float, float]]:
+        """Bounds (low, high) of the numbers that a fit to a run may change."""
+        return dict(self.bounds)
 
     def __post_init__(self) -> None:
         if not self.name or not isinstance(self.name, str) or len(self.name) > 100 or not self.name.isprintable():
@@ -66,6 +79,7 @@ class Finger:
         for number, region in enumerate(self.regions):
             region.check(f"region[{number}]")
         check_commands(self.pairs, self.command_range, self.command_unit, len(self.tendons), self.solid.height_mm)
+        self._check_bounds()
 
     @classmethod
     def builtin(cls) -> Finger:
@@ -124,13 +138,29 @@ class Finger:
         lines += [
             f"\n[cable]\nstiffness_n_mm = {float(self.cable_stiffness_n_mm)!r}",
             f"guide_ring_mm = {float(self.guide_ring_mm)!r}\nanchor_disc_mm = {float(self.anchor_disc_mm)!r}",
+            f"pretension_mm = {float(self.pretension_mm)!r}",
             f"\n[mounting]\ngravity_g = {listed(self.gravity)}",
         ]
         lines += [tendon.to_toml() for tendon in self.tendons]
         for pair, limits in zip(self.pairs, self.command_range):
             ranged = f"range_{self.command_unit.lower()} = {listed(limits)}"
             lines.append(f"\n[[command]]\ntendons = {list(pair)!r}\n{ranged}")
+        if self.bounds:
+            lines.append("\n[fit]")
+            lines += [f"{name} = {listed(limits)}" for name, limits in self.bounds]
         return "\n".join(lines) + "\n"
+
+    def _check_bounds(self) -> None:
+        allowed = {name: (low, high) for name, low, high, _ in _RANGES}
+        for name, limits in self.bounds:
+            if len(limits) != 2 or not all(map(finite, limits)):
+                raise FingerError(f"fit.{name}: {shown(list(limits))}; expected [low, high], as [0.05, 1.0]")
+            least, most = allowed[name]
+            if not least <= limits[0] < getattr(self, name) < limits[1] <= most:
+                raise FingerError(
+                    f"fit.{name}: {list(limits)!r} around {getattr(self, name):g}; expected low < value < high within "
+                    f"{least:g} to {most:g}"
+                )
 
 
 _MOST_TEXT = 1_000_000  # characters of a file; the template has 3000
@@ -141,36 +171,43 @@ _RANGES = [
     ("cable_stiffness_n_mm", 1e-3, 1e4, "cable and drive together have about 20 N/mm"),
     ("guide_ring_mm", 0.0, 50.0, "1.5 mm is usual"),
     ("anchor_disc_mm", 0.0, 50.0, "2 mm is usual"),
+    ("pretension_mm", -5.0, 5.0, "tendons that are just straight have 0"),
 ]
 
 
 def _from_document(document: Mapping[str, Any], folder: Path) -> Finger:
-    needed, optional = ("name", "material", "mounting"), ("profile_mm", "block", "mesh", "cable", "region")
+    needed, optional = ("name", "material", "mounting"), ("profile_mm", "block", "mesh", "cable", "fit", "region")
     check_keys("", document, needed, (*optional, "tendon", "command"))
     solid = solid_from(document, folder)
     material, mounting = _table(document, "material", _MATERIAL), _table(document, "mounting", ("gravity_g",))
     tendons, commands = _tables(document, "tendon"), _tables(document, "command")
-    cable = _table(document, "cable", _CABLE) if tendons or "cable" in document else None
+    cable = {}
+    if tendons or "cable" in document:
+        cable = dict(_table(document, "cable", tuple(_CABLE), ("pretension_mm",)))
+    fit = _table(document, "fit", (), _FITTED) if "fit" in document else {}
     unit = unit_of(commands)
     return Finger(
         name=document["name"],
         solid=solid,
         **material,
-        **({} if cable is None else {f"{'cable_' * (key == _CABLE[0])}{key}": cable[key] for key in _CABLE}),
+        **{_CABLE.get(key, key): value for key, value in cable.items()},
         gravity=sequence("gravity_g", mounting["gravity_g"]),
         tendons=tuple(tendon_from(table, solid, folder) for table in tendons),
         pairs=tuple(sequence("tendons", c["tendons"]) for c in commands),
         command_range=tuple(sequence("range", c[f"range_{unit.lower()}"]) for c in commands),
         command_unit=unit,
         regions=tuple(region_from(table) for table in _tables(document, "region")),
+        bounds=tuple((name, sequence(f"fit.{name}", limits)) for name, limits in fit.items()),
     )
 
 
-def _table(document: Mapping[str, Any], name: str, keys: tuple[str, ...]) -> Mapping[str, Any]:
+def _table(
+    document: Mapping[str, Any], name: str, keys: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> Mapping[str, Any]:
     table = document.get(name)
     if not isinstance(table, dict):
         raise FingerError(f"{name}: expected a table [{name}] with {names(keys)}")
-    check_keys(name, table, keys)
+    check_keys(name, table, keys, optional)
     return table
 
 

@@ -128,6 +128,17 @@ class Sweep:
             raise SimulationError(f"{path}: triangles point outside the {n} vertices; make it again")
 
 
+def tour(places: Floats) -> NDArray[np.intp]:
+    """Return an order of the places (K, C) in which each is near the one before: always on to the nearest."""
+    left = np.ones(len(places), bool)
+    order = [int(np.argmin(np.sum(places**2, axis=1)))]
+    for _ in range(len(places) - 1):
+        left[order[-1]] = False
+        distance = np.sum((places - places[order[-1]]) ** 2, axis=1)
+        order.append(int(np.argmin(np.where(left, distance, np.inf))))
+    return np.array(order)
+
+
 class Simulator:
     """The finite elements of one finger.
 
@@ -151,6 +162,7 @@ class Simulator:
                 routes=[tendon.way() for tendon in finger.tendons],
                 drive=_drive(finger).tolist(),
                 by_tension=finger.command_unit == "N",
+                pretension=finger.pretension_mm,
                 points=points,
             )
         except _core.CoreError as error:

@@ -28,7 +28,7 @@ from softmap_edge.features import SECTIONS, sections_of
 from softmap_edge.finger import Finger
 from softmap_edge.protocol import Protocol, standard_protocol
 from softmap_edge.run import Run
-from softmap_edge.simulator import Simulator
+from softmap_edge.simulator import Simulator, tour
 from softmap_edge.truth_laws import LAWS, Law, rotation
 
 Floats = NDArray[np.float64]
@@ -262,21 +262,10 @@ def _solved(finger: Finger, modulus: float, gravity: Vector, force: Vector, u: F
 def _path(finger: Finger, modulus: float, gravity: Vector, force: Vector, commands: bytes, channels: int) -> Floats:
     """Solve different commands, each from a near one."""
     places = np.frombuffer(commands).reshape(-1, channels)
-    order = _tour(places)
+    order = tour(places)
     points = np.empty((len(places), *template(finger).shape))
     points[order] = _simulator(finger, modulus).path(places[order], gravity=gravity, load=force)
     return points
-
-
-def _tour(places: Floats) -> NDArray[np.int64]:
-    """Return an order of the places (K, C) in which each is near the one before: always on to the nearest."""
-    left = np.ones(len(places), bool)
-    order = [int(np.argmin(np.sum(places**2, axis=1)))]
-    for _ in range(len(places) - 1):
-        left[order[-1]] = False
-        distance = np.sum((places - places[order[-1]]) ** 2, axis=1)
-        order.append(int(np.argmin(np.where(left, distance, np.inf))))
-    return np.array(order)
 
 
 def _interpolated(finger: Finger, modulus: float, gravity: Vector, force: Vector, u: Floats, steps: int) -> Floats:

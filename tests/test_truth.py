@@ -227,10 +227,10 @@ def test_every_frame_is_the_equilibrium_found_on_its_own():
 
 
 def test_a_tour_visits_every_place_once_and_makes_short_steps():
-    from softmap_edge.truth import _tour
+    from softmap_edge.truth import tour
 
     places = np.random.default_rng(0).uniform(-10, 10, (200, 2))
-    order = _tour(places)
+    order = tour(places)
     assert sorted(order) == list(range(200))
     steps = np.linalg.norm(np.diff(places[order], axis=0), axis=1)
     assert np.median(steps) < 1.5  # 20 mm / sqrt(200) = 1.4 between neighbours of a grid

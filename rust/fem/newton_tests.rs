@@ -24,6 +24,7 @@ pub(super) fn design(core: usize, layers: usize) -> Design {
         mesh: mesh::finger(&[[0.0, 12.0], [60.0, 9.0]], &[55.0], resolution).unwrap(),
         body: Body::uniform(0.3, 0.46, 1070.0).unwrap(),
         cable_stiffness: 20.0,
+        pretension: 0.0,
         averaging: Averaging {
             ring: 1.5,
             disc: 2.0,

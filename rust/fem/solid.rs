@@ -26,6 +26,8 @@ pub struct Design {
     pub mesh: Mesh,
     pub body: Body,
     pub cable_stiffness: f64,
+    /// By how much every cable is shorter than its way at rest, mm; below zero it is slack.
+    pub pretension: f64,
     pub averaging: Averaging,
     pub routes: Vec<Route>,
     pub drive: Drive,
@@ -63,10 +65,13 @@ impl Solid {
                 mesh,
                 averaging,
                 cable_stiffness,
+                pretension,
                 drive,
                 ..
             } = &design;
-            Cable::new(mesh, route, *averaging, *cable_stiffness, *drive)
+            let mut cable = Cable::new(mesh, route, *averaging, *cable_stiffness, *drive)?;
+            cable.rest_length -= pretension;
+            Ok(cable)
         };
         let cables = design.routes.iter().map(bind).collect::<Result<Vec<_>>>()?;
         Solid::new(design.mesh, cables, &design.body)

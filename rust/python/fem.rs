@@ -132,7 +132,7 @@ pub struct Solid {
 impl Solid {
     /// `drive[t][c]` is what tendon t is told per unit of command c: mm of shortening, or N if `by_tension`.
     #[new]
-    #[pyo3(signature = (mesh, young, poisson, density, regions, cable_stiffness, ring, disc, routes, drive, by_tension=false, points=None, tolerance=2.5))]
+    #[pyo3(signature = (mesh, young, poisson, density, regions, cable_stiffness, ring, disc, routes, drive, by_tension=false, pretension=0.0, points=None, tolerance=2.5))]
     fn new(
         py: Python<'_>,
         mesh: &Mesh,
@@ -146,6 +146,7 @@ impl Solid {
         routes: Vec<Way>,
         drive: Vec<Vec<f64>>,
         by_tension: bool,
+        pretension: f64,
         points: Option<PyReadonlyArray2<f64>>,
         tolerance: f64,
     ) -> PyResult<Solid> {
@@ -172,6 +173,7 @@ impl Solid {
                 regions.into_iter().map(region).collect(),
             )?,
             cable_stiffness,
+            pretension,
             averaging: Averaging { ring, disc },
             routes: routes.into_iter().map(route).collect(),
             drive: if by_tension {

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
+from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 
 
@@ -125,18 +126,37 @@ def remove(args: argparse.Namespace) -> int:
 def refit_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap refit`."""
     parser.add_argument("run", help="the measured run, .npz")
-    parser.add_argument("--bundle", required=True, metavar="DIR", help="the model with effects")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--bundle", metavar="DIR", help="a model with effects: fit the effects again")
+    what.add_argument("--finger", metavar="TOML", help="a finger.toml: fit the finger's own numbers ([fit] says which)")
     bundle_arguments(parser)
 
 
 def refit(args: argparse.Namespace) -> int:
-    """Fit the effects of a bundle again; 1 if the held-out error does not fall."""
+    """Fit the effects of a bundle again, or a finger's own numbers; 1 if the held-out error does not fall."""
+    if args.finger is not None:
+        return _refit_finger(args)
     from softmap_edge.diagnosis import refit as fit_again
 
     check_bundle(args.out, args.force)
     model, report = fit_again(_bundle(args.bundle), _run(args.run))
     _write(args, model, report)
     return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
+
+
+def _refit_finger(args: argparse.Namespace) -> int:
+    from softmap_edge.finger import Finger
+    from softmap_edge.finger_fit import fit_finger
+
+    check_file("--out", args.out, ".toml")
+    with Bar(args.json) as bar:
+        found = fit_finger(Finger.load(args.finger), _run(args.run), bar)
+    Path(args.out).write_text(found.finger.to_toml(), encoding="utf-8")
+    if args.json:
+        print(json.dumps({**found.to_dict(), "out": str(args.out)}, indent=1))
+    else:
+        print(f"{found}\n{args.out}: build its model with `softmap build {args.out}`, then diagnose what is left")
+    return int(found.finger_fitted_mm > found.frame_fitted_mm)
 
 
 # --- what the verbs share -----------------------------------------------------------------------
