@@ -16,7 +16,7 @@ from softmap_edge.swaps import find_swaps, mend_swaps
 
 Array = NDArray[np.float64]
 _TOLD = 5  # swaps, and markers not seen, that are named one by one
-_OF_FRAMES = ("markers", "visible", "block", "base_markers")
+_OF_FRAMES = ("markers", "visible", "block")
 
 
 def seen(
@@ -42,7 +42,7 @@ def seen(
         notes.append(f"{int((~shown).sum())} of {len(shown)} rows show no marker and are no frames")
         table = table.rows(shown)
     table = _without_repeats(table, log.markers, notes, doubts)
-    points = _points(table, log.markers, "markers", mapping, doubts)
+    points = _points(table, log.markers, doubts)
     visible = np.asarray(np.isfinite(points).all(axis=2))
     if not visible.all():
         fields["visible"] = visible
@@ -58,8 +58,6 @@ def seen(
         doubts += _few([f"{swap}; {remedy}" for swap in swaps])
     fields["markers"] = mapping.to_base(points)
     fields["marker_labels"] = np.array(log.markers.labels)
-    if log.base is not None:
-        fields["base_markers"] = mapping.to_base(_points(table, log.base, "base", mapping, doubts))
     if log.block is not None:
         fields["block"] = table.texts()
     return table.t
@@ -69,21 +67,21 @@ def _few(lines: list[str]) -> list[str]:
     return [*lines[:_TOLD], *([f"and {len(lines) - _TOLD} more such swaps"] if len(lines) > _TOLD else [])]
 
 
-def _points(table: LogTable, quantity: Quantity, name: str, mapping: Mapping, doubts: list[str]) -> Array:
+def _points(table: LogTable, quantity: Quantity, doubts: list[str]) -> Array:
     """Points (K, M, 3) mm in the log's frame."""
     stated = table.unit(quantity.columns[0])
     stated = stated if stated in LENGTH else None
     unit = (stated or "mm") if quantity.unit == FILE else quantity.unit
     if stated is not None and stated != unit:
         doubts.append(
-            f'{name}: the file says {stated}, the mapping {unit} and is followed; set unit = "file" if it is wrong'
+            f'markers: the file says {stated}, the mapping {unit} and is followed; set unit = "file" if it is wrong'
         )
     raw = table.numbers(quantity.columns)
     raw *= LENGTH[unit]
     raw *= quantity.scale
     raw += quantity.offset
     points = raw.reshape(len(raw), -1, 3)
-    doubts += doubts_of_points(name, points, unit)
+    doubts += doubts_of_points(points, unit)
     return points
 
 

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.columns import Array, Cells, Columns
+from softmap_edge.logs.mcap_file import MAGIC
+from softmap_edge.logs.mocap import is_motive, is_trc, open_motive, open_trc
 from softmap_edge.logs.text import find_delimiter, open_text
 from softmap_edge.mapping import Clock, Column, Log
 
@@ -60,9 +62,38 @@ def open_log(path: Path, log: Log | None = None) -> Columns:
     Raises:
         RunError: it is absent, damaged, or in no format that is read here.
     """
+    kind = _format(path)
+    if kind == "c3d":
+        from softmap_edge.logs.c3d_file import open_c3d
+
+        return open_c3d(path)
+    if kind == "mcap":
+        from softmap_edge.logs.mcap_file import open_mcap
+
+        return open_mcap(path, None if log is None else log.topic)
+    if log is not None and log.topic is not None:
+        raise RunError(f"{path}: topic = '{log.topic[:60]}' is for MCAP files, and this is none; leave it out")
+    if kind in ("trc", "motive"):
+        return open_trc(path) if kind == "trc" else open_motive(path)
     skip_rows, skip_last, header = (0, 0, None) if log is None else (log.skip_rows, log.skip_last_rows, log.header)
     delimiter, decimal = (None, None) if log is None else (log.delimiter, log.decimal)
     return open_text(path, delimiter, decimal, header, skip_rows, skip_last)
+
+
+def _format(path: Path) -> str:
+    """The format of a log by its ending, else by how it begins."""
+    ending = path.suffix.lower()[1:]
+    if ending in ("c3d", "mcap", "trc"):
+        return ending
+    try:
+        with path.open("rb") as file:
+            start = file.read(64)
+    except OSError as cause:
+        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
+    if start.startswith(MAGIC):
+        return "mcap"
+    text = start.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
+    return "trc" if is_trc(text) else "motive" if is_motive(text) else "csv"
 
 
 def read_log(path: Path, log: Log) -> LogTable:
@@ -74,7 +105,7 @@ def read_log(path: Path, log: Log) -> LogTable:
     columns = open_log(path, log)
     names = columns.names
     wanted: list[Column] = [column for quantity in log.rows.values() for column in quantity.columns]
-    wanted += [column for points in (log.markers, log.base) if points is not None for column in points.columns]
+    wanted += [] if log.markers is None else list(log.markers.columns)
     wanted += [] if log.clock.column is None else [log.clock.column]
     _all_there(path, names, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
     places = sorted({place(path, names, column) for column in wanted})

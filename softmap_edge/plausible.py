@@ -8,6 +8,7 @@ y-up log or swapped axes. Pinned by tests/test_import_doubts.py.
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -87,7 +88,7 @@ def doubts_of_both(fields: dict[str, Any]) -> list[str]:
     return []
 
 
-def doubts_of_points(name: str, points: Array, unit: str) -> list[str]:
+def doubts_of_points(points: Array, unit: str) -> list[str]:
     """Say whether points (K, M, 3), converted to mm from `unit`, are no robot's size."""
     sample = points[:: max(1, len(points) // _SAMPLE)].reshape(-1, 3)
     sample = sample[np.isfinite(sample).all(axis=1)]
@@ -100,8 +101,8 @@ def doubts_of_points(name: str, points: Array, unit: str) -> list[str]:
         return []
     guess = _length(span / LENGTH[unit], "robot")
     if guess is None or guess == unit:
-        return [f'{name}: span {span:.4g} mm with unit = "{unit}", no size of a robot: check columns, unit and scale']
-    return [f'{name}: span {span:.4g} mm with unit = "{unit}", which looks like {guess}: set unit = "{guess}"']
+        return [f'markers: span {span:.4g} mm with unit = "{unit}", no size of a robot: check columns, unit and scale']
+    return [f'markers: span {span:.4g} mm with unit = "{unit}", which looks like {guess}: set unit = "{guess}"']
 
 
 def _length(number: float, what: str) -> str | None:
@@ -114,8 +115,9 @@ def doubts_of_rest(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Map
     """Say whether the markers at rest run along z of the base frame, and begin near its origin."""
     markers = fields["markers"]
     rest = at_rest(t, t_seen, fields.get("command"), markers)
-    base = fields.get("base_markers")
-    start = None if base is None else _middle(base).mean(axis=0)
+    fixed = np.array([is_base(label) for label in fields["marker_labels"]])
+    start = rest[fixed].mean(axis=0) if fixed.any() and not fixed.all() else None
+    rest = rest if start is None else rest[~fixed]
     along = rest_axis(rest, start)
     if along is None:
         return []
@@ -137,6 +139,11 @@ def doubts_of_rest(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Map
             "last: set frame.origin_mm to the place of the clamp"
         )
     return doubts
+
+
+def is_base(label: str) -> bool:
+    """Whether a marker's name says that it sits on the clamp and not on the robot."""
+    return bool(re.search(r"base|clamp|mount|ground|frame", label, re.IGNORECASE))
 
 
 def at_rest(t: Array, t_seen: Array, command: Array | None, markers: Array) -> Array:

@@ -40,7 +40,7 @@ def test_every_key_and_unit_is_on_the_page(tmp_path, monkeypatch):
     monkeypatch.setattr(toml_table.TomlTable, "get", lambda self, key, *rest: asked.add(key) or get(self, key, *rest))
     (tmp_path / "map.toml").write_text(PAGE_MAP, encoding="utf-8")
     read_mapping(tmp_path / "map.toml")
-    asked |= set(mapping._UNITS) | {unit for units in mapping._UNITS.values() for unit in units} | set(mapping.TIME)
+    asked |= set(mapping.UNITS) | {unit for units in mapping.UNITS.values() for unit in units} | set(mapping.TIME)
     assert {"skip_last_rows", "marker_rest_mm", "load_g", "spool_radius_mm"} <= asked
     assert [key for key in sorted(asked) if not re.search(rf"[`\[]{key}\b|, {key}[, ]", PAGE)] == []
 

@@ -20,7 +20,7 @@ VERBS: list[Verb] = [
     Verb("build", "make a model", "finger.toml → bundle", "softmap_edge.commands.make"),
     Verb("learn", "make a model", "reference run → rod bundle", "softmap_edge.commands.make"),
     Verb("sweep", "make a model", "simulate a grid of commands", "softmap_edge.commands.make"),
-    Verb("import", "set up", "CSV log + mapping file → run", "softmap_edge.commands.runs"),
+    Verb("import", "set up", "logs + mapping file → run; --guess proposes one", "softmap_edge.commands.runs"),
     Verb("align", "set up", "camera or mocap frame → base frame", "softmap_edge.commands.align"),
     Verb("check", "look", "is this run or bundle sound", "softmap_edge.commands.runs"),
     Verb("show", "look", "what is in a run or bundle", "softmap_edge.commands.runs"),

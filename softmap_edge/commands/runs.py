@@ -1,4 +1,4 @@
-"""Verbs about files: import (CSV logs → run), check and show (run or bundle)."""
+"""Verbs about files: import (logs → run, or a proposed mapping), check and show (run or bundle)."""
 
 from __future__ import annotations
 
@@ -24,15 +24,19 @@ _WIDTH = 48  # characters of a trace
 
 def import_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `import`."""
-    parser.add_argument("logs", nargs="+", metavar="LOG.csv", help="the logs of one recording")
-    parser.add_argument(
-        "--map", required=True, help="mapping file: docs/mapping.md lists its keys, examples/trunk.toml shows the form"
-    )
-    parser.add_argument("--out", required=True, help="the run to write (.npz)")
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="the logs of one recording: CSV, TRC, C3D, MCAP")
+    how = parser.add_mutually_exclusive_group(required=True)
+    how.add_argument("--map", help="mapping file: docs/mapping.md lists its keys, examples/trunk.toml shows the form")
+    how.add_argument("--guess", action="store_true", help="propose a mapping from the header and the ranges")
+    parser.add_argument("--out", help="the run to write (.npz); with --guess the mapping (.toml), else it is printed")
 
 
 def import_(args: argparse.Namespace) -> int:
-    """Read logs by a mapping and write a run."""
+    """Read logs by a mapping and write a run, or propose the mapping."""
+    if args.guess:
+        return _guess(args)
+    if args.out is None:
+        raise RunError("--out is missing; name the run to write (.npz)")
     check_file("--out", args.out, ".npz")
     imported = import_logs(args.logs, read_mapping(args.map))
     run = imported.run
@@ -52,6 +56,29 @@ def import_(args: argparse.Namespace) -> int:
     else:
         lines = [*(f"  {note}" for note in imported.notes), *(f"  look at: {doubt}" for doubt in imported.doubts)]
         print("\n".join([str(run), *lines, f"written to {args.out}"]))
+    return DONE
+
+
+def _guess(args: argparse.Namespace) -> int:
+    from softmap_edge.guess import guess_mapping
+
+    check_file("--out", args.out, ".toml")
+    found = guess_mapping(args.logs)
+    if args.out is not None:
+        Path(args.out).write_text(found.text, encoding="utf-8")
+    if args.json:
+        print(json.dumps(found.to_dict() | {"out": args.out}, ensure_ascii=False))
+        return DONE
+    if args.out is None:
+        print("\n".join([found.text, *(f"# the import says: {line}" for line in found.said)]))
+        return DONE
+    lines = [*(f"assumed   {line}" for line in found.assumed), *(f"unknown   {line}" for line in found.unknown)]
+    lines += [f"tried     {line}" for line in found.said]
+    print(
+        "\n".join(
+            [*lines, f"written to {args.out}: read it, put right what is wrong, then import with --map {args.out}"]
+        )
+    )
     return DONE
 
 

@@ -24,6 +24,7 @@ from softmap_edge.mapping import ANGLE, LENGTH, TIME
 LIMIT = 2**30  # bytes of one log: about 5 million rows of 16 columns
 LONGEST = 2**20  # characters of one line: 50 000 columns
 _BLOCK = 2**22  # characters read at a time
+_HEAD = 1000  # lines in which a header must be
 _ABSENT = {"", "nan", "na", "n/a", "null", "none", "-nan"}
 _DELIMITERS = (",", ";", "\t", "|")
 _OTHERS = ("", "-", "°", "°c", "degrees", "radians", "n", "ma", "a", "g", "kg")
@@ -43,6 +44,17 @@ class TextColumns:
     units: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     where: str = "line"
+    header: bool = True
+
+    def texts(self, rows: int) -> dict[str, list[str]]:
+        """Return the columns that hold text in the first rows, with that text."""
+        lines = [line for line in first_lines(self.path, rows, self.first) if line.strip()]
+        cells = [row for line in lines if len(row := split(line, self.delimiter)) == len(self.names)]
+        found: dict[str, list[str]] = {}
+        for name, column in zip(self.names, zip(*cells)):
+            if any(cell.lower() not in _ABSENT and not is_number(cell) for cell in column):
+                found[name] = list(column)
+        return found
 
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
         """Return the cells of some columns.
@@ -152,7 +164,7 @@ def open_text(
     Raises:
         RunError: the file is absent, too large, not text, empty, or has no header where one is expected.
     """
-    start = next(_blocks(path, skip_rows + 1), (0, []))[1][:1000]
+    start = first_lines(path, _HEAD, skip_rows + 1)
     at = comment = 0
     while at < len(start) and (not start[at].strip() or start[at].lstrip()[0] in "#%"):
         comment = at + 1 if start[at].strip() else comment
@@ -170,7 +182,7 @@ def open_text(
     head = above if named else split(start[at], cut)
     body = at if named or header is False or (header is None and bare) else at + 1
     names = head if named or body > at else [str(k) for k in range(len(head))]
-    columns = TextColumns(path, names, skip_rows + 1 + body, cut, decimal or ".", skip_last)
+    columns = TextColumns(path, names, skip_rows + 1 + body, cut, decimal or ".", skip_last, header=body > at or named)
     return _below(columns, start[body : body + 20], found_decimal=decimal is None)
 
 
@@ -219,9 +231,14 @@ def is_number(cell: str) -> bool:
 
 
 # --- the lines -----------------------------------------------------------------------------
-def first_lines(path: Path, count: int) -> list[str]:
-    """Return the first lines of a text log."""
-    return next(_blocks(path, 1), (1, []))[1][:count]
+def first_lines(path: Path, count: int, first: int = 1) -> list[str]:
+    """Return at most `count` lines of a text log from line `first` on."""
+    found: list[str] = []
+    for _, lines in _blocks(path, first):
+        found += lines[: count - len(found)]
+        if len(found) == count:
+            break
+    return found
 
 
 def _blocks(path: Path, first: int) -> Iterator[tuple[int, list[str]]]:

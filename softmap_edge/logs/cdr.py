@@ -1,0 +1,215 @@
+"""Turns a serialised ROS 2 message into named numbers, without ROS: `position[j1]`, `pose.position.x`.
+
+    definition (.msg text)  →  fields of each type        message (CDR, XCDR1)  →  {name: number}
+
+Sequences get the index in brackets, or a name where the message has one: a sibling `name` or `joint_names` of the
+same length (JointState), or the element's own `child_frame_id` or `…name` (TFMessage, rigid bodies). Times are
+seconds. Texts, bytes and sequences of more than 1024 elements are passed over. Nothing here trusts the bytes: a length
+is checked against what is left before it is used, types cannot nest without end, and every fault is a `CdrError`.
+Reference: OMG DDS-XTypes 1.3, 7.4.1 (plain CDR); the .msg grammar of ROS 2. Pinned by tests/test_import_mcap.py
+against another implementation.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from dataclasses import dataclass
+
+PRIMITIVES = {"bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H"}
+PRIMITIVES |= {"int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d"}
+LONGEST = 1024  # elements of a sequence that become columns
+MOST = 4096  # numbers of one message
+_DEEPEST = 16  # types within types
+_BYTES = ("byte", "char", "int8", "uint8")
+_TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
+_FIELD = re.compile(r"^([\w/]+)(<=\d+)?(\[(?:<=)?\d*\])?\s+(\w+)")
+
+
+class CdrError(ValueError):
+    """A message or its definition cannot be read."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field: `count` is None for one value, -1 for a sequence, else the length of an array."""
+
+    name: str
+    type: str
+    count: int | None
+
+
+Types = dict[str, list[Field]]
+
+
+def parse_definition(name: str, text: str) -> Types:
+    """Return the fields of a type and of all that it contains.
+
+    Args:
+        name: the type, such as `sensor_msgs/msg/JointState`.
+        text: its definition and, after lines of `=`, those of the types within.
+
+    Raises:
+        CdrError: a line is no field, or a type within is not defined.
+    """
+    types: Types = {}
+    for k, part in enumerate(re.split(r"^={20,}\s*$", text, flags=re.MULTILINE)):
+        lines = part.strip().splitlines()
+        key = _short(name)
+        if k:
+            if not lines or not lines[0].startswith("MSG:"):
+                raise CdrError("a definition does not begin with MSG:")
+            key, lines = _short(lines[0][4:].strip()), lines[1:]
+        types[key] = [field for line in lines if (field := _field(line, key)) is not None]
+    known = {*PRIMITIVES, *_TIMES, "string", "wstring"}
+    for fields in types.values():
+        for field in fields:
+            if field.type not in known and field.type not in types:
+                raise CdrError(f"the type {field.type[:60]} is not defined")
+    return types
+
+
+def _short(name: str) -> str:
+    return name.replace("/msg/", "/")
+
+
+def _field(line: str, owner: str) -> Field | None:
+    line = line.split("#")[0].strip()
+    if not line or re.match(r"^[\w/]+(<=\d+)?\s+\w+\s*=", line):  # a constant
+        return None
+    found = _FIELD.match(line)
+    if found is None:
+        raise CdrError(f"'{line[:60]}' is no field of a message")
+    kind, array, name = found[1], found[3], found[4]
+    if kind not in PRIMITIVES and kind not in ("string", "wstring"):
+        kind = _short(kind if "/" in kind else f"{owner.split('/')[0]}/{kind}")
+        kind = {"time": _TIMES[0], "duration": _TIMES[1]}.get(kind.split("/")[-1], kind)
+    if array is None:
+        return Field(name, kind, None)
+    count = array[1:-1]
+    return Field(name, kind, int(count) if count.isdigit() else -1)
+
+
+# --- messages ------------------------------------------------------------------------------
+def read_message(name: str, types: Types, data: bytes) -> dict[str, float]:
+    """Return the numbers of a message by their names, in its order.
+
+    Raises:
+        CdrError: the bytes do not fit the definition.
+    """
+    reader = _Reader(data)
+    numbers: dict[str, float] = {}
+    try:
+        _struct(_short(name), types, reader, "", numbers, 0)
+    except struct.error:
+        raise CdrError("a message ends early") from None
+    return numbers
+
+
+class _Reader:
+    """The bytes of one message and how far they are read."""
+
+    def __init__(self, data: bytes) -> None:
+        if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
+            raise CdrError(f"a message begins with {data[:2].hex()}, expected plain CDR (0000 or 0001)")
+        self.data, self.at, self.order = data, 4, "<" if data[1] else ">"
+
+    def one(self, code: str) -> float:
+        size = struct.calcsize(code)
+        self.at += -(self.at - 4) % size
+        (value,) = struct.unpack_from(self.order + code, self.data, self.at)
+        self.at += size
+        return float(value) if code in "fd" else value
+
+    def many(self, code: str, count: int) -> tuple[float, ...]:
+        if count == 0:
+            return ()
+        size = struct.calcsize(code)
+        self.at += -(self.at - 4) % size
+        self.left(count, size)
+        values = struct.unpack_from(f"{self.order}{count}{code}", self.data, self.at)
+        self.at += count * size
+        return values
+
+    def length(self, size: int) -> int:
+        count = int(self.one("I"))
+        self.left(count, size)
+        return count
+
+    def left(self, count: int, size: int) -> None:
+        if count * size > len(self.data) - self.at:
+            raise CdrError(f"a sequence of {count} elements is longer than its message")
+
+    def text(self) -> str:
+        count = self.length(1)
+        raw = self.data[self.at : self.at + count]
+        self.at += count
+        return raw.rstrip(b"\0").decode("utf-8", "replace")
+
+
+def _struct(name: str, types: Types, reader: _Reader, path: str, out: dict[str, float], depth: int) -> dict[str, str]:
+    """Read one struct into `out`; return its texts."""
+    if depth > _DEEPEST:
+        raise CdrError("types are nested without end")
+    if name in _TIMES and name not in types:
+        out[path.rstrip(".")] = reader.one("i") + 1e-9 * reader.one("I")
+        return {}
+    texts: dict[str, str] = {}
+    keys: list[str] = []  # names of the elements of sequences in this struct
+    if not types[name]:  # an empty type is one byte
+        reader.one("B")
+    for field in types[name]:
+        here = f"{path}{field.name}"
+        if field.count is None:
+            if field.type == "string":
+                texts[field.name] = reader.text()
+            elif field.type in PRIMITIVES:
+                _put(out, here, reader.one(PRIMITIVES[field.type]))
+            elif field.type in _TIMES:
+                _put(out, here, reader.one("i") + 1e-9 * reader.one("I"))
+            else:
+                inner = _nested(field, types, reader, f"{here}.", out, depth)
+                texts |= {f"{field.name}.{name}": text for name, text in inner.items()}
+            continue
+        count = reader.length(1) if field.count < 0 else field.count
+        if field.type in PRIMITIVES:
+            values = reader.many(PRIMITIVES[field.type], count)
+            if field.type not in _BYTES and count <= LONGEST:
+                named = keys if len(keys) == count else [str(k) for k in range(count)]
+                for key, value in zip(named, values):
+                    _put(out, f"{here}[{key}]", float(value))
+        elif field.type == "string":
+            reader.left(count, 4)
+            found = [reader.text() for _ in range(count)]
+            keys = found if field.name in ("name", "names", "joint_names") and len(set(found)) == count else keys
+        else:
+            reader.left(count, 1)
+            for k in range(count):
+                _element(k, field, types, reader, here, out, depth)
+    return texts
+
+
+def _nested(
+    field: Field, types: Types, reader: _Reader, here: str, out: dict[str, float], depth: int
+) -> dict[str, str]:
+    if field.type == "wstring":
+        raise CdrError("texts of type wstring are not read")
+    return _struct(field.type, types, reader, here, out, depth + 1)
+
+
+def _element(k: int, field: Field, types: Types, reader: _Reader, here: str, out: dict[str, float], depth: int) -> None:
+    """One struct of a sequence, called by its own name if it has one."""
+    own: dict[str, float] = {}
+    texts = _nested(field, types, reader, "", own, depth)
+    key = next(
+        (v for n, v in texts.items() if v and (n == "child_frame_id" or re.fullmatch(r"(\w+_)?name", n))), str(k)
+    )
+    if k < LONGEST:
+        for name, value in own.items():
+            _put(out, f"{here}[{key}].{name}", value)
+
+
+def _put(out: dict[str, float], name: str, value: float) -> None:
+    if len(out) >= MOST:
+        raise CdrError(f"a message holds more than {MOST} numbers")
+    out[name] = float(value)

@@ -1,0 +1,210 @@
+"""`softmap import --guess` proposes a mapping that imports, says what it assumed, and says what no log can tell."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from logs import ROOT, made_log, trunk_folder
+from recordings import places, robot_messages, write_c3d, write_mcap, write_motive, write_trc
+
+from softmap_edge.cli import main
+from softmap_edge.errors import RunError
+from softmap_edge.guess import guess_mapping
+from softmap_edge.importer import import_logs, read_mapping
+
+
+def imported(folder, found, paths):
+    """The run of a proposal, and what the import says of it."""
+    (folder / "map.toml").write_text(found.text, encoding="utf-8")
+    return import_logs(paths, read_mapping(folder / "map.toml"))
+
+
+def written(folder, text, name="log.csv"):
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def told(lines, *words):
+    return any(all(word in line for word in words) for line in lines)
+
+
+# --- published logs ------------------------------------------------------------------------
+def test_the_trunk(tmp_path):
+    """Two files, a counter, commands and encoders in degrees, three bodies in metres, y up, hanging."""
+    folder = trunk_folder()
+    logs = [folder / "control_inputs_controlled_1.csv", folder / "observations_controlled_1.csv"]
+    found = guess_mapping(logs)
+    done = imported(tmp_path, found, logs)
+    right = import_logs(logs, read_mapping(ROOT / "examples" / "trunk.toml")).run
+    run = done.run
+    assert done.doubts == () and run.command_unit == "deg"
+    for name in ("t", "command", "present", "t_seen", "block"):
+        assert np.array_equal(getattr(run, name), getattr(right, name)), name
+    shift = run.markers - right.markers  # the place of the clamp is a guess, and said to be one
+    assert np.ptp(shift, axis=0).max() < 1e-9 and np.linalg.norm(shift[0, 0]) < 5.0
+    assert told(found.unknown, "how fast 'ID' counts", "100 Hz") and told(found.unknown, "where the clamp is")
+    assert told(found.unknown, "gravity is not declared") and told(found.unknown, "radius of the spools")
+    assert told(found.assumed, "encoders: in deg", "12-bit servo") and told(found.assumed, "runs along -y")
+    assert told(found.said, "79 % of the rows repeat")
+
+
+@pytest.mark.parametrize("name", ["val.csv", "train.csv"])
+def test_the_tdcr(tmp_path, name):
+    """Nine tendons named by servo, out of order: the order of the file is kept; a tip; labels of patterns."""
+    path = ROOT.parent / "shared" / "data" / "tdcr" / name
+    path = path if path.is_file() else ROOT / "data" / "tdcr" / name
+    if not path.is_file():
+        pytest.skip("not run: the tdcr logs are not here; `make data` brings them")
+    found = guess_mapping([path])
+    done = imported(tmp_path, found, [path])
+    raw = np.genfromtxt(path, delimiter=",", skip_header=1)
+    run = done.run
+    assert run.command_unit == "mm" and np.array_equal(run.command, raw[:, 2:11])
+    assert run.markers[:, 0] == pytest.approx(raw[:, 11:], abs=1e-9) and run.present is None
+    assert run.t == pytest.approx(raw[:, 0] - raw[0, 0], abs=1e-6) and done.doubts == ()
+    assert len(set(run.block)) == len({line.split(",")[1] for line in path.read_text().splitlines()[1:]})
+    assert told(found.assumed, "in the order of the file") and told(found.assumed, "'pattern_label'")
+
+
+def test_the_beam(tmp_path):
+    path = ROOT.parent / "shared" / "data" / "beam" / "beam_load52_V2_a.c3d"
+    path = path if path.is_file() else ROOT / "data" / "beam" / path.name
+    if not path.is_file():
+        pytest.skip("not run: the beam's recordings are not here; `make data` brings them")
+    found = guess_mapping([path])
+    done = imported(tmp_path, found, [path])
+    assert (done.run.channels, done.run.frames) == (0, 600) and done.doubts == ()
+    assert [str(label)[:4] for label in done.run.extra["marker_labels"]] == ["Base"] * 3 + ["Tip "] * 3
+    assert np.median(done.run.markers[:, 3:], axis=(0, 1))[2] > 80  # the base frame is at the clamp, z to the tip
+    assert told(found.unknown, "what was commanded") and told(found.assumed, "softmap align", "0:X,Y,Z")
+
+
+# --- recordings of motion capture and ROS --------------------------------------------------
+@pytest.mark.parametrize(
+    ("write", "name", "unit"),
+    [(write_trc, "a.trc", "mm"), (write_motive, "a.csv", "Meters"), (write_c3d, "a.c3d", "m")],
+)
+def test_motion_capture(tmp_path, write, name, unit):
+    t, points = places()
+    points[20:25, 1] = np.nan
+    turned = np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)  # y up, hanging
+    path = write(tmp_path / name, t, turned / (1 if unit == "mm" else 1000), unit)
+    found = guess_mapping([path])
+    done = imported(tmp_path, found, [path])
+    assert done.doubts == () and done.run.markers.shape == (60, 3, 3)
+    assert np.nanmedian(done.run.markers[:, 2], axis=0)[2] == pytest.approx(120.0, abs=0.1)  # from the marker "base"
+    assert 'axes = ["x", "z", "-y"]' in found.text and 'unit = "file"' in found.text
+    assert done.run.visible.sum() == 180 - 5 and told(found.assumed, "1 are on the clamp")
+
+
+def test_a_recording_of_ros(tmp_path):
+    path = write_mcap(tmp_path / "run.mcap", robot_messages(200))
+    found = guess_mapping([path])
+    run = imported(tmp_path, found, [path]).run
+    assert run.command_unit == "rad" and run.channels == 2 and run.markers.shape[1] == 3
+    assert run.present[:-1] == pytest.approx(0.9 * run.command[:-1], abs=0.01) and run.t[0] == 0.0
+    assert 'topic = "/goal"' in found.text and 'topic = "/joint_states"' in found.text
+
+
+# --- logs of a laboratory ------------------------------------------------------------------
+def bench_log(head, t, u, points, mark=","):
+    rows = np.column_stack([t, u, points.reshape(len(t), -1)])
+    return mark.join(head) + "\n" + "\n".join(mark.join(f"{x:.9g}" for x in row) for row in rows)
+
+
+XYZ = [f"m{k}_{axis}" for k in range(3) for axis in "xyz"]
+
+
+@pytest.mark.parametrize(
+    ("head", "scale", "words"),
+    [
+        (["time_ms", "cmd_1_deg", "cmd_2_deg"], (1000, 60, 1), ['unit = "ms"', 'command_unit = "deg"']),
+        (["Time [s]", "u1 (mm)", "u2 (mm)"], (1, 8, 1e-3), ['column = "Time [s]", unit = "s"', 'unit = "m", columns']),
+        (["stamp", "motor_a", "motor_b"], (1e9, 0.8, 1), ['unit = "ns"', 'command_unit = "rad"']),
+        (["t", "goal1", "goal2"], (1, 2000.4, 1), ["goal1"]),
+    ],
+)
+def test_names_and_ranges_tell_units(tmp_path, head, scale, words):
+    t, points = places(400)
+    u = scale[1] * np.column_stack([np.sin(t), np.cos(t)])
+    path = written(tmp_path, bench_log([*head, *XYZ], t * scale[0], u, points * scale[2]))
+    found = guess_mapping([path])
+    assert all(word in found.text for word in words), found.text
+    run = imported(tmp_path, found, [path]).run
+    assert run.markers[5, 2, 2] - run.markers[5, 0, 2] == pytest.approx(120, abs=0.2) and run.channels == 2
+    assert run.t == pytest.approx(t, abs=1e-5)
+
+
+def test_ticks_stay_ticks(tmp_path):
+    t, points = places(400)
+    u = np.rint(2048 + 900 * np.column_stack([np.sin(t), np.cos(t)]))
+    path = written(
+        tmp_path, bench_log(["t", "goal_1", "goal_2", "present_1", "present_2", *XYZ], t, np.hstack([u, u]), points)
+    )
+    run = imported(tmp_path, guess_mapping([path]), [path]).run
+    assert np.array_equal(run.ticks, u) and np.array_equal(run.present_ticks, u) and run.command is None
+
+
+def test_semicolons_labels_current_and_doubled_stamps(tmp_path):
+    t, points = places(300)
+    t = np.arange(300) // 4 / 25  # four rows a stamp
+    u = np.column_stack([8 * np.sin(t), 8 * np.cos(t), 300 * np.sin(t), 250 + 0 * t, 21 + 0 * t])
+    head = ["t", "u1", "u2", "current_1_ma", "current_2_ma", "temp_c"]
+    lines = bench_log([*head, *XYZ], t, u, points, ";").replace(".", ",").splitlines()
+    parts = ["part"] + ["up"] * 150 + ["down"] * 150
+    path = written(tmp_path, "\n".join(f"{line};{part}" for line, part in zip(lines, parts)))
+    found = guess_mapping([path])
+    run = imported(tmp_path, found, [path]).run
+    assert set(run.block) == {"up", "down"} and run.current.shape == (300, 2) and run.temperature[0] == 21.0
+    assert 'repeated = "spread"' in found.text and np.diff(run.t) == pytest.approx(0.01, abs=1e-9)
+
+
+def test_without_a_header_it_says_that_it_cannot_know(tmp_path):
+    text, _ = made_log()
+    path = written(tmp_path, text.split("\n", 1)[1])
+    with pytest.raises(RunError, match=r"no column looks like a command or a marker .*0 \(0 to 1\.9\)") as fault:
+        guess_mapping([path])
+    assert "docs/mapping.md" in str(fault.value) and "\n" not in str(fault.value)
+
+
+def test_what_fails_on_trial_is_said(tmp_path):
+    """A row that goes back in time is beyond the rows that are looked at."""
+    t, points = places(21_000)
+    t[20_500] = 1.0
+    u = np.column_stack([np.sin(t), np.cos(t)])
+    path = written(tmp_path, bench_log(["t", "u1_mm", "u2_mm", *XYZ], t, u, points))
+    found = guess_mapping([path])
+    assert told(found.said, "as it stands it cannot be imported", "time goes backwards")
+
+
+# --- the verb ------------------------------------------------------------------------------
+def test_the_verb_prints_or_writes_what_it_proposes(tmp_path, capsys):
+    t, points = places()
+    path = str(write_c3d(tmp_path / "a.c3d", t, points))
+    assert main(["import", path, "--guess"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("# Proposed") and re.search(r"^# UNKNOWN .*where the clamp is", printed, re.MULTILINE)
+    out = str(tmp_path / "map.toml")
+    assert main(["import", path, "--guess", "--out", out]) == 0
+    said = capsys.readouterr().out
+    assert "assumed   markers" in said and "unknown   what was commanded" in said and f"--map {out}" in said
+    assert main(["import", path, "--map", out, "--out", str(tmp_path / "run.npz")]) == 0
+    capsys.readouterr()
+    assert main(["import", path, "--guess", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["schema"] == "softmap.guess/1" and document["mapping"] in printed and document["unknown"]
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["--guess", "--out", "run.npz"], "saved as .toml"),
+        (["--map", "map.toml"], "--out is missing"),
+        ([], "one of the arguments --map --guess is required"),
+    ],
+)
+def test_wrong_use_of_the_verb(tmp_path, capsys, argv, words):
+    path = str(written(tmp_path, made_log()[0]))
+    assert main(["import", path, *argv]) == 2
+    assert words in capsys.readouterr().err

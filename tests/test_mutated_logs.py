@@ -1,0 +1,174 @@
+"""Damaged logs of every format, and damaged mappings, give an error of ours: never a crash or another exception.
+
+Each format is one line of FORMATS; `damage.py` says how files are spoiled and used.
+"""
+
+import pytest
+from damage import Format, assert_500, assert_10000, run_all, spoil_bytes, spoil_one_of, spoil_text_file
+from recordings import JOINT_STATE, places, robot_messages, write_c3d, write_mcap, write_motive, write_trc
+
+LOG = "t,a,b,x,y,z\n" + "".join(f"{k / 10},{k % 3},-{k % 5},{k},{2 * k},7.5\n" for k in range(20))
+MAP = """schema = "softmap.mapping/1"
+robot = "bench"
+command_unit = "deg"
+zero_time = true
+[[log]]
+file = "*.csv"
+skip_rows = 0
+time = { column = "t", unit = "s", offset_s = 0.5, repeated = "refuse" }
+command = { columns = ["a"], unit = "rad", scale = [-1], offset = 0.1 }
+present = { columns = ["b"], held = "unhold" }
+markers = { columns = [["x", "y", "z"]], unit = "cm" }
+[frame]
+axes = ["x", "z", "-y"]
+origin_mm = [1.0, 2.0, 3.0]
+[commands]
+rate_hz = 20
+[seen]
+rate_hz = 5
+from_s = 0.6
+[blocks]
+count = 3
+[constant]
+gravity = [0.0, 0.0, 1.0]
+load_g = { "*" = 5.0 }
+"""
+
+
+def logs_sample(folder):
+    (folder / "log.csv").write_text(LOG)
+    (folder / "map.toml").write_text(MAP)
+    return folder
+
+
+def trc_sample(folder):
+    return write_trc(folder / "take.trc", *places(20))
+
+
+def motive_sample(folder):
+    t, points = places(20)
+    return write_motive(folder / "take.csv", t, points / 1000)
+
+
+def c3d_sample(folder):
+    return write_c3d(folder / "take.c3d", *places(20))
+
+
+def mcap_sample(folder):
+    return write_mcap(folder / "run.mcap", robot_messages(20), "zstd")
+
+
+def bare_mcap_sample(folder):
+    """Chunks that are not packed, so that the damage reaches the messages and their definitions."""
+    return write_mcap(folder / "run.mcap", robot_messages(20), "none")
+
+
+def message_sample(folder):
+    """One message, without the recording around it: every byte of the damage is felt by the decoder."""
+    from mcap_ros2._dynamic import serialize_dynamic
+    from recordings import joint_state
+
+    encode = serialize_dynamic(*JOINT_STATE)[JOINT_STATE[0]]
+    (folder / "message.cdr").write_bytes(encode(joint_state(1.5, (1.0, 2.0))))
+    return folder / "message.cdr"
+
+
+# --- damage --------------------------------------------------------------------------------
+def spoil_binary(sample, folder, rng):
+    (folder / sample.name).write_bytes(spoil_bytes(sample.read_bytes(), rng))
+    return folder / sample.name
+
+
+def spoil_counts(sample, folder, rng):
+    """Set a few words of the file to the largest, the smallest or a chance number: sizes that promise the moon."""
+    data = bytearray(sample.read_bytes())
+    for _ in range(rng.integers(1, 4)):
+        size = int(rng.choice([1, 2, 4, 8]))
+        at = int(rng.integers(max(1, len(data) - size)))
+        words = [b"\xff" * size, b"\0" * size, rng.bytes(size), b"\x7f" + b"\xff" * (size - 1)]
+        data[at : at + size] = words[int(rng.integers(4))]
+    (folder / sample.name).write_bytes(data)
+    return folder / sample.name
+
+
+# --- use -----------------------------------------------------------------------------------
+def use_logs(folder):
+    from softmap_edge.importer import import_logs, read_mapping
+
+    import_logs([folder / "log.csv"], read_mapping(folder / "map.toml"))
+
+
+MARKERS = """schema = "softmap.mapping/1"
+[[log]]
+time = { column = "time" }
+markers = { columns = ["base.x", "base.y", "base.z", "middle.x", "middle.y", "middle.z", "tip.x", "tip.y", "tip.z"] }
+"""
+
+
+TIP = ", ".join(f'"transforms[tip].transform.translation.{axis}"' for axis in "xyz")
+TOPICS = f"""schema = "softmap.mapping/1"
+command_unit = "rad"
+[[log]]
+topic = "/goal"
+time = {{ column = "time" }}
+command = {{ columns = ["position[left]"] }}
+[[log]]
+topic = "/tf"
+time = {{ column = "log_time" }}
+markers = {{ unit = "m", columns = [{TIP}] }}
+"""
+
+
+def use_markers(path):
+    from softmap_edge.importer import import_logs, read_mapping
+
+    (path.parent / "map.toml").write_text(MARKERS)
+    import_logs([path], read_mapping(path.parent / "map.toml"))
+
+
+def use_mcap(path):
+    from softmap_edge.importer import import_logs, read_mapping
+    from softmap_edge.logs.mcap_file import topics
+
+    topics(path)
+    (path.parent / "map.toml").write_text(TOPICS)
+    import_logs([path], read_mapping(path.parent / "map.toml"))
+
+
+def use_message(path):
+    from softmap_edge.errors import RunError
+    from softmap_edge.logs.cdr import CdrError, parse_definition, read_message
+
+    try:
+        read_message(JOINT_STATE[0], parse_definition(*JOINT_STATE), path.read_bytes())
+    except CdrError as fault:
+        raise RunError(str(fault)) from None
+
+
+FORMATS = [
+    Format("log", logs_sample, spoil_one_of("log.csv"), use_logs),
+    Format("mapping", logs_sample, spoil_one_of("map.toml"), use_logs),
+    Format("trc", trc_sample, spoil_text_file, use_markers),
+    Format("motive", motive_sample, spoil_text_file, use_markers),
+    Format("c3d", c3d_sample, spoil_binary, use_markers),
+    Format("c3d counts", c3d_sample, spoil_counts, use_markers),
+    Format("mcap", mcap_sample, spoil_binary, use_mcap),
+    Format("mcap bare", bare_mcap_sample, spoil_binary, use_mcap),
+    Format("mcap counts", bare_mcap_sample, spoil_counts, use_mcap),
+    Format("message", message_sample, spoil_counts, use_message),
+]
+
+
+@pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
+def test_500_damaged_logs(form, tmp_path):
+    assert_500(__file__, form, tmp_path)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
+def test_10000_damaged_logs(form, tmp_path):
+    assert_10000(__file__, form, tmp_path)
+
+
+if __name__ == "__main__":
+    run_all(FORMATS)
