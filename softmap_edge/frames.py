@@ -16,7 +16,7 @@ from softmap_edge.swaps import find_swaps, mend_swaps
 
 Array = NDArray[np.float64]
 _TOLD = 5  # swaps, and markers not seen, that are named one by one
-_OF_FRAMES = ("markers", "visible", "block")
+_OF_FRAMES = ("markers", "visible", "block", "base_markers")
 
 
 def seen(
@@ -58,6 +58,8 @@ def seen(
         doubts += _few([f"{swap}; {remedy}" for swap in swaps])
     fields["markers"] = mapping.to_base(points)
     fields["marker_labels"] = np.array(log.markers.labels)
+    if log.base is not None:
+        fields["base_markers"] = mapping.to_base(_points(table, log.base, doubts))
     if log.block is not None:
         fields["block"] = table.texts()
     return table.t

@@ -74,6 +74,7 @@ class _Found:
     present: tuple[Sheet, Role] | None = None
     others: list[tuple[Sheet, Role]] = field(default_factory=list)
     points: tuple[Sheet, list[list[str]], str] | None = None
+    base: list[list[str]] = field(default_factory=list)  # markers on the clamp
     label: str | None = None
     times: dict[int, tuple[str | None, str]] = field(default_factory=dict)
 
@@ -139,18 +140,20 @@ def _find_points(sheets: list[Sheet], found: _Found) -> None:
     if not triples:
         found.unknown.append("where the markers are: no columns named x, y, z of a place; nothing is seen in this run")
         return
-    triples = sorted(triples, key=lambda triple: not is_base(triple[0]))  # markers on the clamp first
+    found.base = [triple for triple in triples if is_base(triple[0])]
+    triples = [triple for triple in triples if triple not in found.base]
+    if not triples:
+        triples, found.base = found.base, []
     flat = [name for triple in triples for name in triple]
     points = sheet.rows_of(flat).reshape(len(sheet.numbers), -1, 3)
     unit, why = length_unit(points, sheet.units.get(flat[0]))
     found.points = (sheet, triples, unit)
     found.assumed.append(f"markers: {len(triples)} of {_called(sheet)}, in the order of the columns, base first; {why}")
-    fixed = sum(is_base(triple[0]) for triple in triples)
-    if fixed:
-        numbers = " ".join(f"{k}:X,Y,Z" for k in range(fixed))
+    if found.base:
+        places = " ".join(f"b{k}:X,Y,Z" for k in range(len(found.base)))
         found.assumed.append(
-            f"markers: the first {fixed} are on the clamp by their names; `softmap align RUN --base {numbers} "
-            "--drop-base` brings the run to the base by them"
+            f"base: {len(found.base)} markers are on the clamp by their names; `softmap align RUN --base {places}` "
+            "brings the run to the base by them"
         )
     found.label = label_of(sheet)
     if found.label is not None:
@@ -161,7 +164,7 @@ def _find_drives(sheets: list[Sheet], found: _Found) -> None:
     spent = {id(sheet): {found.times[k][0] or ""} for k, sheet in enumerate(sheets)}
     if found.points is not None:
         sheet, triples, _ = found.points
-        spent[id(sheet)] |= {name for triple in triples for name in triple} | {found.label or ""}
+        spent[id(sheet)] |= {name for triple in [*triples, *found.base] for name in triple} | {found.label or ""}
     roles = [(sheet, role) for sheet in sheets for role in roles_of(sheet, spent[id(sheet)])]
     commands = [pair for pair in roles if pair[1].kind == "command"]
     presents = [pair for pair in roles if pair[1].kind == "present"]
@@ -225,13 +228,12 @@ def _frame(sheets: list[Sheet], found: _Found) -> list[str]:
     """The lines of [frame]: the robot's axis at rest is z; where the clamp may be."""
     assert found.points is not None
     sheet, triples, unit = found.points
-    names = [name for triple in triples for name in triple]
+    names = [name for triple in [*triples, *found.base] for name in triple]
     stated = sheet.units.get(names[0]) or "mm"
     points = sheet.rows_of(names).reshape(len(sheet.numbers), -1, 3) * LENGTH[stated if unit == "file" else unit]
     rest = _rest(sheets, found, sheet, points)
-    fixed = np.array([is_base(triple[0]) for triple in triples])
-    base = rest[fixed].mean(axis=0) if fixed.any() and not fixed.all() else None
-    body = rest[~fixed] if base is not None else rest
+    base = rest[len(triples) :].mean(axis=0) if found.base else None
+    body = rest[: len(triples)]
     body = body[np.isfinite(body).all(axis=1)]
     along = rest_axis(body, base)
     if along is None or np.abs(along).max() < 0.8:
@@ -358,7 +360,8 @@ def _inside(sheet: Sheet, found: _Found) -> list[str]:
             lines.append(f"{key} = {{ columns = [{', '.join(_cell(sheet, c) for c in pair[1].columns)}]{told} }}")
     if found.points is not None and found.points[0] is sheet:
         _, triples, unit = found.points
-        rows = [f"    [{', '.join(_cell(sheet, name) for name in triple)}]," for triple in triples]
-        lines += [f'markers = {{ unit = "{unit}", columns = [', *rows, "] }"]
+        for kind, places in (("markers", triples), ("base", found.base)):
+            rows = [f"    [{', '.join(_cell(sheet, name) for name in triple)}]," for triple in places]
+            lines += [f'{kind} = {{ unit = "{unit}", columns = [', *rows, "] }"] if rows else []
         lines += [] if found.label is None else [f"block = {_cell(sheet, found.label)}"]
     return lines

@@ -83,7 +83,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         notes.append(f"time counts from {zero:.6g} s of the log")
     _constants(files, mapping, fields, notes)
     made_from = [f"{path.name} sha256 {_sha256(path)}" for path in dict.fromkeys(files)]
-    extra = {name: fields.pop(name) for name in ("marker_labels",) if name in fields}
+    extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels") if name in fields}
     try:
         run = Run(t=t, **fields, extra={"made_from": np.array(made_from)} | extra)
     except RunError as fault:

@@ -105,7 +105,7 @@ def read_log(path: Path, log: Log) -> LogTable:
     columns = open_log(path, log)
     names = columns.names
     wanted: list[Column] = [column for quantity in log.rows.values() for column in quantity.columns]
-    wanted += [] if log.markers is None else list(log.markers.columns)
+    wanted += [column for points in (log.markers, log.base) if points is not None for column in points.columns]
     wanted += [] if log.clock.column is None else [log.clock.column]
     _all_there(path, names, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
     places = sorted({place(path, names, column) for column in wanted})

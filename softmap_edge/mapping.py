@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Column = str | int
 
 SCHEMA = "softmap.mapping/1"
+POINTS = ("markers", "base")
 FILE = "file"  # the unit that the file itself states; mm where it states none
 LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}  # → mm
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}  # → s
@@ -36,6 +37,7 @@ UNITS: dict[str, tuple[str, ...]] = {
     "temperature": ("degC", "K"),
     "load": ("g", "kg", "N"),
     "markers": (*LENGTH, FILE),
+    "base": (*LENGTH, FILE),
 }
 _SIZE = 1_000_000  # bytes: a mapping is a page
 
@@ -78,6 +80,7 @@ class Log:
     clock: Clock
     rows: dict[str, Quantity]
     markers: Quantity | None
+    base: Quantity | None
     block: Column | None
 
 
@@ -227,7 +230,7 @@ def _log(table: TomlTable, command_unit: str) -> Log:
     )
     time.done()
     rows = {name: _quantity(table, name, command_unit) for name in UNITS if name in table.values}
-    markers = rows.pop("markers", None)
+    markers, base = (rows.pop(name, None) for name in POINTS)
     delimiter = table.get("delimiter", (str,))
     if delimiter is not None and (len(delimiter) != 1 or delimiter in '\r\n"'):
         raise RunError(f"{table.where}: delimiter = '{delimiter[:20]}', expected one character such as , or ; or a tab")
@@ -242,14 +245,16 @@ def _log(table: TomlTable, command_unit: str) -> Log:
         clock=clock,
         rows=rows,
         markers=markers,
+        base=base,
         block=_column(table, "block"),
     )
     if log.decimal == "," and log.delimiter == ",":
         raise RunError(f"{table.where}: comma is both delimiter and decimal; the file cannot be read so")
     table.asked += list(UNITS)
     table.done()
-    if log.block is not None and markers is None:
-        raise RunError(f"{table.where}: block labels belong to the log with the markers; move them there")
+    if (log.block is not None or base is not None) and markers is None:
+        what = "block labels belong" if base is None else "base markers belong"
+        raise RunError(f"{table.where}: {what} to the log with the markers; move them there")
     return log
 
 
@@ -264,13 +269,13 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     flat: list[Any] = [cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])]
     if not flat or not all(isinstance(cell, str | int) and not isinstance(cell, bool) for cell in flat):
         raise RunError(f"{table.where}: columns = {str(listed)[:60]}, expected a list of column names or numbers")
-    if name == "markers" and (len(flat) % 3 or any(isinstance(e, list) and len(e) != 3 for e in listed)):
+    if name in POINTS and (len(flat) % 3 or any(isinstance(e, list) and len(e) != 3 for e in listed)):
         raise RunError(f'{table.where}: {len(flat)} columns, expected x, y, z of each marker: [["x1", "y1", "z1"], …]')
     if name in ("temperature", "load") and len(flat) != 1:
         raise RunError(f"{table.where}: {len(flat)} columns, expected one")
     own = command_unit if name in ("command", "present") else UNITS[name][0]
     allowed = UNITS[name] if own in UNITS[name] else (*UNITS[name], own)
-    unit = table.choice("unit", allowed, FILE if name == "markers" else own)
+    unit = table.choice("unit", allowed, FILE if name in POINTS else own)
     radius = table.number("spool_radius_mm", None, 1e-3, 1e4)
     if name in ("command", "present") and command_unit == "mm" and unit not in LENGTH and radius is None:
         raise RunError(
@@ -304,7 +309,7 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
 
 def _held(name: str) -> tuple[tuple[str, ...], str]:
     """What may be said of held samples, and the default."""
-    if name == "markers":
+    if name in POINTS:
         return ("auto", "keep"), "auto"
     return ("auto", "keep", "unhold"), "auto" if name.startswith("present") else "keep"
 

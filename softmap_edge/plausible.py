@@ -115,9 +115,8 @@ def doubts_of_rest(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Map
     """Say whether the markers at rest run along z of the base frame, and begin near its origin."""
     markers = fields["markers"]
     rest = at_rest(t, t_seen, fields.get("command"), markers)
-    fixed = np.array([is_base(label) for label in fields["marker_labels"]])
-    start = rest[fixed].mean(axis=0) if fixed.any() and not fixed.all() else None
-    rest = rest if start is None else rest[~fixed]
+    base = fields.get("base_markers")
+    start = None if base is None else _middle(base).mean(axis=0)
     along = rest_axis(rest, start)
     if along is None:
         return []

@@ -128,6 +128,7 @@ robot = "silicone-beam"
 [[log]]
 time = {{ column = "time" }}
 markers = {{ columns = [{}] }}
+base = {{ columns = [{}] }}
 """
 
 
@@ -142,15 +143,18 @@ def beam_file(name):
 
 def test_the_beam_falls_under_gravity_and_further_with_a_load(tmp_path):
     """Published recordings: nothing is commanded, six labelled markers at 100 Hz in m; the tip falls along -x."""
-    named = [f"{kind} - {k}" for kind in ("Base", "Tip") for k in (1, 2, 3)]
-    columns = ", ".join(str([f"{name}.{axis}" for axis in "xyz"]) for name in named)
+    named = {kind: [f"{kind} - {k}" for k in (1, 2, 3)] for kind in ("Tip", "Base")}
+    columns = [", ".join(str([f"{name}.{axis}" for axis in "xyz"]) for name in names) for names in named.values()]
     drop = {}
     for name in ("gravity_V2_a", "load52_V2_a", "load101_V2_a"):
-        done = taken(tmp_path, beam_file(f"beam_{name}.c3d"), BEAM.format(columns))
+        done = taken(tmp_path, beam_file(f"beam_{name}.c3d"), BEAM.format(*columns))
         run = done.run
-        assert (run.channels, run.markers.shape[1]) == (0, 6) and np.diff(run.t_seen) == pytest.approx(0.01)
-        assert list(run.extra["marker_labels"]) == named and done.doubts == ()
-        tip = run.markers[:, 3:].mean(axis=1) - run.markers[:, :3].mean(axis=1)
+        base = run.extra["base_markers"]
+        assert (run.channels, run.markers.shape[1], base.shape[1]) == (0, 3, 3) and np.diff(
+            run.t_seen
+        ) == pytest.approx(0.01)
+        assert list(run.extra["marker_labels"]) == named["Tip"] and done.doubts == ()
+        tip = run.markers.mean(axis=1) - base.mean(axis=1)
         assert 85 < tip[0, 2] < 100  # mm from the base along +z
         drop[name] = tip[0] - tip[-100:].mean(axis=0)
     assert [round(float(d[0])) for d in drop.values()] == pytest.approx([6, 16, 25], abs=1.5)
