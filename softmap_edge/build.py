@@ -29,9 +29,11 @@ Progress = Callable[[str, float], None]
 
 MODES = 16  # 12 modes hold the shapes of a finger to 0.016 mm
 FIELD_MODES = 12
-FIELD_STEPS = 11  # a field is smooth: a grid of 11 a channel, 7 of three
+FIELD_STEPS = 11  # a field is smooth: a grid of 11 a channel,
+COARSE_FIELD_STEPS = 7  # of 7 where there are three, or where a mesh made elsewhere takes its time
 FORM_COMMANDS = 24
-REFINED_COMMANDS = 4  # a factor of the refined mesh takes seconds, not milliseconds
+MESHED_COMMANDS = 8
+REFINED_COMMANDS = 3  # a factor of the refined mesh takes seconds, not milliseconds
 USUAL_STEPS = {1: 41, 2: 41, 3: 13}  # commands a channel of a sweep: 1681 of two, 2197 of three
 FORM_SEED = 20
 SIDEWAYS = 0.7  # g across the reference, a lean of 35 degrees: where the error under another gravity is measured
@@ -71,7 +73,8 @@ def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progr
     prior = compress(sweep.vertices.reshape(len(sweep.command), -1), modes)
     prior |= {f"axis{c}": np.asarray(axis) for c, axis in enumerate(sweep.axes)}
     prior["pull"] = sweep.pull.astype(np.float32)
-    steps = FIELD_STEPS if len(sweep.axes) < 3 else FIELD_STEPS // 2 + 2
+    many = len(sweep.axes) > 2 or isinstance(finger.solid, Meshed)
+    steps = COARSE_FIELD_STEPS if many else FIELD_STEPS
     field_axes = [np.linspace(axis[0], axis[-1], steps) for axis in sweep.axes]
     if field_axes:
         grid = np.stack([g.ravel() for g in np.meshgrid(*field_axes, indexing="ij")], axis=1)
@@ -131,7 +134,8 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
     """
     rng = np.random.default_rng(FORM_SEED)
     low, high = model.command_range.T
-    count = FORM_COMMANDS if model.channels else 1
+    meshed = isinstance(finger.solid, Meshed)
+    count = (MESHED_COMMANDS if meshed else FORM_COMMANDS) if model.channels else 1
     commands = rng.uniform(low * 0.85, high * 0.85, (count, model.channels))
     if finger.command_unit == "N":  # nothing is pulled below zero: stay inside the range
         commands = low + (high - low) * rng.uniform(0.075, 0.925, commands.shape)
@@ -142,7 +146,6 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
     leaning /= np.linalg.norm(leaning)
     t = np.arange(count, dtype=float)
     leaned = model.predict(Run(t=t, command=commands, command_unit=model.command_unit, gravity=leaning, t_seen=t))
-    meshed = isinstance(finger.solid, Meshed)
     truth = finger if meshed else finger.other_mesh()
     squares, vertex_squares, leaning_squares = [], [], []
     for factor in (0.9, 1.1):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import json
 import warnings
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from softmap_edge.errors import FingerError, brief
 
 _MOST_BYTES = 64 << 20  # of a mesh file; 60 000 tetrahedra take 4 MB
 _MOST_TEXT = 1 << 20  # of a file of guides
+_FARTHEST = 1e9  # of any unit: beyond any finger, and far from where float64 overflows
 _KINDS = ("tetra", "tetra10")
 
 
@@ -40,6 +41,8 @@ def read_tetrahedra(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]
     cells = np.concatenate(next(iter(there.values())))
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu" or cells.dtype.kind not in "iu":
         raise FingerError(f"{path}: points of shape {points.shape}, expected (n, 3) numbers; export it again")
+    if not np.all(np.abs(points) < _FARTHEST):
+        raise FingerError(f"{path}: a point beyond ±{_FARTHEST:g} or not a number; export it again")
     return np.ascontiguousarray(points, np.float64), np.ascontiguousarray(cells, np.int64)
 
 
@@ -51,8 +54,8 @@ def read_guides(path: Path) -> tuple[tuple[float, float, float], ...]:
         points = tuple((float(x), float(y), float(z)) for x, y, z in rows)
     except (OSError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise FingerError(f"{path}: not a JSON list of [x, y, z] ({brief(error)}); give one row a guide") from None
-    if not 2 <= len(points) <= 1000:
-        raise FingerError(f"{path}: {len(points)} guides, allowed are 2 to 1000")
+    if not 2 <= len(points) <= 1000 or not all(abs(v) < _FARTHEST for point in points for v in point):
+        raise FingerError(f"{path}: {len(points)} guides; allowed are 2 to 1000, each number within ±{_FARTHEST:g}")
     return points
 
 
@@ -77,7 +80,8 @@ def _parsed(path: Path) -> Any:
     if path.suffix.lower() not in readers:
         raise FingerError(f"{path}: known are {' and '.join(readers)}; save the mesh as one of them")
     try:
-        with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
+        # It also talks: to the terminal, in colours.
+        with warnings.catch_warnings(), redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             warnings.simplefilter("ignore")
             mesh = readers[path.suffix.lower()](str(path))
         if not isinstance(mesh, meshio.Mesh):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, radians
+from math import cos, inf, radians, sin
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,18 @@ class Tendon:
         """Return the heights mm of the first guide and of the anchor."""
         heights = [p[2] for p in self.points] or [z for z, _ in self.route]
         return heights[0], heights[-1]
+
+    def guides(self, count: int) -> list[Vector]:
+        """Return the tendon's points, or `count` of its formula, (x, y, z) mm."""
+        if self.points:
+            return list(self.points)
+        first, last = self.ends()
+        guides = []
+        for share in (k / (count - 1) for k in range(count)):
+            z = first + share * (last - first)
+            angle, radius = radians(self.angle_deg + share * self.turn_deg), at(self.route, z)
+            guides.append((radius * cos(angle), radius * sin(angle), z))
+        return guides
 
     def way(self) -> Formula | list[Vector]:
         """Return the tendon as the core takes it: (angle, turn, pairs) in rad and mm, or points."""

@@ -181,7 +181,7 @@ fn around(section: &Section, z: f64, at: [f64; 2]) -> (f64, f64, usize) {
         }
         Section::Rectangle(half, cells) => {
             let room = (half[0] - at[0].abs()).min(half[1] - at[1].abs());
-            (half[0].min(half[1]), room + 1e-9, *cells)
+            (half[0].hypot(half[1]), room + 1e-9, *cells)
         }
         Section::Free => (f64::NAN, f64::NAN, 1),
     }
