@@ -43,6 +43,7 @@ prove: $(VENV)/.test
 docs: $(VENV)/.test
 	$(BIN)/python docs/make_effects.py
 	$(BIN)/python docs/figures.py
+	$(BIN)/python docs/figures_tdcr.py
 
 wheel: $(VENV)/.core
 	$(UV) maturin

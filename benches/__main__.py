@@ -17,12 +17,15 @@ from pathlib import Path
 import numpy as np
 import scipy
 
+from benches.peer_elastic import markers as peer_markers
 from benches.peer_newton import NumpySolid
 from benches.peer_rollout import NUMBERS as PEER_NUMBERS
 from benches.peer_rollout import backlash_and_creep
 from softmap_edge import __version__, _core
 from softmap_edge.bundle import builtin_model
 from softmap_edge.finger import Finger
+from softmap_edge.robot import Robot
+from softmap_edge.run import Run
 from softmap_edge.simulator import Simulator
 
 REPEATS = 9
@@ -34,7 +37,8 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--quick", action="store_true", help="leave out the 41×41 sweep and the trunk robot's table")
     args = parser.parse_args()
-    rows = [newton_step(), rollouts(), equilibrium(), imports(), diagnosis(), table_against_simulator()]
+    rows = [newton_step(), rollouts(), elastic_rod(), equilibrium(), imports(), diagnosis(), table_against_simulator()]
+    rows.append(elastic_fit())
     if not args.quick:
         rows.append(full_sweep())
     document = {"schema": "softmap.bench/1", "machine": machine(), "rows": rows}
@@ -117,6 +121,36 @@ def rollouts() -> dict[str, object]:
     numbers = [params[:, at[name]].copy() for name in PEER_NUMBERS]
     ours_s, peer_s = side_by_side(lambda: chain.rollout(params, u, t), lambda: backlash_and_creep(*numbers, u, t))
     return ratio("rollouts of two effects, 51 × 2000 steps", ours_s, peer_s, "NumPy", "wanted ≥ 8")
+
+
+def nine_tendons():
+    """The robot of examples/tdcr_robot.toml and 1600 commands that draw in and pay out all its tendons."""
+    robot = Robot.load(Path(__file__).parents[1] / "examples/tdcr_robot.toml")
+    t = np.arange(1600) * 0.5
+    return robot, t, 6.0 * np.sin((0.1 + 0.037 * np.arange(robot.layout.channels)) * t[:, None])
+
+
+def elastic_rod() -> dict[str, object]:
+    """1600 equilibria of three segments and nine cables."""
+    robot, _, u = nine_tendons()
+    layout = robot.layout
+    rod, places = layout.compiled(robot.start), layout.places()
+    ours_s, peer_s = side_by_side(lambda: rod.evaluate(u), lambda: peer_markers(robot.start, places, layout.ends, u))
+    return ratio("1600 equilibria of an elastic rod, nine cables", ours_s, peer_s, "NumPy", "aim ≥ 4")
+
+
+def elastic_fit() -> dict[str, object]:
+    """All of `learn` on 1600 frames: 17 numbers, four starts, ten folds, 2 mm of noise."""
+    from softmap_edge.rod import learn
+
+    robot, t, u = nine_tendons()
+    markers = robot.layout.compiled(robot.start).evaluate(u).reshape(len(u), -1, 3)
+    markers += 2.0 * np.random.default_rng(0).normal(size=markers.shape)
+    run = Run(t=t, command=u, t_seen=t, markers=markers, block=np.arange(len(t)) // 20)
+    start = time.perf_counter()
+    learn(run, robot=robot)
+    name = "learn an elastic rod, 1600 frames, 17 numbers"
+    return {"name": name, "value": time.perf_counter() - start, "unit": "s", "wanted": "wanted ≤ 30"}
 
 
 def equilibrium() -> dict[str, object]:

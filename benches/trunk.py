@@ -39,13 +39,15 @@ INPUTS: tuple[tuple[Source, str], ...] = (("goal", "delayed commands"), ("presen
 
 
 class Process:
-    """A Gaussian process with one length scale an input, shared by the nine outputs."""
+    """A Gaussian process; without a `kernel` with one length scale an input, shared by the outputs."""
+
+    def __init__(self, kernel: Any = None) -> None:
+        self.kernel = kernel
 
     def fit(self, x: Floats, y: Floats) -> Process:
         some = np.random.default_rng(SEED).permutation(len(x))[:GP_TUNING_FRAMES]
-        kernel = ConstantKernel(10.0, (1e-2, 1e4)) * RBF(np.full(x.shape[1], 3.0), (0.1, 100.0)) + WhiteKernel(
-            1e-2, (1e-5, 1.0)
-        )
+        shape = self.kernel or RBF(np.full(x.shape[1], 3.0), (0.1, 100.0))
+        kernel = ConstantKernel(10.0, (1e-2, 1e4)) * shape + WhiteKernel(1e-2, (1e-5, 1.0))
         tuned = GaussianProcessRegressor(kernel, normalize_y=True).fit(x[some], y[some]).kernel_
         self.process = GaussianProcessRegressor(tuned, normalize_y=True, optimizer=None).fit(x, y)
         return self

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from benches.__main__ import nine_tendons
+from benches.peer_elastic import markers
 from benches.peer_newton import NumpySolid
 from benches.peer_rollout import NUMBERS, backlash_and_creep
 from softmap_edge import _core
@@ -28,3 +30,14 @@ def test_the_numpy_rollout_gives_the_same_records():
     numbers = [params[:, at[name]].copy() for name in NUMBERS]
     ours, theirs = chain.rollout(params, u, t), backlash_and_creep(*numbers, u, t)
     assert np.abs(ours - u).max() > 0.1 and np.abs(ours - theirs).max() < 1e-9
+
+
+def test_the_numpy_rod_bends_the_same_way():
+    robot, _, u = nine_tendons()
+    layout, start = robot.layout, robot.start.copy()
+    start[layout.places()["tilt"]] = 0.05, -0.03
+    for slack in (0.0, 0.3, 1.0):
+        start[0] = slack
+        ours, theirs = layout.compiled(start).evaluate(u), markers(start, layout.places(), layout.ends, u)
+        # Equilibria within 1e-12 rad of 180 mm; the poses themselves differ by 100 mm.
+        assert np.abs(ours - theirs).max() < 1e-6 and np.ptp(ours, axis=0).max() > 50

@@ -1,14 +1,13 @@
 """A robot whose tendons are known: its elastic rod is fitted from a run, and says what the run does not tell."""
 
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from softmap_edge import Robot, Run, _core, compare, diagnose, import_logs, learn_model, load_bundle, read_mapping
+from softmap_edge import Robot, Run, _core, compare, diagnose, learn_model, load_bundle
 from softmap_edge import save_bundle as save
 from softmap_edge.cli import main
 from softmap_edge.elastic import ElasticParameters
@@ -17,7 +16,6 @@ from softmap_edge.folds import folds
 from softmap_edge.rod import learn
 
 ROOT = Path(__file__).parents[1]
-TDCR = next((p for p in (ROOT / "data/tdcr", ROOT.parent / "shared/data/tdcr") if p.is_dir()), None)
 
 ARM = """
 schema = "softmap.robot/1"
@@ -385,38 +383,3 @@ def test_a_bundle_is_replaced_only_by_force(run, tmp_path, capsys):
         assert main([*again, *bundle]) == 2
         assert "--force" in capsys.readouterr().err
     assert main([*verb, "--force"]) == 0
-
-
-# --- the promise on real data -------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def tdcr():
-    if TDCR is None:
-        pytest.skip("not run: the logs of the three-segment robot are absent (make data brings them)")
-    mapping = read_mapping(ROOT / "examples/tdcr.toml")
-    return [import_logs([TDCR / name], mapping).run for name in ("train.csv", "val.csv")]
-
-
-def rms(model, run):
-    return float(np.sqrt(((model.predict(run) - run.markers) ** 2).sum(axis=2).mean()))
-
-
-def test_the_tendons_of_a_real_robot_are_cables(tdcr):
-    train, unseen = tdcr
-    robot = Robot.load(ROOT / "examples/tdcr_robot.toml")
-    start = time.process_time()  # of all threads: other work on this machine does not count
-    cables = learn_model(train, robot=robot)
-    assert time.process_time() - start < 30.0
-    assert cables.vertex_error_mm < 6.2 and cables.made_from["blocks"] == 10
-    assert rms(cables, unseen) <= 7.4
-    assert cables.chain_names == ()  # half a second a pose tells nothing of delay and lag
-    two_sided = learn_model(train, robot=robot.with_slack(1.0))
-    assert rms(two_sided, unseen) == pytest.approx(12.3, abs=0.3)
-    fitted = replace(robot, modes=robot.modes | {"slack": "fitted"})
-    assert learn(train, robot=fitted).rod.numbers[0] < 0.05  # asked what they are, the tendons say cables
-
-
-def test_sides_found_from_the_log_are_as_good_as_measured_ones(tdcr):
-    robot = replace(Robot.load(ROOT / "examples/tdcr_robot.toml"), angles_known=False)
-    assert rms(learn_model(tdcr[0], robot=robot), tdcr[1]) <= 7.4
