@@ -99,7 +99,7 @@ class Diagnosis:
             SoftmapError: no readable JSON, or not a diagnosis.
         """
         try:
-            document = json.loads(Path(path).read_text(encoding="utf-8"))
+            document = json.loads(Path(path).read_text(encoding="utf-8"), parse_int=_whole)
         except (ValueError, RecursionError) as error:
             raise SoftmapError(f"{path} is not JSON ({brief(error)}); make it with `softmap diagnose --out`") from None
         return cls.from_dict(document)
@@ -237,6 +237,11 @@ def _showing(
     return dict(
         name=name, shows=shows, moved_mm=moved, deviations=size, why=why, alike=alike, experiment=block, minutes=minutes
     )
+
+
+def _whole(digits: str) -> int | float:
+    """Return a whole number of JSON; one beyond any float, which no arithmetic takes, as infinity."""
+    return int(digits) if len(digits) < 300 else float(digits)
 
 
 # --- preparation --------------------------------------------------------------------------------
