@@ -140,10 +140,7 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
     if finger.command_unit == "N":  # nothing is pulled below zero: stay inside the range
         commands = low + (high - low) * rng.uniform(0.075, 0.925, commands.shape)
     predicted = model.prior.evaluate(commands).reshape(count, -1, 3)
-    x, y, z = model.gravity_reference
-    aside = np.array([np.hypot(y, z) or 1.0, -x * y / (np.hypot(y, z) or 1.0), -x * z / (np.hypot(y, z) or 1.0)])
-    leaning = model.gravity_reference + SIDEWAYS * aside / np.linalg.norm(aside)
-    leaning /= np.linalg.norm(leaning)
+    leaning = _leaning(model.gravity_reference)
     t = np.arange(count, dtype=float)
     leaned = model.predict(Run(t=t, command=commands, command_unit=model.command_unit, gravity=leaning, t_seen=t))
     truth = finger if meshed else finger.other_mesh()
@@ -168,6 +165,14 @@ def refined(finger: Finger, simulator: Simulator, commands: Floats) -> Floats:
     """Return by how much (K, N, 3) mm a mesh of eight times the cells bends otherwise at commands (K, C)."""
     finer = Simulator(finger.other_mesh(), template=simulator.template)
     return finer.path_from(simulator, commands) - simulator.path(commands)
+
+
+def _leaning(gravity: Floats) -> Floats:
+    """Return the unit gravity (3,) of the finger turned so that `gravity` (3,) g gets SIDEWAYS across it."""
+    across = np.eye(3)[int(np.argmin(np.abs(gravity)))]
+    across = across - (across @ gravity) * gravity / max(gravity @ gravity, 1e-9)
+    leaning = gravity + SIDEWAYS * across / np.linalg.norm(across)
+    return np.asarray(leaning / np.linalg.norm(leaning))
 
 
 def _field_arrays(compliance: Compliance, axes: list[Floats]) -> Arrays:
