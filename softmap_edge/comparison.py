@@ -154,7 +154,7 @@ def compare(model: Model, run: Run) -> Comparison:
     squared = np.where(visible, np.sum((predicted - seen) ** 2, axis=2), 0.0)  # (K, N) mm²
     distance = np.sqrt(squared[visible])
     state = conditions(run, model.commands(run))
-    where = {"section": _by_section(model, squared, visible)}
+    where = {"section": _by_section(model, squared, visible, getattr(run, "marker_names", []))}
     for name, row in cells(state, model.command_unit).items():
         where[name] = [_bin_of(cell, squared, visible) for cell in row]
     where = {name: [row for row in rows if row.n > 0] for name, rows in where.items()}
@@ -280,7 +280,7 @@ def _tips(model: Model, predicted: Floats, seen: Floats, visible: Mask) -> tuple
     return both[0], both[1]
 
 
-def _by_section(model: Model, squared: Floats, visible: Mask) -> list[Bin]:
+def _by_section(model: Model, squared: Floats, visible: Mask, names: list[str]) -> list[Bin]:
     """One bin per section of the template, base first, with its height range; one per marker for markers."""
     count = squared.shape[1]
     markers = len(model.triangles) == 0 or len(model.rest) != count
@@ -293,7 +293,8 @@ def _by_section(model: Model, squared: Floats, visible: Mask) -> list[Bin]:
         if not counts.any():
             continue
         end = {0: " base", len(labels) - 1: " tip"}.get(position, "")
-        name = f"marker {position + 1}" if markers else f"{position + 1}{end}"
+        own = names[section] if names else f"marker {position + 1}"
+        name = own if markers else f"{position + 1}{end}"
         height = None if markers else np.asarray(model.rest)[member, 2]
         low, high = (None, None) if height is None else (float(height.min()), float(height.max()))
         rows.append(Bin(name, low, high, int(counts.any(axis=1).sum()), _rms(sums[counts])))

@@ -8,6 +8,7 @@ A place moves under translation; a direction (weights sum to zero) only rotates.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,13 +75,15 @@ def marker_features(count: int) -> FeatureMap:
     return FeatureMap(np.eye(count), np.ones(count, bool), np.arange(count))
 
 
-def attach(points: Floats, rest: Floats, reach: float = REACH) -> Floats:
+def attach(points: Floats, rest: Floats, names: Sequence[str] = ()) -> Floats:
     """Return weights (M, N) that carry `points` (M, 3) mm with a template at `rest` (N, 3) mm.
 
-    Moving least squares, Gaussian about the point, as wide as `reach` mm or as far as the template is: reproduces every
+    Moving least squares, Gaussian about the point, as wide as `REACH` or as far as the template is: reproduces every
     affine motion, so a point off the surface moves with the body around it, and far enough that no weight exceeds one.
     Known limit: the body's strain is carried on outwards; at 60° of bend a point 8 mm off the surface is 0.7 mm off a
     rigid stalk, one 20 mm off 1.7 mm.
+
+    `names` of the points are for the message.
 
     Raises:
         SoftmapError: a point is farther from the template than a quarter of its extent.
@@ -93,12 +96,13 @@ def attach(points: Floats, rest: Floats, reach: float = REACH) -> Floats:
         nearest = float(np.sqrt(distance2.min()))
         if nearest > STALK * extent:
             x, y, z = point
+            name = names[m] if names else f"marker {m + 1}"
             raise SoftmapError(
-                f"marker {m} at ({x:.4g}, {y:.4g}, {z:.4g}) mm is {nearest:.3g} mm from the model, which is "
+                f"{name} at ({x:.4g}, {y:.4g}, {z:.4g}) mm is {nearest:.3g} mm from the model, which is "
                 f"{extent:.3g} mm long; at most {STALK * extent:.3g} mm is carried; give marker_rest in mm in the base "
                 "frame, and leave out markers that are not on the robot"
             )
-        width = max(reach, float(np.sqrt(np.partition(distance2, 3)[3])))
+        width = max(REACH, float(np.sqrt(np.partition(distance2, 3)[3])))
         kernel = np.exp(-distance2 / (2 * width**2))
         near = np.flatnonzero(kernel > NEGLIGIBLE)
         kernel = kernel[near]

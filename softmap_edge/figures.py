@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from softmap_edge.comparison import Series
-from softmap_edge.report import WHERE, ladder
+from softmap_edge.report import WHERE, ladder_steps
 from softmap_edge.report_numbers import mm
 
 Floats = NDArray[np.float64]
@@ -49,6 +49,7 @@ STYLE: Any = {  # matplotlib types the keys one by one
     "svg.fonttype": "path",
 }
 WIDE = 10.4  # inches: the width of a picture that fills the page
+LABEL = 1.5  # inches to the left of a bar, for its label
 POINTS = 1200  # a line with more points than this is drawn by the RMS of its stretches
 SIDES = (("seen along −x", (1, 0)), ("seen along −y", (0, 1)), ("seen along +x", (-1, 0)), ("seen along +y", (0, -1)))
 LIGHT = np.array([-0.35, 0.55, 0.76])  # from the upper left, towards the viewer
@@ -147,17 +148,17 @@ def where_maps(before: Mapping[str, Sequence[Any]], after: Mapping[str, Sequence
             used = 0.0
             for name, count in column:
                 tall = _panel_height(count)
-                left, wide = (index * WIDE / 3 + 1.42) / WIDE, (WIDE / 3 - 1.95) / WIDE
+                left, wide = (index * WIDE / 3 + LABEL) / WIDE, (WIDE / 3 - LABEL - 0.53) / WIDE
                 axes = figure.add_axes((left, 1 - (used + tall - 0.22) / height, wide, (tall - 0.52) / height))
                 _bars(axes, before[name], None if after is None else after.get(name, []), top)
-                axes.set_title(WHERE.get(name, name), x=-1.35 / (WIDE / 3 - 1.95), pad=5)
+                axes.set_title(WHERE.get(name, name), x=-(LABEL - 0.07) / (WIDE / 3 - LABEL - 0.53), pad=5)
                 used += tall
         return _svg(figure)
 
 
 def ladder_bars(error: Mapping[str, Any]) -> bytes:
     """Draw the held-out error as effects are added one by one, down to the floor (SVG)."""
-    steps = ladder(error)
+    steps = ladder_steps(error)
     floor = error.get("floor")
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 0.75 + 0.36 * len(steps)), layout="constrained")
@@ -201,7 +202,8 @@ def _bars(axes: Axes, before: Sequence[Any], after: Sequence[Any] | None, top: f
         text = mm(value) if after is None else f"{mm(value)} → {mm(partner.get(name))}"
         end = max(value, partner.get(name, 0.0))
         axes.annotate(text, (end, k), (3, 0), textcoords="offset points", va="center", size=6.5, color="#52606d")
-    axes.set_yticks(place, [_clean(name, 24) for name in names], size=7.5)
+    shown = [_clean(name, 26) for name in names]
+    axes.set_yticks(place, shown, size=7.5 if max(map(len, shown), default=0) <= 22 else 6.6)
     axes.set_ylim(len(before) - 0.4, -0.6)
     axes.set_xlim(0, top)
     axes.set_xticks([])

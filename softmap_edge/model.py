@@ -212,7 +212,7 @@ class Model:
         key = run.marker_rest.tobytes()  # a fit asks for every prediction; frames of one run share their places
         if key not in self._attached:
             self._attached.clear()
-            self._attached[key] = attach(np.asarray(run.marker_rest, float), self.rest)
+            self._attached[key] = attach(np.asarray(run.marker_rest, float), self.rest, run.marker_names)
         return self._attached[key]
 
     def _run_predictor(self, predictor: Any, chain: _core.Chain, params: Floats, run: Run) -> Floats:

@@ -204,7 +204,7 @@ LADDER_NOTE = (
 )
 
 
-def ladder(error: Mapping[str, Any]) -> list[tuple[str, float]]:
+def ladder_steps(error: Mapping[str, Any]) -> list[tuple[str, float]]:
     """Return the steps of a diagnosis's error ladder as (what, mm), the model alone first.
 
     Args:
@@ -295,7 +295,7 @@ def parameter(value: Mapping[str, Any]) -> str:
 
 
 def _ladder_lines(error: Mapping[str, Any]) -> list[str]:
-    steps = ladder(error)
+    steps = ladder_steps(error)
     if not steps:
         return []
     unit, kind = error.get("unit", "mm"), error.get("kind", "held-out rms")

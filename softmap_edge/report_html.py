@@ -23,7 +23,7 @@ from softmap_edge.report import (
     VERDICTS,
     check_diagnosis,
     check_pair,
-    ladder,
+    ladder_steps,
     parameter,
 )
 from softmap_edge.report_numbers import fall, mm, number, percent, tamed
@@ -40,6 +40,7 @@ class Story:
     after: Comparison | None
     diagnosis: Mapping[str, Any] | None
     series: Series | None
+    floor: tuple[float, str] | None = None
 
 
 def write_html(
@@ -47,6 +48,7 @@ def write_html(
     comparison: Comparison | Sequence[Comparison] | None = None,
     diagnosis: Any = None,
     series: Series | None = None,
+    floor: tuple[float, str] | None = None,
 ) -> Path:
     """Write one self-contained HTML page.
 
@@ -55,6 +57,7 @@ def write_html(
         comparison: one comparison, or two of the same run (before, after).
         diagnosis: a Diagnosis or its document softmap.diagnosis/1.
         series: errors over time and over the body (`compare.series`), for the pictures that need them.
+        floor: what no model can go below, mm, and what it is, where that is known better than from the camera's noise.
 
     Returns:
         Path: the file.
@@ -72,7 +75,7 @@ def write_html(
     if diagnosis is not None:
         diagnosis = diagnosis.to_dict() if hasattr(diagnosis, "to_dict") else diagnosis
         check_diagnosis(diagnosis)
-    story = Story(given[0] if given else None, given[1] if len(given) > 1 else None, diagnosis, series)
+    story = Story(given[0] if given else None, given[1] if len(given) > 1 else None, diagnosis, series, floor)
     figures = _figures()
     sections = [
         _hero(story),
@@ -130,6 +133,11 @@ def _kind(story: Story) -> str:
     return "measured; whether this run took part in a fit is not recorded here"
 
 
+def _short(story: Story) -> str:
+    """The same for the captions, where the top of the page has said it in full."""
+    return f"; {story.series.kind}" if story.series is not None and story.series.kind != "measured" else ""
+
+
 def _hero(story: Story) -> str:
     verdict = str(story.diagnosis["verdict"]) if story.diagnosis else ""
     badge = ""
@@ -182,13 +190,13 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
     new: Any
     if story.before is not None:
         old, new = story.before.error["rms_mm"], story.after.error["rms_mm"] if story.after else None
-        floor, origin = story.before.noise_floor_mm, "camera noise, RMS"
+        floor, origin = story.floor or (story.before.noise_floor_mm, "camera noise, RMS")
         kind = story.series.kind if story.series else ""
         told = {"held out": "a run not fitted", "fitted": "the run fitted"}.get(kind, "this run")
         note = f"all points, {told}"
     else:
         told = str(error.get("kind", "held out"))
-        steps = [value for name, value in ladder(error) if name.startswith("+") and name != STATIC_ADDED]
+        steps = [value for name, value in ladder_steps(error) if name.startswith("+") and name != STATIC_ADDED]
         old, new = number(error.get("model")), steps[-1] if steps else None
         floor, origin, note = (
             number(error.get("floor")),
@@ -197,7 +205,7 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
         )
     cards = [("error before" if new is not None else "error", f"{mm(old)} mm", f"RMS, {note}", "before")]
     if number(new) is not None and number(old) is not None:
-        share = fall(old, new, floor if floor is not None and new > floor else None)
+        share = fall(old, new, floor if floor is not None and (story.floor or new > floor) else None)
         cards.append(("error after", f"{mm(new)} mm", f"RMS, {note}", "after"))
         cards.append(
             ("of the removable error gone", percent(share), f"{percent(fall(old, new))} of the raw error", "after")
@@ -214,7 +222,7 @@ def _time(story: Story, figures: ModuleType) -> str:
     if story.series is None:
         return ""
     picture = _picture(figures.over_time(story.series), "RMS error of each frame over time, before and after")
-    return _section("Error over time", picture, f"RMS over the points of a frame, mm; {_kind(story)}.")
+    return _section("Error over time", picture, f"RMS over the points of a frame, mm{_short(story)}.")
 
 
 def _body(story: Story, figures: ModuleType) -> str:
@@ -223,7 +231,7 @@ def _body(story: Story, figures: ModuleType) -> str:
     picture = _picture(figures.body(story.series), "RMS error of each point, drawn on the body")
     markers = story.series.triangles is None
     drawn = "markers at their mean places, axes of different scale" if markers else "shape at rest, base left"
-    note = f"RMS over all frames of each point, mm, one colour scale, {drawn}; {_kind(story)}."
+    note = f"RMS over all frames of each point, mm, one colour scale, {drawn}{_short(story)}."
     return _section("Error on the body", picture, note)
 
 
@@ -231,12 +239,12 @@ def _tip(story: Story, figures: ModuleType) -> str:
     if story.series is None:
         return ""
     picture = _picture(figures.tip_path(story.series), "Path of the tip, measured and predicted")
-    return _section("Path of the tip", picture, f"Tip centroid in the base frame, mm; {_kind(story)}.")
+    return _section("Path of the tip", picture, f"Tip centroid in the base frame, mm{_short(story)}.")
 
 
 def _ladder(story: Story, figures: ModuleType) -> str:
     error = (story.diagnosis or {}).get("error") or {}
-    if not ladder(error):
+    if not ladder_steps(error):
         return ""
     unit, on = error.get("unit", "mm"), error.get("held_out_on")
     note = f"{_text(error.get('kind', 'held-out rms'))}{_text(f' on {on}' if on else '')}, {_text(unit)}. "
@@ -254,22 +262,16 @@ def _effects(story: Story) -> str:
     parts = []
     for title, rows in (("Faults of the measurement", found.get("faults")), ("Effects found", found.get("effects"))):
         if rows:
-            head = "".join(
-                f"<th>{name}</th>"
-                for name in (
-                    "effect",
-                    "parameters ± 1σ",
-                    "probability",
-                    "share",
-                    "moves the body, mm<br>fitted / held out",
-                )
-            )
-            body = "".join(_effect_row(row) for row in rows)
+            judged = any((row.get("displacement_mm") or {}).get("held_out") is not None for row in rows)
+            moves = "moves the body, mm" + ("<br>fitted / held out" if judged else "")
+            columns = ("effect", "parameters ± 1σ", "probability", "share", moves)
+            head = "".join(f"<th>{name}</th>" for name in columns)
+            body = "".join(_effect_row(row, judged) for row in rows)
             parts.append(_section(title, f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"))
     return "".join(parts)
 
 
-def _effect_row(row: Mapping[str, Any]) -> str:
+def _effect_row(row: Mapping[str, Any], judged: bool) -> str:
     values = "".join(
         f"<div><code>{_text(label)}</code> {_text(parameter(value))}"
         + (' <span class="flag">at its bound</span>' if value.get("at_bound") else "")
@@ -281,7 +283,7 @@ def _effect_row(row: Mapping[str, Any]) -> str:
         f"<tr><td><b>{_text(row.get('name', '?'))}</b><br><small>{_text(row.get('family', '?'))} · stage "
         f"{_text(row.get('stage', '?'))}</small></td><td>{values}</td>"
         f"<td>{percent(row.get('probability'))}</td><td>{percent(row.get('share'))}</td>"
-        f"<td>{mm(shift.get('fitted'))} / {mm(shift.get('held_out'))}</td></tr>"
+        f"<td>{mm(shift.get('fitted'))}{' / ' + mm(shift.get('held_out')) if judged else ''}</td></tr>"
     )
 
 
@@ -289,19 +291,19 @@ def _where(story: Story, figures: ModuleType) -> str:
     if story.before is not None:
         old: Any = story.before.to_dict()["where"]
         new: Any = story.after.to_dict()["where"] if story.after else None
-        kind = _kind(story)
+        kind = _short(story)
     else:
         maps = (story.diagnosis or {}).get("where") or {}
         old, new, kind = (
             maps.get("before"),
             maps.get("after"),
-            str(((story.diagnosis or {}).get("error") or {}).get("kind")),
+            f"; {((story.diagnosis or {}).get('error') or {}).get('kind')}",
         )
     if not old or not any(len(rows) > 1 for rows in old.values()):
         return ""
     colours = "wide bars before, narrow bars after" if new else "one bar a class"
     picture = _picture(figures.where_maps(old, new), "Error by condition, before and after")
-    return _section("Where the error is", picture, f"RMS, mm, on one scale; {colours}; {_text(kind)}.")
+    return _section("Where the error is", picture, f"RMS, mm, on one scale; {colours}{_text(kind)}.")
 
 
 def _open_questions(story: Story) -> str:

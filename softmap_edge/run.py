@@ -183,6 +183,17 @@ class Run:
         return len(self.t_seen)
 
     @property
+    def marker_names(self) -> list[str]:
+        """The names of the markers, from `marker_labels` where an import kept them, else their numbers from 1."""
+        count = 0 if self.markers is None else self.markers.shape[1]
+        numbered = [f"marker {m + 1}" for m in range(count)]
+        labels = self.extra.get("marker_labels")
+        if labels is None or labels.dtype.kind != "U" or labels.shape != (count,):
+            return numbered
+        names = ["".join(c for c in str(label)[:40] if c.isprintable()) for label in labels]
+        return names if all(names) and len(set(names)) == count else numbered
+
+    @property
     def seen_points(self) -> Array:
         """(K, N, 3) mm: the vertices or the markers, whichever the run holds.
 

@@ -15,6 +15,7 @@ Units: mm, s, N, g. Randomness only from the seeds; the same arguments give the 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -38,6 +39,7 @@ BATCHES = (0.9, 0.95, 1.05, 1.1)  # modulus of the second finger against the fir
 LAYERS = 0.75  # of the first finger's layers: another mesh along the body, where it bends
 STEPS = 9  # commands a channel of the sweep that finds the strength of a secret,
 WEIGHT_STEPS = 5  # and of one that needs a sweep of its own for it
+WATCH: ContextVar[Callable[[float], None] | None] = ContextVar("WATCH", default=None)  # hears the share of each solve
 EVERY = 3  # every third frame tells how far a secret moves the finger
 REACH = 18.0  # mm: no farther command may reach the body
 TARGET = (1.2, 3.6)  # mm RMS of the section centroids, drawn; what is accepted lies in 1-4 mm
@@ -264,7 +266,8 @@ def _path(finger: Finger, modulus: float, gravity: Vector, force: Vector, comman
     places = np.frombuffer(commands).reshape(-1, channels)
     order = tour(places)
     points = np.empty((len(places), *template(finger).shape))
-    points[order] = _simulator(finger, modulus).path(places[order], gravity=gravity, load=force)
+    told = WATCH.get()
+    points[order] = _simulator(finger, modulus).path(places[order], gravity=gravity, load=force, progress=told)
     return points
 
 
@@ -276,7 +279,7 @@ def _interpolated(finger: Finger, modulus: float, gravity: Vector, force: Vector
 def _sweep(finger: Finger, modulus: float, gravity: Vector, force: Vector, steps: int) -> _core.Table:
     """Sweep the second finger under these weights and interpolate with every mode that matters (to 0.1 µm)."""
     axes = [np.linspace(-REACH, REACH, steps)] * len(finger.pairs)
-    sweep = _simulator(finger, modulus).sweep(axes, gravity=gravity, load=force)
+    sweep = _simulator(finger, modulus).sweep(axes, gravity=gravity, load=force, progress=WATCH.get())
     values = np.asarray(sweep.vertices, dtype=np.float64).reshape(len(sweep.command), -1)
     mean = values.mean(axis=0)
     left, size, modes = np.linalg.svd(values - mean, full_matrices=False)

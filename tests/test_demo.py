@@ -1,12 +1,15 @@
 """The verb demo: what it prints, what it writes, and what it refuses."""
 
 import json
+import re
 
 import pytest
 
 from softmap_edge.cli import main
+from softmap_edge.commands.progress import QUIET, Ticker
+from softmap_edge.protocol import standard_protocol
 from softmap_edge.run import Run
-from softmap_edge.truth import hide, surprise
+from softmap_edge.truth import WATCH, hide, surprise
 from softmap_edge.truth_laws import LAWS
 
 
@@ -21,6 +24,9 @@ def test_demo_tells_the_story_and_reveals_at_the_end(tmp_path, capsys):
     page = (tmp_path / "report.html").read_text()
     assert page.lstrip().lower().startswith("<!doctype html")
     assert 'src="http' not in page
+    gone = re.search(r"(\d+) % of the removable error is gone", text)[1]
+    assert f"<b>{gone} %</b><span>of the removable error gone" in page  # one number, one floor
+    assert "the same finger with nothing hidden" in page
     assert Run.load(tmp_path / "run.npz").vertices.shape[1:] == (548, 3)
     assert main(["check", str(tmp_path / "finger2")]) == 0
 
@@ -58,3 +64,20 @@ def test_a_surprise_depends_on_the_seed_alone():
 
 def test_the_same_seed_hides_the_same():
     assert hide(["backlash"], 4) == hide(["backlash"], 4)
+
+
+def test_long_work_says_that_it_goes_on():
+    now, said = [0.0], []
+    ticker = Ticker(said.append, lambda: now[0])
+    ticker.say("Measuring …")
+    for share in (0.1, 0.2, 0.3, 0.4):
+        now[0] += 0.6 * QUIET
+        ticker(share)
+    assert said == ["Measuring …", "  … solving, 20% of this part", "  … solving, 40% of this part"]
+    heard = []
+    before = WATCH.set(heard.append)
+    try:
+        hide([], 1).shapes(standard_protocol(), every=90)
+    finally:
+        WATCH.reset(before)
+    assert heard and max(heard) == 1.0

@@ -1,6 +1,7 @@
 """Effects: every one of the registry against its law written in plain NumPy (laws.py), and what all must keep."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,14 @@ def test_the_page_is_up_to_date():
     spec = importlib.util.spec_from_file_location("make_effects", path)
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
-    assert script.page() == script.PAGE.read_text(encoding="utf-8"), "run `python docs/make_effects.py`"
+    text = script.PAGE.read_text(encoding="utf-8")
+    loads = re.search(r"^\| load \|.*?\n\n", text, re.MULTILINE | re.DOTALL)[0].strip()
+    assert script.page(loads) == text, "run `python docs/make_effects.py`"
+    errors = script.load_errors()
+    stated = re.findall(r"^\| (.+?) \| ([\d.]+) mm \| ([\d.]+) mm \|$", loads, re.MULTILINE)
+    assert [name for name, _, _ in stated] == list(errors)
+    for name, miss, size in stated:
+        assert (float(miss), float(size)) == pytest.approx(errors[name], rel=0.03, abs=0.006), name
 
 
 @pytest.mark.parametrize("channels", [0, 1, 2, 6])

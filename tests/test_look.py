@@ -59,6 +59,15 @@ def test_effects_lists_the_registry_and_shows_one_in_full(capsys):
     assert main(["effects", "nosuch"]) == 2
 
 
+def test_no_line_about_an_effect_is_wider_than_a_terminal(capsys):
+    assert main(["effects"]) == 0
+    for effect in _core.effects():
+        assert main(["effects", effect["name"]]) == 0
+    out = capsys.readouterr().out
+    assert max(map(len, out.splitlines())) <= 100
+    assert " ".join(_core.effects()[0]["signature"].split()[:3]) in out
+
+
 def test_command_may_begin_with_a_minus(capsys):
     assert main(["predict", "-8,3", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tip_mm"][0][0] < 0

@@ -75,9 +75,22 @@ def test_a_marker_far_from_the_robot_is_refused_with_its_number_and_distance():
     blank = np.repeat(rest[None], standard_protocol().frames, axis=0)
     p = standard_protocol()
     run = Run(t=p.t, command=p.command, t_seen=p.t_seen, markers=blank, marker_rest=rest)
-    with pytest.raises(SoftmapError, match=r"marker 5 at \(80, 0, 40\) mm is 6\d\.?\d* mm from the model") as fault:
+    with pytest.raises(SoftmapError, match=r"marker 6 at \(80, 0, 40\) mm is 6\d\.?\d* mm from the model") as fault:
         compare(builtin_model(), run)
     assert "\n" not in str(fault.value) and "leave out markers" in str(fault.value)
+
+
+def test_labels_of_an_import_name_the_markers():
+    labels = np.array([f"ring{k // 3}_{'abc'[k % 3]}" for k in range(12)])
+    named = run_of(stalks(0), extra={"marker_labels": labels})
+    assert [row.label for row in compare(builtin_model(), named).where["section"]] == labels.tolist()
+    spoilt = run_of(stalks(0), extra={"marker_labels": labels[:5]})  # of another recording
+    assert compare(builtin_model(), spoilt).where["section"][0].label == "marker 1"
+    far = stalks(0)
+    far[4, 0] = 90.0
+    with pytest.raises(SoftmapError, match="^ring1_b at"):
+        compare(builtin_model(), Run(**{k: getattr(named, k) for k in ("t", "command", "t_seen", "markers", "visible")},
+                                     marker_rest=far, extra={"marker_labels": labels}))  # fmt: skip
 
 
 @pytest.mark.parametrize("factor", [0.001, 0.1, 1000.0])

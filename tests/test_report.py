@@ -182,6 +182,50 @@ def test_page_holds_pictures_and_loads_nothing(pair, tmp_path):
     assert str(tmp_path) not in text
 
 
+def test_the_page_says_once_where_its_error_was_measured_and_shows_no_empty_column(pair, tmp_path):
+    run, worse, _, before, _ = pair
+    text = page(write_html(tmp_path / "page.html", before, DIAGNOSIS, series(run, worse, kind="measured")))
+    assert text.count("whether this run took part in a fit") == 1
+    assert "1.82 / –" not in text and "fitted / held out" not in text
+    judged = copy.deepcopy(DIAGNOSIS)
+    judged["effects"][0]["displacement_mm"]["held_out"] = 1.5
+    text = page(write_html(tmp_path / "page.html", before, judged, series(run, worse, kind="measured")))
+    assert "1.82 / 1.50" in text
+
+
+def test_a_floor_that_is_known_stands_for_the_noise(pair, tmp_path):
+    run, worse, better, before, after = pair
+    floor = 0.5 * after.error["rms_mm"]
+    given = series(run, worse, better)
+    text = page(write_html(tmp_path / "page.html", [before, after], None, given, (floor, "the twin")))
+    old, new = before.error["rms_mm"], after.error["rms_mm"]
+    assert f"<b>{100 * (old - new) / (old - floor):.0f} %</b>" in text and "<i>the twin</i>" in text
+
+
+def test_no_label_of_a_condition_is_cut_off(monkeypatch):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    from softmap_edge import figures
+
+    drawn = []
+    monkeypatch.setattr(figures, "_svg", lambda figure: drawn.append(figure) or b"")
+    labels = ("gravity +0.52 +0.24 +0.82", "gravity −0.52 −0.24 −0.82", "u1 −12.5 … −8.75 deg")
+    rows = [{"label": label, "low": None, "high": None, "n": 5, "rms_mm": 1.0} for label in labels]
+    figures.where_maps({"orientation": rows, "command": rows, "time": rows, "section": rows}, None)
+    canvas = FigureCanvasAgg(drawn[0])
+    canvas.draw()
+    panels = drawn[0].axes
+    for k, axes in enumerate(panels):
+        shown = axes.get_yticklabels()
+        assert [label.get_text() for label in shown] == list(labels)
+        boxes = [label.get_window_extent(canvas.get_renderer()) for label in shown]
+        assert min(box.x0 for box in boxes) >= 0
+        for other in panels[:k]:  # nor runs into the bars of the panel to its left
+            if abs(other.get_position().y0 - axes.get_position().y0) < 0.01:
+                right = other.get_window_extent(canvas.get_renderer()).x1
+                assert right <= axes.get_window_extent().x0 and min(box.x0 for box in boxes) >= right
+
+
 def test_same_input_gives_the_same_page(pair, tmp_path):
     run, worse, _, before, _ = pair
     first = write_html(tmp_path / "a.html", before, None, series(run, worse))

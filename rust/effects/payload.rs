@@ -4,8 +4,8 @@
 //! coefficients of tip_force_x|y|z (displacement per 1 N). The body answers linearly at constant tension, the tendons by
 //! falling slack or taut (`cables.rs`).
 //! Limit: all of that is taken at the unloaded equilibrium. Vertices of the built-in finger, RMS over eleven commands: 25 g
-//! hanging 0.08 mm off of 0.8 mm moved, 25 g leaning by 35° 0.27 of 3.1, 60 g leaning 0.96 of 5; pinned by
-//! tests/test_bundle.py.
+//! hanging 0.10 mm off of 0.9 mm moved, 25 g leaning by 35° 0.28 of 3.3, 60 g leaning 1.11 of 5.6; pinned by
+//! docs/make_effects.py and tests/test_bundle.py.
 
 use super::conditions::Context;
 use super::declaration::*;

@@ -97,6 +97,8 @@ def _places(args: argparse.Namespace, run: Run) -> dict[int, Any]:
     for word in " ".join(args.base).replace(", ", ",").split():
         for part in [word] if ":" in word else word.split(","):
             number, _, place = part.partition(":")
+            names = run.marker_names
+            number = str(names.index(number)) if number in names else number
             try:
                 of_base = number.startswith("b")
                 index = int(number[of_base:])

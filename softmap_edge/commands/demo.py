@@ -15,6 +15,7 @@ from typing import Any
 
 from softmap_edge import SoftmapError
 from softmap_edge.bundle import builtin_model, save_bundle
+from softmap_edge.commands.progress import Ticker
 from softmap_edge.comparison import Comparison, compare, series
 from softmap_edge.diagnosis import Diagnosis, diagnose
 from softmap_edge.errors import ReportError
@@ -23,10 +24,11 @@ from softmap_edge.protocol import other_protocol, standard_protocol
 from softmap_edge.report_html import write_html
 from softmap_edge.report_numbers import fall
 from softmap_edge.run import Run
-from softmap_edge.truth import Truth, hide, surprise
+from softmap_edge.truth import WATCH, Truth, hide, surprise
 
 SCHEMA = "softmap.demo/1"
 FIRST_SEED = 1
+FLOOR_KIND = "the same finger with nothing hidden"
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Trial:
             "before_mm": self.before_mm,
             "after_mm": self.after_mm,
             "floor_mm": self.floor_mm,
-            "floor_kind": "the same finger with nothing hidden",
+            "floor_kind": FLOOR_KIND,
             "fall": share,
             "frames": {"fitted": self.fitted.frames, "held_out": self.before.frames},
             "other_finger": {"modulus_factor": self.truth.modulus, "mesh": "another resolution"},
@@ -90,7 +92,7 @@ def trial(model: Model, truth: Truth, say: Callable[[str], None] = lambda text: 
         f"  The model is off by {fitted.error['rms_mm']:.2f} mm RMS, at the tip by {fitted.error['tip_rms_mm']:.2f} mm."
     )
     say("Looking for what the model lacks …")
-    diagnosis = diagnose(model, run)
+    diagnosis = diagnose(model, run, progress=lambda line: say(f"  {line}"))
     say(f"  {diagnosis.to_dict()['sentence']}")
     say(f"Measuring a run of another kind ({judge.frames} frames of circles, spirals and random moves) as the judge …")
     other = truth.measure(judge, seed=1)
@@ -114,7 +116,15 @@ def demo_arguments(parser: argparse.ArgumentParser) -> None:
 def demo(args: argparse.Namespace) -> int:
     """Tell the whole story on a simulated finger with hidden effects."""
     started = time.monotonic()
-    say: Callable[[str], None] = (lambda text: None) if args.json else (lambda text: print(text, flush=True))
+    ticker = Ticker((lambda text: None) if args.json else (lambda text: print(text, flush=True)))
+    say, before = ticker.say, WATCH.set(ticker)
+    try:
+        return _told(args, say, started)
+    finally:
+        WATCH.reset(before)
+
+
+def _told(args: argparse.Namespace, say: Callable[[str], None], started: float) -> int:
     names = _hidden_names(args.hide, args.seed)
     Path(args.out).mkdir(parents=True, exist_ok=True)  # before the work, not after it
     say("Taking the model of the built-in finger, made from a simulated sweep.")
@@ -168,6 +178,7 @@ def _write(story: Trial, folder: Path) -> dict[str, str]:
             [story.before, story.after],
             story.diagnosis.to_dict(),
             series(story.other, story.model, story.diagnosis.model),
+            (story.floor_mm, FLOOR_KIND),
         )
         files["report"] = folder / "report.html"
     except ReportError:  # without matplotlib text and JSON go on; the last lines say what to install
@@ -188,7 +199,7 @@ def _table(story: Trial) -> str:
 
 def _reveal(story: Trial, files: dict[str, str], seconds: float) -> Sequence[str]:
     lines = ["", f"Held-out error {story.before_mm:.2f} → {story.after_mm:.2f} mm RMS (floor {story.floor_mm:.2f} mm:"]
-    lines[-1] += " the same finger with nothing hidden)."
+    lines[-1] += f" {FLOOR_KIND})."
     if story.truth.secrets and story.fall is not None:
         lines.append(f"{100 * story.fall:.0f} % of the removable error is gone, on a run that was never fitted.")
     found = [effect["name"] for effect in story.diagnosis.to_dict()["effects"]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from softmap_edge.commands.output import check_file
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.npz import write_npz
+from softmap_edge.report import WIDTH
 from softmap_edge.run import Run
 
 
@@ -66,12 +68,25 @@ def effects(args: argparse.Namespace) -> int:
         print(json.dumps({"schema": "softmap.effects/1", "effects": chosen}, ensure_ascii=False))
         return 0
     for effect in chosen:
-        print(f"{effect['name']:<12} {effect['stage']:<13} {effect['family']:<20} {effect['signature']}")
+        print(
+            "\n".join(_hung(f"{effect['name']:<12} {effect['stage']:<13} {effect['family']:<20} ", effect["signature"]))
+        )
         if args.name:
-            print(f"\n  {effect['doc']}\n  {effect['formula']}\n  see: {effect['reference']}\n")
+            paragraphs = [
+                _hung("  ", effect["doc"]),
+                _hung("  ", effect["formula"]),
+                _hung("  see: ", effect["reference"]),
+            ]
+            print("\n".join(["", *(line for part in paragraphs for line in part), ""]))
             for p in effect["parameters"]:
-                print(f"  {p['name']:<12} {p['unit']:<6} null {p['null']:g}, {p['low']:g} … {p['high']:g}   {p['doc']}")
+                head = f"  {p['name']:<12} {p['unit']:<6} null {p['null']:g}, {p['low']:g} … {p['high']:g}   "
+                print("\n".join(_hung(head, p["doc"])))
     return 0
+
+
+def _hung(head: str, text: str) -> list[str]:
+    """Return lines of at most 100 columns: the head, and the text beside it."""
+    return textwrap.wrap(text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
 
 
 def _held(text: str, model: Model) -> Run:

@@ -3,10 +3,30 @@
 from __future__ import annotations
 
 import sys
+import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
 _WIDTH = 30
+QUIET = 8.0  # s without a word after which long work says that it goes on
+
+
+class Ticker:
+    """Says lines, and between them a sign of life: call it with the share done of what was said last."""
+
+    def __init__(self, say: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._say, self._clock, self._last = say, clock, clock()
+
+    def say(self, text: str) -> None:
+        """Say a line."""
+        self._say(text)
+        self._last = self._clock()
+
+    def __call__(self, share: float) -> None:
+        """Say how far the work is, if nothing was said for a while."""
+        if self._clock() - self._last >= QUIET:
+            self.say(f"  … solving, {share:.0%} of this part")
 
 
 class Bar:
