@@ -248,10 +248,7 @@ def _frame(sheets: list[Sheet], found: _Found) -> list[str]:
     if base is not None:
         origin, why = base, "the middle of the markers on the clamp"
     elif len(body) > 1:
-        step = float(np.linalg.norm(body[-1] - body[0])) / (len(body) - 1)
-        origin = body[0].copy()
-        origin[k] -= sign * step
-        why = "one marker spacing before the first marker"
+        origin, why = _clamp(body, k, sign)
     elif abs(along[k]) > 0.95:
         origin, why = np.zeros(3), "the origin of the log, for the marker at rest lies on its axis"
     else:
@@ -268,6 +265,20 @@ def _frame(sheets: list[Sheet], found: _Found) -> list[str]:
         f"origin_mm = [{place}]   # ASSUMED: {why}",
         f"axes = [{axes}]   # the robot runs along {towards} of the log",
     ]
+
+
+def _clamp(body: Array, k: int, sign: int) -> tuple[Array, str]:
+    """Where the clamp may be, of markers (M, 3) along axis k, and why there."""
+    chord = body[-1] - body[0]
+    step = float(np.linalg.norm(chord)) / (len(body) - 1)
+    beside = np.linalg.norm(np.cross(body - body[0], chord / np.linalg.norm(chord)), axis=1)
+    if beside.max() < 0.5 * step:  # a chain
+        origin = body[0].copy()
+        origin[k] -= sign * step
+        return origin, "one marker spacing before the first marker"
+    origin = body.mean(axis=0)
+    origin[k] = sign * float((sign * body[:, k]).min())
+    return origin, "the middle of the markers, level with the first of them along the robot"
 
 
 def _rest(sheets: list[Sheet], found: _Found, sheet: Sheet, points: Array) -> Array:

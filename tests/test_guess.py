@@ -137,6 +137,19 @@ def test_names_and_ranges_tell_units(tmp_path, head, scale, words):
     assert run.t == pytest.approx(t, abs=1e-5)
 
 
+def test_rings_of_markers_have_their_clamp_in_the_middle(tmp_path):
+    t = np.arange(400) / 50
+    angle = np.tile(np.arange(4) * np.pi / 2, 5)
+    rest = np.column_stack([12 * np.cos(angle), 12 * np.sin(angle), np.repeat([20, 45, 70, 95, 120], 4)])
+    u = 8 * np.column_stack([np.sin(3 * t), np.cos(2 * t), 0 * t])
+    points = rest + u[:, None] * (rest[:, 2:] / 60) + [300.0, 40.0, 0.0]
+    names = [f"{axis}{k}" for k in range(20) for axis in "xyz"]
+    path = written(tmp_path, bench_log(["t", "u0", "u1", *names], t, u[:, :2], points))
+    found = guess_mapping([path])
+    origin = json.loads(re.search(r"origin_mm = (\[.*?\])", found.text)[1])
+    assert origin == pytest.approx([300, 40, 20], abs=4) and imported(tmp_path, found, [path]).doubts == ()
+
+
 def test_ticks_stay_ticks(tmp_path):
     t, points = places(400)
     u = np.rint(2048 + 900 * np.column_stack([np.sin(t), np.cos(t)]))
