@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.elastic import Coordinates, ElasticParameters
-from softmap_edge.errors import RobotError
+from softmap_edge.errors import RobotError, RunError
 from softmap_edge.folds import Folds
 from softmap_edge.reference_run import Fitted, Seen
 from softmap_edge.rod_fit import Drive, fit_drive, refine_drive, rms
@@ -39,11 +39,22 @@ ENOUGH = 1e-7  # share of the sum of squares by which a step must lower it to be
 STARTS = 4
 MOST_FRAMES = 20_000  # more are thinned evenly
 CHUNK = 8000  # frames whose slopes by all numbers are held at once
+EXACT = 1e-4  # mm: no camera sees better, so that a perfect fit is not infinitely sure
 TRADED = 0.995  # correlation of two numbers from which the run tells them only together
 
 
 def fit_elastic(seen: Seen, robot: Robot, parts: Folds, seed: int) -> Fitted:
-    """Fit the free numbers of an elastic rod, then delay and lag where the log can tell them."""
+    """Fit the free numbers of an elastic rod, then delay and lag where the log can tell them.
+
+    Raises:
+        RunError: a fold leaves too little to fit the numbers from.
+    """
+    least, free = min(len(train) for _, train in parts) * seen.markers[0].size, len(robot.coordinates().labels)
+    if least < 2 * free:
+        raise RunError(
+            f"beside one of the {len(parts)} parts that are held out in turn {least} coordinates are left to fit "
+            f"{free} numbers from; record longer, label longer moves as one `block`, or make more of them known"
+        )
     start, drive, pair = robot.start.copy(), seen.drive, (0.0, 0.0)
     u = drive.at([pair])[0]
     if not robot.angles_known:
@@ -150,7 +161,11 @@ def descend(term: Term, x: Floats, low: Floats, high: Floats) -> tuple[Floats, f
         while damping < 1e12 and free.any():
             system = square + damping * np.diag(scale)
             step = np.zeros(len(x))
-            step[free] = -np.linalg.solve(system[np.ix_(free, free)], gradient[free])
+            try:
+                step[free] = -np.linalg.solve(system[np.ix_(free, free)], gradient[free])
+            except np.linalg.LinAlgError:  # two numbers that do the same, and damping lost in round-off
+                damping *= 8.0
+                continue
             ahead = np.clip(x + step, low, high)
             reached = term(ahead, False)[0]
             fall = cost - float(reached @ reached)
@@ -236,8 +251,9 @@ def _linear(jacobian: Floats, doubt: Floats, variance: float) -> tuple[Floats, F
     finite.
     """
     scaled = jacobian * doubt  # x in units of doubt
-    information = scaled.T @ scaled / max(variance, 1e-300) + 1e-2 * np.eye(len(doubt))
-    covariance = np.linalg.inv(information)
+    information = scaled.T @ scaled / max(variance, EXACT**2) + 1e-2 * np.eye(len(doubt))
+    strength, directions = np.linalg.eigh(information)
+    covariance = (directions / np.maximum(strength, 1e-2)) @ directions.T
     deviation = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(deviation, deviation)
     return deviation * doubt, correlation - np.diag(np.diag(correlation))

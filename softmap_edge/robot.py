@@ -122,7 +122,7 @@ def _robot(top: TomlTable) -> Robot:
             np.deg2rad(_spread(tendons, "angle_deg", count, 0.0, -720.0, 720.0)),
             _spread(tendons, "radius_mm", count, None, 1e-2, 1e4),
             _spread(tendons, "pretension_mm", count, 0.0, -1e3, 1e3),
-            _spread(body, "stiffness_mm2", segments, None, 1e-3, 1e8),
+            _spread(body, "stiffness_mm2", segments, None, 1e-2, 1e5),
             _spread(body, "length_mm", segments, None, 0.1, 1e5),
             np.deg2rad(_spread(body, "rest_deg", 2 * segments, 0.0, -360.0, 360.0)),
             _spread(body, "base_mm", 3, 0.0, -1e5, 1e5),

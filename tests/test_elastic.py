@@ -180,6 +180,14 @@ length = "shared"
     assert all(number.note == "" for number in found.numbers) or found.numbers[0].sigma < 1.0
 
 
+def test_a_start_too_far_off_is_told():
+    far = arm(**ROUGH | {"angle_deg = [0, 120, 240, 60, 180, 300]": "angle_deg = [0, 240, 240, 60, 180, 300]"})
+    truth = arm(**{"angle_deg = [0, 120, 240, 60, 180, 300]": "angle_deg = [0, 110, 240, 60, 180, 300]"})
+    found = learn(recorded(truth, rate=5.0), robot=far)
+    assert [number.label for number in found.numbers if number.at_bound] == ["angle[1]"]
+    assert any("angle[1]" in note and "robot.toml" in note for note in found.notes)
+
+
 def test_stated_uncertainty_holds_the_truth():
     truth = arm()
     found = learn(recorded(truth, rate=5.0, noise=0.5), robot=arm(**ROUGH))
@@ -317,6 +325,8 @@ def test_a_run_of_another_robot_is_refused(run):
         learn(replace(run, markers=run.markers[:, :2]), robot=arm())
     with pytest.raises(RobotError, match="numbers to fit"):
         learn(run.at(np.arange(run.frames) < 4), robot=arm())
+    with pytest.raises(RunError, match="0 coordinates are left to fit 14 numbers"):
+        learn(replace(run, block=np.arange(run.frames) % 2), robot=arm())
     known = arm(**{line: "" for line in ARM.split("[fit]\n")[1].splitlines()})
     with pytest.raises(RobotError, match="0 numbers to fit"):
         learn(run, robot=known)
