@@ -233,11 +233,12 @@ def home_visits(run: Run, model: Model) -> list[NDArray[np.int64]]:
     u = model.commands(run)
     state = conditions(run, u)
     top = float(np.abs(u).max(initial=0.0))
-    home = np.abs(state.command).max(axis=1, initial=0.0) <= AT_HOME * top
-    if home.all():
-        return [part for part in np.array_split(np.arange(run.frames), _stretches(run.frames)) if len(part)]
-    rest = home & ~state.moving & (state.dwell >= SETTLED)
-    visits = [np.flatnonzero(rest & (state.visit == v)) for v in np.unique(state.visit[rest])]
+    if top == 0.0:  # never commanded: at rest always, and stretches of time stand for visits
+        visits = np.array_split(np.arange(run.frames), _stretches(run.frames))
+    else:
+        home = np.abs(state.command).max(axis=1, initial=0.0) <= AT_HOME * top
+        rest = home & ~state.moving & (state.dwell >= SETTLED)
+        visits = [np.flatnonzero(rest & (state.visit == v)) for v in np.unique(state.visit[rest])]
     visits = [frames for frames in visits if len(frames) >= GROUP_FRAMES]
     if len(visits) < VISITS:
         held = "; ".join(f"{len(frames)} frames" for frames in visits) or "none"

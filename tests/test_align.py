@@ -278,6 +278,7 @@ LINE = np.array([[0.0, 0, z] for z in (10, 40, 70, 110)])
             lambda run: marked(visits=2).slice_time(0.0, 7.5),
             ["too few home frames", "1 visits", "2 are needed", "at the end"],
         ),
+        (lambda run: run.at(np.arange(12)), ["too few home frames", "1 visits"]),
         (lambda run: changed(run, markers=run.markers[:, np.random.default_rng(0).permutation(12)]), ["another order"]),
     ],
 )
@@ -299,6 +300,14 @@ def test_vertices_in_other_units_are_refused(factor, words, filmed):
 def changed(run, **fields):
     known = {k: v for k, v in run.arrays().items() if k not in run.extra}
     return Run(**{**known, "robot": builtin_model().robot, "command_unit": "mm", "extra": run.extra, **fields})
+
+
+def test_a_robot_that_is_never_commanded_rests_at_home_always():
+    run = marked(2, play=0.0)
+    rest = run.t_seen < 4.8  # the first visit of home
+    still = changed(run.at(rest), command=np.zeros((len(run.t), 2)))
+    found = align_home(still, builtin_model())
+    assert found.groups >= 6 and np.all(np.abs(off(found)) < 3.5 * found.sigma)
 
 
 def test_a_run_of_another_robot_is_refused():
