@@ -218,6 +218,7 @@ class Solid:
         drive: list[list[float]],
         by_tension: bool = False,
         pretension: float = 0.0,
+        load_at: tuple[float, float, float] | None = None,
         points: _Floats | None = None,
         tolerance: float = 2.5,
     ) -> Self: ...

@@ -14,7 +14,19 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.errors import FingerError, brief
-from softmap_edge.finger_fields import Pairs, check_keys, check_number, finite, listed, names, quoted, sequence, shown
+from softmap_edge.finger_fields import (
+    Pairs,
+    Vector,
+    check_keys,
+    check_number,
+    check_vector,
+    finite,
+    listed,
+    names,
+    quoted,
+    sequence,
+    shown,
+)
 from softmap_edge.solids import Solid, solid_from
 from softmap_edge.tendons import Region, Tendon, check_commands, region_from, tendon_from, unit_of
 
@@ -38,7 +50,8 @@ class Finger:
     where it is negative) · command_range: (low, high) for each command, in command_unit: "mm" of shortening or "N" of
     tension · cable_stiffness_n_mm · guide_ring_mm, anchor_disc_mm: over what a tendon's forces are spread · regions of
     another modulus · pretension_mm: by how much every tendon is too short at command 0, below zero how slack ·
-    bounds: which numbers a fit to a run may change, and how far (low, high).
+    load_at_mm: where a load at the tip hangs at rest, None for the middle of the last tenth · bounds: which
+    numbers a fit to a run may change, and how far (low, high).
     """
 
     name: str
@@ -56,6 +69,7 @@ class Finger:
     anchor_disc_mm: float = 2.0
     regions: tuple[Region, ...] = ()
     pretension_mm: float = 0.0
+    load_at_mm: Vector | None = None
     bounds: tuple[tuple[str, tuple[float, float]], ...] = ()
 
     @property
@@ -68,6 +82,8 @@ class Finger:
             raise FingerError("name: expected a name of 1 to 100 printable characters; give the finger a name")
         for field, low, high, remedy in _RANGES:
             check_number(field, getattr(self, field), low, high, remedy)
+        if self.load_at_mm is not None:
+            check_vector("load_at_mm", self.load_at_mm, -2000.0, 2000.0, "give the place in mm where the load hangs")
         if len(self.gravity) != 3 or not all(finite(g) and abs(g) <= 10 for g in self.gravity):
             raise FingerError(f"gravity_g: {shown(self.gravity)}; expected three numbers of g within ±10, as [0, 0, 1]")
         if len(self.tendons) > 16 or len(self.regions) > 100:
@@ -140,6 +156,7 @@ class Finger:
             f"guide_ring_mm = {float(self.guide_ring_mm)!r}\nanchor_disc_mm = {float(self.anchor_disc_mm)!r}",
             f"pretension_mm = {float(self.pretension_mm)!r}",
             f"\n[mounting]\ngravity_g = {listed(self.gravity)}",
+            *([] if self.load_at_mm is None else [f"load_at_mm = {listed(self.load_at_mm)}"]),
         ]
         lines += [tendon.to_toml() for tendon in self.tendons]
         for pair, limits in zip(self.pairs, self.command_range):
@@ -179,7 +196,8 @@ def _from_document(document: Mapping[str, Any], folder: Path) -> Finger:
     needed, optional = ("name", "material", "mounting"), ("profile_mm", "block", "mesh", "cable", "fit", "region")
     check_keys("", document, needed, (*optional, "tendon", "command"))
     solid = solid_from(document, folder)
-    material, mounting = _table(document, "material", _MATERIAL), _table(document, "mounting", ("gravity_g",))
+    material = _table(document, "material", _MATERIAL)
+    mounting = _table(document, "mounting", ("gravity_g",), ("load_at_mm",))
     tendons, commands = _tables(document, "tendon"), _tables(document, "command")
     cable = {}
     if tendons or "cable" in document:
@@ -192,6 +210,7 @@ def _from_document(document: Mapping[str, Any], folder: Path) -> Finger:
         **material,
         **{_CABLE.get(key, key): value for key, value in cable.items()},
         gravity=sequence("gravity_g", mounting["gravity_g"]),
+        load_at_mm=sequence("load_at_mm", mounting["load_at_mm"]) if "load_at_mm" in mounting else None,
         tendons=tuple(tendon_from(table, solid, folder) for table in tendons),
         pairs=tuple(sequence("tendons", c["tendons"]) for c in commands),
         command_range=tuple(sequence("range", c[f"range_{unit.lower()}"]) for c in commands),

@@ -39,6 +39,8 @@ Progress = Callable[[str, float], None]
 
 SETTLED = 1.0  # s after the command stopped
 DWELLS, KEPT_OUT = 24, 12  # dwells that are fitted and that judge the fit, spread over commands and orientations
+FRAME_DWELLS = 3  # fewer shapes do not tell the frame from the finger
+SANDWICH = 8  # fewer dwells do not show how they scatter: their deviations come from the size of what is left
 ITERATIONS = 6
 STEP = 0.08  # of x: a tenth of the usual range, far above the solver's tolerance
 SEEN = 0.5  # of the half range: a deviation above it says that the run does not see the number
@@ -71,9 +73,9 @@ class FingerFit:
     together: tuple[tuple[str, str, float], ...]  # pairs seen only together, with their correlation
     dwells: int
     kept_out: int
-    as_it_was_mm: float  # on the dwells kept out: finger and frame as they were
-    frame_fitted_mm: float
-    finger_fitted_mm: float
+    as_it_was_mm: float | None  # on the dwells kept out, None without any: finger and frame as they were
+    frame_fitted_mm: float | None
+    finger_fitted_mm: float | None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document softmap.refit-finger/1."""
@@ -106,6 +108,10 @@ class FingerFit:
         for one, other, correlation in self.together:
             lines.append(f"  {one} and {other} are seen only together (correlation {correlation:+.2f})")
         lines.append("  density is as given: of modulus and density this run shows the ratio")
+        if not self.mount:
+            lines.append(f"  the camera's frame is taken as it is: {self.dwells} dwells do not tell it from the finger")
+        if self.finger_fitted_mm is None:
+            return "\n".join([*lines, "no dwell was left to judge by: predict another run with the fitted finger"])
         lines.append(
             f"error on dwells kept out: {self.as_it_was_mm:.2f} mm as it was, {self.frame_fitted_mm:.2f} with the "
             f"frame fitted, {self.finger_fitted_mm:.2f} mm with the finger fitted"
@@ -155,7 +161,7 @@ def fit_finger(finger: Finger, run: Run, progress: Progress | None = None) -> Fi
     return FingerFit(
         finger=new,
         numbers={name: numbers[name] for name in finger.fit},
-        mount=_mount_numbers(found.mount, found.deviation[len(names) :]),
+        mount=_mount_numbers(found.mount, found.deviation[len(names) :]) if bench.frame_is_free else {},
         together=_together(names, found.covariance),
         dwells=len(bench.fitted),
         kept_out=len(kept),
@@ -190,10 +196,10 @@ def _settled(finger: Finger, run: Run) -> _Dwells:
     state = conditions(run, u)
     still = (state.visit >= 0) & (state.dwell >= SETTLED)
     visits = [np.flatnonzero(still & (state.visit == v)) for v in np.unique(state.visit[still])]
-    if len(visits) < 2:
+    if not visits:
         raise RunError(
-            f"the robot stands still for {SETTLED:g} s at {len(visits)} places; a fit of the finger's own numbers "
-            "wants at least 2, better 20 dwells of 2 s and two orientations"
+            f"the robot never stands still for {SETTLED:g} s; a fit of the finger's own numbers wants dwells of 2 s, "
+            "better 20 of them in two orientations"
         )
     hidden = None if run.visible is None else ~np.asarray(run.visible, bool)
     points = np.array(run.seen_points, float)
@@ -296,8 +302,15 @@ class _Bench:
         rows = [seen_residual(np.where(s[:, None], r, 0.0), rest, sections, s) for r, s in zip(difference, seen)]
         return np.nan_to_num(np.stack(rows))
 
-    def rms(self, which: NDArray[np.intp], names: Sequence[str], x: Floats, mount: Floats) -> float:
-        """Return the RMS distance in mm over the section centroids or markers that were seen."""
+    @property
+    def frame_is_free(self) -> bool:
+        """Whether there are shapes enough to tell the camera's frame from the finger's own numbers."""
+        return len(self.fitted) >= FRAME_DWELLS
+
+    def rms(self, which: NDArray[np.intp], names: Sequence[str], x: Floats, mount: Floats) -> float | None:
+        """Return the RMS distance in mm over the section centroids or markers that were seen; None of no dwell."""
+        if not len(which):
+            return None
         seen = self.dwells.points[which]
         off = self.features(seen - moved(self.shapes(names, x[None], which)[0], mount), which)[:, self.map.positions]
         squares = np.sum(off**2, axis=2)
@@ -329,7 +342,7 @@ def _descend(bench: _Bench, names: Sequence[str]) -> _Found:
     which, count = bench.fitted, len(names)
     low, high = (np.array([bench.scaled(name, bench.start.fit[name][i]) for name in names]) for i in (0, 1))
     low, high = np.r_[low, np.full(6, -np.inf)], np.r_[high, np.full(6, np.inf)]
-    prior = np.r_[np.ones(count), np.full(6, 1e-9)]
+    prior = np.r_[np.ones(count), np.full(6, 1e-9 if bench.frame_is_free else 1e12)]
     seen, y, damping = bench.dwells.points[which], np.zeros(count + 6), 1e-3
 
     def residual(y: Floats) -> Floats:
@@ -359,8 +372,10 @@ def _descend(bench: _Bench, names: Sequence[str]) -> _Found:
         if max(step[:count].max(initial=0.0), 30.0 * step[count:].max()) < 0.01:
             break
     gradients = weight * np.einsum("pkf,kf->pk", slopes, left)
-    few = len(which) / max(1.0, len(which) - (count + 6) / EVIDENCE)
     inverse = np.linalg.inv(normal)
+    if len(which) < SANDWICH:
+        return _Found(y[:count], y[count:], inverse)
+    few = len(which) / max(1.0, len(which) - (count + 6) / EVIDENCE)
     return _Found(y[:count], y[count:], inverse @ (few * gradients @ gradients.T + np.diag(prior)) @ inverse)
 
 

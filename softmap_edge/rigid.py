@@ -25,6 +25,7 @@ JUDGES = 400  # points on which a start is judged
 TUKEY = 6.0  # robust standard deviations beyond which a point's distance counts as wrong
 MEDIAN_3D = 1.538  # median length of a vector of three standard normal numbers
 ROUNDS = 20
+NARROW = 0.2  # of the width of all points: outliers may not take the rest with them
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +102,19 @@ def robust(source: Floats, target: Floats, sigma: Floats, seen: Mask) -> tuple[P
     if seen.sum() > 3:
         start = _best_start(source[seen], target[seen], scale[seen], start)
     poses, weight = refined(source[None], target, scale, seen[None], start)
-    return Pose(poses.rotation[0], poses.shift[0]), weight[0] > 0
+    kept = weight[0] > 0
+    if _width(target[kept]) < NARROW * _width(
+        target[seen]
+    ):  # what is left is a line: the points left aside held the turn
+        return kabsch(source, target, np.where(seen, scale**-2, 0.0)), seen
+    return Pose(poses.rotation[0], poses.shift[0]), kept
+
+
+def _width(points: Floats) -> float:
+    """Return how far points (N, 3) mm spread across their longest direction, RMS mm."""
+    if len(points) < 2:
+        return 0.0
+    return float(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(points)))
 
 
 def refined(source: Floats, target: Floats, sigma: Floats, seen: Mask, start: Pose) -> tuple[Pose, Floats]:

@@ -163,6 +163,7 @@ class Simulator:
                 drive=_drive(finger).tolist(),
                 by_tension=finger.command_unit == "N",
                 pretension=finger.pretension_mm,
+                load_at=finger.load_at_mm,
                 points=points,
             )
         except _core.CoreError as error:

@@ -6,7 +6,7 @@ use crate::fem::material::{Body, Region};
 use crate::fem::mesh::{self, Resolution};
 use crate::fem::solid::Design;
 use crate::fem::tetrahedra::{tests::cut_block, tetrahedra};
-use crate::fem::{norm, sub};
+use crate::fem::{axpy, norm, sub};
 use std::f64::consts::FRAC_PI_2;
 
 pub(super) fn design(core: usize, layers: usize) -> Design {
@@ -25,6 +25,7 @@ pub(super) fn design(core: usize, layers: usize) -> Design {
         body: Body::uniform(0.3, 0.46, 1070.0).unwrap(),
         cable_stiffness: 20.0,
         pretension: 0.0,
+        load_at: None,
         averaging: Averaging {
             ring: 1.5,
             disc: 2.0,
@@ -423,4 +424,41 @@ fn the_finger_converges_under_refinement() {
         (tips[2] - tips[1]).abs() < (tips[1] - tips[0]).abs(),
         "{tips:?}"
     );
+}
+
+#[test]
+fn a_load_acts_where_it_hangs() {
+    // Force and moment of the shares are those of the place, and farther out it bends more.
+    let size = [30.0, 30.0, 100.0];
+    let at = |load_at: Option<Vec3>| {
+        Solid::build(Design {
+            mesh: mesh::block([3, 3, 40], size).unwrap(),
+            body: Body::uniform(0.25, 0.45, 1070.0).unwrap(),
+            cable_stiffness: 20.0,
+            pretension: 0.0,
+            load_at,
+            averaging: Averaging {
+                ring: 1.5,
+                disc: 2.0,
+            },
+            routes: Vec::new(),
+            drive: Drive::Shortening,
+        })
+    };
+    let place = [4.0, -3.0, 103.0];
+    let solid = at(Some(place)).unwrap();
+    let load = Load {
+        cables: Vec::new(),
+        gravity: [0.0; 3],
+        tip: [1.0, 1.0, 1.0],
+    };
+    let (mut force, mut first) = (0.0, [0.0; 3]);
+    for (n, &x) in solid.mesh.nodes.iter().enumerate() {
+        let f = solid.dead_force(n, &load)[0];
+        force += f;
+        first = axpy(first, f, x);
+    }
+    assert!((force - 1.0).abs() < 1e-12);
+    assert!(norm(sub(first, place)) < 1e-9);
+    assert!(at(Some([0.0, 0.0, 160.0])).is_err());
 }

@@ -1,7 +1,7 @@
 //! The solid: elements, cables and dead loads on one mesh; their total energy and the pattern of their equations.
 //!
 //! Total energy = Σ elements + Σ cables − Σ f·(x − X) with dead nodal forces f: own weight (consistent, ρ g) and a tip load
-//! spread over the last tenth of the height. Its residual and tangent are assembled and solved in `work.rs`.
+//! spread over the last tenth of the height, with a slope where it acts elsewhere. Its residual and tangent are assembled and solved in `work.rs`.
 
 use super::cable::{Cable, Drive};
 use super::element::{Element, elements};
@@ -9,14 +9,19 @@ use super::guide::{Averaging, Route};
 use super::material::Body;
 use super::mesh::Mesh;
 use super::sparse::Pattern;
-use super::{Vec3, axpy, dot, sub};
-use crate::error::Result;
+use super::{Vec3, axpy, dot, norm, sub};
+use crate::dense;
+use crate::error::{Result, invalid};
 use crate::loads::STANDARD_GRAVITY;
 
 pub use super::work::Work;
 
 /// Part of the height over which a tip load is spread.
 const TIP_PART: f64 = 0.1;
+/// A tip load acts this far outside the body at most, as a part of the height.
+const LOAD_REACH: f64 = 0.5;
+/// Slope of its shares over the height from which they are no answer but round-off.
+const STEEPEST: f64 = 1e4;
 /// Number of a clamped node among the free ones.
 pub(super) const HELD: usize = usize::MAX;
 
@@ -28,6 +33,8 @@ pub struct Design {
     pub cable_stiffness: f64,
     /// By how much every cable is shorter than its way at rest, mm; below zero it is slack.
     pub pretension: f64,
+    /// Where a tip load acts at rest, mm; without it the middle of the tip.
+    pub load_at: Option<Vec3>,
     pub averaging: Averaging,
     pub routes: Vec<Route>,
     pub drive: Drive,
@@ -74,7 +81,11 @@ impl Solid {
             Ok(cable)
         };
         let cables = design.routes.iter().map(bind).collect::<Result<Vec<_>>>()?;
-        Solid::new(design.mesh, cables, &design.body)
+        let mut solid = Solid::new(design.mesh, cables, &design.body)?;
+        if let Some(place) = design.load_at {
+            solid.load_at(place)?;
+        }
+        Ok(solid)
     }
 
     /// Any mesh with cables bound to it.
@@ -122,6 +133,54 @@ impl Solid {
             pattern,
             slots,
         })
+    }
+
+    /// Move a tip load to a place of the rest shape, mm: the shares get a slope, so that they make its force and moment.
+    fn load_at(&mut self, place: Vec3) -> Result<()> {
+        let nodes = &self.mesh.nodes;
+        let middle = (0..nodes.len()).fold([0.0; 3], |m, n| axpy(m, self.tip[n], nodes[n]));
+        let away = sub(place, middle);
+        let far = norm(away);
+        if far.is_nan() || far > LOAD_REACH * self.mesh.height {
+            return Err(invalid(format!(
+                "load at ({:.4}, {:.4}, {:.4}) mm: allowed is up to {:.4} mm from the middle of the tip at ({:.4}, {:.4}, {:.4}) mm",
+                place[0],
+                place[1],
+                place[2],
+                LOAD_REACH * self.mesh.height,
+                middle[0],
+                middle[1],
+                middle[2]
+            )));
+        }
+        let mut spread = vec![vec![0.0; 3]; 3];
+        for (n, share) in self.tip.iter().enumerate() {
+            let d = sub(nodes[n], middle);
+            for (a, row) in spread.iter_mut().enumerate() {
+                row.iter_mut()
+                    .zip(d)
+                    .for_each(|(s, b)| *s += share * d[a] * b);
+            }
+        }
+        let slope = match dense::solve(spread, away.to_vec()).as_deref() {
+            Some(&[x, y, z])
+                if [x, y, z]
+                    .iter()
+                    .all(|s| s.abs() * self.mesh.height < STEEPEST) =>
+            {
+                [x, y, z]
+            }
+            _ => {
+                return Err(invalid(format!(
+                    "load at ({:.4}, {:.4}, {:.4}) mm: the last tenth of the mesh is one layer of nodes and carries no moment; use more layers",
+                    place[0], place[1], place[2]
+                )));
+            }
+        };
+        for (n, share) in self.tip.iter_mut().enumerate() {
+            *share *= 1.0 + dot(slope, sub(nodes[n], middle));
+        }
+        Ok(())
     }
 
     /// Number of unknown coordinates.

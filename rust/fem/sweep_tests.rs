@@ -29,6 +29,7 @@ fn small(core: usize, layers: usize, points: Option<&[Vec3]>) -> Simulation {
         body: Body::uniform(0.3, 0.46, 1070.0).unwrap(),
         cable_stiffness: 20.0,
         pretension: 0.0,
+        load_at: None,
         averaging: Averaging {
             ring: 1.5,
             disc: 2.0,

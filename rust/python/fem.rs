@@ -132,7 +132,7 @@ pub struct Solid {
 impl Solid {
     /// `drive[t][c]` is what tendon t is told per unit of command c: mm of shortening, or N if `by_tension`.
     #[new]
-    #[pyo3(signature = (mesh, young, poisson, density, regions, cable_stiffness, ring, disc, routes, drive, by_tension=false, pretension=0.0, points=None, tolerance=2.5))]
+    #[pyo3(signature = (mesh, young, poisson, density, regions, cable_stiffness, ring, disc, routes, drive, by_tension=false, pretension=0.0, load_at=None, points=None, tolerance=2.5))]
     fn new(
         py: Python<'_>,
         mesh: &Mesh,
@@ -147,6 +147,7 @@ impl Solid {
         drive: Vec<Vec<f64>>,
         by_tension: bool,
         pretension: f64,
+        load_at: Option<Vec3>,
         points: Option<PyReadonlyArray2<f64>>,
         tolerance: f64,
     ) -> PyResult<Solid> {
@@ -174,6 +175,7 @@ impl Solid {
             )?,
             cable_stiffness,
             pretension,
+            load_at,
             averaging: Averaging { ring, disc },
             routes: routes.into_iter().map(route).collect(),
             drive: if by_tension {

@@ -156,7 +156,8 @@ def _refit_finger(args: argparse.Namespace) -> int:
         print(json.dumps({**found.to_dict(), "out": str(args.out)}, indent=1))
     else:
         print(f"{found}\n{args.out}: build its model with `softmap build {args.out}`, then diagnose what is left")
-    return int(found.finger_fitted_mm > found.frame_fitted_mm)
+    before, after = found.frame_fitted_mm, found.finger_fitted_mm
+    return int(before is not None and after is not None and after > before)
 
 
 # --- what the verbs share -----------------------------------------------------------------------
