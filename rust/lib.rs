@@ -10,11 +10,13 @@ pub mod error;
 pub mod fem;
 pub mod fields;
 pub mod loads;
+pub mod modes;
 pub mod predict;
 #[cfg(feature = "python")]
 mod python;
 pub mod rod;
 mod room;
+pub mod scattered;
 pub mod shape;
 pub mod table;
 mod vector;

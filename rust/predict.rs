@@ -3,7 +3,7 @@
 //! A frame at time t is `sense(prior(u_eff) + Σ c_k·field_k(u_eff) + Σ ΔT_i·cable_i(u_eff))`. `u_eff(t)` comes out of the
 //! chain at the command times and is read linearly at the seen times. `c(t)` holds the known physics, gravity declared by
 //! the run minus the gravity the prior was solved with (g) and the weight of the declared load (N), plus what the shape
-//! effects add. ΔT(t) is how the cables' tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
+//! effects add; a prior whose stiffness is not known leaves the known physics out, and the effects find it. ΔT(t) is how the cables' tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
 //!
 //! Parameter sets that agree in all channel effects share their shapes: in a Jacobian, steps in shape and sensing parameters
 //! cost next to nothing. Limits: bodies answer linearly (see `effects/gravity.rs`, `effects/payload.rs`).
@@ -30,6 +30,8 @@ pub struct Predictor {
     cables: Option<Cables>,
     positions: Vec<bool>,
     reference: [f64; 3],
+    /// Whether the loads that a run declares are applied.
+    declared: bool,
 }
 
 /// What one call works on.
@@ -97,7 +99,17 @@ impl Predictor {
             cables,
             positions,
             reference,
+            declared: true,
         })
+    }
+
+    /// The same without the loads that a run declares: for a prior whose fields have no known scale. Gravity still tells
+    /// the effects which way a weight pulls.
+    pub fn without_declared_loads(self) -> Predictor {
+        Predictor {
+            declared: false,
+            ..self
+        }
     }
 
     /// The gravity that the prior was solved with.
@@ -234,10 +246,12 @@ impl Predictor {
                 let mut sum = job
                     .chain
                     .coefficients(&job.params[b * width..(b + 1) * width], context);
-                let force = weight(context.load, context.gravity);
-                for i in 0..3 {
-                    sum[GRAVITY + i] += context.gravity[i] - self.reference[i];
-                    sum[TIP_FORCE + i] += force[i];
+                if self.declared {
+                    let force = weight(context.load, context.gravity);
+                    for i in 0..3 {
+                        sum[GRAVITY + i] += context.gravity[i] - self.reference[i];
+                        sum[TIP_FORCE + i] += force[i];
+                    }
                 }
                 for (f, value) in sum.iter_mut().enumerate() {
                     if value.abs() <= NEGLIGIBLE {

@@ -99,3 +99,25 @@ fn absent_fields_and_foreign_chains_are_told() {
         .is_err()
     );
 }
+
+#[test]
+fn a_prior_of_unknown_stiffness_leaves_declared_loads_to_the_effects() {
+    let chain = |names: &[&str]| {
+        Chain::new(&names.iter().map(|n| n.to_string()).collect::<Vec<_>>(), 1).unwrap()
+    };
+    let run = |body: &Predictor, chain: &Chain, params: &[f64]| {
+        let mut world = world([0.0, 0.0, 1.0], 10.0);
+        body.predict(chain, params, &[2.0, 4.0], &mut world, &[0.0])
+            .unwrap()
+    };
+    let fields = ["tip_force_z"];
+    let (plain, unknown) = (chain(&[]), predictor(&fields).without_declared_loads());
+    let still = run(&predictor(&fields), &plain, &[])[1] - run(&unknown, &plain, &[])[1];
+    assert!(
+        still > 0.1,
+        "the declared 10 g act on a model that knows its stiffness: {still}"
+    );
+    // The effect finds what was not declared to the model: 10 g of its own do the same.
+    let found = run(&unknown, &chain(&["payload"]), &[10.0])[1];
+    assert!((found - run(&predictor(&fields), &plain, &[])[1]).abs() < 1e-12);
+}

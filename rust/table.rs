@@ -7,23 +7,19 @@
 
 use crate::cubic::{NO_AXIS, Stencil, stencil};
 use crate::error::{Result, invalid};
+use crate::modes::{Modes, STACK_MODES};
 use crate::room::room;
 use crate::shape::Shape;
 
 /// The most channels a tensor grid can have; beyond, the number of nodes explodes.
 pub const MAX_CHANNELS: usize = 3;
 
-/// Modes up to this number are blended on the stack.
-const STACK_MODES: usize = 64;
-
 /// Modes on a tensor grid of commands.
 #[derive(Debug, Clone)]
 pub struct Table {
     axes: Vec<Vec<f64>>,
     coefficients: Vec<f64>,
-    mean: Vec<f64>,
-    modes: Vec<f64>,
-    count: usize,
+    modes: Modes,
 }
 
 impl Table {
@@ -49,14 +45,8 @@ impl Table {
                 )));
             }
         }
-        let size = mean.len();
-        if size == 0 || modes.len() % size != 0 {
-            return Err(invalid(format!(
-                "modes must be (m, M) with M = {size} as in mean, got {} numbers",
-                modes.len()
-            )));
-        }
-        let count = modes.len() / size;
+        let modes = Modes::new(mean, modes)?;
+        let count = modes.count();
         let lengths: Vec<usize> = axes.iter().map(Vec::len).chain([1]).collect();
         let nodes = room("a grid", &lengths)?;
         if Some(coefficients.len()) != nodes.checked_mul(count) {
@@ -69,8 +59,8 @@ impl Table {
             .iter()
             .flatten()
             .chain(&coefficients)
-            .chain(&mean)
-            .chain(&modes);
+            .chain(modes.mean())
+            .chain(modes.rows());
         if everything.into_iter().any(|value| !value.is_finite()) {
             return Err(invalid(
                 "a table holds a number that is not finite; rebuild it from a clean sweep",
@@ -79,9 +69,7 @@ impl Table {
         Ok(Table {
             axes,
             coefficients,
-            mean,
             modes,
-            count,
         })
     }
 
@@ -97,47 +85,25 @@ impl Table {
 
     /// The mean (M,).
     pub fn mean(&self) -> &[f64] {
-        &self.mean
+        self.modes.mean()
     }
 
     /// The modes (m, M).
     pub fn modes(&self) -> &[f64] {
-        &self.modes
+        self.modes.rows()
     }
 
     /// Number of modes m.
     pub fn count(&self) -> usize {
-        self.count
+        self.modes.count()
     }
 
     /// The same family seen through a linear map: `shape(u)·weights + offset`, `weights` (M, M2), `offset` (M2,).
     pub fn project(&self, weights: &[f64], offset: &[f64]) -> Result<Table> {
-        let (size, to) = (self.mean.len(), offset.len());
-        if to == 0 || weights.len() != size * to {
-            return Err(invalid(format!(
-                "a projection of this table needs weights ({size}, {to}) and offset ({to},), got {} numbers",
-                weights.len()
-            )));
-        }
-        let through = |row: &[f64]| {
-            let mut image = vec![0.0; to];
-            for (value, weight_row) in row.iter().zip(weights.chunks_exact(to)) {
-                if *value != 0.0 {
-                    image
-                        .iter_mut()
-                        .zip(weight_row)
-                        .for_each(|(sum, weight)| *sum += value * weight);
-                }
-            }
-            image
-        };
-        let mean = through(&self.mean)
-            .iter()
-            .zip(offset)
-            .map(|(a, b)| a + b)
-            .collect();
-        let modes = self.modes.chunks_exact(size).flat_map(through).collect();
-        Table::new(self.axes.clone(), self.coefficients.clone(), mean, modes)
+        Ok(Table {
+            modes: self.modes.project(weights, offset)?,
+            ..self.clone()
+        })
     }
 
     /// Call `add(node, share)` for the nodes of one stencil per axis.
@@ -158,29 +124,12 @@ impl Table {
     fn blend(&self, stencils: &[Stencil; MAX_CHANNELS], weights: &mut [f64]) {
         weights.fill(0.0);
         self.visit(stencils, |node, share| {
-            let row = &self.coefficients[node * self.count..(node + 1) * self.count];
+            let row = &self.coefficients[node * weights.len()..(node + 1) * weights.len()];
             weights
                 .iter_mut()
                 .zip(row)
                 .for_each(|(sum, value)| *sum += share * value);
         });
-    }
-
-    /// Add `Σ weight_m·mode_m` to `out` (M,).
-    fn expand(&self, weights: &[f64], out: &mut [f64]) {
-        for (weight, mode) in weights.iter().zip(self.modes.chunks_exact(out.len())) {
-            out.iter_mut()
-                .zip(mode)
-                .for_each(|(sum, value)| *sum += weight * value);
-        }
-    }
-
-    fn with_weights(&self, work: impl FnOnce(&mut [f64])) {
-        if self.count <= STACK_MODES {
-            work(&mut [0.0; STACK_MODES][..self.count]);
-        } else {
-            work(&mut vec![0.0; self.count]);
-        }
     }
 
     fn stencils(&self, u: &[f64], derivative: Option<usize>) -> [Stencil; MAX_CHANNELS] {
@@ -206,9 +155,9 @@ impl TableSum {
     pub fn new(tables: &[&Table]) -> Option<TableSum> {
         let first = *tables.first()?;
         let alike = tables.iter().all(|t| {
-            t.axes == first.axes && t.modes == first.modes && t.mean.iter().all(|m| *m == 0.0)
+            t.axes == first.axes && t.modes == first.modes && t.mean().iter().all(|m| *m == 0.0)
         });
-        let count = first.count;
+        let count = first.count();
         if !alike || count == 0 || count > STACK_MODES {
             return None;
         }
@@ -226,7 +175,7 @@ impl TableSum {
 
     /// Add Σ_t w_t·table_t(u) to `out` (M,).
     pub fn add(&self, u: &[f64], weights: &[f64], out: &mut [f64]) {
-        let (shared, count) = (&self.shared, self.shared.count);
+        let (shared, count) = (&self.shared, self.shared.count());
         let mut sum = [0.0; STACK_MODES];
         shared.visit(&shared.stencils(u, None), |node, share| {
             let rows = self.coefficients[node * count * weights.len()..].chunks_exact(count);
@@ -237,7 +186,7 @@ impl TableSum {
                     .for_each(|(sum, value)| *sum += factor * value);
             }
         });
-        shared.expand(&sum[..count], out);
+        shared.modes.expand(&sum[..count], out);
     }
 }
 
@@ -251,14 +200,14 @@ impl Shape for Table {
     }
 
     fn size(&self) -> usize {
-        self.mean.len()
+        self.modes.size()
     }
 
     fn eval(&self, u: &[f64], out: &mut [f64]) {
-        out.copy_from_slice(&self.mean);
-        self.with_weights(|weights| {
+        out.copy_from_slice(self.mean());
+        self.modes.with_weights(|weights| {
             self.blend(&self.stencils(u, None), weights);
-            self.expand(weights, out);
+            self.modes.expand(weights, out);
         });
     }
 
@@ -267,9 +216,9 @@ impl Shape for Table {
         let mut column = vec![0.0; size];
         for c in 0..channels {
             column.fill(0.0);
-            self.with_weights(|weights| {
+            self.modes.with_weights(|weights| {
                 self.blend(&self.stencils(u, Some(c)), weights);
-                self.expand(weights, &mut column);
+                self.modes.expand(weights, &mut column);
             });
             column
                 .iter()

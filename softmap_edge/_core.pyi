@@ -22,6 +22,7 @@ __all__ = [
     "Predictor",
     "Rod",
     "RodField",
+    "Scattered",
     "Shape",
     "Solid",
     "Table",
@@ -83,6 +84,13 @@ class Table(Shape):
     @property
     def modes(self) -> _Floats: ...
     def project(self, weights: _Floats, offset: _Floats) -> Table: ...
+
+@final
+class Scattered(Shape):
+    def __new__(
+        cls, nodes: _Floats, scale: _Floats, power: int, coefficients: _Floats, mean: _Floats, modes: _Floats
+    ) -> Self: ...
+    def project(self, weights: _Floats, offset: _Floats) -> Scattered: ...
 
 FIELDS: list[str]
 
@@ -176,6 +184,7 @@ class Predictor:
         positions: NDArray[np.bool_],
         gravity_reference: _Floats,
         cables: Cables | None = None,
+        declared_loads: bool = True,
     ) -> Self: ...
     def predict(
         self,

@@ -1,9 +1,11 @@
 """The bundle: the folder that carries a model from one machine to another. Data only; nothing in it is ever run.
 
 manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it
-prior.npz       the prior: a table (axes, coefficients, mean, modes) or a rod
-template.npz    rest points, triangles, tip, per-feature form error
-fields.npz      displacement fields per 1 g and per 1 N, as modes on a coarser grid
+prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes, scale, power and the
+same)
+                or a rod
+template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh
+fields.npz      displacement fields per 1 g and per 1 N, as modes over fewer commands
 effects.json    the chain: names and parameters
 calibration.json, safety.toml   joined when the bench has them
 """
@@ -23,13 +25,15 @@ from numpy.typing import NDArray
 
 from softmap_edge import __version__, _core
 from softmap_edge.errors import BundleError, SoftmapError, brief
+from softmap_edge.features import SECTIONS, Body
 from softmap_edge.model import Arrays, Model
 from softmap_edge.npz import read_npz, write_npz
 
-SCHEMA = 1
+SCHEMA = 2  # 2: scattered families, bodies without a mesh; a model that needs neither is written as 1
 _MAX_BYTES = 256 << 20
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
-_KINDS = ("table", "rod")
+_KINDS = ("table", "scattered", "rod")
+_SHARED = ("modes", "nodes", "scale", "power")  # what the fields of one bundle have in common beside their axes
 _TENSION = "tension_"  # what the field of a tendon is called, before its number
 _LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
 _MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
@@ -55,11 +59,15 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         "tip": model.tip_indices.astype(np.uint32),
         "form_error_mm": model.form_error.astype(np.float32),
     }
+    if model.body is not None:
+        template |= {"section": model.body.section.astype(np.uint16), "along": model.body.along.astype(np.float32)}
+        if model.body.angle is not None:
+            template["angle"] = model.body.angle.astype(np.float32)
     write_npz(partial / "template.npz", template)
     chain = {"chain": list(model.chain_names), "params": model.params}
     (partial / "effects.json").write_text(json.dumps(chain, indent=1, sort_keys=True) + "\n")
     manifest = {
-        "schema": SCHEMA,
+        "schema": SCHEMA if model.kind == "scattered" or model.body is not None else 1,
         "kind": model.kind,
         "robot": model.robot,
         "channels": model.channels,
@@ -70,6 +78,7 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         "gravity_reference": model.gravity_reference.tolist(),
         "held_out_error_mm": float(model.vertex_error_mm),
         "held_out_error_per_g_mm": float(model.error_per_g_mm),
+        "stiffness_known": model.stiffness_known,
         "made_from": dict(model.made_from),
         "written_by": f"softmap-edge {__version__}",
         "sha256": {name: _sha256(partial / name) for name in _FILES},
@@ -147,6 +156,7 @@ def load_manifest(path: str | Path) -> dict[str, Any]:
     _require(manifest, "held_out_error_mm", _finite_number, "a number in mm")
     if "held_out_error_per_g_mm" in manifest:
         _require(manifest, "held_out_error_per_g_mm", _finite_number, "a number in mm")
+    _require({"stiffness_known": True, **manifest}, "stiffness_known", lambda v: isinstance(v, bool), "true or false")
     _require(manifest, "gravity_reference", lambda v: _floats(v, 3), "three numbers")
     _require(
         manifest,
@@ -157,13 +167,25 @@ def load_manifest(path: str | Path) -> dict[str, Any]:
     return manifest
 
 
-def table_from(arrays: Mapping[str, NDArray[np.generic]], prefix: str = "") -> _core.Table:
-    """Return the compiled table stored in `arrays` as `{prefix}axis0…`, `coefficients`, `mean`, `modes`."""
+def family_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table | _core.Scattered:
+    """Return the compiled shape family of `coefficients`, `mean` and `modes` over `axis0…`, or over scattered
+    `nodes`.
+    """
+    mean, modes, coefficients = (np.asarray(arrays[name], np.float64) for name in ("mean", "modes", "coefficients"))
+    if "nodes" in arrays:
+        nodes, scale = (np.asarray(arrays[name], np.float64) for name in ("nodes", "scale"))
+        return _core.Scattered(nodes, scale, int(arrays["power"].item()), coefficients, mean, modes)
     axes: list[NDArray[np.float64]] = []
-    while f"{prefix}axis{len(axes)}" in arrays:
-        axes.append(np.asarray(arrays[f"{prefix}axis{len(axes)}"], np.float64))
-    mean, modes = (np.asarray(arrays[f"{prefix}{name}"], np.float64) for name in ("mean", "modes"))
-    return _core.Table(axes, np.ascontiguousarray(arrays[f"{prefix}coefficients"], np.float64), mean, modes)
+    while f"axis{len(axes)}" in arrays:
+        axes.append(np.asarray(arrays[f"axis{len(axes)}"], np.float64))
+    return _core.Table(axes, coefficients, mean, modes)
+
+
+def table_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table:
+    """Return the compiled table stored in `arrays` as `axis0…`, `coefficients`, `mean`, `modes`."""
+    family = family_from({name: array for name, array in arrays.items() if name != "nodes"})
+    assert isinstance(family, _core.Table)
+    return family
 
 
 def _arrays(folder: Path) -> dict[str, Arrays]:
@@ -188,8 +210,8 @@ def _arrays(folder: Path) -> dict[str, Arrays]:
 def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     arrays = _arrays(folder)
     template = arrays["template"]
-    if manifest["kind"] == "table":
-        prior: Any = table_from(arrays["prior"])
+    if manifest["kind"] != "rod":
+        prior: Any = family_from(arrays["prior"])
         fields = fields_from(arrays["fields"])
         cables = cables_from(arrays["prior"], arrays["fields"])
     else:
@@ -203,7 +225,8 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     if prior.channels != manifest["channels"]:
         raise BundleError(f"{folder.name}: prior of {prior.channels} channels, manifest says {manifest['channels']}")
     triangles = np.asarray(template["triangles"], np.int32).reshape(-1, 3)
-    what = "vertices" if len(triangles) else "markers"
+    body = _body(folder, template, len(rest)) if "section" in template else None
+    what = "markers" if body is None and not len(triangles) else "vertices"
     if not 1 <= len(rest) <= _MOST_POINTS[what]:
         raise BundleError(f"{folder.name}: template of {len(rest)} {what}, allowed are 1 to {_MOST_POINTS[what]}")
     tip = np.asarray(template["tip"], np.int64)
@@ -227,6 +250,8 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         command_unit=str(manifest.get("command_unit", "mm")),
         input=str(manifest.get("input", "present")),
         made_from=_made_from(manifest),
+        body=body,
+        stiffness_known=bool(manifest.get("stiffness_known", manifest["kind"] != "rod")),
         arrays={"prior": arrays["prior"], "fields": arrays["fields"]},
     )
     if model.form_error.shape != (len(model.positions), 3):
@@ -234,6 +259,21 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
             f"{folder.name}: form error of shape {model.form_error.shape}, expected ({len(model.positions)}, 3)"
         )
     return model.with_effects(*_chain(folder))
+
+
+def _body(folder: Path, template: Arrays, points: int) -> Body:
+    """Read how the points lie along a body; as many sections as features are made of."""
+    for name in ("section", "along", "angle"):
+        if name in template and template[name].shape != (points,):
+            raise BundleError(
+                f"{folder.name}: template '{name}' of shape {template[name].shape}, expected ({points},); build it "
+                "again"
+            )
+    section = np.asarray(template["section"], np.int64)
+    if template["section"].dtype.kind not in "iu" or not 0 <= section.min() <= section.max() < SECTIONS:
+        raise BundleError(f"{folder.name}: template 'section' holds other than whole numbers below {SECTIONS}")
+    angle = np.asarray(template["angle"], float) if "angle" in template else None
+    return Body(section, np.asarray(template["along"], float), angle)
 
 
 def _chain(folder: Path) -> tuple[list[str], dict[str, float]]:
@@ -248,12 +288,12 @@ def _chain(folder: Path) -> tuple[list[str], dict[str, float]]:
 
 
 def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, Any]:
-    """Return the compiled fields stored as `coefficients_NAME` over shared `axis0…` and `modes`."""
-    shared = {key: value for key, value in arrays.items() if key.startswith("axis") or key == "modes"}
+    """Return the compiled fields stored as `coefficients_NAME` over shared `axis0…` or `nodes`, and `modes`."""
+    shared = {key: value for key, value in arrays.items() if key.startswith("axis") or key in _SHARED}
     names = [key.removeprefix("coefficients_") for key in arrays if key.startswith("coefficients_")]
     size = shared["modes"].shape[1] if names else 0
     return {
-        name: table_from({**shared, "coefficients": arrays[f"coefficients_{name}"], "mean": np.zeros(size)})
+        name: family_from({**shared, "coefficients": arrays[f"coefficients_{name}"], "mean": np.zeros(size)})
         for name in sorted(names)
         if not name.startswith(_TENSION)
     }

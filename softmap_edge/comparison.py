@@ -283,7 +283,7 @@ def _tips(model: Model, predicted: Floats, seen: Floats, visible: Mask) -> tuple
 def _by_section(model: Model, squared: Floats, visible: Mask, names: list[str]) -> list[Bin]:
     """One bin per section of the template, base first, with its height range; one per marker for markers."""
     count = squared.shape[1]
-    markers = len(model.triangles) == 0 or len(model.rest) != count
+    markers = model.markers or len(model.rest) != count
     sections = np.arange(count) if markers else np.asarray(model.sections)
     labels = np.unique(sections)
     rows = []
@@ -295,7 +295,7 @@ def _by_section(model: Model, squared: Floats, visible: Mask, names: list[str]) 
         end = {0: " base", len(labels) - 1: " tip"}.get(position, "")
         own = names[section] if names else f"marker {position + 1}"
         name = own if markers else f"{position + 1}{end}"
-        height = None if markers else np.asarray(model.rest)[member, 2]
+        height = None if markers else np.asarray(model.along)[member]
         low, high = (None, None) if height is None else (float(height.min()), float(height.max()))
         rows.append(Bin(name, low, high, int(counts.any(axis=1).sum()), _rms(sums[counts])))
     return rows
@@ -326,14 +326,14 @@ def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run
 
 def _template(model: Model, seen: Floats) -> Floats | None:
     """The template at rest (N, 3), if the seen points are its vertices."""
-    whole = len(model.triangles) > 0 and len(model.rest) == seen.shape[1]
+    whole = not model.markers and len(model.rest) == seen.shape[1]
     return np.asarray(model.rest, float) if whole else None
 
 
 def _drawn(model: Model, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[np.int64] | None]:
     """Where to draw the points: on the template with its triangles, or where the markers were on average."""
     rest = _template(model, seen)
-    if rest is not None:
+    if rest is not None and len(model.triangles):
         return rest, np.asarray(model.triangles, np.int64)
     count = np.maximum(visible.sum(axis=0), 1)
     return seen.sum(axis=0) / count[:, None], None

@@ -169,8 +169,8 @@ def parameters(record: Record, fit: Fit, sigma: Floats, names: Sequence[str]) ->
         label, unit = fit.space.labels[i], fit.space.units[i]
         if label.split(".")[0] not in names:
             continue
-        if record.model.kind == "rod" and unit == "g":
-            unit = "of the rod's own load scale"  # its stiffness is unknown, so grams would be a claim without ground
+        if unit == "g" and not getattr(record.model, "stiffness_known", True):
+            unit = "of the model's own load scale"  # grams would be a claim without ground
         if unit == "mm" and label.split(".")[0] in in_commands:
             unit = getattr(record.model, "command_unit", "mm")
         bounds = [x for x in (fit.space.low[j], fit.space.high[j]) if abs(x - null[j]) > 1e-6]

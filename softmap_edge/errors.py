@@ -13,6 +13,10 @@ class BundleError(SoftmapError):
     """A bundle folder is damaged, too new or not a bundle."""
 
 
+class SweepError(SoftmapError):
+    """A sweep made elsewhere is not usable."""
+
+
 class ComparisonError(SoftmapError):
     """A model and a run cannot be compared."""
 

@@ -1,7 +1,7 @@
 """What a fit sees of a shape: centroid and first moments of each section of a template, or markers as they are.
 
 A frame's features are V 3-vectors, linear in the points: `features = weights @ points`, so that noise maps exactly.
-Section s with points p_i at rest angle φ_i about the axis gives a centroid (1/n Σ p_i) and the directions
+Section s with points p_i at rest angle φ_i about the body's axis gives a centroid (1/n Σ p_i) and the directions
 2/n Σ (cos φ_i − mean) p_i and 2/n Σ (sin φ_i − mean) p_i (mm: radius times the section's director).
 A place moves under translation; a direction (weights sum to zero) only rotates.
 """
@@ -40,34 +40,63 @@ class FeatureMap:
         return np.ascontiguousarray(np.kron(self.weights.T, np.eye(3)))
 
 
+@dataclass(frozen=True, eq=False)
+class Body:
+    """How the points of a template lie along its body at rest, one entry a point.
+
+    `section` (N,) int, base first · `along` (N,) mm from the base · `angle` (N,) rad about the centreline, None where
+    the points lie on the centreline themselves, so that a section has a place and no direction.
+    """
+
+    section: NDArray[np.int64]
+    along: Floats
+    angle: Floats | None
+
+    @property
+    def count(self) -> int:
+        """Number of sections."""
+        return int(self.section.max()) + 1
+
+
+def upright(rest: Floats) -> Body:
+    """Return how the vertices (N, 3) mm of a finger that stands along z lie: slices of equal height."""
+    return Body(sections_of(rest), rest[:, 2], np.arctan2(rest[:, 1], rest[:, 0]))
+
+
 def sections_of(rest: Floats, count: int = SECTIONS) -> NDArray[np.int64]:
     """Return the section (N,) of each rest vertex (N, 3) mm: `count` slices of equal height along z."""
-    z = rest[:, 2]
-    low, high = float(z.min()), float(z.max())
-    return np.clip(((z - low) / (high - low + 1e-9) * count).astype(np.int64), 0, count - 1)
+    return slices(rest[:, 2], count)
 
 
-def section_features(rest: Floats, sections: NDArray[np.int64]) -> FeatureMap:
-    """Return the centroids and first moments of each section of a template at rest (N, 3) mm.
+def slices(along: Floats, count: int) -> NDArray[np.int64]:
+    """Return which of `count` equal slices of the body each place `along` (N,) mm lies in."""
+    low, high = float(along.min()), float(along.max())
+    return np.clip(((along - low) / (high - low + 1e-9) * count).astype(np.int64), 0, count - 1)
+
+
+def section_features(body: Body) -> FeatureMap:
+    """Return the centroids and, off the centreline, the first moments of each section of a template.
 
     Raises:
         SoftmapError: a section holds no vertex.
     """
-    count = int(sections.max()) + 1
-    weights = np.zeros((3 * count, len(rest)))
+    count, points = body.count, len(body.section)
+    kinds = 1 if body.angle is None else 3
+    weights = np.zeros((kinds * count, points))
     for s in range(count):
-        inside = np.flatnonzero(sections == s)
-        angle = np.arctan2(rest[inside, 1], rest[inside, 0])
+        inside = np.flatnonzero(body.section == s)
         n = len(inside)
         if n == 0:
             raise SoftmapError(
-                f"section {s} of the {count} slices along z holds none of the template's {len(rest)} vertices; "
+                f"section {s} of the {count} slices along the body holds none of the template's {points} vertices; "
                 "a finger has vertices all along"
             )
         weights[s, inside] = 1.0 / n
-        for row, basis in ((count + s, np.cos(angle)), (2 * count + s, np.sin(angle))):
-            weights[row, inside] = 2.0 / n * (basis - basis.mean())
-    return FeatureMap(weights, np.arange(3 * count) < count, np.tile(np.arange(count), 3))
+        if body.angle is not None:
+            angle = body.angle[inside]
+            for row, basis in ((count + s, np.cos(angle)), (2 * count + s, np.sin(angle))):
+                weights[row, inside] = 2.0 / n * (basis - basis.mean())
+    return FeatureMap(weights, np.arange(kinds * count) < count, np.tile(np.arange(count), kinds))
 
 
 def marker_features(count: int) -> FeatureMap:
@@ -112,18 +141,25 @@ def attach(points: Floats, rest: Floats, names: Sequence[str] = ()) -> Floats:
     return weights
 
 
-def seen_residual(residual: Floats, rest: Floats, sections: NDArray[np.int64], seen: NDArray[np.bool_]) -> Floats:
-    """Return section features (3S, 3) mm of a residual (N, 3) mm of which only the vertices `seen` (N,) are known.
+def seen_residual(residual: Floats, body: Body, seen: NDArray[np.bool_]) -> Floats:
+    """Return section features (V, 3) mm of a residual (N, 3) mm of which only the vertices `seen` (N,) are known.
 
     Per section, least squares of the residual on (1, cos φ, sin φ); a section with fewer than six seen vertices is NaN.
     """
-    count = int(sections.max()) + 1
+    count = body.count
+    if body.angle is None:
+        places = np.full((count, 3), np.nan)
+        for s in range(count):
+            inside = (body.section == s) & seen
+            if inside.any():
+                places[s] = residual[inside].mean(axis=0)
+        return places
     features = np.full((3 * count, 3), np.nan)
     for s in range(count):
-        inside = np.flatnonzero((sections == s) & seen)
+        inside = np.flatnonzero((body.section == s) & seen)
         if len(inside) < 6:
             continue
-        angle = np.arctan2(rest[inside, 1], rest[inside, 0])
+        angle = body.angle[inside]
         basis = np.column_stack([np.ones(len(inside)), np.cos(angle), np.sin(angle)])
         solution, _, rank, _ = np.linalg.lstsq(basis, residual[inside], rcond=1e-3)
         if rank == 3:

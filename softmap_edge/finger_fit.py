@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.conditions import conditions
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.features import attach, marker_features, section_features, sections_of, seen_residual
+from softmap_edge.features import attach, marker_features, section_features, seen_residual, upright
 from softmap_edge.finger import Finger
 from softmap_edge.run import Run
 from softmap_edge.simulator import Simulator, tour
@@ -242,7 +242,7 @@ class _Bench:
         self.loads, self.group = np.unique(loads, axis=0, return_inverse=True)
         self.template = Simulator(finger).template
         rest, count = self.template.vertices, self.dwells.points.shape[1]
-        self.map, self.carry = section_features(rest, sections_of(rest)), None
+        self.map, self.carry = section_features(upright(rest)), None
         if run.markers is not None:
             if run.marker_rest is None:
                 raise RunError("the run has markers but no `marker_rest` (M, 3) mm; give marker_rest_mm in the mapping")
@@ -298,8 +298,8 @@ class _Bench:
         seen = np.asarray(np.isfinite(self.dwells.points[which]).all(axis=2))
         if seen.all() or self.carry is not None:
             return self.map(np.where(seen[..., None], difference, 0.0))
-        rest, sections = self.template.vertices, sections_of(self.template.vertices)
-        rows = [seen_residual(np.where(s[:, None], r, 0.0), rest, sections, s) for r, s in zip(difference, seen)]
+        body = upright(self.template.vertices)
+        rows = [seen_residual(np.where(s[:, None], r, 0.0), body, s) for r, s in zip(difference, seen)]
         return np.nan_to_num(np.stack(rows))
 
     @property

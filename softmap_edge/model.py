@@ -2,7 +2,8 @@
 
     command ─chain of effects─> u_eff ─prior f(u_eff) + Σ cₖ·Sₖ(u_eff)─sensing effects─> points
 
-The prior is a table (a simulated sweep) or a rod (fitted to a reference run); whoever uses a model cannot tell which.
+The prior is a table or a scattered family (a sweep, simulated here or elsewhere) or a rod (fitted to a reference run);
+whoever uses a model cannot tell which.
 Parameters of effects live in one place, `chain_params`, in the order of `chain.labels`.
 """
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.features import FeatureMap, attach, marker_features, section_features, sections_of, seen_residual
+from softmap_edge.features import Body, FeatureMap, attach, marker_features, section_features, seen_residual, upright
 
 if TYPE_CHECKING:
     from softmap_edge.run import Run
@@ -37,7 +38,9 @@ class Model:
     `prior` maps commands (n, C) to flattened points (n, 3N) mm; `fields` are displacements per 1 g or per 1 N;
     `rest` (N, 3) mm are the template's vertices or the markers at rest; `form_error` (V, 3) mm is the measured
     held-out error of each feature; `made_from` says what made the model (versions, seeds, hashes); `arrays` are the
-    contents of `prior.npz` and `fields.npz`, from which prior, fields and cables were compiled.
+    contents of `prior.npz` and `fields.npz`, from which prior, fields and cables were compiled. `body` says how the
+    points lie along a body that does not stand along z or has no mesh. Without `stiffness_known` the fields have a
+    nominal scale: loads that a run declares are not applied, and no fitted load is a weight in grams.
     """
 
     kind: str
@@ -58,6 +61,8 @@ class Model:
     made_from: Mapping[str, Any] = field(default_factory=dict)
     error_per_g_mm: float = 0.0  # by which its own error grows for each g away from the reference
     cables: _core.Cables | None = None  # how tendons answer loads; a rod has none
+    body: Body | None = None
+    stiffness_known: bool = True
     arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
     _attached: dict[bytes, Floats] = field(default_factory=dict, init=False, repr=False)
 
@@ -69,7 +74,7 @@ class Model:
     @property
     def markers(self) -> bool:
         """Whether the points are markers rather than vertices of a template."""
-        return len(self.triangles) == 0
+        return len(self.triangles) == 0 and self.body is None
 
     @cached_property
     def chain(self) -> _core.Chain:
@@ -77,14 +82,23 @@ class Model:
         return _core.Chain(list(self.chain_names), self.channels)
 
     @cached_property
+    def _lie(self) -> Body:
+        return upright(self.rest) if self.body is None else self.body
+
+    @property
     def sections(self) -> NDArray[np.int64]:
         """Section (N,) of each point: slices along the body, or the marker's own number."""
-        return np.arange(len(self.rest)) if self.markers else sections_of(self.rest)
+        return np.arange(len(self.rest)) if self.markers else self._lie.section
+
+    @property
+    def along(self) -> Floats:
+        """Place (N,) mm of each vertex along the body."""
+        return self._lie.along
 
     @cached_property
     def feature_map(self) -> FeatureMap:
         """The linear map from points to features."""
-        return marker_features(len(self.rest)) if self.markers else section_features(self.rest, self.sections)
+        return marker_features(len(self.rest)) if self.markers else section_features(self._lie)
 
     @property
     def positions(self) -> NDArray[np.bool_]:
@@ -164,7 +178,7 @@ class Model:
             return np.where(visible[..., None], seen, np.nan)
         predicted, features = self.predict(run), self.features(run)
         rows = [
-            f + seen_residual(np.where(v[:, None], s - p, 0.0), self.rest, self.sections, v)
+            f + seen_residual(np.where(v[:, None], s - p, 0.0), self._lie, v)
             for f, s, p, v in zip(features, seen, predicted, visible)
         ]
         return np.stack(rows)
@@ -232,7 +246,7 @@ class Model:
     @cached_property
     def _points(self) -> Any:
         everywhere = np.ones(len(self.rest), bool)
-        return _core.Predictor(self.prior, dict(self.fields), everywhere, self.gravity_reference, self.cables)
+        return self._predictor(self.prior, dict(self.fields), everywhere, self.cables)
 
     @cached_property
     def _sections_predictor(self) -> Any:
@@ -249,7 +263,12 @@ class Model:
         fields = {name: shape.project(matrix, zero) for name, shape in self.fields.items()}
         cables = None if self.cables is None else self.cables.project(matrix, zero)
         prior = self.prior.project(matrix, zero)
-        return _core.Predictor(prior, fields, mapping.positions, self.gravity_reference, cables)
+        return self._predictor(prior, fields, mapping.positions, cables)
+
+    def _predictor(
+        self, prior: Shape, fields: dict[str, Shape], positions: NDArray[np.bool_], cables: _core.Cables | None
+    ) -> _core.Predictor:
+        return _core.Predictor(prior, fields, positions, self.gravity_reference, cables, self.stiffness_known)
 
 
 def tip_of(vertices: Floats) -> NDArray[np.int64]:

@@ -213,6 +213,7 @@ def learned_model(run: Run, learned: LearnedRod) -> Model:
         input=learned.input,
         made_from=learned.made_from,
         arrays={"prior": learned.to_arrays(), "fields": {}},
+        stiffness_known=False,
     )
     return model.with_effects(learned.chain_names, learned.chain_params)
 

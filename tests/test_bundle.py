@@ -100,7 +100,7 @@ def test_a_changed_file_is_refused_by_name(copy, name):
     [
         ({"schema": 99}, "pip install -U"),
         ({"schema": "one"}, "schema"),
-        ({"kind": "oracle"}, "table, rod"),
+        ({"kind": "oracle"}, "table, scattered, rod"),
         ({"channels": 3}, "command_range"),
         ({"held_out_error_mm": float("nan")}, "held_out_error_mm"),
         ({"gravity_reference": [0, 0]}, "gravity_reference"),

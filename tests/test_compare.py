@@ -48,6 +48,14 @@ class Lean:
     params: dict = field(default_factory=dict)
     arrays: dict = field(default_factory=dict)
 
+    @property
+    def markers(self):
+        return len(self.triangles) == 0
+
+    @property
+    def along(self):
+        return self.rest[:, 2]
+
     def commands(self, run):
         return run.command
 

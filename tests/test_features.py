@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softmap_edge.errors import SoftmapError
-from softmap_edge.features import attach, section_features, sections_of, seen_residual
+from softmap_edge.features import attach, section_features, seen_residual, upright
 from softmap_edge.npz import read_npz, write_npz
 
 
@@ -21,7 +21,7 @@ def rotation(axis, angle):
 
 def test_places_move_under_translation_and_directions_do_not():
     rest = cylinder()
-    features = section_features(rest, sections_of(rest))
+    features = section_features(upright(rest))
     shift = np.array([1.0, -2.0, 0.5])
     moved = features(rest + shift) - features(rest)
     np.testing.assert_allclose(moved[features.positions], np.tile(shift, (9, 1)), atol=1e-9)
@@ -30,13 +30,13 @@ def test_places_move_under_translation_and_directions_do_not():
 
 def test_features_turn_with_the_body():
     rest = cylinder()
-    features, turn = section_features(rest, sections_of(rest)), rotation([1, 2, 3], 0.3)
+    features, turn = section_features(upright(rest)), rotation([1, 2, 3], 0.3)
     np.testing.assert_allclose(features(rest @ turn.T), features(rest) @ turn.T, atol=1e-9)
 
 
 def test_moments_see_a_twist_that_centroids_do_not():
     rest = cylinder()
-    features = section_features(rest, sections_of(rest))
+    features = section_features(upright(rest))
     twist = 0.1 * rest[:, 2] / 100.0
     turned = rest.copy()
     turned[:, 0] = np.cos(twist) * rest[:, 0] - np.sin(twist) * rest[:, 1]
@@ -48,7 +48,7 @@ def test_moments_see_a_twist_that_centroids_do_not():
 
 def test_matrix_is_the_same_map():
     rest = cylinder()
-    features = section_features(rest, sections_of(rest))
+    features = section_features(upright(rest))
     np.testing.assert_allclose((rest.ravel() @ features.matrix()).reshape(-1, 3), features(rest), atol=1e-9)
 
 
@@ -62,13 +62,13 @@ def test_attached_markers_follow_every_affine_motion():
 
 def test_half_seen_section_gives_the_residual_of_the_whole():
     rest = cylinder()
-    sections = sections_of(rest)
-    features = section_features(rest, sections)
+    body = upright(rest)
+    features = section_features(body)
     angle = np.arctan2(rest[:, 1], rest[:, 0])
     residual = np.stack([1 + 0.5 * np.cos(angle), np.sin(angle), 0.2 + 0 * angle], axis=1)
     seen = rest[:, 0] > -0.5
-    np.testing.assert_allclose(seen_residual(residual, rest, sections, seen)[:9], features(residual)[:9], atol=1e-6)
-    assert np.isnan(seen_residual(residual, rest, sections, np.zeros(len(rest), bool))).all()
+    np.testing.assert_allclose(seen_residual(residual, body, seen)[:9], features(residual)[:9], atol=1e-6)
+    assert np.isnan(seen_residual(residual, body, np.zeros(len(rest), bool))).all()
 
 
 def test_archives_are_deterministic_and_refuse_objects(tmp_path):

@@ -72,6 +72,38 @@ def sweep_sample(folder):
     return folder / "sweep.npz"
 
 
+def shapes_sample(folder):
+    from robots import arc, rings
+
+    place, offset = rings(4, 7)
+    u = np.stack([g.ravel() for g in np.meshgrid([-4.0, -1.0, 4.0], [-3.0, 0.0, 3.0], indexing="ij")], axis=1)
+    known = {"load": np.array([5.0]), "loaded_command": u[:1], "mass": np.array(30.0)}
+    np.savez(
+        folder / "sweep.npz",
+        command=u,
+        vertices=arc(u, place, offset),
+        triangles=np.array([[0, 1, 7], [1, 8, 7]]),
+        robot="arc",
+        command_unit="mm",
+        gravity=np.array([0.0, 0.0, 1.0]),
+        base=np.zeros(3),
+        loaded_vertices=arc(u[:1] + 1.0, place, offset),
+        **known,
+    )
+    return folder / "sweep.npz"
+
+
+def scattered_bundle_sample(folder):
+    from robots import arc, rings
+
+    from softmap_edge.bundle import save_bundle
+    from softmap_edge.elsewhere import model_from_file
+
+    u = np.random.default_rng(0).uniform(-5, 5, (25, 2))
+    np.savez(folder / "sweep.npz", command=u, vertices=arc(u, *rings(4, 7)))
+    return save_bundle(model_from_file(folder / "sweep.npz"), folder / "bundle")
+
+
 def bundle_sample(folder):
     from softmap_edge.bundle import builtin_model, save_bundle
 
@@ -141,6 +173,14 @@ def use_sweep(path):
     np.testing.assert_array_equal(Sweep.load(path.with_name("again.npz")).vertices, sweep.vertices)
 
 
+def use_shapes(path):
+    from softmap_edge.elsewhere import model_from_file
+    from softmap_edge.sweep_file import read_summary
+
+    read_summary(path)
+    model_from_file(path).prior.evaluate(np.zeros((2, 2)))
+
+
 def use_bundle(path):
     from softmap_edge.bundle import load_bundle
     from softmap_edge.run import Run
@@ -159,6 +199,8 @@ FORMATS = [
     Format("robot", robot_sample, spoil_text_file, use_robot),
     Format("sweep", sweep_sample, spoil_npz_file, use_sweep),
     Format("diagnosis", diagnosis_sample, spoil_text_file, use_diagnosis),
+    Format("sweep made elsewhere", shapes_sample, spoil_npz_file, use_shapes),
+    Format("scattered bundle", scattered_bundle_sample, spoil_bundle, use_bundle),
     Format("bundle", bundle_sample, spoil_bundle, use_bundle),
     Format("elastic bundle", elastic_sample, spoil_bundle, use_bundle),
 ]

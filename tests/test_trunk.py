@@ -74,7 +74,7 @@ def test_the_load_is_named_with_its_rival_and_never_in_grams(page):
     assert any("gain" in rival["effects"] for rival in document["rivals"])
     units = {p["unit"] for entry in [*document["effects"], *document["faults"]] for p in entry["params"].values()}
     assert not units & {"g", "kg", "N"} and '"unit": "g"' not in json.dumps(document)
-    assert effects["payload"]["params"]["payload.mass"]["unit"] == "of the rod's own load scale"
+    assert effects["payload"]["params"]["payload.mass"]["unit"] == "of the model's own load scale"
     told = str(page[1]["found"]).split("Not testable")[0].split("Next experiment")[0]
     assert not re.search(r"\d\s*(g|grams?)\b", told)
 

@@ -7,6 +7,7 @@ mod elastic;
 mod fem;
 mod predict;
 mod rod;
+mod scattered;
 mod shape;
 mod table;
 
@@ -43,6 +44,8 @@ mod _core {
     use super::predict::PyPredictor;
     #[pymodule_export]
     use super::rod::{PyRod, PyRodField, monomial_degrees, monomials};
+    #[pymodule_export]
+    use super::scattered::PyScattered;
     #[pymodule_export]
     use super::shape::PyShape;
     #[pymodule_export]

@@ -19,14 +19,16 @@ pub struct PyPredictor {
 #[pymethods]
 impl PyPredictor {
     /// `positions` (V,) is true for places and false for directions; `gravity_reference` (3,) is what the prior was solved with.
+    /// Without `declared_loads` the gravity and load of a run are not applied: the scale of the fields is not known.
     #[new]
-    #[pyo3(signature = (prior, fields, positions, gravity_reference, cables=None))]
+    #[pyo3(signature = (prior, fields, positions, gravity_reference, cables=None, declared_loads=true))]
     fn new(
         prior: PyRef<'_, PyShape>,
         fields: &Bound<'_, PyDict>,
         positions: Vec<bool>,
         gravity_reference: Value<'_, '_>,
         cables: Option<PyRef<'_, PyCables>>,
+        declared_loads: bool,
     ) -> PyResult<PyPredictor> {
         let mut shapes = vec![];
         for (name, field) in fields.iter() {
@@ -37,8 +39,13 @@ impl PyPredictor {
         let cables = cables.map(|c| c.inner.clone());
         let predictor: Result<_> =
             Predictor::new(prior.inner.clone(), shapes, cables, positions, reference);
+        let predictor = predictor?;
         Ok(PyPredictor {
-            predictor: predictor?,
+            predictor: if declared_loads {
+                predictor
+            } else {
+                predictor.without_declared_loads()
+            },
         })
     }
 

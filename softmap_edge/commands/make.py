@@ -19,37 +19,50 @@ from softmap_edge.finger import Finger
 
 def build_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `build`."""
-    parser.add_argument("finger", nargs="?", help="finger.toml; without it the built-in finger")
+    parser.add_argument(
+        "finger",
+        nargs="?",
+        help="finger.toml, or a sweep (.npz) of `softmap sweep` or of another simulator (docs/elsewhere.md); without "
+        "it the built-in finger",
+    )
     bundle_arguments(parser)
     parser.add_argument("--steps", type=int, help="commands a channel in the sweep (41, of three channels 13)")
 
 
 def build(args: argparse.Namespace) -> int:
-    """Simulate a finger and write its bundle."""
-    from softmap_edge.build import build_model
-
+    """Simulate a finger, or take a sweep that was made before, and write the bundle."""
     _check_steps(args.steps)
     check_bundle(args.out, args.force)
-    finger = _finger(args.finger)
+    made, how = None, "another mesh, modulus ±10 %"
     with Bar(args.json) as bar:
-        model = build_model(finger, args.steps, bar)
+        if args.finger is not None and Path(args.finger).suffix == ".npz":
+            from softmap_edge.elsewhere import model_from_file
+
+            model = model_from_file(args.finger, bar)
+            made = model.made_from.get("commands")
+            how = how if made is None else "interpolation of the sweep, by leaving out"
+        else:
+            from softmap_edge.build import build_model
+
+            model = build_model(_finger(args.finger), args.steps, bar)
+    commands = made or int(model.made_from["steps"]) ** model.channels
     folder = save_bundle(model, args.out)
-    commands = int(model.made_from["steps"]) ** model.channels
     size = sum(file.stat().st_size for file in folder.iterdir())
     result = {
         "schema": "softmap.build/1",
         "bundle": str(args.out),
-        "kind": "table",
+        "kind": model.kind,
         "vertices": len(model.rest),
         "commands": commands,
         "held_out_error_mm": round(model.vertex_error_mm, 4),
         "bytes": size,
     }
     text = (
-        f"{args.out}: table of {finger.name}, {len(model.rest)} vertices, {commands} commands, "
-        f"own held-out error {model.vertex_error_mm:.2f} mm (another mesh, modulus ±10 %), {size / 1000:.0f} kB"
+        f"{args.out}: {model.kind} of {model.robot}, {len(model.rest)} vertices, {commands} commands, "
+        f"own held-out error {model.vertex_error_mm:.2f} mm ({how}), {size / 1000:.0f} kB"
     )
-    print(json.dumps(result) if args.json else text)
+    notes = [] if args.json else model.made_from.get("notes", [])
+    print(json.dumps(result) if args.json else "\n".join([text, *(f"  {note}" for note in notes)]))
     return 0
 
 

@@ -12,10 +12,13 @@ import numpy as np
 
 from softmap_edge.advice import effect_lines
 from softmap_edge.commands.output import check_file
-from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.errors import RunError, SoftmapError, SweepError
 from softmap_edge.importer import import_logs, read_mapping
+from softmap_edge.npz import read_npz
 from softmap_edge.run import Run
 from softmap_edge.run_summary import SCHEMA, sentences, summary
+from softmap_edge.sweep_file import LIMIT, is_shape_sweep, read_summary
+from softmap_edge.sweep_file import sentences as sweep_sentences
 
 DONE, FAULT = 0, 1
 _BARS = "▁▂▃▄▅▆▇█"
@@ -84,16 +87,18 @@ def _guess(args: argparse.Namespace) -> int:
 
 def check_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `check`."""
-    parser.add_argument("path", help="a run (.npz) or a bundle folder")
+    parser.add_argument("path", help="a run (.npz), a sweep (.npz) or a bundle folder")
     parser.add_argument("--bundle", metavar="DIR", help="of a run: say which effects would show against this model's")
 
 
 def check(args: argparse.Namespace) -> int:
     """Say whether a run or bundle is sound, and what it holds; 0 when sound, 1 when not."""
     path = _existing(args.path)
-    document: dict[str, Any] = {"schema": SCHEMA, "path": str(path), "kind": "bundle" if path.is_dir() else "run"}
+    kind = "bundle" if path.is_dir() else "sweep" if is_shape_sweep(path) else "run"
+    document: dict[str, Any] = {"schema": SCHEMA, "path": str(path), "kind": kind}
     try:
-        document |= {"sound": True, "fault": None} | (_bundle(path) if path.is_dir() else _run(path, args.bundle))
+        found = _run(path, args.bundle) if kind == "run" else _bundle(path) if kind == "bundle" else read_summary(path)
+        document |= {"sound": True, "fault": None} | found
     except SoftmapError as fault:
         document |= {"sound": False, "fault": str(fault)}
     if args.json:
@@ -101,7 +106,8 @@ def check(args: argparse.Namespace) -> int:
     elif not document["sound"]:
         print(f"not sound: {document['fault']}", file=sys.stderr)
     else:
-        lines = sentences(document) if document["kind"] == "run" else _bundle_lines(document)
+        say = {"bundle": _bundle_lines, "sweep": sweep_sentences, "run": sentences}
+        lines = say[document["kind"]](document)
         lines += effect_lines(document["effects"]) if args.bundle and document["kind"] == "run" else []
         print("\n".join([f"sound     {path}", *lines]))
     return DONE if document["sound"] else FAULT
@@ -109,7 +115,7 @@ def check(args: argparse.Namespace) -> int:
 
 def show_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `show`."""
-    parser.add_argument("path", help="a run (.npz) or a bundle folder")
+    parser.add_argument("path", help="a run (.npz), a sweep (.npz) or a bundle folder")
 
 
 def show(args: argparse.Namespace) -> int:
@@ -119,16 +125,19 @@ def show(args: argparse.Namespace) -> int:
         document = {"schema": "softmap.show/1", "path": str(path), "kind": "bundle", **_bundle(path)}
         print(json.dumps(document, ensure_ascii=False) if args.json else "\n".join(_bundle_lines(document)))
         return DONE
-    run = Run.load(path)
-    fields = [_field(name, array) for name, array in run.arrays().items()]
+    sweep = is_shape_sweep(path)
+    run = None if sweep else Run.load(path)
+    arrays = read_npz(path, SweepError, LIMIT) if run is None else run.arrays()
+    fields = [_field(name, array) for name, array in arrays.items()]
     if args.json:
-        print(json.dumps({"schema": "softmap.show/1", "path": str(path), "kind": "run", "fields": fields}))
+        kind = "sweep" if sweep else "run"
+        print(json.dumps({"schema": "softmap.show/1", "path": str(path), "kind": kind, "fields": fields}))
         return DONE
-    print(run)
+    print("\n".join(sweep_sentences(read_summary(path))) if run is None else run)
     for field in fields:
         span = "" if field["low"] is None else f"{field['low']:g} to {field['high']:g}"
         print(f"  {field['name']:<14} {field['shape']!s:<16} {field['type']:<8} {span or field['text'] or ''}")
-    for label, values in _traces(run):
+    for label, values in [] if run is None else _traces(run):
         print(f"  {label:<14} {_trace(values)}")
     return DONE
 

@@ -1,0 +1,102 @@
+//! A few modes over many numbers, `mean + Σ_m a_m·mode_m`: what a table and a scattered family share.
+//!
+//! How the weights a_m follow from a command is the family's own business (`table.rs`, `scattered.rs`); here they are
+//! expanded to the M numbers, and the whole is seen through linear maps (vertices → features).
+
+use crate::error::{Result, invalid};
+
+/// Modes up to this number are blended on the stack.
+pub const STACK_MODES: usize = 64;
+
+/// A mean (M,) and modes (m, M), row-major.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Modes {
+    mean: Vec<f64>,
+    rows: Vec<f64>,
+    count: usize,
+}
+
+impl Modes {
+    /// Take `mean` (M,) and `rows` (m, M).
+    pub fn new(mean: Vec<f64>, rows: Vec<f64>) -> Result<Modes> {
+        let size = mean.len();
+        if size == 0 || rows.len() % size != 0 {
+            return Err(invalid(format!(
+                "modes must be (m, M) with M = {size} as in mean, got {} numbers",
+                rows.len()
+            )));
+        }
+        let count = rows.len() / size;
+        Ok(Modes { mean, rows, count })
+    }
+
+    /// The mean (M,).
+    pub fn mean(&self) -> &[f64] {
+        &self.mean
+    }
+
+    /// The modes (m, M).
+    pub fn rows(&self) -> &[f64] {
+        &self.rows
+    }
+
+    /// Number of modes m.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Number of outputs M.
+    pub fn size(&self) -> usize {
+        self.mean.len()
+    }
+
+    /// The same modes seen through a linear map: `numbers·weights + offset`, `weights` (M, M2), `offset` (M2,).
+    pub fn project(&self, weights: &[f64], offset: &[f64]) -> Result<Modes> {
+        let (size, to) = (self.size(), offset.len());
+        if to == 0 || weights.len() != size * to {
+            return Err(invalid(format!(
+                "a projection of this shape needs weights ({size}, {to}) and offset ({to},), got {} numbers",
+                weights.len()
+            )));
+        }
+        let through = |row: &[f64]| {
+            let mut image = vec![0.0; to];
+            for (value, weight_row) in row.iter().zip(weights.chunks_exact(to)) {
+                if *value != 0.0 {
+                    image
+                        .iter_mut()
+                        .zip(weight_row)
+                        .for_each(|(sum, weight)| *sum += value * weight);
+                }
+            }
+            image
+        };
+        let mean = through(&self.mean)
+            .iter()
+            .zip(offset)
+            .map(|(a, b)| a + b)
+            .collect();
+        Modes::new(
+            mean,
+            self.rows.chunks_exact(size).flat_map(through).collect(),
+        )
+    }
+
+    /// Add `Σ weight_m·mode_m` to `out` (M,).
+    pub fn expand(&self, weights: &[f64], out: &mut [f64]) {
+        for (weight, mode) in weights.iter().zip(self.rows.chunks_exact(out.len())) {
+            out.iter_mut()
+                .zip(mode)
+                .for_each(|(sum, value)| *sum += weight * value);
+        }
+    }
+
+    /// Work on m weights, zero at first; they live on the stack if they are few.
+    pub fn with_weights(&self, work: impl FnOnce(&mut [f64])) {
+        if self.count <= STACK_MODES {
+            work(&mut [0.0; STACK_MODES][..self.count]);
+        } else {
+            work(&mut vec![0.0; self.count]);
+        }
+    }
+}
