@@ -37,8 +37,8 @@ Term = Callable[
 ITERATIONS = 60
 ENOUGH = 1e-7  # share of the sum of squares by which a step must lower it to be followed by another
 STARTS = 4
-MOST_FRAMES = 20_000  # more are thinned evenly
-CHUNK = 8000  # frames whose slopes by all numbers are held at once
+MOST_SEEN, LEAST_FRAMES = 8000, 200  # markers times frames of a fit; more frames, but not these, are thinned evenly
+CHUNK = 4_000_000  # slopes by all numbers that are held at once
 EXACT = 1e-4  # mm: no camera sees better, so that a perfect fit is not infinitely sure
 TRADED = 0.995  # correlation of two numbers from which the run tells them only together
 
@@ -97,7 +97,7 @@ def fit_for(robot: Robot, seen: Seen) -> Seen:
             f"{len(seen.frames)} usable frames of {markers} markers and {free} numbers to fit; give four coordinates "
             'for each number, and name in [fit] of robot.toml what is to be fitted, as angle = "each"'
         )
-    every = -(-len(seen.frames) // MOST_FRAMES)
+    every = -(-len(seen.frames) // max(LEAST_FRAMES, MOST_SEEN // markers))
     frames = seen.frames[::every]
     drive = Drive(seen.drive.u, seen.drive.t, seen.run.t_seen[frames])
     return Seen(seen.run, seen.source, frames, seen.markers[::every], drive)
@@ -131,9 +131,10 @@ class Data:
     def slopes(self, x: Floats, frames: NDArray[np.intp]) -> Floats:
         """Return the slopes (n·3M, D) of the residuals by x."""
         rod = self.coordinates.layout.compiled(self.coordinates.numbers(x))
+        step = max(1, CHUNK // (rod.size * len(self.coordinates.start)))
         parts = [
-            self.coordinates.slopes(x, rod.number_slopes(np.ascontiguousarray(self.u[frames[i : i + CHUNK]]))[1])
-            for i in range(0, len(frames), CHUNK)
+            self.coordinates.slopes(x, rod.number_slopes(np.ascontiguousarray(self.u[frames[i : i + step]]))[1])
+            for i in range(0, len(frames), step)
         ]
         return np.concatenate(parts).reshape(-1, len(x))
 
@@ -214,8 +215,8 @@ class Number:
     note: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as documents have it."""
-        return asdict(self)
+        """Return it as documents have it, to six digits."""
+        return asdict(self) | {"value": float(f"{self.value:.6g}"), "sigma": float(f"{self.sigma:.3g}")}
 
     def __str__(self) -> str:
         text = f"{self.label:<14} {self.value:9.3f} ± {self.sigma:<8.3g} {self.unit:<6}"

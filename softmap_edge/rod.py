@@ -140,7 +140,7 @@ def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> Learne
         "notes": list(notes),
     }
     if fitted.numbers:
-        more["numbers"] = [str(number) for number in fitted.numbers]
+        more["numbers"] = [number.to_dict() for number in fitted.numbers]
     return LearnedRod(
         rod=fitted.rod,
         input=seen.source,

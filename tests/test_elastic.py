@@ -180,6 +180,13 @@ length = "shared"
     assert all(number.note == "" for number in found.numbers) or found.numbers[0].sigma < 1.0
 
 
+def test_long_runs_are_thinned_evenly():
+    run = recorded(arm(), seconds=300.0)
+    found = learn(run, robot=arm(**ROUGH))
+    assert run.frames == 6000 and len(found.frames) == 2000 and set(np.diff(found.frames)) == {3}
+    assert found.error_mm < 1e-3
+
+
 def test_a_start_too_far_off_is_told():
     far = arm(**ROUGH | {"angle_deg = [0, 120, 240, 60, 180, 300]": "angle_deg = [0, 240, 240, 60, 180, 300]"})
     truth = arm(**{"angle_deg = [0, 120, 240, 60, 180, 300]": "angle_deg = [0, 110, 240, 60, 180, 300]"})
