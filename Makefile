@@ -44,6 +44,7 @@ docs: $(VENV)/.test
 	$(BIN)/python docs/make_effects.py
 	$(BIN)/python docs/figures.py
 	$(BIN)/python docs/figures_tdcr.py
+	$(BIN)/python docs/figures_beam.py
 
 wheel: $(VENV)/.core
 	$(UV) maturin

@@ -72,6 +72,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     del tables  # of a long log, half of the memory
     t, fields = _resample_commands(t, fields, mapping, notes)
     if t_seen is not None:
+        _rest(t_seen, fields, mapping, notes)
         t_seen = choose_frames(t, t_seen, fields, mapping, notes)
         fields["t_seen"] = t_seen
         doubts += doubts_of_rest(t, t_seen, fields, mapping)
@@ -228,6 +229,24 @@ def _resample_commands(
             fields[name] = rows if column.ndim == 2 else rows[:, 0]
     notes.append(f"commands resampled from {len(t)} rows to {len(regular)} at {mapping.command_rate_hz:g} Hz")
     return regular, fields
+
+
+def _rest(t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> None:
+    """Take the markers' places at rest from a stretch of the log in which the robot is known to be straight."""
+    if mapping.marker_rest_s is None:
+        return
+    low, high = mapping.marker_rest_s
+    if mapping.marker_rest_mm is not None or fields.get("markers") is None:
+        raise RunError(f"{mapping.path}: marker_rest_s wants markers, and no marker_rest_mm beside it")
+    straight = np.asarray(fields["markers"])[(t_seen >= low) & (t_seen <= high)]
+    known = np.isfinite(straight).all(axis=2)
+    if not len(straight) or not known.any(axis=0).all():
+        raise RunError(
+            f"{mapping.path}: marker_rest_s = [{low:g}, {high:g}]: {len(straight)} frames, and some marker is not seen "
+            f"in them; the log is seen from {t_seen[0]:g} to {t_seen[-1]:g} s"
+        )
+    fields["marker_rest"] = np.where(known[..., None], straight, 0.0).sum(axis=0) / known.sum(axis=0)[:, None]
+    notes.append(f"markers at rest: where they were from {low:g} to {high:g} s ({len(straight)} frames)")
 
 
 def _constants(files: list[Path], mapping: Mapping, fields: dict[str, Any], notes: list[str]) -> None:

@@ -103,6 +103,7 @@ class Mapping:
     block_seconds: float | None
     constants: dict[str, Any] = field(default_factory=dict)
     marker_rest_mm: Array | None = None
+    marker_rest_s: tuple[float, float] | None = None
     load_g: tuple[tuple[str, float], ...] = ()
     declare_load: bool = True
 
@@ -180,12 +181,23 @@ def _mapping(path: Path, top: TomlTable) -> Mapping:
         block_seconds=blocks.number("seconds", None, 1e-3, 1e9),
         constants={name: value for name, value in pairs.items() if value is not None},
         marker_rest_mm=constant.numbers("marker_rest_mm", (None, 3)),
+        marker_rest_s=_stretch(constant),
         load_g=_loads(constant),
         declare_load=bool(constant.get("declare_load", (bool,), True)),
     )
     for table in (frame, commands, seen, blocks, constant, top):
         table.done()
     return mapping
+
+
+def _stretch(constant: TomlTable) -> tuple[float, float] | None:
+    limits = constant.numbers("marker_rest_s", (2,))
+    if limits is None:
+        return None
+    low, high = map(float, limits)
+    if not low <= high:
+        raise RunError(f"{constant.where}: marker_rest_s = [{low:g}, {high:g}]: it ends before it begins")
+    return low, high
 
 
 def _loads(constant: TomlTable) -> tuple[tuple[str, float], ...]:
