@@ -206,7 +206,17 @@ def _drive_units(found: _Found) -> None:
         if moved[0] > 0 and 0.5 < moved[1] / moved[0] < 1.5:
             why = f"encoders move {moved[1] / moved[0]:.2f} times as far as commands, so the unit is the same"
             answers[1 - firm] = (answers[firm][0], why, True)
-    for (kind, (_, role)), (unit, why, sure) in zip(drives, answers):
+    if len(answers) == 2 and not _alike(answers[0][0], answers[1][0]):
+        if answers[0][2] and answers[1][2]:
+            found.present = None
+            found.unknown.append(
+                f"the radius of the spools: encoders are in {answers[1][0]}, commands in {answers[0][0]}; the encoders "
+                "are left out, give them with spool_radius_mm"
+            )
+        else:
+            loose = 0 if answers[1][2] else 1
+            answers[loose] = (answers[1 - loose][0], f"as the {drives[1 - loose][0]}", False)
+    for (kind, (_, role)), (unit, why, sure) in zip(drives, answers[: 2 if found.present else 1]):
         role.unit = unit
         found.assumed.append(f"{kind}: in {unit}; {why}")
         if not sure:
@@ -217,6 +227,12 @@ def _drive_units(found: _Found) -> None:
             f"the radius of the spools: commands stay {unit}; with spool_radius_mm, and without command_unit, they are "
             "mm of tendon, which a simulated finger needs"
         )
+
+
+def _alike(one: str, other: str) -> bool:
+    """Whether two units are of one kind."""
+    kinds: tuple[Any, ...] = (LENGTH, ANGLE, ("ticks",))
+    return any(one in kind and other in kind for kind in kinds)
 
 
 def _spread(rows: Array) -> Array:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.log_table import open_log
+from softmap_edge.log_table import LARGEST, open_log
 from softmap_edge.logs.mcap_file import open_mcap, topics
 from softmap_edge.logs.text import TextColumns
 from softmap_edge.mapping import LENGTH, TIME, UNITS
@@ -86,7 +86,8 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
             for topic in topics(path):
                 if topic.readable:
                     held = open_mcap(path, topic.name, ROWS)
-                    sheets.append(Sheet(path, topic.name, held.names, {}, held.numbers, {}))
+                    numbers = np.where(np.abs(held.numbers) < LARGEST, held.numbers, np.nan)
+                    sheets.append(Sheet(path, topic.name, held.names, {}, numbers, {}))
             continue
         texts: dict[str, list[str]] = {}
         if isinstance(columns, TextColumns):
@@ -94,7 +95,7 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
         places = [k for k, name in enumerate(columns.names) if name not in texts]
         cells = columns.read(places, None, ROWS).numbers[:ROWS]
         numbers = np.full((len(cells), len(columns.names)), np.nan)
-        numbers[:, places] = cells
+        numbers[:, places] = np.where(np.abs(cells) < LARGEST, cells, np.nan)
         header = not isinstance(columns, TextColumns) or columns.header
         sheets.append(Sheet(path, None, columns.names, dict(columns.units), numbers, texts, header))
     return sheets

@@ -147,7 +147,7 @@ def is_base(label: str) -> bool:
 
 def at_rest(t: Array, t_seen: Array, command: Array | None, markers: Array) -> Array:
     """Return the (M, 3) median places of the markers in the frames nearest to home."""
-    if command is None or command.shape[1] == 0 or not np.abs(command).max():
+    if command is None or command.size == 0 or not np.abs(command).max():
         return _middle(markers)
     size = np.abs(command).max(axis=1)
     near = np.interp(t_seen, t, size)

@@ -97,6 +97,41 @@ def test_a_recording_that_was_cut_off_is_read_as_far_as_it_goes(tmp_path):
     assert 50 < len(done.run.t) < 400 and any("cut off" in note for note in done.notes)
 
 
+def chunk_of(folder, size, data, compression="zstd"):
+    """A recording of one chunk that states `size` and holds `data`."""
+    text = compression.encode()
+    body = (
+        struct.pack("<QQQI", 0, 0, size, 0) + struct.pack("<I", len(text)) + text + struct.pack("<Q", len(data)) + data
+    )
+    start = struct.pack("<BQII", 1, 8, 0, 0)  # a header without profile and library
+    whole = b"\x89MCAP0\r\n" + start + struct.pack("<BQ", 6, len(body)) + body
+    (folder / "run.mcap").write_bytes(whole)
+    return folder / "run.mcap"
+
+
+def test_a_chunk_that_unpacks_to_more_than_it_states_is_stopped(tmp_path):
+    """1 GiB of zeros in 100 kB: unpacked only as far as the file says it goes, in little memory."""
+    import tracemalloc
+
+    import lz4.frame
+    import zstandard
+
+    zeros = bytes(2**24)
+    packer = zstandard.ZstdCompressor().compressobj()
+    bomb = b"".join(packer.compress(zeros) for _ in range(64)) + packer.flush()
+    squeezer = lz4.frame.LZ4FrameCompressor()
+    brick = squeezer.begin() + b"".join(squeezer.compress(zeros) for _ in range(64)) + squeezer.flush()
+    for data, compression in ((bomb, "zstd"), (brick, "lz4")):
+        path = chunk_of(tmp_path, 1000, data, compression)
+        tracemalloc.start()
+        with pytest.raises(RunError, match="a chunk holds 1001 bytes, but states 1000"):
+            topics(path)
+        assert tracemalloc.get_traced_memory()[1] < 64 * 2**20
+        tracemalloc.stop()
+    with pytest.raises(RunError, match="a chunk of 1099511627776 bytes"):
+        topics(chunk_of(tmp_path, 2**40, bomb))
+
+
 def test_joints_that_change_their_order_keep_their_columns(tmp_path):
     goals = [("/goal", JOINT_STATE, joint_state(1.0, (1, 2)), 1.0)]
     goals.append(("/goal", JOINT_STATE, joint_state(2.0, (4, 3), ("right", "left")), 2.0))

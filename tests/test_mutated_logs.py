@@ -41,6 +41,12 @@ def logs_sample(folder):
     return folder
 
 
+def named_sample(folder):
+    """A log whose columns are called as a laboratory calls them."""
+    (folder / "log.csv").write_text(LOG.replace("t,a,b,x,y,z", "time_s,u1,phi1,tip_x,tip_y,tip_z"))
+    return folder
+
+
 def trc_sample(folder):
     return write_trc(folder / "take.trc", *places(20))
 
@@ -135,6 +141,15 @@ def use_mcap(path):
     import_logs([path], read_mapping(path.parent / "map.toml"))
 
 
+def use_guess(path):
+    """Propose a mapping; what it proposes is text that can be read, whatever the trial import says."""
+    from softmap_edge.guess import guess_mapping
+    from softmap_edge.mapping import parse_mapping
+
+    found = guess_mapping([path / "log.csv" if path.is_dir() else path])
+    parse_mapping(found.text, path)
+
+
 def use_message(path):
     from softmap_edge.errors import RunError
     from softmap_edge.logs.cdr import CdrError, parse_definition, read_message
@@ -155,6 +170,9 @@ FORMATS = [
     Format("mcap", mcap_sample, spoil_binary, use_mcap),
     Format("mcap bare", bare_mcap_sample, spoil_binary, use_mcap),
     Format("mcap counts", bare_mcap_sample, spoil_counts, use_mcap),
+    Format("guess", named_sample, spoil_one_of("log.csv"), use_guess),
+    Format("guess of motive", motive_sample, spoil_text_file, use_guess),
+    Format("guess of mcap", bare_mcap_sample, spoil_counts, use_guess),
     Format("message", message_sample, spoil_counts, use_message),
 ]
 

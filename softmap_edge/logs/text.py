@@ -3,7 +3,7 @@
 Found by itself: the delimiter, comments above the header, a header that is a comment (as numpy writes it), a line of
 units below it, decimal commas, blank lines. Each block of lines goes through numpy's compiled reader, with empty cells
 as NaN; only where that stumbles are its lines read one by one, to say where. So a million rows of 16 columns need
-seconds and little more memory than their numbers (tests/test_import_rows.py, `python -m benches.import_rows`).
+seconds and little more memory than their numbers (tests/test_import_csv.py, `python -m benches.import_rows`).
 """
 
 from __future__ import annotations
