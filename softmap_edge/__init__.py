@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from softmap_edge.comparison import Comparison, compare, series
     from softmap_edge.diagnosis import Diagnosis, diagnose, refit
     from softmap_edge.finger import Finger
+    from softmap_edge.guess import guess_mapping
     from softmap_edge.importer import import_logs
     from softmap_edge.mapping import read_mapping
     from softmap_edge.model import Model
@@ -42,6 +43,7 @@ __all__ = [
     "compare",
     "diagnose",
     "effects",
+    "guess_mapping",
     "import_logs",
     "learn_model",
     "load_bundle",
@@ -60,6 +62,7 @@ _HOMES = {
     "comparison": ["Comparison", "compare", "series"],
     "diagnosis": ["Diagnosis", "diagnose", "refit"],
     "finger": ["Finger"],
+    "guess": ["guess_mapping"],
     "importer": ["import_logs"],
     "mapping": ["read_mapping"],
     "model": ["Model"],

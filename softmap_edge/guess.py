@@ -29,6 +29,7 @@ from softmap_edge.guess_columns import (
     read_sheets,
     roles_of,
     time_of,
+    unit_in_name,
 )
 from softmap_edge.importer import import_logs
 from softmap_edge.mapping import ANGLE, LENGTH, SCHEMA, TIME, parse_mapping
@@ -146,7 +147,8 @@ def _find_points(sheets: list[Sheet], found: _Found) -> None:
         triples, found.base = found.base, []
     flat = [name for triple in triples for name in triple]
     points = sheet.rows_of(flat).reshape(len(sheet.numbers), -1, 3)
-    unit, why = length_unit(points, sheet.units.get(flat[0]))
+    named = unit_in_name(flat[0], LENGTH)
+    unit, why = (named, f"their names say {named}") if named else length_unit(points, sheet.units.get(flat[0]))
     found.points = (sheet, triples, unit)
     found.assumed.append(f"markers: {len(triples)} of {_called(sheet)}, in the order of the columns, base first; {why}")
     if found.base:

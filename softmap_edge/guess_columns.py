@@ -128,7 +128,7 @@ def _time_unit(sheet: Sheet, name: str) -> tuple[str, str]:
     step = np.diff(values)
     step = step[step > 0]
     usual = float(np.median(step))
-    stated = sheet.units.get(name) or _in_name(name, TIME)
+    stated = sheet.units.get(name) or unit_in_name(name, TIME)
     if stated in TIME:
         return stated, f"its unit {stated} is stated"
     largest = float(np.abs(values).max())
@@ -143,8 +143,8 @@ def _time_unit(sheet: Sheet, name: str) -> tuple[str, str]:
     return "s", "its unit is not known and taken as s"
 
 
-def _in_name(name: str, known: dict[str, float] | dict[str, str]) -> str | None:
-    """The unit at the end of a name: `servo_4_mm`, `Time [ms]`, `u1 (deg)`."""
+def unit_in_name(name: str, known: dict[str, float] | dict[str, str]) -> str | None:
+    """Return the unit at the end of a name: `servo_4_mm`, `Time [ms]`, `u1 (deg)`."""
     bracketed = re.search(r"[\[(]([^\[\]()]*)[\])]$", name.lower())
     words: list[str] = re.findall(r"[a-z°]+", bracketed[1]) if bracketed else []
     words = words or re.findall(r"_([a-z°]+)$", name.lower())
@@ -209,7 +209,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
             rank = next((k for k, (_, words) in enumerate(ROLES) if re.search(words, text)), None)
             if rank is not None:
                 kind = ROLES[rank][0]
-                unit = _UNIT.get((sheet.units.get(names[0]) or _in_name(names[0], _UNIT) or "").lower())
+                unit = _UNIT.get((sheet.units.get(names[0]) or unit_in_name(names[0], _UNIT) or "").lower())
                 roles.append((rank, Role(kind, names, unit if unit in UNITS[kind] else None, why, sure=rank < 5)))
                 break
     return [role for _, role in sorted(roles, key=lambda pair: pair[0])]

@@ -24,6 +24,7 @@ class TomlTable:
         self.values, self.where, self.asked = values, where, list[str]()
 
     def get(self, key: str, kinds: tuple[type, ...], default: Any = None) -> Any:
+        """Return the value of a key, of one of the given kinds."""
         self.asked.append(key)
         if key not in self.values:
             return default
@@ -36,6 +37,7 @@ class TomlTable:
         return value
 
     def number(self, key: str, default: float | None = None, low: float = -1e12, high: float = 1e12) -> float | None:
+        """Return a number within limits."""
         value = self.get(key, (int, float), default)
         if value is None:
             return None
@@ -44,21 +46,25 @@ class TomlTable:
         return float(value)
 
     def whole(self, key: str, default: int | None, low: int, high: int) -> int | None:
+        """Return a whole number within limits."""
         value = self.get(key, (int,), default)
         if value is not None and not low <= value <= high:
             raise RunError(f"{self.where}: {key} = {shown(value)}, expected {low} to {high}")
         return None if value is None else int(value)
 
     def choice(self, key: str, allowed: tuple[str, ...], default: str) -> str:
+        """Return a text that is one of a few."""
         value = str(self.get(key, (str,), default))
         if value not in allowed:
             raise RunError(f"{self.where}: {key} = '{value[:40]}', expected one of {', '.join(allowed)}")
         return value
 
     def table(self, key: str) -> TomlTable:
+        """Return a table within this one; an absent one is empty."""
         return TomlTable(self.get(key, (dict,), {}), f"{self.where}: {key}")
 
     def numbers(self, key: str, shape: tuple[int | None, ...]) -> Array | None:
+        """Return an array of numbers; None in `shape` is any length."""
         value = self.get(key, (list, int, float))
         if value is None:
             return None
@@ -73,6 +79,7 @@ class TomlTable:
         return array
 
     def done(self) -> None:
+        """Raise RunError if a key was never asked for."""
         unknown = [key for key in self.values if key not in self.asked]
         if unknown:
             raise RunError(f"{self.where}: no key '{unknown[0][:60]}'; there are {', '.join(self.asked)}")

@@ -137,6 +137,18 @@ def test_names_and_ranges_tell_units(tmp_path, head, scale, words):
     assert run.t == pytest.approx(t, abs=1e-5)
 
 
+def test_units_in_the_names_of_markers_are_believed(tmp_path):
+    """A robot of 12 mm in mm: by its range alone it would be 12 cm in cm."""
+    t, points = places(400)
+    u = 8 * np.column_stack([np.sin(t), np.cos(t)])
+    names = [f"{name} (mm)" for name in XYZ]
+    path = written(tmp_path, bench_log(["t (s)", "u1 (mm)", "u2 (mm)", *names], t, u, points / 10))
+    found = guess_mapping([path])
+    assert 'markers = { unit = "mm"' in found.text and told(found.assumed, "their names say mm")
+    tall = np.ptp(imported(tmp_path, found, [path]).run.markers[5], axis=0)[2]
+    assert tall == pytest.approx(12, abs=0.1)
+
+
 def test_rings_of_markers_have_their_clamp_in_the_middle(tmp_path):
     t = np.arange(400) / 50
     angle = np.tile(np.arange(4) * np.pi / 2, 5)
