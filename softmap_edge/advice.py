@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.conditions import Conditions, conditions
+from softmap_edge.conditions import STILL, Conditions, conditions
 from softmap_edge.evidence import last_direction, orientations
 from softmap_edge.floor import replicates
 from softmap_edge.run import Run
@@ -71,7 +71,7 @@ def advice(run: Run, home_visits: int) -> list[Word]:
         remedy = "move every channel to both ends of its range and back"
         words.append(Word("drive", False, "anything about the drive: the commands never change", remedy, 2.0))
     else:
-        words += [*_channels(u), _speed(run, state), _dwell(state), _direction(state)]
+        words += [*_channels(u), _speed(u, state), _dwell(state), _direction(state)]
     return [*words, _temperature(run)]
 
 
@@ -177,17 +177,19 @@ def _channels(u: Floats) -> Iterator[Word]:
         yield Word("sides", False, text, remedy, float(len(one_sided)))
 
 
-def _speed(run: Run, state: Conditions) -> Word:
+def _speed(u: Floats, state: Conditions) -> Word:
     moving = int(state.moving.sum())
     remedy = "full-range triangles fast and slow, seen about 9 times a second while they move"
     if moving < MOVING:
         return Word("speed", False, f"delay, lag and friction: {moving} frames are seen in motion", remedy, 1.0)
-    unit = "ticks" if run.command is None else run.command_unit
-    slow, fast = np.quantile(state.speed[state.moving], [0.15, 0.85])
+    span = np.ptp(u, axis=0)
+    pace = np.abs(state.velocity[state.moving]) / np.where(span > 0, span, np.inf)  # ranges a second
+    pool = pace[pace > STILL] if (pace > STILL).any() else pace.max(axis=1)
+    slow, fast = np.quantile(pool, [0.15, 0.85])
     if fast < SPEEDS * slow:
-        text = f"delay and lag from play: it always moves at about {np.sqrt(slow * fast):.2g} {unit}/s"
+        text = f"delay and lag from play: it always moves at about {np.sqrt(slow * fast):.2g} of its range a second"
         return Word("speed", False, text, remedy, 1.0)
-    return Word("speed", True, f"delay and lag from play: seen moving at {slow:.2g} to {fast:.2g} {unit}/s")
+    return Word("speed", True, f"delay and lag from play: it moves at {slow:.2g} to {fast:.2g} of its range a second")
 
 
 def _dwell(state: Conditions) -> Word:

@@ -45,7 +45,7 @@ from softmap_edge.conditions import conditions
 from softmap_edge.errors import AlignError
 from softmap_edge.noise import form_covariance
 from softmap_edge.rigid import Pose, gain, kabsch, refined, robust, rotation_vector
-from softmap_edge.run import Run
+from softmap_edge.run import BASE_MARKERS, Run
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -55,7 +55,6 @@ Mask = NDArray[np.bool_]
 
 SCHEMA = "softmap.align/1"
 HOME = "home frames"
-BASE_MARKERS = "base_markers"  # the field in which an import keeps them
 AT_HOME = 0.03  # of the largest |command|: closer to zero than this is at home (an encoder's offset included)
 SETTLED = 1.0  # s after the last motion from which the robot rests
 VISITS = 2  # least visits of home

@@ -27,6 +27,7 @@ from softmap_edge.npz import MAX_BYTES, read_npz, write_npz
 
 Array = NDArray[np.float64]
 Source = Literal["goal", "present"]
+BASE_MARKERS = "base_markers"  # the field in which an import keeps markers (K, B, 3) mm that are fixed to the base
 
 
 def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:

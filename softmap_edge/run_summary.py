@@ -14,7 +14,7 @@ import numpy as np
 
 from softmap_edge.advice import WIDTH, Word, advice, advice_lines
 from softmap_edge.conditions import HOME, conditions
-from softmap_edge.run import Run
+from softmap_edge.run import BASE_MARKERS, Run
 
 SCHEMA = "softmap.check/1"
 FAR = 2.0  # of the extent of what is seen: farther from the origin is no base frame
@@ -40,6 +40,7 @@ def summary(run: Run) -> dict[str, Any]:
         "frame_rate_hz": _rate(run.t_seen),
         "seen": kind,
         "points_mm": _extent(seen),
+        "base_markers": int(run.extra[BASE_MARKERS].shape[1]) if _has_base(run) else 0,
         "points_per_frame": None if seen is None or seen.ndim != 3 else int(seen.shape[1]),
         "visible_share": 1.0 if run.visible is None or not run.visible.size else _rounded(run.visible.mean()),
         "encoders": run.present is not None or run.present_ticks is not None,
@@ -50,7 +51,7 @@ def summary(run: Run) -> dict[str, Any]:
         else [_rounded(run.temperature.min()), _rounded(run.temperature.max())],
         "blocks": [] if run.block is None else [str(label) for label in dict.fromkeys(run.block.tolist())],
         **_visits(run),
-        "unknown_fields": sorted(set(run.extra) - {"made_from"}),
+        "unknown_fields": sorted(set(run.extra) - {"made_from", "marker_labels", BASE_MARKERS}),
         "hash": run.hash(),
     }
     document["missing"] = _missing(run, document)
@@ -77,6 +78,8 @@ def sentences(document: dict[str, Any]) -> list[str]:
     if d["points_mm"]:
         ranges = ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, (low, high) in zip("xyz", d["points_mm"]))
         lines.append(f"          {ranges} mm in the base frame")
+    if d["base_markers"]:
+        lines.append(f"          and {d['base_markers']} markers on the base (`softmap align --base b0 b1 …`)")
     lines.append(f"repeats   visits of home: {d['home_visits']}, other places visited again: {d['places_revisited']}")
     told = [f"gravity {d['gravity']}"] if d["gravity"] else []
     told += [f"{name} {_span(d[key])} {u}" for name, key, u in _TOLD if d[key] is not None]
@@ -100,6 +103,10 @@ _TOLD = (("load", "load_g", "g"), ("temperature", "temperature_c", "°C"))
 
 def _span(pair: list[float]) -> str:
     return f"{pair[0]:g}" if pair[0] == pair[1] else f"{pair[0]:g} to {pair[1]:g}"
+
+
+def _has_base(run: Run) -> bool:
+    return BASE_MARKERS in run.extra and run.extra[BASE_MARKERS].ndim == 3
 
 
 def _rounded(value: Any) -> float:

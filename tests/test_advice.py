@@ -65,7 +65,7 @@ def triangle(t):
         (one_way, "sides", "pulled to one side only"),
         (together, "channels", "channel 0 from channel 1: they move together (correlation 1.00)"),
         (alone, "channels", "channel 1: it never moves"),
-        (triangle, "speed", "always moves at about 4"),
+        (triangle, "speed", "always moves at about 0.12 of its range"),
         (triangle, "dwell", "rest for 0."),
         (triangle, "home", "home is never visited"),
         (triangle, "noise", "nothing is seen twice"),
@@ -99,6 +99,25 @@ def test_few_frames_and_one_marker_are_said():
     assert "30 frames leave few" in answers(run.at(np.arange(30)))["frames"]["text"]
     tip = full(markers=run.markers[:, :1], marker_rest=run.marker_rest[:1])
     assert "one marker is seen" in answers(tip)["markers"]["text"]
+
+
+def smooth(t):
+    """Six channels of slow random moves, as on a real trunk: each is fast and slow in turn."""
+    rng = np.random.default_rng(3)
+    waves = 2 * np.pi * t[:, None, None] * rng.uniform(0.1, 0.5, (6, 4))
+    return (np.array([50, 80, 30, 80, 30, 50]) * np.sin(waves + rng.uniform(0, 6, (6, 4))).mean(axis=2)).round(3)
+
+
+def test_smooth_moves_of_many_channels_are_fast_and_slow():
+    run = full(command=smooth(standard_protocol().t), command_unit="deg")
+    assert answers(run)["speed"]["tells"] and answers(run)["channels"]["tells"]
+
+
+def test_markers_on_the_base_are_counted_and_are_no_unknown_field():
+    run = full(extra={"base_markers": np.zeros((standard_protocol().frames, 3, 3)), "wind": np.zeros(2)})
+    found = summary(run)
+    assert found["base_markers"] == 3 and found["unknown_fields"] == ["wind"]
+    assert any("3 markers on the base" in line for line in sentences(found))
 
 
 def test_a_changing_load_stands_for_a_second_orientation():
