@@ -140,7 +140,7 @@ class Model:
         return np.ascontiguousarray(u, float)
 
     def beyond(self, run: Run) -> list[str]:
-        """Return a sentence for each channel whose commands leave the range that the model was made for."""
+        """Return a sentence for each channel that leaves the range of the model, and for loads that it cannot apply."""
         u, notes = self.commands(run), []
         for c, (low, high) in enumerate(self.command_range if len(u) else ()):
             least, most = float(u[:, c].min()), float(u[:, c].max())
@@ -150,6 +150,14 @@ class Model:
                     f"channel {c} goes from {least:.3g} to {most:.3g} {self.command_unit}, the model of '{self.robot}' "
                     f"was made from {low:.3g} to {high:.3g}; beyond, it extrapolates"
                 )
+        gravity = self.gravity_reference if run.gravity is None else run.gravity
+        told = [] if np.allclose(gravity, self.gravity_reference, atol=1e-3) else ["another gravity"]
+        told += [] if run.load is None or not np.any(run.load) else ["a load"]
+        if told and not self.stiffness_known:
+            notes.append(
+                f"the run declares {' and '.join(told)}; how stiff '{self.robot}' is is not known to its model, so "
+                "that is not applied"
+            )
         return notes
 
     def predict(self, run: Run) -> Floats:
