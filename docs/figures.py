@@ -1,6 +1,7 @@
-"""Make the pictures of the pages: a simulated second finger with hidden backlash, found and added; the protocol.
+"""Make the pictures of the pages: a second finger with hidden backlash, found and added; the protocol; a mesh.
 
-`python docs/figures.py` writes them beside this file; `--out` names another folder, `--seed` another finger.
+`python docs/figures.py` writes them beside this file; `--out` names another folder, `--seed` another finger. The
+picture of the mesh needs its data (`make data`) and is left as it is without them.
 """
 
 from __future__ import annotations
@@ -16,9 +17,12 @@ from matplotlib.figure import Figure
 
 from softmap_edge import builtin_model, diagnose, series
 from softmap_edge.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, body, ladder_bars, over_time
+from softmap_edge.finger import Finger
 from softmap_edge.protocol import Protocol, other_protocol, standard_protocol
+from softmap_edge.simulator import Simulator
 from softmap_edge.truth import hide
 
+ROOT = Path(__file__).parents[1]
 SEED = 1  # of the second finger; any other tells the same story with other numbers
 
 
@@ -52,6 +56,42 @@ def plan(protocol: Protocol) -> bytes:
         return target.getvalue()
 
 
+def find_mesh() -> Path | None:
+    """Return the folder of the MOE mesh and its cables, or None."""
+    return next((p for p in (ROOT / "data/moe_finger", ROOT.parent / "shared/data/moe_finger") if p.is_dir()), None)
+
+
+def mesh_finger(folder: Path) -> Finger:
+    """Return the finger of examples/moe.toml with the mesh and cables of `folder`."""
+    text = (ROOT / "examples/moe.toml").read_text(encoding="utf-8")
+    return Finger.from_toml(text.replace("../data/moe_finger", str(folder)))
+
+
+def mesh_and_bricks(folder: Path) -> bytes:
+    """Draw the mesh finger, and the built-in finger of the same dimensions, bent by 0, 8 and 16 mm (SVG)."""
+    commands = np.array([[0.0, 0.0], [8.0, 0.0], [16.0, 0.0]])
+    meshed, bricks = Simulator(mesh_finger(folder)), Simulator(Finger.builtin())
+    rest = bricks.template.vertices
+    levels = [np.flatnonzero(np.abs(rest[:, 2] - z) < 1e-6) for z in np.unique(rest[:, 2].round(6))]
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDE, 3.6), layout="constrained")
+        panels = figure.subplots(1, 3, sharex=True, sharey=True)
+        for axes, command, points, outline in zip(panels, commands, meshed.path(commands), bricks.path(commands)):
+            dots = axes.plot(points[:, 0], points[:, 2], ".", color=AFTER, markersize=2.0)[0]
+            for side in (np.argmax, np.argmin):
+                line = np.array([outline[level[side(rest[level, 0])]] for level in levels])
+                edge = axes.plot(line[:, 0], line[:, 2], color=BEFORE, linewidth=1.2)[0]
+            axes.set_aspect("equal")
+            axes.set_title(f"{command[0]:g} mm of the first pair", size=9.0)
+            axes.set_xlabel("x, mm")
+        panels[0].set_ylabel("z, mm")
+        names = ["mesh of 10-node tetrahedra, its surface vertices", "bricks of the same dimensions, their outline"]
+        figure.legend([dots, edge], names, loc="outside lower center", ncols=2, frameon=False)
+        target = io.BytesIO()
+        figure.savefig(target, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
+        return target.getvalue()
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure, diagnose, and draw the run of another kind that was never fitted."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -66,6 +106,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     (args.out / "error_on_the_body.png").write_bytes(body(seen))
     (args.out / "error_ladder.svg").write_bytes(ladder_bars(found.error))
     (args.out / "protocol.svg").write_bytes(plan(standard_protocol(model.channels)))
+    if (folder := find_mesh()) is None:
+        print("mesh.svg is not drawn anew: the mesh is absent (make data brings it)")
+    else:
+        (args.out / "mesh.svg").write_bytes(mesh_and_bricks(folder))
     print(found.sentence)
     return 0
 

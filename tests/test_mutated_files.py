@@ -3,6 +3,8 @@
 Each format is one line of FORMATS; `damage.py` says how files are spoiled and used. Logs: test_mutated_logs.py.
 """
 
+import contextlib
+import io
 import json
 import os
 import shutil
@@ -50,6 +52,26 @@ def finger_sample(folder):
 
     (folder / "finger.toml").write_text(finger._template(), encoding="utf-8")
     return folder / "finger.toml"
+
+
+def mesh_sample(name, **how):
+    """A bar of tetrahedra as a text file of one of the formats that meshio reads for us."""
+
+    def sample(folder):
+        import meshio
+        from test_solids import tetrahedra
+
+        nodes, cells = tetrahedra((1, 1, 2))
+        with contextlib.redirect_stderr(io.StringIO()):  # it warns that text is slow
+            meshio.write(folder / name, meshio.Mesh(nodes, [("tetra", cells)]), binary=False, **how)
+        return folder / name
+
+    return sample
+
+
+def guides_sample(folder):
+    (folder / "cable.json").write_text(json.dumps([[4.0, 0.5 * k, 5.0 * k] for k in range(12)]))
+    return folder / "cable.json"
 
 
 def robot_sample(folder):
@@ -148,6 +170,19 @@ def use_finger(path):
     assert Finger.from_toml(finger.to_toml()) == finger
 
 
+def use_mesh(path):
+    from softmap_edge.solids import Meshed
+
+    assert len(Meshed(str(path)).cells([]).nodes) > 10
+
+
+def use_guides(path):
+    from softmap_edge.mesh_file import read_guides
+    from softmap_edge.tendons import Tendon
+
+    assert np.isfinite(Tendon(points=read_guides(path)).ends()).all()
+
+
 def use_robot(path):
     from softmap_edge.robot import Robot
 
@@ -196,6 +231,9 @@ FORMATS = [
     Format("run", run_sample, spoil_npz_file, use_run),
     Format("run of clouds", clouds_sample, spoil_npz_file, use_run),
     Format("finger", finger_sample, spoil_text_file, use_finger),
+    Format("VTK mesh", mesh_sample("bar.vtk", file_format="vtk42"), spoil_text_file, use_mesh),
+    Format("Gmsh mesh", mesh_sample("bar.msh", file_format="gmsh22"), spoil_text_file, use_mesh),
+    Format("guides", guides_sample, spoil_text_file, use_guides),
     Format("robot", robot_sample, spoil_text_file, use_robot),
     Format("sweep", sweep_sample, spoil_npz_file, use_sweep),
     Format("diagnosis", diagnosis_sample, spoil_text_file, use_diagnosis),

@@ -90,7 +90,7 @@ impl Solid {
 
     /// Any mesh with cables bound to it.
     pub fn new(mesh: Mesh, cables: Vec<Cable>, body: &Body) -> Result<Solid> {
-        let elements = elements(mesh.kind, &mesh.cells, &mesh.nodes, body)?;
+        let mut elements = elements(mesh.kind, &mesh.cells, &mesh.nodes, body)?;
         let mut volume = vec![0.0; mesh.nodes.len()];
         for element in &elements {
             for (&n, share) in element.nodes().iter().zip(element.share()) {
@@ -102,6 +102,8 @@ impl Solid {
             .map(|v| v * body.density * 1e-9 * STANDARD_GRAVITY) // kg/m³ = 1e-9 kg/mm³
             .collect();
         let tip = tip_shares(&mesh, &volume);
+        // A cell that is held altogether, in a flange, has weight and nothing to solve.
+        elements.retain(|e| e.nodes().iter().any(|&n| !mesh.clamped[n]));
         let (mut free, mut blocks) = (vec![HELD; mesh.nodes.len()], 0);
         for n in (0..mesh.nodes.len()).filter(|&n| !mesh.clamped[n]) {
             free[n] = blocks;
