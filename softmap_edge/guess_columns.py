@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.errors import RunError
 from softmap_edge.log_table import LARGEST, open_log
 from softmap_edge.logs.mcap_file import open_mcap, topics
 from softmap_edge.logs.text import TextColumns
@@ -83,7 +84,13 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
     for path in paths:
         columns = None if path.suffix.lower() == ".mcap" else open_log(path)
         if columns is None:
-            for topic in topics(path):
+            recorded = topics(path)
+            if not any(topic.readable for topic in recorded):
+                named = ", ".join(f"{topic.name} ({topic.type})" for topic in recorded)[:200] or "none"
+                raise RunError(
+                    f"{path}: no topic holds messages in cdr of ros2msg, as rosbag2 writes; there are {named}"
+                )
+            for topic in recorded:
                 if topic.readable:
                     held = open_mcap(path, topic.name, ROWS)
                     numbers = np.where(np.abs(held.numbers) < LARGEST, held.numbers, np.nan)

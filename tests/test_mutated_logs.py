@@ -90,7 +90,7 @@ def spoil_counts(sample, folder, rng):
     data = bytearray(sample.read_bytes())
     for _ in range(rng.integers(1, 4)):
         size = int(rng.choice([1, 2, 4, 8]))
-        at = int(rng.integers(max(1, len(data) - size)))
+        at = int(rng.random() ** 2 * max(1, len(data) - size))  # rather at the head, where sizes are
         words = [b"\xff" * size, b"\0" * size, rng.bytes(size), b"\x7f" + b"\xff" * (size - 1)]
         data[at : at + size] = words[int(rng.integers(4))]
     (folder / sample.name).write_bytes(data)
