@@ -210,7 +210,7 @@ def use_sweep(path):
 
 def use_shapes(path):
     from softmap_edge.elsewhere import model_from_file
-    from softmap_edge.sweep_file import read_summary
+    from softmap_edge.sweep_summary import read_summary
 
     read_summary(path)
     model_from_file(path).prior.evaluate(np.zeros((2, 2)))

@@ -17,8 +17,9 @@ from softmap_edge.importer import import_logs, read_mapping
 from softmap_edge.npz import read_npz
 from softmap_edge.run import Run
 from softmap_edge.run_summary import SCHEMA, sentences, summary
-from softmap_edge.sweep_file import LIMIT, is_shape_sweep, read_summary
-from softmap_edge.sweep_file import sentences as sweep_sentences
+from softmap_edge.sweep_file import LIMIT, is_shape_sweep
+from softmap_edge.sweep_summary import read_summary
+from softmap_edge.sweep_summary import sentences as sweep_sentences
 
 DONE, FAULT = 0, 1
 _BARS = "▁▂▃▄▅▆▇█"
