@@ -35,11 +35,14 @@ def test_the_pictures_are_made_where_they_are_wanted(tmp_path, capsys):
 
 
 def test_every_example_is_used_by_a_test():
-    tests = {path: path.read_text(encoding="utf-8") for path in (ROOT / "tests").glob("test_*.py")}
+    """By name, or in a page whose commands a test runs."""
     here = Path(__file__)
+    tests = [path.read_text(encoding="utf-8") for path in (ROOT / "tests").glob("test_*.py") if path != here]
+    run = [page for page in (ROOT / "docs").glob("*.md") if any(f"docs/{page.name}" in text for text in tests)]
+    texts = tests + [page.read_text(encoding="utf-8") for page in run if page.name != "design.md"]
     for example in (ROOT / "examples").iterdir():
         if example.is_file():
-            assert any(example.name in text for path, text in tests.items() if path != here), example.name
+            assert any(example.name in text for text in texts), example.name
 
 
 def test_the_example_mapping_is_read():
