@@ -98,7 +98,7 @@ class Diagnosis:
             SoftmapError: no readable JSON, or not a diagnosis.
         """
         try:
-            document = json.loads(Path(path).read_text(encoding="utf-8"))
+            document = json.loads(Path(path).read_text(encoding="utf-8"), parse_int=_whole)
         except (ValueError, RecursionError) as error:
             raise SoftmapError(f"{path} is not JSON ({brief(error)}); make it with `softmap diagnose --out`") from None
         return cls.from_dict(document)
@@ -192,6 +192,11 @@ def refit(model: Model, run: Run, library: Any = None) -> tuple[Model, dict[str,
         "after_held_out_rms_mm": float(np.sqrt(np.nanmean(np.concatenate(squares)))),
     }
     return model.with_effects(own, fit.params), document
+
+
+def _whole(digits: str) -> int | float:
+    """Return a whole number of JSON; one beyond any float, which no arithmetic takes, as infinity."""
+    return int(digits) if len(digits) < 300 else float(digits)
 
 
 # --- preparation --------------------------------------------------------------------------------

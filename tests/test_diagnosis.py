@@ -183,6 +183,7 @@ def test_broken_documents_are_refused(broken, match):
         (lambda entry: entry.update(params=7), "params"),
         (lambda entry: entry["params"]["backlash.gap"].update(value="wide"), "backlash.gap"),
         (lambda entry: entry["params"]["backlash.gap"].update(value=float("nan")), "backlash.gap"),
+        (lambda entry: entry["params"]["backlash.gap"].update(value=10**400), "backlash.gap"),
     ],
 )
 def test_broken_effects_never_reach_a_model(spoil, match, tmp_path):
