@@ -102,10 +102,7 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
     low, high = model.command_range.T
     commands = rng.uniform(low * 0.85, high * 0.85, (FORM_COMMANDS, model.channels))
     predicted = model.prior.evaluate(commands).reshape(FORM_COMMANDS, -1, 3)
-    x, y, z = model.gravity_reference
-    aside = np.array([np.hypot(y, z) or 1.0, -x * y / (np.hypot(y, z) or 1.0), -x * z / (np.hypot(y, z) or 1.0)])
-    leaning = model.gravity_reference + SIDEWAYS * aside / np.linalg.norm(aside)
-    leaning /= np.linalg.norm(leaning)
+    leaning = _leaning(model.gravity_reference)
     t = np.arange(FORM_COMMANDS, dtype=float)
     leaned = model.predict(Run(t=t, command=commands, gravity=leaning, t_seen=t))
     squares, vertex_squares, leaning_squares = [], [], []
@@ -118,6 +115,14 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
     upright, aslant = float(np.mean(vertex_squares)), float(np.mean(leaning_squares))
     grown = float(np.sqrt(max(aslant - upright, 0.0)) / np.linalg.norm(leaning - model.gravity_reference))
     return np.sqrt(np.mean(np.concatenate(squares), axis=0)), float(np.sqrt(upright)), grown
+
+
+def _leaning(gravity: Floats) -> Floats:
+    """Return the unit gravity (3,) of the finger turned so that `gravity` (3,) g gets SIDEWAYS across it."""
+    across = np.eye(3)[int(np.argmin(np.abs(gravity)))]
+    across = across - (across @ gravity) * gravity / max(gravity @ gravity, 1e-9)
+    leaning = gravity + SIDEWAYS * across / np.linalg.norm(across)
+    return np.asarray(leaning / np.linalg.norm(leaning))
 
 
 def _field_arrays(compliance: Compliance, axes: list[Floats]) -> Arrays:

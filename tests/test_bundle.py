@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softmap_edge.build import build_model
 from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.errors import BundleError
 from softmap_edge.finger import Finger
@@ -115,3 +116,12 @@ def test_a_wrong_manifest_is_named(copy, change, says):
 def test_not_a_bundle_says_how_to_make_one(tmp_path):
     with pytest.raises(BundleError, match="softmap build"):
         load_bundle(tmp_path)
+
+
+@pytest.mark.parametrize("gravity", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8)])
+def test_a_finger_in_any_mounting_has_its_model(gravity, tmp_path):
+    finger = Finger.builtin().replace(core=2, layers=10, gravity=gravity)
+    model = build_model(finger, steps=5)
+    assert model.error_per_g_mm > 0
+    save_bundle(model, tmp_path / "bundle")
+    assert load_bundle(tmp_path / "bundle").error_per_g_mm == model.error_per_g_mm
