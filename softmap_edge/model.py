@@ -137,6 +137,11 @@ class Model:
                 f"the run has {u.shape[1]} commands a sample, this model of '{self.robot}' takes {self.channels}; "
                 "it is a run of another robot, or the mapping misses columns"
             )
+        if u.shape[1] and {run.command_unit, self.command_unit} == {"mm", "N"}:
+            raise RunError(
+                f"the run's commands are in {run.command_unit}, this model of '{self.robot}' takes "
+                f"{self.command_unit}; a length is no tension: give the run's own unit or another model"
+            )
         return np.ascontiguousarray(u, float)
 
     def beyond(self, run: Run) -> list[str]:

@@ -145,6 +145,7 @@ class Truth:
             vertices=self.camera.look(self.shapes(protocol), protocol.t_seen, rng),
             block=protocol.block,
             robot=self.finger.name,
+            command_unit=self.finger.command_unit,
         )
 
     def _weights(self, protocol: Protocol) -> list[tuple[NDArray[np.int64], Vector, Vector]]:

@@ -7,11 +7,11 @@ import meshio
 import numpy as np
 import pytest
 
-from softmap_edge import _core, load_bundle
+from softmap_edge import Run, _core, builtin_model, load_bundle
 from softmap_edge.build import build_model
 from softmap_edge.bundle import save_bundle
 from softmap_edge.cli import main
-from softmap_edge.errors import FingerError, SoftmapError
+from softmap_edge.errors import FingerError, RunError, SoftmapError
 from softmap_edge.finger import Finger, Region, Tendon
 from softmap_edge.mesh_file import read_tetrahedra
 from softmap_edge.simulator import Simulator, Sweep
@@ -157,6 +157,14 @@ def test_a_finger_pulled_by_tension_carries_newtons_everywhere(tmp_path):
     np.testing.assert_allclose(other.path([[low]])[0], sweep.vertices[3], atol=1e-3)
     model = load_bundle(save_bundle(build_model(finger, 9), tmp_path / "pulled"))
     assert model.command_unit == "N" and model.cables is None
+    t = np.arange(3.0)
+    pulled = Run(t=t, t_seen=t, command=np.full((3, 1), 2.0), command_unit="N", gravity=np.array([0.0, 0.0, 1.0]))
+    # A cubic through nine commands against the solved shape.
+    assert np.abs(model.predict(pulled)[0] - sweep.vertices[3]).max() < 0.2
+    with pytest.raises(RunError, match="takes N; a length is no tension"):
+        model.predict(Run(t=t, t_seen=t, command=np.full((3, 1), 2.0)))
+    with pytest.raises(RunError, match="takes mm"):
+        builtin_model().predict(Run(t=t, t_seen=t, command=np.zeros((3, 2)), command_unit="N"))
 
 
 REFUSED = [
