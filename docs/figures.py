@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +16,8 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside docs/
+from benches.moe import find_mesh, load
 from softmap_edge import builtin_model, diagnose, series
 from softmap_edge.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, body, ladder_bars, over_time
 from softmap_edge.finger import Finger
@@ -22,7 +25,6 @@ from softmap_edge.protocol import Protocol, other_protocol, standard_protocol
 from softmap_edge.simulator import Simulator
 from softmap_edge.truth import hide
 
-ROOT = Path(__file__).parents[1]
 SEED = 1  # of the second finger; any other tells the same story with other numbers
 
 
@@ -56,21 +58,10 @@ def plan(protocol: Protocol) -> bytes:
         return target.getvalue()
 
 
-def find_mesh() -> Path | None:
-    """Return the folder of the MOE mesh and its cables, or None."""
-    return next((p for p in (ROOT / "data/moe_finger", ROOT.parent / "shared/data/moe_finger") if p.is_dir()), None)
-
-
-def mesh_finger(folder: Path) -> Finger:
-    """Return the finger of examples/moe.toml with the mesh and cables of `folder`."""
-    text = (ROOT / "examples/moe.toml").read_text(encoding="utf-8")
-    return Finger.from_toml(text.replace("../data/moe_finger", str(folder)))
-
-
 def mesh_and_bricks(folder: Path) -> bytes:
     """Draw the mesh finger, and the built-in finger of the same dimensions, bent by 0, 8 and 16 mm (SVG)."""
     commands = np.array([[0.0, 0.0], [8.0, 0.0], [16.0, 0.0]])
-    meshed, bricks = Simulator(mesh_finger(folder)), Simulator(Finger.builtin())
+    meshed, bricks = Simulator(load(folder)), Simulator(Finger.builtin())
     rest = bricks.template.vertices
     levels = [np.flatnonzero(np.abs(rest[:, 2] - z) < 1e-6) for z in np.unique(rest[:, 2].round(6))]
     with matplotlib.rc_context(STYLE):

@@ -168,12 +168,12 @@ fn beam(length: f64, side: f64, young: f64, poisson: f64, g: f64) -> f64 {
 fn cantilever_sags_as_beam_theory_says_and_converges() {
     let (length, side, young, g) = (60.0, 10.0, 0.5, 1e-3);
     type Make = fn([usize; 3], Vec3, f64, f64) -> Solid;
-    // Bricks converge with order two, quadratic tetrahedra with three.
-    let kinds: [(Make, [usize; 3], [f64; 2], f64); 2] = [
-        (block, [2, 4, 8], [1.75, 2.25], 0.92),
-        (cut, [1, 2, 4], [2.5, 3.5], 0.94),
+    // Bricks converge with order two, quadratic tetrahedra with three; last the sag at ν = 0.48 with two and four cells.
+    let kinds: [(Make, [usize; 3], [f64; 2], [f64; 2]); 2] = [
+        (block, [2, 4, 8], [1.75, 2.25], [0.888, 0.934]),
+        (cut, [1, 2, 4], [2.5, 3.5], [0.902, 0.943]),
     ];
-    for (make, cells, orders, stiffest) in kinds {
+    for (make, cells, orders, stiff) in kinds {
         let sag = |n: usize, poisson: f64| {
             let solid = make([n, n, 5 * n], [side, side, length], young, poisson);
             end_moves(&solid, &reach(&solid, &[], [g, 0.0, 0.0], [0.0; 3]))
@@ -191,9 +191,11 @@ fn cantilever_sags_as_beam_theory_says_and_converges() {
             orders[0] < order && order < orders[1],
             "order {order}, {sags:?}"
         );
-        // Nearly incompressible: stiffer by the clamp's restraint (3 %) and coarse cells, but not locked (30 % and more).
-        let ratio = sag(4, 0.48) / beam(length, side, young, 0.48, g);
-        assert!(ratio > stiffest && ratio < 1.0, "{ratio}");
+        // Nearly incompressible: less by the clamp's restraint (some 4 %) and coarse cells, but not locked (30 % and more).
+        for (n, known) in [2, 4].into_iter().zip(stiff) {
+            let ratio = sag(n, 0.48) / beam(length, side, young, 0.48, g);
+            assert!((ratio - known).abs() < 0.005, "{n} cells: {ratio}");
+        }
     }
 }
 
