@@ -61,10 +61,11 @@ def main() -> int:
 
 def trunk() -> None:
     """Print how well the rod predicts a real robot beside general regressors, where its logs are."""
+    from benches.data import find
     from benches.trunk import print_table
-    from benches.trunk_load import FREE, find_logs, read
+    from benches.trunk_load import FREE, read
 
-    folder = find_logs()
+    folder = find("trunk")
     if folder is None:
         print("trunk robot: not run: no data; `make data` brings the logs")
         return

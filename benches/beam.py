@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.data import ROOT, find
 from softmap_edge import Diagnosis, Finger, Run, Simulator, build_model, diagnose, import_logs, read_mapping
 from softmap_edge.features import attach
 from softmap_edge.finger_fit import FingerFit, fit_finger
@@ -25,7 +26,6 @@ from softmap_edge.rigid import kabsch, rotation_vector
 
 Floats = NDArray[np.float64]
 
-ROOT = Path(__file__).resolve().parent.parent
 LOADS_G = {"gravity_V2_a": 0.0, "gravity_V2_b": 0.0, "load52_V2_a": 52.0, "load101_V2_a": 101.0}
 FITTED = "gravity_V2_a"
 NEWTON_PER_G = 9.80665e-3
@@ -46,11 +46,6 @@ class Row:
     def off(self) -> float:
         """By which share the predicted drop is off."""
         return self.drop_predicted / self.drop - 1.0
-
-
-def find_logs() -> Path | None:
-    """Return the folder of the recordings, or None."""
-    return next((p for p in (ROOT / "data/beam", ROOT.parent / "shared/data/beam") if p.is_dir()), None)
 
 
 def read(folder: Path) -> dict[str, Run]:
@@ -95,7 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benches.beam", description=main.__doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     args = parser.parse_args(argv)
-    folder = find_logs()
+    folder = find("beam")
     if folder is None:
         print("the recordings are absent; `make data` brings them")
         return 1

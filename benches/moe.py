@@ -15,20 +15,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.data import ROOT, find
 from softmap_edge import Finger, Simulator
 from softmap_edge.build import refined
 from softmap_edge.simulator import Template
 
 Floats = NDArray[np.float64]
 
-ROOT = Path(__file__).resolve().parent.parent
 REFINED_AT = np.array([[9.0, 0.0], [16.0, 0.0], [8.0, 8.0], [14.0, -14.0], [-5.0, 12.0]])  # mm
 BRICKS_AT = np.array([[8.0, 0.0], [16.0, 0.0], [8.0, 8.0]])
-
-
-def find_mesh() -> Path | None:
-    """Return the folder of the mesh and its cables, or None."""
-    return next((p for p in (ROOT / "data/moe_finger", ROOT.parent / "shared/data/moe_finger") if p.is_dir()), None)
 
 
 def load(folder: Path) -> Finger:
@@ -69,7 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benches.moe", description=main.__doc__)
     parser.add_argument("--quick", action="store_true", help="leave out the refined mesh")
     args = parser.parse_args(argv)
-    folder = find_mesh()
+    folder = find("moe_finger")
     if folder is None:
         print("the mesh is absent; `make data` brings it")
         return 1

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from sklearn.gaussian_process.kernels import Matern
 from sklearn.preprocessing import StandardScaler
 
+from benches.data import ROOT, find
 from benches.trunk import PEERS as USUAL
 from benches.trunk import Process, cross_validate
 from softmap_edge import Model, Robot, Run, compare, diagnose, import_logs, read_mapping
@@ -31,18 +32,12 @@ from softmap_edge.rod import LearnedRod, learn, learned_model
 Floats = NDArray[np.float64]
 Row = dict[str, float | str | None]
 
-ROOT = Path(__file__).resolve().parent.parent
 # On new moves a Matérn kernel of one length errs less than the usual one (8 against 9.6 mm): the stronger rival counts.
 PEERS = USUAL | {"Gaussian process": lambda: Process(Matern(3.0, (0.1, 100.0), nu=2.5))}
 BLOCKS, GAP_S = 5, 2.0
 SIMULATOR_MM = (
     12.1  # on val.csv: the calibrated simulator of ContinuumRoboticsLab/opencr-mujoco, where the logs are from
 )
-
-
-def find_logs() -> Path | None:
-    """Return the folder of the logs, or None."""
-    return next((p for p in (ROOT / "data/tdcr", ROOT.parent / "shared/data/tdcr") if p.is_dir()), None)
 
 
 def read(folder: Path) -> tuple[Run, Run]:
@@ -129,7 +124,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, help="folder of the logs (default data/tdcr)")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    folder = args.data or find_logs()
+    folder = args.data or find("tdcr")
     if folder is None:
         print("not run: the logs are absent; `make data` brings them")
         return 0

@@ -25,7 +25,8 @@ from sklearn.multioutput import MultiOutputRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
-from benches.trunk_load import FREE, find_logs, read, report
+from benches.data import find
+from benches.trunk_load import FREE, read, report
 from softmap_edge.folds import Folds, folds
 from softmap_edge.rod import LearnedRod, learn
 from softmap_edge.rod_fit import Drive
@@ -71,7 +72,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, help="folder of the trunk logs (default data/trunk)")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    folder = args.data or find_logs()
+    folder = args.data or find("trunk")
     if folder is None:
         print("not run: the trunk logs are absent; `make data` brings them")
         return 0

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
+from benches.data import ROOT
 from softmap_edge import Diagnosis, Model, Run, diagnose, import_logs, learn_model, read_mapping
 from softmap_edge.folds import folds
 from softmap_edge.polynomial_rod import RodParameters
 from softmap_edge.rod import learn
 from softmap_edge.rod_fit import Drive, Regression
 
-ROOT = Path(__file__).resolve().parent.parent
 COMMANDS = "control_inputs_controlled_1.csv"
 FREE, LOADED = "observations_controlled_1.csv", "observations_controlled_1_100g.csv"
 HOLD_OUT = (103.0, 151.0)  # s, kept from the rod: the later part and the two seconds before it
@@ -34,11 +34,6 @@ SETS: tuple[tuple[str, ...], ...] = (
     ("payload", "offset"),
     ("gain", "offset"),
 )
-
-
-def find_logs() -> Path | None:
-    """Return the folder of the trunk logs, or None."""
-    return next((p for p in (ROOT / "data/trunk", ROOT.parent / "shared/data/trunk") if p.is_dir()), None)
 
 
 def read(folder: Path, observations: str) -> Run:

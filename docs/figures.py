@@ -17,7 +17,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside docs/
-from benches.moe import find_mesh, load
+from benches.data import find
+from benches.moe import load
 from softmap_edge import builtin_model, diagnose, series
 from softmap_edge.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, body, ladder_bars, over_time
 from softmap_edge.finger import Finger
@@ -97,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     (args.out / "error_on_the_body.png").write_bytes(body(seen))
     (args.out / "error_ladder.svg").write_bytes(ladder_bars(found.error))
     (args.out / "protocol.svg").write_bytes(plan(standard_protocol(model.channels)))
-    if (folder := find_mesh()) is None:
+    if (folder := find("moe_finger")) is None:
         print("mesh.svg is not drawn anew: the mesh is absent (make data brings it)")
     else:
         (args.out / "mesh.svg").write_bytes(mesh_and_bricks(folder))

@@ -17,7 +17,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside docs/
-from benches.beam import LOADS_G, NEWTON_PER_G, find_logs, fitted, read
+from benches.beam import LOADS_G, NEWTON_PER_G, fitted, read
+from benches.data import find
 from softmap_edge import Finger, Run, Simulator
 from softmap_edge.features import attach
 from softmap_edge.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE
@@ -28,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder for the pictures")
     args = parser.parse_args(argv)
-    folder = find_logs()
+    folder = find("beam")
     if folder is None:
         print("not drawn: the recordings are absent; `make data` brings them")
         return 0

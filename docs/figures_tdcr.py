@@ -18,7 +18,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside docs/
-from benches.tdcr import find_logs, read, rms, rods
+from benches.data import find
+from benches.tdcr import read, rms, rods
 from softmap_edge import Run
 from softmap_edge.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE
 
@@ -32,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder for the pictures")
     args = parser.parse_args(argv)
-    folder = find_logs()
+    folder = find("tdcr")
     if folder is None:
         print("not drawn: the logs are absent; `make data` brings them")
         return 0

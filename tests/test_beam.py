@@ -6,18 +6,15 @@ Without the recordings everything here is skipped and says so; `make data` bring
 import importlib.util
 import json
 import re
-from pathlib import Path
 
 import pytest
-from test_readme import lines
+from page import ROOT, reader, run_commands
 
 from benches import beam
+from benches.data import find
 from softmap_edge import Finger
-from softmap_edge.cli import main
 
-ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/beam.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 LINES = {"gravity_V2_a": "own weight, fitted", "gravity_V2_b": "own weight, again"}
 LINES |= {"load52_V2_a": "52 g", "load101_V2_a": "101 g"}
 
@@ -25,7 +22,7 @@ LINES |= {"load52_V2_a": "52 g", "load101_V2_a": "101 g"}
 @pytest.fixture(scope="module")
 def folder():
     pytest.importorskip("c3d", reason="not run: C3D is read by the extra [capture]")
-    found = beam.find_logs()
+    found = find("beam")
     if found is None:
         pytest.skip("not run: the recordings of the beam are absent (make data brings them)")
     return found
@@ -40,16 +37,8 @@ def table(folder):
 @pytest.fixture(scope="module")
 def page(folder, tmp_path_factory):
     """Run the commands of the page in their order and return the folder."""
-    there = tmp_path_factory.mktemp("beam")
-    (there / "data").mkdir()
-    (there / "data/beam").symlink_to(folder)
-    (there / "examples").symlink_to(ROOT / "examples")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(there)
-        for _, text in BLOCKS:
-            for words in lines(text):
-                assert words[0] in ("make", "softmap")
-                assert words[0] == "make" or main(words[1:]) == 0, words
+    there = reader(tmp_path_factory.mktemp("beam"), folder)
+    run_commands(PAGE, there)
     return there
 
 

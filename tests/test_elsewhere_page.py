@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from page import blocks, lines
 from robots import arc, measured, rings
-from test_readme import lines
 
 from softmap_edge import load_bundle
 from softmap_edge.cli import main
 from softmap_edge.sweep_file import _NUMBERS, _TEXTS
 
 PAGE = (Path(__file__).parents[1] / "docs/elsewhere.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+BLOCKS = blocks(PAGE)
 
 
 @pytest.fixture(scope="module")

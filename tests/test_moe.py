@@ -4,29 +4,25 @@ Without the mesh everything here is skipped and says so; `make data` brings it.
 """
 
 import re
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
-from test_readme import lines
+from page import ROOT, reader, run_commands
 
 from benches import moe
+from benches.data import find
 from softmap_edge import load_bundle
-from softmap_edge.cli import main
 from softmap_edge.errors import FingerError
 from softmap_edge.finger import Tendon
 from softmap_edge.simulator import Simulator
 
-ROOT = Path(__file__).parents[1]
 AGREEMENT = 0.12  # of the motion, RMS over the vertices that are not held
 PAGE = (ROOT / "docs/moe.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture(scope="module")
 def folder():
-    found = moe.find_mesh()
+    found = find("moe_finger")
     if found is None:
         pytest.skip("not run: the MOE mesh is absent (make data brings it)")
     return found
@@ -94,16 +90,8 @@ def test_the_full_sweep_has_no_failed_command(simulator):
 
 
 @pytest.mark.prove
-def test_the_commands_of_the_page_give_a_bundle(folder, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data/moe_finger").symlink_to(folder)
-    (tmp_path / "examples").mkdir()
-    shutil.copy(ROOT / "examples/moe.toml", tmp_path / "examples/moe.toml")
-    for block in BLOCKS:
-        for words in lines(block):
-            assert words[0] in ("make", "softmap")
-            assert words[0] == "make" or main(words[1:]) == 0, words
+def test_the_commands_of_the_page_give_a_bundle(folder, tmp_path, capsys):
+    run_commands(PAGE, reader(tmp_path, folder))
     model = load_bundle(tmp_path / "moe")
     assert model.channels == 2 and len(model.rest) == 548 and len(np.unique(model.sections)) == 9
     assert 0.05 < model.vertex_error_mm < 1.5

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from page import blocks, lines
 
 from softmap_edge import Run, _core, import_logs, load_bundle, read_mapping
 from softmap_edge.cli import main
@@ -20,15 +21,9 @@ from softmap_edge.truth_laws import LAWS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+BLOCKS = blocks(README)
 PROSE = re.sub(r"^```.*?^```$", "", README, flags=re.MULTILINE | re.DOTALL)
 REACH, NOISE = 8.0, 0.1  # mm: largest command of the log; σ of each marker coordinate
-
-
-def lines(text):
-    """Return the command lines of a block as words, continued lines joined and comments dropped."""
-    joined = text.replace("\\\n", " ").splitlines()
-    return [words for line in joined if (words := shlex.split(line, comments=True))]
 
 
 COMMANDS = [words for language, text in BLOCKS if language != "python" for words in lines(text)]

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from page import blocks, lines
 from test_align import BASE, CAMERA, SIDES, marked
-from test_readme import lines
 
 from softmap_edge import Run, _core, builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.protocol import standard_protocol
 
 PAGE = (Path(__file__).parents[1] / "docs/record.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+BLOCKS = blocks(PAGE)
 PROSE = re.sub(r"^```.*?^```$", "", PAGE, flags=re.MULTILINE | re.DOTALL)
 
 

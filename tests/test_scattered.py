@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benches import trunk_load
+from benches.data import find
 from softmap_edge import _core
 from softmap_edge.elsewhere import model_from_file
 from softmap_edge.scattered import fit_scattered, gap
@@ -71,10 +72,10 @@ def test_rows_along_a_path_do_not_vouch_for_one_another():
     assert gap(u[:300] / 14) > 2 * gap(u / 14) > 2 * gap(RNG(0).uniform(-1, 1, (1200, 2)))
 
 
-@pytest.mark.skipif(trunk_load.find_logs() is None, reason="no logs of the trunk (make data)")
+@pytest.mark.skipif(find("trunk") is None, reason="no logs of the trunk (make data)")
 def test_a_recording_of_a_real_robot_states_the_error_that_comes_true(tmp_path):
     """Six motors, three bodies: the first 60 % of a recording as a sweep, its last 30 % as the judge."""
-    run = trunk_load.read(trunk_load.find_logs(), trunk_load.FREE)
+    run = trunk_load.read(find("trunk"), trunk_load.FREE)
     u = np.stack([np.interp(run.t_seen, run.t, c) for c in run.commands().T], axis=1)
     share = (run.t_seen - run.t_seen[0]) / np.ptp(run.t_seen)
     first, last = np.flatnonzero(share < 0.6)[::3], share > 0.7

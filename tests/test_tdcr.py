@@ -7,25 +7,22 @@ import importlib.util
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from test_readme import lines
+from page import ROOT, reader, run_commands
 
 from benches import tdcr
+from benches.data import find
 from softmap_edge import Robot, learn_model, load_bundle
-from softmap_edge.cli import main
 
-ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/tdcr.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 ROBOT = ROOT / "examples/tdcr_robot.toml"
 
 
 @pytest.fixture(scope="module")
 def logs():
-    folder = tdcr.find_logs()
+    folder = find("tdcr")
     if folder is None:
         pytest.skip("not run: the logs of the nine-tendon robot are absent (make data brings them)")
     return folder, *tdcr.read(folder)
@@ -39,16 +36,8 @@ def rods(logs):
 @pytest.fixture(scope="module")
 def page(logs, tmp_path_factory):
     """Run the commands of the page in their order and return the folder."""
-    there = tmp_path_factory.mktemp("tdcr")
-    (there / "data").mkdir()
-    (there / "data/tdcr").symlink_to(logs[0])
-    (there / "examples").symlink_to(ROOT / "examples")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(there)
-        for _, text in BLOCKS:
-            for words in lines(text):
-                assert words[0] in ("make", "softmap")
-                assert words[0] == "make" or main(words[1:]) == 0, words
+    there = reader(tmp_path_factory.mktemp("tdcr"), logs[0])
+    run_commands(PAGE, there)
     return there
 
 

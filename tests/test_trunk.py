@@ -11,20 +11,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_readme import lines
+from page import blocks, lines, reader
 
 from benches import trunk_load
+from benches.data import find
 from softmap_edge import load_bundle
 from softmap_edge.cli import main
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/own_log.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+BLOCKS = blocks(PAGE)
 
 
 @pytest.fixture(scope="module")
 def folder():
-    found = trunk_load.find_logs()
+    found = find("trunk")
     if found is None:
         pytest.skip("not run: the trunk logs are absent (make data brings them)")
     return found
@@ -33,10 +34,7 @@ def folder():
 @pytest.fixture(scope="module")
 def page(folder, tmp_path_factory):
     """Run the blocks in their order, each text among what was printed; give the folder and the names left."""
-    there, names, said = tmp_path_factory.mktemp("trunk"), {}, io.StringIO()
-    (there / "data").mkdir()
-    (there / "data/trunk").symlink_to(folder)
-    (there / "examples").symlink_to(ROOT / "examples")
+    there, names, said = reader(tmp_path_factory.mktemp("trunk"), folder), {}, io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(there)
         for language, text in BLOCKS:

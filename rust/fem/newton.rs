@@ -352,3 +352,7 @@ fn no_equilibrium(load: &Load, residual: f64) -> Error {
 #[cfg(test)]
 #[path = "newton_tests.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "beam_tests.rs"]
+mod beam_tests;
