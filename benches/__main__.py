@@ -24,10 +24,10 @@ from benches.peer_rollout import NUMBERS as PEER_NUMBERS
 from benches.peer_rollout import backlash_and_creep
 from softmap_edge import __version__, _core
 from softmap_edge.bundle import builtin_model
-from softmap_edge.finger import Finger
-from softmap_edge.robot import Robot
+from softmap_edge.rod.robot import Robot
 from softmap_edge.run import Run
-from softmap_edge.simulator import Simulator
+from softmap_edge.solid.finger import Finger
+from softmap_edge.solid.simulator import Simulator
 
 REPEATS = 9
 
@@ -143,7 +143,7 @@ def elastic_rod() -> dict[str, object]:
 
 def elastic_fit() -> dict[str, object]:
     """All of `learn` on 1600 frames: 17 numbers, four starts, ten folds, 2 mm of noise."""
-    from softmap_edge.rod import learn
+    from softmap_edge.rod.learn import learn
 
     robot, t, u = nine_tendons()
     markers = robot.layout.compiled(robot.start).evaluate(u).reshape(len(u), -1, 3)
@@ -205,7 +205,7 @@ def imports() -> dict[str, object]:
 
 def diagnosis() -> dict[str, object]:
     """One diagnosis of about 350 frames over the whole library."""
-    from softmap_edge.diagnosis import diagnose
+    from softmap_edge.diagnosis.diagnose import diagnose
     from softmap_edge.protocol import standard_protocol
     from softmap_edge.truth import hide
 

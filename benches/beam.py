@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from benches.data import ROOT, find
 from softmap_edge import Diagnosis, Finger, Run, Simulator, build_model, diagnose, import_logs, read_mapping
+from softmap_edge.alignment.rigid import kabsch, rotation_vector
 from softmap_edge.features import attach
-from softmap_edge.finger_fit import FingerFit, fit_finger
-from softmap_edge.rigid import kabsch, rotation_vector
+from softmap_edge.solid.fit import FingerFit, fit_finger
 
 Floats = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from benches.data import ROOT, find
 from softmap_edge import Finger, Simulator
-from softmap_edge.build import refined
-from softmap_edge.simulator import Template
+from softmap_edge.solid.build import refined
+from softmap_edge.solid.simulator import Template
 
 Floats = NDArray[np.float64]
 

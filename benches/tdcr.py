@@ -27,7 +27,7 @@ from benches.trunk import PEERS as USUAL
 from benches.trunk import Process, cross_validate
 from softmap_edge import Model, Robot, Run, compare, diagnose, import_logs, read_mapping
 from softmap_edge.folds import folds
-from softmap_edge.rod import LearnedRod, learn, learned_model
+from softmap_edge.rod.learn import LearnedRod, learn, learned_model
 
 Floats = NDArray[np.float64]
 Row = dict[str, float | str | None]

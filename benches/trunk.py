@@ -28,8 +28,8 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from benches.data import find
 from benches.trunk_load import FREE, read, report
 from softmap_edge.folds import Folds, folds
-from softmap_edge.rod import LearnedRod, learn
-from softmap_edge.rod_fit import Drive
+from softmap_edge.rod.learn import LearnedRod, learn
+from softmap_edge.rod.regression import Drive
 from softmap_edge.run import Run, Source
 
 Floats = NDArray[np.float64]

@@ -16,9 +16,9 @@ from scipy.optimize import least_squares
 from benches.data import ROOT
 from softmap_edge import Diagnosis, Model, Run, diagnose, import_logs, learn_model, read_mapping
 from softmap_edge.folds import folds
-from softmap_edge.polynomial_rod import RodParameters
-from softmap_edge.rod import learn
-from softmap_edge.rod_fit import Drive, Regression
+from softmap_edge.rod.learn import learn
+from softmap_edge.rod.polynomial import RodParameters
+from softmap_edge.rod.regression import Drive, Regression
 
 COMMANDS = "control_inputs_controlled_1.csv"
 FREE, LOADED = "observations_controlled_1.csv", "observations_controlled_1_100g.csv"

@@ -20,10 +20,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside doc
 from benches.data import find
 from benches.moe import load
 from softmap_edge import builtin_model, diagnose, series
-from softmap_edge.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, body, ladder_bars, over_time
-from softmap_edge.finger import Finger
 from softmap_edge.protocol import Protocol, other_protocol, standard_protocol
-from softmap_edge.simulator import Simulator
+from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, body, ladder_bars, over_time
+from softmap_edge.solid.finger import Finger
+from softmap_edge.solid.simulator import Simulator
 from softmap_edge.truth import hide
 
 SEED = 1  # of the second finger; any other tells the same story with other numbers

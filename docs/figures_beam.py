@@ -21,7 +21,7 @@ from benches.beam import LOADS_G, NEWTON_PER_G, fitted, read
 from benches.data import find
 from softmap_edge import Finger, Run, Simulator
 from softmap_edge.features import attach
-from softmap_edge.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE
+from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside doc
 from benches.data import find
 from benches.tdcr import read, rms, rods
 from softmap_edge import Run
-from softmap_edge.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE
+from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE
 
 Floats = NDArray[np.float64]
 LAWS = {"elastic rod, two-sided": ("two-sided", BEFORE), "elastic rod, cables": ("cables", AFTER)}

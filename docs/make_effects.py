@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from softmap_edge import Run, _core, builtin_model
-from softmap_edge.finger import Finger
-from softmap_edge.simulator import Simulator
+from softmap_edge.solid.finger import Finger
+from softmap_edge.solid.simulator import Simulator
 
 PAGE = Path(__file__).with_name("effects.md")
 

@@ -12,20 +12,20 @@ from softmap_edge.errors import SoftmapError
 
 if TYPE_CHECKING:
     from softmap_edge._core import effects
-    from softmap_edge.build import build_model
     from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
-    from softmap_edge.comparison import Comparison, compare, series
-    from softmap_edge.diagnosis import Diagnosis, diagnose, refit
-    from softmap_edge.finger import Finger
-    from softmap_edge.guess import guess_mapping
-    from softmap_edge.importer import import_logs
-    from softmap_edge.mapping import read_mapping
+    from softmap_edge.diagnosis.comparison import Comparison, compare, series
+    from softmap_edge.diagnosis.diagnose import Diagnosis, diagnose, refit
+    from softmap_edge.logs.guess import guess_mapping
+    from softmap_edge.logs.importer import import_logs
+    from softmap_edge.logs.mapping import read_mapping
     from softmap_edge.model import Model
-    from softmap_edge.report_html import write_html
-    from softmap_edge.robot import Robot
-    from softmap_edge.rod import learn_model
+    from softmap_edge.report.html import write_html
+    from softmap_edge.rod.learn import learn_model
+    from softmap_edge.rod.robot import Robot
     from softmap_edge.run import Run
-    from softmap_edge.simulator import Simulator
+    from softmap_edge.solid.build import build_model
+    from softmap_edge.solid.finger import Finger
+    from softmap_edge.solid.simulator import Simulator
 
 __version__ = "0.1.0"
 __all__ = [
@@ -57,20 +57,20 @@ __all__ = [
 # Which module of the package holds which public name.
 _HOMES = {
     "_core": ["effects"],
-    "build": ["build_model"],
+    "solid.build": ["build_model"],
     "bundle": ["builtin_model", "load_bundle", "save_bundle"],
-    "comparison": ["Comparison", "compare", "series"],
-    "diagnosis": ["Diagnosis", "diagnose", "refit"],
-    "finger": ["Finger"],
-    "guess": ["guess_mapping"],
-    "importer": ["import_logs"],
-    "mapping": ["read_mapping"],
+    "diagnosis.comparison": ["Comparison", "compare", "series"],
+    "diagnosis.diagnose": ["Diagnosis", "diagnose", "refit"],
+    "solid.finger": ["Finger"],
+    "logs.guess": ["guess_mapping"],
+    "logs.importer": ["import_logs"],
+    "logs.mapping": ["read_mapping"],
     "model": ["Model"],
-    "report_html": ["write_html"],
-    "robot": ["Robot"],
-    "rod": ["learn_model"],
+    "report.html": ["write_html"],
+    "rod.robot": ["Robot"],
+    "rod.learn": ["learn_model"],
     "run": ["Run"],
-    "simulator": ["Simulator"],
+    "solid.simulator": ["Simulator"],
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 

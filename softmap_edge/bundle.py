@@ -215,7 +215,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         fields = fields_from(arrays["fields"])
         cables = cables_from(arrays["prior"], arrays["fields"])
     else:
-        from softmap_edge.rod import rod_from_arrays
+        from softmap_edge.rod.learn import rod_from_arrays
 
         prior, fields = rod_from_arrays(arrays["prior"])
         cables = None

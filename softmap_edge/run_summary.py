@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.advice import WIDTH, Word, advice, advice_lines
-from softmap_edge.conditions import HOME, conditions
+from softmap_edge.diagnosis.advice import WIDTH, Word, advice, advice_lines
+from softmap_edge.diagnosis.conditions import HOME, conditions
 from softmap_edge.run import BASE_MARKERS, Run
 
 SCHEMA = "softmap.check/1"

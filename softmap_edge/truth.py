@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
 from softmap_edge.features import SECTIONS, sections_of
-from softmap_edge.finger import Finger
 from softmap_edge.protocol import Protocol, standard_protocol
 from softmap_edge.run import Run
-from softmap_edge.simulator import Simulator, tour
+from softmap_edge.solid.finger import Finger
+from softmap_edge.solid.simulator import Simulator, tour
 from softmap_edge.truth_laws import LAWS, Law, rotation
 
 Floats = NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softmap_edge.errors import RunError
-from softmap_edge.importer import import_logs, read_mapping
+from softmap_edge.logs.importer import import_logs, read_mapping
 
 ROOT = Path(__file__).resolve().parent.parent
 ONE_LOG = """schema = "softmap.mapping/1"

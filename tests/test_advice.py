@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, builtin_model, save_bundle
-from softmap_edge.advice import WIDTH, advice
 from softmap_edge.cli import main
+from softmap_edge.diagnosis.advice import WIDTH, advice
 from softmap_edge.protocol import standard_protocol
 from softmap_edge.run_summary import sentences, summary
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, builtin_model, compare, diagnose, save_bundle
-from softmap_edge.align import align_base, align_home, clamped_places
+from softmap_edge.alignment.align import align_base, align_home, clamped_places
+from softmap_edge.alignment.rigid import Pose, kabsch, robust, rotation, rotation_vector
 from softmap_edge.cli import main
 from softmap_edge.commands.align import without
 from softmap_edge.errors import AlignError, RunError
 from softmap_edge.protocol import standard_protocol
-from softmap_edge.rigid import Pose, kabsch, robust, rotation, rotation_vector
 
 BEAM = Path(__file__).parents[1] / "../shared/data/beam"
 DEGREES = np.r_[np.full(3, np.degrees(1.0)), np.ones(3)]

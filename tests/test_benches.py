@@ -7,8 +7,8 @@ from benches.peer_elastic import markers
 from benches.peer_newton import NumpySolid
 from benches.peer_rollout import NUMBERS, backlash_and_creep
 from softmap_edge import _core
-from softmap_edge.finger import Finger
-from softmap_edge.simulator import Simulator
+from softmap_edge.solid.finger import Finger
+from softmap_edge.solid.simulator import Simulator
 
 
 def test_the_numpy_solid_takes_the_same_newton_step():

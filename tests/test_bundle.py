@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softmap_edge.build import build_model
 from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.errors import BundleError
-from softmap_edge.finger import Finger
 from softmap_edge.run import Run
-from softmap_edge.simulator import Simulator
+from softmap_edge.solid.build import build_model
+from softmap_edge.solid.finger import Finger
+from softmap_edge.solid.simulator import Simulator
 
 
 @pytest.fixture(scope="module")

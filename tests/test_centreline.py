@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from robots import turned
 
-from softmap_edge.centreline import find_centreline
+from softmap_edge.elsewhere.centreline import find_centreline
 from softmap_edge.errors import SoftmapError
 
 TURN = turned(np.array([0.9, -1.4, 0.6]))

@@ -12,11 +12,11 @@ import pytest
 from arm import LIBRARY, Arm, protocol, record_run
 
 from softmap_edge.bundle import builtin_model
-from softmap_edge.comparison import compare
-from softmap_edge.diagnosis import Diagnosis, diagnose, refit
+from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.diagnosis.diagnose import Diagnosis, diagnose, refit
 from softmap_edge.errors import SoftmapError
 from softmap_edge.protocol import standard_protocol
-from softmap_edge.report import diagnosis_text
+from softmap_edge.report.text import diagnosis_text
 from softmap_edge.run import Run
 
 HIDDEN = {

@@ -10,10 +10,10 @@ import pytest
 from softmap_edge import Robot, Run, _core, compare, diagnose, learn_model, load_bundle
 from softmap_edge import save_bundle as save
 from softmap_edge.cli import main
-from softmap_edge.elastic import ElasticParameters
 from softmap_edge.errors import RobotError, RunError, SoftmapError
 from softmap_edge.folds import folds
-from softmap_edge.rod import learn
+from softmap_edge.rod.elastic import ElasticParameters
+from softmap_edge.rod.learn import learn
 
 ROOT = Path(__file__).parents[1]
 

@@ -12,10 +12,10 @@ from robots import HANGING, Rod, arc, measured, rings
 
 from softmap_edge import Run, build_model, load_bundle, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.elsewhere import model_from_file
+from softmap_edge.elsewhere.build import model_from_file
 from softmap_edge.errors import SoftmapError
-from softmap_edge.finger import Finger
-from softmap_edge.simulator import Simulator
+from softmap_edge.solid.finger import Finger
+from softmap_edge.solid.simulator import Simulator
 
 PLACE, OFFSET = rings(13, 12)
 LEANING = np.array([np.sin(0.6) * np.cos(0.4), np.sin(0.6) * np.sin(0.4), np.cos(0.6)])

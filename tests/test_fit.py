@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from arm import LIBRARY, Arm, record_run
 
-from softmap_edge.diagnosis import _problem, diagnose
+from softmap_edge.diagnosis.diagnose import _problem, diagnose
+from softmap_edge.diagnosis.fit import Problem, Record, newton_step
 from softmap_edge.errors import SoftmapError
-from softmap_edge.fit import Problem, Record, newton_step
 from softmap_edge.folds import FOLDS, run_folds
 from softmap_edge.protocol import standard_protocol
 

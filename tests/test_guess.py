@@ -10,8 +10,8 @@ from recordings import places, robot_messages, write_c3d, write_mcap, write_moti
 
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
-from softmap_edge.guess import guess_mapping
-from softmap_edge.importer import import_logs, read_mapping
+from softmap_edge.logs.guess import guess_mapping
+from softmap_edge.logs.importer import import_logs, read_mapping
 
 
 def imported(folder, found, paths):

@@ -38,7 +38,7 @@ def test_public_names_are_loaded_late_and_unknown_ones_are_told():
     code = (
         "import sys, softmap_edge; assert 'softmap_edge.run' not in sys.modules; "
         "from softmap_edge import Run; assert Run is sys.modules['softmap_edge.run'].Run; "
-        "assert 'softmap_edge.diagnosis' not in sys.modules"
+        "assert 'softmap_edge.diagnosis.diagnose' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
     with pytest.raises(AttributeError, match="no attribute 'nonsense'; there are .*compare"):

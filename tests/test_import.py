@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from logs import ONE_LOG, fault, imported, made_log
 
-from softmap_edge import mapping, toml_table
+from softmap_edge import toml_table
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
-from softmap_edge.importer import import_logs, read_mapping
+from softmap_edge.logs import mapping
+from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.run import Run
 
 ROOT = Path(__file__).resolve().parent.parent

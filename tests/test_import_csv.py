@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from logs import ONE_LOG, fault, imported, made_log
 
-from softmap_edge.importer import import_logs, read_mapping
+from softmap_edge.logs.importer import import_logs, read_mapping
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from logs import ROOT, fault, imported, trunk_folder
 
-from softmap_edge.importer import import_logs, read_mapping
-from softmap_edge.plausible import axes_for, rest_axis
+from softmap_edge.logs.importer import import_logs, read_mapping
+from softmap_edge.logs.plausible import axes_for, rest_axis
 
 T = np.arange(400) / 20
 HEAD = "t,u,v,p,q," + ",".join(f"{axis}{k}" for k in range(3) for axis in "xyz")

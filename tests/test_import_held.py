@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from logs import ONE_LOG, imported
 
-from softmap_edge.importer import unhold
+from softmap_edge.logs.importer import unhold
 
 
 def test_unholding_removes_the_lag_of_a_slow_encoder():

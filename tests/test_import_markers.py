@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from logs import ONE_LOG, fault, imported, made_log
 
-from softmap_edge.swaps import find_swaps, mend_swaps
+from softmap_edge.logs.swaps import find_swaps, mend_swaps
 
 NAMES = ("first", "second", "third")
 MAP = """schema = "softmap.mapping/1"

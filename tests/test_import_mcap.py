@@ -7,9 +7,9 @@ import pytest
 from recordings import JOINT_STATE, LABELS, POSES, TRANSFORMS, joint_state, places, robot_messages, write_mcap
 
 from softmap_edge.errors import RunError
-from softmap_edge.importer import import_logs, read_mapping
-from softmap_edge.logs.cdr import CdrError, parse_definition, read_message
-from softmap_edge.logs.mcap_file import open_mcap, topics
+from softmap_edge.logs.importer import import_logs, read_mapping
+from softmap_edge.logs.readers.cdr import CdrError, parse_definition, read_message
+from softmap_edge.logs.readers.mcap_file import open_mcap, topics
 
 START = 1_700_000_000.0
 MAP = """schema = "softmap.mapping/1"

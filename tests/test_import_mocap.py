@@ -6,8 +6,8 @@ from logs import ROOT
 from recordings import LABELS, places, write_c3d, write_motive, write_trc
 
 from softmap_edge.errors import RunError
-from softmap_edge.importer import import_logs, read_mapping
-from softmap_edge.log_table import open_log
+from softmap_edge.logs.importer import import_logs, read_mapping
+from softmap_edge.logs.table import open_log
 
 MAP = """schema = "softmap.mapping/1"
 [[log]]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from logs import ROOT, trunk_folder
 
-from softmap_edge.importer import import_logs, read_mapping
+from softmap_edge.logs.importer import import_logs, read_mapping
 
 TRUNK_MAP = ROOT / "examples" / "trunk.toml"
 

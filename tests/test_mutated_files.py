@@ -48,7 +48,7 @@ def clouds_sample(folder):
 
 
 def finger_sample(folder):
-    from softmap_edge import finger
+    from softmap_edge.solid import finger
 
     (folder / "finger.toml").write_text(finger._template(), encoding="utf-8")
     return folder / "finger.toml"
@@ -87,8 +87,8 @@ def diagnosis_sample(folder):
 
 
 def sweep_sample(folder):
-    from softmap_edge.finger import Finger
-    from softmap_edge.simulator import Simulator
+    from softmap_edge.solid.finger import Finger
+    from softmap_edge.solid.simulator import Simulator
 
     Simulator(Finger.builtin().replace(core=1, layers=4)).sweep([[0.0, 1.0], [0.0]]).save(folder / "sweep.npz")
     return folder / "sweep.npz"
@@ -119,7 +119,7 @@ def scattered_bundle_sample(folder):
     from robots import arc, rings
 
     from softmap_edge.bundle import save_bundle
-    from softmap_edge.elsewhere import model_from_file
+    from softmap_edge.elsewhere.build import model_from_file
 
     u = np.random.default_rng(0).uniform(-5, 5, (25, 2))
     np.savez(folder / "sweep.npz", command=u, vertices=arc(u, *rings(4, 7)))
@@ -134,8 +134,8 @@ def bundle_sample(folder):
 
 def elastic_sample(folder):
     from softmap_edge.bundle import save_bundle
-    from softmap_edge.robot import Robot
-    from softmap_edge.rod import learn_model
+    from softmap_edge.rod.learn import learn_model
+    from softmap_edge.rod.robot import Robot
     from softmap_edge.run import Run
 
     robot = Robot.load(robot_sample(folder))
@@ -162,8 +162,8 @@ def use_run(path):
 
 
 def use_finger(path):
-    from softmap_edge.finger import Finger
-    from softmap_edge.simulator import Simulator
+    from softmap_edge.solid.finger import Finger
+    from softmap_edge.solid.simulator import Simulator
 
     finger = Finger.load(path)
     Simulator(finger)
@@ -171,20 +171,20 @@ def use_finger(path):
 
 
 def use_mesh(path):
-    from softmap_edge.solids import Meshed
+    from softmap_edge.solid.bodies import Meshed
 
     assert len(Meshed(str(path)).cells([]).nodes) > 10
 
 
 def use_guides(path):
-    from softmap_edge.mesh_file import read_guides
-    from softmap_edge.tendons import Tendon
+    from softmap_edge.solid.mesh_file import read_guides
+    from softmap_edge.solid.tendons import Tendon
 
     assert np.isfinite(Tendon(points=read_guides(path)).ends()).all()
 
 
 def use_robot(path):
-    from softmap_edge.robot import Robot
+    from softmap_edge.rod.robot import Robot
 
     robot = Robot.load(path)
     robot.layout.compiled(robot.coordinates().numbers(np.zeros(len(robot.coordinates().labels))))
@@ -192,7 +192,7 @@ def use_robot(path):
 
 def use_diagnosis(path):
     from softmap_edge.bundle import builtin_model
-    from softmap_edge.diagnosis import Diagnosis
+    from softmap_edge.diagnosis.diagnose import Diagnosis
 
     found = Diagnosis.load(path)
     str(found)
@@ -201,7 +201,7 @@ def use_diagnosis(path):
 
 
 def use_sweep(path):
-    from softmap_edge.simulator import Sweep
+    from softmap_edge.solid.simulator import Sweep
 
     sweep = Sweep.load(path)
     sweep.save(path.with_name("again.npz"))
@@ -209,8 +209,8 @@ def use_sweep(path):
 
 
 def use_shapes(path):
-    from softmap_edge.elsewhere import model_from_file
-    from softmap_edge.sweep_summary import read_summary
+    from softmap_edge.elsewhere.build import model_from_file
+    from softmap_edge.elsewhere.summary import read_summary
 
     read_summary(path)
     model_from_file(path).prior.evaluate(np.zeros((2, 2)))

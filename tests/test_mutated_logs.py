@@ -99,7 +99,7 @@ def spoil_counts(sample, folder, rng):
 
 # --- use -----------------------------------------------------------------------------------
 def use_logs(folder):
-    from softmap_edge.importer import import_logs, read_mapping
+    from softmap_edge.logs.importer import import_logs, read_mapping
 
     import_logs([folder / "log.csv"], read_mapping(folder / "map.toml"))
 
@@ -126,15 +126,15 @@ markers = {{ unit = "m", columns = [{TIP}] }}
 
 
 def use_markers(path):
-    from softmap_edge.importer import import_logs, read_mapping
+    from softmap_edge.logs.importer import import_logs, read_mapping
 
     (path.parent / "map.toml").write_text(MARKERS)
     import_logs([path], read_mapping(path.parent / "map.toml"))
 
 
 def use_mcap(path):
-    from softmap_edge.importer import import_logs, read_mapping
-    from softmap_edge.logs.mcap_file import topics
+    from softmap_edge.logs.importer import import_logs, read_mapping
+    from softmap_edge.logs.readers.mcap_file import topics
 
     topics(path)
     (path.parent / "map.toml").write_text(TOPICS)
@@ -143,8 +143,8 @@ def use_mcap(path):
 
 def use_guess(path):
     """Propose a mapping; what it proposes is text that can be read, whatever the trial import says."""
-    from softmap_edge.guess import guess_mapping
-    from softmap_edge.mapping import parse_mapping
+    from softmap_edge.logs.guess import guess_mapping
+    from softmap_edge.logs.mapping import parse_mapping
 
     found = guess_mapping([path / "log.csv" if path.is_dir() else path])
     parse_mapping(found.text, path)
@@ -152,7 +152,7 @@ def use_guess(path):
 
 def use_message(path):
     from softmap_edge.errors import RunError
-    from softmap_edge.logs.cdr import CdrError, parse_definition, read_message
+    from softmap_edge.logs.readers.cdr import CdrError, parse_definition, read_message
 
     try:
         read_message(JOINT_STATE[0], parse_definition(*JOINT_STATE), path.read_bytes())

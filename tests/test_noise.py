@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from softmap_edge.errors import SoftmapError
-from softmap_edge.noise import (
+from softmap_edge.diagnosis.noise import (
     Noise,
     command_kernel,
     estimate_noise,
@@ -12,6 +11,7 @@ from softmap_edge.noise import (
     rod_noise,
     whitener,
 )
+from softmap_edge.errors import SoftmapError
 
 V, F = 6, 18
 

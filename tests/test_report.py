@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from test_compare import lean, triangle
 
-from softmap_edge.comparison import compare, series
+from softmap_edge.diagnosis.comparison import compare, series
 from softmap_edge.errors import ReportError
-from softmap_edge.report import diagnosis_text, pair_text, parameter
-from softmap_edge.report_html import write_html
-from softmap_edge.report_numbers import bar, fall, tamed
+from softmap_edge.report.html import write_html
+from softmap_edge.report.numbers import bar, fall, tamed
+from softmap_edge.report.text import diagnosis_text, pair_text, parameter
 
 DIAGNOSIS = {
     "schema": "softmap.diagnosis/1",
@@ -205,7 +205,7 @@ def test_a_floor_that_is_known_stands_for_the_noise(pair, tmp_path):
 def test_no_label_of_a_condition_is_cut_off(monkeypatch):
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    from softmap_edge import figures
+    from softmap_edge.report import figures
 
     drawn = []
     monkeypatch.setattr(figures, "_svg", lambda figure: drawn.append(figure) or b"")
@@ -320,8 +320,8 @@ def test_without_matplotlib_text_works_and_html_says_what_to_install(tmp_path):
     code = (
         "import sys; sys.modules['matplotlib'] = None\n"
         "from test_compare import lean, triangle\n"
-        "from softmap_edge.comparison import compare\n"
-        "from softmap_edge.report_html import write_html\n"
+        "from softmap_edge.diagnosis.comparison import compare\n"
+        "from softmap_edge.report.html import write_html\n"
         "found = compare(lean(), triangle()); str(found); found.to_dict()\n"
         f"write_html({str(tmp_path / 'p.html')!r}, found)\n"
     )

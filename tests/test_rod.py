@@ -10,9 +10,9 @@ from softmap_edge.bundle import load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.folds import folds
-from softmap_edge.polynomial_rod import RodParameters
-from softmap_edge.rod import LearnedRod, learn, learn_model
-from softmap_edge.rod_fit import Drive, Regression
+from softmap_edge.rod.learn import LearnedRod, learn, learn_model
+from softmap_edge.rod.polynomial import RodParameters
+from softmap_edge.rod.regression import Drive, Regression
 from softmap_edge.run import Run
 
 ROOT = Path(__file__).parent.parent
@@ -220,8 +220,8 @@ def test_bad_arguments_are_refused(plain):
 def trunk():
     if TRUNK is None:
         pytest.skip("not run: the trunk logs are absent (make data brings them)")
-    from softmap_edge.importer import import_logs
-    from softmap_edge.mapping import read_mapping
+    from softmap_edge.logs.importer import import_logs
+    from softmap_edge.logs.mapping import read_mapping
 
     logs = [TRUNK / "control_inputs_controlled_1.csv", TRUNK / "observations_controlled_1.csv"]
     return import_logs(logs, read_mapping(ROOT / "examples/trunk.toml")).run

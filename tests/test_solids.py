@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, _core, builtin_model, load_bundle
-from softmap_edge.build import build_model
 from softmap_edge.bundle import save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import FingerError, RunError, SoftmapError
-from softmap_edge.finger import Finger, Region, Tendon
-from softmap_edge.mesh_file import read_tetrahedra
-from softmap_edge.simulator import Simulator, Sweep
-from softmap_edge.sofa import sofa_scene
-from softmap_edge.solids import Block, Meshed
+from softmap_edge.solid.bodies import Block, Meshed
+from softmap_edge.solid.build import build_model
+from softmap_edge.solid.finger import Finger, Region, Tendon
+from softmap_edge.solid.mesh_file import read_tetrahedra
+from softmap_edge.solid.simulator import Simulator, Sweep
+from softmap_edge.solid.sofa import sofa_scene
 
 SIZE = (16.0, 14.0, 60.0)
 # Six tetrahedra of a brick, around its diagonal from corner 0 to corner 6.

@@ -14,6 +14,7 @@ use super::material::Body;
 use super::natural::Kind;
 use super::{Vec3, axpy, dot};
 use crate::error::{Result, invalid};
+use crate::vector::{cofactor, det};
 
 /// Stiffness of a pair of nodes, N/mm.
 pub type Block = [Vec3; 3];
@@ -246,22 +247,6 @@ fn apply(m: &[Vec3; 3], n: Vec3, s: f64, out: &mut Vec3) {
     for i in 0..3 {
         out[i] = s * dot(m[i], n);
     }
-}
-
-fn det(f: &[Vec3; 3]) -> f64 {
-    f[0][0] * (f[1][1] * f[2][2] - f[1][2] * f[2][1])
-        - f[0][1] * (f[1][0] * f[2][2] - f[1][2] * f[2][0])
-        + f[0][2] * (f[1][0] * f[2][1] - f[1][1] * f[2][0])
-}
-
-/// Cofactor matrix (det · F^(−T)) and determinant.
-pub fn cofactor(f: &[Vec3; 3]) -> ([Vec3; 3], f64) {
-    let minor = |i: usize, j: usize| {
-        let (a, b, c, d) = ((i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3);
-        f[a][c] * f[b][d] - f[a][d] * f[b][c]
-    };
-    let c = std::array::from_fn(|i| std::array::from_fn(|j| minor(i, j)));
-    (c, det(f))
 }
 
 #[cfg(test)]

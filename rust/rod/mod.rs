@@ -7,7 +7,7 @@
 //! Commands are normalised, q = (u − centre)/scale; all 2K angles are one polynomial of q (degree 1..4, monomials in
 //! graded order, intercept first), and every chord length (mm) is a quadratic of the 2K angles.
 //! Evaluation is closed form and smooth through the straight pose (β = 0). Limits: β beyond π folds back; outside the
-//! fitted commands a cubic grows fast and nothing is clamped. Fitting is done in `softmap_edge/rod.py`.
+//! fitted commands a cubic grows fast and nothing is clamped. Fitting is done in `softmap_edge/rod/`.
 //! `polynomial` holds the polynomials, `field` what loads do to the rod.
 
 mod arc;

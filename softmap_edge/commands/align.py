@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.align import align_base, align_home, base_markers, clamped_places
+from softmap_edge.alignment.align import align_base, align_home, base_markers, clamped_places
+from softmap_edge.alignment.rigid import Pose
 from softmap_edge.bundle import builtin_model, load_bundle
 from softmap_edge.commands.output import check_file
 from softmap_edge.errors import AlignError
-from softmap_edge.rigid import Pose
 from softmap_edge.run import Run
 
 _HOW = (

@@ -16,13 +16,13 @@ from typing import Any
 from softmap_edge import SoftmapError
 from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.commands.progress import Ticker
-from softmap_edge.comparison import Comparison, compare, series
-from softmap_edge.diagnosis import Diagnosis, diagnose
+from softmap_edge.diagnosis.comparison import Comparison, compare, series
+from softmap_edge.diagnosis.diagnose import Diagnosis, diagnose
 from softmap_edge.errors import ReportError
 from softmap_edge.model import Model
 from softmap_edge.protocol import other_protocol, standard_protocol
-from softmap_edge.report_html import write_html
-from softmap_edge.report_numbers import fall
+from softmap_edge.report.html import write_html
+from softmap_edge.report.numbers import fall
 from softmap_edge.run import Run
 from softmap_edge.truth import WATCH, Truth, hide, surprise
 

@@ -16,7 +16,7 @@ from softmap_edge.commands.output import check_file
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.npz import write_npz
-from softmap_edge.report import WIDTH
+from softmap_edge.report.text import WIDTH
 from softmap_edge.run import Run
 
 

@@ -14,7 +14,7 @@ from softmap_edge.bundle import save_bundle
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
-from softmap_edge.finger import Finger
+from softmap_edge.solid.finger import Finger
 
 
 def build_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,13 +36,13 @@ def build(args: argparse.Namespace) -> int:
     made, how = None, "another mesh, modulus ±10 %"
     with Bar(args.json) as bar:
         if args.finger is not None and Path(args.finger).suffix == ".npz":
-            from softmap_edge.elsewhere import model_from_file
+            from softmap_edge.elsewhere.build import model_from_file
 
             model = model_from_file(args.finger, bar)
             made = model.made_from.get("commands")
             how = how if made is None else "interpolation of the sweep, by leaving out"
         else:
-            from softmap_edge.build import build_model
+            from softmap_edge.solid.build import build_model
 
             model = build_model(_finger(args.finger), args.steps, bar)
     commands = made or int(model.made_from["steps"]) ** model.channels
@@ -81,9 +81,9 @@ def learn_arguments(parser: argparse.ArgumentParser) -> None:
 
 def learn(args: argparse.Namespace) -> int:
     """Fit a rod to a reference run and write its bundle."""
-    from softmap_edge.robot import Robot
-    from softmap_edge.rod import learn as fit
-    from softmap_edge.rod import learned_model
+    from softmap_edge.rod.learn import learn as fit
+    from softmap_edge.rod.learn import learned_model
+    from softmap_edge.rod.robot import Robot
     from softmap_edge.run import Run
 
     check_bundle(args.out, args.force)
@@ -127,8 +127,8 @@ def sweep_arguments(parser: argparse.ArgumentParser) -> None:
 
 def sweep(args: argparse.Namespace) -> int:
     """Simulate a grid of commands and write commands and vertices."""
-    from softmap_edge.build import grid_axes
-    from softmap_edge.simulator import Simulator
+    from softmap_edge.solid.build import grid_axes
+    from softmap_edge.solid.simulator import Simulator
 
     _check_steps(args.steps)
     check_file("--out", args.out, ".npz")
@@ -152,7 +152,7 @@ def export_arguments(parser: argparse.ArgumentParser) -> None:
 
 def export(args: argparse.Namespace) -> int:
     """Write the scene of a finger for another simulator."""
-    from softmap_edge.sofa import write_sofa_scene
+    from softmap_edge.solid.sofa import write_sofa_scene
 
     check_file("--sofa", args.sofa, ".py")
     finger = _finger(args.finger)

@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.advice import effect_lines
 from softmap_edge.commands.output import check_file
+from softmap_edge.diagnosis.advice import effect_lines
+from softmap_edge.elsewhere.summary import read_summary
+from softmap_edge.elsewhere.summary import sentences as sweep_sentences
+from softmap_edge.elsewhere.sweep_file import LIMIT, is_shape_sweep
 from softmap_edge.errors import RunError, SoftmapError, SweepError
-from softmap_edge.importer import import_logs, read_mapping
+from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.npz import read_npz
 from softmap_edge.run import Run
 from softmap_edge.run_summary import SCHEMA, sentences, summary
-from softmap_edge.sweep_file import LIMIT, is_shape_sweep
-from softmap_edge.sweep_summary import read_summary
-from softmap_edge.sweep_summary import sentences as sweep_sentences
 
 DONE, FAULT = 0, 1
 _BARS = "▁▂▃▄▅▆▇█"
@@ -64,7 +64,7 @@ def import_(args: argparse.Namespace) -> int:
 
 
 def _guess(args: argparse.Namespace) -> int:
-    from softmap_edge.guess import guess_mapping
+    from softmap_edge.logs.guess import guess_mapping
 
     check_file("--out", args.out, ".toml")
     found = guess_mapping(args.logs)
@@ -154,7 +154,7 @@ def _run(path: Path, bundle: str | None) -> dict[str, Any]:
     document = summary(run)
     if bundle is not None:
         from softmap_edge.bundle import load_bundle
-        from softmap_edge.diagnosis import showing
+        from softmap_edge.diagnosis.diagnose import showing
 
         document["effects"] = showing(load_bundle(bundle), run)
     return document

@@ -28,8 +28,8 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
 
 def compare(args: argparse.Namespace) -> int:
     """Show how far a model is from a run, and where; 1 if the last of several bundles is worse than the first."""
-    from softmap_edge.comparison import compare as measure
-    from softmap_edge.report import pair_text
+    from softmap_edge.diagnosis.comparison import compare as measure
+    from softmap_edge.report.text import pair_text
 
     check_file("--html", args.html)
     run, models = _run(args.run), [_bundle(path) for path in args.bundle or [None]]
@@ -60,7 +60,7 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
 
 def diagnose(args: argparse.Namespace) -> int:
     """Name the effect that a model lacks; 0 whatever the verdict, since silence and doubt are answers."""
-    from softmap_edge.diagnosis import diagnose as find
+    from softmap_edge.diagnosis.diagnose import diagnose as find
 
     check_file("--html", args.html)
     check_file("--out", args.out)
@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add(args: argparse.Namespace) -> int:
     """Write a bundle with effects of a diagnosis added, with their fitted numbers."""
-    from softmap_edge.diagnosis import Diagnosis
+    from softmap_edge.diagnosis.diagnose import Diagnosis
 
     check_bundle(args.out, args.force)
     model, diagnosis = _bundle(args.bundle), Diagnosis.load(args.source)
@@ -136,7 +136,7 @@ def refit(args: argparse.Namespace) -> int:
     """Fit the effects of a bundle again, or a finger's own numbers; 1 if the held-out error does not fall."""
     if args.finger is not None:
         return _refit_finger(args)
-    from softmap_edge.diagnosis import refit as fit_again
+    from softmap_edge.diagnosis.diagnose import refit as fit_again
 
     check_bundle(args.out, args.force)
     model, report = fit_again(_bundle(args.bundle), _run(args.run))
@@ -145,8 +145,8 @@ def refit(args: argparse.Namespace) -> int:
 
 
 def _refit_finger(args: argparse.Namespace) -> int:
-    from softmap_edge.finger import Finger
-    from softmap_edge.finger_fit import fit_finger
+    from softmap_edge.solid.finger import Finger
+    from softmap_edge.solid.fit import fit_finger
 
     check_file("--out", args.out, ".toml")
     with Bar(args.json) as bar:
@@ -190,9 +190,9 @@ def _names(text: str) -> list[str]:
 
 def _page(path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: str) -> None:
     """Write the page about a run seen by one model, or by two where they differ."""
-    from softmap_edge.comparison import compare as measure
-    from softmap_edge.comparison import series
-    from softmap_edge.report_html import write_html
+    from softmap_edge.diagnosis.comparison import compare as measure
+    from softmap_edge.diagnosis.comparison import series
+    from softmap_edge.report.html import write_html
 
     two = after is not None and after is not before
     found = [measure(model, run) for model in ((before, after) if two else (before,))]

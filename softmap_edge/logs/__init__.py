@@ -1,1 +1,1 @@
-"""What goes into `softmap import`: one reader for each format, all giving named columns (`columns.py`)."""
+"""Any log with a mapping file → run: tables, frames, what does not look as declared, and a mapping proposed."""

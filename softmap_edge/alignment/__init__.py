@@ -1,0 +1,1 @@
+"""Camera or mocap frame → base frame, with its uncertainty; poses between points."""

@@ -1,0 +1,264 @@
+"""What a run can tell and what it cannot, before any fit, in plain words; and what to record to do better.
+
+Each word is about one question that a diagnosis will ask, answered from the run alone: how many frames, is the noise
+known, is home visited, how does it move. Limits are those of the methods that ask (`noise.py`, `fit.py`) or a factor
+below which two things look alike; every word names its number. Minutes are those of the block that is missing.
+Units: mm, s, °C. Pinned by tests/test_advice.py.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions
+from softmap_edge.diagnosis.evidence import last_direction, orientations
+from softmap_edge.diagnosis.floor import replicates
+from softmap_edge.run import Run
+
+Floats = NDArray[np.float64]
+
+WIDTH = 100
+FRAMES, ENOUGH_FRAMES = 8, 60  # fewer cannot be held out; fewer hide small effects
+ENOUGH_VISITS = 3  # home at the start, at the end and in between: what drift and noise can be told apart with
+MOVING = 15  # frames seen in motion, below which delays are guessed
+SPEEDS = 2.0  # ratio of fast to slow below which delay and play look alike
+DWELL = 5.0  # s of rest that shows creep
+MINORITY = 0.1  # of the frames reached from the rarer side
+TOGETHER = 0.95  # correlation from which two channels are one
+WARMING = 3.0  # °C by which it must have changed
+BESIDE = 0.02  # of their length: markers nearer to one line than this show no twist
+
+
+@dataclass(frozen=True)
+class Word:
+    """An answer: `about` a question, `tells` whether the run answers it, in a sentence, and the remedy if not."""
+
+    about: str
+    tells: bool
+    text: str
+    remedy: str | None = None
+    minutes: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain numbers and texts."""
+        return asdict(self)
+
+
+def advice(run: Run, home_visits: int) -> list[Word]:
+    """Return what a run can tell and what it cannot, most important first.
+
+    Args:
+        run: any run. home_visits: how often it rests at home (`summary` counts them).
+    """
+    if run.frames == 0:
+        return [
+            Word("frames", False, "anything: no frame was seen", "record what the cameras see with the commands", 4.0)
+        ]
+    rows = run.command if run.command is not None else run.ticks
+    u = np.zeros((len(run.t), 0)) if rows is None else np.asarray(rows, float)
+    state = conditions(run, u)
+    words = [_frames(run), _noise(run, state), _home(run, home_visits), _orientation(run), *_points(run)]
+    if u.shape[1] == 0:
+        remedy = "send commands and log them with the frames"
+        words.append(Word("drive", False, "anything about the drive: nothing is commanded", remedy, 4.0))
+    elif not np.ptp(u, axis=0).any():
+        remedy = "move every channel to both ends of its range and back"
+        words.append(Word("drive", False, "anything about the drive: the commands never change", remedy, 2.0))
+    else:
+        words += [*_channels(u), _speed(u, state), _dwell(state), _direction(state)]
+    return [*words, _temperature(run)]
+
+
+def _frames(run: Run) -> Word:
+    if run.frames < FRAMES:
+        text = f"which effect is missing: {run.frames} frames are too few to hold some out"
+        return Word("frames", False, text, f"record at least {ENOUGH_FRAMES} frames, better 360", 4.0)
+    if run.frames < ENOUGH_FRAMES:
+        text = f"small effects: {run.frames} frames leave few to judge by"
+        return Word("frames", False, text, "record the same for longer, about 360 frames", 4.0)
+    return Word("frames", True, f"whether an effect helps on what was not fitted: {run.frames} frames can be held out")
+
+
+def _noise(run: Run, state: Conditions) -> Word:
+    seen = run.vertices if run.vertices is not None else run.markers
+    if seen is None:
+        return Word("noise", False, "the noise: the points of clouds have no identity", "register them to a template")
+    visible = _visible(run, seen)
+    found = replicates(state, np.where(visible[..., None], seen, 0.0), visible) if run.channels else None
+    if found is not None:
+        return Word("noise", True, f"noise from physics: the noise is {found[0]:.2g} mm, from {found[1]}")
+    if run.sigma is not None:
+        return Word(
+            "noise", True, f"noise from physics: the run declares {float(np.median(run.sigma)):.2g} mm a coordinate"
+        )
+    return Word(
+        "noise", False, "noise from physics of the same size: nothing is seen twice, so the noise is only guessed",
+        "rest at home and at two other places for 7 s each, with 5 frames or more each time", 1.0,
+    )  # fmt: skip
+
+
+def _visible(run: Run, seen: Floats) -> NDArray[np.bool_]:
+    known = np.asarray(np.isfinite(seen).all(axis=2), np.bool_)
+    return known if run.visible is None else np.logical_and(known, run.visible)
+
+
+def _home(run: Run, visits: int) -> Word:
+    if visits >= ENOUGH_VISITS:
+        return Word("home", True, f"drift, and whether the base moved: home is visited {visits} times")
+    often = {0: "never visited", 1: "visited once", 2: "visited twice"}[visits]
+    return Word(
+        "home", False, f"drift from play, and whether the base moved: home is {often}",
+        "rest at home for 5 s at the start, at the end and once in between", 0.5,
+    )  # fmt: skip
+
+
+def _orientation(run: Run) -> Word:
+    count = orientations(run.gravity)
+    if count > 1:
+        return Word("orientation", True, f"the robot's own weight from a load at its tip: {count} orientations")
+    declared = "the orientation is not declared" if run.gravity is None else "it is seen in one orientation"
+    loads = run.load is not None and float(np.ptp(run.load)) > 0
+    if loads:
+        return Word("orientation", True, "the robot's own weight from a load at its tip: the load changes")
+    return Word(
+        "orientation", False, f"the robot's own weight from a load at its tip: {declared}",
+        "repeat the moves with the robot leaning by about 35°, and declare `gravity` in both", 3.0,
+    )  # fmt: skip
+
+
+def _points(run: Run) -> Iterator[Word]:
+    seen = run.markers
+    if seen is None or not seen.size:
+        return
+    if seen.shape[1] == 1:
+        text = "where along the body an error begins: one marker is seen"
+        yield Word("markers", False, text, "add markers at several heights, and three on the base", None)
+        return
+    rest = run.marker_rest
+    if rest is None:
+        whole = np.flatnonzero(_visible(run, seen).all(axis=1))
+        if not len(whole):
+            return
+        rest = seen[whole[0]]
+    size = np.linalg.svd(rest - rest.mean(axis=0), compute_uv=False)
+    if len(size) < 2 or size[1] < BESIDE * size[0]:
+        text = "a twist, and turns of the base about the robot's axis: the markers lie on one line"
+        yield Word("markers", False, text, "glue a marker or two beside the line, 10 mm or more", None)
+
+
+def _channels(u: Floats) -> Iterator[Word]:
+    span = np.ptp(u, axis=0)
+    still = np.flatnonzero(span <= 1e-9 * span.max())
+    if len(still):
+        named = ", ".join(map(str, still))
+        text = f"anything about channel {named}: it never moves"
+        yield Word("channels", False, text, "move it to both ends of its range and back", float(len(still)))
+    alive = np.flatnonzero(span > 1e-9 * span.max())
+    if len(alive) > 1:
+        r = np.abs(np.corrcoef(u[:, alive].T)) - np.eye(len(alive))
+        pair = np.unravel_index(int(np.argmax(r)), r.shape)
+        if r[pair] > TOGETHER:
+            one, two = alive[min(pair)], alive[max(pair)]
+            text = f"channel {one} from channel {two}: they move together (correlation {r[pair]:.2f})"
+            yield Word("channels", False, text, "move each channel alone, the others at rest", float(len(alive)))
+        elif not len(still):
+            yield Word("channels", True, f"one channel from another: none of the {len(alive)} follows another")
+    one_sided = [c for c in alive if u[:, c].min() > -0.05 * u[:, c].max() or u[:, c].max() < -0.05 * u[:, c].min()]
+    if one_sided:
+        named = ", ".join(map(str, one_sided))
+        text = f"what the second tendon of a pair does: channel {named} is pulled to one side only"
+        remedy = "pull to both sides of home (a single tendon has none: then leave it)"
+        yield Word("sides", False, text, remedy, float(len(one_sided)))
+
+
+def _speed(u: Floats, state: Conditions) -> Word:
+    moving = int(state.moving.sum())
+    remedy = "full-range triangles fast and slow, seen about 9 times a second while they move"
+    if moving < MOVING:
+        return Word("speed", False, f"delay, lag and friction: {moving} frames are seen in motion", remedy, 1.0)
+    span = np.ptp(u, axis=0)
+    pace = np.abs(state.velocity[state.moving]) / np.where(span > 0, span, np.inf)  # ranges a second
+    pool = pace[pace > STILL] if (pace > STILL).any() else pace.max(axis=1)
+    slow, fast = np.quantile(pool, [0.15, 0.85])
+    if fast < SPEEDS * slow:
+        text = f"delay and lag from play: it always moves at about {np.sqrt(slow * fast):.2g} of its range a second"
+        return Word("speed", False, text, remedy, 1.0)
+    return Word("speed", True, f"delay and lag from play: it moves at {slow:.2g} to {fast:.2g} of its range a second")
+
+
+def _dwell(state: Conditions) -> Word:
+    away = ~(np.abs(state.command).max(axis=1) <= 0.1 * np.abs(state.command).max())
+    longest = float(state.dwell[away & ~state.moving].max(initial=0.0))
+    if longest >= DWELL:
+        return Word("dwell", True, f"creep from play: it is seen to rest away from home for up to {longest:.0f} s")
+    return Word(
+        "dwell", False, f"creep from play: away from home it is seen to rest for {longest:.1f} s at most",
+        "a staircase: half, full, half the range, and rest 7 s on each step, five frames each", 2.0,
+    )  # fmt: skip
+
+
+def _direction(state: Conditions) -> Word:
+    sign = last_direction(state.velocity, state.moving)
+    known = np.abs(sign).sum(axis=0)
+    rarer = np.minimum((sign > 0).sum(axis=0), (sign < 0).sum(axis=0)) / np.maximum(known, 1)
+    poor = [str(c) for c in np.flatnonzero(rarer < MINORITY)]
+    if not poor:
+        return Word("direction", True, "play, friction and hysteresis: places are reached from both sides")
+    named = f"channel {', '.join(poor)} is seen coming from one side only"
+    return Word(
+        "direction", False, f"play, friction and hysteresis: {named}",
+        "triangles of growing size, up and back, and small loops around two places", 2.0,
+    )  # fmt: skip
+
+
+def _temperature(run: Run) -> Word:
+    remedy = "log a thermometer beside the silicone, and go on until it has warmed by 5 °C"
+    if run.temperature is None:
+        return Word("temperature", False, "softening by warmth from creep: no temperature is logged", remedy, 15.0)
+    change = float(np.ptp(run.temperature))
+    if change < WARMING:
+        text = f"softening by warmth from creep: the temperature changes by {change:.1f} °C only"
+        return Word("temperature", False, text, remedy, 15.0)
+    return Word("temperature", True, f"softening by warmth from creep: the temperature changes by {change:.1f} °C")
+
+
+def advice_lines(words: list[Word]) -> list[str]:
+    """Return the words for a terminal: what can be told, what cannot with its remedy, and the minutes in all."""
+    lines = ["", "From this run one can tell"]
+    lines += [line for word in words if word.tells for line in folded(f"+ {word.text}", 2)] or ["  nothing yet"]
+    poor = [word for word in words if not word.tells]
+    if not poor:
+        return lines
+    lines += ["", "From this run one cannot tell"]
+    for word in poor:
+        time = "" if word.minutes is None else f" ({word.minutes:g} min)"
+        lines += [*folded(f"- {word.text}", 2), *folded(f"> {word.remedy}{time}", 6)]
+    minutes = sum(word.minutes or 0.0 for word in poor)
+    return [*lines, "", f"What is missing (the lines marked >) takes about {minutes:g} minutes of recording in all."]
+
+
+def effect_lines(effects: list[dict[str, Any]]) -> list[str]:
+    """Return for a terminal what `diagnosis.showing` found of each effect."""
+    lines = ["", "Effects at mid-range: how far each would move the body, and how often that is the noise"]
+    for row in effects:
+        if row["shows"]:
+            size = f"{row['moved_mm']:5.2f} mm {row['deviations']:7.0f} times"
+            twins = f", but like {', '.join(row['alike'])}" if row["alike"] else ""
+            lines.append(f"  + {row['name']:<12}{size}   shows{twins}")
+        else:
+            lines += folded(f"- {row['name']:<12}does not show: {row['why']}", 2)
+        if not row["shows"] or row["alike"]:
+            lines += folded(f"> {row['experiment']} ({row['minutes']:g} min)", 6)
+    return lines
+
+
+def folded(text: str, indent: int) -> list[str]:
+    """Return a text as lines of at most 100 columns from `indent` on; further lines stand under the first word."""
+    pad = " " * indent
+    return textwrap.wrap(text, WIDTH, initial_indent=pad, subsequent_indent=pad + "  ")

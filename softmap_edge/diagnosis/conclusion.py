@@ -1,0 +1,350 @@
+"""From a finished search to what a diagnosis says: verdict, sentence, effects with parameters, rivals, what is open.
+
+Nothing is searched here, and nothing is decided that `search.py` (which effects are accepted) or `evidence.py` (what
+the run can show) has not measured. Every entry is plain data, ready for JSON. Units: mm. Pinned by
+tests/test_diagnosis.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.conditions import cells
+from softmap_edge.diagnosis.evidence import (
+    LEFT_R2,
+    Leftover,
+    Untestable,
+    equivalents,
+    experiment,
+    ladder,
+    ladder_on,
+    leftover,
+    not_testable,
+)
+from softmap_edge.diagnosis.fit import Fit, Record
+from softmap_edge.diagnosis.search import RIVAL_SHARE, Search
+from softmap_edge.folds import labelled
+
+Floats = NDArray[np.float64]
+
+TEMPERATURE = 4.0  # of the probabilities: forms of the library are never exact; not yet fitted on a bank
+UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "cannot tell"
+
+
+@dataclass(frozen=True)
+class OwnMisfit:
+    """Effects that the model has already, which fit the run much better with other numbers: mm RMS, after held out."""
+
+    names: tuple[str, ...]
+    before_mm: float
+    after_mm: float
+
+    def __str__(self) -> str:
+        return (
+            f"the model's own {' + '.join(self.names)} does not fit this run: "
+            f"`softmap refit` alone takes {self.before_mm:.2f} mm to {self.after_mm:.2f} mm"
+        )
+
+
+def conclude(
+    search: Search,
+    fit: Fit,
+    other: Record | None = None,
+    demoted: Sequence[str] = (),
+    impossible: Sequence[Untestable] = (),
+    own: OwnMisfit | None = None,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Say what a finished search means.
+
+    Args:
+        search: the search; its fits and cross-validations are used again.
+        fit: the set of effects that it chose.
+        other: an independent run on which errors are held out; blocks of the searched one without it.
+        demoted: effects that were dropped because the independent run spoke against them.
+        impossible: effects that were never candidates, and why.
+        own: what the model's own effects would reach with other numbers, if that is much.
+        seed: kept in the document.
+
+    Returns:
+        dict: the entries of softmap.diagnosis/1, all but its schema.
+    """
+    record = search.problem.record
+    registry = {e["name"]: e for e in record.library.effects()}
+    weights = {e: max(search.share(fit, e), 0.0) for e in fit.effects}
+    order = sorted(fit.effects, key=lambda e: (-weights[e], e))
+    found = search.rivals(fit)
+    left = leftover(search, fit)
+    hidden = [*not_testable(search, fit, registry), *impossible]
+    rivals = _rivals(search, fit, found, registry)
+    if own is not None and fit.effects:
+        fall = own.before_mm - search.held_out_mm(fit)
+        if own.before_mm - own.after_mm >= RIVAL_SHARE * fall:
+            block = ("`softmap refit` on this run, then diagnose again", 0.0)
+            rivals.insert(0, {"member": order[0], "effects": list(own.names), "why": str(own), "experiment": block})
+    entries = _entries(search, fit, other, order, weights, rivals, registry)
+    faults = [e for e in entries if registry[e["name"]]["kind"] == "fault"]
+    physics = [e for e in entries if registry[e["name"]]["kind"] != "fault"]
+    error = _error(search, order, other)
+    doubts = [*([str(own)] if own else []), *_at_bounds(entries)]
+    verdict = _verdict(physics, faults, [*rivals, *doubts], left, hidden, len(search.candidates) + len(impossible))
+    return {
+        "verdict": verdict,
+        "sentence": _sentence(verdict, physics, faults, rivals, left, hidden, error, demoted)
+        + "".join(f" But {doubt}." for doubt in doubts),
+        "effects": physics,
+        "faults": faults,
+        "rivals": [{"effects": r["effects"], "why": r["why"]} for r in rivals],
+        "not_testable": [{"name": h.name, "why": h.why, "experiment": h.experiment} for h in hidden],
+        "where": {"before": _where(record, search.null), "after": _where(record, fit)},
+        "error": error,
+        "unexplained": {
+            "rms_mm": left.rms_mm,
+            "chi2_per_n": left.chi2_per_n,
+            "blocked_r2": left.blocked_r2,
+            "predicted_by": left.predicted_by,
+        },
+        "next": _next(rivals, hidden, registry),
+        "made_from": _made_from(search, order, other, demoted, registry, seed),
+    }
+
+
+def _entries(
+    search: Search,
+    fit: Fit,
+    other: Record | None,
+    order: list[str],
+    weights: dict[str, float],
+    rivals: list[dict[str, Any]],
+    registry: dict[str, dict[str, Any]],
+) -> list[dict[str, Any]]:
+    record = search.problem.record
+    sigma = search.problem.uncertainty(fit, search.dispersion(fit)) if len(fit.x) else np.zeros(0)
+    probability = search.probabilities(fit, TEMPERATURE)
+    total = max(sum(weights.values()), 1e-300)
+    entries = []
+    for name in order:
+        open_rivals = sum(1 for r in rivals if r["member"] == name)
+        held = None
+        if other is not None:
+            held = other.rms_mm(_shift_on(fit, other, name))
+        entries.append(
+            {
+                "name": name,
+                "family": registry[name]["family"],
+                "stage": registry[name]["stage"],
+                "probability": min(probability[name], 1.0 / (1 + open_rivals)),
+                "share": weights[name] / total,
+                "displacement_mm": {"fitted": record.rms_mm(search.displacement(fit, name)), "held_out": held},
+                "params": parameters(record, fit, sigma, (name,)),
+            }
+        )
+    return entries
+
+
+def _shift_on(fit: Fit, other: Record, name: str) -> Floats:
+    """Return what one effect does on another run (K, F) mm, the others in place."""
+    params = np.array([fit.params[label] for label in fit.space.labels])
+    mine = np.array([label.split(".")[0] == name for label in fit.space.labels])
+    chain = other.library.Chain(list(fit.space.names), other.model.channels)
+    both = np.stack([params, np.where(mine, np.asarray(chain.null, float), params)])
+    shift = other.predict(fit.space.names, both)
+    return np.asarray(shift[0] - shift[1])
+
+
+def parameters(record: Record, fit: Fit, sigma: Floats, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the fitted parameters of the effects `names` by label: value, sigma, unit, and whether at a bound.
+
+    A bound where the effect ends (no payload, one creep time) is none.
+    """
+    values, null = fit.space.values(fit.x), fit.space.scaled(fit.space.null)
+    in_commands = {e["name"] for e in record.library.effects() if e["role"] == "channel"}
+    found = {}
+    for j, i in enumerate(fit.space.free):
+        label, unit = fit.space.labels[i], fit.space.units[i]
+        if label.split(".")[0] not in names:
+            continue
+        if unit == "g" and not getattr(record.model, "stiffness_known", True):
+            unit = "of the model's own load scale"  # grams would be a claim without ground
+        if unit == "mm" and label.split(".")[0] in in_commands:
+            unit = getattr(record.model, "command_unit", "mm")
+        bounds = [x for x in (fit.space.low[j], fit.space.high[j]) if abs(x - null[j]) > 1e-6]
+        at_bound = any(abs(fit.x[j] - x) <= 1e-6 for x in bounds)
+        found[label] = {"value": float(values[j]), "sigma": float(sigma[j]), "unit": unit, "at_bound": at_bound}
+    return found
+
+
+def _at_bounds(entries: list[dict[str, Any]]) -> list[str]:
+    return [
+        f"{label} is at its bound of {p['value']:.3g}{'' if p['unit'] == '1' else ' ' + p['unit']}: "
+        "the true value lies beyond, or another effect acts"
+        for entry in entries
+        for label, p in entry["params"].items()
+        if p["at_bound"]
+    ]
+
+
+def _rivals(
+    search: Search, fit: Fit, found: list[tuple[str, Fit, str]], registry: dict[str, dict[str, Any]]
+) -> list[dict[str, Any]]:
+    rivals = [{"member": member, "effects": list(other.effects), "why": why} for member, other, why in found]
+    for member in fit.effects:
+        for twin in equivalents(search.problem.record, member, registry):
+            swapped = [twin if e == member else e for e in fit.effects]
+            if twin in fit.effects or any(set(swapped) == set(r["effects"]) for r in rivals):
+                continue
+            why = f"{twin} and {member} look alike under the conditions of this run"
+            rivals.append({"member": member, "effects": swapped, "why": why})
+    return rivals
+
+
+def _verdict(
+    physics: list[Any], faults: list[Any], doubts: list[Any], left: Leftover, hidden: list[Untestable], count: int
+) -> str:
+    if left.claim:
+        return "partly_explained"
+    if physics:
+        return "ambiguous" if doubts else "identified"
+    if faults:
+        return "measurement_fault"
+    return "cannot_tell" if len(hidden) >= UNTESTABLE_SHARE * count else "nothing"
+
+
+def _sentence(
+    verdict: str,
+    physics: list[dict[str, Any]],
+    faults: list[dict[str, Any]],
+    rivals: list[dict[str, Any]],
+    left: Leftover,
+    hidden: list[Untestable],
+    error: dict[str, Any],
+    demoted: Sequence[str],
+) -> str:
+    names = " + ".join(e["name"] for e in [*physics, *faults])
+    after = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
+    fall = f"the held-out error falls from {error['model']:.2f} to {after:.2f} mm"
+    judge = error["held_out_on"]
+    lost = f" Dropped, because the error on {judge} did not fall: {', '.join(demoted)}." if demoted else ""
+    cannot = f" These data cannot show {', '.join(h.name for h in hidden)}." if hidden else ""
+    by = left.predicted_by if left.blocked_r2 >= LEFT_R2 else "none of its conditions"
+    unknown = f"{left.rms_mm:.2f} mm RMS are left that {by} predicts"
+    if verdict == "identified":
+        return f"The model lacks {names}; {fall}.{lost}"
+    if verdict == "ambiguous":
+        also = "; ".join(dict.fromkeys(" + ".join(r["effects"]) for r in rivals))
+        other = f"a rival that these data do not rule out ({also})" if rivals else "something that looks like it"
+        return f"The model lacks {names} or {other}; {fall}.{lost}"
+    if verdict == "partly_explained" and names:
+        return f"The model lacks {names}, and something that is not among the candidates: {unknown}; {fall}.{lost}"
+    if verdict == "partly_explained":
+        return f"Something that is not among the candidates is missing: {unknown}.{lost}"
+    if verdict == "measurement_fault":
+        return f"The measurement is at fault, not the model: {names}; {fall}.{lost}"
+    if verdict == "cannot_tell":
+        return (
+            f"Nothing above the floor is seen, and these data could not show {', '.join(h.name for h in hidden)}.{lost}"
+        )
+    return f"Nothing above the floor: no candidate explains the {error['model']:.2f} mm that are left.{cannot}{lost}"
+
+
+def _error(search: Search, order: list[str], other: Record | None) -> dict[str, Any]:
+    problem, record = search.problem, search.problem.record
+    found = ladder(search, order) if other is None else ladder_on(search, other, order)
+    noise, form = problem.noise.rms_mm(record.positions), record.form_mm
+    measured = record.model.kind != "rod"
+    replicates = measured and "replicates" in problem.noise.source
+    return {
+        "kind": "held-out rms",
+        "unit": "mm",
+        **found,
+        "noise_floor": noise if measured else None,
+        "model_floor": form,
+        "floor": noise if replicates else form,
+        "floor_kind": "noise of replicates" if replicates else "the model's own held-out error",
+        "held_out_on": _judge(record) if other is None else "an independent run",
+    }
+
+
+def _judge(record: Record) -> str:
+    return "labelled blocks of this run" if labelled(record.run.block) else "blocks of this run"
+
+
+def _where(record: Record, fit: Fit) -> dict[str, list[dict[str, Any]]]:
+    """Return the measured error by section and by condition as bins `{label, low, high, n, rms_mm}`, if any is seen."""
+    squares = record.squares(record.seen - fit.predicted)  # (K, places)
+    sections = record.section[record.positions]
+
+    def mean(values: Floats) -> float | None:
+        good = values[np.isfinite(values)]
+        return float(np.sqrt(good.mean())) if len(good) else None
+
+    found: dict[str, list[dict[str, Any]]] = {
+        "section": [
+            {"label": str(int(s)), "low": None, "high": None, "n": len(record), "rms_mm": mean(squares[:, i])}
+            for i, s in enumerate(sections)
+        ]
+    }
+    for name, row in cells(record.state).items():
+        found[name] = [
+            {
+                "label": c.label,
+                "low": c.low,
+                "high": c.high,
+                "n": int(c.frames.sum()),
+                "rms_mm": mean(squares[c.frames]),
+            }
+            for c in row
+        ]
+    return {name: [row for row in rows if row["rms_mm"] is not None] for name, rows in found.items()}
+
+
+def _next(
+    rivals: list[dict[str, Any]], hidden: list[Untestable], registry: dict[str, dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Return the blocks that would settle what is open; the separation is not simulated here and says so by null."""
+    blocks: dict[str, dict[str, Any]] = {}
+    for rival in rivals:
+        other = next((e for e in rival["effects"] if e != rival["member"]), rival["member"])
+        block, minutes = rival.get("experiment") or experiment(registry, rival["member"])
+        entry = blocks.setdefault(block, {"block": block, "minutes": minutes, "settles": [], "separation": None})
+        entry["settles"] += [n for n in (rival["member"], other) if n not in entry["settles"]]
+    for item in hidden:
+        entry = blocks.setdefault(
+            item.experiment, {"block": item.experiment, "minutes": item.minutes, "settles": [], "separation": None}
+        )
+        entry["settles"] += [item.name] if item.name not in entry["settles"] else []
+    return list(blocks.values())
+
+
+def _made_from(
+    search: Search,
+    order: list[str],
+    other: Record | None,
+    demoted: Sequence[str],
+    registry: dict[str, dict[str, Any]],
+    seed: int,
+) -> dict[str, Any]:
+    from softmap_edge import __version__
+
+    problem, record = search.problem, search.problem.record
+    return {
+        "softmap": __version__,
+        "seed": seed,
+        "run": record.whole.hash(),
+        "held_out": None if other is None else other.whole.hash(),
+        "frames": len(record),
+        "robot": getattr(record.model, "robot", None),
+        "own_effects": list(record.model.chain_names),
+        "candidates": search.candidates,
+        "demoted": list(demoted),
+        "noise": problem.noise.source,
+        "inflation": problem.noise.inflation,
+        "modes": len(problem.whitener.form),
+        "temperature": TEMPERATURE,
+        "references": {name: registry[name]["reference"] for name in order},
+    }

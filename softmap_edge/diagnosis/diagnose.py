@@ -1,0 +1,352 @@
+"""Diagnose: name the physical effect that a model lacks, with its evidence, its rivals and the error before and after.
+
+    features → noise and form error → whitened search over effects → acceptance on held-out blocks → verdict
+
+The verdict is one of identified, ambiguous, partly_explained, nothing, cannot_tell, measurement_fault; silence and
+doubt are answers. `diagnose` is deterministic: the same input gives the same document. Method: the files
+`noise.py`, `fit.py`, `search.py`, `evidence.py`, `conclusion.py`. Pinned by tests/test_diagnosis.py.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.conclusion import OwnMisfit, conclude, parameters
+from softmap_edge.diagnosis.evidence import Untestable, equivalents, experiment, orientations, shown, unseen
+from softmap_edge.diagnosis.fit import Fit, Problem, Record
+from softmap_edge.diagnosis.noise import command_kernel, estimate_noise, form_covariance, rod_noise, whitener
+from softmap_edge.diagnosis.search import Search
+from softmap_edge.errors import SoftmapError, brief
+from softmap_edge.report.text import VERDICTS, check_diagnosis, diagnosis_text
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+    from softmap_edge.run import Run
+
+Floats = NDArray[np.float64]
+
+SCHEMA = "softmap.diagnosis/1"
+BEYOND = 0.05  # share of the range, and of the frames, that may lie outside what a model was made from unsaid
+OWN_FALL = 0.7  # fall of the held-out error by a refit from which the model's own numbers are in doubt
+ALIKE = 0.95  # cosine between two whitened signatures from which they cannot be told apart by their form
+SIGNATURE_FRAMES = 1500  # frames on which the span of the signatures is found
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What a run says about a model; prints itself, and `to_dict()` is the document softmap.diagnosis/1.
+
+    `model` is the model with the accepted effects added; None after `from_dict`.
+    """
+
+    verdict: str
+    sentence: str
+    effects: list[dict[str, Any]]
+    faults: list[dict[str, Any]]
+    rivals: list[dict[str, Any]]
+    not_testable: list[dict[str, Any]]
+    where: dict[str, Any]
+    error: dict[str, Any]
+    unexplained: dict[str, Any]
+    next: list[dict[str, Any]]
+    made_from: dict[str, Any]
+    model: Any = field(default=None, repr=False)  # a Model; callers of `diagnose` need not look for None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.diagnosis/1."""
+        names = [f.name for f in fields(self) if f.name != "model"]
+        return {"schema": SCHEMA} | {name: getattr(self, name) for name in names}
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> Diagnosis:
+        """Return the diagnosis of a document.
+
+        Raises:
+            SoftmapError: another schema, a missing or mistyped key, an unknown verdict.
+        """
+        if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
+            got = document.get("schema") if isinstance(document, Mapping) else type(document).__name__
+            raise SoftmapError(
+                f"not a diagnosis: schema is {got!r}, {SCHEMA!r} is read; make it with `softmap diagnose`"
+            )
+        values = {}
+        for f in fields(cls):
+            if f.name == "model":
+                continue
+            kind = {"verdict": str, "sentence": str}.get(
+                f.name, dict if f.name in ("where", "error", "unexplained", "made_from") else list
+            )
+            if not isinstance(document.get(f.name), kind):
+                raise SoftmapError(f"the diagnosis has no usable '{f.name}'; make it again with `softmap diagnose`")
+            values[f.name] = document[f.name]
+        if values["verdict"] not in VERDICTS:
+            raise SoftmapError(f"unknown verdict {values['verdict']!r}; there are {', '.join(VERDICTS)}")
+        check_diagnosis(document)
+        return cls(**values)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Diagnosis:
+        """Read the document that `softmap diagnose --out` wrote.
+
+        Raises:
+            SoftmapError: no readable JSON, or not a diagnosis.
+        """
+        try:
+            document = json.loads(Path(path).read_text(encoding="utf-8"), parse_int=_whole)
+        except (ValueError, RecursionError) as error:
+            raise SoftmapError(f"{path} is not JSON ({brief(error)}); make it with `softmap diagnose --out`") from None
+        return cls.from_dict(document)
+
+    def params_of(self, name: str) -> dict[str, float]:
+        """Return the fitted parameters of one named effect or fault by label.
+
+        Raises:
+            SoftmapError: the diagnosis does not name it.
+        """
+        for entry in [*self.effects, *self.faults]:
+            if entry["name"] == name:
+                return {label: float(p["value"]) for label, p in entry["params"].items()}
+        named = ", ".join(e["name"] for e in [*self.effects, *self.faults]) or "none"
+        raise SoftmapError(f"the diagnosis does not name '{name}'; it names {named}")
+
+    def __str__(self) -> str:
+        return diagnosis_text(self.to_dict())
+
+
+def diagnose(
+    model: Model,
+    run: Run,
+    held_out: Run | None = None,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    library: Any = None,
+) -> Diagnosis:
+    """Find out which effect a model lacks.
+
+    Args:
+        model: a Model; its own chain is kept and not searched again.
+        run: the measured run, vertices or markers at K >= 8 seen frames.
+        held_out: an independent run of another kind; effects that do not lower the error there are dropped.
+        effects: names of the candidates; all of the registry by default.
+        seed: kept in the document; the method itself draws nothing at random.
+        progress: hears one line per stage.
+        library: where effects come from; the compiled core by default.
+
+    Returns:
+        Diagnosis: verdict, effects with parameters and sigma, rivals, what cannot be told, the held-out error ladder.
+
+    Raises:
+        SoftmapError: too few frames, unknown effects, a run of another robot.
+    """
+    record = Record(model, run, library)
+    registry = {e["name"]: e for e in record.library.effects()}
+    candidates, impossible = _candidates(record, registry, effects)
+    problem = _problem(record, candidates)
+    search = Search(problem, candidates, progress)
+    fit = search.run()
+    if model.kind == "rod":
+        fit = search.simplest(fit)
+    other = None if held_out is None else Record(model, held_out, library)
+    demoted: list[str] = []
+    if other is not None:
+        fit, demoted = _demote(search, fit, lambda f: _error_on(f, other), 0.995)
+    else:  # form error can swallow what a static effect does wrong on unseen blocks; in mm it shows
+        fit, demoted = _demote(search, fit, search.held_out_mm, 1.0)
+    found = model.with_effects(fit.space.names, fit.params) if fit.effects else model
+    document = conclude(search, fit, other, demoted, impossible, _own_misfit(record), seed)
+    document["sentence"] += _outside(record)
+    return Diagnosis(**document, model=found)
+
+
+def refit(model: Model, run: Run, library: Any = None) -> tuple[Model, dict[str, Any]]:
+    """Fit the parameters of a model's own effects again to a run.
+
+    Returns:
+        tuple: the model with new parameters, and a document with parameters ± sigma and the error before and after.
+
+    Raises:
+        SoftmapError: the model has no effects.
+    """
+    own = tuple(model.chain_names)
+    if not own:
+        raise SoftmapError("the model has no effects to refit; `softmap diagnose` finds out which it lacks")
+    record = Record(model, run, library)
+    problem = _problem(record, list(own))
+    space = problem.space(own, free=own)
+    now = space.scaled(np.asarray(model.chain_params, float)[space.free])
+    before = problem.fit((), [np.zeros(0)], free=("",))
+    fit = problem.fit(own, [now, space.start], free=own)
+    sigma = problem.uncertainty(fit, max(1.0, fit.chi2 / max(1.0, problem.numbers)))
+    held = problem.fold_predictions(fit)
+    squares = [record.squares(record.seen - p)[test].ravel() for p, (_, test) in zip(held, problem.folds)]
+    document = {
+        "params": parameters(record, fit, sigma, own),
+        "before_rms_mm": record.rms_mm(record.seen - before.predicted),
+        "after_held_out_rms_mm": float(np.sqrt(np.nanmean(np.concatenate(squares)))),
+    }
+    return model.with_effects(own, fit.params), document
+
+
+def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]:
+    """Say, before any fit, which effects would show in a run: how large each is at mid-range against the noise.
+
+    Returns:
+        list: for each effect `{name, shows, moved_mm, deviations, why, alike, experiment, minutes}`: `deviations` is
+        the size of its signature in standard deviations, `alike` the effects whose signature is the same here within
+        5 %, `experiment` what to record where it does not show or is not alone.
+
+    Raises:
+        SoftmapError: as `diagnose`.
+    """
+    record = Record(model, run, library)
+    registry = {e["name"]: e for e in record.library.effects()}
+    candidates, impossible = _candidates(record, registry, None)
+    problem = _problem(record, candidates)
+    seen = {name: shown(problem, name) for name in candidates}
+    size = {name: float(np.linalg.norm(white)) for name, (_, white) in seen.items()}
+    found = {h.name: _showing(h.name, False, None, None, h.why, [], (h.experiment, h.minutes)) for h in impossible}
+    for name, (moved, white) in seen.items():
+        why = unseen(moved, size[name])
+        twins = equivalents(record, name, registry)
+        for other in candidates if why is None else ():
+            product = size[name] * size[other]
+            if other != name and product > 0 and abs(float(white @ seen[other][1])) > ALIKE * product:
+                twins += [other] if other not in twins else []
+        found[name] = _showing(name, why is None, moved, size[name], why, twins, experiment(registry, name))
+    return [found[name] for name in registry if name in found]
+
+
+def _showing(
+    name: str,
+    shows: bool,
+    moved: float | None,
+    size: float | None,
+    why: str | None,
+    alike: list[str],
+    recorded: tuple[str, float],
+) -> dict[str, Any]:
+    block, minutes = recorded
+    return dict(
+        name=name, shows=shows, moved_mm=moved, deviations=size, why=why, alike=alike, experiment=block, minutes=minutes
+    )
+
+
+def _whole(digits: str) -> int | float:
+    """Return a whole number of JSON; one beyond any float, which no arithmetic takes, as infinity."""
+    return int(digits) if len(digits) < 300 else float(digits)
+
+
+# --- preparation --------------------------------------------------------------------------------
+
+
+def _candidates(
+    record: Record, registry: dict[str, dict[str, Any]], wanted: Sequence[str] | None
+) -> tuple[list[str], list[Untestable]]:
+    unknown = [name for name in wanted or () if name not in registry]
+    if unknown:
+        raise SoftmapError(f"no effect '{unknown[0]}'; there are {', '.join(registry)}")
+    names = [n for n in registry if (wanted is None or n in wanted) and n not in record.model.chain_names]
+    if not names:
+        raise SoftmapError("no effect is left to look for: the model already has every candidate")
+    impossible = []
+    for name in names:
+        missing = [f for f in registry[name].get("needs", []) if getattr(record.run, f, None) is None]
+        if registry[name]["role"] == "channel" and record.model.channels == 0:
+            impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
+        elif missing:
+            impossible.append(Untestable(name, f"the run does not declare {', '.join(missing)}", "declare it", 1.0))
+    if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record.run.gravity) == 1:
+        # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than
+        # its form error, and a tilt of gravity is an offset. The simpler member stands for the family.
+        block, minutes = experiment(registry, "gravity")
+        impossible.append(Untestable("gravity", "in one orientation a rod cannot tell it from payload", block, minutes))
+    out = {h.name for h in impossible}
+    return [n for n in names if n not in out], impossible
+
+
+def _outside(record: Record) -> str:
+    """Say how much of a run lies beyond the commands that the model was made from, where it extrapolates."""
+    reach = getattr(record.model, "command_range", None)
+    if reach is None or not len(record):
+        return ""
+    low, high = np.asarray(reach, float).T
+    slack = BEYOND * (high - low)
+    beyond = np.any((record.command < low - slack) | (record.command > high + slack), axis=1).mean()
+    if beyond < BEYOND:
+        return ""
+    return f" {100 * beyond:.0f} % of the frames lie beyond the commands that the model was made from: a guess there."
+
+
+def _own_misfit(record: Record) -> OwnMisfit | None:
+    """Return what the effects that the model has already would reach with other numbers, if that is much."""
+    if not record.model.chain_names:
+        return None
+    report = refit(record.model, record.whole, record.library)[1]
+    before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
+    return OwnMisfit(tuple(record.model.chain_names), before, after) if after <= OWN_FALL * before else None
+
+
+def _problem(record: Record, candidates: Sequence[str]) -> Problem:
+    """Measure the noise, set up the form error and look along the span of the candidates' signatures."""
+    chain = record.library.Chain(list(record.model.chain_names), record.model.channels)
+    own = np.asarray(record.model.chain_params, float).reshape(1, len(chain.labels))
+    base = record.predict(record.model.chain_names, own)[0]
+    if len(record) < 8:
+        raise SoftmapError(f"{len(record)} seen frames are too few to diagnose; record at least 8, better 60")
+    thin = np.unique(np.linspace(0, len(record) - 1, min(len(record), SIGNATURE_FRAMES)).astype(int))
+    signatures = [s for name in candidates for s in _signatures(record, name, base, thin)]
+    stack = np.stack(signatures) if signatures else np.zeros((1, len(thin), record.features))
+    kernel = command_kernel(record.command, record.spread)
+    if record.model.kind == "rod":
+        noise = rod_noise(record.seen - base, record.t_seen, record.form_error)
+        form = np.zeros((record.features, record.features))
+    else:
+        noise = estimate_noise(record.seen - base, record.t_seen, record.state.visit)
+        form = form_covariance(record.form_error, record.positions, record.section)
+    return Problem(record, noise, whitener(noise, form, stack, kernel))
+
+
+def _signatures(record: Record, name: str, base: Floats, frames: NDArray[Any]) -> list[Floats]:
+    """Return what an effect does at its start values, all at once and each parameter alone."""
+    present = record.library.Chain(list(record.model.chain_names), record.model.channels)
+    own = dict(zip(present.labels, map(float, record.model.chain_params)))
+    names = tuple(record.model.chain_names) + (() if name in record.model.chain_names else (name,))
+    chain = record.library.Chain(list(names), record.model.channels)
+    null = np.array([own.get(label, n) for label, n in zip(chain.labels, chain.null)])
+    mine = [i for i, label in enumerate(chain.labels) if label.split(".")[0] == name]
+    every = null.copy()
+    every[mine] = np.asarray(chain.start)[mine]
+    rows = [every]
+    for i in mine:
+        alone = null.copy()
+        alone[i] = chain.start[i]
+        rows.append(alone)
+    shifts = record.predict(names, np.stack(rows)) - base
+    return [s[frames] for s in shifts if np.any(np.abs(s) > 1e-9)]
+
+
+def _error_on(fit: Fit, other: Record) -> float:
+    """Return the error mm of a fit on an independent run."""
+    params = np.array([[fit.params[label] for label in fit.space.labels]])
+    return other.rms_mm(other.seen - other.predict(fit.space.names, params)[0])
+
+
+def _demote(search: Search, fit: Fit, error: Callable[[Fit], float], share: float) -> tuple[Fit, list[str]]:
+    """Drop members as long as the `error` (mm, on what was not fitted) is at most `share` of what it is with them."""
+    demoted: list[str] = []
+    while fit.effects:
+        rests = {e: search.get(frozenset(fit.effects) - {e}) for e in fit.effects}
+        useless = min(rests, key=lambda e: error(rests[e]))
+        if error(rests[useless]) > share * error(fit):
+            break
+        demoted.append(useless)
+        fit = rests[useless]
+    return fit, demoted

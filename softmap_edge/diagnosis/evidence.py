@@ -1,0 +1,282 @@
+"""What a finished search is worth: the error ladder, effects that this run cannot show, and structure that is left.
+
+Ladder: RMS distance in mm over the places (section centroids or markers), always on frames that trained nothing: blocks
+of time, or an independent run. A static residual is a ridge on a polynomial of the command; it is what a corrector
+without memory or physics could reach.
+Testability: whitened size of an effect's signature at mid-range (halfway from null to the high end) on this very run.
+Leftover: blocked R² of a ridge on velocity, direction, dwell, history, time, temperature, orientation and command.
+Units: mm. Known limit: the ridge sees what is smooth in these conditions, not what happens once. Pinned by
+tests/test_diagnosis.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.fit import Fit, Problem, Record
+from softmap_edge.diagnosis.noise import scaled_commands
+from softmap_edge.diagnosis.search import VISIBLE_MM, Search
+
+Floats = NDArray[np.float64]
+
+DETECTABLE = 5.0  # whitened size (standard deviations) below which a signature counts as not shown
+RIDGE = 3.0  # ridge on standardised columns
+LEFT_R2, LEFT_FORM, LEFT_SHARE = 0.12, 1.5, 0.25  # what makes a leftover worth a claim
+MOST_FORM, MOST_SHARE = 3.0, 0.5  # or, predictable or not: so many form errors, and most of what there was
+
+
+@dataclass(frozen=True)
+class Untestable:
+    """An effect that this run cannot show (or cannot tell from another): why, and the experiment that would."""
+
+    name: str
+    why: str
+    experiment: str
+    minutes: float
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """What is left after the best fit: mm RMS beyond the noise, chi²/n, blocked R², what predicts it, is it a claim."""
+
+    rms_mm: float
+    chi2_per_n: float
+    blocked_r2: float
+    predicted_by: str | None
+    claim: bool
+
+
+def orientations(gravity: Floats | None) -> int:
+    """Return how many orientations (T, 3) or (3,) differ by more than 20 degrees (1 if none is declared)."""
+    if gravity is None:
+        return 1
+    rows = np.atleast_2d(np.asarray(gravity, float))
+    found: list[Floats] = []
+    for row in rows[np.linspace(0, len(rows) - 1, min(len(rows), 200)).astype(int)]:
+        unit = row / max(float(np.linalg.norm(row)), 1e-12)
+        if all(float(unit @ other) < np.cos(np.radians(20.0)) for other in found):
+            found.append(unit)
+    return max(1, len(found))
+
+
+def equivalents(record: Record, name: str, registry: Mapping[str, dict[str, Any]]) -> list[str]:
+    """Return the candidates that this run cannot tell from `name` by their form."""
+    resolved = {
+        "orientation": orientations(record.run.gravity) > 1,
+        "load": record.run.load is not None and float(np.ptp(record.run.load)) > 0,
+        "never": False,
+    }
+    return [twin for twin, by in registry[name]["alike"].items() if twin in registry and not resolved[by]]
+
+
+def experiment(registry: Mapping[str, dict[str, Any]], name: str) -> tuple[str, float]:
+    """Return what to record so that an effect shows itself, and the minutes that takes."""
+    block, minutes = registry[name]["experiment"]
+    return str(block), float(minutes)
+
+
+def not_testable(search: Search, fit: Fit, registry: dict[str, dict[str, Any]]) -> list[Untestable]:
+    """Return the candidates outside the fit whose signature at mid-range this run does not show."""
+    problem, found = search.problem, []
+    for name in search.candidates:
+        if name in fit.effects:
+            continue
+        block, minutes = experiment(registry, name)
+        missing = [f for f in registry[name].get("needs", []) if getattr(problem.record.run, f, None) is None]
+        if missing:
+            found.append(Untestable(name, f"the run does not declare {', '.join(missing)}", block, minutes))
+            continue
+        moved, white = shown(problem, name)
+        why = unseen(moved, float(np.linalg.norm(white)) / np.sqrt(search.dispersion(fit)))
+        if why is not None:
+            found.append(Untestable(name, why, block, minutes))
+    return found
+
+
+def shown(problem: Problem, name: str) -> tuple[float, Floats]:
+    """Return how an effect at mid-range shows in a run: mm RMS of the centreline, and its whitened signature (n,)."""
+    signature = np.where(np.isfinite(problem.record.seen), strongest(problem, name), np.nan)
+    return problem.record.rms_mm(signature), problem.white(problem.whitener.modes(signature) * problem.gain)
+
+
+def unseen(moved: float, size: float) -> str | None:
+    """Return why a signature of `size` standard deviations that moves the body by `moved` mm is not seen, if so."""
+    if moved < VISIBLE_MM:
+        return f"at mid-range it would move the centreline by {moved:.2f} mm RMS on these commands"
+    if size < DETECTABLE:
+        return f"at mid-range its signature has {size:.1f} standard deviations here, {DETECTABLE:g} are needed"
+    return None
+
+
+def strongest(problem: Problem, name: str) -> Floats:
+    """Return the larger feature difference (K, F) mm that an effect makes at mid-range or at its start."""
+    space = problem.space((name,))
+    middle = np.where(space.log, space.start, 0.5 * space.high)
+    high = np.where(space.log, np.minimum(0.5, space.high), 0.5 * space.high)
+    points = np.stack([np.clip(p, space.low, space.high) for p in (middle, high)])
+    own = problem.space(())
+    before = problem.record.predict(own.names, own.params(np.zeros((1, 0))))[0]
+    shifts = problem.record.predict(space.names, space.params(points)) - before
+    largest: Floats = shifts[int(np.argmax([problem.record.rms_mm(s) for s in shifts]))]
+    return largest
+
+
+# --- what is left -------------------------------------------------------------------------------
+
+
+def leftover(search: Search, fit: Fit) -> Leftover:
+    """Look for structure in what the best fit leaves."""
+    problem, record = search.problem, search.problem.record
+    residual = np.where(np.isfinite(record.seen), record.seen - fit.predicted, 0.0)
+    white = problem.whitener.shrink(fit.modes)
+    chi2 = fit.chi2 / max(1.0, problem.numbers - len(fit.x))
+    groups = condition_columns(record)
+    total = _blocked_r2(problem, np.concatenate(list(groups.values()), axis=1), white)[0]
+    alone = {name: _blocked_r2(problem, columns, white)[0] for name, columns in groups.items()}
+    best = max(alone, key=lambda name: alone[name])
+    r2 = max(total, alone[best])
+    columns = np.concatenate(list(groups.values()), axis=1) if total >= alone[best] else groups[best]
+    places = residual.reshape(len(residual), -1, 3)[:, record.positions].reshape(len(residual), -1)
+    share, _ = _blocked_r2(problem, columns, places)
+    count = int(record.positions.sum())
+    predictable = float(np.sqrt(max(0.0, share) * np.mean(np.sum(places**2, axis=1)) / count))
+    noise = problem.noise.rms_mm(record.positions)
+    rms = float(np.sqrt(max(0.0, record.rms_mm(record.seen - fit.predicted) ** 2 - noise**2)))
+    form = record.form_mm
+    start = record.rms_mm(record.seen - search.null.predicted)
+    removable = np.sqrt(max(0.0, start**2 - noise**2))
+    claim = (
+        r2 >= LEFT_R2
+        and chi2 > 1.5
+        and predictable > max(search.visible_mm, LEFT_FORM * form)
+        and predictable > LEFT_SHARE * removable
+    )
+    claim |= rms > max(search.visible_mm, MOST_FORM * form) and rms > MOST_SHARE * removable
+    return Leftover(rms, chi2, r2, best if r2 > 0.02 else None, bool(claim))
+
+
+def condition_columns(record: Record) -> dict[str, Floats]:
+    """Return the columns that a leftover may depend on, by condition; each (K, n)."""
+    state, k = record.state, len(record)
+    u = scaled_commands(record.command, 0.5 * record.spread)
+    v = state.velocity
+    pace = v / np.maximum(np.abs(v).max(axis=0, initial=0.0), 1e-9)
+    sign = last_direction(state.velocity, state.moving)
+    time = (state.time - state.time.mean()) / max(float(np.ptp(state.time)), 1e-9) if k else state.time
+    history = state.history / max(float(state.history.max(initial=0.0)), 1e-9)
+    dwell = np.log1p(state.dwell)
+    groups = {
+        "direction of motion": np.concatenate([sign, sign * np.abs(u)], axis=1),
+        "speed": np.concatenate([pace, np.abs(pace)], axis=1),
+        "dwell": np.concatenate([dwell[:, None], dwell[:, None] * u], axis=1),
+        "largest past command": np.concatenate([history[:, None], history[:, None] * u], axis=1),
+        "time": np.concatenate([time[:, None], time[:, None] ** 2, time[:, None] * u], axis=1),
+        "command": static_basis(u)[:, 1:],
+    }
+    if state.temperature is not None and np.ptp(state.temperature) > 0:
+        warm = (state.temperature - state.temperature.mean())[:, None]
+        groups["temperature"] = np.concatenate([warm, warm * u], axis=1)
+    if state.gravity is not None and np.ptp(state.gravity, axis=0).max() > 0.1:
+        groups["orientation"] = state.gravity
+    return {name: columns for name, columns in groups.items() if columns.shape[1]}
+
+
+def last_direction(velocity: Floats, moving: NDArray[np.bool_]) -> Floats:
+    """Return the sign (K, C) of each channel's last motion up to each frame, 0 before the first."""
+    sign = np.where(moving[:, None], np.sign(np.round(velocity, 6)), 0.0)
+    index = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign))[:, None], 0), axis=0)
+    return np.take_along_axis(sign, index, axis=0) if len(sign) else sign
+
+
+def static_basis(u: Floats) -> Floats:
+    """Return the polynomial (K, n) of scaled commands (K, C): cubic up to two channels, else quadratic."""
+    columns = [np.ones(len(u))]
+    channels = u.shape[1]
+    for i in range(channels):
+        columns.append(u[:, i])
+        for j in range(i, channels):
+            columns.append(u[:, i] * u[:, j])
+            if channels <= 2:
+                columns += [u[:, i] * u[:, j] * u[:, k] for k in range(j, channels)]
+    return np.stack(columns, axis=1)
+
+
+def ridge(columns: Floats, values: Floats, train: NDArray[np.int64], strength: float) -> Floats:
+    """Return predictions (K, m) of a ridge trained on frames `train`; columns (K, n) are standardised there."""
+    mean, spread = columns[train].mean(axis=0), columns[train].std(axis=0)
+    z = (columns - mean) / np.where(spread > 1e-9, spread, np.inf)
+    centre = values[train].mean(axis=0)
+    gram = z[train].T @ z[train] + strength * np.eye(z.shape[1])
+    return np.asarray(centre + z @ np.linalg.solve(gram, z[train].T @ (values[train] - centre)))
+
+
+def _blocked_r2(problem: Problem, columns: Floats, values: Floats) -> tuple[float, Floats]:
+    """Return the held-out share of the mean square that a ridge explains, and its held-out predictions."""
+    predicted = np.zeros_like(values)
+    for train, test in problem.folds:
+        predicted[test] = ridge(columns, values, train, RIDGE * problem.noise.inflation)[test]
+    return float(1.0 - np.sum((values - predicted) ** 2) / max(float(np.sum(values**2)), 1e-300)), predicted
+
+
+# --- the ladder ---------------------------------------------------------------------------------
+
+
+def ladder(search: Search, order: Sequence[str]) -> dict[str, Any]:
+    """Return the held-out errors in mm on blocks of the run: model, static residual, effects one by one, both."""
+    problem, record = search.problem, search.problem.record
+    steps = [search.get(order[: i + 1]) for i in range(len(order))]
+    last = search.cv(steps[-1] if steps else search.null)[2]
+    null = search.cv(search.null)[2]
+    return {
+        "model": _held_out(problem, null),
+        "static_residual": _held_out(problem, null, static=True),
+        "ladder": [{"added": e, "value": _held_out(problem, search.cv(f)[2])} for e, f in zip(order, steps)],
+        "with_static_residual": _held_out(problem, last, static=True),
+        "per_fold": [record.rms_mm(record.seen - p, t) for p, (_, t) in zip(last, problem.folds)],
+    }
+
+
+def _held_out(problem: Problem, predictions: Floats, static: bool = False) -> float:
+    record = problem.record
+    squares = []
+    for prediction, (train, test) in zip(predictions, problem.folds):
+        residual = record.seen - prediction
+        if static:
+            residual = residual - _static(record, record, residual, train)
+        squares.append(record.squares(residual)[test].ravel())
+    return float(np.sqrt(np.nanmean(np.concatenate(squares))))
+
+
+def ladder_on(search: Search, other: Record, order: Sequence[str]) -> dict[str, Any]:
+    """Return the same errors on an independent run; parameters and static residual come from the diagnosed run."""
+    record = search.problem.record
+    every = np.arange(len(record))
+
+    def error(fit: Fit, static: bool = False) -> float:
+        params = np.array([[fit.params[label] for label in fit.space.labels]])
+        residual = other.seen - other.predict(fit.space.names, params)[0]
+        if static:
+            residual = residual - _static(record, other, record.seen - fit.predicted, every)
+        return other.rms_mm(residual)
+
+    steps = [search.get(order[: i + 1]) for i in range(len(order))]
+    return {
+        "model": error(search.null),
+        "static_residual": error(search.null, static=True),
+        "ladder": [{"added": e, "value": error(f)} for e, f in zip(order, steps)],
+        "with_static_residual": error(steps[-1] if steps else search.null, static=True),
+        "per_fold": [],
+    }
+
+
+def _static(record: Record, at: Record, residual: Floats, train: NDArray[np.int64]) -> Floats:
+    """Return a static residual (K of `at`, F) trained on frames `train` of `record`."""
+    half = 0.5 * record.spread
+    columns = np.concatenate([static_basis(scaled_commands(r.command, half)) for r in (record, at)])
+    values = np.concatenate([np.where(np.isfinite(residual), residual, 0.0), np.zeros((len(at), residual.shape[1]))])
+    return ridge(columns[:, 1:], values, train, 0.03 * len(train))[len(record) :]

@@ -1,0 +1,123 @@
+"""The noise floor of a run: how far a seen point is from its own mean when nothing but the camera changes.
+
+1. successive frames of one uninterrupted dwell:  sqrt(mean |x(k+1) - x(k)|² / 2), which slow creep hardly inflates
+2. else settled frames of the same command:       sqrt(pooled variance), where the robot's memory counts as noise
+3. else roughness of the residual over the body:  what (1, x, y) times a polynomial of degree 5 in z leaves in a frame
+4. else second differences of the residual:       sqrt(mean |r(k) - (r(k-1) + r(k+1))/2|² / 1.5), an upper bound
+
+All in mm, over visible points, as a distance in space (root 3 times the noise of one coordinate).
+Known limits: noise that stays constant through a dwell (a camera mount that shifts between moves) is not seen by 1;
+noise that moves the whole body is not seen by 3; motion that the model misses counts as noise in 4.
+Pinned by tests/test_compare.py with known noise.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.conditions import Conditions
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SETTLED = 0.5  # s after the last motion from which a frame counts as a replicate
+MIN_PAIRS = 15  # fewer replicates say nothing about the noise
+DEGREE = 5  # along the body, of the smooth part of a residual
+SAME = 0.01  # of the largest command: closer than this counts as the same command
+
+
+def noise_floor(
+    state: Conditions, seen: Floats, visible: Mask, predicted: Floats, rest: Floats | None = None
+) -> tuple[float | None, str]:
+    """Estimate the RMS distance of a seen point from its own mean, and say what it was taken from.
+
+    Args:
+        state: conditions of the K frames.
+        seen: (K, N, 3) mm. visible: (K, N). predicted: (K, N, 3) mm, for the estimates from the residual.
+        rest: (N, 3) mm, the template at rest; None for markers.
+
+    Returns:
+        tuple: mm (None when no estimate is possible) and a sentence.
+    """
+    known = replicates(state, seen, visible)
+    if known is not None:
+        return known
+    rough = None if rest is None else _roughness(seen - predicted, visible, rest)
+    if rough is not None:
+        return rough, "no replicates: from the roughness of the residual over the body, independent noise only"
+    if len(seen) < MIN_PAIRS + 2:
+        return None, f"not known: no replicates, and {len(seen)} frames are too few"
+    residual = seen - predicted
+    bend = np.sum((residual[1:-1] - 0.5 * (residual[2:] + residual[:-2])) ** 2, axis=2)
+    whole = visible[1:-1] & visible[2:] & visible[:-2]
+    if not whole.any():
+        return None, "not known: no replicates, and no point is visible in three successive frames"
+    return _rms(bend[whole] / 1.5), "no replicates: from the residual's high-frequency part, an upper bound"
+
+
+def _rms(squares: Floats) -> float:
+    return math.sqrt(float(np.mean(squares)))
+
+
+def replicates(state: Conditions, seen: Floats, visible: Mask) -> tuple[float, str] | None:
+    """Return the noise (mm, as a distance) of frames that should be equal, and which they are; None without them."""
+    settled = ~state.moving & (state.dwell >= SETTLED)
+    pair = settled[1:] & settled[:-1] & (state.visit[1:] == state.visit[:-1]) if len(seen) > 1 else np.zeros(0, bool)
+    if int(pair.sum()) >= MIN_PAIRS:
+        both = visible[1:][pair] & visible[:-1][pair]
+        step = np.sum((seen[1:][pair] - seen[:-1][pair]) ** 2, axis=2)[both]
+        if len(step):
+            visits = len(np.unique(state.visit[1:][pair]))
+            return _rms(step / 2.0), f"{int(pair.sum())} pairs of successive frames inside {visits} dwells"
+    groups = _replicates(state, settled)
+    if sum(len(group) - 1 for group in groups) >= MIN_PAIRS:
+        value = _within(groups, seen, visible)
+        if value is not None:
+            return value, f"{len(groups)} commands seen repeatedly; what the robot remembers counts as noise here"
+    return None
+
+
+def _roughness(residual: Floats, visible: Mask, rest: Floats) -> float | None:
+    """RMS of what a smooth field leaves of the residual in the frames that are seen whole."""
+    frames = visible.all(axis=1)
+    z = 2.0 * (rest[:, 2] - rest[:, 2].min()) / max(float(np.ptp(rest[:, 2])), 1e-9) - 1.0
+    across = np.column_stack([np.ones(len(rest)), rest[:, 0] / 10.0, rest[:, 1] / 10.0])
+    along = np.polynomial.legendre.legvander(z, DEGREE)
+    basis = np.einsum("na,nb->nab", across, along).reshape(len(rest), -1)
+    freedom = len(rest) - basis.shape[1]
+    if freedom < len(rest) // 2 or not frames.any():
+        return None
+    q, _ = np.linalg.qr(basis)
+    kept = residual[frames]
+    left = np.sum(kept**2) - np.sum(np.einsum("np,knc->kpc", q, kept) ** 2)
+    return math.sqrt(max(float(left), 0.0) / (freedom * len(kept)))
+
+
+def _replicates(state: Conditions, settled: Mask) -> list[NDArray[np.int64]]:
+    """Groups of settled frames that share their command."""
+    top = float(np.max(np.abs(state.command), initial=0.0))
+    index = np.flatnonzero(settled)
+    if len(index) == 0:
+        return []
+    key = np.round(state.command[index] / (SAME * top)) if top > 0 else np.zeros((len(index), 1))
+    _, which = np.unique(key, axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    groups = [index[which == g] for g in range(int(which.max()) + 1)]
+    return [group for group in groups if len(group) > 1]
+
+
+def _within(groups: list[NDArray[np.int64]], seen: Floats, visible: Mask) -> float | None:
+    """Pooled RMS deviation of points from their mean inside each group, with one degree of freedom taken off."""
+    total, freedom = 0.0, 0
+    for group in groups:
+        x, v = seen[group], visible[group]
+        count = v.sum(axis=0)
+        known = count > 1
+        mean = x.sum(axis=0) / np.maximum(count, 1)[:, None]
+        deviation = np.where(v[..., None], x - mean, 0.0)[:, known]
+        total += float(np.sum(deviation**2))
+        freedom += int(np.sum(count[known] - 1))
+    return math.sqrt(total / freedom) if freedom else None

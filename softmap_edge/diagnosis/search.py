@@ -1,0 +1,370 @@
+"""Searches the sets of effects that explain a run: screening, forward selection with a beam, swaps, acceptance.
+
+Screening is one Gauss-Newton step from a few starts of each candidate on top of the current fit; the best are fitted in
+full. A set counts only if each of its members is accepted: EBIC falls, blocked cross-validation falls by 1 % and in 60
+% of the folds, the member moves the centreline by more than 0.12 mm (or the noise of a section mean) and more than a
+fifth of what the strongest other member moves, and it carries a share of what is explained. Differences of objectives
+are divided by the over-dispersion (leftover chi²/n of the fit).
+Known limit: sets are found by growing and swapping, not by trying all. Pinned by tests/test_diagnosis.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import comb, log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.fit import Fit, Problem, newton_step
+
+Floats = NDArray[np.float64]
+
+BEAM, REFITS, LARGEST = 2, 5, 4
+CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
+VISIBLE_MM = 0.12  # least RMS displacement of the centreline
+SHARE = 0.03  # least share of the explained misfit: forms off by a sixth leave so much, and that is nobody's effect
+PROMISING = 0.03  # least share of the misfit that a larger set must win for the search to go on without a valid one
+FORM_TOLERANCE = 0.2  # of what the strongest other member moves: no form of the library is truer than that
+EQUAL = 6.0  # difference of EBIC (odds of 20) below which two sets of the same size count as equally good
+RIVAL_SE, RIVAL_SHARE = 2.0, 0.6  # standard errors within which a rival stands; least share of the rivalled fall
+RIVAL_WORSE = 1.0  # a rival whose held-out error in mm is twice as large is none, whatever its folds say
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """Why a member of a set counts or does not."""
+
+    accepted: bool
+    fall: float  # of the objective over the over-dispersion
+    cv_fall: float  # relative fall of the blocked loss
+    cv_folds: float  # share of the folds where it falls
+    displacement_mm: float
+    why: str
+
+
+class Search:
+    """The sets of effects tried on one problem; fits and cross-validations are kept, so nothing is done twice."""
+
+    def __init__(
+        self, problem: Problem, candidates: Sequence[str], progress: Callable[[str], None] | None = None
+    ) -> None:
+        """Prepare the search over `candidates`; `progress` hears a line per stage."""
+        self.problem, self.candidates = problem, list(candidates)
+        self.progress = progress or (lambda _: None)
+        self.null = problem.null()
+        self._fits: dict[frozenset[str], Fit] = {frozenset(): self.null}
+        self._cv: dict[frozenset[str], tuple[Floats, Floats, Floats]] = {}
+        self._shifts: dict[tuple[frozenset[str], str], Floats] = {}
+        noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0)  # of one component of a section mean
+        self.visible_mm = max(VISIBLE_MM, noise if "replicates" in problem.noise.source else 0.0)
+
+    # --- fits -----------------------------------------------------------------------------------
+
+    def get(self, effects: Sequence[str] | frozenset[str]) -> Fit:
+        """Return the fit of a set, fitting it if it is new."""
+        key = frozenset(effects)
+        if key not in self._fits:
+            parents = [key - {e} for e in sorted(key) if key - {e} in self._fits]
+            parent = min((self._fits[p] for p in parents), key=lambda f: f.cost) if parents else None
+            if parent is None:
+                ordered = sorted(key, key=self.candidates.index)
+                parent = self.get(ordered[:-1])
+            added = next(iter(key - set(parent.effects)))
+            self.grow(parent, added)
+        return self._fits[key]
+
+    def starts(self, effect: str) -> list[Floats]:
+        """Return scaled starting points of one effect alone: the declared one, its signs, and others on log scales.
+
+        Tendons that fall slack put a kink at home, where the slope on one side says nothing about the other.
+        """
+        space = self.problem.space((effect,), free=(effect,))
+        points = [space.start.copy()]
+        for i in np.flatnonzero(space.log):
+            for share in (0.15, 0.85):
+                point = space.start.copy()
+                point[i] = space.low[i] + share * (space.high[i] - space.low[i])
+                points.append(point)
+        signed = ~space.log & (space.low < 0)
+        if signed.all():
+            every_other = np.where(np.arange(len(signed)) % 2, -space.start, space.start)
+            flipped = [-space.start, every_other, -every_other][: 3 if len(signed) > 1 else 1]
+            points += [np.clip(point, space.low, space.high) for point in flipped]
+        return points[:7]
+
+    def screen(self, parent: Fit, effect: str) -> tuple[float, list[Floats]]:
+        """Return the objective after one step of `effect` on top of `parent`, and the joint points, best first."""
+        problem = self.problem
+        space = problem.space((*parent.effects, effect))
+        labels = space.free_labels()
+        new = [i for i, label in enumerate(labels) if label.split(".")[0] == effect]
+        old = dict(zip(parent.space.free_labels(), range(len(parent.x))))
+        joint = []
+        for start in self.starts(effect):
+            x = np.array([parent.x[old[label]] if label in old else 0.0 for label in labels])
+            x[new] = start
+            joint.append(np.clip(x, space.low, space.high))
+        batch, width = [], len(new) + 1
+        for x in joint:
+            batch.append(x)
+            for i in new:
+                moved = x.copy()
+                moved[i] += -4e-3 if x[i] + 4e-3 > space.high[i] else 4e-3
+                batch.append(moved)
+        modes = problem.at(space, np.stack(batch))[1]
+        ahead = []
+        for s, x in enumerate(joint):
+            here = modes[s * width]
+            slopes = np.zeros((len(labels), *here.shape))
+            for label, j in old.items():
+                slopes[labels.index(label)] = parent.slopes[j]
+            for j, i in enumerate(new):
+                slopes[i] = (modes[s * width + 1 + j] - here) / (batch[s * width + 1 + j][i] - x[i])
+            ahead.append(newton_step(space, x, problem.white(slopes), problem.white(here), 1e-3))
+        points = np.concatenate([np.stack(joint), np.stack(ahead)])
+        after = problem.at(space, np.stack(ahead))[1]
+        costs = problem.costs(np.concatenate([modes[::width], after]), points)[0]
+        order = np.argsort(costs, kind="stable")
+        return float(costs[order[0]]), [points[i] for i in order]
+
+    def grow(self, parent: Fit, effect: str, points: list[Floats] | None = None) -> Fit:
+        """Fit `parent` with `effect` added; effects with a log scale get a second start."""
+        key = frozenset((*parent.effects, effect))
+        if key in self._fits:
+            return self._fits[key]
+        if points is None:
+            points = self.screen(parent, effect)[1]
+        starts = points[:1]
+        space = self.problem.space((*parent.effects, effect))
+        own = np.array([label.split(".")[0] == effect for label in space.free_labels()])
+        if np.any(space.log & own):
+            others = [p for p in points[1:] if np.max(np.abs(p - points[0])) > 0.5]
+            starts += others[:1]
+        found = self.problem.fit((*parent.effects, effect), starts)
+        self._fits[key] = found
+        return found
+
+    # --- criteria -------------------------------------------------------------------------------
+
+    def dispersion(self, fit: Fit) -> float:
+        """Return leftover chi² per number, at least 1."""
+        return max(1.0, fit.chi2 / max(1.0, self.problem.numbers - len(fit.x)))
+
+    def penalty(self, fit: Fit) -> float:
+        """Return the EBIC penalty of a set: log n per parameter and the log of how many such sets there are."""
+        n = max(3.0, self.problem.numbers)
+        return len(fit.x) * log(n) + 2.0 * log(comb(max(len(self.candidates), len(fit.effects)), len(fit.effects)))
+
+    def score(self, fit: Fit, dispersion: float) -> float:
+        """Return the EBIC of a set at a given over-dispersion."""
+        return fit.cost / dispersion + self.penalty(fit)
+
+    def cv(self, fit: Fit) -> tuple[Floats, Floats, Floats]:
+        """Return held-out losses (folds,), plain and whitened, and the fold predictions (folds, K, F)."""
+        key = frozenset(fit.effects)
+        if key not in self._cv:
+            predictions = self.problem.fold_predictions(fit)
+            self._cv[key] = (*self.problem.fold_losses(predictions), predictions)
+        return self._cv[key]
+
+    def displacement(self, fit: Fit, effect: str) -> Floats:
+        """Return the feature differences (K, F) mm that `effect` makes within a fit."""
+        key = (frozenset(fit.effects), effect)
+        if key in self._shifts:
+            return self._shifts[key]
+        params = {k: v for k, v in fit.params.items() if k.split(".")[0] != effect}
+        space = self.problem.space([e for e in fit.effects if e != effect])
+        without = np.array([[params[label] for label in space.labels]])
+        self._shifts[key] = np.asarray(fit.predicted - self.problem.record.predict(space.names, without)[0])
+        return self._shifts[key]
+
+    def judge(self, fit: Fit, member: str) -> Acceptance:
+        """Judge whether a member of a set counts, against the refitted set without it."""
+        rest = self.get(frozenset(fit.effects) - {member})
+        dispersion = self.dispersion(fit)
+        fall = (rest.cost - fit.cost) / dispersion
+        cv_fall, cv_folds = self._cv_fall(rest, fit)
+        shift = self.displacement(fit, member)
+        others = [self.problem.record.rms_mm(self.displacement(fit, e)) for e in fit.effects if e != member]
+        moved = self.problem.record.rms_mm(shift)
+        least = max(self._least_mm(shift), FORM_TOLERANCE * max(others, default=0.0))
+        checks = [
+            (fall > self.penalty(fit) - self.penalty(rest), "EBIC does not fall"),
+            (cv_fall >= CV_FALL, f"held-out loss falls by {100 * cv_fall:.1f} % only"),
+            (cv_folds >= CV_FOLDS, f"held-out loss falls in {100 * cv_folds:.0f} % of the folds only"),
+            (moved >= least, f"moves the centreline by {moved:.2f} mm only"),
+            (self.share(fit, member) >= SHARE, "explains next to nothing of the misfit"),
+        ]
+        failed = [why for good, why in checks if not good]
+        return Acceptance(not failed, fall, cv_fall, cv_folds, moved, "; ".join(failed))
+
+    def _least_mm(self, shift: Floats) -> float:
+        """Return how far a shift (K, F) mm must move the centreline; a static one further than the form error."""
+        record, modes = self.problem.record, self.problem.whitener.modes(shift)
+        static = np.sum(self.problem.whitener.shrink(modes) ** 2) < 0.5 * np.sum(modes**2)
+        if record.model.kind == "rod" or not static:
+            return self.visible_mm
+        return max(self.visible_mm, record.form_mm)
+
+    def _cv_fall(self, rest: Fit, fit: Fit) -> tuple[float, float]:
+        """Return the relative fall of the held-out loss and the share of folds where it falls.
+
+        Of the plain and the whitened loss the one that shows the member better: memory hides in the plain one behind
+        static error, static effects hide in the whitened one behind what form error could be.
+        """
+        found = []
+        for i in (0, 1):
+            before, after = self.cv(rest)[i], self.cv(fit)[i]
+            fall = float((before.sum() - after.sum()) / max(before.sum(), 1e-300))
+            found.append((fall, float(np.mean(after < before))))
+        return max(found, key=lambda f: (f[0] >= CV_FALL and f[1] >= CV_FOLDS, f[0]))
+
+    def share(self, fit: Fit, member: str) -> float:
+        """Return which share of the explained misfit a member carries, on held-out blocks or on the objective."""
+        rest = self.get(frozenset(fit.effects) - {member})
+        plain = [float(self.cv(f)[0].sum()) for f in (self.null, rest, fit)]
+        held = (plain[1] - plain[2]) / max(plain[0] - plain[2], 1e-300)
+        return max(held, (rest.cost - fit.cost) / max(self.null.cost - fit.cost, 1e-300))
+
+    def valid(self, fit: Fit) -> bool:
+        """Whether every member of a set is accepted."""
+        return all(self.judge(fit, e).accepted for e in fit.effects)
+
+    # --- search ---------------------------------------------------------------------------------
+
+    def run(self) -> Fit:
+        """Search and return the largest set whose members are all accepted, after swaps."""
+        chosen, beam = self.null, [self.null]
+        for size in range(1, min(LARGEST, len(self.candidates)) + 1):
+            children = self._children(beam, REFITS if size == 1 else REFITS - 1)
+            if not children:
+                break
+            dispersion = self.dispersion(children[0])
+            self.progress(f"{size} effect{'s' if size > 1 else ''}: best {' + '.join(children[0].effects)}")
+            if self.score(children[0], dispersion) >= min(self.score(b, dispersion) for b in [chosen, *beam]):
+                break
+            beam_before, beam = beam, children[:BEAM]
+            good = next((c for c in beam if self.valid(c)), None)
+            if good is None:  # a pair may need its third; what is not accepted is never reported
+                won = min(b.cost for b in [chosen, *beam_before]) - beam[0].cost
+                if won < PROMISING * (self.null.cost - beam[0].cost):
+                    break
+                continue
+            chosen = self._swapped(good)
+            if frozenset(chosen.effects) not in {frozenset(b.effects) for b in beam}:
+                beam = [chosen, beam[0]]
+        return chosen
+
+    def _children(self, beam: list[Fit], refits: int) -> list[Fit]:
+        found: dict[frozenset[str], Fit] = {}
+        for parent in beam:
+            screened = []
+            for effect in self.candidates:
+                if effect not in parent.effects:
+                    cost, points = self.screen(parent, effect)
+                    screened.append((cost, effect, points))
+            screened.sort(key=lambda item: (item[0], item[1]))
+            for _, effect, points in screened[:refits]:
+                child = self.grow(parent, effect, points)
+                found[frozenset(child.effects)] = child
+        dispersion = min((self.dispersion(f) for f in found.values()), default=1.0)
+        return sorted(found.values(), key=lambda f: self.score(f, dispersion))
+
+    def _swapped(self, fit: Fit) -> Fit:
+        """Drop one member, add the best other, as long as the set gets better and stays valid."""
+        for _ in range(2):
+            best = fit
+            for member in fit.effects:
+                for other in self.alternatives(fit, member, 1):
+                    dispersion = self.dispersion(best)
+                    if self.score(other, dispersion) < self.score(best, dispersion) - 2.0 and self.valid(other):
+                        best = other
+            if best is fit:
+                return fit
+            fit = best
+        return fit
+
+    def alternatives(self, fit: Fit, member: str, count: int) -> list[Fit]:
+        """Return the best `count` sets with `member` exchanged for another candidate."""
+        rest = self.get(frozenset(fit.effects) - {member})
+        screened = []
+        for other in self.candidates:
+            if other not in fit.effects:
+                cost, points = self.screen(rest, other)
+                screened.append((cost, other, points))
+        screened.sort(key=lambda item: (item[0], item[1]))
+        return [self.grow(rest, other, points) for _, other, points in screened[:count]]
+
+    def rivals(self, fit: Fit) -> list[tuple[str, Fit, str]]:
+        """Return (member, rival set, why) for sets within two standard errors in blocked cross-validation."""
+        found: list[tuple[str, Fit, str]] = []
+        mine = self.cv(fit)
+        for member in fit.effects:
+            rest = self.cv(self.get(frozenset(fit.effects) - {member}))
+            for other in self.alternatives(fit, member, 3):
+                theirs = self.cv(other)
+                share = float((rest[0] - theirs[0]).sum() / max(float((rest[0] - mine[0]).sum()), 1e-300))
+                behind = self._behind(other, mine)
+                worse = self.held_out_mm(other) / max(self.held_out_mm(fit), 1e-9) - 1.0
+                if worse > RIVAL_WORSE or any(set(other.effects) == set(f.effects) for _, f, _ in found):
+                    continue
+                level = self.problem.record.model.kind == "rod" and worse < CV_FALL
+                if share >= RIVAL_SHARE and (behind <= RIVAL_SE or level):
+                    why = (
+                        f"explains {100 * share:.0f} % of what {member} explains on held-out blocks, "
+                        f"{max(behind, 0.0):.1f} standard errors behind, {100 * worse:+.1f} % in mm"
+                    )
+                    found.append((member, other, why))
+        return found
+
+    def held_out_mm(self, fit: Fit) -> float:
+        """Return the RMS distance in mm over the places on blocks that trained nothing."""
+        record = self.problem.record
+        folds = zip(self.cv(fit)[2], self.problem.folds)
+        squares = [record.squares(record.seen[test] - p[test]).ravel() for p, (_, test) in folds]
+        return float(np.sqrt(np.nanmean(np.concatenate(squares))))
+
+    def simplest(self, fit: Fit) -> Fit:
+        """Return the valid set with the fewest parameters within one standard error (or 1 % in mm) on held-out blocks.
+
+        For models whose own error dominates: how many independent numbers there are is a guess, so EBIC likes
+        parameters too much. Among equals the effect that acts earlier on the way to the camera is taken.
+        """
+        mine = self.cv(fit)
+        near = [fit]
+        for _, other, _ in self.rivals(fit):
+            worse = self.held_out_mm(other) / max(self.held_out_mm(fit), 1e-300) - 1.0
+            if (
+                (self._behind(other, mine) <= 1.0 or worse < CV_FALL)
+                and len(other.x) < len(fit.x)
+                and self.valid(other)
+            ):
+                near.append(other)
+        best = min(near, key=lambda f: (len(f.x), self.score(f, self.dispersion(fit))))
+        equals = [f for f in self._swaps(best) if len(f.x) == len(best.x) and self.valid(f)]
+        level = self.score(best, self.dispersion(best)) + EQUAL
+        close = [f for f in [best, *equals] if self.score(f, self.dispersion(best)) <= level]
+        return min(close, key=lambda f: sorted(self.candidates.index(e) for e in f.effects)[::-1])
+
+    def _swaps(self, fit: Fit) -> list[Fit]:
+        return [other for member in fit.effects for other in self.alternatives(fit, member, 3)]
+
+    def _behind(self, other: Fit, mine: tuple[Floats, Floats, Floats]) -> float:
+        return max(_standard_errors(self.cv(other)[i], mine[i]) for i in (0, 1))
+
+    def probabilities(self, fit: Fit, temperature: float) -> dict[str, float]:
+        """Return the probability of each candidate: softmax of -½ΔJ/(φT) over the sets that were tried."""
+        dispersion = self.dispersion(fit) * temperature
+        keys = list(self._fits)
+        scores = np.array([self._fits[k].cost / dispersion + self.penalty(self._fits[k]) / temperature for k in keys])
+        weight = np.exp(-0.5 * (scores - scores.min()))
+        weight /= weight.sum()
+        return {e: float(sum(w for k, w in zip(keys, weight) if e in k)) for e in self.candidates}
+
+
+def _standard_errors(theirs: Floats, mine: Floats) -> float:
+    """Return by how many standard errors the log losses of one set lie above those of another, over the folds."""
+    ratio = np.log(np.maximum(theirs, 1e-300) / np.maximum(mine, 1e-300))
+    return float(ratio.mean() / max(float(ratio.std(ddof=1)) / np.sqrt(len(ratio)), 1e-9))

@@ -1,0 +1,1 @@
+"""Models of sweeps made elsewhere: commands and points from any simulator or recording."""

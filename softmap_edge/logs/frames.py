@@ -1,0 +1,156 @@
+"""What was seen, from a log to the frames of a run: base frame, dropouts, repeated frames, swaps, labels, rates."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import RunError
+from softmap_edge.logs.held import LONGEST_HOLD, repeated_frames
+from softmap_edge.logs.mapping import FILE, LENGTH, Mapping, Quantity
+from softmap_edge.logs.plausible import doubts_of_points
+from softmap_edge.logs.swaps import find_swaps, mend_swaps
+from softmap_edge.logs.table import LogTable
+
+Array = NDArray[np.float64]
+_TOLD = 5  # swaps, and markers not seen, that are named one by one
+_OF_FRAMES = ("markers", "visible", "block", "base_markers")
+
+
+def seen(
+    tables: list[LogTable], mapping: Mapping, fields: dict[str, Any], notes: list[str], doubts: list[str]
+) -> Array | None:
+    """Return the times of the frames; `fields` gets markers in the base frame, who was visible, and labels.
+
+    Raises:
+        RunError: several logs hold markers, no frame shows one, or their unit cannot be right.
+    """
+    owners = [k for k, log in enumerate(mapping.logs) if log.markers is not None]
+    if not owners:
+        return None
+    if len(owners) > 1:
+        raise RunError(f"{mapping.path}: {len(owners)} logs hold markers; name the columns of one of them only")
+    table, log = tables[owners[0]], mapping.logs[owners[0]]
+    assert log.markers is not None
+    given = np.isfinite(table.numbers(log.markers.columns)).reshape(len(table.t), -1, 3)
+    shown = np.asarray(np.any(np.all(given, axis=2), axis=1))
+    if not shown.any():
+        raise RunError(f"{table.path}: no frame shows a marker; check the columns of `markers`")
+    if not shown.all():
+        notes.append(f"{int((~shown).sum())} of {len(shown)} rows show no marker and are no frames")
+        table = table.rows(shown)
+    table = _without_repeats(table, log.markers, notes, doubts)
+    points = _points(table, log.markers, doubts)
+    visible = np.asarray(np.isfinite(points).all(axis=2))
+    if not visible.all():
+        fields["visible"] = visible
+        _tell_dropouts(visible, log.markers.labels, notes)
+    swaps = find_swaps(points, table.t, log.markers.labels)
+    if swaps and log.markers.swaps == "mend":
+        points = mend_swaps(points, swaps)
+        if "visible" in fields:
+            fields["visible"] = np.isfinite(points).all(axis=2)
+        notes += _few([f"{swap}: mended" for swap in swaps])
+    elif swaps:
+        remedy = 'look at them; markers.swaps = "mend" exchanges them back'
+        doubts += _few([f"{swap}; {remedy}" for swap in swaps])
+    fields["markers"] = mapping.to_base(points)
+    fields["marker_labels"] = np.array(log.markers.labels)
+    if log.base is not None:
+        fields["base_markers"] = mapping.to_base(_points(table, log.base, doubts))
+    if log.block is not None:
+        fields["block"] = table.texts()
+    return table.t
+
+
+def _few(lines: list[str]) -> list[str]:
+    return [*lines[:_TOLD], *([f"and {len(lines) - _TOLD} more such swaps"] if len(lines) > _TOLD else [])]
+
+
+def _points(table: LogTable, quantity: Quantity, doubts: list[str]) -> Array:
+    """Points (K, M, 3) mm in the log's frame."""
+    stated = table.unit(quantity.columns[0])
+    stated = stated if stated in LENGTH else None
+    unit = (stated or "mm") if quantity.unit == FILE else quantity.unit
+    if stated is not None and stated != unit:
+        doubts.append(
+            f'markers: the file says {stated}, the mapping {unit} and is followed; set unit = "file" if it is wrong'
+        )
+    raw = table.numbers(quantity.columns)
+    raw *= LENGTH[unit]
+    raw *= quantity.scale
+    raw += quantity.offset
+    points = raw.reshape(len(raw), -1, 3)
+    doubts += doubts_of_points(points, unit)
+    return points
+
+
+def _without_repeats(table: LogTable, markers: Quantity, notes: list[str], doubts: list[str]) -> LogTable:
+    held, still = repeated_frames(table.t, table.numbers(markers.columns))
+    if still.any():
+        doubts.append(
+            f"{int(still.sum())} frames repeat the one before bit for bit for more than {LONGEST_HOLD:g} s: a camera "
+            "that stood still, or a simulation at rest; they are kept"
+        )
+    if not held.any() or markers.held == "keep":
+        return table
+    share = 100 * held.mean()
+    notes.append(
+        f"{int(held.sum())} frames ({share:.0f} %) repeat the one before bit for bit and were left out: the camera is "
+        'slower than the log (markers.held = "keep" keeps them)'
+    )
+    return table.rows(~held)
+
+
+def _tell_dropouts(visible: NDArray[np.bool_], labels: tuple[str, ...], notes: list[str]) -> None:
+    share = 1.0 - visible.mean(axis=0)
+    lost = [f"{labels[m]} {100 * share[m]:.1f} %" for m in np.argsort(-share)[:_TOLD] if share[m] > 0]
+    more = f" and {int((share > 0).sum()) - _TOLD} more" if (share > 0).sum() > _TOLD else ""
+    notes.append(f"not seen in some frames: {', '.join(lost)}{more}")
+
+
+def choose_frames(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> Array:
+    """Drop frames outside the commands and the wished interval, thin to the wished rate, cut into blocks.
+
+    Raises:
+        RunError: no frame is left.
+    """
+    low = max(float(t[0]), mapping.from_s if mapping.from_s is not None else -np.inf)
+    high = min(float(t[-1]), mapping.to_s if mapping.to_s is not None else np.inf)
+    slack = 1e-9 * max(1.0, abs(low), abs(high))
+    keep = np.flatnonzero((t_seen >= low - slack) & (t_seen <= high + slack))
+    if len(t_seen) and not len(keep):
+        raise RunError(
+            f"{mapping.path}: the frames last from {t_seen[0]:.6g} to {t_seen[-1]:.6g} s, but only "
+            f"{low:.6g} to {high:.6g} s is commanded and asked for; give time.offset_s of one log"
+        )
+    if len(keep) < len(t_seen):
+        notes.append(
+            f"{len(t_seen) - len(keep)} of {len(t_seen)} frames lie outside {low:.6g} to {high:.6g} s and were dropped"
+        )
+    if mapping.seen_rate_hz is not None and len(keep) > 1:
+        # the first frame at or after each tick of the wished clock: even where the log's own clock jitters
+        tick = np.floor((t_seen[keep] - t_seen[keep[0]]) * mapping.seen_rate_hz + 1e-6)
+        thinned = keep[np.r_[True, np.diff(tick) > 0]]
+        notes.append(f"{len(thinned)} of {len(keep)} frames kept for {mapping.seen_rate_hz:g} Hz")
+        keep = thinned
+    if len(keep) < len(t_seen):
+        for name in _OF_FRAMES:
+            if name in fields:
+                fields[name] = fields[name][keep]
+        t_seen = t_seen[keep]
+    _blocks(t_seen, fields, mapping)
+    return t_seen
+
+
+def _blocks(t_seen: Array, fields: dict[str, Any], mapping: Mapping) -> None:
+    if "block" in fields or not len(t_seen):
+        return
+    since = t_seen - t_seen[0]
+    if mapping.block_seconds is not None:
+        fields["block"] = np.floor(since / mapping.block_seconds).astype(np.int64)
+    elif mapping.block_count is not None:
+        share = since / max(float(since[-1]), 1e-12)
+        fields["block"] = np.minimum(np.floor(share * mapping.block_count), mapping.block_count - 1).astype(np.int64)

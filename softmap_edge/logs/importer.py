@@ -1,0 +1,268 @@
+"""Turns the logs of any robot into a run, as told by a small TOML mapping (columns, units, axes, rates).
+
+`read_mapping(path)` checks the mapping, `import_logs(paths, mapping)` gives the run, what was done to it and what
+looks wrong, in plain words.
+Several logs are joined by time: the rows of the log that holds the commands become the rows of the run, everything
+else recorded beside them is interpolated to those times, and what was seen keeps its own times. A row without a
+command is left out (commands are linear between rows); a cell without a value in another column is interpolated.
+tests/test_import*.py pin all of it; docs/mapping.md lists the keys.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import RunError
+from softmap_edge.logs.frames import choose_frames, seen
+from softmap_edge.logs.held import unhold
+from softmap_edge.logs.mapping import LENGTH, Mapping, Quantity, read_mapping
+from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_of_rows, doubts_of_time
+from softmap_edge.logs.table import LogTable, read_log
+from softmap_edge.run import Run
+
+__all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
+
+Array = NDArray[np.float64]
+_TO_SI = {"g": 1.0, "kg": 1000.0, "N": 1000.0 / 9.80665, "mA": 1.0, "A": 1000.0}
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A run, what was done to make it, and what looks wrong in it; one sentence each."""
+
+    run: Run
+    notes: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
+
+
+def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Imported:
+    """Read logs by a mapping.
+
+    Args:
+        paths: the logs; which is which the mapping tells by their names.
+        mapping: from `read_mapping`.
+
+    Raises:
+        RunError: a file, a column or a value does not fit the mapping; the message says what to change.
+    """
+    notes: list[str] = []
+    doubts: list[str] = []
+    files = _assign([Path(path) for path in paths], mapping)
+    tables = [read_log(path, log) for path, log in zip(files, mapping.logs)]
+    for path, table in zip(files, tables):
+        notes += [f"{path.name}: {note}" for note in table.notes]
+        doubts += [f"{path.name}: {doubt}" for doubt in doubts_of_time(table.t)]
+    fields: dict[str, Any] = {}
+    t = _command_rows(tables, mapping, fields, notes, doubts)
+    doubts += doubts_of_both(fields)
+    t_seen = seen(tables, mapping, fields, notes, doubts)
+    if t is None and t_seen is None:
+        raise RunError(f"{mapping.path}: names neither commands nor markers; give at least one of them")
+    t = t_seen if t is None else t
+    assert t is not None
+    del tables  # of a long log, half of the memory
+    t, fields = _resample_commands(t, fields, mapping, notes)
+    if t_seen is not None:
+        _rest(t_seen, fields, mapping, notes)
+        t_seen = choose_frames(t, t_seen, fields, mapping, notes)
+        fields["t_seen"] = t_seen
+        doubts += doubts_of_rest(t, t_seen, fields, mapping)
+    if mapping.zero_time:
+        zero = t[0]
+        t = t - zero
+        if t_seen is not None:
+            fields["t_seen"] = t_seen - zero
+        notes.append(f"time counts from {zero:.6g} s of the log")
+    _constants(files, mapping, fields, notes)
+    made_from = [f"{path.name} sha256 {_sha256(path)}" for path in dict.fromkeys(files)]
+    extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels") if name in fields}
+    try:
+        run = Run(t=t, **fields, extra={"made_from": np.array(made_from)} | extra)
+    except RunError as fault:
+        name = str(fault).split(":")[0]
+        suspicion = next((doubt for doubt in doubts if f"{name}: " in doubt), None)  # what is wrong in the mapping
+        raise RunError(f"{fault}; {suspicion}" if suspicion else str(fault)) from None
+    return Imported(run, tuple(notes), tuple(doubts))
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+# --- the rows of the run -------------------------------------------------------------------
+def _assign(paths: list[Path], mapping: Mapping) -> list[Path]:
+    """The file of each log of the mapping, in the mapping's order."""
+    if len(mapping.logs) == 1 and len(paths) == 1:
+        return paths
+    chosen: list[Path] = []
+    for log in mapping.logs:
+        fits = [path for path in paths if fnmatch.fnmatch(path.name, log.file or "*")]
+        if len(fits) != 1:
+            found = (
+                f"{len(fits)} of the given files fit ({', '.join(path.name for path in fits)})"
+                if fits
+                else "no given file fits"
+            )
+            raise RunError(
+                f"{mapping.path}: log '{log.file or '*'}': {found}; give exactly one, or change `file` in the mapping"
+            )
+        chosen += fits
+    spare = [path.name for path in paths if path not in chosen]
+    topics = {(path, log.topic) for path, log in zip(chosen, mapping.logs)}
+    if spare or len(topics) < len(chosen):
+        named = ", ".join(log.file or "*" for log in mapping.logs)
+        raise RunError(
+            f"{mapping.path}: {', '.join(spare) or 'one file'} fits no log of its own; the mapping has {named}"
+        )
+    return chosen
+
+
+def _command_rows(
+    tables: list[LogTable], mapping: Mapping, fields: dict[str, Any], notes: list[str], doubts: list[str]
+) -> Array | None:
+    """The times of the commands; `fields` gets everything that is sampled at them."""
+    owners = [k for k, log in enumerate(mapping.logs) if {"command", "ticks"} & set(log.rows)]
+    if len(owners) > 1:
+        raise RunError(f"{mapping.path}: {len(owners)} logs hold commands; name the columns of one of them only")
+    t: Array | None = None
+    for k in owners:
+        goals = [quantity for name, quantity in mapping.logs[k].rows.items() if name in ("command", "ticks")]
+        rows = np.hstack([tables[k].numbers(quantity.columns) for quantity in goals])
+        given = np.asarray(np.isfinite(rows).all(axis=1))
+        if not given.any():
+            raise RunError(f"{tables[k].path}: no row has all commands; check the columns of `command`")
+        if not given.all():
+            notes.append(f"{int((~given).sum())} of {len(given)} rows have no command and were left out")
+        t = tables[k].t[given]
+    for k, log in enumerate(mapping.logs):
+        for name, quantity in log.rows.items():
+            own, values = _filled(name, tables[k], tables[k].numbers(quantity.columns))
+            doubts += doubts_of_rows(name, values, quantity)
+            values = _convert(name, values, quantity, mapping)
+            if quantity.held != "keep":
+                values, held = unhold(own, values)
+                if held.hold_s:
+                    notes.append(f"{name}: {held}: un-held by straight lines between new values")
+                elif quantity.held == "unhold":
+                    notes.append(f"{name}: no held samples found")
+            column = values if t is None or np.array_equal(t, own) else _interpolate(t, own, values)
+            if name in ("temperature", "load"):
+                fields[name] = column[:, 0]
+            else:
+                fields[name] = np.rint(column) if "ticks" in name else column
+    if t is None and fields:
+        raise RunError(
+            f"{mapping.path}: {', '.join(fields)} without commands; name the columns of `command` or `ticks` as well"
+        )
+    return t
+
+
+def _filled(name: str, table: LogTable, values: Array) -> tuple[Array, Array]:
+    """The rows that have a value in some column, and in them every value: absent ones lie on the line between."""
+    some = np.asarray(np.isfinite(values).any(axis=1))
+    empty = np.asarray(~np.isfinite(values).any(axis=0))
+    if empty.any():
+        column = int(np.argmax(empty)) + 1
+        raise RunError(f"{table.path}: {name}: its column {column} holds no value at all; leave it out")
+    t = table.t
+    if not some.all():
+        t, values = t[some], values[some]
+    for c in np.flatnonzero(np.isnan(values).any(axis=0)):
+        known = np.isfinite(values[:, c])
+        values[:, c] = np.interp(t, t[known], values[known, c])
+    return t, values
+
+
+def _convert(name: str, values: Array, quantity: Quantity, mapping: Mapping) -> Array:
+    """The values in our units, changed in place: of a long log they are most of the memory."""
+    unit = quantity.unit
+    if name in ("command", "present"):
+        if mapping.command_unit != "mm":
+            if unit == "rad" and mapping.command_unit == "deg":
+                values *= 180.0 / np.pi
+            elif unit == "deg" and mapping.command_unit == "rad":
+                values *= np.pi / 180.0
+        elif unit in LENGTH:
+            values *= LENGTH[unit]
+        else:
+            values *= (np.pi / 180.0 if unit == "deg" else 1.0) * quantity.spool_radius_mm
+    elif unit == "K":
+        values -= 273.15
+    else:
+        values *= _TO_SI.get(unit, 1.0)
+    values *= quantity.scale
+    values += quantity.offset
+    return values
+
+
+def _interpolate(t: Array, own: Array, values: Array) -> Array:
+    """Rows at times t, linear; outside its own record the first and last values hold."""
+    return np.stack([np.interp(t, own, values[:, c]) for c in range(values.shape[1])], axis=1)
+
+
+def _resample_commands(
+    t: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]
+) -> tuple[Array, dict[str, Any]]:
+    if mapping.command_rate_hz is None or len(t) < 2:
+        return t, fields
+    count = (t[-1] - t[0]) * mapping.command_rate_hz
+    if count > 50_000_000:
+        raise RunError(
+            f"{mapping.path}: commands.rate_hz = {mapping.command_rate_hz:g} gives {count:.0f} rows; give a lower rate"
+        )
+    regular = np.arange(t[0], t[-1] + 1e-9, 1.0 / mapping.command_rate_hz)
+    for name in ("command", "ticks", "present", "present_ticks", "current", "temperature", "load"):
+        if name in fields:
+            column = fields[name]
+            rows = _interpolate(regular, t, column.reshape(len(t), -1))
+            rows = np.rint(rows) if "ticks" in name else rows
+            fields[name] = rows if column.ndim == 2 else rows[:, 0]
+    notes.append(f"commands resampled from {len(t)} rows to {len(regular)} at {mapping.command_rate_hz:g} Hz")
+    return regular, fields
+
+
+def _rest(t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> None:
+    """Take the markers' places at rest from a stretch of the log in which the robot is known to be straight."""
+    if mapping.marker_rest_s is None:
+        return
+    low, high = mapping.marker_rest_s
+    if mapping.marker_rest_mm is not None or fields.get("markers") is None:
+        raise RunError(f"{mapping.path}: marker_rest_s wants markers, and no marker_rest_mm beside it")
+    straight = np.asarray(fields["markers"])[(t_seen >= low) & (t_seen <= high)]
+    known = np.isfinite(straight).all(axis=2)
+    if not len(straight) or not known.any(axis=0).all():
+        raise RunError(
+            f"{mapping.path}: marker_rest_s = [{low:g}, {high:g}]: {len(straight)} frames, and some marker is not seen "
+            f"in them; the log is seen from {t_seen[0]:g} to {t_seen[-1]:g} s"
+        )
+    fields["marker_rest"] = np.where(known[..., None], straight, 0.0).sum(axis=0) / known.sum(axis=0)[:, None]
+    notes.append(f"markers at rest: where they were from {low:g} to {high:g} s ({len(straight)} frames)")
+
+
+def _constants(files: list[Path], mapping: Mapping, fields: dict[str, Any], notes: list[str]) -> None:
+    fields |= {"robot": mapping.robot, "command_unit": mapping.command_unit}
+    fields |= {name: np.asarray(value) for name, value in mapping.constants.items()}
+    if mapping.marker_rest_mm is not None:
+        fields["marker_rest"] = mapping.to_base(mapping.marker_rest_mm)
+    grams = next(
+        (g for pattern, g in mapping.load_g if any(fnmatch.fnmatch(path.name, pattern) for path in files)),
+        None,
+    )
+    if grams is not None and mapping.declare_load:
+        if "load" in fields:
+            raise RunError(f"{mapping.path}: load is both a column and a constant; keep one")
+        fields["load"] = np.asarray(grams)
+    elif grams:
+        notes.append(
+            f"a load of {grams:g} g is known to the mapping but not declared in the run (declare_load = false)"
+        )

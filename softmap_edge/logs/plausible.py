@@ -1,0 +1,201 @@
+"""Says when numbers do not look like what a mapping declares: wrong units, a frame that is not the base frame.
+
+Each doubt is one line that names the suspicion and the remedy in the mapping. Limits are wide: a robot of 3 mm to 3 m,
+0.2 to 300 mm of tendon, half a turn to four turns of a motor. What no range tells (cm for mm, a scale of 2) is not
+found. The robot's rest axis is z of the base frame by definition, so markers that run along another axis at rest mean a
+y-up log or swapped axes. Pinned by tests/test_import_doubts.py.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.logs.mapping import LENGTH, Mapping, Quantity
+
+Array = NDArray[np.float64]
+ROBOT = (3.0, 3000.0)  # mm: what all markers together span
+TENDON = (0.2, 300.0)  # mm: the largest command
+_USUAL = {"robot": (20.0, 2000.0), "tendon": (0.5, 150.0)}  # mm: what a proposed unit must give
+HALF_TURN, TURNS = 3.2, 25.0  # rad: degrees are rarely below the one, radians rarely beyond the other
+_HOME = 0.1  # of the largest command: nearer than this the robot is taken to be at rest
+_SAMPLE = 20_000  # frames looked at
+_LETTERS = "xyz"
+
+
+def doubts_of_time(t: Array) -> list[str]:
+    """Say whether the times t (T,) s look like another unit."""
+    largest = float(np.abs(t).max()) if len(t) else 0.0
+    for limit, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms")):
+        if largest > limit:
+            return [f't: up to {largest:.4g} s looks like {unit} since 1970: set time.unit = "{unit}"']
+    if len(t) < 20:
+        return []
+    step = float(np.median(np.diff(t)))
+    if step >= 5.0:
+        return [f't: rows are {step:.4g} s apart, which looks like ms: set time.unit = "ms" unless a pose took so long']
+    if step < 2e-5:
+        return [f't: rows are {step:.3g} s apart, faster than any robot is logged: set time.unit = "s" or another']
+    return []
+
+
+def doubts_of_rows(name: str, raw: Array, quantity: Quantity) -> list[str]:
+    """Say whether raw values (T, C) look like another unit than the declared one."""
+    finite = np.abs(raw[np.isfinite(raw)])
+    peak = float(finite.max()) if finite.size else 0.0
+    if peak == 0.0:
+        return []
+    unit, guess = quantity.unit, None
+    if unit in LENGTH:
+        scale = float(np.abs(quantity.scale).max())
+        if not TENDON[0] <= peak * LENGTH[unit] * scale <= TENDON[1]:
+            guess = _length(peak * scale, "tendon") or "an angle or ticks"
+    elif unit == "deg" and peak < HALF_TURN:
+        guess = "rad"
+    elif unit == "rad" and peak > TURNS:
+        guess = "deg"
+    elif name == "temperature":
+        middle = float(np.median(finite))
+        guess = "K" if unit == "degC" and middle > 150 else "degC" if unit == "K" and middle < 150 else None
+    elif name == "current":
+        guess = "A" if unit == "mA" and peak < 10 else "mA" if unit == "A" and peak > 100 else None
+    elif name == "load" and unit == "g" and peak < 0.5:
+        guess = "kg"
+    if guess is None or guess == unit:
+        return []
+    remedy = f'set unit = "{guess}" if so' if " " not in guess else "name their unit"
+    return [f'{name}: at most {peak:.4g} with unit = "{unit}" looks like {guess}: {remedy}']
+
+
+def doubts_of_both(fields: dict[str, Any]) -> list[str]:
+    """Say whether commands and encoders are in two units: their ranges are 57.3 or 1000 times apart."""
+    command, present = fields.get("command"), fields.get("present")
+    if command is None or present is None or command.shape[1] != present.shape[1]:
+        return []
+    moved = command.std(axis=0)
+    if not (moved > 0).any():
+        return []
+    ratio = float(np.median(present.std(axis=0)[moved > 0] / moved[moved > 0]))
+    for factor, what in ((180.0 / np.pi, "deg and rad"), (1000.0, "mm and m")):
+        for times in (factor, 1.0 / factor):
+            if abs(ratio / times - 1.0) < 0.25:
+                return [
+                    f"present: moves {ratio:.3g} times as far as command, which looks like {what}: set unit of each"
+                ]
+    return []
+
+
+def doubts_of_points(points: Array, unit: str) -> list[str]:
+    """Say whether points (K, M, 3), converted to mm from `unit`, are no robot's size."""
+    sample = points[:: max(1, len(points) // _SAMPLE)].reshape(-1, 3)
+    sample = sample[np.isfinite(sample).all(axis=1)]
+    if len(sample) < 2:
+        return []
+    span = float(np.ptp(sample, axis=0).max())
+    if points.shape[1] == 1:  # a single marker may stand still
+        span = max(span, float(np.abs(sample).max()))
+    if ROBOT[0] <= span <= ROBOT[1] or span == 0.0:
+        return []
+    guess = _length(span / LENGTH[unit], "robot")
+    if guess is None or guess == unit:
+        return [f'markers: span {span:.4g} mm with unit = "{unit}", no size of a robot: check columns, unit and scale']
+    return [f'markers: span {span:.4g} mm with unit = "{unit}", which looks like {guess}: set unit = "{guess}"']
+
+
+def _length(number: float, what: str) -> str | None:
+    low, high = _USUAL[what]
+    return next((unit for unit in ("mm", "m", "um", "cm") if low <= number * LENGTH[unit] <= high), None)
+
+
+# --- the frame -----------------------------------------------------------------------------
+def doubts_of_rest(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapping) -> list[str]:
+    """Say whether the markers at rest run along z of the base frame, and begin near its origin."""
+    markers = fields["markers"]
+    rest = at_rest(t, t_seen, fields.get("command"), markers)
+    base = fields.get("base_markers")
+    start = None if base is None else _middle(base).mean(axis=0)
+    along = rest_axis(rest, start)
+    if along is None:
+        return []
+    doubts = []
+    k = int(np.argmax(np.abs(along)))
+    if along[2] < 0.5:
+        log_axis, sign = mapping.axes[k]
+        towards = ("-" if along[k] < 0 else "") + _LETTERS[k]
+        axes = ", ".join(f'"{axis}"' for axis in axes_for(log_axis, sign * (-1 if along[k] < 0 else 1)))
+        doubts.append(
+            f"markers: at rest they run along {towards} of the base frame, but the robot's axis is z by definition, "
+            f"which looks like a y-up log or swapped axes: set frame.axes = [{axes}]"
+        )
+    length = float(np.linalg.norm(rest[-1] - rest[0]))
+    far = float(np.linalg.norm(rest[0]))
+    if len(rest) > 1 and start is None and far > 5 * length:
+        doubts.append(
+            f"markers: the first is {far:.4g} mm from the origin of the base frame and only {length:.4g} mm from the "
+            "last: set frame.origin_mm to the place of the clamp"
+        )
+    return doubts
+
+
+def is_base(label: str) -> bool:
+    """Whether a marker's name says that it sits on the clamp and not on the robot."""
+    return bool(re.search(r"base|clamp|mount|ground|frame", label, re.IGNORECASE))
+
+
+def at_rest(t: Array, t_seen: Array, command: Array | None, markers: Array) -> Array:
+    """Return the (M, 3) median places of the markers in the frames nearest to home."""
+    if command is None or command.size == 0 or not np.abs(command).max():
+        return _middle(markers)
+    size = np.abs(command).max(axis=1)
+    near = np.interp(t_seen, t, size)
+    chosen = near <= max(_HOME * float(size.max()), float(np.quantile(near, 0.02)))
+    return _middle(markers[chosen])
+
+
+def _middle(points: Array) -> Array:
+    """The (M, 3) median of the frames in which each point was seen."""
+    points = points[:: max(1, len(points) // _SAMPLE)]
+    middle = np.full(points.shape[1:], np.nan)
+    for m in range(points.shape[1]):
+        shown = points[np.isfinite(points[:, m]).all(axis=1), m]
+        if len(shown):
+            middle[m] = np.median(shown, axis=0)
+    return middle
+
+
+def rest_axis(rest: Array, base: Array | None) -> Array | None:
+    """Return the unit vector (3,) along which a robot lies, from markers (M, 3) listed base first; None if unknown.
+
+    From the base (3,) to the middle of the markers where a base is known, else from the first to the last of an
+    elongated set, else from the origin to a single marker.
+    """
+    rest = rest[np.isfinite(rest).all(axis=1)]
+    if len(rest) == 0:
+        return None
+    if base is not None:
+        along = rest.mean(axis=0) - base
+    elif len(rest) == 1:
+        along = rest[0]
+    else:
+        spread = np.linalg.svd(rest - rest.mean(axis=0), compute_uv=False)
+        if spread[0] ** 2 < 0.7 * (spread**2).sum():
+            return None
+        along = rest[-1] - rest[0]
+    length = float(np.linalg.norm(along))
+    return along / length if np.isfinite(length) and length > 0 else None
+
+
+def axes_for(axis: int, sign: int) -> list[str]:
+    """Return `frame.axes` that makes the log's axis `axis`, turned by `sign`, the robot's z; right-handed."""
+    z, x = np.zeros(3), np.zeros(3)
+    z[axis] = sign
+    x[0 if axis else 1] = 1.0
+    y = np.cross(z, x)
+    named = []
+    for vector in (x, y, z):
+        k = int(np.argmax(np.abs(vector)))
+        named.append(("-" if vector[k] < 0 else "") + _LETTERS[k])
+    return named

@@ -1,0 +1,1 @@
+"""Comparison and diagnosis as text, pictures and HTML."""

@@ -1,0 +1,370 @@
+"""The pictures of a report: error over time, over the body and over the conditions, the tip's path, the ladder.
+
+Each function returns the bytes of one finished picture (SVG, or PNG where there are thousands of triangles); the same
+numbers give the same bytes. One colour means one thing in all of them: before, after, floor. Lengths in mm, times in s.
+This module needs matplotlib and is imported by `report_html` only.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.comparison import Series
+from softmap_edge.report.numbers import mm
+from softmap_edge.report.text import WHERE, ladder_steps
+
+Floats = NDArray[np.float64]
+
+BEFORE, AFTER, FLOOR, INK, FAINT, PALE = "#cf5c36", "#1f7a8c", "#7d8597", "#1f2933", "#e7eaef", "#9aa5b1"
+ERROR_MAP = LinearSegmentedColormap.from_list("error", ["#dceef0", "#f6e7c1", "#efa35c", "#cf5c36", "#6a1b1a"])
+STYLE: Any = {  # matplotlib types the keys one by one
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "text.color": INK,
+    "text.parse_math": False,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": PALE,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "xtick.color": "#52606d",
+    "ytick.color": "#52606d",
+    "svg.hashsalt": "softmap",
+    "svg.fonttype": "path",
+}
+WIDE = 10.4  # inches: the width of a picture that fills the page
+LABEL = 1.5  # inches to the left of a bar, for its label
+POINTS = 1200  # a line with more points than this is drawn by the RMS of its stretches
+SIDES = (("seen along −x", (1, 0)), ("seen along −y", (0, 1)), ("seen along +x", (-1, 0)), ("seen along +y", (0, -1)))
+LIGHT = np.array([-0.35, 0.55, 0.76])  # from the upper left, towards the viewer
+SPLIT_BELOW = 8000  # templates with fewer triangles are refined, so that colours flow
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A template ready to be drawn: points (P, 3) mm, faces (F, 3), a value and an outward normal for each point."""
+
+    points: Floats
+    faces: NDArray[np.int64]
+    values: Floats  # (P,)
+    normals: Floats  # (P, 3)
+
+
+def over_time(series: Series) -> bytes:
+    """Draw the RMS error of each frame against time, before and after (SVG)."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDE, 2.9), layout="constrained")
+        axes = figure.add_subplot()
+        t, before = _thinned(series.t_seen, series.before)
+        name = "error" if series.after is None else "before"
+        axes.fill_between(t, before, color=BEFORE, alpha=0.13, linewidth=0)
+        axes.plot(t, before, color=BEFORE, linewidth=1.3, label=f"{name}: {mm(_rms(series.before))} mm rms")
+        if series.after is not None:
+            t, after = _thinned(series.t_seen, series.after)
+            axes.fill_between(t, after, color=AFTER, alpha=0.22, linewidth=0)
+            axes.plot(t, after, color=AFTER, linewidth=1.3, label=f"after: {mm(_rms(series.after))} mm rms")
+        if series.noise_floor_mm is not None:
+            label = f"camera noise: {mm(series.noise_floor_mm)} mm"
+            axes.axhline(series.noise_floor_mm, color=FLOOR, linewidth=1.0, linestyle=(0, (4, 3)), label=label)
+        axes.set(xlabel="time, s", ylabel="RMS error of a frame, mm", ylim=(0, None))
+        axes.margins(x=0.005)
+        axes.grid(axis="y", color=FAINT, linewidth=0.8)
+        axes.set_axisbelow(True)
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
+        return _svg(figure)
+
+
+def tip_path(series: Series) -> bytes:
+    """Draw the tip's path as measured and as predicted, in the plane in which it moves most (SVG)."""
+    first, second = _plane(series.tip_seen)
+    shown = [("predicted", series.tip_before, BEFORE)]
+    if series.tip_after is not None:
+        shown = [("predicted before", series.tip_before, BEFORE), ("predicted after", series.tip_after, AFTER)]
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(
+            figsize=(WIDE, _tip_height(series.tip_seen[:, [first, second]], len(shown))), layout="constrained"
+        )
+        panels = figure.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
+        for axes, (name, path, colour) in zip(panels, shown):
+            axes.plot(series.tip_seen[:, first], series.tip_seen[:, second], color=INK, linewidth=0.9, label="measured")
+            axes.plot(path[:, first], path[:, second], color=colour, linewidth=1.3, label=name)
+            axes.set(xlabel=f"{'xyz'[first]} of the tip, mm", aspect="equal")
+            axes.grid(color=FAINT, linewidth=0.8)
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
+        panels[0].set_ylabel(f"{'xyz'[second]} of the tip, mm")
+        return _svg(figure)
+
+
+def body(series: Series) -> bytes:
+    """Draw the RMS error of each point on the body, before and after, on one colour scale (PNG)."""
+    shown = [("error" if series.point_after is None else "before", series.point_before)]
+    if series.point_after is not None:
+        shown.append(("after", series.point_after))
+    top = max(float(np.nanmax(values)) for _, values in shown)
+    scale = Normalize(0.0, top if top > 0 else 1.0)
+    with matplotlib.rc_context(STYLE):
+        if series.triangles is None:
+            figure = _marker_figure(series.template, shown, scale)
+        else:
+            figure = _surface_figure(series.template, series.triangles, shown, scale)
+        return _png(figure)
+
+
+def where_maps(before: Mapping[str, Sequence[Any]], after: Mapping[str, Sequence[Any]] | None) -> bytes:
+    """Draw the error in every class of every condition, before and after, on one scale (SVG).
+
+    Args:
+        before, after: maps name → bins `{label, low, high, n, rms_mm}`; after may be None.
+
+    Returns:
+        bytes: the picture.
+    """
+    names = [name for name, rows in before.items() if len(rows) > 1]
+    columns = _packed([(name, len(before[name])) for name in names], 3)
+    heights = [sum(_panel_height(count) for _, count in column) for column in columns]
+    height = max(heights, default=1.0)
+    values = [row["rms_mm"] for name in names for row in before[name]]
+    values += [row["rms_mm"] for name in names for row in (after or {}).get(name, [])]
+    top = max([v for v in values if math.isfinite(v)], default=1.0) or 1.0
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDE, height))
+        for index, column in enumerate(columns):
+            used = 0.0
+            for name, count in column:
+                tall = _panel_height(count)
+                left, wide = (index * WIDE / 3 + LABEL) / WIDE, (WIDE / 3 - LABEL - 0.53) / WIDE
+                axes = figure.add_axes((left, 1 - (used + tall - 0.22) / height, wide, (tall - 0.52) / height))
+                _bars(axes, before[name], None if after is None else after.get(name, []), top)
+                axes.set_title(WHERE.get(name, name), x=-(LABEL - 0.07) / (WIDE / 3 - LABEL - 0.53), pad=5)
+                used += tall
+        return _svg(figure)
+
+
+def ladder_bars(error: Mapping[str, Any]) -> bytes:
+    """Draw the held-out error as effects are added one by one, down to the floor (SVG)."""
+    steps = ladder_steps(error)
+    floor = error.get("floor")
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDE, 0.75 + 0.36 * len(steps)), layout="constrained")
+        axes = figure.add_subplot()
+        for position, (name, value) in enumerate(steps):
+            colour = BEFORE if position == 0 else AFTER if name.startswith("+") else PALE
+            axes.barh(position, value, color=colour, height=0.66, alpha=0.55 if "static correction" in name else 1.0)
+            axes.annotate(f"{mm(value)}", (value, position), (5, 0), textcoords="offset points", va="center")
+        if isinstance(floor, (int, float)) and math.isfinite(floor):
+            axes.axvline(floor, color=INK, linewidth=1.1, linestyle=(0, (4, 3)))
+            axes.annotate(
+                f"floor {mm(floor)}", (floor, -0.62), (4, 0), textcoords="offset points", size=8, color="#52606d"
+            )
+        axes.set_yticks(range(len(steps)), [_clean(name, 46) for name, _ in steps])
+        axes.set_ylim(len(steps) - 0.45, -0.95)
+        axes.set_xlim(0, 1.1 * max([value for _, value in steps], default=1.0))
+        axes.set_xlabel(
+            f"{_clean(str(error.get('kind', 'held-out rms')), 40)}, {_clean(str(error.get('unit', 'mm')), 8)}"
+        )
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        return _svg(figure)
+
+
+def _tip_height(path: Floats, panels: int) -> float:
+    """Inches that a path drawn to scale needs, within limits that suit a page."""
+    wide, tall = np.nanmax(path, axis=0) - np.nanmin(path, axis=0)
+    return float(np.clip((WIDE / panels - 0.9) * tall / max(float(wide), 1e-9) + 0.9, 2.6, 6.0))
+
+
+def _bars(axes: Axes, before: Sequence[Any], after: Sequence[Any] | None, top: float) -> None:
+    """One condition: a bar per class, the after-bar inside the before-bar."""
+    partner = {str(row["label"]): row["rms_mm"] for row in after or []}
+    names = [str(row["label"]) for row in before]
+    place = np.arange(len(before))
+    old = [row["rms_mm"] for row in before]
+    axes.barh(place, old, height=0.74, color=BEFORE, alpha=0.9 if after is None else 0.42)
+    if after is not None:
+        axes.barh(place, [partner.get(name, math.nan) for name in names], height=0.4, color=AFTER)
+    for k, (value, name) in enumerate(zip(old, names)):
+        text = mm(value) if after is None else f"{mm(value)} → {mm(partner.get(name))}"
+        end = max(value, partner.get(name, 0.0))
+        axes.annotate(text, (end, k), (3, 0), textcoords="offset points", va="center", size=6.5, color="#52606d")
+    shown = [_clean(name, 26) for name in names]
+    axes.set_yticks(place, shown, size=7.5 if max(map(len, shown), default=0) <= 22 else 6.6)
+    axes.set_ylim(len(before) - 0.4, -0.6)
+    axes.set_xlim(0, top)
+    axes.set_xticks([])
+    axes.tick_params(axis="y", length=0)
+    axes.spines["bottom"].set_visible(False)
+
+
+def _panel_height(bins: int) -> float:
+    return 0.66 + 0.2 * bins
+
+
+def _packed(panels: Sequence[tuple[str, int]], count: int) -> list[list[tuple[str, int]]]:
+    """Spread panels over columns of about equal height, each to the shortest so far, tallest first."""
+    columns: list[list[tuple[str, int]]] = [[] for _ in range(count)]
+    for panel in sorted(panels, key=lambda p: -p[1]):
+        min(columns, key=lambda c: sum(_panel_height(n) for _, n in c)).append(panel)
+    order = {name: k for k, (name, _) in enumerate(panels)}
+    columns = [sorted(column, key=lambda p: order[p[0]]) for column in columns]
+    return sorted(columns, key=lambda c: order[c[0][0]] if c else len(order))
+
+
+def _surface_figure(
+    rest: Floats, triangles: NDArray[np.int64], shown: Sequence[tuple[str, Floats]], scale: Normalize
+) -> Figure:
+    """Four sides of the template, base to the left: a column for each model, or two columns for one."""
+    span, girth = float(np.ptp(rest[:, 2])), float(max(np.ptp(rest[:, 0]), np.ptp(rest[:, 1])))
+    rows = 4 if len(shown) > 1 else 2
+    tall = float(np.clip((WIDE - 1.2) / 2 * girth / max(span, 1e-9), 0.45, 2.2)) + 0.2
+    figure = Figure(figsize=(WIDE, rows * tall + 0.35), layout="constrained")
+    grid = figure.subplots(rows, 2, squeeze=False)
+    for column, (name, values) in enumerate(shown):
+        surface = _refined(rest, triangles, values)
+        for index, (side, towards) in enumerate(SIDES):
+            axes = grid[index, column] if len(shown) > 1 else grid[divmod(index, 2)]
+            _project(axes, surface, np.array([*towards, 0.0]), scale)
+            axes.set_aspect("equal")
+            axes.set_axis_off()
+            axes.set_title(side, loc="right", size=7, weight="normal", color="#52606d", pad=2)
+        grid[0, column].set_title(f"{name}: worst point {mm(float(np.nanmax(values)))} mm rms", pad=5)
+    _colour_bar(figure, grid, scale)
+    return figure
+
+
+def _colour_bar(figure: Figure, panels: Any, scale: Normalize) -> None:
+    mappable = matplotlib.cm.ScalarMappable(scale, ERROR_MAP)
+    bar = figure.colorbar(mappable, ax=panels, shrink=0.85, aspect=22, pad=0.01, label="RMS error of a point, mm")
+    bar.outline.set_visible(False)
+
+
+def _marker_figure(places: Floats, shown: Sequence[tuple[str, Floats]], scale: Normalize) -> Figure:
+    """Markers where they were on average, in the plane of their largest spread, coloured by their error."""
+    first, second = _plane(places)
+    figure = Figure(figsize=(WIDE, 3.6), layout="constrained")
+    panels = figure.subplots(1, len(shown), squeeze=False, sharex=True, sharey=True)[0]
+    for axes, (name, values) in zip(panels, shown):
+        x, y = places[:, first], places[:, second]
+        axes.plot(x, y, color=PALE, linewidth=2, zorder=1)
+        axes.scatter(x, y, c=values, s=240, cmap=ERROR_MAP, norm=scale, edgecolors=INK, linewidths=0.8, zorder=2)
+        for k, value in enumerate(values):
+            text = f"marker {k + 1}: {mm(float(value))} mm"
+            left = x[k] > 0.5 * (x.min() + x.max())  # towards the side with more room
+            axes.annotate(
+                text,
+                (x[k], y[k]),
+                (-13 if left else 13, 0),
+                textcoords="offset points",
+                va="center",
+                ha="right" if left else "left",
+                size=8,
+            )
+        axes.set_title(f"{name}: worst marker {mm(float(np.nanmax(values)))} mm rms")
+        axes.set(xlabel=f"mean {'xyz'[first]}, mm", ylabel=f"mean {'xyz'[second]}, mm")
+        axes.margins(x=0.4, y=0.2)
+        axes.grid(color=FAINT, linewidth=0.8)
+        axes.set_axisbelow(True)
+    _colour_bar(figure, panels, scale)
+    return figure
+
+
+def _project(axes: Axes, surface: Surface, view: Floats, scale: Normalize) -> None:
+    """Draw a surface seen from `view` (unit vector in the x-y plane): far triangles first, shaded by the light."""
+    across = np.cross(np.array([0.0, 0.0, 1.0]), view)
+    corners = surface.points[surface.faces]  # (F, 3, 3)
+    normal = surface.normals[surface.faces].mean(axis=1)
+    order = np.argsort((corners @ view).mean(axis=1))
+    order = order[normal[order] @ view > -0.1]  # the far side cannot be seen
+    frame = np.stack([normal[:, 2], normal @ across, normal @ view], axis=1)  # right, up, towards the viewer
+    light = np.clip(0.74 + 0.3 * (frame @ LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
+    rgb = ERROR_MAP(scale(surface.values[surface.faces].mean(axis=1)))
+    rgb[:, :3] *= light[:, None]
+    flat = np.stack([corners[..., 2], corners @ across], axis=2)
+    axes.add_collection(PolyCollection(list(flat[order]), facecolors=rgb[order], edgecolors=rgb[order], linewidths=0.4))
+    axes.autoscale_view()
+
+
+def _vertex_normals(points: Floats, faces: NDArray[np.int64]) -> Floats:
+    """Outward normals (N, 3): face normals, turned away from the body's axis, averaged at the vertices."""
+    corners = points[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    centre, axis = corners.mean(axis=1), points.mean(axis=0)
+    reach = 0.5 * float(max(np.ptp(points[:, 0]), np.ptp(points[:, 1])))
+    low, high = float(points[:, 2].min()) + reach, float(points[:, 2].max()) - reach
+    inner = np.column_stack([np.full((len(faces), 2), axis[:2]), np.clip(centre[:, 2], min(low, high), max(low, high))])
+    normal *= np.where(np.sum(normal * (centre - inner), axis=1) < 0, -1.0, 1.0)[:, None]
+    total = np.zeros_like(points)
+    np.add.at(total, faces.ravel(), np.repeat(normal, 3, axis=0))
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1), 1e-12)[:, None])
+
+
+def _refined(rest: Floats, triangles: NDArray[np.int64], values: Floats) -> Surface:
+    """Split each triangle into four until flat colours look continuous; large meshes stay as they are."""
+    known = np.where(np.isfinite(values), values, np.nanmean(values))
+    data, faces = np.column_stack([rest, known, _vertex_normals(rest, triangles)]), triangles
+    while len(faces) < SPLIT_BELOW:
+        edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+        unique, which = np.unique(edges, axis=0, return_inverse=True)
+        a, b, c = which.reshape(3, -1) + len(data)
+        p, q, r = faces.T
+        data = np.concatenate([data, data[unique].mean(axis=1)])
+        quads = [(p, a, c), (a, q, b), (c, b, r), (a, b, c)]
+        faces = np.concatenate([np.column_stack(corner) for corner in quads])
+    return Surface(data[:, :3], faces, data[:, 3], data[:, 4:])
+
+
+def _plane(points: Floats) -> tuple[int, int]:
+    """The two coordinates of largest spread, in the order x, y, z."""
+    spread = np.nanmax(points, axis=0) - np.nanmin(points, axis=0)
+    first, second = sorted(np.argsort(-spread, kind="stable")[:2].tolist())
+    return first, second
+
+
+def _thinned(t: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """A line of at most `POINTS` points: the RMS of equal stretches, at their mean times."""
+    if len(t) <= POINTS:
+        return t, values
+    parts = np.array_split(np.arange(len(t)), POINTS)
+    return np.array([t[p].mean() for p in parts]), np.array([_rms(values[p]) for p in parts])
+
+
+def _rms(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return math.sqrt(float(np.mean(known**2))) if len(known) else math.nan
+
+
+def _clean(text: str, longest: int) -> str:
+    """A label without control characters, cut to a length that fits."""
+    printable = "".join(ch if ch.isprintable() else " " for ch in str(text))
+    return printable if len(printable) <= longest else printable[: longest - 1] + "…"
+
+
+def _svg(figure: Figure) -> bytes:
+    return _saved(figure, "svg", metadata={"Date": None, "Creator": None})
+
+
+def _png(figure: Figure) -> bytes:
+    return _saved(figure, "png", dpi=200, metadata={"Software": None})
+
+
+def _saved(figure: Figure, form: str, **options: Any) -> bytes:
+    target = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")  # a robot may be named in any script
+        figure.savefig(target, format=form, facecolor="white", **options)
+    return target.getvalue()

@@ -1,0 +1,373 @@
+"""One self-contained HTML page about a comparison, two comparisons or a diagnosis: verdict, pictures, evidence, origin.
+
+The page loads nothing: pictures are inside it, there is no script, and its content policy forbids both. Whatever comes
+from a file (robot names, sentences, labels) is escaped. The pictures need matplotlib, which is an extra.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from softmap_edge.diagnosis.comparison import Comparison, Series
+from softmap_edge.errors import ReportError
+from softmap_edge.report.numbers import fall, mm, number, percent, tamed
+from softmap_edge.report.style import PAGE, TONES
+from softmap_edge.report.text import (
+    LADDER_NOTE,
+    STATIC_ADDED,
+    VERDICTS,
+    check_diagnosis,
+    check_pair,
+    ladder_steps,
+    parameter,
+)
+
+INSTALL = "pip install 'softmap-edge[report]'"
+
+
+@dataclass(frozen=True)
+class Story:
+    """What one page is about; `before` and `after` are comparisons of the same run."""
+
+    before: Comparison | None
+    after: Comparison | None
+    diagnosis: Mapping[str, Any] | None
+    series: Series | None
+    floor: tuple[float, str] | None = None
+
+
+def write_html(
+    path: str | Path,
+    comparison: Comparison | Sequence[Comparison] | None = None,
+    diagnosis: Any = None,
+    series: Series | None = None,
+    floor: tuple[float, str] | None = None,
+) -> Path:
+    """Write one self-contained HTML page.
+
+    Args:
+        path: the file to write.
+        comparison: one comparison, or two of the same run (before, after).
+        diagnosis: a Diagnosis or its document softmap.diagnosis/1.
+        series: errors over time and over the body (`compare.series`), for the pictures that need them.
+        floor: what no model can go below, mm, and what it is, where that is known better than from the camera's noise.
+
+    Returns:
+        Path: the file.
+
+    Raises:
+        ReportError: matplotlib is not installed, nothing to show, or the comparisons are of different runs.
+    """
+    given = [comparison] if isinstance(comparison, Comparison) else list(comparison or [])
+    if len(given) > 2:
+        raise ReportError(f"{len(given)} comparisons given; a page shows one, or two of the same run (before, after)")
+    if not given and diagnosis is None:
+        raise ReportError("nothing to show; give a comparison, a diagnosis or both")
+    if len(given) == 2:
+        check_pair(*given)
+    if diagnosis is not None:
+        diagnosis = diagnosis.to_dict() if hasattr(diagnosis, "to_dict") else diagnosis
+        check_diagnosis(diagnosis)
+    story = Story(given[0] if given else None, given[1] if len(given) > 1 else None, diagnosis, series, floor)
+    figures = _figures()
+    sections = [
+        _hero(story),
+        _time(story, figures),
+        _body(story, figures),
+        _ladder(story, figures),
+        _effects(story),
+        _where(story, figures),
+        _open_questions(story),
+        _tip(story, figures),
+        _origin(story),
+    ]
+    page = PAGE.replace("@TITLE@", _text(_title(story))).replace("@BODY@", "\n".join(s for s in sections if s))
+    target = Path(path)
+    target.write_bytes(page.encode("utf-8", "replace"))
+    return target
+
+
+def _figures() -> ModuleType:
+    try:
+        from softmap_edge.report import figures
+    except ImportError as missing:
+        if (missing.name or "").split(".")[0] != "matplotlib":
+            raise
+        raise ReportError(
+            f"the HTML report needs matplotlib: {INSTALL} (the text and --json work without it)"
+        ) from None
+    return figures
+
+
+def _text(value: Any) -> str:
+    return html.escape(str(value), quote=True)
+
+
+def _title(story: Story) -> str:
+    robot = (story.before.bundle if story.before else {}).get("robot")
+    return f"{'Diagnosis' if story.diagnosis else 'Comparison'}{f' of {robot}' if robot else ''}"
+
+
+def _picture(data: bytes, alt: str) -> str:
+    kind = "image/png" if data.startswith(b"\x89PNG") else "image/svg+xml"
+    return f'<img alt="{_text(alt)}" src="data:{kind};base64,{base64.b64encode(data).decode()}">'
+
+
+def _section(title: str, content: str, note: str = "") -> str:
+    caption = f'<p class="note">{note}</p>' if note else ""
+    return f"<section><h2>{_text(title)}</h2>{content}{caption}</section>"
+
+
+def _kind(story: Story) -> str:
+    """Whether the shown errors are held out, in the words of a caption."""
+    known = {"held out": "held out: this run was not fitted", "fitted": "fitted: this run took part"}
+    if story.series is not None and story.series.kind in known:
+        return known[story.series.kind]
+    return "measured; whether this run took part in a fit is not recorded here"
+
+
+def _short(story: Story) -> str:
+    """The same for the captions, where the top of the page has said it in full."""
+    return f"; {story.series.kind}" if story.series is not None and story.series.kind != "measured" else ""
+
+
+def _hero(story: Story) -> str:
+    verdict = str(story.diagnosis["verdict"]) if story.diagnosis else ""
+    badge = ""
+    if story.diagnosis:
+        tone = TONES.get(verdict, "calm")
+        badge = f'<span class="badge {tone}">{_text(VERDICTS.get(verdict, verdict))}</span>'
+    sentence = tamed(story.diagnosis.get("sentence") or "") if story.diagnosis else ""
+    cards = "".join(
+        f'<div class="card {tone}"><b>{_text(value)}</b><span>{_text(label)}</span><i>{_text(note)}</i></div>'
+        for label, value, note, tone in _cards(story)
+    )
+    about = " · ".join(_about(story))
+    return (
+        f'<header><p class="eyebrow">SOFTMAP-Edge · {_text(_title(story))}</p>{badge}'
+        f'<h1>{_text(sentence or _sentence(story))}</h1><p class="about">{about}</p></header>'
+        f'<div class="cards">{cards}</div>'
+    )
+
+
+def _about(story: Story) -> list[str]:
+    if story.before is None:
+        return []
+    model = ", ".join(map(str, (story.after or story.before).bundle.get("effects") or [])) or "none"
+    return [
+        f"robot {_text(story.before.bundle.get('robot', '?'))}",
+        f"run of {_text(story.before.run.get('robot', '?'))}, {story.before.frames} frames",
+        f"effects in the model: {_text(model)}",
+        _text(_kind(story)),
+    ]
+
+
+def _sentence(story: Story) -> str:
+    if story.before is None:
+        return VERDICTS.get(str((story.diagnosis or {}).get("verdict")), "")
+    old = story.before.error["rms_mm"]
+    if story.after is None:
+        text = f"The model is off by {mm(old)} mm RMS over {story.before.frames} frames"
+        floor = story.before.noise_floor_mm
+        return text + (f"; the camera's noise is {mm(floor)} mm." if floor is not None else ".")
+    new = story.after.error["rms_mm"]
+    if new > old:
+        return f"The error rises from {mm(old)} to {mm(new)} mm RMS: the second model is worse on this run."
+    return f"The error falls from {mm(old)} to {mm(new)} mm RMS."
+
+
+def _cards(story: Story) -> list[tuple[str, str, str, str]]:
+    """(label, value, note, tone) of the figures at the top."""
+    error = (story.diagnosis or {}).get("error") or {}
+    old: Any
+    new: Any
+    if story.before is not None:
+        old, new = story.before.error["rms_mm"], story.after.error["rms_mm"] if story.after else None
+        floor, origin = story.floor or (story.before.noise_floor_mm, "camera noise, RMS")
+        kind = story.series.kind if story.series else ""
+        told = {"held out": "a run not fitted", "fitted": "the run fitted"}.get(kind, "this run")
+        note = f"all points, {told}"
+    else:
+        told = str(error.get("kind", "held out"))
+        steps = [value for name, value in ladder_steps(error) if name.startswith("+") and name != STATIC_ADDED]
+        old, new = number(error.get("model")), steps[-1] if steps else None
+        floor, origin, note = (
+            number(error.get("floor")),
+            str(error.get("floor_kind") or "floor"),
+            told,
+        )
+    cards = [("error before" if new is not None else "error", f"{mm(old)} mm", f"RMS, {note}", "before")]
+    if number(new) is not None and number(old) is not None:
+        share = fall(old, new, floor if floor is not None and (story.floor or new > floor) else None)
+        cards.append(("error after", f"{mm(new)} mm", f"RMS, {note}", "after"))
+        cards.append(
+            ("of the removable error gone", percent(share), f"{percent(fall(old, new))} of the raw error", "after")
+        )
+    cards.append(("floor", f"{mm(floor)} mm", origin, "floor"))
+    if story.before is not None and story.after is None:
+        tip = story.before.error["tip_rms_mm"]
+        cards.insert(1, ("error of the tip", f"{mm(tip)} mm", f"RMS, {told}", "before"))
+        cards.insert(2, ("95 % of points within", f"{mm(story.before.error['p95_mm'])} mm", told, "before"))
+    return cards
+
+
+def _time(story: Story, figures: ModuleType) -> str:
+    if story.series is None:
+        return ""
+    picture = _picture(figures.over_time(story.series), "RMS error of each frame over time, before and after")
+    return _section("Error over time", picture, f"RMS over the points of a frame, mm{_short(story)}.")
+
+
+def _body(story: Story, figures: ModuleType) -> str:
+    if story.series is None:
+        return ""
+    picture = _picture(figures.body(story.series), "RMS error of each point, drawn on the body")
+    markers = story.series.triangles is None
+    drawn = "markers at their mean places, axes of different scale" if markers else "shape at rest, base left"
+    note = f"RMS over all frames of each point, mm, one colour scale, {drawn}{_short(story)}."
+    return _section("Error on the body", picture, note)
+
+
+def _tip(story: Story, figures: ModuleType) -> str:
+    if story.series is None:
+        return ""
+    picture = _picture(figures.tip_path(story.series), "Path of the tip, measured and predicted")
+    return _section("Path of the tip", picture, f"Tip centroid in the base frame, mm{_short(story)}.")
+
+
+def _ladder(story: Story, figures: ModuleType) -> str:
+    error = (story.diagnosis or {}).get("error") or {}
+    if not ladder_steps(error):
+        return ""
+    unit, on = error.get("unit", "mm"), error.get("held_out_on")
+    note = f"{_text(error.get('kind', 'held-out rms'))}{_text(f' on {on}' if on else '')}, {_text(unit)}. "
+    note += f"Floor: {_text(error.get('floor_kind', 'origin not stated'))}. "
+    known = [("Noise floor", error.get("noise_floor")), ("Model's own held-out error", error.get("model_floor"))]
+    note += "".join(f"{name}: {mm(value)} {_text(unit)}. " for name, value in known if number(value) is not None)
+    note += LADDER_NOTE
+    return _section(
+        "What each effect removes", _picture(figures.ladder_bars(error), "Error ladder down to the floor"), note
+    )
+
+
+def _effects(story: Story) -> str:
+    found = story.diagnosis or {}
+    parts = []
+    for title, rows in (("Faults of the measurement", found.get("faults")), ("Effects found", found.get("effects"))):
+        if rows:
+            judged = any((row.get("displacement_mm") or {}).get("held_out") is not None for row in rows)
+            moves = "moves the body, mm" + ("<br>fitted / held out" if judged else "")
+            columns = ("effect", "parameters ± 1σ", "probability", "share", moves)
+            head = "".join(f"<th>{name}</th>" for name in columns)
+            body = "".join(_effect_row(row, judged) for row in rows)
+            parts.append(_section(title, f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"))
+    return "".join(parts)
+
+
+def _effect_row(row: Mapping[str, Any], judged: bool) -> str:
+    values = "".join(
+        f"<div><code>{_text(label)}</code> {_text(parameter(value))}"
+        + (' <span class="flag">at its bound</span>' if value.get("at_bound") else "")
+        + "</div>"
+        for label, value in (row.get("params") or {}).items()
+    )
+    shift = row.get("displacement_mm") or {}
+    return (
+        f"<tr><td><b>{_text(row.get('name', '?'))}</b><br><small>{_text(row.get('family', '?'))} · stage "
+        f"{_text(row.get('stage', '?'))}</small></td><td>{values}</td>"
+        f"<td>{percent(row.get('probability'))}</td><td>{percent(row.get('share'))}</td>"
+        f"<td>{mm(shift.get('fitted'))}{' / ' + mm(shift.get('held_out')) if judged else ''}</td></tr>"
+    )
+
+
+def _where(story: Story, figures: ModuleType) -> str:
+    if story.before is not None:
+        old: Any = story.before.to_dict()["where"]
+        new: Any = story.after.to_dict()["where"] if story.after else None
+        kind = _short(story)
+    else:
+        maps = (story.diagnosis or {}).get("where") or {}
+        old, new, kind = (
+            maps.get("before"),
+            maps.get("after"),
+            f"; {((story.diagnosis or {}).get('error') or {}).get('kind')}",
+        )
+    if not old or not any(len(rows) > 1 for rows in old.values()):
+        return ""
+    colours = "wide bars before, narrow bars after" if new else "one bar a class"
+    picture = _picture(figures.where_maps(old, new), "Error by condition, before and after")
+    return _section("Where the error is", picture, f"RMS, mm, on one scale; {colours}{_text(kind)}.")
+
+
+def _open_questions(story: Story) -> str:
+    found = story.diagnosis or {}
+    rivals = [
+        (" + ".join(map(str, row.get("effects") or ["?"])), tamed(row.get("why", "")))
+        for row in found.get("rivals") or []
+    ]
+    untestable = [
+        (row.get("name", "?"), f"{row.get('why', '')}" + (f" — {row['experiment']}" if row.get("experiment") else ""))
+        for row in found.get("not_testable") or []
+    ]
+    steps = [(f"{row.get('block', '?')}{_minutes(row)}", _settles(row)) for row in found.get("next") or []]
+    parts = [
+        _definitions("Rivals: what explains these data as well", rivals),
+        _definitions("Not testable with these data", untestable),
+        _definitions("Next experiment", steps),
+        _unexplained(found.get("unexplained") or {}),
+    ]
+    inner = "".join(part for part in parts if part)
+    return f'<div class="columns">{inner}</div>' if inner else ""
+
+
+def _minutes(row: Mapping[str, Any]) -> str:
+    minutes = number(row.get("minutes"))
+    return "" if minutes is None else f" · {minutes:g} min"
+
+
+def _settles(row: Mapping[str, Any]) -> str:
+    settles, apart = row.get("settles"), number(row.get("separation"))
+    named = ", ".join(map(str, settles)) if isinstance(settles, (list, tuple)) else str(settles or "")
+    return f"settles {named}" + ("" if apart is None else f"; expected separation {apart:.3g}")
+
+
+def _definitions(title: str, rows: Sequence[tuple[Any, Any]]) -> str:
+    if not rows:
+        return ""
+    inner = "".join(f"<dt>{_text(term)}</dt><dd>{_text(meaning)}</dd>" for term, meaning in rows)
+    return f"<section><h2>{_text(title)}</h2><dl>{inner}</dl></section>"
+
+
+def _unexplained(left: Mapping[str, Any]) -> str:
+    if not left:
+        return ""
+    by = left.get("predicted_by")
+    named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "nothing that was tried")
+    chi, share = number(left.get("chi2_per_n")), number(left.get("blocked_r2"))
+    rows = [
+        ("size", f"{mm(left.get('rms_mm'))} mm RMS"),
+        ("against the noise", "–" if chi is None else f"chi² per number {chi:.3g} (1 is noise alone)"),
+        ("predictable share", "–" if share is None else f"blocked R² {share:.2g}"),
+        ("follows", named),
+    ]
+    return _definitions("Left unexplained", rows)
+
+
+def _origin(story: Story) -> str:
+    documents = {
+        "before": (story.before.run | {"bundle": story.before.bundle} | story.before.made_from)
+        if story.before
+        else None,
+        "after": ({"bundle": story.after.bundle} | story.after.made_from) if story.after else None,
+        "diagnosis": (story.diagnosis or {}).get("made_from"),
+    }
+    known = {name: value for name, value in documents.items() if value}
+    text = json.dumps(known, indent=1, ensure_ascii=False, default=str, sort_keys=True)
+    return f"<details><summary>What made this page</summary><pre>{_text(text)}</pre></details>"

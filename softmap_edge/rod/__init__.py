@@ -1,0 +1,1 @@
+"""Robots as rods: `robot.toml`, models learned from a reference run."""

@@ -1,0 +1,235 @@
+"""The elastic-tendon rod as Python holds it: its layout, its numbers, which of them are free, and its load fields.
+
+The rod itself is rust/rod/elastic.rs: segments of constant curvature, tendons that stretch and may go slack. Its
+numbers stand in one vector, named by the core: slack · angle, radius, pretension of each tendon · stiffness, length,
+rest bending (2) of each segment · base (3) · tilt (2); rad, mm, stiffness in mm².
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import SoftmapError
+from softmap_edge.rod.reference_run import TIP_PER_NEWTON
+
+Floats = NDArray[np.float64]
+Arrays = dict[str, NDArray[np.generic]]
+
+MOST_NUMBERS = 4096  # of any array of a rod's file
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What is fixed about a rod.
+
+    `segments` S and `channels` C; for each tendon the segment in which it ends and the command that draws it in (both
+    from 0) and by how many mm per unit; `at`: where each marker sits, in segments from the base (3 is the end of the
+    third).
+    """
+
+    segments: int
+    channels: int
+    ends: tuple[int, ...]
+    channel: tuple[int, ...]
+    pull: tuple[float, ...]
+    at: tuple[float, ...]
+
+    def compiled(self, numbers: Floats) -> _core.ElasticRod:
+        """Return the compiled rod with these numbers (P,)."""
+        return _core.ElasticRod(self.segments, self.channels, self.ends, self.channel, self.pull, self.at, numbers)
+
+    def counts(self) -> dict[str, int]:
+        """Return how many numbers there are of each kind, in their order."""
+        n, s = len(self.ends), self.segments
+        tendon, segment = dict.fromkeys(("angle", "radius", "pretension"), n), {"stiffness": s, "length": s}
+        return {"slack": 1} | tendon | segment | {"rest": 2 * s, "base": 3, "tilt": 2}
+
+    def places(self) -> dict[str, slice]:
+        """Return where the numbers of each kind stand."""
+        ends = np.cumsum(list(self.counts().values())).tolist()
+        return {kind: slice(end - count, end) for (kind, count), end in zip(self.counts().items(), ends)}
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticParameters:
+    """A rod with its numbers (P,) and the nominal `flexibility` of its tendons, mm per N, for its load fields."""
+
+    layout: Layout
+    numbers: Floats
+    flexibility: float
+
+    @classmethod
+    def nominal(cls, layout: Layout, numbers: Floats) -> ElasticParameters:
+        """Return a rod on whose resting tip 1 N across moves it by a tenth of its length."""
+        unscaled = cls(layout, numbers, 1.0)
+        fields, home = unscaled.fields(), np.zeros((1, layout.channels))
+        moved = [fields[f"tip_force_{axis}"].evaluate(home)[0, -3:] for axis in "xy"]
+        length = float(numbers[layout.places()["length"]].sum())
+        return replace(unscaled, flexibility=TIP_PER_NEWTON * length / float(np.linalg.norm(moved, axis=1).mean()))
+
+    def compiled(self) -> _core.ElasticRod:
+        """Return the compiled rod: commands (n, C) to markers (n, 3M) mm."""
+        return self.layout.compiled(self.numbers)
+
+    def fields(self) -> dict[str, _core.ElasticField]:
+        """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1 N."""
+        rod = self.compiled()
+        return {name: _core.ElasticField(rod, name, self.flexibility) for name in _core.FIELDS}
+
+    def to_arrays(self) -> Arrays:
+        """Return the arrays of `prior.npz`."""
+        layout = self.layout
+        return {
+            "segments": np.array([layout.segments]),
+            "channels": np.array([layout.channels]),
+            "ends": np.array(layout.ends, np.int64),
+            "channel": np.array(layout.channel, np.int64),
+            "pull": np.array(layout.pull, float),
+            "at": np.array(layout.at, float),
+            "numbers": self.numbers,
+            "flexibility": np.array([self.flexibility]),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> ElasticParameters:
+        """Read the arrays of `prior.npz`.
+
+        Raises:
+            SoftmapError: an array is missing, has the wrong shape, or holds what no rod has.
+        """
+        lists: dict[str, list[float]] = {}
+        for name in ("segments", "channels", "ends", "channel", "pull", "at", "numbers", "flexibility"):
+            if name not in arrays or np.ndim(arrays[name]) != 1 or len(arrays[name]) > MOST_NUMBERS:
+                got = f"of shape {np.shape(arrays[name])}" if name in arrays else "missing"
+                raise SoftmapError(f"elastic rod: array '{name}' is {got}, expected a list; learn the bundle again")
+            lists[name] = np.asarray(arrays[name], float).tolist()
+        for name in ("segments", "channels", "flexibility"):
+            if len(lists[name]) != 1:
+                raise SoftmapError(
+                    f"elastic rod: '{name}' holds {len(lists[name])} numbers, expected one; learn the bundle again"
+                )
+        for name in ("segments", "channels", "ends", "channel"):
+            if not all(0 <= value <= 64 and value == int(value) for value in lists[name]):
+                raise SoftmapError(f"elastic rod: '{name}' is not whole numbers from 0 to 64; learn the bundle again")
+        layout = Layout(
+            segments=int(lists["segments"][0]),
+            channels=int(lists["channels"][0]),
+            ends=tuple(map(int, lists["ends"])),
+            channel=tuple(map(int, lists["channel"])),
+            pull=tuple(lists["pull"]),
+            at=tuple(lists["at"]),
+        )
+        return cls(layout, np.array(lists["numbers"]), lists["flexibility"][0])
+
+    def __str__(self) -> str:
+        """Say in a line what it is."""
+        layout, slack = self.layout, float(self.numbers[0])
+        law = {0.0: "cables (slack 0)", 1.0: "two-sided (slack 1)"}.get(slack, f"slack {slack:.3f}")
+        return f"elastic rod of {layout.segments} segments and {len(layout.ends)} tendons, {law}"
+
+
+# --- which numbers are free ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How one kind of number is fitted: as a factor of its start, or added to it; between `low` and `high`.
+
+    `doubt` is how far off a plausible guess may be: a fit that leaves more uncertainty than that has learned nothing.
+    `scatter` is how far other starts lie from the first. Factors count in natural logarithms, angles in rad, the rest
+    in mm.
+    """
+
+    unit: str
+    factor: bool
+    low: float
+    high: float
+    doubt: float
+    scatter: float
+
+
+KINDS = {
+    "slack": Kind("", False, -1.0, 1.0, 0.25, 0.0),
+    "angle": Kind("deg", False, -1.6, 1.6, 0.5, 0.35),
+    "radius": Kind("mm", True, -1.6, 1.6, 0.5, 0.3),
+    "pretension": Kind("mm", False, -10.0, 10.0, 2.0, 0.0),
+    "stiffness": Kind("mm2", True, -7.0, 7.0, 0.7, 1.0),
+    "length": Kind("mm", True, -0.7, 0.7, 0.2, 0.05),
+    "rest": Kind("deg", False, -1.5, 1.5, 0.3, 0.0),
+    "base": Kind("mm", False, -1000.0, 1000.0, 20.0, 0.0),
+    "tilt": Kind("deg", False, -0.8, 0.8, 0.3, 0.0),
+}
+MODES = {
+    **dict.fromkeys(("angle", "radius", "pretension", "stiffness", "length"), ("known", "shared", "each")),
+    **dict.fromkeys(("slack", "rest", "tilt"), ("known", "fitted")),
+    "base": ("known", "height", "fitted"),
+}
+
+
+class Coordinates:
+    """The free numbers of a rod as x (D,), 0 at the start; what is not free stays as it starts."""
+
+    def __init__(self, layout: Layout, start: Floats, modes: Mapping[str, str]) -> None:
+        """Free the numbers of `layout` that `modes` (kind → mode) names, around `start` (P,)."""
+        self.layout, self.start, places = layout, np.asarray(start, float), layout.places()
+        self.labels: list[str] = []
+        self.kinds: list[str] = []
+        moved: list[list[int]] = []
+        for kind, mode in modes.items():
+            indices = list(range(places[kind].start, places[kind].stop))
+            if mode == "shared":
+                self._add(kind, [kind], moved, [indices])
+            elif mode == "height":
+                self._add(kind, ["base[2]"], moved, [indices[2:]])
+            elif mode in ("each", "fitted"):
+                names = [kind] if kind == "slack" else [f"{kind}[{i}]" for i in range(len(indices))]
+                self._add(kind, names, moved, [[i] for i in indices])
+        self.moved = moved
+        self.spread = np.zeros((len(self.start), len(moved)))
+        for column, indices in enumerate(moved):
+            self.spread[indices, column] = 1.0
+        self.factor = np.array([KINDS[kind].factor for kind in self.kinds], bool)
+        self.log = (self.spread @ self.factor) > 0  # (P,)
+        first = np.array([self.start[indices[0]] for indices in moved])
+        slack = np.array([kind == "slack" for kind in self.kinds], bool)
+        low, high = (np.array([getattr(KINDS[kind], end) for kind in self.kinds]) for end in ("low", "high"))
+        self.low, self.high = np.where(slack, -first, low), np.where(slack, 1.0 - first, high)
+        self.doubt = np.array([KINDS[kind].doubt for kind in self.kinds])
+        self.scatter = np.array([KINDS[kind].scatter for kind in self.kinds])
+
+    def _add(self, kind: str, labels: Sequence[str], moved: list[list[int]], indices: list[list[int]]) -> None:
+        self.labels += labels
+        self.kinds += [kind] * len(labels)
+        moved += indices
+
+    def numbers(self, x: Floats) -> Floats:
+        """Return all numbers (P,) of a rod at x."""
+        step = self.spread @ x
+        return np.where(self.log, self.start * np.exp(np.where(self.log, step, 0.0)), self.start + step)
+
+    def slopes(self, x: Floats, by_number: Floats) -> Floats:
+        """Return slopes (..., D) by x of what has slopes (..., P) by the numbers."""
+        scale = np.where(self.log, self.numbers(x), 1.0)
+        return np.asarray((by_number * scale) @ self.spread)
+
+    def told(self, x: Floats, sigma: Floats) -> list[tuple[float, float, str]]:
+        """Return value, one standard deviation and unit of each free number, as a robot's file has them.
+
+        A number that moves several which start apart is told as the factor, or the angle or mm, by which it moves them.
+        """
+        numbers, told = self.numbers(x), []
+        for i, (kind, indices) in enumerate(zip(self.kinds, self.moved)):
+            unit, alike = KINDS[kind].unit, bool(np.ptp(self.start[indices]) == 0)
+            if self.factor[i]:
+                value = float(numbers[indices[0]] if alike else np.exp(x[i]))
+                told.append((value, value * float(sigma[i]), unit if alike else "times"))
+            else:
+                turn = 180.0 / np.pi if unit == "deg" else 1.0
+                value = float(numbers[indices[0]] if alike else x[i])
+                told.append((value * turn, float(sigma[i]) * turn, unit))
+        return told

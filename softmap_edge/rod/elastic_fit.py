@@ -1,0 +1,239 @@
+"""Fits an elastic-tendon rod to a run: bounded Levenberg-Marquardt on marker positions, from several starts.
+
+    minimise Σ |predicted(x) − seen|²  over x within bounds,  x = the free numbers (`elastic.Coordinates`)
+
+Slopes are exact (rust/rod/elastic_slopes.rs). Held-out error: each fold is predicted by a refit without it. A fold is a
+part of the run's `block` labels (dealt out in turn, so that no fold holds all of one kind of move), else a block of
+time. Uncertainty: the larger of what the linearised fit says with frames taken as independent, and of the spread of
+those refits (jackknife), since neighbouring frames repeat the same form error. A number is *not told* by the run when
+it is left less certain than a guess (`Kind.doubt`), or when it is less certain than a tenth of one and follows another
+(`TRADED`). tests/test_elastic.py pins exact recovery, the folds, and what is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import RobotError, RunError
+from softmap_edge.folds import Folds
+from softmap_edge.rod.elastic import Coordinates, ElasticParameters
+from softmap_edge.rod.reference_run import Fitted, Number, Seen
+from softmap_edge.rod.regression import Drive, fit_drive, refine_drive, rms
+
+if TYPE_CHECKING:
+    from softmap_edge.rod.robot import Robot
+
+Floats = NDArray[np.float64]
+Term = Callable[
+    [Floats, bool], tuple[Floats, Floats]
+]  # x, slopes wanted → residuals (m,), their slopes (m, D) or (0, D)
+
+ITERATIONS = 60
+ENOUGH = 1e-7  # share of the sum of squares by which a step must lower it to be followed by another
+STARTS = 4
+MOST_SEEN, LEAST_FRAMES = 8000, 200  # markers times frames of a fit; more frames, but not these, are thinned evenly
+CHUNK = 4_000_000  # slopes by all numbers that are held at once
+EXACT = 1e-4  # mm: no camera sees better, so that a perfect fit is not infinitely sure
+TRADED = 0.995  # correlation of two numbers from which the run tells them only together
+
+
+def fit_elastic(seen: Seen, robot: Robot, parts: Folds, seed: int) -> Fitted:
+    """Fit the free numbers of an elastic rod, then delay and lag where the log can tell them.
+
+    Raises:
+        RunError: a fold leaves too little to fit the numbers from.
+    """
+    least, free = min(len(train) for _, train in parts) * seen.markers[0].size, len(robot.coordinates().labels)
+    if least < 2 * free:
+        raise RunError(
+            f"beside one of the {len(parts)} parts that are held out in turn {least} coordinates are left to fit "
+            f"{free} numbers from; record longer, label longer moves as one `block`, or make more of them known"
+        )
+    start, drive, pair = robot.start.copy(), seen.drive, (0.0, 0.0)
+    u = drive.at([pair])[0]
+    if not robot.angles_known:
+        start[robot.layout.places()["angle"]] = _sides(robot, u, seen.markers)
+    space = robot.coordinates(start)
+    data = Data(space, u, seen.markers)
+    x, agree = best_of(data, STARTS, seed)
+    if not seen.slow:
+        for _ in range(2):  # the rod's numbers hardly feel the drive's, so that twice in turn is enough
+            rod = robot.layout.compiled(space.numbers(x))
+
+            def error(u: Floats, rod: _core.ElasticRod = rod) -> float:
+                return rms(rod.evaluate(np.ascontiguousarray(u)).reshape(seen.markers.shape) - seen.markers)
+
+            pair = refine_drive(error, drive, *fit_drive(error, drive))
+            data = Data(space, drive.at([pair])[0], seen.markers)
+            x = descend(data.term(), x, space.low, space.high)[0]
+    residuals, refits = cross_validate(data, x, parts)
+    return Fitted(
+        rod=ElasticParameters.nominal(robot.layout, space.numbers(x)),
+        pair=pair,
+        residuals=residuals.reshape(seen.markers.shape),
+        parts=parts,
+        made_from={"robot": robot.name, "seed": seed, "starts": STARTS, "starts_that_agree": agree},
+        numbers=numbers(data, x, refits),
+    )
+
+
+def fit_for(robot: Robot, seen: Seen) -> Seen:
+    """Check that a run is one of this robot, and thin its frames to what a fit needs."""
+    channels, markers = seen.drive.u.shape[1], seen.markers.shape[1]
+    if (channels, markers) != (robot.layout.channels, len(robot.layout.at)):
+        raise RobotError(
+            f"the run has {channels} commands and {markers} markers, '{robot.name}' has {robot.layout.channels} and "
+            f"{len(robot.layout.at)}; give each tendon its command and each marker its place in robot.toml"
+        )
+    free = len(robot.coordinates().labels)
+    if len(seen.frames) * 3 * markers < 4 * free or not free:
+        raise RobotError(
+            f"{len(seen.frames)} usable frames of {markers} markers and {free} numbers to fit; give four coordinates "
+            'for each number, and name in [fit] of robot.toml what is to be fitted, as angle = "each"'
+        )
+    every = -(-len(seen.frames) // max(LEAST_FRAMES, MOST_SEEN // markers))
+    frames = seen.frames[::every]
+    drive = Drive(seen.drive.u, seen.drive.t, seen.run.t_seen[frames])
+    return Seen(seen.run, seen.source, frames, seen.markers[::every], drive)
+
+
+def _sides(robot: Robot, u: Floats, markers: Floats) -> Floats:
+    """Return the side (tendons,) rad to which each tendon pulls the last marker, by a linear fit."""
+    centred, moved = u - u.mean(axis=0), markers[:, -1, :2] - markers[:, -1, :2].mean(axis=0)
+    square = centred.T @ centred
+    slope = np.linalg.solve(square + 1e-3 * np.trace(square) / len(square) * np.eye(len(square)), centred.T @ moved)
+    pull = slope[list(robot.layout.channel)] * np.array(robot.layout.pull)[:, None]
+    return np.asarray(np.arctan2(pull[:, 1], pull[:, 0]))
+
+
+# --- the descent ---------------------------------------------------------------------------------
+
+
+class Data:
+    """Commands u (n, C) and markers (n, M, 3) mm, and how far a rod is off."""
+
+    def __init__(self, coordinates: Coordinates, u: Floats, markers: Floats) -> None:
+        self.coordinates, self.u = coordinates, np.ascontiguousarray(u)
+        self.seen = markers.reshape(len(markers), -1)
+
+    def residuals(self, x: Floats, frames: NDArray[np.intp] | None = None) -> Floats:
+        """Return predicted − seen (n, 3M) mm."""
+        u, seen = (self.u, self.seen) if frames is None else (self.u[frames], self.seen[frames])
+        layout = self.coordinates.layout
+        return layout.compiled(self.coordinates.numbers(x)).evaluate(u) - seen
+
+    def slopes(self, x: Floats, frames: NDArray[np.intp]) -> Floats:
+        """Return the slopes (n·3M, D) of the residuals by x."""
+        rod = self.coordinates.layout.compiled(self.coordinates.numbers(x))
+        step = max(1, CHUNK // (rod.size * len(self.coordinates.start)))
+        parts = [
+            self.coordinates.slopes(x, rod.number_slopes(np.ascontiguousarray(self.u[frames[i : i + step]]))[1])
+            for i in range(0, len(frames), step)
+        ]
+        return np.concatenate(parts).reshape(-1, len(x))
+
+    def term(self, frames: NDArray[np.intp] | None = None) -> Term:
+        """Return the residuals of some frames as `descend` asks for them."""
+        some = np.arange(len(self.u)) if frames is None else frames
+
+        def at(x: Floats, wanted: bool) -> tuple[Floats, Floats]:
+            return self.residuals(x, some).reshape(-1), self.slopes(x, some) if wanted else np.zeros((0, len(x)))
+
+        return at
+
+
+def descend(term: Term, x: Floats, low: Floats, high: Floats) -> tuple[Floats, float]:
+    """Minimise the sum of squares of `term` within bounds; return where, and the sum."""
+    x = np.clip(x, low, high)
+    residual = term(x, False)[0]
+    cost, damping = float(residual @ residual), 1e-3
+    for _ in range(ITERATIONS):
+        jacobian = term(x, True)[1]
+        gradient, square = jacobian.T @ residual, jacobian.T @ jacobian
+        free = ~(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
+        scale = np.maximum(np.diag(square), 1e-12 * max(float(np.trace(square)), 1e-300))
+        fall = 0.0
+        while damping < 1e12 and free.any():
+            system = square + damping * np.diag(scale)
+            step = np.zeros(len(x))
+            try:
+                step[free] = -np.linalg.solve(system[np.ix_(free, free)], gradient[free])
+            except np.linalg.LinAlgError:  # two numbers that do the same, and damping lost in round-off
+                damping *= 8.0
+                continue
+            ahead = np.clip(x + step, low, high)
+            reached = term(ahead, False)[0]
+            fall = cost - float(reached @ reached)
+            if fall > 0:
+                x, residual, cost = ahead, reached, cost - fall
+                damping = max(damping * 0.1, 1e-12)
+                break
+            damping *= 8.0
+        if fall <= ENOUGH * cost:
+            break
+    return x, cost
+
+
+def best_of(data: Data, starts: int, seed: int) -> tuple[Floats, int]:
+    """Fit from the file's start and from others drawn around it; return the best x and how many starts reach it."""
+    space, rng = data.coordinates, np.random.default_rng(seed)
+    tried = [np.zeros(len(space.labels))]
+    tried += [rng.normal(size=len(space.labels)) * space.scatter for _ in range(starts - 1)]
+    found = [descend(data.term(), x, space.low, space.high) for x in tried]
+    best = min(found, key=lambda end: end[1])
+    return best[0], sum(cost <= best[1] * 1.01 + 1e-12 for _, cost in found)
+
+
+def cross_validate(data: Data, x: Floats, parts: Folds) -> tuple[Floats, Floats]:
+    """Return predicted − seen (n, 3M) mm, each fold by a refit without it, and the refits (folds, D)."""
+    residuals, refits = np.empty_like(data.seen), []
+    for test, train in parts:
+        without = descend(data.term(train), x, data.coordinates.low, data.coordinates.high)[0]
+        residuals[test] = data.residuals(without, test)
+        refits.append(without)
+    return residuals, np.stack(refits)
+
+
+# --- what is told --------------------------------------------------------------------------------
+
+
+def numbers(data: Data, x: Floats, refits: Floats) -> tuple[Number, ...]:
+    """Return what the fit says of each free number."""
+    space, everything = data.coordinates, np.arange(len(data.u))
+    residual, jacobian = data.residuals(x).reshape(-1), data.slopes(x, everything)
+    spread, traded = _linear(jacobian, space.doubt, float(residual @ residual) / max(1, len(residual) - len(x)))
+    folds = len(refits)
+    jackknife = np.sqrt((folds - 1.0) / folds * ((refits - refits.mean(axis=0)) ** 2).sum(axis=0))
+    sigma = np.maximum(spread, jackknife)
+    told = space.told(x, np.minimum(sigma, 1e3))
+    at_bound = (x <= space.low + 1e-9) | (x >= space.high - 1e-9)
+    found = []
+    for i, (value, deviation, unit) in enumerate(told):
+        partner = int(np.argmax(np.abs(traded[i])))
+        note = ""
+        if sigma[i] > space.doubt[i]:
+            note = "not told by this run"
+        if abs(traded[i, partner]) > TRADED and sigma[i] > 0.1 * space.doubt[i]:
+            note = f"told only together with {space.labels[partner]}"
+        found.append(Number(space.labels[i], value, deviation, unit, bool(at_bound[i]), note))
+    return tuple(found)
+
+
+def _linear(jacobian: Floats, doubt: Floats, variance: float) -> tuple[Floats, Floats]:
+    """Return one standard deviation of each x from the linearised fit, and their correlations without the diagonal.
+
+    A guess of width ten `doubt` stands beside the data, so that a direction which the data do not see at all stays
+    finite.
+    """
+    scaled = jacobian * doubt  # x in units of doubt
+    information = scaled.T @ scaled / max(variance, EXACT**2) + 1e-2 * np.eye(len(doubt))
+    strength, directions = np.linalg.eigh(information)
+    covariance = (directions / np.maximum(strength, 1e-2)) @ directions.T
+    deviation = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(deviation, deviation)
+    return deviation * doubt, correlation - np.diag(np.diag(correlation))

@@ -1,0 +1,231 @@
+"""Fit a rod to a reference run: the prior of a robot that has no simulator. Seconds; numpy and the core only.
+
+Two rods (rust/rod/) turn commands into markers. Where the robot's tendons are described (`robot.py`) it is the elastic
+one, fitted by `elastic_fit.py`; else a chain of chords whose bending angles are a polynomial (`polynomial.py`).
+With either, delay and lag of the drive are found, which stay effects of the chain; a log too slow for them has none.
+Degree, ridge, delay and lag are those with the lowest error; frames closer than `gap_s` to a block are not used to
+predict it. These few choices are made on the blocks that give the stated error, so it is slightly low; frames in
+`hold_out` are never looked at. Known limit: memory other than delay and lag is not fitted.
+tests/test_rod.py and tests/test_elastic.py pin exact recovery and the error on real data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from softmap_edge import __version__, _core
+from softmap_edge.errors import SoftmapError
+from softmap_edge.folds import folds
+from softmap_edge.rod.elastic import ElasticParameters
+from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
+from softmap_edge.rod.polynomial import RodParameters, fit_polynomial
+from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
+from softmap_edge.rod.regression import rms
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+    from softmap_edge.rod.robot import Robot
+    from softmap_edge.run import Run, Source
+
+Floats = NDArray[np.float64]
+Arrays = dict[str, NDArray[np.generic]]
+
+RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
+USELESS = 0.8  # share of that straying from which a held-out error says that commands explain little
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedRod:
+    """A rod fitted to a run, and how well it predicts what it has not seen.
+
+    `chain_names` and `chain_params` (by label, s) are the delay and lag of the drive that belong in the bundle's chain.
+    `error_mm` is the blocked cross-validation RMS over all markers, `per_fold_mm` (blocks,), `per_marker_mm` (K,);
+    `form_error` (K, 3) mm is its RMS by marker and axis; `residuals` (n, K, 3) mm (predicted − seen) at `frames` (n,);
+    `numbers` are what was fitted of an elastic rod; `notes` say what to beware of.
+    """
+
+    rod: Rod
+    input: Source
+    chain_names: tuple[str, ...]
+    chain_params: Mapping[str, float]
+    error_mm: float
+    per_fold_mm: Floats
+    per_marker_mm: Floats
+    form_error: Floats
+    residuals: Floats
+    frames: NDArray[np.intp]
+    made_from: Mapping[str, Any]
+    numbers: tuple[Number, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def to_arrays(self) -> Arrays:
+        """Return the arrays of `prior.npz` (delay and lag live in `effects.json`)."""
+        return self.rod.to_arrays()
+
+    def __str__(self) -> str:
+        """Say in a few lines what was fitted and how far it is off."""
+        drive = ", ".join(f"{label} {value:.3f} s" for label, value in self.chain_params.items()) or "no delay, no lag"
+        markers = ", ".join(f"{value:.2f}" for value in self.per_marker_mm)
+        blocks = ", ".join(f"{value:.2f}" for value in self.per_fold_mm)
+        lines = [
+            f"{self.rod}, on the {self.input} command; {drive}",
+            f"blocked cross-validation {self.error_mm:.2f} mm RMS (markers {markers}; blocks {blocks})",
+        ]
+        return "\n".join([*lines, *(f"  {number}" for number in self.numbers), *self.notes])
+
+
+def learn(
+    run: Run,
+    input: Source | None = None,
+    blocks: int = 5,
+    gap_s: float = 2.0,
+    hold_out: Sequence[tuple[float, float]] = (),
+    *,
+    base: ArrayLike | None = None,
+    degree: int | None = None,
+    rate_hz: float = RATE_HZ,
+    robot: Robot | None = None,
+    seed: int = 0,
+) -> LearnedRod:
+    """Fit a rod and the delay and lag of the drive to a reference run with markers.
+
+    Args:
+        run: commands (T, C) and markers (K, M, 3) mm, base to tip, in the base frame (z along the rest axis).
+        input: "goal" or "present"; None takes the present positions where the run has them.
+        blocks: contiguous blocks of the cross-validation; an elastic rod takes the run's `block` labels if it has any.
+        gap_s: s, frames this close to a block are not used to predict it.
+        hold_out: intervals (t0, t1) s whose frames are not used at all.
+        base: (3,) mm, the point from which the first chord starts; None is the origin of the base frame. It is not
+            fitted: markers do not tell it (on the trunk any depth from 0 to 94 mm predicts equally well within 0.1 mm).
+        degree: of the polynomial; None chooses among 1, 2, 3.
+        rate_hz: at most so many frames a second are used.
+        robot: a description of the robot's tendons; with it the rod is elastic, without it a polynomial.
+        seed: of the starts of an elastic fit.
+
+    Raises:
+        RunError: the run has no markers or no commands, too few frames, or hardly moves.
+        RobotError: the run is not one of that robot.
+    """
+    seen = observe(run, input, hold_out, rate_hz)
+    if robot is None:
+        fitted = fit_polynomial(seen, blocks, gap_s, base, degree)
+    elif base is not None or degree is not None:
+        raise SoftmapError("base and degree belong to the polynomial rod; an elastic one has base_mm in its robot.toml")
+    else:
+        seen = fit_for(robot, seen)
+        labels = None if run.block is None or len(np.unique(run.block[seen.frames])) < 2 else run.block[seen.frames]
+        fitted = fit_elastic(seen, robot, folds(seen.t, blocks, gap_s, labels), seed)
+    made_from = {
+        "softmap-edge": __version__, "run": run.hash(), "frames": len(seen.frames), "rate_hz": rate_hz,
+        "blocks": len(fitted.parts), "gap_s": gap_s, "hold_out_s": [list(map(float, pair)) for pair in hold_out],
+    }  # fmt: skip
+    return _learned(seen, fitted, made_from)
+
+
+def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> LearnedRod:
+    """Put together what was fitted, how far off it is, and what to beware of."""
+    residuals, params = fitted.residuals, dict(zip(("latency.delay", "lag.tau"), fitted.pair))
+    per_fold = [rms(residuals[test]) for test, _ in fitted.parts]
+    per_marker = [rms(residuals[:, k]) for k in range(residuals.shape[1])]
+    notes = _notes(seen, fitted, rms(residuals))
+    more = {
+        "per_fold_mm": [round(error, 4) for error in per_fold],
+        "per_marker_mm": [round(error, 4) for error in per_marker],
+        "compliance": "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams",
+        "notes": list(notes),
+    }
+    if fitted.numbers:
+        more["numbers"] = [number.to_dict() for number in fitted.numbers]
+    return LearnedRod(
+        rod=fitted.rod,
+        input=seen.source,
+        chain_names=tuple(label.split(".")[0] for label, value in params.items() if value > 0),
+        chain_params={label: value for label, value in params.items() if value > 0},
+        error_mm=rms(residuals),
+        per_fold_mm=np.array(per_fold),
+        per_marker_mm=np.array(per_marker),
+        form_error=np.sqrt((residuals**2).mean(axis=0)),
+        residuals=residuals,
+        frames=seen.frames,
+        made_from={**made_from, **fitted.made_from, **more},
+        numbers=fitted.numbers,
+        notes=notes,
+    )
+
+
+def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
+    """Return what the user should know before trusting the rod."""
+    notes, unit = [], seen.run.command_unit
+    commands, stray = seen.drive.u, seen.stray
+    for c in np.flatnonzero(np.ptp(commands, axis=0) == 0):
+        notes.append(f"command {c + 1} stays at {commands[0, c]:g} {unit}: the rod does not know what it does")
+    if error > USELESS * stray:
+        notes.append(
+            f"the held-out error of {error:.2f} mm is hardly below the {stray:.2f} mm of always answering the mean "
+            "pose: the commands do not explain these markers, or the run is too short"
+        )
+    vague = [number.label for number in fitted.numbers if number.note]
+    if vague:
+        notes.append(f"this run does not tell {', '.join(vague)}; make them known in robot.toml, or record other moves")
+    stuck = [number.label for number in fitted.numbers if number.at_bound and number.label != "slack"]
+    if stuck:
+        notes.append(f"{', '.join(stuck)} went as far as the fit may go; start from better numbers in robot.toml")
+    return tuple(notes)
+
+
+def learn_model(
+    run: Run,
+    input: Source | None = None,
+    hold_out: Sequence[tuple[float, float]] = (),
+    robot: Robot | None = None,
+    **options: Any,
+) -> Model:
+    """Learn a rod and return it as a model; arguments as for `learn`."""
+    learned = learn(run, input, hold_out=hold_out, robot=robot, **options)
+    return learned_model(run, learned)
+
+
+def learned_model(run: Run, learned: LearnedRod) -> Model:
+    """Return the model of a rod that was learned from `run`."""
+    from softmap_edge.model import Model
+
+    rod, markers = learned.rod.compiled(), len(learned.per_marker_mm)
+    commands = run.commands(learned.input)
+    home = rod.evaluate(np.zeros((1, commands.shape[1]))).reshape(-1, 3)
+    model = Model(
+        kind="rod",
+        prior=rod,
+        fields=learned.rod.fields(),
+        rest=np.asarray(home if run.marker_rest is None else run.marker_rest, float),
+        triangles=np.zeros((0, 3), np.int32),
+        form_error=learned.form_error,
+        vertex_error_mm=learned.error_mm,
+        tip_indices=np.array([markers - 1]),
+        gravity_reference=_gravity(run),
+        command_range=np.stack([commands.min(axis=0), commands.max(axis=0)], axis=1),
+        robot=run.robot or str(learned.made_from.get("robot", "robot")),
+        command_unit=run.command_unit,
+        input=learned.input,
+        made_from=learned.made_from,
+        arrays={"prior": learned.to_arrays(), "fields": {}},
+        stiffness_known=False,
+    )
+    return model.with_effects(learned.chain_names, learned.chain_params)
+
+
+def rod_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[_core.Shape, dict[str, Any]]:
+    """Return the compiled rod and its load fields from the arrays of `prior.npz`."""
+    kind: type[ElasticParameters | RodParameters] = ElasticParameters if "numbers" in arrays else RodParameters
+    parameters = kind.from_arrays(arrays)
+    return parameters.compiled(), dict(parameters.fields())
+
+
+def _gravity(run: Run) -> Floats:
+    if run.gravity is None:
+        return np.array([0.0, 0.0, 1.0])  # hanging, as the built-in finger
+    return np.asarray(run.gravity if run.gravity.ndim == 1 else run.gravity.mean(axis=0), float)

@@ -1,0 +1,127 @@
+"""The polynomial rod as Python holds it, and its fit: chords whose bending angles are a polynomial of the commands.
+
+    v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
+
+Its weights are found by ridge regression; penalty: n · ridge · RIDGE[degree of the monomial] on all weights but the
+intercept, n frames. Degree and ridge are those with the lowest cross-validation error (`regression.py`).
+Known limit: one marker at the end of each chord, base to tip. tests/test_rod.py pins exact recovery.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.folds import folds
+from softmap_edge.rod.reference_run import TIP_PER_NEWTON, Fitted, Seen
+from softmap_edge.rod.regression import Regression, choose_degree, fit_drive, normalise, refine_drive
+
+Floats = NDArray[np.float64]
+Arrays = dict[str, NDArray[np.generic]]
+
+DEGREES = (1, 2, 3)
+LOCK = 1.0  # the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
+
+
+@dataclass(frozen=True, eq=False)
+class RodParameters:
+    """The numbers of a rod.
+
+    `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + G, K)
+    mm, the nominal `compliance` of its load fields in N⁻¹·mm⁻² and their `lock`: how far the tendons hold each chord's
+    mean bending against a load, 0 (not at all) to 1 (motors that hold, tendons that do not stretch).
+    """
+
+    base: Floats
+    centre: Floats
+    scale: Floats
+    degree: int
+    angles: Floats
+    lengths: Floats
+    compliance: float
+    lock: float = LOCK
+
+    def compiled(self) -> _core.Rod:
+        """Return the compiled rod: commands (n, C) to markers (n, 3K) mm."""
+        return _core.Rod(self.base, self.centre, self.scale, self.degree, self.angles, self.lengths)
+
+    def fields(self) -> dict[str, _core.RodField]:
+        """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1 N."""
+        rod = self.compiled()
+        return {name: _core.RodField(rod, name, self.compliance, self.lock) for name in _core.FIELDS}
+
+    def to_arrays(self) -> Arrays:
+        """Return the arrays of `prior.npz`."""
+        arrays: Arrays = {name: getattr(self, name) for name in ("base", "centre", "scale", "angles", "lengths")}
+        single = {"degree": self.degree, "compliance": self.compliance, "lock": self.lock}
+        return arrays | {name: np.array([value]) for name, value in single.items()}
+
+    def __str__(self) -> str:
+        """Say in a line what it is."""
+        return f"rod of {self.lengths.shape[1]} chords, degree {self.degree}"
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> RodParameters:
+        """Read the arrays of `prior.npz`.
+
+        Raises:
+            SoftmapError: an array is missing or has the wrong number of axes.
+        """
+        axes = {"base": 1, "centre": 1, "scale": 1, "angles": 2, "lengths": 2, "degree": 1, "compliance": 1, "lock": 1}
+        values: dict[str, Floats] = {}
+        for name, ndim in axes.items():
+            if name not in arrays or np.ndim(arrays[name]) != ndim:
+                got = f"of {np.ndim(arrays[name])} axes" if name in arrays else "missing"
+                raise SoftmapError(f"rod: array '{name}' is {got}, expected {ndim} axes; learn the bundle again")
+            values[name] = np.ascontiguousarray(arrays[name], float)
+        single = {name: values.pop(name).tolist() for name in ("degree", "compliance", "lock")}
+        for name, value in single.items():
+            if len(value) != 1:
+                raise SoftmapError(f"rod: '{name}' holds {len(value)} numbers, expected one; learn the bundle again")
+        (degree,), (compliance,), (lock,) = single.values()
+        if degree not in (1, 2, 3, 4):
+            raise SoftmapError(f"rod: degree {degree}, expected 1 to 4; learn the bundle again")
+        return cls(degree=int(degree), compliance=compliance, lock=lock, **values)
+
+
+def fit_polynomial(seen: Seen, blocks: int, gap_s: float, base: ArrayLike | None, degree: int | None) -> Fitted:
+    """Fit a polynomial rod: its degree, ridge, delay and lag by cross-validation."""
+    commands, parts = seen.drive.u, folds(seen.t, blocks, gap_s)
+    smallest = min(len(train) for _, train in parts)
+    degrees: tuple[int, ...] = DEGREES if degree is None else (degree,)
+    degrees = tuple(d for d in degrees if 2 * len(_core.monomial_degrees(commands.shape[1], d)) < smallest)
+    if not degrees:
+        raise RunError(
+            f"{len(seen.frames)} usable frames leave {smallest} to learn from beside a block, too few for a polynomial "
+            f"of {commands.shape[1]} commands; record longer, use fewer blocks or a smaller gap_s"
+        )
+    fit, drive, pair = Regression(seen.markers, _base(base), parts), seen.drive, (0.0, 0.0)
+    if not seen.slow:
+        pair = fit_drive(lambda u: fit.error(u, min(degrees[-1], 2), 1.0), drive)
+    chosen, ridge = choose_degree(fit, drive.at([pair])[0], degrees)
+    if not seen.slow:
+        pair = refine_drive(lambda u: fit.error(u, chosen, ridge), drive, *pair)
+    u = drive.at([pair])[0]
+    weights = fit.weights(u, chosen, ridge)
+    rod = RodParameters(
+        fit.base, weights.centre, weights.scale, chosen, weights.angles, weights.lengths, _nominal(fit.lengths)
+    )
+    return Fitted(rod, pair, fit.cross_validate(normalise(u), chosen, ridge), parts, {"degree": chosen, "ridge": ridge})
+
+
+def _base(base: ArrayLike | None) -> Floats:
+    point = np.zeros(3) if base is None else np.array(base, float)
+    if point.shape != (3,) or not np.all(np.isfinite(point)):
+        raise SoftmapError(f"base of shape {point.shape}: expected three finite numbers in mm")
+    return point
+
+
+def _nominal(lengths: Floats) -> float:
+    """Return the nominal compliance c (N⁻¹·mm⁻²): 1 N across straight locked chords moves the tip by c·Σ l_k³/12."""
+    mean = lengths.mean(axis=0)
+    return float(12.0 * TIP_PER_NEWTON * mean.sum() / (mean**3).sum())

@@ -1,0 +1,1 @@
+"""Fingers as solids: `finger.toml`, meshes, the simulator, models made with it, and its numbers fitted to a run."""

@@ -1,0 +1,201 @@
+"""Make a model from a finger: sweep, fields, compression to modes, and a measured form error.
+
+The form error is measured, not assumed: commands off the grid, solved on another mesh with the modulus
+10 % up and 10 % down, against the table; per feature and over the vertices. For a mesh made elsewhere the other mesh is
+the refined one, eight times the cells: it is solved at a few commands only, from the equilibria of the first, and its
+difference is added to that of the modulus in squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import __version__
+from softmap_edge.bundle import cables_from, fields_from, table_from
+from softmap_edge.errors import SoftmapError
+from softmap_edge.features import SECTIONS
+from softmap_edge.model import Arrays, Model, tip_of
+from softmap_edge.run import Run
+from softmap_edge.solid.bodies import Meshed
+from softmap_edge.solid.finger import Finger
+from softmap_edge.solid.simulator import Compliance, Simulator, Sweep
+
+Floats = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+MODES = 16  # 12 modes hold the shapes of a finger to 0.016 mm
+FIELD_MODES = 12
+FIELD_STEPS = 11  # a field is smooth: a grid of 11 a channel,
+COARSE_FIELD_STEPS = 7  # of 7 where there are three, or where a mesh made elsewhere takes its time
+FORM_COMMANDS = 24
+MESHED_COMMANDS = 8
+REFINED_COMMANDS = 3  # a factor of the refined mesh takes seconds, not milliseconds
+USUAL_STEPS = {1: 41, 2: 41, 3: 13}  # commands a channel of a sweep: 1681 of two, 2197 of three
+FORM_SEED = 20
+SIDEWAYS = 0.7  # g across the reference, a lean of 35 degrees: where the error under another gravity is measured
+
+
+def build_model(
+    finger: Finger, steps: int | None = None, progress: Progress | None = None, modes: int = MODES
+) -> Model:
+    """Simulate `finger` over its command range and return its table model.
+
+    `steps` commands a channel (odd, at least 5; usually 41, or 13 of three channels) over its command range.
+    `progress` is called with (what, share). Raises NoEquilibriumError where the simulator finds none, SoftmapError
+    for a bad argument.
+    """
+    report: Progress = progress or (lambda what, share: None)
+    simulator = Simulator(finger)
+    grid_axes(finger, steps)
+    Simulator(finger.other_mesh())  # the form error needs it: what cannot be built is refused before the sweep
+    sweep = simulator.sweep(grid_axes(finger, steps), progress=lambda share: report("sweep", share))
+    return from_sweep(finger, simulator, sweep, report, modes)
+
+
+def grid_axes(finger: Finger, steps: int | None = None) -> list[Floats]:
+    """Return the axes of a sweep of `finger`, in its command unit; raises SoftmapError for more than three commands."""
+    if len(finger.pairs) > max(USUAL_STEPS):
+        raise SoftmapError(
+            f"{finger.name} has {len(finger.pairs)} commands, a sweep is a grid over at most {max(USUAL_STEPS)}; pair "
+            "its tendons, or simulate scattered commands with Simulator.path"
+        )
+    count = steps or USUAL_STEPS.get(len(finger.pairs), 1)
+    return [np.linspace(low, high, count) for low, high in finger.command_range]
+
+
+def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progress, modes: int = MODES) -> Model:
+    """Compress a sweep of `finger` to a table model, add its fields and measure its form error."""
+    rest, triangles = simulator.template.vertices, simulator.template.triangles
+    prior = compress(sweep.vertices.reshape(len(sweep.command), -1), modes)
+    prior |= {f"axis{c}": np.asarray(axis) for c, axis in enumerate(sweep.axes)}
+    prior["pull"] = sweep.pull.astype(np.float32)
+    many = len(sweep.axes) > 2 or isinstance(finger.solid, Meshed)
+    steps = COARSE_FIELD_STEPS if many else FIELD_STEPS
+    field_axes = [np.linspace(axis[0], axis[-1], steps) for axis in sweep.axes]
+    if field_axes:
+        grid = np.stack([g.ravel() for g in np.meshgrid(*field_axes, indexing="ij")], axis=1)
+    else:
+        grid = np.zeros((1, 0))
+    report("fields", 0.0)
+    fields = _field_arrays(simulator.fields(grid), field_axes)
+    if finger.tendons and finger.command_unit == "mm":  # a tension given in N stays what it is under a load
+        fields["stiffness"] = np.full(len(finger.tendons), finger.cable_stiffness_n_mm)
+    report("fields", 1.0)
+    model = Model(
+        kind="table",
+        prior=table_from(prior),
+        fields=fields_from(fields),
+        cables=cables_from(prior, fields),
+        rest=np.asarray(np.float32(rest), float),
+        triangles=np.asarray(triangles, np.int32),
+        form_error=np.zeros((3 * SECTIONS, 3)),
+        vertex_error_mm=0.0,
+        tip_indices=tip_of(sweep.vertices),
+        gravity_reference=np.asarray(finger.gravity, float),
+        command_range=np.array([[axis[0], axis[-1]] for axis in sweep.axes], float).reshape(-1, 2),
+        robot=finger.name,
+        command_unit=finger.command_unit,
+        made_from={
+            "softmap-edge": __version__,
+            "finger": finger.name,
+            "steps": len(sweep.axes[0]) if sweep.axes else 1,
+            "modes": modes,
+        },
+        arrays={"prior": prior, "fields": fields},
+    )
+    report("form error", 0.0)
+    error, vertex_error, grown = form_error(model, finger, simulator)
+    report("form error", 1.0)
+    return replace(model, form_error=error, vertex_error_mm=vertex_error, error_per_g_mm=grown)
+
+
+def compress(values: Floats, modes: int) -> Arrays:
+    """Return `mean` (M,), `modes` (m, M) and `coefficients` (S, m) of values (S, M), stored as float32."""
+    mean = values.mean(axis=0)
+    centred = values - mean
+    basis = leading(centred, modes)
+    return {
+        "mean": mean.astype(np.float32),
+        "modes": basis.astype(np.float32),
+        "coefficients": (centred @ basis.T).astype(np.float32),
+    }
+
+
+def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floats, float, float]:
+    """Measure the model's own error at held-out commands: RMS (V, 3) mm of its features, RMS mm of its vertices, and by
+    how much the latter grows for each g by which gravity differs from the reference.
+
+    The truth has another mesh and a modulus 10 % lower and higher; the same template points are seen. The modulus
+    matters under the weight of a leaning body, hardly under tendons whose shortening is given.
+    """
+    rng = np.random.default_rng(FORM_SEED)
+    low, high = model.command_range.T
+    meshed = isinstance(finger.solid, Meshed)
+    count = (MESHED_COMMANDS if meshed else FORM_COMMANDS) if model.channels else 1
+    commands = rng.uniform(low * 0.85, high * 0.85, (count, model.channels))
+    if finger.command_unit == "N":  # nothing is pulled below zero: stay inside the range
+        commands = low + (high - low) * rng.uniform(0.075, 0.925, commands.shape)
+    predicted = model.prior.evaluate(commands).reshape(count, -1, 3)
+    leaning = _leaning(model.gravity_reference)
+    t = np.arange(count, dtype=float)
+    leaned = model.predict(Run(t=t, command=commands, command_unit=model.command_unit, gravity=leaning, t_seen=t))
+    truth = finger if meshed else finger.other_mesh()
+    squares, vertex_squares, leaning_squares = [], [], []
+    for factor in (0.9, 1.1):
+        other = Simulator(truth.replace(young_mpa=finger.young_mpa * factor), template=simulator.template)
+        error = other.path(commands) - predicted
+        squares.append(model.feature_map(error) ** 2)
+        vertex_squares.append((error**2).sum(axis=2))
+        leaning_squares.append(((other.path(commands, gravity=leaning) - leaned) ** 2).sum(axis=2))
+    features, upright = np.mean(np.concatenate(squares), axis=0), float(np.mean(vertex_squares))
+    aslant = float(np.mean(leaning_squares))
+    grown = float(np.sqrt(max(aslant - upright, 0.0)) / np.linalg.norm(leaning - model.gravity_reference))
+    if meshed:
+        error = refined(finger, simulator, commands[:REFINED_COMMANDS])
+        features += np.mean(model.feature_map(error) ** 2, axis=0)
+        upright += float(np.mean((error**2).sum(axis=2)))
+    return np.sqrt(features), float(np.sqrt(upright)), grown
+
+
+def refined(finger: Finger, simulator: Simulator, commands: Floats) -> Floats:
+    """Return by how much (K, N, 3) mm a mesh of eight times the cells bends otherwise at commands (K, C)."""
+    finer = Simulator(finger.other_mesh(), template=simulator.template)
+    return finer.path_from(simulator, commands) - simulator.path(commands)
+
+
+def _leaning(gravity: Floats) -> Floats:
+    """Return the unit gravity (3,) of the finger turned so that `gravity` (3,) g gets SIDEWAYS across it."""
+    across = np.eye(3)[int(np.argmin(np.abs(gravity)))]
+    across = across - (across @ gravity) * gravity / max(gravity @ gravity, 1e-9)
+    leaning = gravity + SIDEWAYS * across / np.linalg.norm(across)
+    return np.asarray(leaning / np.linalg.norm(leaning))
+
+
+def _field_arrays(compliance: Compliance, axes: list[Floats]) -> Arrays:
+    """Compress all fields to modes that they share; `coefficients_NAME` on the grid of `axes`, and `stretch`."""
+    fields = compliance.fields
+    names = sorted(fields)
+    flat = np.concatenate([fields[name].reshape(len(fields[name]), -1) for name in names])
+    scale = np.concatenate([np.full(len(fields[n]), np.sqrt((fields[n] ** 2).mean()) + 1e-12) for n in names])
+    basis = leading(flat / scale[:, None], FIELD_MODES)
+    arrays: Arrays = {f"axis{c}": axis for c, axis in enumerate(axes)}
+    arrays["modes"] = basis.astype(np.float16)
+    stored = arrays["modes"].astype(float)
+    for name in names:
+        values = fields[name].reshape(len(fields[name]), -1)
+        arrays[f"coefficients_{name}"] = np.linalg.lstsq(stored.T, values.T, rcond=None)[0].T.astype(np.float32)
+    arrays["stretch"] = compliance.stretch.reshape(len(compliance.stretch), -1).astype(np.float32)
+    return arrays
+
+
+def leading(values: Floats, modes: int) -> Floats:
+    """Return the `modes` leading right singular vectors (m, M) of values (S, M)."""
+    if len(values) < values.shape[1]:
+        _, vectors = np.linalg.eigh(values @ values.T)
+        return np.ascontiguousarray(np.linalg.qr(values.T @ vectors[:, ::-1][:, :modes])[0].T)
+    _, directions = np.linalg.eigh(values.T @ values)
+    return np.ascontiguousarray(directions[:, ::-1][:, :modes].T)
