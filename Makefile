@@ -20,8 +20,9 @@ test: test-rust test-python
 test-rust:
 	cargo test --locked --quiet
 
+# One worker a core, each with one thread.
 test-python: $(VENV)/.test
-	$(BIN)/python -m pytest -m "not prove"
+	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not prove" -n auto --dist loadfile
 
 # rustfmt by file: `cargo fmt` does not see the modules that a macro declares (rust/effects/mod.rs).
 lint: $(VENV)/.lint
