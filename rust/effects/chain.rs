@@ -116,11 +116,12 @@ impl Chain {
         for link in &self.links {
             for parameter in link.effect.declaration.parameters {
                 let label = format!("{}.{}", link.effect.declaration.name, parameter.name);
-                if parameter.per_channel {
-                    all.extend((0..self.channels).map(|c| (format!("{label}[{c}]"), parameter)));
-                } else {
-                    all.push((label, parameter));
-                }
+                let indices = parameter.indices(self.channels);
+                all.extend(
+                    indices
+                        .iter()
+                        .map(|index| (label.clone() + index, parameter)),
+                );
             }
         }
         all

@@ -49,15 +49,75 @@ pub struct Parameter {
     pub start: f64,
     pub low: f64,
     pub high: f64,
-    /// One number per channel instead of one for all.
-    pub per_channel: bool,
     pub doc: &'static str,
+    /// One number for all channels, or one for each.
+    pub each: Each,
+    /// A whole number: no slope leads to it, so fits try each from low to high as a start and leave it there.
+    pub integer: bool,
+}
+
+/// What a parameter has a number for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Each {
+    Robot,
+    Channel,
 }
 
 impl Parameter {
+    /// One number for all channels, searched from `low` to `high`.
+    pub const fn new(
+        name: &'static str,
+        unit: &'static str,
+        null: f64,
+        start: f64,
+        low: f64,
+        high: f64,
+        doc: &'static str,
+    ) -> Parameter {
+        Parameter {
+            name,
+            unit,
+            null,
+            start,
+            low,
+            high,
+            doc,
+            each: Each::Robot,
+            integer: false,
+        }
+    }
+
+    /// One number for each channel.
+    pub const fn per_channel(mut self) -> Parameter {
+        self.each = Each::Channel;
+        self
+    }
+
+    /// A whole number.
+    pub const fn integer(mut self) -> Parameter {
+        self.integer = true;
+        self
+    }
+
     /// Whether fits search on a logarithmic scale: they do where the lower bound is positive.
     pub fn log(&self) -> bool {
-        self.low > 0.0
+        self.low > 0.0 && !self.integer
+    }
+
+    /// What follows the name in the label of each of its numbers.
+    pub fn indices(&self, channels: usize) -> Vec<String> {
+        match self.each {
+            Each::Robot => vec![String::new()],
+            Each::Channel => (0..channels).map(|c| format!("[{c}]")).collect(),
+        }
+    }
+
+    /// How many numbers it has.
+    pub fn count(&self, channels: usize) -> usize {
+        match self.each {
+            Each::Robot => 1,
+            Each::Channel => channels,
+        }
     }
 }
 
@@ -85,10 +145,7 @@ pub struct Declaration {
 impl Declaration {
     /// Number of parameter values for `channels` channels.
     pub fn width(&self, channels: usize) -> usize {
-        self.parameters
-            .iter()
-            .map(|p| if p.per_channel { channels } else { 1 })
-            .sum()
+        self.parameters.iter().map(|p| p.count(channels)).sum()
     }
 }
 

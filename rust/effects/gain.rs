@@ -19,16 +19,16 @@ pub static EFFECT: Effect = Effect {
         experiment: ("full range, both signs, at least three levels", 1.0),
         alike: &[],
         needs: &[],
-        parameters: &[Parameter {
-            name: "factor",
-            unit: "1",
-            null: 1.0,
-            start: 1.05,
-            low: 0.7,
-            high: 1.3,
-            per_channel: true,
-            doc: "shortening that acts, over shortening commanded, of the channel",
-        }],
+        parameters: &[Parameter::new(
+            "factor",
+            "1",
+            1.0,
+            1.05,
+            0.7,
+            1.3,
+            "shortening that acts, over shortening commanded, of the channel",
+        )
+        .per_channel()],
     },
     law: Law::Channel(&Gain),
 };

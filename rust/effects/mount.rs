@@ -9,29 +9,11 @@ use super::declaration::*;
 
 /// One of three like parameters.
 const fn turn(name: &'static str, doc: &'static str) -> Parameter {
-    Parameter {
-        name,
-        unit: "deg",
-        null: 0.0,
-        start: 1.0,
-        low: -6.0,
-        high: 6.0,
-        per_channel: false,
-        doc,
-    }
+    Parameter::new(name, "deg", 0.0, 1.0, -6.0, 6.0, doc)
 }
 
 const fn shift(name: &'static str, doc: &'static str) -> Parameter {
-    Parameter {
-        name,
-        unit: "mm",
-        null: 0.0,
-        start: 1.0,
-        low: -6.0,
-        high: 6.0,
-        per_channel: false,
-        doc,
-    }
+    Parameter::new(name, "mm", 0.0, 1.0, -6.0, 6.0, doc)
 }
 
 pub static EFFECT: Effect = Effect {

@@ -18,16 +18,16 @@ pub static EFFECT: Effect = Effect {
         experiment: ("home and both signs of every channel", 1.0),
         alike: &[],
         needs: &[],
-        parameters: &[Parameter {
-            name: "shift",
-            unit: "mm",
-            null: 0.0,
-            start: 0.5,
-            low: -4.0,
-            high: 4.0,
-            per_channel: true,
-            doc: "shortening added to the command of the channel",
-        }],
+        parameters: &[Parameter::new(
+            "shift",
+            "mm",
+            0.0,
+            0.5,
+            -4.0,
+            4.0,
+            "shortening added to the command of the channel",
+        )
+        .per_channel()],
     },
     law: Law::Channel(&Offset),
 };

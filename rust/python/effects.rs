@@ -2,7 +2,7 @@
 
 use super::arrays::{Floats, floats};
 use crate::Error;
-use crate::effects::{Chain, Conditions, Context, Kind, Parameter, REGISTRY};
+use crate::effects::{Chain, Conditions, Context, Each, Kind, Parameter, REGISTRY};
 use crate::loads::FIELDS;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
@@ -59,7 +59,8 @@ fn parameter<'py>(py: Python<'py>, p: &Parameter) -> PyResult<Bound<'py, PyDict>
     entry.set_item("start", p.start)?;
     entry.set_item("low", p.low)?;
     entry.set_item("high", p.high)?;
-    entry.set_item("per_channel", p.per_channel)?;
+    entry.set_item("per_channel", p.each == Each::Channel)?;
+    entry.set_item("integer", p.integer)?;
     entry.set_item("doc", p.doc)?;
     entry.set_item("log", p.log())?;
     Ok(entry)
