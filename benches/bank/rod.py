@@ -1,0 +1,413 @@
+"""The bank's finger: a geometrically exact Cosserat rod with exact cables, solved for many commands at once in NumPy.
+
+Every node has a place x and a frame R. An element with ends i, j has the rotation vector θ = log(RᵢᵀRⱼ), the mid frame
+Rₘ = Rᵢ exp(θ/2), and the strains (J. C. Simo, Comput. Methods Appl. Mech. Eng. 49, 1985, at the middle)
+
+    γ = Rₘᵀ(xⱼ − xᵢ)/ℓ − e₃  (shear, shear, stretch),      κ = θ/ℓ  (bending, bending, twist)
+
+A cable is a straight line from guide to guide with tension T = k⟨L − L₀ + d − s⟩₊: shortened by d, never pushing.
+What is found is the minimum of
+
+    Σ ℓ W(γ, κ − κ₀) + Σ T²/(2k) − Σ m g·x − F·x_tip + Σ c/2 ⟨gap⟩²       (fibres of `section.py`; weights are dead)
+
+by Newton's method with a block-tridiagonal solve, the stiff cables joined by Woodbury's formula, and steps shortened
+until the energy falls; a row that does not settle takes its load in smaller parts. mm, N, MPa, rad, g.
+Limits: sections stay plane and rigid in their plane. Pinned by tests/test_bank_rod.py: the elastica, order of
+convergence, work of the cables, symmetry, gradient by differences, the project's own finite elements.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benches.bank.section import FLOOR, GRAVITY, SHEAR, Design
+
+Floats = NDArray[np.float64]
+
+TOLERANCE = 1e-6  # N and N·mm/10 of what is out of balance, of forces of about 1 N
+STEPS = 60
+LONGEST = (4.0, 0.12)  # mm and rad of one node in one step
+WALL = 2.0  # N/mm of each node that is pressed into an obstacle
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """What acts on each of B rods: `pull` (B, 4) mm of shortening of the cables, `gravity` (B, 3) g, `tip` (B, 3) N.
+
+    `soft` (B,) scales the modulus; `rest` (B, n, 3) rad/mm joins the rod's own curvature. `plane` (normal (3,), place
+    mm) is an obstacle: what of the rod's surface lies beyond normal·x = place is pushed back.
+    """
+
+    pull: Floats
+    gravity: Floats
+    tip: Floats
+    soft: Floats | None = None
+    rest: Floats | None = None
+    plane: tuple[Floats, float] | None = None
+
+    def rows(self, which: NDArray[np.intp], share: float = 1.0) -> Loads:
+        """Return some rows; of everything but the modulus and the obstacle the `share`."""
+        return replace(
+            self,
+            pull=share * self.pull[which],
+            gravity=share * self.gravity[which],
+            tip=share * self.tip[which],
+            soft=None if self.soft is None else self.soft[which],
+            rest=None if self.rest is None else share * self.rest[which],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """B settled rods: `x` (B, n+1, 3) mm, `frame` (B, n+1, 3, 3), `tension` (B, 4) N, `error` (B,) out of balance."""
+
+    x: Floats
+    frame: Floats
+    tension: Floats
+    error: Floats
+
+    def points(self, design: Design, place: Floats, around: Floats) -> Floats:
+        """Return material points (B, N, 3) mm at `place` (N,) mm along, `around` (N, 2) mm from the axis, at rest.
+
+        A section keeps its volume: it thins by 1/√(1+ε). Frames between nodes turn by their share of the element.
+        """
+        at = np.clip(np.searchsorted(design.place, place, side="right") - 1, 0, len(design.length) - 1)
+        share = (place - design.place[at]) / design.length[at]
+        theta = log(_t(self.frame[:, at]) @ self.frame[:, at + 1])
+        frame = self.frame[:, at] @ turn(theta * share[:, None])
+        chord = self.x[:, at + 1] - self.x[:, at]
+        middle = self.frame[:, at] @ turn(theta / 2)
+        # An element is an arc: half the square of its share falls inside the chord.
+        sag = np.cross(theta, _in(middle, chord)) * (share * (share - 1) / 2)[:, None]
+        line = self.x[:, at] + share[:, None] * chord + _out(middle, sag)
+        stretch = np.linalg.norm(chord, axis=2) / design.length[at]
+        offset = np.concatenate([around, np.zeros((len(place), 1))], axis=1) / np.sqrt(stretch)[..., None]
+        return np.asarray(line + _out(frame, offset))
+
+
+def straight(design: Design, count: int) -> Poses:
+    """Return `count` rods as they are made."""
+    x = np.zeros((count, len(design.place), 3))
+    x[..., 2] = design.place
+    frame = np.broadcast_to(np.eye(3), (count, len(design.place), 3, 3)).copy()
+    return Poses(x, frame, np.zeros((count, 4)), np.full(count, np.inf))
+
+
+def settle(design: Design, loads: Loads, start: Poses | None = None, parts: int = 8) -> Poses:
+    """Find the equilibria of B rods.
+
+    Args: `start` from where (as they are made without it, with the load in `parts`).
+    Raises ArithmeticError: a rod does not settle.
+    """
+    count = len(loads.pull)
+    every = np.arange(count)
+    if start is None:
+        poses = straight(design, count)
+        for part in range(1, parts):
+            poses = _newton(design, loads.rows(every, part / parts), poses, STEPS // 3)
+        poses = _newton(design, loads, poses, STEPS)
+    else:
+        poses = _newton(design, loads, start, STEPS)
+    lost = np.flatnonzero(poses.error > TOLERANCE)
+    if lost.size and parts < 100:
+        again = settle(design, loads.rows(lost), None, 4 * parts)
+        for whole, part in zip((poses.x, poses.frame, poses.tension, poses.error), _arrays(again)):
+            whole[lost] = part
+    elif lost.size:
+        raise ArithmeticError(
+            f"{lost.size} of {count} rods do not settle, the first at pulls {loads.pull[lost[0]].tolist()} mm: "
+            f"{poses.error[lost[0]]:.2g} N are out of balance"
+        )
+    return poses
+
+
+def _arrays(poses: Poses) -> tuple[Floats, ...]:
+    return poses.x, poses.frame, poses.tension, poses.error
+
+
+def _newton(design: Design, loads: Loads, start: Poses, steps: int) -> Poses:
+    x, frame, tension, error = (a.copy() for a in _arrays(start))
+    open_ = np.arange(len(x))
+    energy = _energy(design, loads, x, frame)
+    for _ in range(steps):
+        here = loads.rows(open_)
+        force, blocks, cables, pull = _assembled(design, here, x[open_], frame[open_])
+        tension[open_] = pull
+        error[open_] = np.max(np.abs(force) * [1, 1, 1, 0.1, 0.1, 0.1], axis=(1, 2))
+        going = error[open_] > TOLERANCE
+        if not going.any():
+            break
+        open_, here = open_[going], here.rows(np.flatnonzero(going))
+        blocks = tuple(b[going] for b in blocks)
+        step = _solved(blocks, force[going], cables[going], pull[going] > 0.0, design.cable)
+        slope = np.sum(step * force[going], axis=(1, 2))
+        step[slope > 0.0] *= -1.0  # uphill: a tangent that is not definite
+        size = np.maximum(
+            np.linalg.norm(step[..., :3], axis=2).max(axis=1) / LONGEST[0],
+            np.linalg.norm(step[..., 3:], axis=2).max(axis=1) / LONGEST[1],
+        )
+        step /= np.maximum(size, 1.0)[:, None, None]
+        fall = -np.abs(slope) / np.maximum(size, 1.0)
+        share, wait = np.ones(len(open_)), np.arange(len(open_))
+        for _ in range(12):
+            rows = open_[wait]
+            s = share[wait][:, None, None] * step[wait]
+            new_x = x[rows].copy()
+            new_x[:, 1:] += s[..., :3]
+            new_frame = frame[rows].copy()
+            new_frame[:, 1:] = turn(s[..., 3:]) @ new_frame[:, 1:]
+            value = _energy(design, here.rows(wait), new_x, new_frame)
+            good = value <= energy[rows] + 1e-4 * share[wait] * fall[wait] + 1e-9 * (1.0 + np.abs(energy[rows]))
+            x[rows[good]], frame[rows[good]], energy[rows[good]] = new_x[good], new_frame[good], value[good]
+            wait = wait[~good]
+            if not wait.size:
+                break
+            share[wait] *= 0.5
+    return Poses(x, frame, tension, error)
+
+
+# --- the rod -------------------------------------------------------------------------------------
+
+
+def _strains(design: Design, x: Floats, frame: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return mid frames (B, n, 3, 3), θ (B, n, 3), chords in the mid frame (B, n, 3) and strains (B, n, 6)."""
+    theta = log(_t(frame[:, :-1]) @ frame[:, 1:])
+    middle = frame[:, :-1] @ turn(theta / 2)
+    chord = _in(middle, np.diff(x, axis=1))
+    length = design.length[:, None]
+    gamma = chord / length - [0.0, 0.0, 1.0]
+    return middle, theta, chord, np.concatenate([gamma, theta / length], axis=2)
+
+
+def _section(design: Design, loads: Loads, strain: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return energy per length (B, n), forces and moments (B, n, 6) and their tangent (B, n, 6, 6)."""
+    soft = 1.0 if loads.soft is None else loads.soft[:, None]
+    rest = design.rest if loads.rest is None else design.rest + loads.rest
+    bend = strain[..., 3:] - rest
+    x, y, area = design.fibres()
+    lever = np.stack([np.ones_like(x), y, -x], axis=2)  # (n, F, 3)
+    stretch = 1.0 + np.einsum("nfk,bnk->bnf", lever, np.stack([strain[..., 2], bend[..., 0], bend[..., 1]], axis=2))
+    bound = np.maximum(stretch, FLOOR)
+    below = stretch - bound
+    modulus = design.young * area / 3.0  # (n, F) N
+    rate = modulus * (1.0 + 2.0 * bound**-3)
+    force = modulus * (bound - bound**-2) + rate * below
+    stored = modulus / 2 * (bound**2 + 2.0 / bound - 3.0) + (modulus * (bound - bound**-2) + rate * below / 2) * below
+    whole = np.sum(modulus, axis=1)  # G·A
+    polar = np.sum(modulus * (x**2 + y**2), axis=1)  # G·J
+    shear = SHEAR * whole[:, None] * strain[..., :2]
+    energy = stored.sum(axis=2) + np.sum(shear * strain[..., :2], axis=2) / 2 + polar * bend[..., 2] ** 2 / 2
+    out = np.zeros_like(strain)
+    out[..., :2] = shear
+    out[..., 2:5] = np.einsum("nfk,bnf->bnk", lever, force)
+    out[..., 5] = polar * bend[..., 2]
+    tangent = np.zeros((*strain.shape, 6))
+    pairs = np.einsum("nfk,nfl->nfkl", lever, lever).reshape(*x.shape, 9)
+    tangent[..., 2:5, 2:5] = np.einsum("bnf,nfk->bnk", rate, pairs, optimize=True).reshape(*strain.shape[:2], 3, 3)
+    tangent[..., 0, 0] = tangent[..., 1, 1] = SHEAR * whole
+    tangent[..., 5, 5] = polar
+    return (
+        np.asarray(energy * soft),
+        out * (soft if np.isscalar(soft) else soft[..., None]),
+        tangent * (soft if np.isscalar(soft) else soft[..., None, None]),
+    )
+
+
+def _energy(design: Design, loads: Loads, x: Floats, frame: Floats) -> Floats:
+    """Return the total energy (B,) N·mm."""
+    *_, strain = _strains(design, x, frame)
+    total = np.asarray(_section(design, loads, strain)[0] @ design.length)
+    points = _guides(design, x, frame)
+    span = np.linalg.norm(np.diff(points, axis=2), axis=3).sum(axis=2)
+    total += np.sum(design.cable / 2 * np.maximum(span - _own(design) + loads.pull - design.slack, 0.0) ** 2, axis=1)
+    total -= GRAVITY * np.einsum("bk,bik,i->b", loads.gravity, x, design.mass) + np.sum(loads.tip * x[:, -1], axis=1)
+    if loads.plane is not None:
+        total += WALL / 2 * np.sum(np.maximum(_gap(design, loads, x), 0.0) ** 2, axis=1)
+    return total
+
+
+def _gap(design: Design, loads: Loads, x: Floats) -> Floats:
+    """Return how deep (B, n+1) mm the surface at each node lies in the obstacle."""
+    assert loads.plane is not None
+    normal, place = loads.plane
+    return np.asarray(x @ normal + np.append(design.radius, design.radius[-1]) - place)
+
+
+def _guides(design: Design, x: Floats, frame: Floats) -> Floats:
+    """Return the guides (B, 4, m, 3) mm."""
+    m = design.guide.shape[1]
+    return np.asarray(x[:, None, :m] + np.einsum("bmij,cmj->bcmi", frame[:, :m], design.guide))
+
+
+def _own(design: Design) -> Floats:
+    """Return the length (4,) mm of the cables of a straight rod."""
+    points = design.guide + design.place[: design.guide.shape[1], None] * np.array([0.0, 0.0, 1.0])
+    return np.asarray(np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1))
+
+
+def _assembled(
+    design: Design, loads: Loads, x: Floats, frame: Floats
+) -> tuple[Floats, tuple[Floats, Floats, Floats], Floats, Floats]:
+    """Return the slope (B, n, 6) of the energy by the free nodes, its tangent without the cables' own stiffness as
+    (below, diagonal, above) blocks (B, n, 6, 6), the slopes (B, n, 6, 4) of the cables' lengths, their tension.
+    """
+    middle, theta, chord, strain = _strains(design, x, frame)
+    _, sigma, law = _section(design, loads, strain)
+    local, force = _element(design.length, theta, chord, sigma, law)
+    spatial = _out(middle[:, :, None], force.reshape(*force.shape[:2], 4, 3)).reshape(force.shape)
+    ends = local.reshape(*local.shape[:2], 4, 3, 12)
+    ends = (middle[:, :, None] @ ends).reshape(local.shape)
+    ends = _t((middle[:, :, None] @ _t(ends).reshape(*local.shape[:2], 4, 3, 12)).reshape(local.shape))
+    b, nodes = x.shape[:2]
+    slope = np.zeros((b, nodes, 6))
+    slope[:, :-1] += spatial[..., :6]
+    slope[:, 1:] += spatial[..., 6:]
+    pull, lengths = _cables(design, loads, x, frame, ends)
+    slope += np.einsum("bnkc,bc->bnk", lengths, pull)
+    slope[..., :3] -= GRAVITY * loads.gravity[:, None] * design.mass[:, None]
+    slope[:, -1, :3] -= loads.tip
+    diagonal = np.zeros((b, nodes, 6, 6))
+    diagonal[:, :-1] += ends[..., :6, :6]
+    diagonal[:, 1:] += ends[..., 6:, 6:]
+    if loads.plane is not None:
+        normal = loads.plane[0]
+        gap = _gap(design, loads, x)
+        slope[..., :3] += WALL * np.maximum(gap, 0.0)[..., None] * normal
+        diagonal[..., :3, :3] += WALL * (gap > 0.0)[..., None, None] * np.outer(normal, normal)
+    return slope[:, 1:], (ends[:, 1:, 6:, :6], diagonal[:, 1:], ends[:, 1:, :6, 6:]), lengths[:, 1:], pull
+
+
+def _element(length: Floats, theta: Floats, chord: Floats, sigma: Floats, law: Floats) -> tuple[Floats, Floats]:
+    """Return tangents (B, n, 12, 12) and forces (B, n, 12) on (xᵢ, spin of i, xⱼ, spin of j), all in the mid frame.
+
+    With D = wⱼ − wᵢ and τ = ½ tan(h/2) a, h = |θ|/2, the mid frame spins by (wᵢ + wⱼ)/2 − τ × D, and θ changes by
+    K⁻¹D, K⁻¹ = h/sin h (1 − aaᵀ) + aaᵀ. The change of K⁻¹ itself, of order h, is left out of the tangent.
+    """
+    h = np.linalg.norm(theta, axis=2)[..., None] / 2
+    axis = theta / np.maximum(2 * h, 1e-300)
+    tau = 0.5 * np.tan(h / 2) * axis
+    ratio = (h / np.maximum(np.sin(h), 1e-300))[..., None]
+    ratio = np.where(h[..., None] < 1e-9, 1.0, ratio)
+    inverse = ratio * np.eye(3) + (1.0 - ratio) * axis[..., :, None] * axis[..., None, :]
+    eye, tilt = np.eye(3) / 2, hat(tau)
+    spin = np.zeros((*theta.shape, 12))  # of the mid frame
+    spin[..., 3:6], spin[..., 9:] = eye + tilt, eye - tilt
+    apart = np.zeros_like(spin)  # D
+    apart[..., 3:6], apart[..., 9:] = -np.eye(3), np.eye(3)
+    chords = hat(chord) @ spin
+    chords[..., :3] -= np.eye(3)
+    chords[..., 6:9] += np.eye(3)
+    map_ = np.concatenate([chords, inverse @ apart], axis=2)  # ℓ × strains, (B, n, 6, 12)
+    force = (_t(map_) @ sigma[..., None])[..., 0]
+    tangent = _t(map_) @ law @ map_ / length[:, None, None]
+    n = hat(sigma[..., :3])
+    couple = np.cross(sigma[..., :3], chord)
+    of_couple = n @ chords
+    of_tilt = -hat(couple) @ (apart / 8) + tilt @ of_couple
+    turned_force = -n @ spin
+    rows = (
+        -turned_force,
+        -hat(force[..., 3:6]) @ spin + of_couple / 2 - of_tilt,
+        turned_force,
+        -hat(force[..., 9:]) @ spin + of_couple / 2 + of_tilt,
+    )
+    return tangent + np.concatenate(rows, axis=2), force
+
+
+def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats) -> tuple[Floats, Floats]:
+    """Return tension (B, 4) N and the slopes (B, n+1, 6, 4) of the cables' lengths; add what taut lines do to `ends`."""
+    m = design.guide.shape[1]
+    arm = np.einsum("bmij,cmj->bcmi", frame[:, :m], design.guide)
+    line = np.diff(x[:, None, :m] + arm, axis=2)
+    span = np.linalg.norm(line, axis=3)
+    along = line / span[..., None]
+    stretch = span.sum(axis=2) - _own(design) + loads.pull - design.slack
+    pull = design.cable * np.maximum(stretch, 0.0)
+    at = np.zeros_like(arm)  # slope by the guide's place
+    at[:, :, 1:] += along
+    at[:, :, :-1] -= along
+    slopes = np.zeros((*x.shape[:2], 6, 4))
+    slopes[:, :m, :3] = np.moveaxis(at, 1, 3)
+    slopes[:, :m, 3:] = np.moveaxis(np.cross(arm, at), 1, 3)
+    own, across = pull[..., None, None, None], np.eye(3) - along[..., :, None] * along[..., None, :]
+    moved = np.zeros((*along.shape, 12))
+    moved[..., :3], moved[..., 6:9] = -np.eye(3), np.eye(3)
+    moved[..., 3:6], moved[..., 9:] = hat(arm[:, :, :-1]), -hat(arm[:, :, 1:])
+    stiff = own * (_t(moved) @ (across / span[..., None, None]) @ moved)
+    for block, lever, sign in ((slice(3, 6), arm[:, :, :-1], -1.0), (slice(9, 12), arm[:, :, 1:], 1.0)):
+        turn_ = lever[..., :, None] * along[..., None, :] - np.sum(lever * along, axis=3)[..., None, None] * np.eye(3)
+        stiff[..., block, block] += sign * own * turn_
+    ends[:, : m - 1] += stiff.sum(axis=1)
+    return pull, slopes
+
+
+def _solved(
+    blocks: tuple[Floats, ...], force: Floats, lengths: Floats, taut: NDArray[np.bool_], stiffness: Floats
+) -> Floats:
+    """Return the Newton step (B, n, 6): −(K + Σ k l lᵀ)⁻¹ f over the taut cables, K block-tridiagonal."""
+    below, diagonal, above = blocks
+    lengths = lengths * taut[:, None, None, :]
+    right = np.concatenate([-force[..., None], lengths], axis=3)  # (B, n, 6, 5)
+    n = right.shape[1]
+    kept: list[tuple[Floats, Floats]] = []
+    d, r = diagonal[:, 0], right[:, 0]
+    for i in range(n):
+        both = np.linalg.solve(d, np.concatenate([above[:, i], r], axis=2) if i < n - 1 else r)
+        if i == n - 1:
+            kept.append((np.zeros(0), both))
+            break
+        up, y = both[..., :6], both[..., 6:]
+        kept.append((up, y))
+        d = diagonal[:, i + 1] - below[:, i] @ up
+        r = right[:, i + 1] - below[:, i] @ y
+    answer = np.empty_like(right)
+    answer[:, -1] = kept[-1][1]
+    for i in range(n - 2, -1, -1):
+        answer[:, i] = kept[i][1] - kept[i][0] @ answer[:, i + 1]
+    plain, by_cable = answer[..., 0], answer[..., 1:]
+    inner = np.einsum("bnkc,bnkd->bcd", lengths, by_cable) + np.diag(1.0 / np.maximum(stiffness, 1e-12))
+    share = np.linalg.solve(inner, np.einsum("bnkc,bnk->bc", lengths, plain)[..., None])
+    return np.asarray(plain - (by_cable @ share[:, None])[..., 0])
+
+
+# --- rotations -----------------------------------------------------------------------------------
+
+
+def hat(v: Floats) -> Floats:
+    """Return the matrices (..., 3, 3) of v (..., 3): hat(v) w = v × w."""
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return out
+
+
+def turn(v: Floats) -> Floats:
+    """Return the rotations (..., 3, 3) of rotation vectors (..., 3) rad."""
+    angle = np.linalg.norm(v, axis=-1)[..., None, None]
+    k = hat(v)
+    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * k + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (k @ k))
+
+
+def log(frame: Floats) -> Floats:
+    """Return the rotation vectors (..., 3) rad of rotations by less than a quarter turn."""
+    part = np.stack([frame[..., 2, 1] - frame[..., 1, 2], frame[..., 0, 2] - frame[..., 2, 0],
+                     frame[..., 1, 0] - frame[..., 0, 1]], axis=-1) / 2  # fmt: skip
+    sine = np.linalg.norm(part, axis=-1)[..., None]
+    return np.asarray(part * np.where(sine < 1e-9, 1.0, np.arcsin(np.minimum(sine, 1.0)) / np.maximum(sine, 1e-300)))
+
+
+def _t(a: Floats) -> Floats:
+    return np.swapaxes(a, -1, -2)
+
+
+def _in(frame: Floats, v: Floats) -> Floats:
+    """Return vectors in the frame."""
+    return np.asarray(np.einsum("...ij,...i->...j", frame, v))
+
+
+def _out(frame: Floats, v: Floats) -> Floats:
+    """Return vectors of the frame in space."""
+    return np.asarray(np.einsum("...ij,...j->...i", frame, v))
