@@ -131,6 +131,14 @@ impl Predictor {
         conditions: &mut Conditions,
         t_seen: &[f64],
     ) -> Result<Vec<f64>> {
+        self.agrees(chain, conditions, t_seen)?;
+        let sets = chain.sets(params)?;
+        let job = self.prepare(chain, params, sets, u, conditions, t_seen)?;
+        self.frames(&job, sets, t_seen.len())
+    }
+
+    /// Refuse a chain or a record that this prior cannot be asked with.
+    fn agrees(&self, chain: &Chain, conditions: &Conditions, t_seen: &[f64]) -> Result<()> {
         if chain.channels() != self.prior.channels() {
             return Err(invalid(format!(
                 "the chain has {} channels, the prior {}; make the chain for this model",
@@ -143,18 +151,21 @@ impl Predictor {
                 "nothing was commanded (T = 0), so nothing can be predicted; give at least one sample",
             ));
         }
-        let sets = chain.sets(params)?;
-        let (size, frames, count) = (self.prior.size(), t_seen.len(), self.fields.count());
+        Ok(())
+    }
+
+    /// Frames (B, K, V, 3) of a prepared job.
+    fn frames(&self, job: &Job, sets: usize, frames: usize) -> Result<Vec<f64>> {
+        let (size, count) = (self.prior.size(), self.fields.count());
         let mut out = zeros(
             "a prediction (parameter sets, frames, outputs)",
             &[sets, frames, size],
         )?;
-        let job = self.prepare(chain, params, sets, u, conditions, t_seen)?;
-        let loads = self.coefficients(&job, sets)?;
-        let weights = self.weights(&job, &loads);
-        let shared = self.shared_shapes(&job, &weights);
+        let loads = self.coefficients(job, sets)?;
+        let weights = self.weights(job, &loads);
+        let shared = self.shared_shapes(job, &weights);
         if size > 0 {
-            let width = chain.width();
+            let width = job.chain.width();
             out.par_chunks_exact_mut(size).enumerate().for_each_init(
                 || vec![0.0; size],
                 |scratch, (i, frame)| {
@@ -168,8 +179,8 @@ impl Predictor {
                             self.fields.add(u, row, scratch, frame);
                         }
                     }
-                    chain.sense(
-                        &params[b * width..(b + 1) * width],
+                    job.chain.sense(
+                        &job.params[b * width..(b + 1) * width],
                         &self.positions,
                         frame,
                         &job.contexts[k],
@@ -380,6 +391,9 @@ impl Shapes {
         }
     }
 }
+
+#[path = "predict_slopes.rs"]
+mod slopes;
 
 #[cfg(test)]
 #[path = "predict_tests.rs"]

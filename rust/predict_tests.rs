@@ -62,6 +62,23 @@ fn frames_lie_between_samples_and_sets_that_share_shapes_agree_with_single_ones(
 }
 
 #[test]
+fn slopes_are_those_of_the_shape_and_what_acts_is_what_the_chain_gives() {
+    let chain = Chain::new(&["offset".to_string()], 1).unwrap();
+    let body = predictor(&[]);
+    let (u, seen) = ([2.0, 4.0], [0.25, 0.5, 5.0]);
+    let mut still = world([0.0, 0.0, 1.0], 0.0);
+    let acting = body
+        .acting(&chain, &[0.5, 1.0, 0.5], &u, &mut still, &seen)
+        .unwrap();
+    assert_eq!(acting, [3.0, 3.5, 4.5, 3.5, 4.0, 5.0, 3.0, 3.5, 4.5]);
+    let slopes = |step: f64| body.slopes(&chain, &[0.5], &[step], &u, &mut still.clone(), &seen);
+    for (got, known) in slopes(0.3).unwrap().iter().zip([1.0, 0.0, 2.0].repeat(3)) {
+        assert!((got - known).abs() < 1e-12);
+    }
+    assert!(slopes(0.0).is_err() && slopes(f64::NAN).is_err());
+}
+
+#[test]
 fn absent_fields_and_foreign_chains_are_told() {
     let chain = Chain::new(&["payload".to_string()], 1).unwrap();
     let body = predictor(&[]);

@@ -197,6 +197,29 @@ class Predictor:
         load: _Floats | None = None,
         temperature: _Floats | None = None,
     ) -> _Floats: ...
+    def acting(
+        self,
+        chain: Chain,
+        params: _Floats,
+        u: _Floats,
+        t: _Floats,
+        t_seen: _Floats,
+        gravity: _Floats | None = None,
+        load: _Floats | None = None,
+        temperature: _Floats | None = None,
+    ) -> _Floats: ...
+    def slopes(
+        self,
+        chain: Chain,
+        params: _Floats,
+        u: _Floats,
+        t: _Floats,
+        t_seen: _Floats,
+        step: _Floats,
+        gravity: _Floats | None = None,
+        load: _Floats | None = None,
+        temperature: _Floats | None = None,
+    ) -> _Floats: ...
 
 @final
 class Mesh:

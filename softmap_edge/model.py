@@ -9,7 +9,7 @@ Parameters of effects live in one place, `chain_params`, in the order of `chain.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -167,7 +167,7 @@ class Model:
 
     def predict(self, run: Run) -> Floats:
         """Return the points (K, N, 3) mm at the run's seen times; markers of the run if it has markers."""
-        vertices = self._run_predictor(self._points, self.chain, self.chain_params[None], run)[0]
+        vertices = self._ask(self._points.predict, self.chain, self.chain_params[None], run)[0]
         carry = self._carry(run)
         return vertices if carry is None else np.asarray(np.einsum("mn,knc->kmc", carry, vertices))
 
@@ -179,7 +179,16 @@ class Model:
         """Return features (B, K, V, 3) mm for B parameter sets (B, P) of a chain of `names`, batched in the core."""
         predictor = self._feature_predictor(run)
         chain = self.chain if tuple(names) == self.chain_names else _core.Chain(list(names), self.channels)
-        return self._run_predictor(predictor, chain, params, run)
+        return self._ask(predictor.predict, chain, params, run)
+
+    def acting(self, names: Sequence[str], params: Floats, run: Run) -> Floats:
+        """Return what a chain of `names` makes of the commands, (B, K, C) at the seen times, for sets (B, P)."""
+        return self._ask(self._feature_predictor(run).acting, _core.Chain(list(names), self.channels), params, run)
+
+    def slopes(self, names: Sequence[str], params: Floats, step: Floats, run: Run) -> Floats:
+        """Return the slopes (C, K, V, 3) of the features over what acts, `step` (C,) to both sides of one set (P,)."""
+        chain, ask = _core.Chain(list(names), self.channels), self._feature_predictor(run).slopes
+        return self._ask(ask, chain, params[None], run, np.asarray(step, float))
 
     def seen_features(self, run: Run) -> Floats:
         """Return the measured features (K, V, 3) mm; NaN where too little was seen."""
@@ -242,36 +251,37 @@ class Model:
             self._attached[key] = attach(np.asarray(run.marker_rest, float), self.rest, run.marker_names)
         return self._attached[key]
 
-    def _run_predictor(self, predictor: Any, chain: _core.Chain, params: Floats, run: Run) -> Floats:
+    def _ask(self, ask: Callable[..., Floats], chain: _core.Chain, params: Floats, run: Run, *more: Floats) -> Floats:
+        """Ask a predictor's method with the commands and conditions of a run."""
         gravity = None if run.gravity is None else np.broadcast_to(run.gravity, (len(run.t), 3)).astype(float)
-        points: Floats = predictor.predict(
+        return ask(
             chain,
             np.ascontiguousarray(params, float),
             self.commands(run),
             np.asarray(run.t, float),
             np.asarray(run.t_seen, float),
+            *more,
             gravity=None if gravity is None else np.ascontiguousarray(gravity),
             load=None if run.load is None else np.ascontiguousarray(run.load, float),
             temperature=None if run.temperature is None else np.ascontiguousarray(run.temperature, float),
         )
-        return points
 
     @cached_property
-    def _points(self) -> Any:
+    def _points(self) -> _core.Predictor:
         everywhere = np.ones(len(self.rest), bool)
         return self._predictor(self.prior, dict(self.fields), everywhere, self.cables)
 
     @cached_property
-    def _sections_predictor(self) -> Any:
+    def _sections_predictor(self) -> _core.Predictor:
         return self._projected(self.feature_map)
 
-    def _feature_predictor(self, run: Run) -> Any:
+    def _feature_predictor(self, run: Run) -> _core.Predictor:
         carry = self._carry(run)
         if carry is None:
             return self._points if self.markers else self._sections_predictor
         return self._projected(FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry))))
 
-    def _projected(self, mapping: FeatureMap) -> Any:
+    def _projected(self, mapping: FeatureMap) -> _core.Predictor:
         matrix, zero = mapping.matrix(), np.zeros(3 * len(mapping.weights))
         fields = {name: shape.project(matrix, zero) for name, shape in self.fields.items()}
         cables = None if self.cables is None else self.cables.project(matrix, zero)

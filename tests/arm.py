@@ -118,8 +118,16 @@ class Arm:
         return np.full((SECTIONS, 3), self.form)
 
     def predict_features(self, names, params, run):
-        chain = Chain(names, 2)
-        column = {label: params[:, i] for i, label in enumerate(chain.labels)}
+        return self.seen_at(self.acting(names, params, run), names, params)
+
+    def slopes(self, names, params, step, run):
+        def at(moved):
+            return self.seen_at(self.acting(names, params[None], run) + moved, names, params[None])[0]
+
+        return np.stack([(at(moved) - at(-moved)) / (2 * h) for h, moved in zip(step, np.diag(step))])
+
+    def acting(self, names, params, run):
+        column = {label: params[:, i] for i, label in enumerate(Chain(names, 2).labels)}
         u = np.broadcast_to(run.command, (len(params), *run.command.shape)).copy()  # (B, T, 2)
         dt = run.t[1] - run.t[0]
         if "offset" in names:
@@ -142,9 +150,12 @@ class Arm:
                 slow = decay * slow + (1 - decay) * before
                 before = u[:, k].copy()
                 u[:, k] = before + column["creep.strength"][:, None] * slow
-        index = np.searchsorted(run.t, run.t_seen, side="right") - 1
+        return u[:, np.searchsorted(run.t, run.t_seen, side="right") - 1]
+
+    def seen_at(self, u, names, params):
+        column = {label: params[:, i] for i, label in enumerate(Chain(names, 2).labels)}
         mass = column.get("payload.mass", np.zeros(len(params)))
-        seen = shape(u[:, index], np.broadcast_to(mass[:, None], (len(params), len(index))))
+        seen = shape(u, np.broadcast_to(mass[:, None], u.shape[:2]))
         if "mount" in names:
             move = np.stack([column[f"mount.{n}"] for n in "xyz"], axis=1)
             turned = seen.copy()

@@ -5,8 +5,9 @@ use super::cables::PyCables;
 use super::effects::{Maybe, PyChain, Value, vector};
 use super::shape::PyShape;
 use crate::Result;
+use crate::effects::Conditions;
 use crate::predict::Predictor;
-use numpy::{IntoPyArray, PyArray4, PyArrayMethods};
+use numpy::{IntoPyArray, PyArray3, PyArray4, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -63,13 +64,109 @@ impl PyPredictor {
         load: Maybe<'py>,
         temperature: Maybe<'py>,
     ) -> PyResult<Bound<'py, PyArray4<f64>>> {
+        let asked = self.asked(&chain, params, u, t, t_seen, gravity, load, temperature)?;
+        let Asked {
+            params,
+            sets,
+            u,
+            mut world,
+            t_seen,
+        } = asked;
+        let (body, inner) = (&self.predictor, &chain.chain);
+        let out = py.detach(|| body.predict(inner, &params, &u, &mut world, &t_seen))?;
+        let shape = [sets, t_seen.len(), body.vectors(), 3];
+        out.into_pyarray(py).reshape(shape)
+    }
+
+    /// What acts (B, K, C) at t_seen for params (B, P); the other arguments as in `predict`.
+    #[pyo3(signature = (chain, params, u, t, t_seen, gravity=None, load=None, temperature=None))]
+    fn acting<'py>(
+        &self,
+        py: Python<'py>,
+        chain: PyRef<'py, PyChain>,
+        params: Value<'_, 'py>,
+        u: Value<'_, 'py>,
+        t: Value<'_, 'py>,
+        t_seen: Value<'_, 'py>,
+        gravity: Maybe<'py>,
+        load: Maybe<'py>,
+        temperature: Maybe<'py>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let asked = self.asked(&chain, params, u, t, t_seen, gravity, load, temperature)?;
+        let Asked {
+            params,
+            sets,
+            u,
+            mut world,
+            t_seen,
+        } = asked;
+        let (body, inner) = (&self.predictor, &chain.chain);
+        let out = py.detach(|| body.acting(inner, &params, &u, &mut world, &t_seen))?;
+        out.into_pyarray(py)
+            .reshape([sets, t_seen.len(), inner.channels()])
+    }
+
+    /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, about params (1, P); else as `predict`.
+    #[pyo3(signature = (chain, params, u, t, t_seen, step, gravity=None, load=None, temperature=None))]
+    fn slopes<'py>(
+        &self,
+        py: Python<'py>,
+        chain: PyRef<'py, PyChain>,
+        params: Value<'_, 'py>,
+        u: Value<'_, 'py>,
+        t: Value<'_, 'py>,
+        t_seen: Value<'_, 'py>,
+        step: Value<'_, 'py>,
+        gravity: Maybe<'py>,
+        load: Maybe<'py>,
+        temperature: Maybe<'py>,
+    ) -> PyResult<Bound<'py, PyArray4<f64>>> {
+        let asked = self.asked(&chain, params, u, t, t_seen, gravity, load, temperature)?;
+        let Asked {
+            params,
+            u,
+            mut world,
+            t_seen,
+            ..
+        } = asked;
+        let (body, inner) = (&self.predictor, &chain.chain);
+        let step = floats("step", step, &[("C", None)])?.data;
+        let out = py.detach(|| body.slopes(inner, &params, &step, &u, &mut world, &t_seen))?;
+        out.into_pyarray(py)
+            .reshape([inner.channels(), t_seen.len(), body.vectors(), 3])
+    }
+}
+
+/// The arguments of one call, checked and copied.
+struct Asked {
+    params: Vec<f64>,
+    sets: usize,
+    u: Vec<f64>,
+    world: Conditions,
+    t_seen: Vec<f64>,
+}
+
+impl PyPredictor {
+    fn asked<'py>(
+        &self,
+        chain: &PyRef<'py, PyChain>,
+        params: Value<'_, 'py>,
+        u: Value<'_, 'py>,
+        t: Value<'_, 'py>,
+        t_seen: Value<'_, 'py>,
+        gravity: Maybe<'py>,
+        load: Maybe<'py>,
+        temperature: Maybe<'py>,
+    ) -> PyResult<Asked> {
         let params = chain.sets(params)?;
         let still = self.predictor.reference();
-        let (u, mut world) = chain.record(u, t, still, gravity, load, temperature)?;
-        let t_seen = floats("t_seen", t_seen, &[("K", None)])?.data;
-        let (body, inner) = (&self.predictor, &chain.chain);
-        let out = py.detach(|| body.predict(inner, &params.data, &u, &mut world, &t_seen))?;
-        let shape = [params.shape[0], t_seen.len(), body.vectors(), 3];
-        out.into_pyarray(py).reshape(shape)
+        let (u, world) = chain.record(u, t, still, gravity, load, temperature)?;
+        Ok(Asked {
+            sets: params.shape[0],
+            params: params.data,
+            u,
+            world,
+            t_seen: floats("t_seen", t_seen, &[("K", None)])?.data,
+        })
     }
 }

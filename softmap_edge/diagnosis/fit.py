@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 STEP = 4e-3  # of the range of a parameter
+SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
 ITERATIONS = 14
 CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
 
@@ -77,6 +78,16 @@ class Record:
             for i in range(0, len(params), chunk)
         ]
         return np.concatenate(parts).reshape(len(params), self.frames, self.features)
+
+    def acting(self, names: Sequence[str], params: Floats) -> Floats:
+        """Return what acts on the shape, (B, K, C), for parameter sets (B, P)."""
+        return np.asarray(self.model.acting(tuple(names), np.ascontiguousarray(params), self.run))
+
+    def slopes(self, names: Sequence[str], params: Floats) -> Floats:
+        """Return the slopes (C, K, F) mm of the features over what acts, about one parameter set (P,)."""
+        step = np.maximum(SLOPE * self.spread, 1e-3)
+        slopes = self.model.slopes(tuple(names), np.ascontiguousarray(params), step, self.run)
+        return np.asarray(slopes).reshape(len(slopes), self.frames, self.features)
 
     def rms_mm(self, difference: Floats, frames: NDArray[Any] | None = None) -> float:
         """Return the RMS distance in mm over the places of feature differences (K, F)."""

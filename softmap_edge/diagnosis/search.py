@@ -1,10 +1,11 @@
 """Searches the sets of effects that explain a run: screening, forward selection with a beam, swaps, acceptance.
 
-Screening is one Gauss-Newton step from a few starts of each candidate on top of the current fit; the best are fitted in
-full. A set counts only if each of its members is accepted: EBIC falls, blocked cross-validation falls by 1 % and in 60
-% of the folds, the member moves the centreline by more than 0.12 mm (or the noise of a section mean) and more than a
-fifth of what the strongest other member moves, and it carries a share of what is explained. Differences of objectives
-are divided by the over-dispersion (leftover chi²/n of the fit).
+Screening is one Gauss-Newton step from a few starts of each candidate on top of the current fit, of effects on the
+command by the slopes of the features over what acts; the best are fitted in full. A set counts only if each of its
+members is accepted: EBIC falls, blocked cross-validation falls by 1 % and in 60 % of the folds, the member moves the
+centreline by more than 0.12 mm (or the noise of a section mean) and more than a fifth of what the strongest other
+member moves, and it carries a share of what is explained. Differences of objectives are divided by the over-dispersion
+(leftover chi²/n of the fit).
 Known limit: sets are found by growing and swapping, not by trying all. Pinned by tests/test_diagnosis.py.
 """
 
@@ -17,13 +18,14 @@ from math import comb, log
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.fit import Fit, Problem, newton_step
+from softmap_edge.diagnosis.fit import Fit, Problem, Space, newton_step
 
 Floats = NDArray[np.float64]
 
 BEAM, REFITS, LARGEST = 2, 5, 4
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
 VISIBLE_MM = 0.12  # least RMS displacement of the centreline
+NEAR = 0.25  # of the commands' range: farther, a screening step is predicted and not taken along the slopes
 SHARE = 0.03  # least share of the explained misfit: forms off by a sixth leave so much, and that is nobody's effect
 PROMISING = 0.03  # least share of the misfit that a larger set must win for the search to go on without a valid one
 FORM_TOLERANCE = 0.2  # of what the strongest other member moves: no form of the library is truer than that
@@ -56,6 +58,8 @@ class Search:
         self.null = problem.null()
         self._fits: dict[frozenset[str], Fit] = {frozenset(): self.null}
         self._cv: dict[frozenset[str], tuple[Floats, Floats, Floats]] = {}
+        self._slopes: dict[frozenset[str], tuple[Floats, Floats]] = {}
+        self.roles = {e["name"]: e["role"] for e in problem.record.library.effects()}
         self._shifts: dict[tuple[frozenset[str], str], Floats] = {}
         noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0)  # of one component of a section mean
         self.visible_mm = max(VISIBLE_MM, noise if "replicates" in problem.noise.source else 0.0)
@@ -113,7 +117,7 @@ class Search:
                 moved = x.copy()
                 moved[i] += -4e-3 if x[i] + 4e-3 > space.high[i] else 4e-3
                 batch.append(moved)
-        modes = problem.at(space, np.stack(batch))[1]
+        modes = self._glance(parent, space, effect, np.stack(batch))
         ahead = []
         for s, x in enumerate(joint):
             here = modes[s * width]
@@ -128,6 +132,32 @@ class Search:
         costs = problem.costs(np.concatenate([modes[::width], after]), points)[0]
         order = np.argsort(costs, kind="stable")
         return float(costs[order[0]]), [points[i] for i in order]
+
+    def _glance(self, parent: Fit, space: Space, effect: str, points: Floats) -> Floats:
+        """Return residual modes (B, K, M) of joint points (B, P): for a channel effect by the slopes about `parent`."""
+        problem = self.problem
+        if self.roles[effect] != "channel":
+            return problem.at(space, points)[1]
+        acting, slopes = self._about(parent)
+        shift = problem.record.acting(space.names, space.params(points)) - acting
+        if np.abs(shift).max(initial=0.0) > NEAR * problem.record.spread.max(initial=0.0):
+            return problem.at(space, points)[1]
+        modes = np.asarray(parent.modes + np.einsum("bkc,ckm->bkm", shift, slopes))
+        labels = space.free_labels()
+        for label, x, slope in zip(parent.space.free_labels(), parent.x, parent.slopes):
+            if self.roles[label.split(".")[0]] != "channel":
+                modes += (points[:, labels.index(label)] - x)[:, None, None] * slope
+        return modes
+
+    def _about(self, parent: Fit) -> tuple[Floats, Floats]:
+        """Return what acts in a fit (K, C), and the slopes (C, K, M) of the residual modes over it."""
+        key = frozenset(parent.effects)
+        if key not in self._slopes:
+            record, params = self.problem.record, parent.space.params(parent.x[None])[0]
+            slopes = np.where(np.isfinite(record.seen), record.slopes(parent.space.names, params), np.nan)
+            acting = record.acting(parent.space.names, params[None])[0]
+            self._slopes[key] = acting, -self.problem.gain * self.problem.whitener.modes(slopes)
+        return self._slopes[key]
 
     def grow(self, parent: Fit, effect: str, points: list[Floats] | None = None) -> Fit:
         """Fit `parent` with `effect` added; effects with a log scale get a second start."""

@@ -1,0 +1,83 @@
+//! What acts on the shape, and how the frame answers small changes of it: all that a linearised screening needs.
+//!
+//! `acting` is the chain alone, read at the seen times. `slopes` are central differences of whole frames (prior, fields,
+//! cables, sensing) over the acting command. Their steps are the caller's: where tendons fall slack under a load the true
+//! slope jumps within some hundredths of a millimetre, and says nothing about a change of half a millimetre.
+
+use super::{Job, Predictor};
+use crate::effects::{Chain, Conditions};
+use crate::error::{Result, invalid};
+
+impl Predictor {
+    /// What acts, (B, K, C), at the seen times for parameters (B, P) on the commands `u` (T, C).
+    pub fn acting(
+        &self,
+        chain: &Chain,
+        params: &[f64],
+        u: &[f64],
+        conditions: &mut Conditions,
+        t_seen: &[f64],
+    ) -> Result<Vec<f64>> {
+        let sets = chain.sets(params)?;
+        self.agrees(chain, conditions, t_seen)?;
+        let job = self.prepare(chain, params, sets, u, conditions, t_seen)?;
+        let width = t_seen.len() * chain.channels();
+        let group = |g: &usize| &job.acting[g * width..(g + 1) * width];
+        Ok(job.group.iter().flat_map(group).copied().collect())
+    }
+
+    /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, for one parameter set (P,).
+    pub fn slopes(
+        &self,
+        chain: &Chain,
+        params: &[f64],
+        step: &[f64],
+        u: &[f64],
+        conditions: &mut Conditions,
+        t_seen: &[f64],
+    ) -> Result<Vec<f64>> {
+        if chain.sets(params)? != 1 {
+            return Err(invalid(
+                "slopes are taken about one parameter set; give params (1, P)",
+            ));
+        }
+        if step.len() != chain.channels() || step.iter().any(|h| !(h.is_finite() && *h > 0.0)) {
+            return Err(invalid(format!(
+                "steps {step:?} for {} channels; give each channel one above 0",
+                chain.channels()
+            )));
+        }
+        self.agrees(chain, conditions, t_seen)?;
+        let (channels, frames) = (chain.channels(), t_seen.len());
+        let job = self.prepare(chain, params, 1, u, conditions, t_seen)?;
+        let sides = 2 * channels;
+        let mut acting = Vec::with_capacity(sides * job.acting.len());
+        for side in 0..sides {
+            let moved = side / 2;
+            let by = if side % 2 == 0 {
+                step[moved]
+            } else {
+                -step[moved]
+            };
+            let each = job.acting.iter().enumerate();
+            acting.extend(each.map(|(i, u)| u + if i % channels == moved { by } else { 0.0 }));
+        }
+        let all = params.repeat(sides);
+        let about = Job {
+            chain,
+            params: &all,
+            contexts: job.contexts,
+            group: (0..sides).collect(),
+            shared: vec![false; sides],
+            acting,
+        };
+        let shapes = self.frames(&about, sides, frames)?;
+        let size = frames * self.prior.size();
+        let pairs = shapes.chunks_exact((2 * size).max(1));
+        let slopes = pairs.zip(step).flat_map(|(pair, h)| {
+            let (up, down) = pair.split_at(size);
+            up.iter().zip(down).map(move |(a, b)| (a - b) / (2.0 * h))
+        });
+        Ok(slopes.collect())
+    }
+}
