@@ -140,6 +140,11 @@ impl PyChain {
         self.column(py, Parameter::log)
     }
 
+    #[getter]
+    fn integer<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        self.column(py, |p| p.integer)
+    }
+
     /// What acts (B, T, C) mm for params (B, P) on u (T, C) mm at t (T,) s; channel effects only.
     #[pyo3(signature = (params, u, t, gravity=None, load=None, temperature=None, state=None))]
     fn rollout<'py>(

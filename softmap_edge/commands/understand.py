@@ -49,7 +49,7 @@ def compare(args: argparse.Namespace) -> int:
 
 def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap diagnose`."""
-    parser.add_argument("run", help="the measured run, .npz")
+    parser.add_argument("runs", nargs="+", metavar="run", help="the measured run, .npz; several share their effects")
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
     parser.add_argument("--held-out", metavar="RUN", help="an independent run that is never fitted")
     parser.add_argument("--effects", metavar="NAME,NAME", help="look for these only")
@@ -64,17 +64,18 @@ def diagnose(args: argparse.Namespace) -> int:
 
     check_file("--html", args.html)
     check_file("--out", args.out)
-    model, run = _bundle(args.bundle), _run(args.run)
+    model, runs = _bundle(args.bundle), [_run(path) for path in args.runs]
     held_out = _run(args.held_out) if args.held_out else None
     wanted = _names(args.effects) if args.effects else None
-    _warn("diagnose", model, run)
-    found = find(model, run, held_out, wanted, args.seed, _progress(args))
+    for run in runs:
+        _warn("diagnose", model, run)
+    found = find(model, runs, held_out, wanted, args.seed, _progress(args))
     if args.out:
         _write_json(args.out, found.to_dict())
     print(json.dumps(found.to_dict(), indent=1) if args.json else found)
     if args.html:
         kind = "fitted" if held_out is None else "held out"
-        _page(args.html, held_out or run, model, found.model, found, kind)
+        _page(args.html, held_out or runs[0], model, found.model, found, kind)
     return 0
 
 
@@ -125,7 +126,7 @@ def remove(args: argparse.Namespace) -> int:
 
 def refit_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap refit`."""
-    parser.add_argument("run", help="the measured run, .npz")
+    parser.add_argument("runs", nargs="+", metavar="run", help="the measured run, .npz; several share their effects")
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--bundle", metavar="DIR", help="a model with effects: fit the effects again")
     what.add_argument("--finger", metavar="TOML", help="a finger.toml: fit the finger's own numbers ([fit] says which)")
@@ -139,7 +140,7 @@ def refit(args: argparse.Namespace) -> int:
     from softmap_edge.diagnosis.diagnose import refit as fit_again
 
     check_bundle(args.out, args.force)
-    model, report = fit_again(_bundle(args.bundle), _run(args.run))
+    model, report = fit_again(_bundle(args.bundle), [_run(path) for path in args.runs])
     _write(args, model, report)
     return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
 
@@ -149,8 +150,10 @@ def _refit_finger(args: argparse.Namespace) -> int:
     from softmap_edge.solid.fit import fit_finger
 
     check_file("--out", args.out, ".toml")
+    if len(args.runs) > 1:
+        raise SoftmapError(f"{len(args.runs)} runs; a finger's own numbers are fitted to one")
     with Bar(args.json) as bar:
-        found = fit_finger(Finger.load(args.finger), _run(args.run), bar)
+        found = fit_finger(Finger.load(args.finger), _run(args.runs[0]), bar)
     Path(args.out).write_text(found.finger.to_toml(), encoding="utf-8")
     if args.json:
         print(json.dumps({**found.to_dict(), "out": str(args.out)}, indent=1))

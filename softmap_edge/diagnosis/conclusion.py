@@ -26,7 +26,8 @@ from softmap_edge.diagnosis.evidence import (
     leftover,
     not_testable,
 )
-from softmap_edge.diagnosis.fit import Fit, Record
+from softmap_edge.diagnosis.fit import Fit
+from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import RIVAL_SHARE, Search
 from softmap_edge.folds import labelled
 
@@ -149,10 +150,10 @@ def _entries(
 
 def _shift_on(fit: Fit, other: Record, name: str) -> Floats:
     """Return what one effect does on another run (K, F) mm, the others in place."""
-    params = np.array([fit.params[label] for label in fit.space.labels])
-    mine = np.array([label.split(".")[0] == name for label in fit.space.labels])
-    chain = other.library.Chain(list(fit.space.names), other.model.channels)
-    both = np.stack([params, np.where(mine, np.asarray(chain.null, float), params)])
+    layout = other.layout(fit.space.names)
+    params = layout.values(fit.params)
+    mine = np.array([label.split(".")[0] == name for label in layout.labels])
+    both = np.stack([params, np.where(mine, layout.null, params)])
     shift = other.predict(fit.space.names, both)
     return np.asarray(shift[0] - shift[1])
 
@@ -271,7 +272,7 @@ def _error(search: Search, order: list[str], other: Record | None) -> dict[str, 
 
 
 def _judge(record: Record) -> str:
-    return "labelled blocks of this run" if labelled(record.run.block) else "blocks of this run"
+    return "labelled blocks of this run" if labelled(record.block) else "blocks of this run"
 
 
 def _where(record: Record, fit: Fit) -> dict[str, list[dict[str, Any]]]:
@@ -335,8 +336,8 @@ def _made_from(
     return {
         "softmap": __version__,
         "seed": seed,
-        "run": record.whole.hash(),
-        "held_out": None if other is None else other.whole.hash(),
+        "run": record.whole[0].hash() if len(record.whole) == 1 else [run.hash() for run in record.whole],
+        "held_out": None if other is None else other.whole[0].hash(),
         "frames": len(record),
         "robot": getattr(record.model, "robot", None),
         "own_effects": list(record.model.chain_names),

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.conclusion import OwnMisfit, conclude, parameters
 from softmap_edge.diagnosis.evidence import Untestable, equivalents, experiment, orientations, shown, unseen
-from softmap_edge.diagnosis.fit import Fit, Problem, Record
+from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.noise import command_kernel, estimate_noise, form_covariance, rod_noise, whitener
+from softmap_edge.diagnosis.record import Record, record_of
 from softmap_edge.diagnosis.search import Search
 from softmap_edge.errors import SoftmapError, brief
 from softmap_edge.report.text import VERDICTS, check_diagnosis, diagnosis_text
@@ -105,14 +106,14 @@ class Diagnosis:
         return cls.from_dict(document)
 
     def params_of(self, name: str) -> dict[str, float]:
-        """Return the fitted parameters of one named effect or fault by label.
+        """Return the fitted parameters of one named effect or fault by label; those of the first run, if it is its own.
 
         Raises:
             SoftmapError: the diagnosis does not name it.
         """
         for entry in [*self.effects, *self.faults]:
             if entry["name"] == name:
-                return {label: float(p["value"]) for label, p in entry["params"].items()}
+                return {label: float(p["value"]) for label, p in entry["params"].items() if "@" not in label}
         named = ", ".join(e["name"] for e in [*self.effects, *self.faults]) or "none"
         raise SoftmapError(f"the diagnosis does not name '{name}'; it names {named}")
 
@@ -122,7 +123,7 @@ class Diagnosis:
 
 def diagnose(
     model: Model,
-    run: Run,
+    run: Run | Sequence[Run],
     held_out: Run | None = None,
     effects: Sequence[str] | None = None,
     seed: int = 0,
@@ -133,7 +134,8 @@ def diagnose(
 
     Args:
         model: a Model; its own chain is kept and not searched again.
-        run: the measured run, vertices or markers at K >= 8 seen frames.
+        run: the measured run, vertices or markers at K >= 8 seen frames; or several of one robot, which share all
+            parameters but those of the camera's frame and clock.
         held_out: an independent run of another kind; effects that do not lower the error there are dropped.
         effects: names of the candidates; all of the registry by default.
         seed: kept in the document; the method itself draws nothing at random.
@@ -146,7 +148,7 @@ def diagnose(
     Raises:
         SoftmapError: too few frames, unknown effects, a run of another robot.
     """
-    record = Record(model, run, library)
+    record = record_of(model, run, library)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = _candidates(record, registry, effects)
     problem = _problem(record, candidates)
@@ -160,13 +162,13 @@ def diagnose(
         fit, demoted = _demote(search, fit, lambda f: _error_on(f, other), 0.995)
     else:  # form error can swallow what a static effect does wrong on unseen blocks; in mm it shows
         fit, demoted = _demote(search, fit, search.held_out_mm, 1.0)
-    found = model.with_effects(fit.space.names, fit.params) if fit.effects else model
+    found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     document = conclude(search, fit, other, demoted, impossible, _own_misfit(record), seed)
     document["sentence"] += _outside(record)
     return Diagnosis(**document, model=found)
 
 
-def refit(model: Model, run: Run, library: Any = None) -> tuple[Model, dict[str, Any]]:
+def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[Model, dict[str, Any]]:
     """Fit the parameters of a model's own effects again to a run.
 
     Returns:
@@ -178,10 +180,10 @@ def refit(model: Model, run: Run, library: Any = None) -> tuple[Model, dict[str,
     own = tuple(model.chain_names)
     if not own:
         raise SoftmapError("the model has no effects to refit; `softmap diagnose` finds out which it lacks")
-    record = Record(model, run, library)
+    record = record_of(model, run, library)
     problem = _problem(record, list(own))
     space = problem.space(own, free=own)
-    now = space.scaled(np.asarray(model.chain_params, float)[space.free])
+    now = space.scaled(record.own()[space.free])
     before = problem.fit((), [np.zeros(0)], free=("",))
     fit = problem.fit(own, [now, space.start], free=own)
     sigma = problem.uncertainty(fit, max(1.0, fit.chi2 / max(1.0, problem.numbers)))
@@ -192,7 +194,7 @@ def refit(model: Model, run: Run, library: Any = None) -> tuple[Model, dict[str,
         "before_rms_mm": record.rms_mm(record.seen - before.predicted),
         "after_held_out_rms_mm": float(np.sqrt(np.nanmean(np.concatenate(squares)))),
     }
-    return model.with_effects(own, fit.params), document
+    return model.with_effects(own, _shared(fit)), document
 
 
 def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]:
@@ -206,7 +208,7 @@ def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]
     Raises:
         SoftmapError: as `diagnose`.
     """
-    record = Record(model, run, library)
+    record = record_of(model, run, library)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = _candidates(record, registry, None)
     problem = _problem(record, candidates)
@@ -239,6 +241,11 @@ def _showing(
     )
 
 
+def _shared(fit: Fit) -> dict[str, float]:
+    """Return the fitted parameters of a model: what later runs had for themselves stays with them."""
+    return {label: value for label, value in fit.params.items() if "@" not in label}
+
+
 def _whole(digits: str) -> int | float:
     """Return a whole number of JSON; one beyond any float, which no arithmetic takes, as infinity."""
     return int(digits) if len(digits) < 300 else float(digits)
@@ -258,12 +265,12 @@ def _candidates(
         raise SoftmapError("no effect is left to look for: the model already has every candidate")
     impossible = []
     for name in names:
-        missing = [f for f in registry[name].get("needs", []) if getattr(record.run, f, None) is None]
+        missing = record.missing(registry[name].get("needs", []))
         if registry[name]["role"] == "channel" and record.model.channels == 0:
             impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
         elif missing:
             impossible.append(Untestable(name, f"the run does not declare {', '.join(missing)}", "declare it", 1.0))
-    if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record.run.gravity) == 1:
+    if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record.gravity) == 1:
         # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than
         # its form error, and a tilt of gravity is an offset. The simpler member stands for the family.
         block, minutes = experiment(registry, "gravity")
@@ -296,9 +303,7 @@ def _own_misfit(record: Record) -> OwnMisfit | None:
 
 def _problem(record: Record, candidates: Sequence[str]) -> Problem:
     """Measure the noise, set up the form error and look along the span of the candidates' signatures."""
-    chain = record.library.Chain(list(record.model.chain_names), record.model.channels)
-    own = np.asarray(record.model.chain_params, float).reshape(1, len(chain.labels))
-    base = record.predict(record.model.chain_names, own)[0]
+    base = record.predict(record.model.chain_names, record.own()[None])[0]
     if len(record) < 8:
         raise SoftmapError(f"{len(record)} seen frames are too few to diagnose; record at least 8, better 60")
     thin = np.unique(np.linspace(0, len(record) - 1, min(len(record), SIGNATURE_FRAMES)).astype(int))
@@ -316,18 +321,17 @@ def _problem(record: Record, candidates: Sequence[str]) -> Problem:
 
 def _signatures(record: Record, name: str, base: Floats, frames: NDArray[Any]) -> list[Floats]:
     """Return what an effect does at its start values, all at once and each parameter alone."""
-    present = record.library.Chain(list(record.model.chain_names), record.model.channels)
-    own = dict(zip(present.labels, map(float, record.model.chain_params)))
     names = tuple(record.model.chain_names) + (() if name in record.model.chain_names else (name,))
-    chain = record.library.Chain(list(names), record.model.channels)
-    null = np.array([own.get(label, n) for label, n in zip(chain.labels, chain.null)])
-    mine = [i for i, label in enumerate(chain.labels) if label.split(".")[0] == name]
+    layout, present = record.layout(names), record.layout(record.model.chain_names)
+    own = dict(zip(present.labels, map(float, record.own())))
+    null = np.array([own.get(label, n) for label, n in zip(layout.labels, layout.null)])
+    mine = [i for i, label in enumerate(layout.labels) if label.split(".")[0] == name]
     every = null.copy()
-    every[mine] = np.asarray(chain.start)[mine]
+    every[mine] = layout.start[mine]
     rows = [every]
     for i in mine:
         alone = null.copy()
-        alone[i] = chain.start[i]
+        alone[i] = layout.start[i]
         rows.append(alone)
     shifts = record.predict(names, np.stack(rows)) - base
     return [s[frames] for s in shifts if np.any(np.abs(s) > 1e-9)]
@@ -335,8 +339,7 @@ def _signatures(record: Record, name: str, base: Floats, frames: NDArray[Any]) -
 
 def _error_on(fit: Fit, other: Record) -> float:
     """Return the error mm of a fit on an independent run."""
-    params = np.array([[fit.params[label] for label in fit.space.labels]])
-    return other.rms_mm(other.seen - other.predict(fit.space.names, params)[0])
+    return other.rms_mm(other.seen - fit.on(other))
 
 
 def _demote(search: Search, fit: Fit, error: Callable[[Fit], float], share: float) -> tuple[Fit, list[str]]:

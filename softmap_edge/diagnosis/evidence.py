@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.fit import Fit, Problem, Record
+from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.noise import scaled_commands
+from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import VISIBLE_MM, Search
 
 Floats = NDArray[np.float64]
@@ -67,8 +68,8 @@ def orientations(gravity: Floats | None) -> int:
 def equivalents(record: Record, name: str, registry: Mapping[str, dict[str, Any]]) -> list[str]:
     """Return the candidates that this run cannot tell from `name` by their form."""
     resolved = {
-        "orientation": orientations(record.run.gravity) > 1,
-        "load": record.run.load is not None and float(np.ptp(record.run.load)) > 0,
+        "orientation": orientations(record.gravity) > 1,
+        "load": record.load is not None and float(np.ptp(record.load)) > 0,
         "never": False,
     }
     return [twin for twin, by in registry[name]["alike"].items() if twin in registry and not resolved[by]]
@@ -87,7 +88,7 @@ def not_testable(search: Search, fit: Fit, registry: dict[str, dict[str, Any]]) 
         if name in fit.effects:
             continue
         block, minutes = experiment(registry, name)
-        missing = [f for f in registry[name].get("needs", []) if getattr(problem.record.run, f, None) is None]
+        missing = problem.record.missing(registry[name].get("needs", []))
         if missing:
             found.append(Untestable(name, f"the run does not declare {', '.join(missing)}", block, minutes))
             continue
@@ -258,8 +259,7 @@ def ladder_on(search: Search, other: Record, order: Sequence[str]) -> dict[str, 
     every = np.arange(len(record))
 
     def error(fit: Fit, static: bool = False) -> float:
-        params = np.array([[fit.params[label] for label in fit.space.labels]])
-        residual = other.seen - other.predict(fit.space.names, params)[0]
+        residual = other.seen - fit.on(other)
         if static:
             residual = residual - _static(record, other, record.seen - fit.predicted, every)
         return other.rms_mm(residual)

@@ -12,100 +12,22 @@ step from the full fit, of at most half a range. Pinned by tests/test_fit.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import Conditions, conditions
 from softmap_edge.diagnosis.noise import Kernel, Noise, Whitener, command_kernel
+from softmap_edge.diagnosis.record import Record
 from softmap_edge.errors import SoftmapError
 from softmap_edge.folds import run_folds
-
-if TYPE_CHECKING:
-    from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
 
 STEP = 4e-3  # of the range of a parameter
-SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
 ITERATIONS = 14
-CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
-
-
-class Record:
-    """One run as a fit sees it: measured features, commands, and predictions for any chain of effects."""
-
-    def __init__(self, model: Any, run: Run, library: Any = None) -> None:
-        """Bind a model to a run; `library` has `Chain(names, channels)` and `effects()` (the compiled core)."""
-        if library is None:
-            from softmap_edge import _core as library
-        self.model, self.run, self.whole, self.library = model, run, run, library
-        seen = np.asarray(model.seen_features(run), float)
-        some = np.isfinite(seen).any(axis=(1, 2))
-        if not some.all():  # a frame in which nothing is seen holds nothing out, and its loss of 0 speaks for nobody
-            self.run, seen = run.at(some), seen[some]
-            run = self.run
-        self.frames, self.features = seen.shape[0], seen.shape[1] * 3
-        self.seen: Floats = seen.reshape(self.frames, self.features)
-        self.t_seen: Floats = np.asarray(run.t_seen, float)
-        self.u: Floats = np.asarray(model.commands(run), float)
-        t = np.asarray(run.t, float)
-        columns = [np.interp(self.t_seen, t, c) for c in self.u.T]
-        self.command: Floats = np.stack(columns, axis=1) if columns else np.zeros((self.frames, 0))
-        mapping = model.run_feature_map(run)
-        self.positions: NDArray[np.bool_] = np.asarray(mapping.positions, bool)
-        self.section: NDArray[np.int64] = np.asarray(mapping.section)
-        self.form_error: Floats = np.asarray(model.run_form_error(run), float)
-
-    @cached_property
-    def state(self) -> Conditions:
-        """What the commands were doing at each frame."""
-        return conditions(self.run, self.u)
-
-    @cached_property
-    def spread(self) -> Floats:
-        """Range (C,) of the run's commands."""
-        return np.ptp(self.u, axis=0) if len(self.u) else np.zeros(self.u.shape[1])
-
-    def predict(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return predicted features (B, K, F) mm for parameter sets (B, P)."""
-        chunk = max(1, CHUNK // max(1, self.frames * self.features))
-        parts = [
-            self.model.predict_features(tuple(names), np.ascontiguousarray(params[i : i + chunk]), self.run)
-            for i in range(0, len(params), chunk)
-        ]
-        return np.concatenate(parts).reshape(len(params), self.frames, self.features)
-
-    def acting(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return what acts on the shape, (B, K, C), for parameter sets (B, P)."""
-        return np.asarray(self.model.acting(tuple(names), np.ascontiguousarray(params), self.run))
-
-    def slopes(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the slopes (C, K, F) mm of the features over what acts, about one parameter set (P,)."""
-        step = np.maximum(SLOPE * self.spread, 1e-3)
-        slopes = self.model.slopes(tuple(names), np.ascontiguousarray(params), step, self.run)
-        return np.asarray(slopes).reshape(len(slopes), self.frames, self.features)
-
-    def rms_mm(self, difference: Floats, frames: NDArray[Any] | None = None) -> float:
-        """Return the RMS distance in mm over the places of feature differences (K, F)."""
-        squares = self.squares(difference)
-        return float(np.sqrt(np.nanmean(squares if frames is None else squares[frames])))
-
-    def squares(self, difference: Floats) -> Floats:
-        """Return squared distances (K, places) mm² of feature differences (K, F); NaN where unseen."""
-        places = difference.reshape(len(difference), -1, 3)[:, self.positions]
-        return np.asarray(np.sum(places**2, axis=2))
-
-    @property
-    def form_mm(self) -> float:
-        """Return the model's own held-out error in mm RMS over the places."""
-        return float(np.sqrt(np.mean(np.sum(self.form_error[self.positions] ** 2, axis=1))))
-
-    def __len__(self) -> int:
-        return int(self.frames)
 
 
 class Space:
@@ -116,16 +38,13 @@ class Space:
     ) -> None:
         """Free the effects in `effects` on top of the model's own, or exactly those in `free`."""
         own = tuple(record.model.chain_names)
-        self.names = own + tuple(e for e in effects if e not in own)
-        chain = record.library.Chain(list(self.names), record.model.channels)
-        self.labels: list[str] = list(chain.labels)
-        self.units: list[str] = list(chain.units)
-        null, start = np.asarray(chain.null, float), np.asarray(chain.start, float)
-        low, high, log = np.asarray(chain.low, float), np.asarray(chain.high, float), np.asarray(chain.log, bool)
+        layout = record.layout(own + tuple(e for e in effects if e not in own))
+        self.names, self.labels, self.units = layout.names, layout.labels, layout.units
+        null, start, low, high = layout.null, layout.start, layout.low, layout.high
         wanted = set(free or effects)
         self.free = np.array([i for i, label in enumerate(self.labels) if label.split(".")[0] in wanted], int)
-        self.base = np.array([base.get(label, null[i]) for i, label in enumerate(self.labels)])
-        self.log = log[self.free]
+        self.base = np.array([base.get(label.split("@")[0], null[i]) for i, label in enumerate(self.labels)])
+        self.log, self.integer = layout.log[self.free], layout.integer[self.free]
         self._zero = np.where(self.log, start[self.free], null[self.free])
         linear = np.maximum(np.abs(high - null), np.abs(low - null))[self.free]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -156,6 +75,14 @@ class Space:
         """Return one standard deviation in user units of scaled deviations at x."""
         return np.asarray(np.where(self.log, np.abs(self.values(x)), 1.0) * self._scale * deviation)
 
+    def pinned(self, x: Floats) -> Space:
+        """Return the coordinates within bounds that hold whole numbers where they are at x: no slope leads away."""
+        if not self.integer.any():
+            return self
+        held = copy(self)
+        held.low, held.high = np.where(self.integer, x, self.low), np.where(self.integer, x, self.high)
+        return held
+
     def free_labels(self) -> list[str]:
         """Return the labels of the free parameters."""
         return [self.labels[i] for i in self.free]
@@ -179,6 +106,11 @@ class Fit:
         """The fitted parameters by label, the model's own included."""
         return dict(zip(self.space.labels, map(float, self.space.params(self.x[None])[0])))
 
+    def on(self, other: Record) -> Floats:
+        """Return what the fitted parameters predict on another record (K, F) mm."""
+        params = other.layout(self.space.names).values(self.params)
+        return np.asarray(other.predict(self.space.names, params[None])[0])
+
 
 class Problem:
     """A record with its noise and form error: what every fit and every cross-validation of a diagnosis shares."""
@@ -186,13 +118,12 @@ class Problem:
     def __init__(self, record: Record, noise: Noise, whitener: Whitener, base: dict[str, float] | None = None) -> None:
         """Share `record`, `noise` and `whitener`; `base` are the model's own parameters by label."""
         self.record, self.noise, self.whitener = record, noise, whitener
-        chain = record.library.Chain(list(record.model.chain_names), record.model.channels)
-        own = dict(zip(chain.labels, map(float, record.model.chain_params)))
+        own = dict(zip(record.layout(record.model.chain_names).labels, map(float, record.own())))
         self.base = own if base is None else base
         self.gain = 1.0 / np.sqrt(noise.inflation)
         seen = np.isfinite(record.seen).any(axis=1)
         self.numbers = float(seen.sum() * len(whitener.form)) / noise.inflation
-        self.folds = run_folds(record.t_seen, record.run.block)
+        self.folds = run_folds(record.t_seen, record.block)
 
     def modes(self, predicted: Floats) -> Floats:
         """Return the residual modes (..., K, M) of predictions (..., K, F)."""
@@ -237,7 +168,8 @@ class Problem:
     def fit(self, effects: Sequence[str], starts: Sequence[Floats], free: Sequence[str] = ()) -> Fit:
         """Fit a set of effects from each start (P,) in scaled coordinates and keep the best."""
         space = self.space(effects, free)
-        fits = [self._descend(tuple(effects), space, np.clip(s, space.low, space.high)) for s in starts]
+        inside = [np.clip(start, space.low, space.high) for start in starts]
+        fits = [self._descend(tuple(effects), space.pinned(x), x) for x in inside]
         return min(fits, key=lambda fit: fit.cost)
 
     def null(self) -> Fit:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from math import comb, log
 
 import numpy as np
@@ -82,9 +83,12 @@ class Search:
     def starts(self, effect: str) -> list[Floats]:
         """Return scaled starting points of one effect alone: the declared one, its signs, and others on log scales.
 
-        Tendons that fall slack put a kink at home, where the slope on one side says nothing about the other.
+        Tendons that fall slack put a kink at home, where the slope on one side says nothing about the other. Every
+        combination of whole numbers is a start of its own.
         """
         space = self.problem.space((effect,), free=(effect,))
+        if space.integer.any():
+            return _whole_starts(space)
         points = [space.start.copy()]
         for i in np.flatnonzero(space.log):
             for share in (0.15, 0.85):
@@ -126,7 +130,7 @@ class Search:
                 slopes[labels.index(label)] = parent.slopes[j]
             for j, i in enumerate(new):
                 slopes[i] = (modes[s * width + 1 + j] - here) / (batch[s * width + 1 + j][i] - x[i])
-            ahead.append(newton_step(space, x, problem.white(slopes), problem.white(here), 1e-3))
+            ahead.append(newton_step(space.pinned(x), x, problem.white(slopes), problem.white(here), 1e-3))
         points = np.concatenate([np.stack(joint), np.stack(ahead)])
         after = problem.at(space, np.stack(ahead))[1]
         costs = problem.costs(np.concatenate([modes[::width], after]), points)[0]
@@ -392,6 +396,17 @@ class Search:
         weight = np.exp(-0.5 * (scores - scores.min()))
         weight /= weight.sum()
         return {e: float(sum(w for k, w in zip(keys, weight) if e in k)) for e in self.candidates}
+
+
+def _whole_starts(space: Space) -> list[Floats]:
+    """Return every combination of the whole numbers of an effect, but that where all are at their null."""
+    values = space.values(space.start)
+    rows = [
+        [float(k) for k in range(round(low), round(high) + 1)] if whole else [value]
+        for value, whole, low, high in zip(values, space.integer, space.values(space.low), space.values(space.high))
+    ]
+    points = [space.scaled(np.array(point)) for point in product(*rows)]
+    return [p for p in points if np.any(np.abs(p - space.scaled(space.null))[space.integer] > 1e-9)]
 
 
 def _standard_errors(theirs: Floats, mine: Floats) -> float:

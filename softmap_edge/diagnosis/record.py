@@ -1,0 +1,278 @@
+"""Runs as a fit sees them: measured features, commands, what the runs declare, and predictions for any chain.
+
+A `Record` is one run. A `Records` is several runs of one robot, frame after frame, under shared parameters: memory
+starts in equilibrium in each run, and what belongs to a session rather than to the robot (PER_RUN: where the base stood
+in the camera's frame, how it drifted, how far the clocks were apart) has numbers of its own for each, labelled
+`mount.turn_x@2` from the second run on. Both have one face, so that nothing else in a diagnosis counts runs.
+Units: mm, s, g. Limit: the runs must be seen in the same way (vertices, or the same number of markers).
+Pinned by tests/test_fit.py and tests/test_several_runs.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.conditions import Conditions, conditions
+from softmap_edge.errors import SoftmapError
+
+if TYPE_CHECKING:
+    from softmap_edge.run import Run
+
+Floats = NDArray[np.float64]
+
+CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
+SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
+APART = 60.0  # s between the runs of a `Records`: none is within a gap of another
+PER_RUN = ("mount", "camera_drift", "clock_shift")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The parameters of a chain as a record has them: arrays (P,), and where each run's own chain finds its numbers."""
+
+    names: tuple[str, ...]
+    labels: list[str]
+    units: list[str]
+    null: Floats
+    start: Floats
+    low: Floats
+    high: Floats
+    log: NDArray[np.bool_]
+    integer: NDArray[np.bool_]
+    columns: list[NDArray[np.intp]]  # of each run, (chain's P,)
+
+    def values(self, params: Mapping[str, float]) -> Floats:
+        """Return parameters (P,) by label; what only another run has is taken from its first."""
+        return np.array([params[label] if label in params else params[label.split("@")[0]] for label in self.labels])
+
+
+class Record:
+    """One run: measured features (K, F) mm, the commands behind them, and predictions for any chain of effects."""
+
+    def __init__(self, model: Any, run: Run, library: Any = None) -> None:
+        """Bind a model to a run; `library` has `Chain(names, channels)` and `effects()` (the compiled core)."""
+        if library is None:
+            from softmap_edge import _core as library
+        self.model, self.run, self.library = model, run, library
+        self.whole: tuple[Run, ...] = (run,)
+        seen = np.asarray(model.seen_features(run), float)
+        some = np.isfinite(seen).any(axis=(1, 2))
+        if not some.all():  # a frame in which nothing is seen holds nothing out, and its loss of 0 speaks for nobody
+            self.run, seen = run.at(some), seen[some]
+            run = self.run
+        self.frames, self.features = seen.shape[0], seen.shape[1] * 3
+        self.seen: Floats = seen.reshape(self.frames, self.features)
+        self.t_seen: Floats = np.asarray(run.t_seen, float)
+        self.u: Floats = np.asarray(model.commands(run), float)
+        t = np.asarray(run.t, float)
+        columns = [np.interp(self.t_seen, t, c) for c in self.u.T]
+        self.command: Floats = np.stack(columns, axis=1) if columns else np.zeros((self.frames, 0))
+        mapping = model.run_feature_map(run)
+        self.positions: NDArray[np.bool_] = np.asarray(mapping.positions, bool)
+        self.section: NDArray[np.int64] = np.asarray(mapping.section)
+        self.form_error: Floats = np.asarray(model.run_form_error(run), float)
+        self.block: NDArray[Any] | None = run.block
+
+    # --- what the run declares ------------------------------------------------------------------
+
+    @cached_property
+    def state(self) -> Conditions:
+        """What the commands were doing at each frame."""
+        return conditions(self.run, self.u)
+
+    @cached_property
+    def spread(self) -> Floats:
+        """Range (C,) of the commands."""
+        return np.ptp(self.u, axis=0) if len(self.u) else np.zeros(self.u.shape[1])
+
+    @property
+    def gravity(self) -> Floats | None:
+        """Directions (n, 3) of gravity that are declared, in the base frame."""
+        return None if self.run.gravity is None else np.atleast_2d(np.asarray(self.run.gravity, float))
+
+    @property
+    def load(self) -> Floats | None:
+        """Loads (n,) g that are declared."""
+        return None if self.run.load is None else np.atleast_1d(np.asarray(self.run.load, float))
+
+    def missing(self, wanted: Sequence[str]) -> list[str]:
+        """Return which of the fields that an effect needs are not declared."""
+        return [name for name in wanted if getattr(self.run, name, None) is None]
+
+    # --- predictions ----------------------------------------------------------------------------
+
+    def layout(self, names: Sequence[str]) -> Layout:
+        """Return the parameters of a chain of `names`."""
+        return self._layout(names, 1)
+
+    def _layout(self, names: Sequence[str], runs: int) -> Layout:
+        """Return the parameters of a chain, those of the effects in PER_RUN once for each run."""
+        chain = self.library.Chain(list(names), self.model.channels)
+        count = len(chain.labels)
+        own = [i for i, label in enumerate(chain.labels) if label.split(".")[0] in PER_RUN]
+        source, labels, columns = list(range(count)), list(chain.labels), [np.arange(count)]
+        for run in range(2, runs + 1):
+            column = np.arange(count)
+            for i in own:
+                column[i] = len(source)
+                source.append(i)
+                labels.append(f"{chain.labels[i]}@{run}")
+            columns.append(column)
+        null, start, low, high = (
+            np.asarray(getattr(chain, k), float)[source] for k in ("null", "start", "low", "high")
+        )
+        integer = np.asarray(chain.integer, bool)[source]
+        log, units = np.asarray(chain.log, bool)[source], [chain.units[i] for i in source]
+        return Layout(tuple(names), labels, units, null, start, low, high, log, integer, columns)
+
+    def own(self) -> Floats:
+        """Return the parameters (P,) of the model's own effects."""
+        chain = self.library.Chain(list(self.model.chain_names), self.model.channels)
+        params = dict(zip(chain.labels, map(float, self.model.chain_params)))
+        return self.layout(self.model.chain_names).values(params)
+
+    def predict(self, names: Sequence[str], params: Floats) -> Floats:
+        """Return predicted features (B, K, F) mm for parameter sets (B, P) of the layout of `names`."""
+        chunk = max(1, CHUNK // max(1, self.frames * self.features))
+        parts = [
+            self.model.predict_features(tuple(names), np.ascontiguousarray(params[i : i + chunk]), self.run)
+            for i in range(0, len(params), chunk)
+        ]
+        return np.concatenate(parts).reshape(len(params), self.frames, self.features)
+
+    def acting(self, names: Sequence[str], params: Floats) -> Floats:
+        """Return what acts on the shape, (B, K, C), for parameter sets (B, P)."""
+        return np.asarray(self.model.acting(tuple(names), np.ascontiguousarray(params), self.run))
+
+    def slopes(self, names: Sequence[str], params: Floats) -> Floats:
+        """Return the slopes (C, K, F) mm of the features over what acts, about one parameter set (P,)."""
+        step = np.maximum(SLOPE * self.spread, 1e-3)
+        slopes = self.model.slopes(tuple(names), np.ascontiguousarray(params), step, self.run)
+        return np.asarray(slopes).reshape(len(slopes), self.frames, self.features)
+
+    # --- measures -------------------------------------------------------------------------------
+
+    def rms_mm(self, difference: Floats, frames: NDArray[Any] | None = None) -> float:
+        """Return the RMS distance in mm over the places of feature differences (K, F)."""
+        squares = self.squares(difference)
+        return float(np.sqrt(np.nanmean(squares if frames is None else squares[frames])))
+
+    def squares(self, difference: Floats) -> Floats:
+        """Return squared distances (K, places) mm² of feature differences (K, F); NaN where unseen."""
+        places = difference.reshape(len(difference), -1, 3)[:, self.positions]
+        return np.asarray(np.sum(places**2, axis=2))
+
+    @property
+    def form_mm(self) -> float:
+        """Return the model's own held-out error in mm RMS over the places."""
+        return float(np.sqrt(np.mean(np.sum(self.form_error[self.positions] ** 2, axis=1))))
+
+    def __len__(self) -> int:
+        return int(self.frames)
+
+
+class Records(Record):
+    """Several runs of one robot, one after the other."""
+
+    def __init__(self, model: Any, runs: Sequence[Run], library: Any = None) -> None:
+        """Bind a model to several runs.
+
+        Raises:
+            SoftmapError: the runs are not seen in the same way.
+        """
+        parts = [Record(model, run, library) for run in runs]
+        kinds = [(part.features, len(part.positions)) for part in parts]
+        if len(set(kinds)) > 1:
+            raise SoftmapError(
+                f"the runs show {', '.join(str(n) for _, n in kinds)} features a frame; runs that are diagnosed "
+                "together must be seen in the same way, so diagnose them apart"
+            )
+        self.parts, self.model, self.library = parts, model, parts[0].library
+        self.whole = tuple(runs)
+        self.frames, self.features = sum(part.frames for part in parts), parts[0].features
+        self.seen = np.concatenate([part.seen for part in parts])
+        self.command = np.concatenate([part.command for part in parts])
+        self.positions, self.section = parts[0].positions, parts[0].section
+        weight = [part.frames / max(1, self.frames) for part in parts]
+        self.form_error = np.sqrt(sum(w * part.form_error**2 for w, part in zip(weight, parts)))
+        self.ends = np.cumsum([part.frames for part in parts])
+        begins, end = [], 0.0
+        for part in parts:
+            first = float(part.t_seen[0]) if part.frames else 0.0
+            begins.append(part.t_seen - first + end)
+            end = (float(begins[-1][-1]) if part.frames else end) + APART
+        self.t_seen = np.concatenate(begins)
+        labels = [part.block for part in parts]
+        self.block = None if any(b is None for b in labels) else np.concatenate([np.asarray(b) for b in labels])
+
+    @cached_property
+    def state(self) -> Conditions:
+        """What the commands were doing at each frame; a dwell belongs to one run."""
+        states = [part.state for part in self.parts]
+        columns: dict[str, Any] = {}
+        for f in fields(Conditions):
+            rows = [getattr(state, f.name) for state in states]
+            columns[f.name] = None if any(row is None for row in rows) else np.concatenate(rows)
+        for i, (end, part) in enumerate(zip(self.ends, self.parts)):
+            visit = columns["visit"][end - part.frames : end]
+            visit[visit >= 0] += i * (1 << 40)
+        return Conditions(**columns | {"time": self.t_seen - self.t_seen[:1]})
+
+    @cached_property
+    def spread(self) -> Floats:
+        """Range (C,) of the commands of all runs."""
+        return np.asarray(np.ptp(np.concatenate([part.u for part in self.parts]), axis=0))
+
+    @property
+    def gravity(self) -> Floats | None:
+        """Directions (n, 3) of gravity, of all runs; None if one does not declare it."""
+        rows = [part.gravity for part in self.parts]
+        known = [row for row in rows if row is not None]
+        return np.concatenate(known) if len(known) == len(rows) else None
+
+    @property
+    def load(self) -> Floats | None:
+        """Loads (n,) g, 0 in runs that declare none; None if no run does."""
+        rows = [part.load for part in self.parts]
+        return None if all(r is None for r in rows) else np.concatenate([np.zeros(1) if r is None else r for r in rows])
+
+    def missing(self, wanted: Sequence[str]) -> list[str]:
+        """Return which of the fields that an effect needs some run does not declare."""
+        return [name for name in wanted if any(part.missing([name]) for part in self.parts)]
+
+    def layout(self, names: Sequence[str]) -> Layout:
+        """Return the parameters of a chain, with numbers of its own for each run where they belong to a session."""
+        return self._layout(names, len(self.parts))
+
+    def _each(self, names: Sequence[str], params: Floats) -> list[tuple[Record, Floats]]:
+        return [(part, params[..., column]) for part, column in zip(self.parts, self.layout(names).columns)]
+
+    def predict(self, names: Sequence[str], params: Floats) -> Floats:
+        """Return predicted features (B, ΣK, F) mm for parameter sets (B, P) of the layout of `names`."""
+        return np.concatenate([part.predict(names, own) for part, own in self._each(names, params)], axis=1)
+
+    def acting(self, names: Sequence[str], params: Floats) -> Floats:
+        """Return what acts on the shape, (B, ΣK, C), for parameter sets (B, P)."""
+        return np.concatenate([part.acting(names, own) for part, own in self._each(names, params)], axis=1)
+
+    def slopes(self, names: Sequence[str], params: Floats) -> Floats:
+        """Return the slopes (C, ΣK, F) mm of the features over what acts, about one parameter set (P,)."""
+        return np.concatenate([part.slopes(names, own) for part, own in self._each(names, params)], axis=1)
+
+
+def record_of(model: Any, run: Run | Sequence[Run], library: Any = None) -> Record:
+    """Return one run, or several, as a fit sees them.
+
+    Raises:
+        SoftmapError: no run at all, or runs that are not seen in the same way.
+    """
+    runs = list(run) if isinstance(run, Sequence) else [run]
+    if not runs:
+        raise SoftmapError("no run is given; a diagnosis wants at least one")
+    return Record(model, runs[0], library) if len(runs) == 1 else Records(model, runs, library)
