@@ -24,6 +24,7 @@ from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.noise import command_kernel, estimate_noise, form_covariance, rod_noise, whitener
 from softmap_edge.diagnosis.record import Record, record_of
 from softmap_edge.diagnosis.search import Search
+from softmap_edge.diagnosis.servo import servos
 from softmap_edge.errors import SoftmapError, brief
 from softmap_edge.report.text import VERDICTS, check_diagnosis, diagnosis_text
 
@@ -58,6 +59,7 @@ class Diagnosis:
     unexplained: dict[str, Any]
     next: list[dict[str, Any]]
     made_from: dict[str, Any]
+    servo: list[dict[str, Any]] = field(default_factory=list)
     model: Any = field(default=None, repr=False)  # a Model; callers of `diagnose` need not look for None
 
     def to_dict(self) -> dict[str, Any]:
@@ -84,6 +86,8 @@ class Diagnosis:
             kind = {"verdict": str, "sentence": str}.get(
                 f.name, dict if f.name in ("where", "error", "unexplained", "made_from") else list
             )
+            if f.name == "servo" and "servo" not in document:  # a document of before there was any
+                continue
             if not isinstance(document.get(f.name), kind):
                 raise SoftmapError(f"the diagnosis has no usable '{f.name}'; make it again with `softmap diagnose`")
             values[f.name] = document[f.name]
@@ -165,7 +169,8 @@ def diagnose(
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     document = conclude(search, fit, other, demoted, impossible, _own_misfit(record), seed)
     document["sentence"] += _outside(record)
-    return Diagnosis(**document, model=found)
+    told = servos(record.whole[0], [*candidates, *record.model.chain_names]) if library is None else []
+    return Diagnosis(**document, servo=told, model=found)
 
 
 def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[Model, dict[str, Any]]:

@@ -27,6 +27,7 @@ from softmap_edge.report.text import (
     check_pair,
     ladder_steps,
     parameter,
+    servo_row,
 )
 
 INSTALL = "pip install 'softmap-edge[report]'"
@@ -318,6 +319,7 @@ def _open_questions(story: Story) -> str:
     ]
     steps = [(f"{row.get('block', '?')}{_minutes(row)}", _settles(row)) for row in found.get("next") or []]
     parts = [
+        _definitions("Servos: between command and encoder", [servo_row(row) for row in found.get("servo") or []]),
         _definitions("Rivals: what explains these data as well", rivals),
         _definitions("Not testable with these data", untestable),
         _definitions("Next experiment", steps),

@@ -153,6 +153,8 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
         for row in rows:
             lines += _effect_lines(row)
     lines += _ladder_lines(document.get("error") or {})
+    servos = [servo_row(row) for row in document.get("servo") or []]
+    lines += _list_lines("Servos: between command and encoder", servos, ": ".join)
     lines += _list_lines("Rivals: what explains these data as well", document.get("rivals"), _rival)
     lines += _list_lines("Not testable with these data", document.get("not_testable"), _untestable)
     lines += _unexplained_lines(document.get("unexplained") or {})
@@ -167,11 +169,15 @@ def check_diagnosis(document: Any) -> None:
         raise ReportError(f"this is no diagnosis: schema {schema!r}, expected 'softmap.diagnosis/1' with a verdict")
     for key in ("where", "error", "unexplained", "made_from"):
         _demand(document.get(key) or {}, Mapping, key)
-    for key in ("effects", "faults", "rivals", "not_testable", "next"):
+    for key in ("effects", "faults", "servo", "rivals", "not_testable", "next"):
         for row in _demand(document.get(key) or [], list, key):
             _demand(row, Mapping, f"an entry of {key}")
-    for row in [*(document.get("effects") or []), *(document.get("faults") or [])]:
-        _demand(row.get("displacement_mm") or {}, Mapping, "displacement_mm")
+    named = [*(document.get("effects") or []), *(document.get("faults") or [])]
+    for row in document.get("servo") or []:
+        _demand(row.get("error") or {}, Mapping, "error of a servo")
+        named += _demand(row.get("effects") or [], list, "effects of a servo")
+    for row in named:
+        _demand(_demand(row, Mapping, "an effect").get("displacement_mm") or {}, Mapping, "displacement_mm")
         _demand(row.get("name"), str, "the name of an effect")
         for label, value in _demand(row.get("params"), Mapping, "params").items():
             if number(_demand(value, Mapping, "an entry of params").get("value")) is None:
@@ -292,6 +298,19 @@ def parameter(value: Mapping[str, Any]) -> str:
         return f"{best:.3g} ± {sigma:.2g} {unit}".rstrip()
     digits = min(max(1 - math.floor(math.log10(sigma)), 0), 9)
     return f"{best:.{digits}f} ± {sigma:.{digits}f} {unit}".rstrip()
+
+
+def servo_row(row: Mapping[str, Any]) -> tuple[str, str]:
+    """Return what an entry of `servo` says as (channel, effects and the held-out error before and after)."""
+    error, unit = row.get("error") or {}, str(row.get("unit") or "")
+    found = [
+        f"{label.split('[')[0]} {parameter(value)}"
+        for effect in row.get("effects") or []
+        for label, value in effect["params"].items()
+    ]
+    before, after = f"{mm(error.get('model'))} {unit}", f"{mm(error.get('value'))} {unit}"
+    what = f"{', '.join(found)}; {before} to {after}" if found else f"follows its command to {before}"
+    return f"channel {row.get('channel', '?')}", f"{what} (held-out RMS)"
 
 
 def _ladder_lines(error: Mapping[str, Any]) -> list[str]:

@@ -1,0 +1,123 @@
+"""The servo told apart from the tendon: what lies between command and encoder, where a run has both.
+
+Each channel is a model of its own whose shape is the command itself, so the same search that looks for what the robot
+lacks finds what the servo does: command → chain of command effects → encoder. A delay that is found here is the
+servo's, and neither the tendon's nor the camera's. Units: those of the command, s. Limits: one channel is 1 number a
+sample, and so at most THINNED samples, evenly thinned, are looked at; what acts behind the encoder is not seen.
+Pinned by tests/test_servo.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.diagnosis.conclusion import parameters
+from softmap_edge.diagnosis.fit import Problem
+from softmap_edge.diagnosis.noise import command_kernel, estimate_noise, form_covariance, whitener
+from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.search import Search
+from softmap_edge.features import FeatureMap
+from softmap_edge.run import Run
+
+Floats = NDArray[np.float64]
+
+THINNED = 1500
+
+
+@dataclass(frozen=True)
+class Servo:
+    """One servo as a model: what acts is what its encoder says. `step` is the encoder's resolution."""
+
+    channel: int
+    step: float
+    robot: str = "servo"
+    command_unit: str = "mm"
+    kind: str = "table"
+    channels: int = 1
+    chain_names: tuple[str, ...] = ()
+    chain_params: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def commands(self, run: Run) -> Floats:
+        """Return what was commanded (T, 1)."""
+        return np.ascontiguousarray(run.commands("goal")[:, self.channel : self.channel + 1])
+
+    def seen_features(self, run: Run) -> Floats:
+        """Return what the encoder says (K, 1, 3) at the seen times; the number stands first."""
+        told = np.interp(run.t_seen, run.t, run.commands("present")[:, self.channel])
+        return np.stack([told, np.zeros_like(told), np.zeros_like(told)], axis=1)[:, None]
+
+    def run_feature_map(self, run: Run) -> FeatureMap:
+        """Return the map of one place."""
+        return FeatureMap(np.eye(1), np.ones(1, bool), np.arange(1))
+
+    def run_form_error(self, run: Run) -> Floats:
+        """Return what an encoder cannot tell, (1, 3)."""
+        return np.array([[self.step, 0.0, 0.0]])
+
+    def acting(self, names: tuple[str, ...], params: Floats, run: Run) -> Floats:
+        """Return what a chain of `names` makes of the command, (B, K, 1)."""
+        chain = _core.Chain(list(names), 1)
+        acts = chain.rollout(np.ascontiguousarray(params), self.commands(run), np.asarray(run.t, float))
+        return np.stack([np.interp(run.t_seen, run.t, one[:, 0]) for one in acts])[..., None]
+
+    def slopes(self, names: tuple[str, ...], params: Floats, step: Floats, run: Run) -> Floats:
+        """Return the slopes (1, K, 1, 3) of what is seen over what acts."""
+        return np.tile([1.0, 0.0, 0.0], (1, run.frames, 1, 1))
+
+    def predict_features(self, names: tuple[str, ...], params: Floats, run: Run) -> Floats:
+        """Return features (B, K, 1, 3)."""
+        acts = self.acting(names, params, run)
+        return np.concatenate([acts, np.zeros((*acts.shape[:2], 2))], axis=2)[:, :, None]
+
+
+def servos(run: Run, effects: list[str]) -> list[dict[str, Any]]:
+    """Find what lies between command and encoder.
+
+    Args:
+        run: a run with commands (T, C) and, in the same unit, what the encoders said (T, C).
+        effects: names of the candidates; those that act on the command before the encoder are looked for.
+
+    Returns:
+        list: for each channel that moves `{channel, unit, effects: [{name, params}], error: {model, value}}` with the
+        errors held out on blocks, RMS; empty where the run has no commands or no encoders.
+    """
+    if run.command is None or run.present is None or not len(run.t):
+        return []
+    wanted = [e["name"] for e in _core.effects() if e["stage"] == "command" and e["role"] == "channel"]
+    every = np.unique(np.linspace(0, len(run.t) - 1, min(len(run.t), THINNED)).astype(int))
+    seen = replace(run, t_seen=np.asarray(run.t)[every], vertices=None, markers=None, points=None, start=None,
+                   visible=None, sigma=None, block=None, marker_rest=None)  # fmt: skip
+    return [
+        found
+        for channel in range(run.present.shape[1])
+        if (found := _servo(seen, channel, [name for name in wanted if name in effects])) is not None
+    ]
+
+
+def _servo(run: Run, channel: int, candidates: list[str]) -> dict[str, Any] | None:
+    told = np.abs(np.diff(run.commands("present")[:, channel]))
+    moves = told[told > 1e-9]
+    if not len(moves) or np.ptp(run.commands("goal")[:, channel]) < 1e-9:
+        return None
+    record = Record(Servo(channel, float(moves.min()), command_unit=run.command_unit), run)
+    base = record.predict((), np.zeros((1, 0)))[0]
+    noise = estimate_noise(record.seen - base, record.t_seen, record.state.visit)
+    form = form_covariance(record.form_error, record.positions, record.section)
+    kernel = command_kernel(record.command, record.spread)
+    signature = np.zeros((1, len(record), 3))
+    signature[..., 0] = 1.0
+    problem = Problem(record, noise, whitener(noise, form, signature, kernel))
+    search = Search(problem, candidates)
+    fit = search.simplest(search.run())
+    sigma = problem.uncertainty(fit, search.dispersion(fit)) if len(fit.x) else np.zeros(0)
+    return {
+        "channel": channel,
+        "unit": run.command_unit,
+        "effects": [{"name": e, "params": parameters(record, fit, sigma, (e,))} for e in fit.effects],
+        "error": {"model": search.held_out_mm(search.null), "value": search.held_out_mm(fit)},
+    }
