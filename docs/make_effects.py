@@ -1,17 +1,30 @@
-"""Write docs/effects.md, the page of every effect, from registry and simulator: `python docs/make_effects.py`."""
+"""Write docs/effects.md, the page of every effect, and its pictures from the registry: `python docs/make_effects.py`.
+
+A picture shows one recording without and with the effect. Effects on commands, at their start: what is told and what
+acts over time, then what the effect adds against what is told, or the plane of both channels where one moves the other.
+Effects on the shape and on what is seen, at mid-range: postures of the built-in finger, then its tip over time.
+"""
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from softmap_edge import Run, _core, builtin_model
+from softmap_edge.report.figures import AFTER, BEFORE, FAINT, STYLE
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
 
+Floats = NDArray[np.float64]
+
 PAGE = Path(__file__).with_name("effects.md")
+PICTURES = Path(__file__).with_name("effects")
 
 HEAD = """# Effects
 
@@ -20,8 +33,10 @@ Made from the registry by `docs/make_effects.py`; do not edit. An effect is decl
 
 At its null values an effect is absent. A fit searches from *low* to *high* (on a logarithmic scale where *low* is
 positive) and begins at *start*. A parameter marked *per channel* has one value for each command: `gain.factor[0]`,
-`gain.factor[1]`. The path from command to camera is `command → transmission → material → shape → sensing`; a chain is
-always composed in this order.
+`gain.factor[1]`; one *per pair* has one for each ordered pair of channels (of neighbours, beyond four channels), the
+one that is moved first: `coupling.factor[0,1]`. A *whole* number is tried, not moved. The path from command to camera
+is `command → transmission → material → shape → sensing`; a chain is always composed in this order. Each picture shows
+one recording, without the effect and with it.
 
 Loads move a finger by its fields, which are linear and taken at constant tension of its tendons; the tendons then
 answer by falling slack or taut, a complementarity problem solved at every frame (`rust/cables.rs`). On the built-in
@@ -66,6 +81,89 @@ def load_table(errors: dict[str, tuple[float, float]]) -> str:
     return "\n".join(["| load | error | of |", "|---|---|---|", *rows])
 
 
+# --- pictures --------------------------------------------------------------------------------------------------------
+
+# mm of both channels; a dwell is a knot twice. One channel at a time, growing, so that crosstalk and history show.
+FIRST = [0, 5, -5, 11, 11, -11, 7, 7, 0, 0, 0, 0, 0, 0]
+SECOND = [0, 0, 0, 0, 0, 0, 0, 0, 0, 9, 9, -9, 0, 0]
+KNOTS = np.array([FIRST, SECOND], float).T
+LASTS = {"delay": 7.0, "slow drift": 200.0}  # s, by family; others:
+USUAL = 60.0
+POSTURES = (0, 4, 13)  # knots seen from the side: at home, at 11 mm, home again
+
+
+def pictured(effect: dict[str, Any]) -> bytes:
+    """Draw an effect: what it does to the built-in finger during one recording (SVG)."""
+    model = builtin_model()
+    lasts = LASTS.get(effect["family"], USUAL)
+    t = np.linspace(0.0, lasts, 561)
+    moments = np.linspace(0.0, lasts, len(KNOTS))
+    u = np.stack([np.interp(t, moments, column) for column in KNOTS.T], axis=1)
+    warm = 22.0 + 9.0 * (1.0 - np.exp(-4.0 * t / lasts))
+    run = Run(t=t, command=u, t_seen=t, temperature=warm)
+    chain = _core.Chain([effect["name"]], 2)
+    commands = effect["role"] == "channel"
+    params = chain.start if commands else 0.5 * (chain.null + chain.high)
+    with matplotlib.rc_context({**STYLE, "svg.hashsalt": effect["name"]}):
+        figure = Figure(figsize=(8.0, 2.7), layout="constrained")
+        if commands:
+            _channel(figure, t, u, chain.rollout(params[None], u, t, temperature=warm)[0])
+        else:
+            sets = np.stack([chain.null, params])
+            frames = model.predict_features((effect["name"],), sets, run)[:, :, model.positions]
+            _seen(figure, t, moments, frames[0], frames[1])
+        units = ("" if unit == "1" else f" {unit}" for unit in chain.units)
+        given = ", ".join(f"{n.split('.')[1]} {v:.3g}{unit}" for n, v, unit in zip(chain.labels, params, units))
+        figure.suptitle(given, size=9.0, x=0.01, ha="left")
+        target = io.BytesIO()
+        figure.savefig(target, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
+        return target.getvalue()
+
+
+def _channel(figure: Figure, t: Floats, u: Floats, acts: Floats) -> None:
+    """Draw what is told and what acts over time, and what the effect adds; t (T,) s, u and acts (T, 2) mm."""
+    time, plane = figure.subplots(1, 2, width_ratios=[1.7, 1.0])
+    for c, line in enumerate(("-", (0, (3, 2)))):
+        time.plot(t, u[:, c], color=BEFORE, linewidth=1.0, linestyle=line, label=f"told, channel {c}")
+        time.plot(t, acts[:, c], color=AFTER, linewidth=1.4, linestyle=line, label=f"acts, channel {c}")
+    time.set(xlabel="time, s", ylabel="mm")
+    time.legend(loc="lower left", ncols=2, frameon=False, fontsize=7.5)
+    time.set_ylim(np.min([u, acts]) - 7.0, None)
+    alone = t <= t[np.flatnonzero(u[:, 1])[0]]  # while channel 0 moves by itself
+    crossed = abs(np.polyfit(u[alone, 0], acts[alone, 1], 1)[0]) > 0.02
+    if crossed:
+        plane.plot(u[:, 0], u[:, 1], color=BEFORE, linewidth=1.0)
+        plane.plot(acts[:, 0], acts[:, 1], color=AFTER, linewidth=1.4)
+        plane.set(xlabel="channel 0, mm", ylabel="channel 1, mm", aspect="equal")
+    else:
+        added = acts[:, 0] - u[:, 0]
+        plane.plot(u[:, 0], added, color=AFTER, linewidth=1.2)
+        plane.set_ylim(1.1 * min(added.min(), -0.02), 1.1 * max(added.max(), 0.02))
+        plane.set(xlabel="told, channel 0, mm", ylabel="added, mm")
+    for axes in (time, plane):
+        axes.grid(color=FAINT, linewidth=0.8)
+
+
+def _seen(figure: Figure, t: Floats, moments: Floats, before: Floats, after: Floats) -> None:
+    """Draw section middles (T, S, 3) mm from the side at three moments, and the tip over time."""
+    side, time = figure.subplots(1, 2, width_ratios=[1.0, 1.7])
+    for frames, colour, name in ((before, BEFORE, "without"), (after, AFTER, "with")):
+        for knot in POSTURES:
+            body = frames[int(np.argmin(np.abs(t - moments[knot])))]
+            side.plot(body[:, 0], body[:, 2], "o-", color=colour, linewidth=1.3, markersize=2.5)
+        for axis, line in ((0, "-"), (1, (0, (3, 2)))):
+            time.plot(
+                t, frames[:, -1, axis], color=colour, linewidth=1.3, linestyle=line, label=f"{name}, {'xy'[axis]}"
+            )
+    side.set(xlabel="x, mm", ylabel="z, mm", aspect="equal")
+    time.set(xlabel="time, s", ylabel="tip, mm")
+    time.legend(loc="lower left", ncols=2, frameon=False, fontsize=7.5)
+    low, high = time.get_ylim()
+    time.set_ylim(low - 0.3 * (high - low), high)
+    for axes in (side, time):
+        axes.grid(color=FAINT, linewidth=0.8)
+
+
 def page(loads: str) -> str:
     """Return the whole page as text; `loads` is the table of what loads miss."""
     effects = _core.effects()
@@ -81,7 +179,7 @@ def _section(effect: dict[str, Any]) -> str:
     if effect["kind"] == "fault":
         facts += "; a fault of the measurement, not of the robot"
     parameters = [
-        f"| `{effect['name']}.{p['name']}`{' per channel' if p['per_channel'] else ''} | {p['unit']} | {p['null']:g} "
+        f"| `{effect['name']}.{p['name']}`{_each(p)} | {p['unit']} | {p['null']:g} "
         f"| {p['start']:g} | {p['low']:g} to {p['high']:g}{' (log)' if p['log'] else ''} | {p['doc']} |"
         for p in effect["parameters"]
     ]
@@ -92,6 +190,8 @@ def _section(effect: dict[str, Any]) -> str:
             f"`{effect['formula']}`",
             "",
             effect["doc"],
+            "",
+            f"![Without and with {effect['name']}](effects/{effect['name']}.svg)",
             "",
             f"- **While it is missing:** {effect['signature']}",
             f"- **To show it:** {block} ({minutes:g} min).",
@@ -107,5 +207,13 @@ def _section(effect: dict[str, Any]) -> str:
     )
 
 
+def _each(parameter: dict[str, Any]) -> str:
+    each = {"per_channel": " per channel", "per_pair": " per pair", "integer": " whole"}
+    return "".join(word for key, word in each.items() if parameter[key])
+
+
 if __name__ == "__main__":
     PAGE.write_text(page(load_table(load_errors())), encoding="utf-8")
+    PICTURES.mkdir(exist_ok=True)
+    for declared in _core.effects():
+        (PICTURES / f"{declared['name']}.svg").write_bytes(pictured(declared))

@@ -1,7 +1,7 @@
 //! From commands to what is seen: chain → shape and fields → sensing, for many parameter sets at once. Every fit calls this.
 //!
 //! A frame at time t is `sense(prior(u_eff) + Σ c_k·field_k(u_eff) + Σ ΔT_i·cable_i(u_eff))`. `u_eff(t)` comes out of the
-//! chain at the command times and is read linearly at the seen times. `c(t)` holds the known physics, gravity declared by
+//! chain at the command times and is read linearly at the seen times, less what the frames are stamped too late. `c(t)` holds the known physics, gravity declared by
 //! the run minus the gravity the prior was solved with (g) and the weight of the declared load (N), plus what the shape
 //! effects add; a prior whose stiffness is not known leaves the known physics out, and the effects find it. ΔT(t) is how the cables' tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
 //!
@@ -9,7 +9,7 @@
 //! cost next to nothing. Limits: bodies answer linearly (see `effects/gravity.rs`, `effects/payload.rs`).
 
 use crate::cables::Cables;
-use crate::effects::{Chain, Conditions, Context};
+use crate::effects::{Chain, Conditions, Context, bracket};
 use crate::error::{Result, invalid};
 use crate::fields::Fields;
 use crate::loads::{Coefficients, FIELDS, GRAVITY, TIP_FORCE, weight};
@@ -38,8 +38,13 @@ pub struct Predictor {
 struct Job<'a> {
     chain: &'a Chain,
     params: &'a [f64],
-    contexts: Vec<Context>,
-    /// Group (sets with equal channel parameters) of each set, and whether others share it.
+    /// Number of frames K.
+    frames: usize,
+    /// The world (K,) at the frames, for each clock: the shift between stamps and what they show.
+    contexts: Vec<Vec<Context>>,
+    /// Clock of each group.
+    clock: Vec<usize>,
+    /// Group (sets with equal channel parameters and clock) of each set, and whether others share it.
     group: Vec<usize>,
     shared: Vec<bool>,
     /// u_eff (groups, K, C) at the seen times.
@@ -183,7 +188,7 @@ impl Predictor {
                         &job.params[b * width..(b + 1) * width],
                         &self.positions,
                         frame,
-                        &job.contexts[k],
+                        job.context(b, k),
                     );
                 },
             );
@@ -203,16 +208,24 @@ impl Predictor {
         let (width, channels) = (chain.width(), chain.channels());
         let mut numbers: HashMap<Vec<u64>, usize> = HashMap::new();
         let (mut group, mut shared, mut chosen) = (vec![], vec![], vec![]);
+        let (mut clock, mut shifts) = (vec![], vec![]);
         for b in 0..sets {
             let set = &params[b * width..(b + 1) * width];
+            let late = chain.late(set);
             let key = set[..chain.channel_width()]
                 .iter()
+                .chain([&late])
                 .map(|value| value.to_bits())
                 .collect();
             let number = *numbers.entry(key).or_insert(shared.len());
             if number == shared.len() {
                 shared.push(false);
                 chosen.extend_from_slice(set);
+                let known = shifts.iter().position(|shift| *shift == late);
+                clock.push(known.unwrap_or(shifts.len()));
+                if known.is_none() {
+                    shifts.push(late);
+                }
             } else {
                 shared[number] = true;
             }
@@ -221,12 +234,15 @@ impl Predictor {
         let records = chain.rollout(&chosen, u, conditions, &mut vec![])?;
         let mut acting = Vec::with_capacity(shared.len() * t_seen.len() * channels);
         if channels > 0 && !t_seen.is_empty() {
-            let places: Vec<_> = t_seen
+            let places: Vec<Vec<_>> = shifts
                 .iter()
-                .map(|t| crate::effects::bracket(conditions.t(), *t))
+                .map(|late| {
+                    let places = t_seen.iter().map(|t| bracket(conditions.t(), t - late));
+                    places.collect()
+                })
                 .collect();
-            for record in records.chunks_exact(u.len()) {
-                for (k, share) in &places {
+            for (record, clock) in records.chunks_exact(u.len()).zip(&clock) {
+                for (k, share) in &places[*clock] {
                     let here = &record[k * channels..(k + 1) * channels];
                     let next = if *share == 0.0 {
                         here
@@ -237,11 +253,21 @@ impl Predictor {
                 }
             }
         }
-        let contexts = t_seen.iter().map(|t| conditions.between(*t)).collect();
+        let first = t_seen.first().copied().unwrap_or(0.0);
+        let context = |late: &f64, t: &f64| Context {
+            seen_for: t - first,
+            ..conditions.between(t - late)
+        };
+        let contexts = shifts
+            .iter()
+            .map(|late| t_seen.iter().map(|t| context(late, t)).collect())
+            .collect();
         Ok(Job {
             chain,
             params,
+            frames: t_seen.len(),
             contexts,
+            clock,
             group,
             shared,
             acting,
@@ -251,9 +277,9 @@ impl Predictor {
     /// Coefficients (B, K) of the fields; a field that is wanted but absent is an error.
     fn coefficients(&self, job: &Job, sets: usize) -> Result<Vec<Coefficients>> {
         let width = job.chain.width();
-        let mut all = Vec::with_capacity(sets * job.contexts.len());
+        let mut all = Vec::with_capacity(sets * job.frames);
         for b in 0..sets {
-            for context in &job.contexts {
+            for context in job.world(b) {
                 let mut sum = job
                     .chain
                     .coefficients(&job.params[b * width..(b + 1) * width], context);
@@ -297,7 +323,7 @@ impl Predictor {
 
     /// Weights (B, K, fields) of the fields: the loads, and the changes of tension with which the cables answer them.
     fn weights(&self, job: &Job, loads: &[Coefficients]) -> Vec<f64> {
-        let (frames, count) = (job.contexts.len(), FIELDS.len());
+        let (frames, count) = (job.frames, FIELDS.len());
         let Some(cables) = &self.cables else {
             return loads.iter().flatten().copied().collect();
         };
@@ -332,7 +358,7 @@ impl Predictor {
 
     /// For each group with several members, its shapes at all frames, evaluated once.
     fn shared_shapes(&self, job: &Job, weights: &[f64]) -> Vec<Option<Shapes>> {
-        let (frames, width) = (job.contexts.len(), self.fields.count());
+        let (frames, width) = (job.frames, self.fields.count());
         let mut wanted = vec![vec![false; width]; job.shared.len()];
         for (i, row) in weights.chunks_exact(width).enumerate() {
             wanted[job.group[i / frames]]
@@ -367,8 +393,17 @@ impl Job<'_> {
     /// u_eff (C,) of a group at a seen frame.
     fn at(&self, group: usize, k: usize) -> &[f64] {
         let channels = self.chain.channels();
-        let start = (group * self.contexts.len() + k) * channels;
+        let start = (group * self.frames + k) * channels;
         &self.acting[start..start + channels]
+    }
+
+    /// The world (K,) at the frames of a parameter set.
+    fn world(&self, b: usize) -> &[Context] {
+        &self.contexts[self.clock[self.group[b]]]
+    }
+
+    fn context(&self, b: usize, k: usize) -> &Context {
+        &self.world(b)[k]
     }
 }
 

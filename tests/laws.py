@@ -1,5 +1,7 @@
 """A record, a finger and every effect's law in plain NumPy: what the tests of effects and predictor compare with."""
 
+from itertools import combinations
+
 import numpy as np
 
 from softmap_edge import _core
@@ -39,6 +41,11 @@ def turning(samples, seed=1):
     angle = np.linspace(0.0, np.pi, samples)
     lean = 1.3 * np.sin(angle)
     return np.stack([np.sin(lean) * np.cos(seed), np.sin(lean) * np.sin(seed), np.cos(lean)], axis=1)
+
+
+def warming(t):
+    """Temperature (T,) °C of a body that warms up."""
+    return 22.0 + 9.0 * (1.0 - np.exp(-np.asarray(t) / 40.0))
 
 
 SECTIONS = np.linspace(0.0, 100.0, 9)
@@ -82,10 +89,10 @@ FIELD_VALUES = {
 }
 
 
-def finger_body():
-    """A predictor of that finger with all its fields, solved hanging."""
+def finger_body(positions=None):
+    """A predictor of that finger with all its fields, solved hanging; `positions` (9,) as in _core.Predictor."""
     fields = {name: tabulated(values) for name, values in FIELD_VALUES.items()}
-    return _core.Predictor(tabulated(finger), fields, np.ones(9, bool), HOME)
+    return _core.Predictor(tabulated(finger), fields, np.ones(9, bool) if positions is None else positions, HOME)
 
 
 def values(chain, kind):
@@ -94,8 +101,10 @@ def values(chain, kind):
 
 
 def random_params(chain, seed):
-    """Parameters (P,) drawn between low and high."""
-    return np.random.default_rng(seed).uniform(chain.low, chain.high)
+    """Parameters (P,) drawn between low and high, on a log scale where a fit searches on one."""
+    share = np.random.default_rng(seed).uniform(size=len(chain.low))
+    ratio = np.where(chain.log, chain.high / np.where(chain.log, chain.low, 1.0), 1.0)
+    return np.where(chain.log, chain.low * ratio**share, chain.low + share * (chain.high - chain.low))
 
 
 # --- the oracles: the same laws in another form ----------------------------------------------------------------------
@@ -139,6 +148,83 @@ def prandtl_ishlinskii(p, u, t):
     return u - p["strength"] * np.mean(held, axis=0)
 
 
+def swapped(p, u, t):
+    """Signed permutation matrices, listed."""
+    eye = np.eye(u.shape[1])
+    far = combinations(range(len(eye)), 2)
+    pairs = [(i, j) for i, j in far if len(eye) <= 9 or j == i + 1]
+    signs = [np.diag(1.0 - 2.0 * row) for row in eye]
+    swaps = [eye[[j if k == i else i if k == j else k for k in range(len(eye))]] for i, j in pairs]
+    return u @ [eye, *signs, *swaps][int(np.floor(p["case"] + 0.5))].T
+
+
+def followed(speed):
+    """A follower, from event to event: it meets its command, or the sample ends."""
+
+    def law(p, u, t):
+        out = u.copy()
+        for c in range(u.shape[1]):
+            x = u[0, c]
+            for k in range(1, len(t)):
+                at, left = u[k - 1, c], t[k] - t[k - 1]
+                slope = (u[k, c] - at) / left
+                while left > 0:
+                    if abs(at - x) > 1e-12:
+                        move = p[speed] * np.sign(at - x)
+                        closing = abs(move) - slope * np.sign(move)
+                        meet = abs(at - x) / closing if closing > 0 else np.inf
+                    else:
+                        move, meet = np.clip(slope, -p[speed], p[speed]), np.inf
+                    span = min(meet, left)
+                    x, at, left = x + move * span, at + slope * span, left - span
+                    x = at if span == meet else x
+                out[k, c] = x
+        return out
+
+    return law
+
+
+def eccentric(p, u, t):
+    size, phase = np.hypot(p["sine"], p["cosine"]), np.arctan2(p["cosine"], p["sine"])
+    return u + size * (np.sin(u / p["radius"] + phase) - np.sin(phase))
+
+
+def turned(p, u, t):
+    """The pull as a complex number; of three tendons, the shortenings that make the turned pull with the same mean."""
+    turn = np.exp(1j * np.deg2rad(p["phase"]))
+    if u.shape[1] == 2:
+        pull = (u[:, 0] + 1j * u[:, 1]) * turn
+        return np.stack([pull.real, pull.imag], axis=1)
+    if u.shape[1] != 3:
+        return u
+    tendons = np.exp(2j * np.pi * np.arange(3) / 3)
+    system = np.array([tendons.real, tendons.imag, np.ones(3)])
+    pull = (u @ tendons) * turn
+    return np.linalg.solve(system, np.array([pull.real, pull.imag, u.sum(axis=1)])).T
+
+
+def rubbed(p, u, t):
+    """Five beads on the tendon, each dragged along once the pull leaves its own play."""
+    beads, out = np.tile(u[0], (5, 1)), []
+    for pull in u:
+        for j, bead in enumerate(beads):
+            width = p["mu"] * (2 * j + 1) / 10 * (np.abs(pull) + p["preload"])
+            bead[:] = np.where(bead > pull + width, pull + width, np.where(bead < pull - width, pull - width, bead))
+        out.append(beads.mean(axis=0))
+    return np.array(out)
+
+
+def broken_in(p, u, t):
+    size = np.abs(u)
+    below = np.maximum.accumulate(size, axis=0) - size
+    return u + u * p["softening"] * (1.0 - np.exp(-below / p["reach"]))
+
+
+def slipped(p, u, t):
+    half = 0.5 * p["width"] * p["at"]
+    return u + np.interp(t - t[0], [p["at"] - half, p["at"] + half], [0.0, 1.0])[:, None] * p["slip"]
+
+
 def turn(axis, degrees):
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     i, j = [(1, 2), (2, 0), (0, 1)][axis]
@@ -157,7 +243,7 @@ def payload_coefficients(p, gravity):
     return np.hstack([np.zeros_like(gravity), p["mass"] / 1000 * 9.80665 * gravity])
 
 
-def mounted(p, frames, positions):
+def moved(p, frames, positions):
     """The turn as the exponential series of its cross-product matrix."""
     x, y, z = np.deg2rad([p["turn_x"], p["turn_y"], p["turn_z"]])
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -168,28 +254,58 @@ def mounted(p, frames, positions):
     return frames @ matrix.T + positions[:, None] * np.array([p["shift_x"], p["shift_y"], p["shift_z"]])
 
 
+# Sensing effects change how one sees: `see(t)` gives the frames (K, V, 3) at any times, before and after.
+
+
+def drifted(p, see, positions, t):
+    frames, minutes = see(t), (t - t[0]) / 60.0
+    return np.stack([moved({k: v * m for k, v in p.items()}, f, positions) for f, m in zip(frames, minutes)])
+
+
 ORACLES = {
+    "servo_swap": swapped,
+    "saturation": lambda p, u, t: np.clip(u, -p["below"], p["above"]),
     "offset": lambda p, u, t: u + p["shift"],
     "gain": lambda p, u, t: u * p["factor"],
     "latency": delayed,
+    "rate_limit": followed("speed"),
     "lag": lambda p, u, t: relaxed(u, t, p["tau"]),
+    "eccentric_pulley": eccentric,
     "backlash": lambda p, u, t: played(u, p["gap"] / 2),
+    "friction": rubbed,
+    "coupling": lambda p, u, t: u @ (np.eye(u.shape[1]) + p["factor"]).T,
+    "routing": turned,
+    "dead_zone": lambda p, u, t: np.sign(u) * np.maximum(np.abs(u) - p["slack"], 0.0),
+    "tendon_creep": lambda p, u, t: u - p["loss"] * relaxed(u, t, p["tau"]),
+    "anchor_slip": slipped,
     "hysteresis": prandtl_ishlinskii,
     "creep": lambda p, u, t: (
         u + p["strength"] * 0.5 * (relaxed(u, t, p["tau"] * p["spread"]) + relaxed(u, t, p["tau"] / p["spread"]))
     ),
+    "mullins": broken_in,
+    "thermal_softening": lambda p, u, t: u * (1.0 + 0.01 * p["rate"] * (warming(t) - warming(t[0])))[:, None],
+    "asymmetry": lambda p, u, t: np.where(u > 0, u * (1.0 + p["excess"]), u * (1.0 - p["excess"])),
     "gravity": gravity_coefficients,
     "payload": payload_coefficients,
-    "mount": mounted,
+    "scale": lambda p, see, positions, t: p["factor"] * see(t),
+    "mount": lambda p, see, positions, t: moved(p, see(t), positions),
+    "camera_drift": drifted,
+    "clock_shift": lambda p, see, positions, t: see(t - p["late"]),
 }
 
 
 def named(name, params, channels):
-    """Flat parameters (P,) of one effect by name; per-channel ones as arrays (C,)."""
+    """Flat parameters (P,) of one effect by name; per channel as arrays (C,), per pair as matrices (C, C)."""
     out, at = {}, 0
+    near = np.abs(np.subtract.outer(np.arange(channels), np.arange(channels)))
+    pairs = (near > 0) & ((near == 1) | (channels <= 4))
     for p in EFFECTS[name]["parameters"]:
-        width = channels if p["per_channel"] else 1
-        out[p["name"]] = params[at : at + width] if p["per_channel"] else params[at]
+        width = channels if p["per_channel"] else int(pairs.sum()) if p["per_pair"] else 1
+        own = params[at : at + width]
+        if p["per_pair"]:
+            own, values = np.zeros((channels, channels)), own
+            own[pairs] = values
+        out[p["name"]] = own if p["per_channel"] or p["per_pair"] else own[0]
         at += width
     assert at == len(params)
     return out

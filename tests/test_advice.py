@@ -8,6 +8,7 @@ import pytest
 from softmap_edge import Run, builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.advice import WIDTH, advice
+from softmap_edge.diagnosis.diagnose import CANDIDATES
 from softmap_edge.protocol import standard_protocol
 from softmap_edge.run_summary import sentences, summary
 
@@ -188,11 +189,9 @@ def effects_of(run, bundle, folder, capsys):
     return {row["name"]: row for row in json.loads(capsys.readouterr().out)["effects"]}
 
 
-def test_every_effect_of_the_registry_has_its_line(bundle, tmp_path, capsys):
-    from softmap_edge import _core
-
+def test_every_candidate_has_its_line(bundle, tmp_path, capsys):
     found = effects_of(recorded(standard_protocol()), bundle, tmp_path, capsys)
-    assert list(found) == [e["name"] for e in _core.effects()]
+    assert list(found) == list(CANDIDATES)
     assert all(row["shows"] and not row["alike"] for row in found.values())
     assert main(["check", str(tmp_path / "run.npz"), "--bundle", bundle]) == 0
     text = capsys.readouterr().out

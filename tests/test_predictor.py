@@ -1,20 +1,23 @@
 """Chain, table and predictor: composition, interpolation, batches, and what wrong use is told."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from laws import (
+    BY_ROLE,
     EFFECTS,
     FIELD_VALUES,
     HOME,
     ORACLES,
     finger,
     finger_body,
-    mounted,
     named,
     record,
     tabulated,
     turning,
     values,
+    warming,
 )
 
 from softmap_edge import _core
@@ -25,32 +28,37 @@ def body():
     return finger_body()
 
 
-def test_all_ten_together_agree_with_the_oracles_in_stage_order(body):
+def test_all_together_agree_with_the_oracles_in_stage_order(body):
     chain = _core.Chain(list(reversed(EFFECTS)), 2)
     assert chain.names == list(EFFECTS)
     t, u = record(2)
     gravity, load = turning(len(t)), np.linspace(0.0, 5.0, len(t))
     seen = np.linspace(t[0], t[-1], 61) + 0.004
     for params in (values(chain, "middle"), values(chain, "start")):
-        got = body.predict(chain, params[None], u, t, seen, gravity, load)[0]
-        at, x, coefficients = 0, u, np.zeros((len(seen), 6))
-        seen_gravity = np.stack([np.interp(seen, t, g) for g in gravity.T], axis=1)
+        got = body.predict(chain, params[None], u, t, seen, gravity, load, warming(t))[0]
+        own, at = {}, 0
         for name in chain.names:
             width = len(_core.Chain([name], 2).labels)
-            own = named(name, params[at : at + width], 2)
+            own[name] = named(name, params[at : at + width], 2)
             at += width
-            if EFFECTS[name]["role"] == "channel":
-                x = ORACLES[name](own, x, t)
-            elif EFFECTS[name]["role"] == "shape":
-                coefficients += ORACLES[name](own, seen_gravity)
-        coefficients[:, :3] += seen_gravity - HOME
-        coefficients[:, 3:] += 9.80665e-3 * np.interp(seen, t, load)[:, None] * seen_gravity
-        acting = np.stack([np.interp(seen, t, column) for column in x.T], axis=1)
-        frames = tabulated(finger).evaluate(acting)
-        for f, name in enumerate(_core.FIELDS):
-            frames = frames + coefficients[:, f : f + 1] * tabulated(FIELD_VALUES[name]).evaluate(acting)
-        wanted = mounted(own, frames.reshape(-1, 9, 3), np.ones(9, bool))
-        np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-8)
+        x = u
+        for name in BY_ROLE["channel"]:
+            x = ORACLES[name](own[name], x, t)
+
+        def see(moments, x=x, own=own):
+            seen_gravity = np.stack([np.interp(moments, t, g) for g in gravity.T], axis=1)
+            coefficients = sum(ORACLES[name](own[name], seen_gravity) for name in BY_ROLE["shape"])
+            coefficients[:, :3] += seen_gravity - HOME
+            coefficients[:, 3:6] += 9.80665e-3 * np.interp(moments, t, load)[:, None] * seen_gravity
+            acting = np.stack([np.interp(moments, t, column) for column in x.T], axis=1)
+            frames = tabulated(finger).evaluate(acting)
+            for f, name in enumerate(_core.FIELDS):
+                frames = frames + coefficients[:, f : f + 1] * tabulated(FIELD_VALUES[name]).evaluate(acting)
+            return frames.reshape(-1, 9, 3)
+
+        for name in BY_ROLE["sensing"]:
+            see = partial(ORACLES[name], own[name], see, np.ones(9, bool))
+        np.testing.assert_allclose(got, see(seen), rtol=0, atol=1e-8)
 
 
 def test_labels_units_and_scales():

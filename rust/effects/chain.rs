@@ -333,6 +333,15 @@ impl Chain {
         used
     }
 
+    /// How much later (s) frames are stamped than what they show.
+    pub fn late(&self, params: &[f64]) -> f64 {
+        let late = |link: &Link| match link.effect.law {
+            Law::Sensing(law) => law.late(&params[link.params.clone()]),
+            _ => 0.0,
+        };
+        self.links.iter().map(late).sum()
+    }
+
     /// Apply the sensing effects to `points` (V, 3) in place.
     pub fn sense(&self, params: &[f64], positions: &[bool], points: &mut [f64], context: &Context) {
         for link in &self.links {

@@ -14,6 +14,8 @@ pub struct Context {
     pub load: f64,
     /// °C; NaN where the run has none.
     pub temperature: f64,
+    /// Of a frame: time since the first frame that is seen, s; 0 for a command.
+    pub seen_for: f64,
 }
 
 /// The contexts of a record of T samples; what a run does not declare is constant.
@@ -105,6 +107,7 @@ impl Conditions {
             gravity: column(&self.gravity, k, [0.0, 0.0, 1.0]),
             load: column(&self.load, k, 0.0),
             temperature: column(&self.temperature, k, f64::NAN),
+            seen_for: 0.0,
         }
     }
 
@@ -128,6 +131,7 @@ impl Conditions {
             gravity: [0, 1, 2].map(|i| mix(a.gravity[i], b.gravity[i])),
             load: mix(a.load, b.load),
             temperature: mix(a.temperature, b.temperature),
+            seen_for: 0.0,
         }
     }
 }

@@ -54,6 +54,8 @@ pub struct Parameter {
     pub each: Each,
     /// A whole number: no slope leads to it, so fits try each from low to high as a start and leave it there.
     pub integer: bool,
+    /// For a whole number that counts something of the channels: the highest that means anything.
+    pub most: Option<fn(usize) -> usize>,
 }
 
 /// What a parameter has a number for.
@@ -61,6 +63,23 @@ pub struct Parameter {
 pub enum Each {
     Robot,
     Channel,
+    /// What [`pairs`] gives.
+    Pair,
+}
+
+/// Up to so many channels every ordered pair counts as one; beyond, only neighbours do, so that the number of pairs grows
+/// like that of the channels and a search over them stays affordable.
+const EVERY_PAIR: usize = 4;
+
+/// The ordered pairs (i, j), i ≠ j, that an effect between channels has a number for.
+pub fn pairs(channels: usize) -> impl Iterator<Item = (usize, usize)> {
+    let reach = if channels <= EVERY_PAIR { channels } else { 1 };
+    (0..channels).flat_map(move |i| {
+        let last = (i + reach).min(channels - 1);
+        (i.saturating_sub(reach)..=last)
+            .filter(move |j| *j != i)
+            .map(move |j| (i, j))
+    })
 }
 
 impl Parameter {
@@ -84,6 +103,7 @@ impl Parameter {
             doc,
             each: Each::Robot,
             integer: false,
+            most: None,
         }
     }
 
@@ -93,10 +113,29 @@ impl Parameter {
         self
     }
 
+    /// One number for each of the [`pairs`] of channels.
+    pub const fn per_pair(mut self) -> Parameter {
+        self.each = Each::Pair;
+        self
+    }
+
     /// A whole number.
     pub const fn integer(mut self) -> Parameter {
         self.integer = true;
         self
+    }
+
+    /// Nothing beyond `most(channels)` means anything.
+    pub const fn up_to(mut self, most: fn(usize) -> usize) -> Parameter {
+        self.most = Some(most);
+        self
+    }
+
+    /// The upper end of the search for a number of channels.
+    pub fn highest(&self, channels: usize) -> f64 {
+        self.most.map_or(self.high, |most| {
+            (most(channels) as f64).clamp(self.low, self.high)
+        })
     }
 
     /// Whether fits search on a logarithmic scale: they do where the lower bound is positive.
@@ -109,6 +148,7 @@ impl Parameter {
         match self.each {
             Each::Robot => vec![String::new()],
             Each::Channel => (0..channels).map(|c| format!("[{c}]")).collect(),
+            Each::Pair => pairs(channels).map(|(i, j)| format!("[{i},{j}]")).collect(),
         }
     }
 
@@ -117,6 +157,7 @@ impl Parameter {
         match self.each {
             Each::Robot => 1,
             Each::Channel => channels,
+            Each::Pair => pairs(channels).count(),
         }
     }
 }
@@ -193,8 +234,14 @@ pub trait ShapeEffect: Sync {
 
 /// A change of what is seen.
 pub trait SensingEffect: Sync {
-    /// Move `points` (V, 3) in place; where `positions` is false the vector is a direction and only turns.
-    fn apply(&self, params: &[f64], positions: &[bool], points: &mut [f64], context: &Context);
+    /// Move `points` (V, 3) in place; where `positions` is false the vector is a direction, which no shift moves.
+    fn apply(&self, _params: &[f64], _positions: &[bool], _points: &mut [f64], _context: &Context) {
+    }
+
+    /// How much later a frame is stamped than what it shows, s.
+    fn late(&self, _params: &[f64]) -> f64 {
+        0.0
+    }
 }
 
 /// An effect's law in its role.

@@ -154,6 +154,7 @@ mod tests {
             gravity: [0.0, 0.0, 1.0],
             load: 0.0,
             temperature: f64::NAN,
+            seen_for: 0.0,
         }
     }
 

@@ -21,16 +21,32 @@ macro_rules! registry {
 }
 
 registry! {
+    servo_swap
+    saturation
     offset
     gain
     latency
+    rate_limit
     lag
+    eccentric_pulley
     backlash
+    friction
+    coupling
+    routing
+    dead_zone
+    tendon_creep
+    anchor_slip
     hysteresis
     creep
+    mullins
+    thermal_softening
+    asymmetry
     gravity
     payload
+    scale
     mount
+    camera_drift
+    clock_shift
 }
 
 /// The effect of that name.

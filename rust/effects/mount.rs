@@ -83,13 +83,18 @@ fn rotation(degrees: &[f64]) -> [[f64; 3]; 3] {
 
 impl SensingEffect for Mount {
     fn apply(&self, params: &[f64], positions: &[bool], points: &mut [f64], _context: &Context) {
-        let turn = rotation(&params[..3]);
-        for (p, place) in points.chunks_exact_mut(3).zip(positions) {
-            let from = [p[0], p[1], p[2]];
-            for i in 0..3 {
-                let shift = if *place { params[3 + i] } else { 0.0 };
-                p[i] = turn[i][0] * from[0] + turn[i][1] * from[1] + turn[i][2] * from[2] + shift;
-            }
+        move_rigidly(params, positions, points);
+    }
+}
+
+/// Turn `points` (V, 3) by the first three numbers (deg) and shift places by the last three (mm).
+pub(super) fn move_rigidly(six: &[f64], positions: &[bool], points: &mut [f64]) {
+    let turn = rotation(&six[..3]);
+    for (p, place) in points.chunks_exact_mut(3).zip(positions) {
+        let from = [p[0], p[1], p[2]];
+        for i in 0..3 {
+            let shift = if *place { six[3 + i] } else { 0.0 };
+            p[i] = turn[i][0] * from[0] + turn[i][1] * from[1] + turn[i][2] * from[2] + shift;
         }
     }
 }

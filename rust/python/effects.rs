@@ -60,6 +60,7 @@ fn parameter<'py>(py: Python<'py>, p: &Parameter) -> PyResult<Bound<'py, PyDict>
     entry.set_item("low", p.low)?;
     entry.set_item("high", p.high)?;
     entry.set_item("per_channel", p.each == Each::Channel)?;
+    entry.set_item("per_pair", p.each == Each::Pair)?;
     entry.set_item("integer", p.integer)?;
     entry.set_item("doc", p.doc)?;
     entry.set_item("log", p.log())?;
@@ -132,7 +133,7 @@ impl PyChain {
 
     #[getter]
     fn high<'py>(&self, py: Python<'py>) -> Row<'py> {
-        self.column(py, |p| p.high)
+        self.column(py, |p| p.highest(self.chain.channels()))
     }
 
     #[getter]
@@ -235,6 +236,7 @@ impl PyChain {
             gravity,
             load: load.unwrap_or(0.0),
             temperature: temperature.unwrap_or(f64::NAN),
+            seen_for: 0.0,
         };
         self.chain.step(&params, &mut x, &mut state, &context);
         Ok((x.into_pyarray(py), state.into_pyarray(py)))

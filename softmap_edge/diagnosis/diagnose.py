@@ -38,6 +38,7 @@ SCHEMA = "softmap.diagnosis/1"
 BEYOND = 0.05  # share of the range, and of the frames, that may lie outside what a model was made from unsaid
 OWN_FALL = 0.7  # fall of the held-out error by a refit from which the model's own numbers are in doubt
 ALIKE = 0.95  # cosine between two whitened signatures from which they cannot be told apart by their form
+CANDIDATES = ("offset", "gain", "latency", "lag", "backlash", "hysteresis", "creep", "gravity", "payload", "mount")
 SIGNATURE_FRAMES = 1500  # frames on which the span of the signatures is found
 
 
@@ -141,7 +142,7 @@ def diagnose(
         run: the measured run, vertices or markers at K >= 8 seen frames; or several of one robot, which share all
             parameters but those of the camera's frame and clock.
         held_out: an independent run of another kind; effects that do not lower the error there are dropped.
-        effects: names of the candidates; all of the registry by default.
+        effects: names of the candidates; `CANDIDATES` by default, of those that the library has.
         seed: kept in the document; the method itself draws nothing at random.
         progress: hears one line per stage.
         library: where effects come from; the compiled core by default.
@@ -265,7 +266,8 @@ def _candidates(
     unknown = [name for name in wanted or () if name not in registry]
     if unknown:
         raise SoftmapError(f"no effect '{unknown[0]}'; there are {', '.join(registry)}")
-    names = [n for n in registry if (wanted is None or n in wanted) and n not in record.model.chain_names]
+    wanted = CANDIDATES if wanted is None else wanted
+    names = [n for n in registry if n in wanted and n not in record.model.chain_names]
     if not names:
         raise SoftmapError("no effect is left to look for: the model already has every candidate")
     impossible = []

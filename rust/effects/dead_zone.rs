@@ -1,0 +1,49 @@
+//! Dead zone: around zero a command moves nothing, because slack is taken up first.
+//!
+//! `x = sign(u)·max(|u| − slack, 0)`, mm, without memory, one number for all channels; slack ≤ 0 is none. It acts on
+//! the command: the tendon that goes slack under a load is a law of the prior's own (`slack` of a rod), and no dead
+//! zone.
+
+use super::conditions::Context;
+use super::declaration::*;
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "dead_zone",
+        family: "slack",
+        stage: Stage::Transmission,
+        kind: Kind::Effect,
+        formula: "x = sign(u) · max(|u| − slack, 0)",
+        doc: "A tendon with too much length: near zero it only straightens, and the finger stays straight until the \
+              slack is taken up.",
+        signature: "No motion around home, the same there and back; beyond, all commands act as if smaller by a constant.",
+        reference: "Dead zone: Tao and Kokotović, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, Wiley \
+              1996.",
+        experiment: ("through zero both ways, slowly, one channel at a time", 1.0),
+        alike: &[],
+        needs: &[],
+        parameters: &[Parameter::new(
+            "slack",
+            "mm",
+            0.0,
+            0.5,
+            0.05,
+            4.0,
+            "command on each side of zero that moves nothing",
+        )],
+    },
+    law: Law::Channel(&DeadZone),
+};
+
+struct DeadZone;
+
+impl ChannelEffect for DeadZone {
+    fn settle(&self, params: &[f64], x: &mut [f64], _state: &mut [f64]) {
+        let slack = params[0].max(0.0);
+        x.iter_mut().for_each(|x| *x -= x.max(-slack).min(slack));
+    }
+
+    fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {
+        self.settle(params, x, state);
+    }
+}

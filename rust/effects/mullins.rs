@@ -1,0 +1,70 @@
+//! Mullins softening: up to the largest bend so far the body is softer than beyond it.
+//!
+//! `y = x·(1 + softening·(1 − exp(−(X − |x|)/reach)))` with `X` the largest |x| of the channel so far, which is memory.
+//! mm. It starts in equilibrium: X = |x| of the first command, an untouched body. Exact for commands monotonic between
+//! samples; reach ≤ 0 is reached at once. Source: the form of Ogden and Roxburgh's damage, written for a bend instead
+//! of an energy. Limit: channels soften apart; no healing.
+
+use super::conditions::Context;
+use super::declaration::*;
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "mullins",
+        family: "slow drift",
+        stage: Stage::Material,
+        kind: Kind::Effect,
+        formula: "y = x · (1 + softening · (1 − exp(−(max|x| − |x|)/reach)))",
+        doc: "Filled rubber breaks in: after its first large stretch it is softer for all smaller ones.",
+        signature: "The same command bends further after a larger one than before it; nothing on the very first way out.",
+        reference: "Ogden and Roxburgh, Proc. R. Soc. A 455 (1999) 2861.",
+        experiment: ("triangles of growing size, then of falling size", 2.0),
+        alike: &[],
+        needs: &[],
+        parameters: &[
+            Parameter::new(
+                "softening",
+                "1",
+                0.0,
+                0.1,
+                0.01,
+                0.5,
+                "most that is gained far below the largest bend so far",
+            ),
+            Parameter::new(
+                "reach",
+                "mm",
+                4.0,
+                4.0,
+                0.5,
+                20.0,
+                "distance below the largest bend at which 63 % of it is gained",
+            ),
+        ],
+    },
+    law: Law::Channel(&Mullins),
+};
+
+struct Mullins;
+
+impl ChannelEffect for Mullins {
+    fn state_size(&self, channels: usize) -> usize {
+        channels
+    }
+
+    fn settle(&self, _params: &[f64], x: &mut [f64], state: &mut [f64]) {
+        state
+            .iter_mut()
+            .zip(x)
+            .for_each(|(most, x)| *most = x.abs());
+    }
+
+    #[inline]
+    fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {
+        for (x, most) in x.iter_mut().zip(state) {
+            *most = most.max(x.abs());
+            let below = (*most - x.abs()) / params[1].max(f64::MIN_POSITIVE);
+            *x -= *x * params[0] * (-below).exp_m1();
+        }
+    }
+}

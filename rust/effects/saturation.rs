@@ -1,0 +1,64 @@
+//! Saturation: the drive goes no further than its limits, which the model does not know.
+//!
+//! `x = min(max(u, −below), above)`, mm, without memory, for every channel alike; a limit of 0 or less is none. The
+//! search begins inside the usual stroke, since a limit beyond all commands has no slope.
+
+use super::conditions::Context;
+use super::declaration::*;
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "saturation",
+        family: "actuation map",
+        stage: Stage::Command,
+        kind: Kind::Effect,
+        formula: "x = min(max(u, −below), above)",
+        doc: "The drive stops at a limit of its travel, of its window of ticks or of its torque: what is commanded \
+              beyond does not happen.",
+        signature: "Nothing up to a certain command; beyond it the finger stays where it is, on one side or on both, however \
+              slow the move.",
+        reference: "Saturating actuators: Tarbouriech and others, Stability and Stabilization of Linear Systems with \
+              Saturating Actuators, Springer 2011.",
+        experiment: (
+            "triangles of growing size up to the largest command, both signs",
+            1.0,
+        ),
+        alike: &[],
+        needs: &[],
+        parameters: &[
+            Parameter::new(
+                "above",
+                "mm",
+                0.0,
+                8.0,
+                1.0,
+                25.0,
+                "largest shortening that acts; 0 for none",
+            ),
+            Parameter::new(
+                "below",
+                "mm",
+                0.0,
+                8.0,
+                1.0,
+                25.0,
+                "largest shortening of the other sign that acts; 0 for none",
+            ),
+        ],
+    },
+    law: Law::Channel(&Saturation),
+};
+
+struct Saturation;
+
+impl ChannelEffect for Saturation {
+    fn settle(&self, params: &[f64], x: &mut [f64], _state: &mut [f64]) {
+        let limit = |value: f64| if value > 0.0 { value } else { f64::INFINITY };
+        let (above, below) = (limit(params[0]), limit(params[1]));
+        x.iter_mut().for_each(|x| *x = x.min(above).max(-below));
+    }
+
+    fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {
+        self.settle(params, x, state);
+    }
+}

@@ -1,0 +1,117 @@
+//! Servo swap: one servo turns the wrong way, or two are plugged where the other belongs; a fault, not physics.
+//!
+//! A whole number says which: 0 nothing, 1…C the sign of that channel, then the pairs (0,1), (0,2), … that are
+//! exchanged. Up to nine channels every pair stands in the list, 45 cases; with more only neighbours do, so that it
+//! grows with the channels and not with their square. Rounded to the nearest; a number beyond the list is nothing. No
+//! memory. Limit: one exchange or one sign; two faults at once are not in the list.
+
+use super::conditions::Context;
+use super::declaration::*;
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "servo_swap",
+        family: "wiring",
+        stage: Stage::Command,
+        kind: Kind::Fault,
+        formula: "x = u with one sign turned, or two channels exchanged",
+        doc: "A servo is wired or mounted the other way round, or two have each other’s place.",
+        signature: "Gross error in one direction of command, mirrored or on another axis, none at home.",
+        reference: "Signed permutations of the channels, one at a time.",
+        experiment: ("each channel alone, one after the other", 0.5),
+        alike: &[],
+        needs: &[],
+        parameters: &[Parameter::new(
+            "case",
+            "1",
+            0.0,
+            1.0,
+            1.0,
+            511.0,
+            "0 none; 1 to C: that channel’s sign; beyond: the pairs exchanged, in order",
+        )
+        .integer()
+        .up_to(cases)],
+    },
+    law: Law::Channel(&ServoSwap),
+};
+
+struct ServoSwap;
+
+/// Up to so many channels every pair can be exchanged, beyond only neighbours.
+const EVERY_PAIR: usize = 9;
+
+/// How many cases there are for a number of channels.
+fn cases(channels: usize) -> usize {
+    let far = channels <= EVERY_PAIR;
+    channels
+        + if far {
+            channels * channels.saturating_sub(1) / 2
+        } else {
+            channels - 1
+        }
+}
+
+/// The channels exchanged as number `at` (from 0) of the list of pairs.
+fn exchanged(at: usize, channels: usize) -> (usize, usize) {
+    if channels > EVERY_PAIR {
+        return (at, at + 1);
+    }
+    let (mut first, mut rest) = (0, at);
+    while rest >= channels - 1 - first {
+        rest -= channels - 1 - first;
+        first += 1;
+    }
+    (first, first + 1 + rest)
+}
+
+impl ChannelEffect for ServoSwap {
+    fn settle(&self, params: &[f64], x: &mut [f64], _state: &mut [f64]) {
+        let (channels, case) = (x.len(), params[0].round());
+        if !(1.0..=cases(channels) as f64).contains(&case) {
+            return;
+        }
+        let at = case as usize - 1;
+        if at < channels {
+            x[at] = -x[at];
+        } else {
+            let (a, b) = exchanged(at - channels, channels);
+            x.swap(a, b);
+        }
+    }
+
+    fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {
+        self.settle(params, x, state);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_case_is_another_and_nothing_is_forgotten() {
+        for channels in [0, 1, 2, 3, 6, 9, 10, 256] {
+            let mut seen = vec![];
+            for case in 0..=cases(channels) + 1 {
+                let mut x: Vec<f64> = (1..=channels).map(|c| c as f64).collect();
+                ServoSwap.settle(&[case as f64], &mut x, &mut []);
+                seen.push(x);
+            }
+            assert_eq!(
+                seen.first(),
+                seen.last(),
+                "0 and beyond the list are nothing"
+            );
+            seen.pop();
+            let count = seen.len();
+            seen.sort_by(|a, b| a.partial_cmp(b).unwrap());
+            seen.dedup();
+            assert_eq!(
+                (seen.len(), count),
+                (cases(channels) + 1, cases(channels) + 1)
+            );
+        }
+        assert_eq!(cases(256), 511);
+    }
+}

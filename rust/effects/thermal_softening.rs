@@ -1,0 +1,61 @@
+//! Thermal softening: a warmer body bends further under the same command.
+//!
+//! `y = x·(1 + rate/100·(T − T₀))`, `T₀` the first temperature that the run tells, which is memory; without a
+//! temperature it does nothing. Linear in the rate, so that a fit needs no start; a body that hardens has a negative
+//! rate. Limit: the temperature of the run is that of the body, all of it.
+
+use super::conditions::Context;
+use super::declaration::*;
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "thermal_softening",
+        family: "slow drift",
+        stage: Stage::Material,
+        kind: Kind::Effect,
+        formula: "y = x · (1 + rate/100 · (T − T₀))",
+        doc: "Rubber and tendon change with temperature, from the motors beside them or from the room.",
+        signature: "Error in proportion to the command that follows the temperature, whatever the moves.",
+        reference: "Treloar, The Physics of Rubber Elasticity, 1975.",
+        experiment: (
+            "the same moves before and after a warm-up, temperature recorded",
+            5.0,
+        ),
+        alike: &[],
+        needs: &["temperature"],
+        parameters: &[Parameter::new(
+            "rate",
+            "%/K",
+            0.0,
+            0.5,
+            -3.0,
+            3.0,
+            "change of the response for each kelvin above the first temperature",
+        )],
+    },
+    law: Law::Channel(&ThermalSoftening),
+};
+
+struct ThermalSoftening;
+
+impl ChannelEffect for ThermalSoftening {
+    /// Whether a temperature was told, and the first.
+    fn state_size(&self, _channels: usize) -> usize {
+        2
+    }
+
+    fn settle(&self, _params: &[f64], _x: &mut [f64], state: &mut [f64]) {
+        state.fill(0.0);
+    }
+
+    fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
+        if !context.temperature.is_finite() {
+            return;
+        }
+        if state[0] == 0.0 {
+            state.copy_from_slice(&[1.0, context.temperature]);
+        }
+        let more = 0.01 * params[0] * (context.temperature - state[1]);
+        x.iter_mut().for_each(|x| *x += *x * more);
+    }
+}
