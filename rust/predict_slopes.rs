@@ -66,7 +66,9 @@ impl Predictor {
         let about = Job {
             chain,
             params: &all,
+            frames,
             contexts: job.contexts,
+            clock: vec![0; sides],
             group: (0..sides).collect(),
             shared: vec![false; sides],
             acting,
