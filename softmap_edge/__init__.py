@@ -13,8 +13,9 @@ from softmap_edge.errors import SoftmapError
 if TYPE_CHECKING:
     from softmap_edge._core import effects
     from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
-    from softmap_edge.diagnosis.comparison import Comparison, compare, series
+    from softmap_edge.diagnosis.comparison import Comparison, compare
     from softmap_edge.diagnosis.diagnose import Diagnosis, diagnose, refit
+    from softmap_edge.diagnosis.series import series
     from softmap_edge.logs.guess import guess_mapping
     from softmap_edge.logs.importer import import_logs
     from softmap_edge.logs.mapping import read_mapping
@@ -59,7 +60,8 @@ _HOMES = {
     "_core": ["effects"],
     "solid.build": ["build_model"],
     "bundle": ["builtin_model", "load_bundle", "save_bundle"],
-    "diagnosis.comparison": ["Comparison", "compare", "series"],
+    "diagnosis.comparison": ["Comparison", "compare"],
+    "diagnosis.series": ["series"],
     "diagnosis.diagnose": ["Diagnosis", "diagnose", "refit"],
     "solid.finger": ["Finger"],
     "logs.guess": ["guess_mapping"],

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softmap_edge.diagnosis.comparison import Comparison, compare, series
+from softmap_edge.diagnosis.comparison import Comparison, compare
 from softmap_edge.diagnosis.conditions import cells, conditions
 from softmap_edge.diagnosis.floor import noise_floor
+from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import ComparisonError
 from softmap_edge.run import Run
 

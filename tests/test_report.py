@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from test_compare import lean, triangle
 
-from softmap_edge.diagnosis.comparison import compare, series
+from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import ReportError
 from softmap_edge.report.html import write_html
 from softmap_edge.report.numbers import bar, fall, tamed
@@ -174,7 +175,7 @@ def page(path):
 def test_page_holds_pictures_and_loads_nothing(pair, tmp_path):
     run, worse, better, before, after = pair
     text = page(write_html(tmp_path / "page.html", [before, after], DIAGNOSIS, series(run, worse, better)))
-    assert text.count("data:image/") == 5  # time, body, ladder, where, tip
+    assert text.count("data:image/") == 6  # sheet, where, ladder, time, body, tip
     outside = re.sub(r'src="data:image/[^"]*"', "", text)
     assert not re.search(r"https?://|<script|<link|<iframe|url\(|@import|\bon\w+=", outside)
     assert "default-src 'none'" in outside
@@ -245,7 +246,7 @@ def test_markers_have_a_page_too(pair, tmp_path):
     bare = np.zeros((0, 3), int)
     one, two = replace(worse, triangles=bare), replace(better, triangles=bare)
     text = page(write_html(tmp_path / "m.html", [compare(one, run), compare(two, run)], None, series(run, one, two)))
-    assert text.count("data:image/png") == 1
+    assert text.count("data:image/png") == 2  # sheet and body
 
 
 def test_hostile_names_stay_text(pair, tmp_path):
@@ -331,3 +332,22 @@ def test_without_matplotlib_text_works_and_html_says_what_to_install(tmp_path):
     assert done.returncode == 1
     assert "pip install 'softmap-edge[report]'" in done.stderr.strip().splitlines()[-1]
     assert not (tmp_path / "p.html").exists()
+
+
+@pytest.mark.parametrize("channels", [0, 1, 2, 3])
+def test_sheet_draws_poses_and_commands(pair, channels):
+    """Poses carry their own errors; the plane is that of the commands that move most, a line or none with fewer."""
+    from softmap_edge.report.sheet import _plane_of, sheet
+
+    run, worse, better, *_ = pair
+    found = series(run, worse, better)
+    assert 1 < len(found.poses) <= 5 and found.command.shape[0] == len(run.t_seen)
+    for pose in found.poses:
+        assert np.sqrt(np.mean(pose.before**2)) == pytest.approx(found.before[pose.frame])
+        assert np.sqrt(np.mean(pose.after**2)) == pytest.approx(found.after[pose.frame])
+    size = np.array([1.0, 0.001, 3.0])[:channels]
+    drawn = replace(found, command=size * np.random.default_rng(0).normal(size=(len(run.t_seen), channels)))
+    assert _plane_of(drawn.command) == {0: None, 1: (0, 0), 2: (0, 0), 3: (0, 2)}[channels]
+    picture = sheet(drawn)
+    assert picture.startswith(b"\x89PNG") and picture == sheet(drawn)
+    assert picture != sheet(replace(drawn, before=drawn.before * 1.5))

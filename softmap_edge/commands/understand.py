@@ -194,7 +194,7 @@ def _names(text: str) -> list[str]:
 def _page(path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: str) -> None:
     """Write the page about a run seen by one model, or by two where they differ."""
     from softmap_edge.diagnosis.comparison import compare as measure
-    from softmap_edge.diagnosis.comparison import series
+    from softmap_edge.diagnosis.series import series
     from softmap_edge.report.html import write_html
 
     two = after is not None and after is not before

@@ -118,24 +118,6 @@ class Comparison:
 ERROR_KEYS = ("rms_mm", "median_mm", "p95_mm", "max_mm", "tip_rms_mm")
 
 
-@dataclass(frozen=True)
-class Series:
-    """What pictures need of a run seen by one model or by two (before, after): errors per frame and per point, mm."""
-
-    kind: str  # "held out", "fitted" or "measured": whether the run took part in the fit, if that is known
-    t_seen: Floats  # (K,) s
-    before: Floats  # (K,) RMS over the points of a frame
-    after: Floats | None  # (K,)
-    point_before: Floats  # (N,) RMS over the frames of a point
-    point_after: Floats | None  # (N,)
-    template: Floats  # (N, 3) where the points are drawn
-    triangles: NDArray[np.int64] | None  # (F, 3); None for markers
-    noise_floor_mm: float | None
-    tip_seen: Floats  # (K, 3)
-    tip_before: Floats  # (K, 3)
-    tip_after: Floats | None  # (K, 3)
-
-
 def compare(model: Model, run: Run) -> Comparison:
     """Measure how far a model's prediction is from a run, and where.
 
@@ -150,7 +132,7 @@ def compare(model: Model, run: Run) -> Comparison:
         ComparisonError: nothing is seen, or what is predicted cannot be compared with it.
         RunError: it is a run of another robot.
     """
-    predicted, seen, visible = _aligned(model, run)
+    predicted, seen, visible = aligned(model, run)
     squared = np.where(visible, np.sum((predicted - seen) ** 2, axis=2), 0.0)  # (K, N) mm²
     distance = np.sqrt(squared[visible])
     state = conditions(run, model.commands(run))
@@ -158,7 +140,7 @@ def compare(model: Model, run: Run) -> Comparison:
     for name, row in cells(state, model.command_unit).items():
         where[name] = [_bin_of(cell, squared, visible) for cell in row]
     where = {name: [row for row in rows if row.n > 0] for name, rows in where.items()}
-    tip_seen, tip_predicted = _tips(model, predicted, seen, visible)
+    tip_seen, tip_predicted = tips(model, predicted, seen, visible)
     known = ~np.isnan(tip_seen[:, 0])
     error = {
         "rms_mm": math.sqrt(float(np.mean(distance**2))),
@@ -167,7 +149,7 @@ def compare(model: Model, run: Run) -> Comparison:
         "max_mm": float(np.max(distance)),
         "tip_rms_mm": _rms(np.sum((tip_predicted - tip_seen)[known] ** 2, axis=1)),
     }
-    floor, kind = noise_floor(state, seen, visible, predicted, _template(model, seen))
+    floor, kind = noise_floor(state, seen, visible, predicted, template(model, seen))
     return Comparison(
         run={"robot": run.robot or "not named", "sha256": run.hash()},
         bundle={"robot": model.robot, "effects": list(model.chain_names), "sha256": _model_digest(model)},
@@ -180,55 +162,7 @@ def compare(model: Model, run: Run) -> Comparison:
     )
 
 
-def series(run: Run, before: Model, after: Model | None = None, kind: str = "held out") -> Series:
-    """Collect what the pictures of a run need, for one model or for a model before and after a change.
-
-    Args:
-        run: as for `compare`.
-        before: the model, or the model before the change.
-        after: the model after the change, or None.
-        kind: whether the run took part in the fit: "held out", "fitted", or "measured" where that is not known.
-
-    Returns:
-        Series: errors over time and over the body, template and tip paths.
-
-    Raises:
-        ComparisonError: as `compare`; also when `kind` is none of these.
-    """
-    if kind not in ("held out", "fitted", "measured"):
-        raise ComparisonError(f"kind is {kind!r}; it is 'held out', 'fitted' or 'measured' (not known)")
-    predicted, seen, visible = _aligned(before, run)
-    squared = np.where(visible, np.sum((predicted - seen) ** 2, axis=2), 0.0)
-    tip_seen, tip_before = _tips(before, predicted, seen, visible)
-    frame_after = point_after = tip_after = None
-    if after is not None:
-        predicted_after, _, _ = _aligned(after, run)
-        squared_after = np.where(visible, np.sum((predicted_after - seen) ** 2, axis=2), 0.0)
-        frame_after, point_after = (
-            _mean_root(squared_after, visible, 1),
-            _mean_root(squared_after, visible, 0),
-        )
-        tip_after = _tips(after, predicted_after, seen, visible)[1]
-    template, triangles = _drawn(before, seen, visible)
-    state = conditions(run, before.commands(run))
-    floor, _ = noise_floor(state, seen, visible, predicted, _template(before, seen))
-    return Series(
-        kind=kind,
-        t_seen=np.asarray(run.t_seen, float),
-        before=_mean_root(squared, visible, 1),
-        after=frame_after,
-        point_before=_mean_root(squared, visible, 0),
-        point_after=point_after,
-        template=template,
-        triangles=triangles,
-        noise_floor_mm=floor,
-        tip_seen=tip_seen,
-        tip_before=tip_before,
-        tip_after=tip_after,
-    )
-
-
-def _aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
+def aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
     """Prediction, measurement (hidden points zero) and visibility with equal shapes, or an error that says why not."""
     if len(run.t_seen) == 0:
         raise ComparisonError(
@@ -258,14 +192,14 @@ def _rms(squares: Floats) -> float:
     return math.sqrt(float(np.mean(squares))) if len(squares) else math.nan
 
 
-def _mean_root(squared: Floats, visible: Mask, axis: int) -> Floats:
+def mean_root(squared: Floats, visible: Mask, axis: int) -> Floats:
     """RMS along an axis over what is visible; NaN where nothing is."""
     count = visible.sum(axis=axis)
     total = squared.sum(axis=axis)
     return np.asarray(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
 
 
-def _tips(model: Model, predicted: Floats, seen: Floats, visible: Mask) -> tuple[Floats, Floats]:
+def tips(model: Model, predicted: Floats, seen: Floats, visible: Mask) -> tuple[Floats, Floats]:
     """Tip centroids seen and predicted, over the tip points visible in a frame; NaN where none is.
 
     Markers carried on a template: the marker that moves most is the tip.
@@ -316,7 +250,7 @@ def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run
         if len(enough) > 1:
             top = max(enough, key=lambda row: row.rms_mm)
             found.append({"where": name, "label": top.label, "n": top.n, "rms_mm": top.rms_mm})
-    frame = _mean_root(squared, visible, 1)
+    frame = mean_root(squared, visible, 1)
     k = int(np.nanargmax(frame))
     return {
         "bins": sorted(found, key=lambda row: -float(row["rms_mm"]))[:4],
@@ -324,19 +258,10 @@ def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run
     }
 
 
-def _template(model: Model, seen: Floats) -> Floats | None:
+def template(model: Model, seen: Floats) -> Floats | None:
     """The template at rest (N, 3), if the seen points are its vertices."""
     whole = not model.markers and len(model.rest) == seen.shape[1]
     return np.asarray(model.rest, float) if whole else None
-
-
-def _drawn(model: Model, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[np.int64] | None]:
-    """Where to draw the points: on the template with its triangles, or where the markers were on average."""
-    rest = _template(model, seen)
-    if rest is not None and len(model.triangles):
-        return rest, np.asarray(model.triangles, np.int64)
-    count = np.maximum(visible.sum(axis=0), 1)
-    return seen.sum(axis=0) / count[:, None], None
 
 
 def _model_digest(model: Model) -> str:

@@ -22,7 +22,7 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.comparison import Series
+from softmap_edge.diagnosis.series import Series
 from softmap_edge.report.numbers import mm
 from softmap_edge.report.text import WHERE, ladder_steps
 
@@ -74,11 +74,11 @@ def over_time(series: Series) -> bytes:
         t, before = _thinned(series.t_seen, series.before)
         name = "error" if series.after is None else "before"
         axes.fill_between(t, before, color=BEFORE, alpha=0.13, linewidth=0)
-        axes.plot(t, before, color=BEFORE, linewidth=1.3, label=f"{name}: {mm(_rms(series.before))} mm rms")
+        axes.plot(t, before, color=BEFORE, linewidth=1.3, label=f"{name}: {mm(rms(series.before))} mm rms")
         if series.after is not None:
             t, after = _thinned(series.t_seen, series.after)
             axes.fill_between(t, after, color=AFTER, alpha=0.22, linewidth=0)
-            axes.plot(t, after, color=AFTER, linewidth=1.3, label=f"after: {mm(_rms(series.after))} mm rms")
+            axes.plot(t, after, color=AFTER, linewidth=1.3, label=f"after: {mm(rms(series.after))} mm rms")
         if series.noise_floor_mm is not None:
             label = f"camera noise: {mm(series.noise_floor_mm)} mm"
             axes.axhline(series.noise_floor_mm, color=FLOOR, linewidth=1.0, linestyle=(0, (4, 3)), label=label)
@@ -123,7 +123,7 @@ def body(series: Series) -> bytes:
             figure = _marker_figure(series.template, shown, scale)
         else:
             figure = _surface_figure(series.template, series.triangles, shown, scale)
-        return _png(figure)
+        return png(figure)
 
 
 def where_maps(before: Mapping[str, Sequence[Any]], after: Mapping[str, Sequence[Any]] | None) -> bytes:
@@ -299,7 +299,7 @@ def _project(axes: Axes, surface: Surface, view: Floats, scale: Normalize) -> No
     axes.autoscale_view()
 
 
-def _vertex_normals(points: Floats, faces: NDArray[np.int64]) -> Floats:
+def vertex_normals(points: Floats, faces: NDArray[np.int64]) -> Floats:
     """Outward normals (N, 3): face normals, turned away from the body's axis, averaged at the vertices."""
     corners = points[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -316,7 +316,7 @@ def _vertex_normals(points: Floats, faces: NDArray[np.int64]) -> Floats:
 def _refined(rest: Floats, triangles: NDArray[np.int64], values: Floats) -> Surface:
     """Split each triangle into four until flat colours look continuous; large meshes stay as they are."""
     known = np.where(np.isfinite(values), values, np.nanmean(values))
-    data, faces = np.column_stack([rest, known, _vertex_normals(rest, triangles)]), triangles
+    data, faces = np.column_stack([rest, known, vertex_normals(rest, triangles)]), triangles
     while len(faces) < SPLIT_BELOW:
         edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
         unique, which = np.unique(edges, axis=0, return_inverse=True)
@@ -340,10 +340,10 @@ def _thinned(t: Floats, values: Floats) -> tuple[Floats, Floats]:
     if len(t) <= POINTS:
         return t, values
     parts = np.array_split(np.arange(len(t)), POINTS)
-    return np.array([t[p].mean() for p in parts]), np.array([_rms(values[p]) for p in parts])
+    return np.array([t[p].mean() for p in parts]), np.array([rms(values[p]) for p in parts])
 
 
-def _rms(values: Floats) -> float:
+def rms(values: Floats) -> float:
     known = values[np.isfinite(values)]
     return math.sqrt(float(np.mean(known**2))) if len(known) else math.nan
 
@@ -358,7 +358,7 @@ def _svg(figure: Figure) -> bytes:
     return _saved(figure, "svg", metadata={"Date": None, "Creator": None})
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
     return _saved(figure, "png", dpi=200, metadata={"Software": None})
 
 

@@ -15,7 +15,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from softmap_edge.diagnosis.comparison import Comparison, Series
+from softmap_edge.diagnosis.comparison import Comparison
+from softmap_edge.diagnosis.series import Series
 from softmap_edge.errors import ReportError
 from softmap_edge.report.numbers import fall, mm, number, percent, tamed
 from softmap_edge.report.style import PAGE, TONES
@@ -80,12 +81,13 @@ def write_html(
     figures = _figures()
     sections = [
         _hero(story),
-        _time(story, figures),
-        _body(story, figures),
+        _sheet(story),
+        _where(story, figures),
         _ladder(story, figures),
         _effects(story),
-        _where(story, figures),
         _open_questions(story),
+        _time(story, figures),
+        _body(story, figures),
         _tip(story, figures),
         _origin(story),
     ]
@@ -226,6 +228,16 @@ def _time(story: Story, figures: ModuleType) -> str:
     return _section("Error over time", picture, f"RMS over the points of a frame, mm{_short(story)}.")
 
 
+def _sheet(story: Story) -> str:
+    if story.series is None:
+        return ""
+    from softmap_edge.report.sheet import sheet
+
+    commands = " and every frame at its command" if story.series.command.shape[1] else ""
+    note = f"Measured poses{commands}, coloured by their error on one scale{_short(story)}."
+    return _section("Where the error is", _picture(sheet(story.series), "Error of poses and commands"), note)
+
+
 def _body(story: Story, figures: ModuleType) -> str:
     if story.series is None:
         return ""
@@ -304,7 +316,7 @@ def _where(story: Story, figures: ModuleType) -> str:
         return ""
     colours = "wide bars before, narrow bars after" if new else "one bar a class"
     picture = _picture(figures.where_maps(old, new), "Error by condition, before and after")
-    return _section("Where the error is", picture, f"RMS, mm, on one scale; {colours}{_text(kind)}.")
+    return _section("Error by condition", picture, f"RMS, mm, on one scale; {colours}{_text(kind)}.")
 
 
 def _open_questions(story: Story) -> str:
