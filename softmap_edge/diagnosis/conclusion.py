@@ -93,7 +93,15 @@ def conclude(
     physics = [e for e in entries if registry[e["name"]]["kind"] != "fault"]
     error = _error(search, order, other)
     doubts = [*([str(own)] if own else []), *_at_bounds(entries)]
-    verdict = _verdict(physics, faults, [*rivals, *doubts], left, hidden, len(search.candidates) + len(impossible))
+    unsure = any(registry[e]["kind"] != "fault" for r in rivals for e in r["effects"])  # a fault that may be physics
+    verdict = _verdict(
+        physics or (unsure and faults),
+        faults,
+        [*rivals, *doubts],
+        left,
+        hidden,
+        len(search.candidates) + len(impossible),
+    )
     return {
         "verdict": verdict,
         "sentence": _sentence(verdict, physics, faults, rivals, left, hidden, error, demoted)
@@ -205,7 +213,7 @@ def _rivals(
 
 
 def _verdict(
-    physics: list[Any], faults: list[Any], doubts: list[Any], left: Leftover, hidden: list[Untestable], count: int
+    physics: Any, faults: list[Any], doubts: list[Any], left: Leftover, hidden: list[Untestable], count: int
 ) -> str:
     if left.claim:
         return "partly_explained"

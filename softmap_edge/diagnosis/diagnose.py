@@ -161,6 +161,7 @@ def diagnose(
     fit = search.run()
     if model.kind == "rod":
         fit = search.simplest(fit)
+    fit = search.earliest(fit, lambda name: equivalents(record, name, registry))
     other = None if held_out is None else Record(model, held_out, library)
     demoted: list[str] = []
     if other is not None:

@@ -72,7 +72,9 @@ def equivalents(record: Record, name: str, registry: Mapping[str, dict[str, Any]
         "load": record.load is not None and float(np.ptp(record.load)) > 0,
         "never": False,
     }
-    return [twin for twin, by in registry[name]["alike"].items() if twin in registry and not resolved[by]]
+    told = {twin: by for twin in registry if (by := registry[twin]["alike"].get(name)) is not None}
+    told |= {twin: by for twin, by in registry[name]["alike"].items() if twin in registry}
+    return [twin for twin, by in told.items() if not resolved[by]]
 
 
 def experiment(registry: Mapping[str, dict[str, Any]], name: str) -> tuple[str, float]:

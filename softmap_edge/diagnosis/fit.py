@@ -246,20 +246,17 @@ def newton_step(space: Space, x: Floats, jacobian: Floats, residual: Floats, dam
     """Return x after one damped Gauss-Newton step within the bounds; jacobian (P, n), residual (n,)."""
     gradient = jacobian @ residual + x
     hessian = jacobian @ jacobian.T + np.eye(len(x))
-    stuck = ((x <= space.low + 1e-9) & (gradient > 0)) | ((x >= space.high - 1e-9) & (gradient < 0))
+    free = ~(((x <= space.low + 1e-9) & (gradient > 0)) | ((x >= space.high - 1e-9) & (gradient < 0)))
     ahead = x.copy()
-    free = np.flatnonzero(~stuck)
     for _ in range(3):  # parameters that hit a bound are fixed there and the others solved again
-        if not len(free):
+        if not free.any():
             break
-        inner = hessian[np.ix_(free, free)]
-        pull = gradient[free] + hessian[np.ix_(free, np.setdiff1d(np.arange(len(x)), free))] @ (
-            np.delete(ahead - x, free)
-        )
+        inner = hessian[free][:, free]
+        pull = gradient[free] + hessian[free][:, ~free] @ (ahead - x)[~free]
         ahead[free] = x[free] - np.linalg.solve(inner + damping * np.diag(np.diag(inner)), pull)
-        outside = (ahead < space.low) | (ahead > space.high)
+        outside = free & ((ahead < space.low) | (ahead > space.high))
         ahead = np.clip(ahead, space.low, space.high)
-        if not outside[free].any():
+        if not outside.any():
             break
-        free = free[~outside[free]]
+        free &= ~outside
     return ahead

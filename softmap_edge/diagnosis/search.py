@@ -26,11 +26,13 @@ Floats = NDArray[np.float64]
 BEAM, REFITS, LARGEST = 2, 5, 4
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
 VISIBLE_MM = 0.12  # least RMS displacement of the centreline
+PREDICTED = 2  # candidates that are predicted and not only looked at by slopes, for each one that is fitted
 NEAR = 0.25  # of the commands' range: farther, a screening step is predicted and not taken along the slopes
 SHARE = 0.03  # least share of the explained misfit: forms off by a sixth leave so much, and that is nobody's effect
 PROMISING = 0.03  # least share of the misfit that a larger set must win for the search to go on without a valid one
 FORM_TOLERANCE = 0.2  # of what the strongest other member moves: no form of the library is truer than that
 EQUAL = 6.0  # difference of EBIC (odds of 20) below which two sets of the same size count as equally good
+ALIKE = 1.02  # of the held-out error: effects of one form differ by less
 RIVAL_SE, RIVAL_SHARE = 2.0, 0.6  # standard errors within which a rival stands; least share of the rivalled fall
 RIVAL_WORSE = 1.0  # a rival whose held-out error in mm is twice as large is none, whatever its folds say
 
@@ -59,6 +61,8 @@ class Search:
         self.null = problem.null()
         self._fits: dict[frozenset[str], Fit] = {frozenset(): self.null}
         self._cv: dict[frozenset[str], tuple[Floats, Floats, Floats]] = {}
+        self._glances: dict[tuple[frozenset[str], str], float] = {}
+        self._points: dict[tuple[frozenset[str], str], list[Floats]] = {}
         self._slopes: dict[frozenset[str], tuple[Floats, Floats]] = {}
         self.roles = {e["name"]: e["role"] for e in problem.record.library.effects()}
         self._shifts: dict[tuple[frozenset[str], str], Floats] = {}
@@ -102,8 +106,30 @@ class Search:
             points += [np.clip(point, space.low, space.high) for point in flipped]
         return points[:7]
 
-    def screen(self, parent: Fit, effect: str) -> tuple[float, list[Floats]]:
-        """Return the objective after one step of `effect` on top of `parent`, and the joint points, best first."""
+    def screen(self, parent: Fit, effects: Sequence[str], count: int) -> list[tuple[float, str, list[Floats]]]:
+        """Return the `count` most promising of `effects` on top of `parent`: (objective, effect, joint points).
+
+        All are looked at by slopes; the objectives of the best PREDICTED times as many are then predicted.
+        """
+        glances = sorted((self._screened(parent, effect), effect) for effect in effects)
+        found = []
+        for _, effect in glances[: PREDICTED * count]:
+            points = self._points[frozenset(parent.effects), effect]
+            space = self.problem.space((*parent.effects, effect))
+            costs = self.problem.costs(self.problem.at(space, np.stack(points[:2]))[1], np.stack(points[:2]))[0]
+            order = [*np.argsort(costs, kind="stable"), *range(2, len(points))]
+            found.append((float(costs.min()), effect, [points[i] for i in order]))
+        return sorted(found, key=lambda item: item[:2])[:count]
+
+    def _screened(self, parent: Fit, effect: str) -> float:
+        """Return the objective by slopes after one step of `effect` on top of `parent`; its points are kept."""
+        key = (frozenset(parent.effects), effect)
+        if key not in self._glances:
+            self._glances[key], self._points[key] = self._step(parent, effect)
+        return self._glances[key]
+
+    def _step(self, parent: Fit, effect: str) -> tuple[float, list[Floats]]:
+        """Take one step of `effect` from each of its starts; the joint points come best first."""
         problem = self.problem
         space = problem.space((*parent.effects, effect))
         labels = space.free_labels()
@@ -132,7 +158,7 @@ class Search:
                 slopes[i] = (modes[s * width + 1 + j] - here) / (batch[s * width + 1 + j][i] - x[i])
             ahead.append(newton_step(space.pinned(x), x, problem.white(slopes), problem.white(here), 1e-3))
         points = np.concatenate([np.stack(joint), np.stack(ahead)])
-        after = problem.at(space, np.stack(ahead))[1]
+        after = self._glance(parent, space, effect, np.stack(ahead))
         costs = problem.costs(np.concatenate([modes[::width], after]), points)[0]
         order = np.argsort(costs, kind="stable")
         return float(costs[order[0]]), [points[i] for i in order]
@@ -169,7 +195,7 @@ class Search:
         if key in self._fits:
             return self._fits[key]
         if points is None:
-            points = self.screen(parent, effect)[1]
+            points = self.screen(parent, [effect], 1)[0][2]
         starts = points[:1]
         space = self.problem.space((*parent.effects, effect))
         own = np.array([label.split(".")[0] == effect for label in space.free_labels()])
@@ -294,13 +320,8 @@ class Search:
     def _children(self, beam: list[Fit], refits: int) -> list[Fit]:
         found: dict[frozenset[str], Fit] = {}
         for parent in beam:
-            screened = []
-            for effect in self.candidates:
-                if effect not in parent.effects:
-                    cost, points = self.screen(parent, effect)
-                    screened.append((cost, effect, points))
-            screened.sort(key=lambda item: (item[0], item[1]))
-            for _, effect, points in screened[:refits]:
+            others = [effect for effect in self.candidates if effect not in parent.effects]
+            for _, effect, points in self.screen(parent, others, refits):
                 child = self.grow(parent, effect, points)
                 found[frozenset(child.effects)] = child
         dispersion = min((self.dispersion(f) for f in found.values()), default=1.0)
@@ -323,13 +344,8 @@ class Search:
     def alternatives(self, fit: Fit, member: str, count: int) -> list[Fit]:
         """Return the best `count` sets with `member` exchanged for another candidate."""
         rest = self.get(frozenset(fit.effects) - {member})
-        screened = []
-        for other in self.candidates:
-            if other not in fit.effects:
-                cost, points = self.screen(rest, other)
-                screened.append((cost, other, points))
-        screened.sort(key=lambda item: (item[0], item[1]))
-        return [self.grow(rest, other, points) for _, other, points in screened[:count]]
+        others = [other for other in self.candidates if other not in fit.effects]
+        return [self.grow(rest, other, points) for _, other, points in self.screen(rest, others, count)]
 
     def rivals(self, fit: Fit) -> list[tuple[str, Fit, str]]:
         """Return (member, rival set, why) for sets within two standard errors in blocked cross-validation."""
@@ -381,6 +397,19 @@ class Search:
         level = self.score(best, self.dispersion(best)) + EQUAL
         close = [f for f in [best, *equals] if self.score(f, self.dispersion(best)) <= level]
         return min(close, key=lambda f: sorted(self.candidates.index(e) for e in f.effects)[::-1])
+
+    def earliest(self, fit: Fit, twins: Callable[[str], Sequence[str]]) -> Fit:
+        """Return the set with members exchanged for `twins` that explain as much and act earlier on the way."""
+        for member in fit.effects:
+            for twin in twins(member):
+                if twin in fit.effects or twin not in self.candidates:
+                    continue
+                other = self.get(frozenset(fit.effects) - {member} | {twin})
+                earlier = self.candidates.index(twin) < self.candidates.index(member)
+                if earlier and self.held_out_mm(other) <= ALIKE * self.held_out_mm(fit) and self.valid(other):
+                    fit = other
+                    break
+        return fit
 
     def _swaps(self, fit: Fit) -> list[Fit]:
         return [other for member in fit.effects for other in self.alternatives(fit, member, 3)]
