@@ -28,6 +28,8 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 Shape = Any  # a compiled shape: _core.Table, _core.Rod, _core.RodField
 _TIP_SHARE = 0.05
+TIP_PER_NEWTON = 0.1  # where stiffness is not known: 1 N across the tip moves it by this share of the length
+NOMINAL = "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
 BEYOND = 0.05  # share of its range by which a command may leave it before a word is said
 
 

@@ -8,10 +8,10 @@ import json
 import re
 
 import pytest
+from logs import published
 from page import ROOT, reader, run_commands
 
 from benches import beam
-from benches.data import find
 from softmap_edge import Finger
 
 PAGE = (ROOT / "docs/beam.md").read_text(encoding="utf-8")
@@ -22,10 +22,7 @@ LINES |= {"load52_V2_a": "52 g", "load101_V2_a": "101 g"}
 @pytest.fixture(scope="module")
 def folder():
     pytest.importorskip("c3d", reason="not run: C3D is read by the extra [capture]")
-    found = find("beam")
-    if found is None:
-        pytest.skip("not run: the recordings of the beam are absent (make data brings them)")
-    return found
+    return published("beam")
 
 
 @pytest.fixture(scope="module")

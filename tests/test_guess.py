@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from logs import ROOT, made_log, trunk_folder
+from logs import ROOT, made_log, published
 from recordings import places, robot_messages, write_c3d, write_mcap, write_motive, write_trc
 
 from softmap_edge.cli import main
@@ -32,7 +32,7 @@ def told(lines, *words):
 # --- published logs ------------------------------------------------------------------------
 def test_the_trunk(tmp_path):
     """Two files, a counter, commands and encoders in degrees, three bodies in metres, y up, hanging."""
-    folder = trunk_folder()
+    folder = published("trunk")
     logs = [folder / "control_inputs_controlled_1.csv", folder / "observations_controlled_1.csv"]
     found = guess_mapping(logs)
     done = imported(tmp_path, found, logs)
@@ -52,10 +52,7 @@ def test_the_trunk(tmp_path):
 @pytest.mark.parametrize("name", ["val.csv", "train.csv"])
 def test_the_tdcr(tmp_path, name):
     """Nine tendons named by servo, out of order: the order of the file is kept; a tip; labels of patterns."""
-    path = ROOT.parent / "shared" / "data" / "tdcr" / name
-    path = path if path.is_file() else ROOT / "data" / "tdcr" / name
-    if not path.is_file():
-        pytest.skip("not run: the tdcr logs are not here; `make data` brings them")
+    path = published("tdcr") / name
     found = guess_mapping([path])
     done = imported(tmp_path, found, [path])
     raw = np.genfromtxt(path, delimiter=",", skip_header=1)
@@ -68,10 +65,7 @@ def test_the_tdcr(tmp_path, name):
 
 
 def test_the_beam(tmp_path):
-    path = ROOT.parent / "shared" / "data" / "beam" / "beam_load52_V2_a.c3d"
-    path = path if path.is_file() else ROOT / "data" / "beam" / path.name
-    if not path.is_file():
-        pytest.skip("not run: the beam's recordings are not here; `make data` brings them")
+    path = published("beam") / "beam_load52_V2_a.c3d"
     found = guess_mapping([path])
     done = imported(tmp_path, found, [path])
     assert (done.run.channels, done.run.frames) == (0, 600) and done.doubts == ()

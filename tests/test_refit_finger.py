@@ -146,6 +146,7 @@ def test_markers_and_a_known_load(tmp_path, capsys):
         (lambda f, r: (f, r.at(np.arange(0))), "never stands still"),
         (lambda f, r: (f, replace(r, vertices=r.vertices[:, :100])), "another template"),
         (lambda f, r: (f, replace(r, command=r.command[:, :1])), "1 commands a sample"),
+        (lambda f, r: (f, replace(r, command_unit="deg")), "are in deg, .* takes mm"),
         (lambda f, r: (f, replace(r, vertices=None)), "neither"),
         (lambda f, r: (f, replace(r, vertices=None, markers=r.vertices[:, :5])), "marker_rest"),
     ],

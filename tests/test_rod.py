@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from logs import published
 
 from softmap_edge import _core
 from softmap_edge.bundle import load_bundle, save_bundle
@@ -16,7 +17,6 @@ from softmap_edge.rod.regression import Drive, Regression
 from softmap_edge.run import Run
 
 ROOT = Path(__file__).parent.parent
-TRUNK = next((p for p in (ROOT / "data/trunk", ROOT.parent / "shared/data/trunk") if p.is_dir()), None)
 DELAY, LAG = 0.12, 0.1  # s
 
 
@@ -218,12 +218,11 @@ def test_bad_arguments_are_refused(plain):
 
 @pytest.fixture(scope="module")
 def trunk():
-    if TRUNK is None:
-        pytest.skip("not run: the trunk logs are absent (make data brings them)")
+    folder = published("trunk")
     from softmap_edge.logs.importer import import_logs
     from softmap_edge.logs.mapping import read_mapping
 
-    logs = [TRUNK / "control_inputs_controlled_1.csv", TRUNK / "observations_controlled_1.csv"]
+    logs = [folder / "control_inputs_controlled_1.csv", folder / "observations_controlled_1.csv"]
     return import_logs(logs, read_mapping(ROOT / "examples/trunk.toml")).run
 
 

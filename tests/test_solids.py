@@ -10,6 +10,7 @@ import pytest
 from softmap_edge import Run, _core, builtin_model, load_bundle
 from softmap_edge.bundle import save_bundle
 from softmap_edge.cli import main
+from softmap_edge.elsewhere.summary import read_summary
 from softmap_edge.errors import FingerError, RunError, SoftmapError
 from softmap_edge.solid.bodies import Block, Meshed
 from softmap_edge.solid.build import build_model
@@ -147,6 +148,7 @@ def test_a_finger_pulled_by_tension_carries_newtons_everywhere(tmp_path):
     np.testing.assert_allclose(sweep.tension, [[0, 3], [0, 1], [0, 0], [2, 0]], atol=1e-12)
     sweep.save(tmp_path / "sweep.npz")
     assert Sweep.load(tmp_path / "sweep.npz").finger.command_unit == "N"
+    assert read_summary(tmp_path / "sweep.npz")["command_unit"] == "N"
     # The shortening that gives 2 N gives the same shape.
     by_length = bar(TENDONS + tail.replace("range_n", "range_mm")).replace(gravity=(0.0, 0.0, 1.0))
     other = Simulator(by_length)

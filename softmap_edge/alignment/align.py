@@ -45,7 +45,7 @@ from softmap_edge.alignment.rigid import Pose, gain, kabsch, refined, robust, ro
 from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.diagnosis.noise import form_covariance
 from softmap_edge.errors import AlignError
-from softmap_edge.run import BASE_MARKERS, Run
+from softmap_edge.run import BASE_MARKERS, Run, known
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -87,18 +87,7 @@ class Alignment:
 
     def apply(self, run: Run) -> Run:
         """Return the run in the base frame, with the transform and its sigma as `frame` and `frame_sigma`."""
-        poses, change = self.pose, dict[str, Any]()
-        for name in ("vertices", "markers", "points"):
-            seen = getattr(run, name)
-            if seen is not None:
-                change[name] = (self.frames or poses)(seen) if seen.ndim == 3 else poses(seen)
-        base = base_markers(run)
-        if base.shape[1]:
-            change["extra"] = run.extra | {BASE_MARKERS: (self.frames or poses)(base)}
-        before = Pose(np.eye(3), np.zeros(3)) if run.frame is None else Pose(run.frame[:, :3], run.frame[:, 3])
-        whole = poses.after(before)
-        change |= {"frame": np.column_stack([whole.rotation, whole.shift]), "frame_sigma": self.sigma}
-        return dataclasses.replace(run, **change)
+        return in_frame(run, self.pose, self.sigma, self.frames)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document softmap.align/1."""
@@ -137,6 +126,26 @@ class Alignment:
         if self.moved is not None:
             lines.append(f"  {self.moved}")
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
+
+
+def in_frame(run: Run, pose: Pose, sigma: Floats, frames: Pose | None = None) -> Run:
+    """Return the run with all that was seen, and what stood on the base, taken by a pose; `frame` says so.
+
+    Args:
+        sigma: (6,) of the pose, deg and mm. frames: a pose for each frame, which takes what is seen in it instead.
+    """
+    change: dict[str, Any] = {}
+    for name in ("vertices", "markers", "points"):
+        seen = getattr(run, name)
+        if seen is not None:
+            change[name] = (frames or pose)(seen) if seen.ndim == 3 else pose(seen)
+    base = base_markers(run)
+    if base.shape[1]:
+        change["extra"] = run.extra | {BASE_MARKERS: (frames or pose)(base)}
+    before = Pose(np.eye(3), np.zeros(3)) if run.frame is None else Pose(run.frame[:, :3], run.frame[:, 3])
+    whole = pose.after(before)
+    change |= {"frame": np.column_stack([whole.rotation, whole.shift]), "frame_sigma": sigma}
+    return dataclasses.replace(run, **change)
 
 
 def align_home(run: Run, model: Model) -> Alignment:
@@ -254,9 +263,7 @@ def home_visits(run: Run, model: Model) -> list[NDArray[np.int64]]:
 
 
 def _seen(run: Run, points: Floats) -> tuple[Floats, Mask]:
-    visible: Mask = np.all(np.isfinite(points), axis=2)
-    if run.visible is not None:
-        visible &= run.visible
+    visible = known(run, points)
     if not visible.any():
         raise AlignError("no point is visible in any frame of the run; check its field `visible`")
     return np.where(visible[..., None], points, 0.0), visible
@@ -361,21 +368,21 @@ def _shape_covariance(
 
 
 def _from_base(run: Run, seen: Floats, visible: Mask, names: Sequence[int], target: Floats, held: bool) -> Alignment:
-    points, known = seen[:, names], visible[:, names]
-    usable = np.flatnonzero(known.sum(axis=1) >= 3)
+    points, shown = seen[:, names], visible[:, names]
+    usable = np.flatnonzero(shown.sum(axis=1) >= 3)
     if len(usable) < GROUP_FRAMES:
         raise AlignError(
             f"{len(usable)} frames show three of the {len(names)} base points, {GROUP_FRAMES} are needed; name markers "
             "that the cameras see"
         )
     parts = np.array_split(usable, _stretches(len(usable)))
-    groups = group(run, points, known, np.broadcast_to(target, points.shape), parts)
+    groups = group(run, points, shown, np.broadcast_to(target, points.shape), parts)
     form = np.full((len(names), 3), groups.noise)
 
     def motion(pose: Pose) -> Moved | None:
         some = np.where(visible[usable[::10], :, None], pose(seen[usable[::10]]), np.nan).reshape(-1, 3)
         far = some[np.isfinite(some).all(axis=1)]
-        return base_motion(run, points, known, target, far[np.argsort(-np.linalg.norm(far, axis=1))[:1]], pose)
+        return base_motion(run, points, shown, target, far[np.argsort(-np.linalg.norm(far, axis=1))[:1]], pose)
 
     what = "the places of the base points"
     found = _solve(groups, form, np.arange(len(names)), "base points", what, motion)
@@ -383,5 +390,5 @@ def _from_base(run: Run, seen: Floats, visible: Mask, names: Sequence[int], targ
     found = dataclasses.replace(found, wrong_points=named, used_frames=len(usable))
     if not held:
         return found
-    frames, note = follow(points, known, target, found.noise_mm, found.pose)
+    frames, note = follow(points, shown, target, found.noise_mm, found.pose)
     return dataclasses.replace(found, frames=frames, notes=[*found.notes, note])

@@ -3,8 +3,8 @@
 An `.npz` archive (numpy.savez); docs/elsewhere.md explains every field with an example.
 
     command          (S, C)     required; mm of tendon, + pulls, or in `command_unit`
-    vertices         (S, N, 3)  required; mm in the base frame: vertices of a mesh, or markers; the same points in every
-    row triangles        (F, 3)     of the vertices, whole numbers from 0
+    vertices         (S, N, 3)  required; mm in the base frame: vertices of a mesh, or markers; in every row the same
+    triangles        (F, 3)     of the vertices, whole numbers from 0
     robot            text       a name
     command_unit     text       mm (default), rad, deg, ticks …
     gravity          (3,)       unit vector in the base frame under which the shapes were found; hanging by default

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import __version__, _core
 from softmap_edge.errors import SoftmapError
 from softmap_edge.folds import folds
+from softmap_edge.model import NOMINAL, Model
 from softmap_edge.rod.elastic import ElasticParameters
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
 from softmap_edge.rod.polynomial import RodParameters, fit_polynomial
@@ -28,7 +29,6 @@ from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
 from softmap_edge.rod.regression import rms
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
     from softmap_edge.rod.robot import Robot
     from softmap_edge.run import Run, Source
 
@@ -136,7 +136,7 @@ def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> Learne
     more = {
         "per_fold_mm": [round(error, 4) for error in per_fold],
         "per_marker_mm": [round(error, 4) for error in per_marker],
-        "compliance": "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams",
+        "compliance": NOMINAL,
         "notes": list(notes),
     }
     if fitted.numbers:
@@ -192,8 +192,6 @@ def learn_model(
 
 def learned_model(run: Run, learned: LearnedRod) -> Model:
     """Return the model of a rod that was learned from `run`."""
-    from softmap_edge.model import Model
-
     rod, markers = learned.rod.compiled(), len(learned.per_marker_mm)
     commands = run.commands(learned.input)
     home = rod.evaluate(np.zeros((1, commands.shape[1]))).reshape(-1, 3)

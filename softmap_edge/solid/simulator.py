@@ -128,6 +128,13 @@ class Sweep:
             raise SimulationError(f"{path}: triangles point outside the {n} vertices; make it again")
 
 
+def tensor_grid(axes: Sequence[Floats]) -> Floats:
+    """Return the commands (S, C) of a grid of `axes`, the last one fastest; of no axes one command of no channels."""
+    size = math.prod(len(axis) for axis in axes)
+    columns = [column.ravel() for column in np.meshgrid(*axes, indexing="ij")]
+    return np.stack(columns, axis=1) if columns else np.zeros((size, 0))
+
+
 def tour(places: Floats) -> NDArray[np.intp]:
     """Return an order of the places (K, C) in which each is near the one before: always on to the nearest."""
     left = np.ones(len(places), bool)
@@ -197,10 +204,9 @@ class Simulator:
             vertices, pull = self.solid.sweep(
                 [axis.tolist() for axis in grid], self._gravity(gravity), _vector("load", load), progress
             )
-        command = np.stack([a.ravel() for a in np.meshgrid(*grid, indexing="ij")], axis=1) if grid else np.zeros((1, 0))
         return Sweep(
             axes=grid,
-            command=command,
+            command=tensor_grid(grid),
             vertices=vertices,
             pull=pull,
             triangles=self.template.triangles,
