@@ -119,6 +119,18 @@ def test_known_transforms_are_recovered_within_the_stated_uncertainty(way):
     assert np.abs(scores.mean(axis=0)).max() < 0.6  # no number is off to one side
 
 
+@pytest.mark.parametrize("count", [3, 4])
+def test_places_measured_with_a_ruler_are_as_uncertain_as_the_ruler(count):
+    """Half a millimetre at each place is most of the error of three or four base markers, and hardly any is left."""
+    scores = []
+    for seed in range(24):
+        told = BASE[:count] + 0.5 * np.random.default_rng(seed).normal(size=(count, 3))
+        found = align_base(marked(seed, noise=0.1, visits=3, base=BASE[:count]), dict(enumerate(told)))
+        scores.append(off(found) / found.sigma)
+    assert np.mean(np.abs(scores) < 2.0) >= 0.88
+    assert 0.4 < np.sqrt(np.median(np.square(scores))) < 1.0  # 0.67 of a normal number
+
+
 def test_a_larger_scatter_between_visits_is_a_larger_uncertainty():
     sigma = [align_home(marked(3, play=play), builtin_model()).sigma for play in (0.0, 0.5)]
     assert np.all(sigma[1][:2] > 3.0 * sigma[0][:2])

@@ -6,7 +6,8 @@ there. From **base points**: markers fixed to the base at known places, or the c
     groups of frames (visits of home; stretches of time) → a robust pose each → one pose of all
     Σ = T² · max(scatter of the groups' poses, sensor noise)/groups + shape     six numbers: turns, then shifts
     T  widens for few groups: Student's 97.5 % over 1.96, so that ± 2 σ holds 95 %
-    shape: model and robot differ at home; the model's own error, as large as what is left there, correlated along it
+    shape: model and robot differ at home; the model's own error, as large as what is left there, correlated along it;
+           of base points, what is left over the coordinates that the pose did not take (3 N − 6), each point for itself
 
 Turns and shifts are small, about the axes and the origin of the base frame, as those of the effect `mount`.
 Units: mm; degrees in what is told. Limits: what is rigid in the robot's own rest shape (a twist, half of a pre-curve)
@@ -288,8 +289,12 @@ def _solve(
     method: str,
     what: str,
     motion: Callable[[Pose], Moved | None] | None = None,
+    measured: bool = False,
 ) -> Alignment:
-    """Fit one pose to all groups and one to each; weigh what they tell. `motion` says whether the base moved."""
+    """Fit one pose to all groups and one to each; weigh what they tell.
+
+    `motion` says whether the base moved; `measured`: the target points were measured one by one, as with a ruler.
+    """
     # A median of frames is 1.25 times as uncertain as their mean.
     sensor = 1.2533 * groups.noise / np.sqrt(np.maximum(groups.count, 1))
     own = np.sqrt((form**2).mean(axis=1))[section]  # (N,) mm a coordinate
@@ -319,7 +324,8 @@ def _solve(
     number = int(np.isfinite(poses).all(axis=1).sum())
     scatter = np.cov(poses[np.isfinite(poses).all(axis=1)].T) if number > 1 else np.zeros((6, 6))
     spread = np.maximum(np.diag(scatter), np.diag(noise))
-    shape = _shape_covariance(answer, form, section, residual, inlier)
+    shape = (_ruler_covariance(answer, residual, inlier) if measured
+             else _shape_covariance(answer, form, section, residual, inlier))  # fmt: skip
     variance = student(number - 1) ** 2 * spread / max(1, number) + np.diag(shape)
     check_turns(place[seen.any(axis=0)], np.sqrt(variance[:3]), answer)
     moved = find_motion(poses, noise, groups.t, place, "home")
@@ -364,6 +370,18 @@ def _shape_covariance(
     return np.asarray(found / max(expected, 1e-12) * flat.T @ places @ flat)
 
 
+def _ruler_covariance(answer: Floats, residual: Floats, inlier: Mask) -> Floats:
+    """Return the covariance (6, 6) from places that were measured one by one, as wrong as what is left shows.
+
+    The pose takes six of the 3 N coordinates, so that of three or four places most of their error is not left.
+    """
+    known = inlier.any(axis=0)
+    left = residual.sum(axis=0) / np.maximum(inlier.sum(axis=0), 1)[:, None]  # (N, 3) mean over the groups
+    freedom = max(1, 3 * int(known.sum()) - 6)
+    square = student(freedom) ** 2 * float((left[known] ** 2).sum()) / freedom
+    return np.asarray(square * np.einsum("inc,jnc->ij", answer[:, known], answer[:, known]))
+
+
 # --- points of the base -------------------------------------------------------------------------
 
 
@@ -385,7 +403,7 @@ def _from_base(run: Run, seen: Floats, visible: Mask, names: Sequence[int], targ
         return base_motion(run, points, shown, target, far[np.argsort(-np.linalg.norm(far, axis=1))[:1]], pose)
 
     what = "the places of the base points"
-    found = _solve(groups, form, np.arange(len(names)), "base points", what, motion)
+    found = _solve(groups, form, np.arange(len(names)), "base points", what, motion, measured=True)
     named = [names[i] for i in found.wrong_points]
     found = dataclasses.replace(found, wrong_points=named, used_frames=len(usable))
     if not held:
