@@ -19,7 +19,16 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.features import Body, FeatureMap, attach, marker_features, section_features, seen_residual, upright
+from softmap_edge.features import (
+    Body,
+    FeatureMap,
+    attach,
+    marker_features,
+    other_unit,
+    section_features,
+    seen_residual,
+    upright,
+)
 
 if TYPE_CHECKING:
     from softmap_edge.run import Run
@@ -185,7 +194,7 @@ class Model:
 
     def seen_features(self, run: Run) -> Floats:
         """Return the measured features (K, V, 3) mm; NaN where too little was seen."""
-        seen, visible = self.seen_points(run), run.visible
+        seen, visible = self.points_in_mm(run), run.visible
         mapping = self.run_feature_map(run)
         if visible is None or bool(np.all(visible)):
             return mapping(seen)
@@ -210,6 +219,18 @@ class Model:
                 "it is a run of another robot or template"
             )
         return np.asarray(seen, float)
+
+    def points_in_mm(self, run: Run) -> Floats:
+        """Return the same after checking that they are as large as the robot, so that no effect stands for a unit."""
+        seen = self.seen_points(run)
+        rest = self.rest if self._carry(run) is None else np.asarray(run.marker_rest, float)
+        shown = seen if run.visible is None else np.where(run.visible[..., None], seen, np.nan)
+        if (found := other_unit(shown, rest)) is not None:
+            raise RunError(
+                f"wrong units: the run's points spread {found[0]:.3g} times as far as those of '{self.robot}', which "
+                f"looks like {found[1]}; give the points in mm (`unit` of the mapping)"
+            )
+        return seen
 
     def run_feature_map(self, run: Run) -> FeatureMap:
         """Return the feature map for this run: sections for vertices, the markers themselves for markers."""

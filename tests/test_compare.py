@@ -7,10 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from softmap_edge import builtin_model, diagnose
 from softmap_edge.diagnosis.comparison import Comparison, compare, series
 from softmap_edge.diagnosis.conditions import cells, conditions
 from softmap_edge.diagnosis.floor import noise_floor
-from softmap_edge.errors import ComparisonError
+from softmap_edge.errors import ComparisonError, RunError
 from softmap_edge.run import Run
 
 RINGS, AROUND = 5, 8
@@ -59,7 +60,7 @@ class Lean:
     def commands(self, run):
         return run.command
 
-    def seen_points(self, run):
+    def points_in_mm(self, run):
         return run.vertices if run.vertices is not None else run.markers
 
     def predict(self, run):
@@ -317,3 +318,19 @@ def test_hash_follows_the_content():
     runs = [triangle(noise=0.1), triangle(noise=0.1), triangle(noise=0.1, seed=1)]
     run, same, other = (compare(lean(), run).run["sha256"] for run in runs)
     assert run == same != other
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(0.1, "centimetres"), (10.0, "tenths of a mm"), (1 / 25.4, "inches")])
+def test_points_in_another_unit_are_no_missing_effect(factor, unit):
+    """Taken as mm they gave a verdict that named gravity."""
+    model = builtin_model()
+    t = np.arange(20.0)
+    run = Run(
+        t=t, command=np.column_stack([8 * np.sin(t), t / 4]), t_seen=t, vertices=np.repeat(model.rest[None], 20, 0)
+    )
+    sound = replace(run, vertices=model.predict(run))
+    assert compare(model, sound).error["rms_mm"] == pytest.approx(0.0, abs=1e-9)
+    wrong = replace(sound, vertices=factor * sound.vertices)
+    for use in (compare, diagnose):
+        with pytest.raises(RunError, match=f"wrong units.*{unit}"):
+            use(model, wrong)

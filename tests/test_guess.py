@@ -131,6 +131,16 @@ def test_names_and_ranges_tell_units(tmp_path, head, scale, words):
     assert run.t == pytest.approx(t, abs=1e-5)
 
 
+def test_a_force_beside_a_place_is_no_marker(tmp_path):
+    """Taken for one, it would also turn the frame: the robot would run from its tip to its force."""
+    t, points = places(100)
+    force = np.column_stack([0 * t, 0 * t, 1 + 0 * t])
+    head = ["time", "u1", "u2", "x", "y", "z", "fx", "fy", "fz"]
+    seen = np.stack([points[:, 2], force], axis=1)
+    found = guess_mapping([written(tmp_path, bench_log(head, t, np.column_stack([np.sin(t), np.cos(t)]), seen))])
+    assert '["x", "y", "z"]' in found.text and "fx" not in found.text
+
+
 def test_units_in_the_names_of_markers_are_believed(tmp_path):
     """A robot of 12 mm in mm: by its range alone it would be 12 cm in cm."""
     t, points = places(400)

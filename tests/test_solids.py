@@ -190,6 +190,19 @@ def test_a_bad_table_is_named_in_one_line(tail, named):
     assert named in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (dict(gravity=(0.0, 0.0, 9.81)), "not in m/s2"),
+        (dict(density_kg_m3=1.07), "g/cm3"),
+        (dict(regions=(Region(0.4, z=(4000.0, 6000.0)),)), "holds nothing"),
+    ],
+)
+def test_another_unit_is_not_taken_for_a_strange_finger(change, says):
+    with pytest.raises(FingerError, match=says):
+        Simulator(bar(TENDONS).replace(**change))
+
+
 def test_a_tendon_outside_a_block_is_refused():
     with pytest.raises(FingerError, match="outside the solid"):
         Simulator(bar(TENDONS.replace("[4.0, 0.0, 0.0]", "[7.5, 0.0, 0.0]")))
@@ -203,6 +216,18 @@ def _twice(mesh):
     shift, block = len(mesh.points), mesh.cells[0]
     block.data = np.vstack([block.data, block.data + shift])
     mesh.points = np.vstack([mesh.points, mesh.points + [40.0, 0.0, 0.0]])
+
+
+def _doubled(mesh):
+    block = mesh.cells[0]
+    block.data = np.vstack([block.data, block.data[:2]])
+
+
+def _torn(mesh):
+    """Each cell with nodes of its own: they touch, and nothing joins them."""
+    block = mesh.cells[0]
+    mesh.points = mesh.points[block.data].reshape(-1, 3)
+    block.data = np.arange(block.data.size).reshape(-1, 4)
 
 
 def _surface(mesh):
@@ -230,6 +255,8 @@ def _hanging(mesh):
     [
         (_alone, "belong to no tetrahedron"),
         (_twice, "2 separate bodies"),
+        (_doubled, "there twice"),
+        (_torn, "merge coincident nodes"),
         (_surface, "mesh the volume"),
         (_flat, "1 flat"),
         (_mirrored, "inside out"),

@@ -234,7 +234,7 @@ def _aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
         raise ComparisonError(
             "the run has no seen frames (K = 0), so there is nothing to compare with; record one that is seen"
         )
-    seen = np.asarray(model.seen_points(run), float)
+    seen = np.asarray(model.points_in_mm(run), float)
     predicted = np.asarray(model.predict(run), float)
     if predicted.shape != seen.shape:
         raise ComparisonError(

@@ -24,6 +24,7 @@ from softmap_edge.diagnosis.evidence import (
     ladder,
     ladder_on,
     leftover,
+    not_alone,
     not_testable,
 )
 from softmap_edge.diagnosis.fit import Fit, Record
@@ -91,7 +92,8 @@ def conclude(
     faults = [e for e in entries if registry[e["name"]]["kind"] == "fault"]
     physics = [e for e in entries if registry[e["name"]]["kind"] != "fault"]
     error = _error(search, order, other)
-    doubts = [*([str(own)] if own else []), *_at_bounds(entries)]
+    shared = not_alone(search, fit, left)
+    doubts = [*([str(own)] if own else []), *([shared] if shared else []), *_at_bounds(entries)]
     verdict = _verdict(physics, faults, [*rivals, *doubts], left, hidden, len(search.candidates) + len(impossible))
     return {
         "verdict": verdict,

@@ -175,6 +175,9 @@ def points_of(sheet: Sheet) -> list[list[str]]:
                     found.append(triple)
                     used |= set(triple)
                 break
+    stems = {triple[0].lower() for triple in found}
+    if stems & {"x", "px"}:  # beside a place there are rates and forces: fx, vx, wx
+        found = [triple for triple in found if not re.fullmatch(r"[afgmqtvw]x", triple[0].lower())]
     bodies = [triple for triple in found if triple[0].replace(".x", ".rotation.x") in sheet.names]
     others = [triple for triple in found if triple not in bodies]
     return bodies if len(bodies) > 1 else others or bodies

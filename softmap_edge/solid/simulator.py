@@ -157,8 +157,12 @@ class Simulator:
     def __init__(self, finger: Finger, template: Template | None = None) -> None:
         points = None if template is None else np.ascontiguousarray(template.vertices, dtype=np.float64)
         try:
+            mesh = finger.solid.cells([z for tendon in finger.tendons for z in tendon.ends()])
+            low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+            for number, region in enumerate(finger.regions):
+                region.check_meets(f"region[{number}]", low, high)
             self.solid = _core.Solid(
-                mesh=finger.solid.cells([z for tendon in finger.tendons for z in tendon.ends()]),
+                mesh=mesh,
                 young=finger.young_mpa,
                 poisson=finger.poisson,
                 density=finger.density_kg_m3,
