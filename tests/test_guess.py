@@ -166,6 +166,19 @@ def test_rings_of_markers_have_their_clamp_in_the_middle(tmp_path):
     assert origin == pytest.approx([300, 40, 20], abs=4) and imported(tmp_path, found, [path]).doubts == ()
 
 
+def test_names_of_another_language(tmp_path):
+    """The first column rises evenly: a clock, whatever its name. Two neighbours differ in the last word: two motors."""
+    t, points = places(400)
+    u = 60 * np.column_stack([np.sin(t), np.cos(t), 0.1 * np.sin(t), 1 + 0 * t])
+    head = ["Zeit", "motor_links", "motor_rechts", "pumpe7", "leer"]
+    path = written(tmp_path, bench_log([*head, *XYZ], t + 3, u, points, ";"))
+    found = guess_mapping([path])
+    run = imported(tmp_path, found, [path]).run
+    assert run.t == pytest.approx(t + 3, abs=1e-6) and np.allclose(run.command, u[:, :2], atol=1e-6)
+    assert told(found.assumed, "'Zeit' rises throughout")
+    assert told(found.unknown, "pumpe7 (", "left out") and not told(found.unknown, "leer")
+
+
 def test_ticks_stay_ticks(tmp_path):
     t, points = places(400)
     u = np.rint(2048 + 900 * np.column_stack([np.sin(t), np.cos(t)]))

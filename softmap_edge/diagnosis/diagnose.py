@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.conclusion import OwnMisfit, conclude, parameters
 from softmap_edge.diagnosis.evidence import Untestable, equivalents, experiment, orientations, shown, unseen
-from softmap_edge.diagnosis.fit import Fit, Problem, Record
+from softmap_edge.diagnosis.fit import Fit, Problem, Record, per_mm
 from softmap_edge.diagnosis.noise import command_kernel, estimate_noise, form_covariance, rod_noise, whitener
 from softmap_edge.diagnosis.search import Search
 from softmap_edge.errors import SoftmapError, brief
@@ -323,12 +323,13 @@ def _signatures(record: Record, name: str, base: Floats, frames: NDArray[Any]) -
     chain = record.library.Chain(list(names), record.model.channels)
     null = np.array([own.get(label, n) for label, n in zip(chain.labels, chain.null)])
     mine = [i for i, label in enumerate(chain.labels) if label.split(".")[0] == name]
+    start = per_mm(record, chain.labels, chain.units) * np.asarray(chain.start)
     every = null.copy()
-    every[mine] = np.asarray(chain.start)[mine]
+    every[mine] = start[mine]
     rows = [every]
     for i in mine:
         alone = null.copy()
-        alone[i] = chain.start[i]
+        alone[i] = start[i]
         rows.append(alone)
     shifts = record.predict(names, np.stack(rows)) - base
     return [s[frames] for s in shifts if np.any(np.abs(s) > 1e-9)]

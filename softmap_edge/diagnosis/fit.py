@@ -31,6 +31,7 @@ Floats = NDArray[np.float64]
 
 STEP = 4e-3  # of the range of a parameter
 ITERATIONS = 14
+REACH_MM = 16.0  # of the finger whose commands the declared bounds in mm were chosen for
 CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
 
 
@@ -97,6 +98,22 @@ class Record:
         return int(self.frames)
 
 
+def per_mm(record: Record, labels: Sequence[str], units: Sequence[str]) -> Floats:
+    """Return by what (P,) to multiply declared starts and bounds: those in mm of command, where commands are not mm.
+
+    They are declared for tendons that move by REACH_MM to each side. A drive in degrees, radians or ticks moves by
+    another number, and its play may be that many times larger.
+    """
+    model = record.model
+    factor, reach = np.ones(len(labels)), np.asarray(getattr(model, "command_range", np.zeros((0, 2))), float)
+    if getattr(model, "command_unit", "mm") in ("mm", "N") or not len(reach):
+        return factor
+    half = float(np.median(0.5 * np.ptp(reach, axis=1)))
+    in_commands = {e["name"] for e in record.library.effects() if e["role"] == "channel"}
+    commanded = [unit == "mm" and label.split(".")[0] in in_commands for label, unit in zip(labels, units)]
+    return np.where(commanded, half / REACH_MM, factor) if half > 0 else factor
+
+
 class Space:
     """Scaled coordinates x of the free parameters of a chain; all other parameters stay at `base`."""
 
@@ -111,6 +128,8 @@ class Space:
         self.units: list[str] = list(chain.units)
         null, start = np.asarray(chain.null, float), np.asarray(chain.start, float)
         low, high, log = np.asarray(chain.low, float), np.asarray(chain.high, float), np.asarray(chain.log, bool)
+        factor = per_mm(record, self.labels, self.units)
+        start, low, high = factor * start, factor * low, factor * high
         wanted = set(free or effects)
         self.free = np.array([i for i, label in enumerate(self.labels) if label.split(".")[0] in wanted], int)
         self.base = np.array([base.get(label, null[i]) for i, label in enumerate(self.labels)])

@@ -123,10 +123,18 @@ def time_of(sheet: Sheet) -> tuple[str | None, str, str]:
             if pattern.search(bare):
                 unit, why = _time_unit(sheet, name)
                 return name, unit, f"'{name}' rises throughout; {why}"
-    if rising and not sheet.header and rising[0] == sheet.names[0]:
+    if rising and rising[0] == sheet.names[0] and (not sheet.header or _even(sheet.column(rising[0]))):
         unit, why = _time_unit(sheet, rising[0])
-        return rising[0], unit, f"the first column rises throughout; {why}"
+        called = f" '{rising[0]}'" if sheet.header else ""
+        return rising[0], unit, f"the first column{called} rises throughout; {why}"
     return None, "rows", "no column tells time"
+
+
+def _even(values: Array) -> bool:
+    """Whether numbers rise by nearly the same step from row to row, as a clock does under whatever name."""
+    step = np.diff(values[np.isfinite(values)])
+    usual = float(np.median(step))
+    return usual > 0 and bool((np.abs(step - usual) < 0.5 * usual).mean() > 0.9)
 
 
 def _time_unit(sheet: Sheet, name: str) -> tuple[str, str]:
@@ -222,7 +230,22 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
                 unit = _UNIT.get((sheet.units.get(names[0]) or unit_in_name(names[0], _UNIT) or "").lower())
                 roles.append((rank, Role(kind, names, unit if unit in UNITS[kind] else None, why, sure=rank < 5)))
                 break
-    return [role for _, role in sorted(roles, key=lambda pair: pair[0])]
+    roles.sort(key=lambda pair: pair[0])  # stable: neighbours in the file stay neighbours
+    merged: list[tuple[int, Role]] = []
+    for rank, role in roles:
+        if merged and merged[-1][0] == rank and _siblings(sheet, merged[-1][1], role):
+            merged[-1][1].columns.extend(role.columns)
+        else:
+            merged.append((rank, role))
+    return [role for _, role in merged]
+
+
+def _siblings(sheet: Sheet, one: Role, other: Role) -> bool:
+    """Whether two columns side by side differ only in their last word: `motor_links`, `motor_rechts`."""
+    place = sheet.names.index(other.columns[0]) - sheet.names.index(one.columns[-1])
+    stems = [re.sub(r"[^_]*$", "", role.columns[0].lower()) for role in (one, other)]
+    alone = len(other.columns) == 1 and not any(re.search(r"\d", name) for name in (one.columns[0], other.columns[0]))
+    return alone and place == 1 and stems[0] == stems[1] != "" and one.unit == other.unit
 
 
 def drive_unit(rows: Array, stated: str | None) -> tuple[str, str, bool]:
