@@ -220,6 +220,25 @@ class Model:
             )
         return np.asarray(seen, float)
 
+    def elsewhere(self, run: Run) -> list[str]:
+        """Say so where the points of a run are farther from the base than the robot can reach.
+
+        Args:
+            run: with K frames seen. Returns: no sentence, or one.
+        """
+        if not run.frames:
+            return []
+        rest, seen = np.asarray(self.rest, float), self.seen_points(run)
+        shown = seen if run.visible is None else np.where(run.visible[..., None], seen, np.nan)
+        reach = float(np.linalg.norm(rest, axis=1).max())  # of a straight body from its clamp, the origin
+        off = float(np.nanmedian(np.linalg.norm(shown - rest.mean(axis=0), axis=-1)))
+        if not off > 2.5 * reach:
+            return []
+        return [
+            f"the points are {off:.4g} mm from where '{self.robot}' rests, which reaches {reach:.3g} mm: if they are "
+            "in the frame of a camera, `softmap align` brings them to the base"
+        ]
+
     def points_in_mm(self, run: Run) -> Floats:
         """Return the same after checking that they are as large as the robot, so that no effect stands for a unit."""
         seen = self.seen_points(run)

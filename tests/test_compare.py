@@ -334,3 +334,16 @@ def test_points_in_another_unit_are_no_missing_effect(factor, unit):
     for use in (compare, diagnose):
         with pytest.raises(RunError, match=f"wrong units.*{unit}"):
             use(model, wrong)
+
+
+def test_points_in_the_frame_of_a_camera_are_told():
+    model = builtin_model()
+    t = np.arange(0.0, 20.0, 0.1)
+    u = 12 * np.column_stack([np.sin(t), np.cos(t)])
+    bent = np.asarray(model.predict(Run(t=t, command=u, t_seen=t, vertices=np.repeat(model.rest[None], len(t), 0))))
+    assert model.elsewhere(Run(t=t, command=u, t_seen=t, vertices=bent)) == []
+    seen = np.ones(bent.shape[:2], bool)
+    seen[:, ::2] = False
+    away = Run(t=t, command=u, t_seen=t, vertices=bent @ np.diag([1.0, -1.0, -1.0]) + [310, 45, 820], visible=seen)
+    [line] = model.elsewhere(away)
+    assert "`softmap align`" in line and "reaches 117 mm" in line

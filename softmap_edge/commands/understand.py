@@ -176,8 +176,8 @@ def _bundle(path: str | None) -> Any:
 
 
 def _warn(verb: str, model: Any, run: Any) -> None:
-    """Tell on stderr, beside any document, where the commands of the run leave the range of the model."""
-    for note in model.beyond(run):
+    """Tell on stderr, beside any document, where a run leaves the commands or the frame of the model."""
+    for note in [*model.beyond(run), *model.elsewhere(run)]:
         print(f"softmap {verb}: {note}", file=sys.stderr)
 
 
