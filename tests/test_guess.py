@@ -2,6 +2,7 @@
 
 import json
 import re
+import tomllib
 
 import numpy as np
 import pytest
@@ -251,3 +252,10 @@ def test_wrong_use_of_the_verb(tmp_path, capsys, argv, words):
     path = str(written(tmp_path, made_log()[0]))
     assert main(["import", path, *argv]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_a_name_does_not_end_its_comment_and_become_a_key(tmp_path):
+    path = tmp_path / 'log\nrobot = "other" #.csv'
+    path.write_text(made_log(60)[0])
+    text = guess_mapping([path]).text
+    assert "robot" in text.splitlines()[0] and "robot" not in tomllib.loads(text)

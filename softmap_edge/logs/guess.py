@@ -112,8 +112,13 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     text = _write(sheets, files, found)
     head = [f"# Proposed from the header and the ranges of {', '.join(path.name for path in files)}; read every line."]
     head += [f"# ASSUMED  {line}" for line in found.assumed] + [f"# UNKNOWN  {line}" for line in found.unknown]
-    text = "\n".join([*head, text])
+    text = "\n".join([*map(_one_line, head), text])
     return Guess(text, tuple(found.assumed), tuple(found.unknown), _tried(files, text))
+
+
+def _one_line(comment: str) -> str:
+    """Names of files and columns may hold anything; a comment must not end within one and go on as keys."""
+    return "".join(c if c.isprintable() else " " for c in comment)
 
 
 def _tried(files: list[Path], text: str) -> tuple[str, ...]:
