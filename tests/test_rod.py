@@ -1,5 +1,6 @@
 """A robot without a simulator: its rod is learned from a reference run, and says honestly how far it is off."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,12 @@ def test_a_rod_is_recovered_exactly(truth, learned):
 
 def test_too_low_a_degree_is_seen_in_the_error(plain, learned):
     assert learn(plain, degree=1).error_mm > 100 * learned.error_mm
+
+
+def test_a_missing_command_is_told(plain):
+    poor = learn(replace(plain, command=plain.command[:, :1]))
+    assert any("may miss a command" in note for note in poor.notes)
+    assert learn(plain).notes == ()
 
 
 def test_delay_and_lag_of_the_drive_are_found(truth):

@@ -37,6 +37,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
 USELESS = 0.8  # share of that straying from which a held-out error says that commands explain little
+POOR = 0.4  # of the same: a rod that knows its commands leaves a tenth
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +169,11 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
         notes.append(
             f"the held-out error of {error:.2f} mm is hardly below the {stray:.2f} mm of always answering the mean "
             "pose: the commands do not explain these markers, or the run is too short"
+        )
+    elif error > POOR * stray:
+        notes.append(
+            f"the held-out error of {error:.2f} mm is much of the {stray:.2f} mm of always answering the mean pose: "
+            "the mapping may miss a command or have a wrong rate, or the run is short"
         )
     vague = [number.label for number in fitted.numbers if number.note]
     if vague:
