@@ -8,6 +8,7 @@ from logs import published
 from recordings import LABELS, places, write_c3d, write_motive, write_trc
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.table import open_log
 
@@ -138,6 +139,8 @@ def test_a_head_of_very_many_columns_is_read_in_linear_time(tmp_path):
     path.write_text("\n".join(",".join(row) for row in rows) + "\n")
     began = time.process_time()
     assert len(open_log(path).names) == count + 2
+    with pytest.raises(RunError, match="40002 columns, at most 4096"):
+        guess_mapping([path])
     assert time.process_time() - began < 5.0  # 0.3 s; 8·10⁸ comparisons of names take 20 s
 
 

@@ -67,8 +67,7 @@ def _as_from_its_finger(path: Path, report: Progress) -> Model:
     if not np.array_equal(sweep.gravity, sweep.finger.gravity) or np.any(sweep.tip_force):
         raise SweepError(
             f"{path.name}: made under gravity {sweep.gravity.tolist()} and a tip force of {sweep.tip_force.tolist()} "
-            "N, its "
-            f"finger hangs under {list(sweep.finger.gravity)} without; make it with `softmap sweep finger.toml`"
+            f"N, its finger hangs under {list(sweep.finger.gravity)} without; make it with `softmap sweep finger.toml`"
         )
     return from_sweep(sweep.finger, Simulator(sweep.finger), sweep, report)
 
@@ -159,8 +158,7 @@ def _gaps(reach: float) -> list[str]:
         return []
     return [
         f"the commands leave gaps: one between two of them lies {100 * reach:.0f} % of half the range from the "
-        "nearest; the "
-        "model is a guess there, and its stated error may be too small"
+        "nearest; the model is a guess there, and its stated error may be too small"
     ]
 
 

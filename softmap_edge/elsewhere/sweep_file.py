@@ -220,16 +220,14 @@ def _ranges(numbers: Mapping[str, Floats], unit: str) -> None:
         if outside.any():
             raise SweepError(
                 f"`loaded_command` row {int(np.argmax(outside))} lies outside the commands of the sweep; hang the "
-                "load on "
-                "where the unloaded shape is known"
+                "load on where the unloaded shape is known"
             )
     for name in ("load", "mass"):
         value = numbers.get(name, np.ones(1))
         if value.size and not (float(value.min()) > 0.0 and float(value.max()) <= MOST_GRAMS):
             raise SweepError(
                 f"`{name}` holds {float(value.min()):.4g} to {float(value.max()):.4g} g, expected more than 0 and at "
-                "most "
-                f"{MOST_GRAMS:g}"
+                f"most {MOST_GRAMS:g}"
             )
     if "load" in numbers and not numbers["load"].size:
         raise SweepError("`load` is empty; give at least one shape under a known load, or leave its fields out")
@@ -315,8 +313,7 @@ def _lever(command: Floats, vertices: Floats) -> None:
             f"row {row} of `command` is {pulled[row]:.3g} from home and moves a body of {size:.3g} mm by "
             f"{travel[row]:.3g} mm, "
             f"as if tendons ran {lever:.2g} mm beside its middle; the commands look like {looks} (or, if they are mm, "
-            "say "
-            "command_unit = 'mm')"
+            "say command_unit = 'mm')"
         )
 
 

@@ -22,6 +22,7 @@ from softmap_edge.logs.table import LARGEST, open_log
 
 Array = NDArray[np.float64]
 ROWS = 20_000  # of each log that are looked at
+MOST_COLUMNS = 4096  # of each log: names are compared by pairs
 _COUNTERS = re.compile(r"^(id|frame#?|index|idx|sample|row|count(er)?|nr|no|n|#|)$", re.IGNORECASE)
 _TIMES = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
 _LABELS = re.compile(r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE)
@@ -96,6 +97,11 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
                     numbers = np.where(np.abs(held.numbers) < LARGEST, held.numbers, np.nan)
                     sheets.append(Sheet(path, topic.name, held.names, {}, numbers, {}))
             continue
+        if len(columns.names) > MOST_COLUMNS:
+            raise RunError(
+                f"{path}: {len(columns.names)} columns, at most {MOST_COLUMNS} are looked at; name those of the robot "
+                "in a mapping by hand: docs/mapping.md lists its keys"
+            )
         texts: dict[str, list[str]] = {}
         if isinstance(columns, TextColumns):
             texts = columns.texts(200)
