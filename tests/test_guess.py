@@ -234,6 +234,10 @@ def test_the_verb_prints_or_writes_what_it_proposes(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "assumed   markers" in said and "unknown   what was commanded" in said and f"--map {out}" in said
     assert main(["import", path, "--map", out, "--out", str(tmp_path / "run.npz")]) == 0
+    (tmp_path / "map.toml").write_text("corrected by hand")
+    assert main(["import", path, "--guess", "--out", out]) == 2
+    assert "stands there already" in capsys.readouterr().err and (tmp_path / "map.toml").read_text()[:3] == "cor"
+    assert main(["import", path, "--guess", "--out", out, "--force"]) == 0
     capsys.readouterr()
     assert main(["import", path, "--guess", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

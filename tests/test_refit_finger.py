@@ -137,6 +137,9 @@ def test_markers_and_a_known_load(tmp_path, capsys):
     assert "young_mpa" in capsys.readouterr().out
     assert Finger.load(new).young_mpa == pytest.approx(0.33, rel=0.05)
     assert Finger.load(new).bounds == BOUNDS
+    template = ["--finger", str(tmp_path / "finger.toml"), "--out", str(tmp_path / "finger.toml")]
+    assert main(["refit", str(tmp_path / "run.npz"), *template]) == 2  # its comments would be lost
+    assert "stands there already" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
+from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_kept
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 
@@ -149,6 +149,7 @@ def _refit_finger(args: argparse.Namespace) -> int:
     from softmap_edge.solid.fit import fit_finger
 
     check_file("--out", args.out, ".toml")
+    check_kept(args.out, "a finger", args.force)
     with Bar(args.json) as bar:
         found = fit_finger(Finger.load(args.finger), _run(args.run), bar)
     Path(args.out).write_text(found.finger.to_toml(), encoding="utf-8")
