@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.data import ROOT, find
+from benches.data import ROOT, find_or_say
 from softmap_edge import Diagnosis, Finger, Run, Simulator, build_model, diagnose, import_logs, read_mapping
 from softmap_edge.alignment.rigid import kabsch, rotation_vector
 from softmap_edge.features import attach
@@ -90,9 +90,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benches.beam", description=main.__doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     args = parser.parse_args(argv)
-    folder = find("beam")
+    folder = find_or_say("beam")
     if folder is None:
-        print("the recordings are absent; `make data` brings them")
         return 1
     runs = read(folder)
     fit = fitted(runs)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.data import ROOT, find
+from benches.data import ROOT, find_or_say
 from softmap_edge import Finger, Simulator
 from softmap_edge.solid.build import refined
 from softmap_edge.solid.simulator import Template
@@ -64,9 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benches.moe", description=main.__doc__)
     parser.add_argument("--quick", action="store_true", help="leave out the refined mesh")
     args = parser.parse_args(argv)
-    folder = find("moe_finger")
+    folder = find_or_say("moe_finger")
     if folder is None:
-        print("the mesh is absent; `make data` brings it")
         return 1
     finger = load(folder)
     simulator = Simulator(finger)

@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 from sklearn.gaussian_process.kernels import Matern
 from sklearn.preprocessing import StandardScaler
 
-from benches.data import ROOT, find
+from benches.data import ROOT, find_or_say
 from benches.trunk import PEERS as USUAL
 from benches.trunk import Process, cross_validate
 from softmap_edge import Model, Robot, Run, compare, diagnose, import_logs, read_mapping
 from softmap_edge.folds import folds
 from softmap_edge.rod.learn import LearnedRod, learn, learned_model
+from softmap_edge.rod.regression import rms
 
 Floats = NDArray[np.float64]
 Row = dict[str, float | str | None]
@@ -61,11 +62,6 @@ def robots() -> dict[str, Robot]:
 def error(model: Model, run: Run) -> float:
     """Return the RMS error at the tip, mm."""
     return rms(model.predict(run) - np.asarray(run.markers))
-
-
-def rms(off: Floats) -> float:
-    """Return the RMS length of differences (n, 1, 3) mm."""
-    return float(np.sqrt((off**2).sum(axis=-1).mean()))
 
 
 def rods(train: Run, unseen: Run, only: Sequence[str] = ()) -> Iterator[tuple[Row, LearnedRod, Model]]:
@@ -124,9 +120,8 @@ def main() -> int:
     parser.add_argument("--data", type=Path, help="folder of the logs (default data/tdcr)")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    folder = args.data or find("tdcr")
+    folder = args.data or find_or_say("tdcr")
     if folder is None:
-        print("not run: the logs are absent; `make data` brings them")
         return 0
     train, unseen = read(folder)
     found = list(rods(train, unseen))

@@ -25,7 +25,7 @@ from sklearn.multioutput import MultiOutputRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
-from benches.data import find
+from benches.data import find_or_say
 from benches.trunk_load import FREE, read, report
 from softmap_edge.folds import Folds, folds
 from softmap_edge.rod.learn import LearnedRod, learn
@@ -72,9 +72,8 @@ def main() -> int:
     parser.add_argument("--data", type=Path, help="folder of the trunk logs (default data/trunk)")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    folder = args.data or find("trunk")
+    folder = args.data or find_or_say("trunk")
     if folder is None:
-        print("not run: the trunk logs are absent; `make data` brings them")
         return 0
     run = read(folder, FREE)
     if args.json:

@@ -7,7 +7,6 @@ picture of the mesh needs its data (`make data`) and is left as it is without th
 from __future__ import annotations
 
 import argparse
-import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +20,7 @@ from benches.data import find
 from benches.moe import load
 from softmap_edge import builtin_model, diagnose, series
 from softmap_edge.protocol import Protocol, other_protocol, standard_protocol
-from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, body, ladder_bars, over_time
+from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, body, ladder_bars, over_time, svg
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
 from softmap_edge.truth import hide
@@ -54,9 +53,7 @@ def plan(protocol: Protocol) -> bytes:
                 name, ((low + high) / 2, 1.03), xycoords=("data", "axes fraction"), ha="center", size=7.5
             )
         panels[-1].set_xlabel("time, s")
-        target = io.BytesIO()
-        figure.savefig(target, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
-        return target.getvalue()
+        return svg(figure)
 
 
 def mesh_and_bricks(folder: Path) -> bytes:
@@ -79,9 +76,7 @@ def mesh_and_bricks(folder: Path) -> bytes:
         panels[0].set_ylabel("z, mm")
         names = ["mesh of 10-node tetrahedra, its surface vertices", "bricks of the same dimensions, their outline"]
         figure.legend([dots, edge], names, loc="outside lower center", ncols=2, frameon=False)
-        target = io.BytesIO()
-        figure.savefig(target, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
-        return target.getvalue()
+        return svg(figure)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -7,7 +7,6 @@ data`) and says so where they are absent.
 from __future__ import annotations
 
 import argparse
-import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,10 +17,10 @@ from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside docs/
 from benches.beam import LOADS_G, NEWTON_PER_G, fitted, read
-from benches.data import find
+from benches.data import find_or_say
 from softmap_edge import Finger, Run, Simulator
 from softmap_edge.features import attach
-from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE
+from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, svg
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -29,9 +28,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder for the pictures")
     args = parser.parse_args(argv)
-    folder = find("beam")
+    folder = find_or_say("beam")
     if folder is None:
-        print("not drawn: the recordings are absent; `make data` brings them")
         return 0
     runs = read(folder)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -65,9 +63,7 @@ def side(beam: Finger, runs: dict[str, Run]) -> bytes:
             axes.set(xlim=(-4.0, 112.0), ylim=(-52.0, 24.0))
             axes.set_aspect("equal")
         figure.axes[0].legend(frameon=False, loc="lower left")
-        stream = io.BytesIO()
-        figure.savefig(stream, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
-        return stream.getvalue()
+        return svg(figure)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ data`) and says so where they are absent.
 from __future__ import annotations
 
 import argparse
-import io
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,10 +17,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside docs/
-from benches.data import find
-from benches.tdcr import read, rms, rods
+from benches.data import find_or_say
+from benches.tdcr import read, rods
 from softmap_edge import Run
-from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE
+from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, svg
+from softmap_edge.rod.regression import rms
 
 Floats = NDArray[np.float64]
 LAWS = {"elastic rod, two-sided": ("two-sided", BEFORE), "elastic rod, cables": ("cables", AFTER)}
@@ -33,9 +33,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder for the pictures")
     args = parser.parse_args(argv)
-    folder = find("tdcr")
+    folder = find_or_say("tdcr")
     if folder is None:
-        print("not drawn: the logs are absent; `make data` brings them")
         return 0
     train, unseen = read(folder)
     predicted = {str(row["model"]): model.predict(unseen)[:, 0] for row, _, model in rods(train, unseen, tuple(LAWS))}
@@ -72,7 +71,7 @@ def paths(run: Run, predicted: Mapping[str, Floats]) -> bytes:
                 axes.grid(color=FAINT, linewidth=0.8)
             column[0].set_title(shown(move))
         panels[0, 0].legend(frameon=False)
-        return _svg(figure)
+        return svg(figure)
 
 
 def moves(run: Run, predicted: Mapping[str, Floats]) -> bytes:
@@ -93,18 +92,12 @@ def moves(run: Run, predicted: Mapping[str, Floats]) -> bytes:
         axes.grid(axis="y", color=FAINT, linewidth=0.8)
         axes.set_axisbelow(True)
         axes.legend(frameon=False, ncols=2)
-        return _svg(figure)
+        return svg(figure)
 
 
 def shown(label: str) -> str:
     """Return a label of the log as it is written in a picture."""
     return label.removeprefix("rep1_all3_").replace("_", " ")
-
-
-def _svg(figure: Figure) -> bytes:
-    stream = io.BytesIO()
-    figure.savefig(stream, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
-    return stream.getvalue()
 
 
 if __name__ == "__main__":

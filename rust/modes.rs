@@ -63,10 +63,7 @@ impl Modes {
             let mut image = vec![0.0; to];
             for (value, weight_row) in row.iter().zip(weights.chunks_exact(to)) {
                 if *value != 0.0 {
-                    image
-                        .iter_mut()
-                        .zip(weight_row)
-                        .for_each(|(sum, weight)| *sum += value * weight);
+                    accumulate(&mut image, weight_row, *value);
                 }
             }
             image
@@ -85,18 +82,46 @@ impl Modes {
     /// Add `Σ weight_m·mode_m` to `out` (M,).
     pub fn expand(&self, weights: &[f64], out: &mut [f64]) {
         for (weight, mode) in weights.iter().zip(self.rows.chunks_exact(out.len())) {
-            out.iter_mut()
-                .zip(mode)
-                .for_each(|(sum, value)| *sum += weight * value);
+            accumulate(out, mode, *weight);
         }
     }
 
-    /// Work on m weights, zero at first; they live on the stack if they are few.
-    pub fn with_weights(&self, work: impl FnOnce(&mut [f64])) {
-        if self.count <= STACK_MODES {
-            work(&mut [0.0; STACK_MODES][..self.count]);
-        } else {
-            work(&mut vec![0.0; self.count]);
+    /// Write the numbers to `out` (M,); `weigh` puts the m weights, zero at first.
+    pub fn eval(&self, out: &mut [f64], weigh: impl FnOnce(&mut [f64])) {
+        out.copy_from_slice(&self.mean);
+        self.add(out, weigh);
+    }
+
+    /// Write the slopes (M, `channels`) to `out`; `weigh` puts those of the m weights, zero at first, by each channel.
+    pub fn jacobian(&self, channels: usize, out: &mut [f64], weigh: impl Fn(usize, &mut [f64])) {
+        let mut column = vec![0.0; self.size()];
+        for c in 0..channels {
+            column.fill(0.0);
+            self.add(&mut column, |weights| weigh(c, weights));
+            for (row, slope) in out.chunks_exact_mut(channels).zip(&column) {
+                row[c] = *slope;
+            }
         }
     }
+
+    /// Few weights live on the stack.
+    fn add(&self, out: &mut [f64], weigh: impl FnOnce(&mut [f64])) {
+        let (mut few, mut many);
+        let weights = if self.count <= STACK_MODES {
+            few = [0.0; STACK_MODES];
+            &mut few[..self.count]
+        } else {
+            many = vec![0.0; self.count];
+            &mut many[..]
+        };
+        weigh(weights);
+        self.expand(weights, out);
+    }
+}
+
+/// `sum += factor·row`
+pub(crate) fn accumulate(sum: &mut [f64], row: &[f64], factor: f64) {
+    sum.iter_mut()
+        .zip(row)
+        .for_each(|(sum, value)| *sum += factor * value);
 }

@@ -8,7 +8,7 @@
 //! `softmap_edge/elsewhere/scattered.py`. Cost: nodes × (channels + modes) a command. Pinned by the tests at the foot.
 
 use crate::error::{Result, invalid};
-use crate::modes::Modes;
+use crate::modes::{Modes, accumulate};
 use crate::shape::Shape;
 
 /// No scale is smaller, in command units: a division by it must stay finite.
@@ -149,13 +149,6 @@ impl Scattered {
     }
 }
 
-/// `sum += factor·row`
-fn accumulate(sum: &mut [f64], row: &[f64], factor: f64) {
-    sum.iter_mut()
-        .zip(row)
-        .for_each(|(sum, value)| *sum += factor * value);
-}
-
 impl Shape for Scattered {
     fn channels(&self) -> usize {
         self.scale.len()
@@ -166,9 +159,8 @@ impl Shape for Scattered {
     }
 
     fn eval(&self, u: &[f64], out: &mut [f64]) {
-        out.copy_from_slice(self.modes.mean());
         let tail = self.nodes.len() / self.scale.len();
-        self.modes.with_weights(|weights| {
+        self.modes.eval(out, |weights| {
             accumulate(weights, self.row(tail), 1.0);
             for (c, s) in self.scale.iter().enumerate() {
                 accumulate(weights, self.row(tail + 1 + c), u[c] / s);
@@ -176,29 +168,18 @@ impl Shape for Scattered {
             self.visit(u, |i, r, _| {
                 accumulate(weights, self.row(i), self.kernel.value(r))
             });
-            self.modes.expand(weights, out);
         });
     }
 
     fn jacobian(&self, u: &[f64], out: &mut [f64]) {
-        let (channels, size) = (self.channels(), self.size());
-        let tail = self.nodes.len() / channels;
-        let mut column = vec![0.0; size];
-        for c in 0..channels {
-            column.fill(0.0);
-            self.modes.with_weights(|weights| {
-                accumulate(weights, self.row(tail + 1 + c), 1.0 / self.scale[c]);
-                self.visit(u, |i, r, apart| {
-                    let slope = self.kernel.slope_over_r(r) * apart[c] / self.scale[c];
-                    accumulate(weights, self.row(i), slope);
-                });
-                self.modes.expand(weights, &mut column);
+        let tail = self.nodes.len() / self.scale.len();
+        self.modes.jacobian(self.channels(), out, |c, weights| {
+            accumulate(weights, self.row(tail + 1 + c), 1.0 / self.scale[c]);
+            self.visit(u, |i, r, apart| {
+                let slope = self.kernel.slope_over_r(r) * apart[c] / self.scale[c];
+                accumulate(weights, self.row(i), slope);
             });
-            column
-                .iter()
-                .enumerate()
-                .for_each(|(m, slope)| out[m * channels + c] = *slope);
-        }
+        });
     }
 }
 

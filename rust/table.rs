@@ -7,7 +7,7 @@
 
 use crate::cubic::{NO_AXIS, Stencil, stencil};
 use crate::error::{Result, invalid};
-use crate::modes::{Modes, STACK_MODES};
+use crate::modes::{Modes, STACK_MODES, accumulate};
 use crate::room::room;
 use crate::shape::Shape;
 
@@ -120,15 +120,11 @@ impl Table {
         }
     }
 
-    /// Interpolate the mode weights with one stencil per axis.
+    /// Add the interpolated mode weights, with one stencil per axis.
     fn blend(&self, stencils: &[Stencil; MAX_CHANNELS], weights: &mut [f64]) {
-        weights.fill(0.0);
         self.visit(stencils, |node, share| {
             let row = &self.coefficients[node * weights.len()..(node + 1) * weights.len()];
-            weights
-                .iter_mut()
-                .zip(row)
-                .for_each(|(sum, value)| *sum += share * value);
+            accumulate(weights, row, share);
         });
     }
 
@@ -180,10 +176,7 @@ impl TableSum {
         shared.visit(&shared.stencils(u, None), |node, share| {
             let rows = self.coefficients[node * count * weights.len()..].chunks_exact(count);
             for (row, weight) in rows.zip(weights).filter(|(_, weight)| **weight != 0.0) {
-                let factor = share * weight;
-                sum.iter_mut()
-                    .zip(row)
-                    .for_each(|(sum, value)| *sum += factor * value);
+                accumulate(&mut sum, row, share * weight);
             }
         });
         shared.modes.expand(&sum[..count], out);
@@ -204,27 +197,15 @@ impl Shape for Table {
     }
 
     fn eval(&self, u: &[f64], out: &mut [f64]) {
-        out.copy_from_slice(self.mean());
-        self.modes.with_weights(|weights| {
+        self.modes.eval(out, |weights| {
             self.blend(&self.stencils(u, None), weights);
-            self.modes.expand(weights, out);
         });
     }
 
     fn jacobian(&self, u: &[f64], out: &mut [f64]) {
-        let (channels, size) = (self.channels(), self.size());
-        let mut column = vec![0.0; size];
-        for c in 0..channels {
-            column.fill(0.0);
-            self.modes.with_weights(|weights| {
-                self.blend(&self.stencils(u, Some(c)), weights);
-                self.modes.expand(weights, &mut column);
-            });
-            column
-                .iter()
-                .enumerate()
-                .for_each(|(m, slope)| out[m * channels + c] = *slope);
-        }
+        self.modes.jacobian(self.channels(), out, |c, weights| {
+            self.blend(&self.stencils(u, Some(c)), weights);
+        });
     }
 }
 

@@ -22,6 +22,7 @@ __all__ = [
     "Predictor",
     "Rod",
     "RodField",
+    "STANDARD_GRAVITY",
     "Scattered",
     "Shape",
     "Solid",
@@ -93,6 +94,7 @@ class Scattered(Shape):
     def project(self, weights: _Floats, offset: _Floats) -> Scattered: ...
 
 FIELDS: list[str]
+STANDARD_GRAVITY: float  # m/s², N/kg
 
 def effects() -> list[dict[str, Any]]: ...
 

@@ -1,9 +1,8 @@
 """The bundle: the folder that carries a model from one machine to another. Data only; nothing in it is ever run.
 
 manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it
-prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes, scale, power and the
-same)
-                or a rod
+prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes, scale, power and
+                the rest as a table), or a rod
 template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh
 fields.npz      displacement fields per 1 g and per 1 N, as modes over fewer commands
 effects.json    the chain: names and parameters

@@ -20,6 +20,9 @@ Floats = NDArray[np.float64]
 SECTIONS = 9
 REACH = 8.0  # mm: about the distance between two rings of vertices
 NEGLIGIBLE = 1e-4  # of the largest kernel value
+# How many times too long distances are that are in another unit than mm.
+UNITS = {1e-3: "metres", 0.01: "tenths of a metre", 0.1: "centimetres", 1 / 25.4: "inches", 10.0: "tenths of a mm"}
+NEAR_UNIT = 0.3  # by how much shapes that bend may miss that number
 STALK = 0.25  # of the template's extent: a marker farther from it is not on the robot
 
 
@@ -102,6 +105,21 @@ def section_features(body: Body) -> FeatureMap:
 def marker_features(count: int) -> FeatureMap:
     """Return the map for `count` markers: each is a feature of its own."""
     return FeatureMap(np.eye(count), np.ones(count, bool), np.arange(count))
+
+
+def other_unit(points: Floats, rest: Floats) -> tuple[float, str] | None:
+    """Return how many times too large points are, and the unit that explains it; None where they may be mm.
+
+    Args:
+        points: (K, N, 3), NaN where one was not seen. rest: (N, 3) mm, the same points as they should be, in any pose.
+    """
+    whole = points[np.isfinite(points).all(axis=(1, 2))]
+    wide = float(rest.std(axis=0).max()) if len(rest) > 1 else 0.0
+    if not len(whole) or not wide > 0:
+        return None
+    # about their middle, so that neither turns nor shifts count; a body that bends into a circle halves it
+    ratio = float(np.median(np.sqrt(whole.var(axis=1).sum(axis=1) / rest.var(axis=0).sum())))
+    return next(((ratio, name) for factor, name in UNITS.items() if abs(ratio / factor - 1.0) < NEAR_UNIT), None)
 
 
 def attach(points: Floats, rest: Floats, names: Sequence[str] = ()) -> Floats:

@@ -19,7 +19,16 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.features import Body, FeatureMap, attach, marker_features, section_features, seen_residual, upright
+from softmap_edge.features import (
+    Body,
+    FeatureMap,
+    attach,
+    marker_features,
+    other_unit,
+    section_features,
+    seen_residual,
+    upright,
+)
 
 if TYPE_CHECKING:
     from softmap_edge.run import Run
@@ -28,6 +37,8 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 Shape = Any  # a compiled shape: _core.Table, _core.Rod, _core.RodField
 _TIP_SHARE = 0.05
+TIP_PER_NEWTON = 0.1  # where stiffness is not known: 1 N across the tip moves it by this share of the length
+NOMINAL = "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
 BEYOND = 0.05  # share of its range by which a command may leave it before a word is said
 
 
@@ -192,7 +203,7 @@ class Model:
 
     def seen_features(self, run: Run) -> Floats:
         """Return the measured features (K, V, 3) mm; NaN where too little was seen."""
-        seen, visible = self.seen_points(run), run.visible
+        seen, visible = self.points_in_mm(run), run.visible
         mapping = self.run_feature_map(run)
         if visible is None or bool(np.all(visible)):
             return mapping(seen)
@@ -217,6 +228,37 @@ class Model:
                 "it is a run of another robot or template"
             )
         return np.asarray(seen, float)
+
+    def elsewhere(self, run: Run) -> list[str]:
+        """Say so where the points of a run are farther from the base than the robot can reach.
+
+        Args:
+            run: with K frames seen. Returns: no sentence, or one.
+        """
+        if not run.frames:
+            return []
+        rest, seen = np.asarray(self.rest, float), self.seen_points(run)
+        shown = seen if run.visible is None else np.where(run.visible[..., None], seen, np.nan)
+        reach = float(np.linalg.norm(rest, axis=1).max())  # of a straight body from its clamp, the origin
+        off = float(np.nanmedian(np.linalg.norm(shown - rest.mean(axis=0), axis=-1)))
+        if not off > 2.5 * reach:
+            return []
+        return [
+            f"the points are {off:.4g} mm from where '{self.robot}' rests, which reaches {reach:.3g} mm: if they are "
+            "in the frame of a camera, `softmap align` brings them to the base"
+        ]
+
+    def points_in_mm(self, run: Run) -> Floats:
+        """Return the same after checking that they are as large as the robot, so that no effect stands for a unit."""
+        seen = self.seen_points(run)
+        rest = self.rest if self._carry(run) is None else np.asarray(run.marker_rest, float)
+        shown = seen if run.visible is None else np.where(run.visible[..., None], seen, np.nan)
+        if (found := other_unit(shown, rest)) is not None:
+            raise RunError(
+                f"wrong units: the run's points spread {found[0]:.3g} times as far as those of '{self.robot}', which "
+                f"looks like {found[1]}; give the points in mm (`unit` of the mapping)"
+            )
+        return seen
 
     def run_feature_map(self, run: Run) -> FeatureMap:
         """Return the feature map for this run: sections for vertices, the markers themselves for markers."""

@@ -262,6 +262,9 @@ class Run:
             clouds = [self.points[self.start[k] : self.start[k + 1]] for k in index]
             change["points"] = np.concatenate(clouds) if clouds else np.zeros((0, 3))
             change["start"] = np.concatenate([[0], np.cumsum([len(cloud) for cloud in clouds])]).astype(np.int64)
+        base = self.extra.get(BASE_MARKERS)
+        if base is not None and base.ndim and len(base) == self.frames:
+            change["extra"] = self.extra | {BASE_MARKERS: base[index]}
         return dataclasses.replace(self, **change)
 
     def slice_time(self, t0: float, t1: float) -> Run:
@@ -300,3 +303,9 @@ class Run:
         seen = next((name for name in ("vertices", "markers", "points") if getattr(self, name) is not None), "nothing")
         rows = f"{len(self.t)} rows, {self.channels} channels, {self.frames} frames of {seen}"
         return f"Run({self.robot or 'unnamed'}: {rows})"
+
+
+def known(run: Run, points: Array) -> NDArray[np.bool_]:
+    """Return which points (K, N, 3) of a run were seen, (K, N): finite, and not said to be hidden."""
+    finite = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
+    return finite if run.visible is None else np.logical_and(finite, run.visible)

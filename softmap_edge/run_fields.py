@@ -275,8 +275,7 @@ def _units(run: Run) -> None:
         if run.command_unit == "mm" and value is not None and value.size and np.abs(value).max() > _COMMAND_LIMIT:
             raise RunError(
                 f"{name}: up to {np.abs(value).max():.4g} mm of tendon, at most {_COMMAND_LIMIT:g} is "
-                "plausible; "
-                "give ticks as `ticks`, or name the unit in `command_unit`"
+                "plausible; give ticks as `ticks`, or name the unit in `command_unit`"
             )
     if len(run.t) and len(run.t_seen) and (run.t_seen[-1] < run.t[0] or run.t_seen[0] > run.t[-1]):
         raise RunError(

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Numbers = tuple[float, ...]
 
-STANDARD_GRAVITY = 9.80665e-3  # N per g of mass
+NEWTON_PER_GRAM = 9.80665e-3
 
 
 @dataclass(frozen=True)
@@ -276,7 +276,7 @@ class TipWeight(Law):
         return replace(self, mass_g=s * self.mass_g)
 
     def force(self, g: Floats) -> Floats:
-        return self.mass_g * STANDARD_GRAVITY * g
+        return self.mass_g * NEWTON_PER_GRAM * g
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benches.data import find
 from softmap_edge.errors import RunError
 from softmap_edge.logs.importer import import_logs, read_mapping
 
@@ -18,11 +19,12 @@ markers = { columns = [["x", "y", "z"], ["p", "q", "r"]], unit = "m" }
 """
 
 
-def trunk_folder():
-    for folder in (ROOT.parent / "shared" / "data" / "trunk", ROOT / "data" / "trunk"):
-        if (folder / "control_inputs_controlled_1.csv").is_file():
-            return folder
-    pytest.skip("not run: the trunk logs are not here; `make data` brings them")
+def published(name):
+    """The folder of a public data set (`trunk`, `tdcr`, `beam`, `moe_finger`); without it the test is skipped."""
+    folder = find(name)
+    if folder is None:
+        pytest.skip(f"not run: the public data '{name}' are not here; `make data` brings them")
+    return folder
 
 
 def made_log(rows=20, delimiter=",", seed=0):

@@ -2,10 +2,11 @@
 
 import json
 import warnings
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from logs import published
 
 from softmap_edge import Run, builtin_model, compare, diagnose, save_bundle
 from softmap_edge.alignment.align import align_base, align_home, clamped_places
@@ -15,7 +16,6 @@ from softmap_edge.commands.align import without
 from softmap_edge.errors import AlignError, RunError
 from softmap_edge.protocol import standard_protocol
 
-BEAM = Path(__file__).parents[1] / "../shared/data/beam"
 DEGREES = np.r_[np.full(3, np.degrees(1.0)), np.ones(3)]
 CAMERA = Pose(rotation(np.array([0.4, -2.0, 1.1])), np.array([300.0, -120.0, 900.0]))  # camera → base
 SIDES = np.array(
@@ -119,6 +119,18 @@ def test_known_transforms_are_recovered_within_the_stated_uncertainty(way):
     assert np.abs(scores.mean(axis=0)).max() < 0.6  # no number is off to one side
 
 
+@pytest.mark.parametrize("count", [3, 4])
+def test_places_measured_with_a_ruler_are_as_uncertain_as_the_ruler(count):
+    """Half a millimetre at each place is most of the error of three or four base markers, and hardly any is left."""
+    scores = []
+    for seed in range(24):
+        told = BASE[:count] + 0.5 * np.random.default_rng(seed).normal(size=(count, 3))
+        found = align_base(marked(seed, noise=0.1, visits=3, base=BASE[:count]), dict(enumerate(told)))
+        scores.append(off(found) / found.sigma)
+    assert np.mean(np.abs(scores) < 2.0) >= 0.88
+    assert 0.4 < np.sqrt(np.median(np.square(scores))) < 1.0  # 0.67 of a normal number
+
+
 def test_a_larger_scatter_between_visits_is_a_larger_uncertainty():
     sigma = [align_home(marked(3, play=play), builtin_model()).sigma for play in (0.0, 0.5)]
     assert np.all(sigma[1][:2] > 3.0 * sigma[0][:2])
@@ -180,12 +192,14 @@ def test_an_aligned_run_is_as_good_as_one_recorded_in_the_base_frame(filmed, tmp
 
 def test_another_run_takes_the_frame_of_an_aligned_one(filmed, tmp_path, capsys):
     straight, camera = filmed
+    camera = replace(camera, extra={"base_markers": CAMERA.inverse()(np.tile(BASE, (camera.frames, 1, 1)))})
     camera.save(tmp_path / "camera.npz")
     assert main(["align", str(tmp_path / "camera.npz"), "--base", "clamped", "--out", str(tmp_path / "base.npz")]) == 0
     camera.at(np.arange(5)).save(tmp_path / "short.npz")
     words = ["align", str(tmp_path / "short.npz"), "--out", str(tmp_path / "short_base.npz"), "--like"]
     assert main([*words, str(tmp_path / "base.npz")]) == 0
     seen = Run.load(tmp_path / "short_base.npz").vertices
+    np.testing.assert_allclose(Run.load(tmp_path / "short_base.npz").extra["base_markers"][4], BASE, atol=0.5)
     np.testing.assert_allclose(seen, Run.load(tmp_path / "base.npz").vertices[:5])
     assert np.sqrt(np.mean((seen - straight.vertices[:5]) ** 2)) < 0.1
     assert main([*words, str(tmp_path / "camera.npz")]) == 2
@@ -256,10 +270,9 @@ def test_home_that_wanders_is_told_and_blamed_on_nobody():
 def test_the_base_of_a_real_beam_turns_within_a_run():
     """facts: the base markers of the beam rotate by 0.4 to 1.4 degrees within a run."""
     c3d = pytest.importorskip("c3d", reason="not run: pip install c3d")
-    if not BEAM.is_dir():
-        pytest.skip("not run: the beam's logs are absent")
+    folder = published("beam")
     turned = []
-    for path in sorted(BEAM.glob("*.c3d")):
+    for path in sorted(folder.glob("*.c3d")):
         with path.open("rb") as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # no analog data: true, and no matter here
             reader = c3d.Reader(file)

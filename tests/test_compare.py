@@ -7,11 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from softmap_edge import builtin_model, diagnose
 from softmap_edge.diagnosis.comparison import Comparison, compare
 from softmap_edge.diagnosis.conditions import cells, conditions
 from softmap_edge.diagnosis.floor import noise_floor
 from softmap_edge.diagnosis.series import series
-from softmap_edge.errors import ComparisonError
+from softmap_edge.errors import ComparisonError, RunError
 from softmap_edge.run import Run
 
 RINGS, AROUND = 5, 8
@@ -60,7 +61,7 @@ class Lean:
     def commands(self, run):
         return run.command
 
-    def seen_points(self, run):
+    def points_in_mm(self, run):
         return run.vertices if run.vertices is not None else run.markers
 
     def predict(self, run):
@@ -318,3 +319,32 @@ def test_hash_follows_the_content():
     runs = [triangle(noise=0.1), triangle(noise=0.1), triangle(noise=0.1, seed=1)]
     run, same, other = (compare(lean(), run).run["sha256"] for run in runs)
     assert run == same != other
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(0.1, "centimetres"), (10.0, "tenths of a mm"), (1 / 25.4, "inches")])
+def test_points_in_another_unit_are_no_missing_effect(factor, unit):
+    """Taken as mm they gave a verdict that named gravity."""
+    model = builtin_model()
+    t = np.arange(20.0)
+    run = Run(
+        t=t, command=np.column_stack([8 * np.sin(t), t / 4]), t_seen=t, vertices=np.repeat(model.rest[None], 20, 0)
+    )
+    sound = replace(run, vertices=model.predict(run))
+    assert compare(model, sound).error["rms_mm"] == pytest.approx(0.0, abs=1e-9)
+    wrong = replace(sound, vertices=factor * sound.vertices)
+    for use in (compare, diagnose):
+        with pytest.raises(RunError, match=f"wrong units.*{unit}"):
+            use(model, wrong)
+
+
+def test_points_in_the_frame_of_a_camera_are_told():
+    model = builtin_model()
+    t = np.arange(0.0, 20.0, 0.1)
+    u = 12 * np.column_stack([np.sin(t), np.cos(t)])
+    bent = np.asarray(model.predict(Run(t=t, command=u, t_seen=t, vertices=np.repeat(model.rest[None], len(t), 0))))
+    assert model.elsewhere(Run(t=t, command=u, t_seen=t, vertices=bent)) == []
+    seen = np.ones(bent.shape[:2], bool)
+    seen[:, ::2] = False
+    away = Run(t=t, command=u, t_seen=t, vertices=bent @ np.diag([1.0, -1.0, -1.0]) + [310, 45, 820], visible=seen)
+    [line] = model.elsewhere(away)
+    assert "`softmap align`" in line and "reaches 117 mm" in line

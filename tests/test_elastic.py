@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tendon_arm import ARM, ROUGH, arm, moves, recorded
 
-from softmap_edge import Robot, Run, _core, compare, diagnose, learn_model, load_bundle
+from softmap_edge import Robot, _core, compare, diagnose, learn_model, load_bundle
 from softmap_edge import save_bundle as save
 from softmap_edge.cli import main
 from softmap_edge.errors import RobotError, RunError, SoftmapError
@@ -16,64 +17,6 @@ from softmap_edge.rod.elastic import ElasticParameters
 from softmap_edge.rod.learn import learn
 
 ROOT = Path(__file__).parents[1]
-
-ARM = """
-schema = "softmap.robot/1"
-name = "arm"
-[body]
-segments = 2
-length_mm = [70, 50]
-stiffness_mm2 = [8, 5]
-base_mm = [0, 0, 5]
-tilt_deg = [2, -1]
-markers = [1, 1.5, 2]
-[tendons]
-segment = [1, 1, 1, 2, 2, 2]
-angle_deg = [0, 120, 240, 60, 180, 300]
-radius_mm = 6
-pretension_mm = 0.5
-slack = 0.0
-[fit]
-angle = "each"
-radius = "shared"
-stiffness = "each"
-length = "each"
-base = "height"
-tilt = "fitted"
-"""
-ROUGH = {
-    "length_mm = [70, 50]": "length_mm = 60",
-    "stiffness_mm2 = [8, 5]": "stiffness_mm2 = 20",
-    "base_mm = [0, 0, 5]": "base_mm = 0",
-    "tilt_deg = [2, -1]": "",
-    "angle_deg = [0, 120, 240, 60, 180, 300]": "angle_deg = [20, 100, 250, 40, 200, 290]",
-    "radius_mm = 6": "radius_mm = 5",
-}
-
-
-def arm(**changed):
-    """Return the arm; `changed` replaces lines of its file."""
-    text = ARM
-    for old, new in changed.items():
-        assert old in text
-        text = text.replace(old, new)
-    return Robot.from_toml(text)
-
-
-def moves(t, channels=6):
-    """Return commands (T, C) mm that fill ±6 mm, each at its own pace, without repeating in two minutes."""
-    pace = 0.31 + 0.13 * np.arange(channels)
-    return 6.0 * np.sin(pace * t[:, None] + np.arange(channels))
-
-
-def recorded(robot, drive=moves, seconds=90.0, rate=20.0, noise=0.0, **more):
-    """Return a run of the robot as its file describes it."""
-    t = np.arange(0.0, seconds, 1.0 / rate)
-    channels = robot.layout.channels
-    markers = robot.layout.compiled(robot.start).evaluate(drive(t, channels)).reshape(len(t), -1, 3)
-    markers = markers + noise * np.random.default_rng(7).normal(size=markers.shape)
-    gravity = np.array([0.0, 0.0, 1.0])
-    return Run(t=t, command=moves(t, channels), t_seen=t, markers=markers, gravity=gravity, **more)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +37,7 @@ def test_a_rod_is_recovered_exactly_from_rough_numbers(learned):
     u = np.random.default_rng(1).uniform(-6, 6, (50, 6))
     assert np.abs(learned.rod.compiled().evaluate(u) - truth.layout.compiled(truth.start).evaluate(u)).max() < 1e-2
     assert all(not number.note and not number.at_bound for number in learned.numbers)
-    assert learned.made_from["starts_that_agree"] >= 1 and learned.notes == ()
+    assert learned.made_from["starts_that_agree"] > 1 and learned.notes == ()
 
 
 def test_without_freedom_the_same_rod_fails(run, learned):
@@ -274,57 +217,6 @@ def test_commands_that_explain_nothing_are_warned_of(run, tmp_path, capsys):
     replace(run, command=command).save(tmp_path / "run.npz")
     assert main(["learn", str(tmp_path / "run.npz"), "--out", str(tmp_path / "rod")]) == 0
     assert "command 5 stays at 2.5 mm" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "word"),
-    [
-        ('schema = "softmap.robot/1"', "", "schema"),
-        ("segments = 2", "", "segments is missing"),
-        ("segments = 2", "segments = 99", "segments"),
-        ("segments = 2", "segments = true", "segments"),
-        ("segment = [1, 1, 1, 2, 2, 2]", "segment = [1, 1, 1, 2, 2, 3]", "segment"),
-        ("segment = [1, 1, 1, 2, 2, 2]", "segment = []", "segment"),
-        ("segment = [1, 1, 1, 2, 2, 2]", "segment = [1, 1, 1, 2, 2, 2]\ncommand = [1, 1, 2]", "command"),
-        ("segment = [1, 1, 1, 2, 2, 2]", "segment = [1, 1, 1, 2, 2, 2]\ncommand = [1, 1, 1, 3, 3, 3]", "command"),
-        ("radius_mm = 6", "radius_mm = -6", "radius_mm"),
-        ("radius_mm = 6", "radius_mm = [6, 6]", "radius_mm has 2 numbers"),
-        ("radius_mm = 6", 'radius_mm = "six"', "radius_mm"),
-        ("radius_mm = 6", "radius_mm = nan", "radius_mm"),
-        ("radius_mm = 6", "", "radius_mm is missing"),
-        ("slack = 0.0", "slack = 2.0", "slack"),
-        ("slack = 0.0", "slak = 0.0", "slak"),
-        ("slack = 0.0", "pull = 0", "mm per unit"),
-        ("markers = [1, 1.5, 2]", "markers = [2.1]", "markers"),
-        ("markers = [1, 1.5, 2]", "markers = [[1]]", "markers"),
-        ("length_mm = [70, 50]", "length_mm = [70, [50, 40]]", "length_mm"),
-        ('angle = "each"', 'angle = "some"', "known, shared, each"),
-        ('tilt = "fitted"', 'tilt = "each"', "known, fitted"),
-        ("angle_deg = [0, 120, 240, 60, 180, 300]\n", "", None),
-        ('angle = "each"', "", None),
-        ("[body]", "[body", "TOML"),
-        ("[fit]", "[fit]\nwarp = 1", "warp"),
-        ("[fit]", "[[fit]]", "fit"),
-    ],
-)
-def test_a_faulty_robot_is_refused_in_one_line(old, new, word, tmp_path):
-    assert old in ARM
-    (tmp_path / "robot.toml").write_text(ARM.replace(old, new, 1))
-    if word is None:  # sound: angles may be left out where they are fitted, or known where they are given
-        Robot.load(tmp_path / "robot.toml")
-        return
-    with pytest.raises(RobotError) as refused:
-        Robot.load(tmp_path / "robot.toml")
-    message = str(refused.value)
-    assert word in message and "robot.toml" in message and "\n" not in message and len(message) < 400
-
-
-def test_angles_neither_given_nor_fitted_are_refused():
-    text = ARM.replace("angle_deg = [0, 120, 240, 60, 180, 300]\n", "").replace('angle = "each"\n', "")
-    with pytest.raises(RobotError, match="angle_deg is missing"):
-        Robot.from_toml(text)
-    with pytest.raises(RobotError, match=r"robot\.toml"):
-        Robot.load(ROOT / "no/robot.toml")
 
 
 def test_a_run_of_another_robot_is_refused(run):

@@ -88,6 +88,15 @@ def test_a_hidden_backlash_is_named(built, name, capsys):
     assert ladder[-1]["value"] < 0.25 * found["error"]["model"]
 
 
+def test_an_effect_behind_another_of_its_kind_leaves_a_doubt(built, capsys):
+    """Commands that are off and a camera that leans look alike; the number of one of them alone is 60 % wrong."""
+    lean = np.array([[np.cos(0.035), 0, np.sin(0.035)], [0, 1, 0], [-np.sin(0.035), 0, np.cos(0.035)]])
+    run = measured(lambda u, *_: arc(u + [0.8, 0.0], PLACE, OFFSET) @ lean.T, orientations=1)
+    found = told(built, "arc", run, capsys)
+    if {"offset", "mount"} != {e["name"] for e in [*found["effects"], *found["faults"]]}:
+        assert found["verdict"] == "ambiguous" and "both may act" in found["sentence"], found["sentence"]
+
+
 def test_a_hidden_payload_is_named_and_never_in_grams(built, capsys):
     found = told(built, "arc", recorded("arc", "payload", 2.5), capsys)
     assert found["effects"][0]["name"] == "payload" and len(found["effects"]) == 1

@@ -2,10 +2,11 @@
 
 import json
 import re
+import tomllib
 
 import numpy as np
 import pytest
-from logs import ROOT, made_log, trunk_folder
+from logs import ROOT, made_log, published
 from recordings import places, robot_messages, write_c3d, write_mcap, write_motive, write_trc
 
 from softmap_edge.cli import main
@@ -32,7 +33,7 @@ def told(lines, *words):
 # --- published logs ------------------------------------------------------------------------
 def test_the_trunk(tmp_path):
     """Two files, a counter, commands and encoders in degrees, three bodies in metres, y up, hanging."""
-    folder = trunk_folder()
+    folder = published("trunk")
     logs = [folder / "control_inputs_controlled_1.csv", folder / "observations_controlled_1.csv"]
     found = guess_mapping(logs)
     done = imported(tmp_path, found, logs)
@@ -52,10 +53,7 @@ def test_the_trunk(tmp_path):
 @pytest.mark.parametrize("name", ["val.csv", "train.csv"])
 def test_the_tdcr(tmp_path, name):
     """Nine tendons named by servo, out of order: the order of the file is kept; a tip; labels of patterns."""
-    path = ROOT.parent / "shared" / "data" / "tdcr" / name
-    path = path if path.is_file() else ROOT / "data" / "tdcr" / name
-    if not path.is_file():
-        pytest.skip("not run: the tdcr logs are not here; `make data` brings them")
+    path = published("tdcr") / name
     found = guess_mapping([path])
     done = imported(tmp_path, found, [path])
     raw = np.genfromtxt(path, delimiter=",", skip_header=1)
@@ -68,10 +66,7 @@ def test_the_tdcr(tmp_path, name):
 
 
 def test_the_beam(tmp_path):
-    path = ROOT.parent / "shared" / "data" / "beam" / "beam_load52_V2_a.c3d"
-    path = path if path.is_file() else ROOT / "data" / "beam" / path.name
-    if not path.is_file():
-        pytest.skip("not run: the beam's recordings are not here; `make data` brings them")
+    path = published("beam") / "beam_load52_V2_a.c3d"
     found = guess_mapping([path])
     done = imported(tmp_path, found, [path])
     assert (done.run.channels, done.run.frames) == (0, 600) and done.doubts == ()
@@ -137,6 +132,16 @@ def test_names_and_ranges_tell_units(tmp_path, head, scale, words):
     assert run.t == pytest.approx(t, abs=1e-5)
 
 
+def test_a_force_beside_a_place_is_no_marker(tmp_path):
+    """Taken for one, it would also turn the frame: the robot would run from its tip to its force."""
+    t, points = places(100)
+    force = np.column_stack([0 * t, 0 * t, 1 + 0 * t])
+    head = ["time", "u1", "u2", "x", "y", "z", "fx", "fy", "fz"]
+    seen = np.stack([points[:, 2], force], axis=1)
+    found = guess_mapping([written(tmp_path, bench_log(head, t, np.column_stack([np.sin(t), np.cos(t)]), seen))])
+    assert '["x", "y", "z"]' in found.text and "fx" not in found.text
+
+
 def test_units_in_the_names_of_markers_are_believed(tmp_path):
     """A robot of 12 mm in mm: by its range alone it would be 12 cm in cm."""
     t, points = places(400)
@@ -160,6 +165,19 @@ def test_rings_of_markers_have_their_clamp_in_the_middle(tmp_path):
     found = guess_mapping([path])
     origin = json.loads(re.search(r"origin_mm = (\[.*?\])", found.text)[1])
     assert origin == pytest.approx([300, 40, 20], abs=4) and imported(tmp_path, found, [path]).doubts == ()
+
+
+def test_names_of_another_language(tmp_path):
+    """The first column rises evenly: a clock, whatever its name. Two neighbours differ in the last word: two motors."""
+    t, points = places(400)
+    u = 60 * np.column_stack([np.sin(t), np.cos(t), 0.1 * np.sin(t), 1 + 0 * t])
+    head = ["Zeit", "motor_links", "motor_rechts", "pumpe7", "leer"]
+    path = written(tmp_path, bench_log([*head, *XYZ], t + 3, u, points, ";"))
+    found = guess_mapping([path])
+    run = imported(tmp_path, found, [path]).run
+    assert run.t == pytest.approx(t + 3, abs=1e-6) and np.allclose(run.command, u[:, :2], atol=1e-6)
+    assert told(found.assumed, "'Zeit' rises throughout")
+    assert told(found.unknown, "pumpe7 (", "left out") and not told(found.unknown, "leer")
 
 
 def test_ticks_stay_ticks(tmp_path):
@@ -216,6 +234,10 @@ def test_the_verb_prints_or_writes_what_it_proposes(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "assumed   markers" in said and "unknown   what was commanded" in said and f"--map {out}" in said
     assert main(["import", path, "--map", out, "--out", str(tmp_path / "run.npz")]) == 0
+    (tmp_path / "map.toml").write_text("corrected by hand")
+    assert main(["import", path, "--guess", "--out", out]) == 2
+    assert "stands there already" in capsys.readouterr().err and (tmp_path / "map.toml").read_text()[:3] == "cor"
+    assert main(["import", path, "--guess", "--out", out, "--force"]) == 0
     capsys.readouterr()
     assert main(["import", path, "--guess", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -234,3 +256,10 @@ def test_wrong_use_of_the_verb(tmp_path, capsys, argv, words):
     path = str(written(tmp_path, made_log()[0]))
     assert main(["import", path, *argv]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_a_name_does_not_end_its_comment_and_become_a_key(tmp_path):
+    path = tmp_path / 'log\nrobot = "other" #.csv'
+    path.write_text(made_log(60)[0])
+    text = guess_mapping([path]).text
+    assert "robot" in text.splitlines()[0] and "robot" not in tomllib.loads(text)

@@ -5,6 +5,7 @@ import pytest
 from logs import ONE_LOG, fault, imported, made_log
 
 from softmap_edge.logs.importer import import_logs, read_mapping
+from softmap_edge.logs.table import open_log
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
@@ -96,6 +97,18 @@ def test_decimal_commas_are_found(tmp_path):
         text, table = made_log(delimiter=mark)
         done = imported(tmp_path, text.replace(".", ","))
         assert np.array_equal(done.run.command, table[:, 1:3]) and any("decimal commas" in note for note in done.notes)
+
+
+@pytest.mark.parametrize("cut", [";", "\t", " ", "|"])
+def test_decimal_commas_are_no_delimiter_where_a_header_is_missing(tmp_path, cut):
+    """Nine numbers have nine commas and eight semicolons."""
+    rows = [[0.1 * k, 0.5 * k, -2.5, 7.25 * k, 1e-3 * k] for k in range(12)]
+    text = "".join(cut.join(f"{x:.4f}".replace(".", ",") for x in row) + "\n" for row in rows)
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    found = open_log(path)
+    assert found.names == list("01234")
+    np.testing.assert_allclose(found.read([0, 1, 2, 3, 4]).numbers, np.round(rows, 4))
 
 
 def test_columns_between_spaces(tmp_path):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from logs import ROOT, fault, imported, trunk_folder
+from logs import ROOT, fault, imported, published
 
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.plausible import axes_for, rest_axis
@@ -139,7 +139,7 @@ def test_a_cloud_of_markers_has_no_axis():
 def test_right_logs_of_real_robots_raise_no_doubt(tmp_path):
     """The trunk by its own mapping; without its axes the y-up log is recognised."""
 
-    folder, text = trunk_folder(), (ROOT / "examples" / "trunk.toml").read_text()
+    folder, text = published("trunk"), (ROOT / "examples" / "trunk.toml").read_text()
     logs = [folder / "control_inputs_controlled_1.csv", folder / "observations_controlled_1.csv"]
     (tmp_path / "map.toml").write_text(text)
     assert import_logs(logs, read_mapping(tmp_path / "map.toml")).doubts == ()

@@ -1,11 +1,14 @@
 """TRC, Motive's CSV and C3D become runs by the same mapping: labels, units, dropouts, rates; damaged ones do not."""
 
+import time
+
 import numpy as np
 import pytest
-from logs import ROOT
+from logs import published
 from recordings import LABELS, places, write_c3d, write_motive, write_trc
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.table import open_log
 
@@ -122,6 +125,25 @@ def test_a_missing_package_says_what_to_install(tmp_path, monkeypatch):
         taken(tmp_path, path)
 
 
+def test_a_head_of_very_many_columns_is_read_in_linear_time(tmp_path):
+    """What a damaged head may hold within one line; compared by pairs, its names alone would take minutes."""
+    count = 40_000
+    rows = [
+        ["Format Version", "1.23"],
+        ["", "Name", *map(str, range(count))],
+        ["", "", *["Position"] * count],
+        ["Frame", "Time", *["X"] * count],
+        ["0", "0.0", *["1"] * count],
+    ]
+    path = tmp_path / "wide.csv"
+    path.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    began = time.process_time()
+    assert len(open_log(path).names) == count + 2
+    with pytest.raises(RunError, match="40002 columns, at most 4096"):
+        guess_mapping([path])
+    assert time.process_time() - began < 5.0  # 0.3 s; 8·10⁸ comparisons of names take 20 s
+
+
 # --- the beam ------------------------------------------------------------------------------
 BEAM = """schema = "softmap.mapping/1"
 robot = "silicone-beam"
@@ -132,22 +154,13 @@ base = {{ columns = [{}] }}
 """
 
 
-def beam_file(name):
-    path = ROOT.parent / "shared" / "data" / "beam" / name
-    if not path.is_file():
-        path = ROOT / "data" / "beam" / name
-    if not path.is_file():
-        pytest.skip("not run: the beam's recordings are not here; `make data` brings them")
-    return path
-
-
 def test_the_beam_falls_under_gravity_and_further_with_a_load(tmp_path):
     """Published recordings: nothing is commanded, six labelled markers at 100 Hz in m; the tip falls along -x."""
     named = {kind: [f"{kind} - {k}" for k in (1, 2, 3)] for kind in ("Tip", "Base")}
     columns = [", ".join(str([f"{name}.{axis}" for axis in "xyz"]) for name in names) for names in named.values()]
     drop = {}
     for name in ("gravity_V2_a", "load52_V2_a", "load101_V2_a"):
-        done = taken(tmp_path, beam_file(f"beam_{name}.c3d"), BEAM.format(*columns))
+        done = taken(tmp_path, published("beam") / f"beam_{name}.c3d", BEAM.format(*columns))
         run = done.run
         base = run.extra["base_markers"]
         assert (run.channels, run.markers.shape[1], base.shape[1]) == (0, 3, 3) and np.diff(

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from logs import ROOT, trunk_folder
+from logs import ROOT, published
 
 from softmap_edge.logs.importer import import_logs, read_mapping
 
@@ -10,7 +10,7 @@ TRUNK_MAP = ROOT / "examples" / "trunk.toml"
 
 
 def trunk(name):
-    folder = trunk_folder()
+    folder = published("trunk")
     return import_logs([folder / "control_inputs_controlled_1.csv", folder / name], read_mapping(TRUNK_MAP))
 
 
@@ -19,7 +19,7 @@ def test_the_trunk_hangs_along_z_of_the_base_frame():
     assert (run.channels, len(run.t), run.frames, run.command_unit) == (6, 15000, 3000, "deg")
     assert np.diff(run.t_seen) == pytest.approx(np.full(2999, 0.05))
     assert list(np.bincount(run.block)) == [600] * 5
-    raw = np.loadtxt(trunk_folder() / "observations_controlled_1.csv", delimiter=",", skiprows=1)
+    raw = np.loadtxt(published("trunk") / "observations_controlled_1.csv", delimiter=",", skiprows=1)
     x, y, z = raw[0, 7:10] * 1000
     assert run.markers[0, 2] == pytest.approx([x - 101.2, z - 104.6, -y])
     chord = np.diff(run.markers, axis=1, prepend=np.zeros((3000, 1, 3)))  # from the base over the three bodies
@@ -39,7 +39,7 @@ def test_both_trunk_runs_play_the_same_commands_and_hide_the_load():
 
 def test_unheld_encoders_explain_the_trunk_better_than_held_ones(tmp_path):
     """Ridge on quadratic features of the encoders, five blocks held out: the lag of holding costs accuracy."""
-    folder = trunk_folder()
+    folder = published("trunk")
     (tmp_path / "held.toml").write_text(TRUNK_MAP.read_text().replace('held = "auto"', 'held = "keep"'))
     logs = [folder / "control_inputs_controlled_1.csv", folder / "observations_controlled_1.csv"]
     error = {}

@@ -7,10 +7,10 @@ import re
 
 import numpy as np
 import pytest
+from logs import published
 from page import ROOT, reader, run_commands
 
 from benches import moe
-from benches.data import find
 from softmap_edge import load_bundle
 from softmap_edge.errors import FingerError
 from softmap_edge.solid.finger import Tendon
@@ -22,10 +22,7 @@ PAGE = (ROOT / "docs/moe.md").read_text(encoding="utf-8")
 
 @pytest.fixture(scope="module")
 def folder():
-    found = find("moe_finger")
-    if found is None:
-        pytest.skip("not run: the MOE mesh is absent (make data brings it)")
-    return found
+    return published("moe_finger")
 
 
 @pytest.fixture(scope="module")

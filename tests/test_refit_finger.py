@@ -137,6 +137,9 @@ def test_markers_and_a_known_load(tmp_path, capsys):
     assert "young_mpa" in capsys.readouterr().out
     assert Finger.load(new).young_mpa == pytest.approx(0.33, rel=0.05)
     assert Finger.load(new).bounds == BOUNDS
+    template = ["--finger", str(tmp_path / "finger.toml"), "--out", str(tmp_path / "finger.toml")]
+    assert main(["refit", str(tmp_path / "run.npz"), *template]) == 2  # its comments would be lost
+    assert "stands there already" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -146,6 +149,7 @@ def test_markers_and_a_known_load(tmp_path, capsys):
         (lambda f, r: (f, r.at(np.arange(0))), "never stands still"),
         (lambda f, r: (f, replace(r, vertices=r.vertices[:, :100])), "another template"),
         (lambda f, r: (f, replace(r, command=r.command[:, :1])), "1 commands a sample"),
+        (lambda f, r: (f, replace(r, command_unit="deg")), "are in deg, .* takes mm"),
         (lambda f, r: (f, replace(r, vertices=None)), "neither"),
         (lambda f, r: (f, replace(r, vertices=None, markers=r.vertices[:, :5])), "marker_rest"),
     ],

@@ -209,7 +209,7 @@ def test_no_label_of_a_condition_is_cut_off(monkeypatch):
     from softmap_edge.report import figures
 
     drawn = []
-    monkeypatch.setattr(figures, "_svg", lambda figure: drawn.append(figure) or b"")
+    monkeypatch.setattr(figures, "svg", lambda figure: drawn.append(figure) or b"")
     labels = ("gravity +0.52 +0.24 +0.82", "gravity −0.52 −0.24 −0.82", "u1 −12.5 … −8.75 deg")
     rows = [{"label": label, "low": None, "high": None, "n": 5, "rms_mm": 1.0} for label in labels]
     figures.where_maps({"orientation": rows, "command": rows, "time": rows, "section": rows}, None)

@@ -1,13 +1,16 @@
 """A robot without a simulator: its rod is learned from a reference run, and says honestly how far it is off."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from logs import published
 
 from softmap_edge import _core
 from softmap_edge.bundle import load_bundle, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.folds import folds
 from softmap_edge.rod.learn import LearnedRod, learn, learn_model
@@ -16,7 +19,6 @@ from softmap_edge.rod.regression import Drive, Regression
 from softmap_edge.run import Run
 
 ROOT = Path(__file__).parent.parent
-TRUNK = next((p for p in (ROOT / "data/trunk", ROOT.parent / "shared/data/trunk") if p.is_dir()), None)
 DELAY, LAG = 0.12, 0.1  # s
 
 
@@ -76,6 +78,12 @@ def test_a_rod_is_recovered_exactly(truth, learned):
 
 def test_too_low_a_degree_is_seen_in_the_error(plain, learned):
     assert learn(plain, degree=1).error_mm > 100 * learned.error_mm
+
+
+def test_a_missing_command_is_told(plain):
+    poor = learn(replace(plain, command=plain.command[:, :1]))
+    assert any("may miss a command" in note for note in poor.notes)
+    assert learn(plain).notes == ()
 
 
 def test_delay_and_lag_of_the_drive_are_found(truth):
@@ -218,12 +226,11 @@ def test_bad_arguments_are_refused(plain):
 
 @pytest.fixture(scope="module")
 def trunk():
-    if TRUNK is None:
-        pytest.skip("not run: the trunk logs are absent (make data brings them)")
+    folder = published("trunk")
     from softmap_edge.logs.importer import import_logs
     from softmap_edge.logs.mapping import read_mapping
 
-    logs = [TRUNK / "control_inputs_controlled_1.csv", TRUNK / "observations_controlled_1.csv"]
+    logs = [folder / "control_inputs_controlled_1.csv", folder / "observations_controlled_1.csv"]
     return import_logs(logs, read_mapping(ROOT / "examples/trunk.toml")).run
 
 
@@ -243,3 +250,25 @@ def test_the_trunk_holds_for_seconds_that_were_kept_from_it(trunk):
     kept = trunk.t_seen >= low
     error = (model.predict(trunk) - trunk.markers)[kept]
     assert np.sqrt((error**2).sum(-1).mean()) <= 6.3
+
+
+@pytest.mark.parametrize(("unit", "size"), [("deg", 10.0), ("rad", 0.1), ("ticks", 150.0)])
+def test_play_is_sought_in_the_size_of_the_drive(truth, unit, size):
+    """A drive of ±100 degrees may have 8 of play: bounds are declared for tendons of ±16 mm and grow with the drive."""
+    rng = np.random.default_rng(4)
+
+    def log(gap, seconds):
+        t = np.arange(0.0, seconds, 0.02)
+        goal = commands(0.5 * t)
+        moved, at = np.empty_like(goal), goal[0]
+        for i, now in enumerate(goal):
+            at = np.clip(at, now - gap / 2, now + gap / 2)
+            moved[i] = at
+        markers = truth.compiled().evaluate(moved)[::5].reshape(-1, 2, 3)
+        markers = markers + rng.normal(0, 0.1, markers.shape)
+        return Run(t=t, command=size * goal, t_seen=t[::5], markers=markers, command_unit=unit)
+
+    found = diagnose(learn_model(log(0.0, 120.0)), log(0.8, 120.0))
+    assert found.verdict == "identified" and [e["name"] for e in found.effects] == ["backlash"]
+    gap = found.effects[0]["params"]["backlash.gap"]
+    assert gap["value"] == pytest.approx(0.8 * size, rel=0.03) and gap["unit"] == unit and not gap["at_bound"]

@@ -166,6 +166,9 @@ def test_frames_are_chosen_and_commands_stay():
     assert np.array_equal(part.sigma, run.sigma[4:8])
     assert np.array_equal(run.at([0, 11]).t_seen, run.t_seen[[0, 11]])
     assert run.at([]).frames == 0
+    base = np.arange(K * 6, dtype=float).reshape(K, 2, 3)
+    with_base = sound(extra={"base_markers": base, "wind": np.arange(K)}).at([3, 5])
+    assert np.array_equal(with_base.extra["base_markers"], base[[3, 5]]) and len(with_base.extra["wind"]) == K
     for bad in (np.ones(3, bool), [12], [0.5]):
         with pytest.raises(RunError, match="select"):
             run.at(bad)

@@ -10,6 +10,7 @@ import pytest
 from softmap_edge import Run, _core, builtin_model, load_bundle
 from softmap_edge.bundle import save_bundle
 from softmap_edge.cli import main
+from softmap_edge.elsewhere.summary import read_summary
 from softmap_edge.errors import FingerError, RunError, SoftmapError
 from softmap_edge.solid.bodies import Block, Meshed
 from softmap_edge.solid.build import build_model
@@ -147,6 +148,7 @@ def test_a_finger_pulled_by_tension_carries_newtons_everywhere(tmp_path):
     np.testing.assert_allclose(sweep.tension, [[0, 3], [0, 1], [0, 0], [2, 0]], atol=1e-12)
     sweep.save(tmp_path / "sweep.npz")
     assert Sweep.load(tmp_path / "sweep.npz").finger.command_unit == "N"
+    assert read_summary(tmp_path / "sweep.npz")["command_unit"] == "N"
     # The shortening that gives 2 N gives the same shape.
     by_length = bar(TENDONS + tail.replace("range_n", "range_mm")).replace(gravity=(0.0, 0.0, 1.0))
     other = Simulator(by_length)
@@ -188,6 +190,19 @@ def test_a_bad_table_is_named_in_one_line(tail, named):
     assert named in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (dict(gravity=(0.0, 0.0, 9.81)), "not in m/s2"),
+        (dict(density_kg_m3=1.07), "g/cm3"),
+        (dict(regions=(Region(0.4, z=(4000.0, 6000.0)),)), "holds nothing"),
+    ],
+)
+def test_another_unit_is_not_taken_for_a_strange_finger(change, says):
+    with pytest.raises(FingerError, match=says):
+        Simulator(bar(TENDONS).replace(**change))
+
+
 def test_a_tendon_outside_a_block_is_refused():
     with pytest.raises(FingerError, match="outside the solid"):
         Simulator(bar(TENDONS.replace("[4.0, 0.0, 0.0]", "[7.5, 0.0, 0.0]")))
@@ -201,6 +216,18 @@ def _twice(mesh):
     shift, block = len(mesh.points), mesh.cells[0]
     block.data = np.vstack([block.data, block.data + shift])
     mesh.points = np.vstack([mesh.points, mesh.points + [40.0, 0.0, 0.0]])
+
+
+def _doubled(mesh):
+    block = mesh.cells[0]
+    block.data = np.vstack([block.data, block.data[:2]])
+
+
+def _torn(mesh):
+    """Each cell with nodes of its own: they touch, and nothing joins them."""
+    block = mesh.cells[0]
+    mesh.points = mesh.points[block.data].reshape(-1, 3)
+    block.data = np.arange(block.data.size).reshape(-1, 4)
 
 
 def _surface(mesh):
@@ -228,6 +255,8 @@ def _hanging(mesh):
     [
         (_alone, "belong to no tetrahedron"),
         (_twice, "2 separate bodies"),
+        (_doubled, "there twice"),
+        (_torn, "merge coincident nodes"),
         (_surface, "mesh the volume"),
         (_flat, "1 flat"),
         (_mirrored, "inside out"),

@@ -54,6 +54,7 @@ WRONG = [
     ({"triangles": np.array([[0, 1, 48]])}, "expected 0 to 47"),
     ({"triangles": np.zeros((4, 2), int)}, r"expected whole numbers \(F, 3\)"),
     ({"gravity": np.array([0.0, 0.0, 9.81])}, "length 9.81, expected a unit vector"),
+    ({"gravity": np.array([0.0, 0.0, 1e200])}, "length 1e\\+200, expected a unit vector"),
     ({"gravity": np.zeros(2)}, "axis 3 should be 3"),
     ({"robot": ""}, "one printable text"),
     ({"schema": "softmap.shapes/7"}, "expected softmap.shapes/1"),

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from logs import published
 from page import ROOT, reader, run_commands
 
 from benches import tdcr
-from benches.data import find
 from softmap_edge import Robot, learn_model, load_bundle
 
 PAGE = (ROOT / "docs/tdcr.md").read_text(encoding="utf-8")
@@ -22,9 +22,7 @@ ROBOT = ROOT / "examples/tdcr_robot.toml"
 
 @pytest.fixture(scope="module")
 def logs():
-    folder = find("tdcr")
-    if folder is None:
-        pytest.skip("not run: the logs of the nine-tendon robot are absent (make data brings them)")
+    folder = published("tdcr")
     return folder, *tdcr.read(folder)
 
 

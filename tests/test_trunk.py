@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from logs import published
 from page import blocks, lines, reader
 
 from benches import trunk_load
-from benches.data import find
 from softmap_edge import load_bundle
 from softmap_edge.cli import main
 
@@ -25,10 +25,7 @@ BLOCKS = blocks(PAGE)
 
 @pytest.fixture(scope="module")
 def folder():
-    found = find("trunk")
-    if found is None:
-        pytest.skip("not run: the trunk logs are absent (make data brings them)")
-    return found
+    return published("trunk")
 
 
 @pytest.fixture(scope="module")

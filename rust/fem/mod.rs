@@ -2,8 +2,8 @@
 //!
 //! `mesh` builds bricks and `tetrahedra` takes cells made elsewhere, `element` is what a cell of either kind stores and
 //! `natural` its shape functions, `material` what it is made of, `cable` the tendons and `guide` their way through the
-//! nodes, `sparse` the linear algebra, `solid` puts them together, `work` assembles and solves, `newton` finds equilibria, `sweep` visits many of them,
-//! `embed` carries material points.
+//! nodes, `sparse` the linear algebra, `solid` puts them together, `work` assembles and solves, `newton` finds
+//! equilibria, `sweep` visits many of them and tells its `progress`, `embed` carries material points.
 //! Units: mm, N, MPa (N/mm²), N·mm; gravity in multiples of g in the base frame (z along the rest axis to the tip).
 
 pub mod cable;
@@ -14,6 +14,7 @@ pub mod material;
 pub mod mesh;
 pub mod natural;
 pub mod newton;
+pub mod progress;
 pub mod solid;
 pub mod sparse;
 pub mod sweep;

@@ -72,8 +72,7 @@ impl<'a> Solver<'a> {
         let solid = self.work.solid;
         let still = Load {
             cables: vec![0.0; solid.cables.len()],
-            gravity: [0.0; 3],
-            tip: [0.0; 3],
+            ..Load::default()
         };
         let mut state = State {
             x: solid.mesh.nodes.clone(),
@@ -104,9 +103,8 @@ impl<'a> Solver<'a> {
                 .clamp(1.0, MOST_STEPS)
                 .ceil();
         let mut part = usual;
-        let (mut done, mut first) = (0.0, true);
-        while first || done < 1.0 {
-            first = false;
+        let mut done = 0.0;
+        while done < 1.0 {
             let next = if done + part > 1.0 - 1e-9 {
                 1.0
             } else {
@@ -191,11 +189,10 @@ impl<'a> Solver<'a> {
                 .residual
                 .iter()
                 .fold(0.0, |m: f64, r| m.max(r.abs()));
-            let factored = self.work.refactor();
-            if residual < BALANCED || !factored {
-                if !factored {
-                    return Err(residual);
-                }
+            if !self.work.refactor() {
+                return Err(residual);
+            }
+            if residual < BALANCED {
                 return self.arrive(state, x, load);
             }
             let (moved, longest, full) = self.descend(&x, load, energy).ok_or(residual)?;
@@ -294,8 +291,7 @@ pub fn newton_step(solid: &Solid, x: &[Vec3]) -> Result<Vec<Vec3>> {
     // Paid out this far, every cable is slack.
     let slack = Load {
         cables: vec![-1e9; solid.cables.len()],
-        gravity: [0.0; 3],
-        tip: [0.0; 3],
+        ..Load::default()
     };
     let mut work = Work::new(solid)?;
     if !work.assemble(x, &slack).is_finite() || !work.refactor() {
@@ -351,7 +347,7 @@ fn no_equilibrium(load: &Load, residual: f64) -> Error {
 
 #[cfg(test)]
 #[path = "newton_tests.rs"]
-mod tests;
+pub(super) mod tests;
 
 #[cfg(test)]
 #[path = "beam_tests.rs"]

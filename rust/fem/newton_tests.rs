@@ -9,7 +9,7 @@ use crate::fem::tetrahedra::{tests::cut_block, tetrahedra};
 use crate::fem::{axpy, norm, sub};
 use std::f64::consts::FRAC_PI_2;
 
-pub(super) fn design(core: usize, layers: usize) -> Design {
+pub(in crate::fem) fn design(core: usize, layers: usize) -> Design {
     let route = |k: usize| Route::Formula {
         angle: k as f64 * FRAC_PI_2,
         turn: 0.0,

@@ -41,7 +41,7 @@ pub struct Design {
 }
 
 /// What acts on a solid: command of each cable (shortening in mm, or tension in N), gravity (g), force on the tip (N).
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Load {
     pub cables: Vec<f64>,
     pub gravity: Vec3,

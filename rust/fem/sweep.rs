@@ -6,6 +6,7 @@
 
 use super::embed::Points;
 use super::newton::{Solver, State};
+use super::progress::Progress;
 use super::solid::{Load, Solid};
 use super::work::inner;
 use super::{Vec3, sub};
@@ -13,7 +14,7 @@ use crate::error::{Error, Result, invalid};
 use crate::loads::{FIELDS, TIP_FORCE};
 use crate::room::room;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Commands of a path that one thread solves one after the other.
 const CHUNK: usize = 64;
@@ -23,24 +24,6 @@ const LARGEST: f64 = 1e6;
 
 /// By how much the nodes of one mesh may lie outside another of the same solid, mm.
 const FACETS: f64 = 2.5;
-
-/// How far a long computation is, and whether to stop it.
-#[derive(Debug, Default)]
-pub struct Progress {
-    pub done: AtomicUsize,
-    pub stop: AtomicBool,
-}
-
-impl Progress {
-    fn count(&self) -> Result<()> {
-        self.done.fetch_add(1, Ordering::Relaxed);
-        if self.stop.load(Ordering::Relaxed) {
-            Err(Error::Interrupted)
-        } else {
-            Ok(())
-        }
-    }
-}
 
 /// What one command gave: places of the points, and the pull of each cable (N; below zero how slack it is).
 #[derive(Debug, Clone, Default)]
@@ -121,17 +104,7 @@ impl Simulation {
         tip: Vec3,
         progress: &Progress,
     ) -> Result<Vec<Configuration>> {
-        if axes.len() != self.channels()
-            || axes
-                .iter()
-                .any(|a| a.is_empty() || a.windows(2).any(|w| w[1] <= w[0]))
-        {
-            return Err(invalid(format!(
-                "sweep axes: expected {} ascending axes, got lengths {:?}",
-                self.channels(),
-                axes.iter().map(Vec::len).collect::<Vec<_>>()
-            )));
-        }
+        self.check_axes(axes)?;
         let lengths: Vec<usize> = axes.iter().map(Vec::len).collect();
         self.room("a sweep", &lengths, 1)?;
         let command: Vec<f64> = axes.iter().map(|a| a[nearest_home(a)]).collect();
@@ -150,7 +123,9 @@ impl Simulation {
             let grown = spine
                 .par_iter()
                 .map(|(u, state)| {
-                    self.line(u, state, c, axis, &progress.stop, |_, state| state.clone())
+                    self.line(u, state, c, axis, &progress.stop, |_, state| {
+                        Ok(state.clone())
+                    })
                 })
                 .collect::<Result<Vec<_>>>()?;
             spine = grown
@@ -162,24 +137,30 @@ impl Simulation {
         let rows = spine
             .par_iter()
             .map(|(u, state)| {
-                let mut stopped = Ok(());
-                let (_, shapes) = self.line(
-                    u,
-                    state,
-                    last,
-                    &axes[last],
-                    &progress.stop,
-                    |solver, state| {
-                        if let Err(e) = progress.count() {
-                            stopped = Err(e);
-                        }
-                        self.configuration(solver, state)
-                    },
-                )?;
-                stopped.map(|()| shapes)
+                let keep = |solver: &Solver, state: &State| {
+                    progress.count()?;
+                    Ok(self.configuration(solver, state))
+                };
+                let (_, shapes) = self.line(u, state, last, &axes[last], &progress.stop, keep)?;
+                Ok(shapes)
             })
             .collect::<Result<Vec<_>>>()?;
         Ok(rows.into_iter().flatten().collect())
+    }
+
+    fn check_axes(&self, axes: &[Vec<f64>]) -> Result<()> {
+        if axes.len() != self.channels()
+            || axes
+                .iter()
+                .any(|a| a.is_empty() || a.windows(2).any(|w| w[1] <= w[0]))
+        {
+            return Err(invalid(format!(
+                "sweep axes: expected {} ascending axes, got lengths {:?}",
+                self.channels(),
+                axes.iter().map(Vec::len).collect::<Vec<_>>()
+            )));
+        }
+        Ok(())
     }
 
     /// States along one axis, both ways from where `state` stands.
@@ -190,7 +171,7 @@ impl Simulation {
         axis: usize,
         values: &[f64],
         stop: &AtomicBool,
-        mut keep: impl FnMut(&Solver, &State) -> T,
+        keep: impl Fn(&Solver, &State) -> Result<T>,
     ) -> Result<(Vec<Vec<f64>>, Vec<T>)> {
         let start = nearest_home(values);
         let commands: Vec<Vec<f64>> = values
@@ -213,7 +194,7 @@ impl Simulation {
                     &mut here,
                     &self.load(&commands[i], state.load.gravity, state.load.tip)?,
                 )?;
-                kept[i] = Some(keep(&solver, &here));
+                kept[i] = Some(keep(&solver, &here)?);
             }
         }
         Ok((commands, kept.into_iter().flatten().collect()))
@@ -350,11 +331,7 @@ impl Simulation {
             .collect();
         let forces = (0..FIELDS.len())
             .map(|f| {
-                let mut unit = Load {
-                    cables: Vec::new(),
-                    gravity: [0.0; 3],
-                    tip: [0.0; 3],
-                };
+                let mut unit = Load::default();
                 let part = if f < TIP_FORCE {
                     &mut unit.gravity
                 } else {

@@ -3,41 +3,13 @@
 use super::*;
 use crate::cables::Cables;
 use crate::fem::axpy;
-use crate::fem::cable::Drive;
-use crate::fem::guide::{Averaging, Route};
-use crate::fem::material::Body;
-use crate::fem::mesh::{Resolution, finger};
+use crate::fem::newton::tests::design;
 use crate::fem::norm;
-use crate::fem::solid::Design;
 use crate::table::Table;
-use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
 fn small(core: usize, layers: usize, points: Option<&[Vec3]>) -> Simulation {
-    let route = |k: usize| Route::Formula {
-        angle: k as f64 * FRAC_PI_2,
-        turn: 0.0,
-        path: vec![[0.0, 8.0], [55.0, 5.5]],
-    };
-    let resolution = Resolution {
-        core,
-        rings: 1,
-        layers,
-    };
-    let solid = Solid::build(Design {
-        mesh: finger(&[[0.0, 12.0], [60.0, 9.0]], &[55.0], resolution).unwrap(),
-        body: Body::uniform(0.3, 0.46, 1070.0).unwrap(),
-        cable_stiffness: 20.0,
-        pretension: 0.0,
-        load_at: None,
-        averaging: Averaging {
-            ring: 1.5,
-            disc: 2.0,
-        },
-        routes: (0..4).map(route).collect(),
-        drive: Drive::Shortening,
-    })
-    .unwrap();
+    let solid = Solid::build(design(core, layers)).unwrap();
     let points = match points {
         None => Points::surface(&solid.mesh),
         Some(p) => Points::embedded(&solid.mesh, p, 1.0).unwrap(),

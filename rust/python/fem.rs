@@ -1,5 +1,6 @@
 //! Binding of the simulator: meshes, and one class that holds a solid, its reported points and its drive.
 
+use super::watch::watched;
 use crate::Result;
 use crate::error::invalid;
 use crate::fem::Vec3;
@@ -10,17 +11,12 @@ use crate::fem::material::{Body, Region};
 use crate::fem::mesh::{self, Resolution};
 use crate::fem::newton::newton_step;
 use crate::fem::solid::{Design, Solid as FemSolid};
-use crate::fem::sweep::{Configuration, Progress, Simulation};
+use crate::fem::sweep::{Configuration, Simulation};
 use crate::fem::tetrahedra::tetrahedra;
 use crate::loads::FIELDS;
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::sync::atomic::Ordering;
-use std::time::Duration;
-
-/// How often a waiting interpreter looks for Ctrl-C and reports progress.
-const LOOK: Duration = Duration::from_millis(50);
 
 type Bent<'py> = (Bound<'py, PyArray3<f64>>, Bound<'py, PyArray2<f64>>);
 type Pairs = Vec<(f64, f64)>;
@@ -348,49 +344,6 @@ impl Solid {
             PyArray1::from_vec(py, pull).reshape([count, cables])?,
         ))
     }
-}
-
-/// Run on another thread while this one reports `progress(share)` and watches for Ctrl-C.
-fn watched<T: Send>(
-    py: Python<'_>,
-    total: usize,
-    progress: Option<Py<PyAny>>,
-    work: impl FnOnce(&Progress) -> Result<T> + Send,
-) -> PyResult<T> {
-    let state = Progress::default();
-    std::thread::scope(|scope| {
-        let worker = scope.spawn(|| work(&state));
-        let mut trouble = None;
-        let mut told = usize::MAX;
-        while !worker.is_finished() {
-            py.detach(|| std::thread::sleep(LOOK));
-            let done = state.done.load(Ordering::Relaxed);
-            let mut look = py.check_signals();
-            if let (Ok(()), Some(call), true) = (&look, &progress, done != told) {
-                told = done;
-                look = call
-                    .call1(py, (done as f64 / total.max(1) as f64,))
-                    .map(|_| ());
-            }
-            if let Err(error) = look {
-                state.stop.store(true, Ordering::Relaxed);
-                trouble.get_or_insert(error);
-            }
-        }
-        let result = worker
-            .join()
-            .map_err(|_| invalid("the simulator stopped unexpectedly; please report it"))?;
-        match trouble {
-            Some(error) => Err(error),
-            None => {
-                let result = result?;
-                if let Some(call) = &progress {
-                    call.call1(py, (1.0,))?;
-                }
-                Ok(result)
-            }
-        }
-    })
 }
 
 fn matrix<'py>(py: Python<'py>, points: &[Vec3]) -> PyResult<Bound<'py, PyArray2<f64>>> {

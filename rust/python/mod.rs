@@ -10,6 +10,7 @@ mod rod;
 mod scattered;
 mod shape;
 mod table;
+mod watch;
 
 use crate::Error;
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -51,11 +52,13 @@ mod _core {
     #[pymodule_export]
     use super::table::PyTable;
 
-    /// Adds the base of its errors and `FIELDS`, the names of the shape fields in the order of `Chain.coefficients`.
+    /// Adds the base of its errors, `FIELDS`, the names of the shape fields in the order of `Chain.coefficients`, and
+    /// `STANDARD_GRAVITY`.
     #[pymodule_init]
     fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
         use pyo3::types::PyModuleMethods;
         module.add("CoreError", module.py().get_type::<super::CoreError>())?;
-        module.add("FIELDS", crate::loads::FIELDS)
+        module.add("FIELDS", crate::loads::FIELDS)?;
+        module.add("STANDARD_GRAVITY", crate::loads::STANDARD_GRAVITY)
     }
 }

@@ -6,7 +6,8 @@ there. From **base points**: markers fixed to the base at known places, or the c
     groups of frames (visits of home; stretches of time) → a robust pose each → one pose of all
     Σ = T² · max(scatter of the groups' poses, sensor noise)/groups + shape     six numbers: turns, then shifts
     T  widens for few groups: Student's 97.5 % over 1.96, so that ± 2 σ holds 95 %
-    shape: model and robot differ at home; the model's own error, as large as what is left there, correlated along it
+    shape: model and robot differ at home; the model's own error, as large as what is left there, correlated along it;
+           of base points, what is left over the coordinates that the pose did not take (3 N − 6), each point for itself
 
 Turns and shifts are small, about the axes and the origin of the base frame, as those of the effect `mount`.
 Units: mm; degrees in what is told. Limits: what is rigid in the robot's own rest shape (a twist, half of a pre-curve)
@@ -45,7 +46,7 @@ from softmap_edge.alignment.rigid import Pose, gain, kabsch, refined, robust, ro
 from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.diagnosis.noise import form_covariance
 from softmap_edge.errors import AlignError
-from softmap_edge.run import BASE_MARKERS, Run
+from softmap_edge.run import BASE_MARKERS, Run, known
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -87,18 +88,7 @@ class Alignment:
 
     def apply(self, run: Run) -> Run:
         """Return the run in the base frame, with the transform and its sigma as `frame` and `frame_sigma`."""
-        poses, change = self.pose, dict[str, Any]()
-        for name in ("vertices", "markers", "points"):
-            seen = getattr(run, name)
-            if seen is not None:
-                change[name] = (self.frames or poses)(seen) if seen.ndim == 3 else poses(seen)
-        base = base_markers(run)
-        if base.shape[1]:
-            change["extra"] = run.extra | {BASE_MARKERS: (self.frames or poses)(base)}
-        before = Pose(np.eye(3), np.zeros(3)) if run.frame is None else Pose(run.frame[:, :3], run.frame[:, 3])
-        whole = poses.after(before)
-        change |= {"frame": np.column_stack([whole.rotation, whole.shift]), "frame_sigma": self.sigma}
-        return dataclasses.replace(run, **change)
+        return in_frame(run, self.pose, self.sigma, self.frames)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document softmap.align/1."""
@@ -137,6 +127,26 @@ class Alignment:
         if self.moved is not None:
             lines.append(f"  {self.moved}")
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
+
+
+def in_frame(run: Run, pose: Pose, sigma: Floats, frames: Pose | None = None) -> Run:
+    """Return the run with all that was seen, and what stood on the base, taken by a pose; `frame` says so.
+
+    Args:
+        sigma: (6,) of the pose, deg and mm. frames: a pose for each frame, which takes what is seen in it instead.
+    """
+    change: dict[str, Any] = {}
+    for name in ("vertices", "markers", "points"):
+        seen = getattr(run, name)
+        if seen is not None:
+            change[name] = (frames or pose)(seen) if seen.ndim == 3 else pose(seen)
+    base = base_markers(run)
+    if base.shape[1]:
+        change["extra"] = run.extra | {BASE_MARKERS: (frames or pose)(base)}
+    before = Pose(np.eye(3), np.zeros(3)) if run.frame is None else Pose(run.frame[:, :3], run.frame[:, 3])
+    whole = pose.after(before)
+    change |= {"frame": np.column_stack([whole.rotation, whole.shift]), "frame_sigma": sigma}
+    return dataclasses.replace(run, **change)
 
 
 def align_home(run: Run, model: Model) -> Alignment:
@@ -254,9 +264,7 @@ def home_visits(run: Run, model: Model) -> list[NDArray[np.int64]]:
 
 
 def _seen(run: Run, points: Floats) -> tuple[Floats, Mask]:
-    visible: Mask = np.all(np.isfinite(points), axis=2)
-    if run.visible is not None:
-        visible &= run.visible
+    visible = known(run, points)
     if not visible.any():
         raise AlignError("no point is visible in any frame of the run; check its field `visible`")
     return np.where(visible[..., None], points, 0.0), visible
@@ -281,8 +289,12 @@ def _solve(
     method: str,
     what: str,
     motion: Callable[[Pose], Moved | None] | None = None,
+    measured: bool = False,
 ) -> Alignment:
-    """Fit one pose to all groups and one to each; weigh what they tell. `motion` says whether the base moved."""
+    """Fit one pose to all groups and one to each; weigh what they tell.
+
+    `motion` says whether the base moved; `measured`: the target points were measured one by one, as with a ruler.
+    """
     # A median of frames is 1.25 times as uncertain as their mean.
     sensor = 1.2533 * groups.noise / np.sqrt(np.maximum(groups.count, 1))
     own = np.sqrt((form**2).mean(axis=1))[section]  # (N,) mm a coordinate
@@ -312,7 +324,8 @@ def _solve(
     number = int(np.isfinite(poses).all(axis=1).sum())
     scatter = np.cov(poses[np.isfinite(poses).all(axis=1)].T) if number > 1 else np.zeros((6, 6))
     spread = np.maximum(np.diag(scatter), np.diag(noise))
-    shape = _shape_covariance(answer, form, section, residual, inlier)
+    shape = (_ruler_covariance(answer, residual, inlier) if measured
+             else _shape_covariance(answer, form, section, residual, inlier))  # fmt: skip
     variance = student(number - 1) ** 2 * spread / max(1, number) + np.diag(shape)
     check_turns(place[seen.any(axis=0)], np.sqrt(variance[:3]), answer)
     moved = find_motion(poses, noise, groups.t, place, "home")
@@ -357,31 +370,43 @@ def _shape_covariance(
     return np.asarray(found / max(expected, 1e-12) * flat.T @ places @ flat)
 
 
+def _ruler_covariance(answer: Floats, residual: Floats, inlier: Mask) -> Floats:
+    """Return the covariance (6, 6) from places that were measured one by one, as wrong as what is left shows.
+
+    The pose takes six of the 3 N coordinates, so that of three or four places most of their error is not left.
+    """
+    known = inlier.any(axis=0)
+    left = residual.sum(axis=0) / np.maximum(inlier.sum(axis=0), 1)[:, None]  # (N, 3) mean over the groups
+    freedom = max(1, 3 * int(known.sum()) - 6)
+    square = student(freedom) ** 2 * float((left[known] ** 2).sum()) / freedom
+    return np.asarray(square * np.einsum("inc,jnc->ij", answer[:, known], answer[:, known]))
+
+
 # --- points of the base -------------------------------------------------------------------------
 
 
 def _from_base(run: Run, seen: Floats, visible: Mask, names: Sequence[int], target: Floats, held: bool) -> Alignment:
-    points, known = seen[:, names], visible[:, names]
-    usable = np.flatnonzero(known.sum(axis=1) >= 3)
+    points, shown = seen[:, names], visible[:, names]
+    usable = np.flatnonzero(shown.sum(axis=1) >= 3)
     if len(usable) < GROUP_FRAMES:
         raise AlignError(
             f"{len(usable)} frames show three of the {len(names)} base points, {GROUP_FRAMES} are needed; name markers "
             "that the cameras see"
         )
     parts = np.array_split(usable, _stretches(len(usable)))
-    groups = group(run, points, known, np.broadcast_to(target, points.shape), parts)
+    groups = group(run, points, shown, np.broadcast_to(target, points.shape), parts)
     form = np.full((len(names), 3), groups.noise)
 
     def motion(pose: Pose) -> Moved | None:
         some = np.where(visible[usable[::10], :, None], pose(seen[usable[::10]]), np.nan).reshape(-1, 3)
         far = some[np.isfinite(some).all(axis=1)]
-        return base_motion(run, points, known, target, far[np.argsort(-np.linalg.norm(far, axis=1))[:1]], pose)
+        return base_motion(run, points, shown, target, far[np.argsort(-np.linalg.norm(far, axis=1))[:1]], pose)
 
     what = "the places of the base points"
-    found = _solve(groups, form, np.arange(len(names)), "base points", what, motion)
+    found = _solve(groups, form, np.arange(len(names)), "base points", what, motion, measured=True)
     named = [names[i] for i in found.wrong_points]
     found = dataclasses.replace(found, wrong_points=named, used_frames=len(usable))
     if not held:
         return found
-    frames, note = follow(points, known, target, found.noise_mm, found.pose)
+    frames, note = follow(points, shown, target, found.noise_mm, found.pose)
     return dataclasses.replace(found, frames=frames, notes=[*found.notes, note])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.alignment.rigid import Pose, robust
 from softmap_edge.errors import AlignError
+from softmap_edge.features import UNITS
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -18,7 +19,6 @@ LINE = 0.02  # of their length: points closer than this to one line say nothing 
 SHORTEST = 1.0  # mm: base points closer together than this are no frame
 WORST_TURN = np.radians(5.0)  # a turn known no better than this is not known
 NOTED, REFUSED = 0.03, 0.1  # deviation of the distances between points that is worth a word; and too much
-UNITS = {1e-3: "metres", 0.01: "tenths of a metre", 0.1: "centimetres", 1 / 25.4: "inches", 10.0: "tenths of a mm"}
 MIRRORED = 0.5  # of what is left: a mirrored frame that leaves less is the truth
 SOUND = 0.9  # of the points, those that are nearest: what a fit is judged by
 SHAPE = 0.12  # of the extent: what may be left between the points and the model of the same robot

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.alignment.align import align_base, align_home, base_markers, clamped_places
+from softmap_edge.alignment.align import align_base, align_home, base_markers, clamped_places, in_frame
 from softmap_edge.alignment.rigid import Pose
 from softmap_edge.bundle import builtin_model, load_bundle
 from softmap_edge.commands.output import check_file
@@ -74,12 +74,7 @@ def _like(args: argparse.Namespace, run: Run) -> int:
         raise AlignError(f"{args.like}: was not aligned; `softmap align` it first and give its output")
     if run.frame is not None:
         raise AlignError(f"{args.run}: is aligned already; give the run as it was recorded")
-    pose = Pose(other.frame[:, :3], other.frame[:, 3])
-    change: dict[str, Any] = {"frame": other.frame, "frame_sigma": other.frame_sigma}
-    for name in ("vertices", "markers", "points"):
-        seen = getattr(run, name)
-        change |= {} if seen is None else {name: pose(seen)}
-    aligned = dataclasses.replace(run, **change)
+    aligned = in_frame(run, Pose(other.frame[:, :3], other.frame[:, 3]), other.frame_sigma)
     aligned.save(args.out)
     document = {"schema": "softmap.align/1", "method": "like", "like": args.like, "run": args.run, "out": args.out}
     text = (

@@ -22,6 +22,15 @@ def check_file(option: str, path: str | None, suffix: str = "") -> None:
         raise SoftmapError(f"{option} {path}: there is no folder {file.parent}; make it first")
 
 
+def check_kept(path: str, what: str, force: bool) -> None:
+    """Raise SoftmapError when a file that people write into stands at `path`, and no `force`."""
+    if Path(path).exists() and not force:
+        raise SoftmapError(
+            f"--out {path}: {what} stands there already, perhaps with notes of yours; give another name, or --force "
+            "to replace it"
+        )
+
+
 def bundle_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare where a bundle goes, the same for every verb that writes one."""
     parser.add_argument("--out", required=True, metavar="DIR", help="bundle folder to write")

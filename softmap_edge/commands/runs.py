@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_file, check_kept
 from softmap_edge.diagnosis.advice import effect_lines
 from softmap_edge.elsewhere.summary import read_summary
 from softmap_edge.elsewhere.summary import sentences as sweep_sentences
@@ -33,6 +33,7 @@ def import_arguments(parser: argparse.ArgumentParser) -> None:
     how.add_argument("--map", help="mapping file: docs/mapping.md lists its keys, examples/trunk.toml shows the form")
     how.add_argument("--guess", action="store_true", help="propose a mapping from the header and the ranges")
     parser.add_argument("--out", help="the run to write (.npz); with --guess the mapping (.toml), else it is printed")
+    parser.add_argument("--force", action="store_true", help="with --guess: replace the mapping that stands there")
 
 
 def import_(args: argparse.Namespace) -> int:
@@ -67,6 +68,8 @@ def _guess(args: argparse.Namespace) -> int:
     from softmap_edge.logs.guess import guess_mapping
 
     check_file("--out", args.out, ".toml")
+    if args.out is not None:
+        check_kept(args.out, "a mapping", args.force)
     found = guess_mapping(args.logs)
     if args.out is not None:
         Path(args.out).write_text(found.text, encoding="utf-8")

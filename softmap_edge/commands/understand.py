@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
+from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_kept
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 
@@ -150,6 +150,7 @@ def _refit_finger(args: argparse.Namespace) -> int:
     from softmap_edge.solid.fit import fit_finger
 
     check_file("--out", args.out, ".toml")
+    check_kept(args.out, "a finger", args.force)
     if len(args.runs) > 1:
         raise SoftmapError(f"{len(args.runs)} runs; a finger's own numbers are fitted to one")
     with Bar(args.json) as bar:
@@ -179,8 +180,8 @@ def _bundle(path: str | None) -> Any:
 
 
 def _warn(verb: str, model: Any, run: Any) -> None:
-    """Tell on stderr, beside any document, where the commands of the run leave the range of the model."""
-    for note in model.beyond(run):
+    """Tell on stderr, beside any document, where a run leaves the commands or the frame of the model."""
+    for note in [*model.beyond(run), *model.elsewhere(run)]:
         print(f"softmap {verb}: {note}", file=sys.stderr)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions
 from softmap_edge.diagnosis.evidence import last_direction, orientations
 from softmap_edge.diagnosis.floor import replicates
-from softmap_edge.run import Run
+from softmap_edge.run import Run, known
 
 Floats = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def _noise(run: Run, state: Conditions) -> Word:
     seen = run.vertices if run.vertices is not None else run.markers
     if seen is None:
         return Word("noise", False, "the noise: the points of clouds have no identity", "register them to a template")
-    visible = _visible(run, seen)
+    visible = known(run, seen)
     found = replicates(state, np.where(visible[..., None], seen, 0.0), visible) if run.channels else None
     if found is not None:
         return Word("noise", True, f"noise from physics: the noise is {found[0]:.2g} mm, from {found[1]}")
@@ -101,11 +101,6 @@ def _noise(run: Run, state: Conditions) -> Word:
         "noise", False, "noise from physics of the same size: nothing is seen twice, so the noise is only guessed",
         "rest at home and at two other places for 7 s each, with 5 frames or more each time", 1.0,
     )  # fmt: skip
-
-
-def _visible(run: Run, seen: Floats) -> NDArray[np.bool_]:
-    known = np.asarray(np.isfinite(seen).all(axis=2), np.bool_)
-    return known if run.visible is None else np.logical_and(known, run.visible)
 
 
 def _home(run: Run, visits: int) -> Word:
@@ -142,7 +137,7 @@ def _points(run: Run) -> Iterator[Word]:
         return
     rest = run.marker_rest
     if rest is None:
-        whole = np.flatnonzero(_visible(run, seen).all(axis=1))
+        whole = np.flatnonzero(known(run, seen).all(axis=1))
         if not len(whole):
             return
         rest = seen[whole[0]]
@@ -205,8 +200,8 @@ def _dwell(state: Conditions) -> Word:
 
 def _direction(state: Conditions) -> Word:
     sign = last_direction(state.velocity, state.moving)
-    known = np.abs(sign).sum(axis=0)
-    rarer = np.minimum((sign > 0).sum(axis=0), (sign < 0).sum(axis=0)) / np.maximum(known, 1)
+    moved = np.abs(sign).sum(axis=0)
+    rarer = np.minimum((sign > 0).sum(axis=0), (sign < 0).sum(axis=0)) / np.maximum(moved, 1)
     poor = [str(c) for c in np.flatnonzero(rarer < MINORITY)]
     if not poor:
         return Word("direction", True, "play, friction and hysteresis: places are reached from both sides")

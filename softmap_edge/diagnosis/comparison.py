@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.conditions import Cell, cells, conditions
-from softmap_edge.diagnosis.floor import noise_floor
+from softmap_edge.diagnosis.floor import noise_floor, rms
 from softmap_edge.errors import ComparisonError
+from softmap_edge.run import Run, known
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
-    from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -141,13 +141,13 @@ def compare(model: Model, run: Run) -> Comparison:
         where[name] = [_bin_of(cell, squared, visible) for cell in row]
     where = {name: [row for row in rows if row.n > 0] for name, rows in where.items()}
     tip_seen, tip_predicted = tips(model, predicted, seen, visible)
-    known = ~np.isnan(tip_seen[:, 0])
+    with_tip = ~np.isnan(tip_seen[:, 0])
     error = {
         "rms_mm": math.sqrt(float(np.mean(distance**2))),
         "median_mm": float(np.median(distance)),
         "p95_mm": float(np.percentile(distance, 95)),
         "max_mm": float(np.max(distance)),
-        "tip_rms_mm": _rms(np.sum((tip_predicted - tip_seen)[known] ** 2, axis=1)),
+        "tip_rms_mm": rms(np.sum((tip_predicted - tip_seen)[with_tip] ** 2, axis=1)),
     }
     floor, kind = noise_floor(state, seen, visible, predicted, template(model, seen))
     return Comparison(
@@ -168,17 +168,14 @@ def aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
         raise ComparisonError(
             "the run has no seen frames (K = 0), so there is nothing to compare with; record one that is seen"
         )
-    seen = np.asarray(model.seen_points(run), float)
+    seen = np.asarray(model.points_in_mm(run), float)
     predicted = np.asarray(model.predict(run), float)
     if predicted.shape != seen.shape:
         raise ComparisonError(
             f"the model predicts {predicted.shape} (frames, points, xyz), the run has {seen.shape}; "
             "take the bundle of this robot and template"
         )
-    declared = run.visible
-    visible = np.all(np.isfinite(seen), axis=2)
-    if declared is not None:
-        visible = visible & np.asarray(declared, bool)
+    visible = known(run, seen)
     if not visible.any():
         raise ComparisonError("no point is visible in any frame of the run; check its field `visible`")
     if not np.isfinite(predicted[visible]).all():
@@ -186,10 +183,6 @@ def aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
             "the model predicts values that are not finite for this run; look at it with `softmap check`"
         )
     return predicted, np.where(visible[..., None], seen, 0.0), visible
-
-
-def _rms(squares: Floats) -> float:
-    return math.sqrt(float(np.mean(squares))) if len(squares) else math.nan
 
 
 def mean_root(squared: Floats, visible: Mask, axis: int) -> Floats:
@@ -231,14 +224,14 @@ def _by_section(model: Model, squared: Floats, visible: Mask, names: list[str]) 
         name = own if markers else f"{position + 1}{end}"
         height = None if markers else np.asarray(model.along)[member]
         low, high = (None, None) if height is None else (float(height.min()), float(height.max()))
-        rows.append(Bin(name, low, high, int(counts.any(axis=1).sum()), _rms(sums[counts])))
+        rows.append(Bin(name, low, high, int(counts.any(axis=1).sum()), rms(sums[counts])))
     return rows
 
 
 def _bin_of(cell: Cell, squared: Floats, visible: Mask) -> Bin:
     inside = visible[cell.frames]
     count = int(inside.any(axis=1).sum())
-    return Bin(cell.label, cell.low, cell.high, count, _rms(squared[cell.frames][inside]) if count else 0.0)
+    return Bin(cell.label, cell.low, cell.high, count, rms(squared[cell.frames][inside]) if count else 0.0)
 
 
 def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run, rms: float) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from softmap_edge.diagnosis.evidence import (
     ladder,
     ladder_on,
     leftover,
+    not_alone,
     not_testable,
 )
 from softmap_edge.diagnosis.fit import Fit
@@ -92,16 +93,11 @@ def conclude(
     faults = [e for e in entries if registry[e["name"]]["kind"] == "fault"]
     physics = [e for e in entries if registry[e["name"]]["kind"] != "fault"]
     error = _error(search, order, other)
-    doubts = [*([str(own)] if own else []), *_at_bounds(entries)]
+    shared = not_alone(search, fit, left)
+    doubts = [*([str(own)] if own else []), *([shared] if shared else []), *_at_bounds(entries)]
     unsure = any(registry[e]["kind"] != "fault" for r in rivals for e in r["effects"])  # a fault that may be physics
-    verdict = _verdict(
-        physics or (unsure and faults),
-        faults,
-        [*rivals, *doubts],
-        left,
-        hidden,
-        len(search.candidates) + len(impossible),
-    )
+    count = len(search.candidates) + len(impossible)
+    verdict = _verdict(physics or (unsure and faults), faults, [*rivals, *doubts], left, hidden, count)
     return {
         "verdict": verdict,
         "sentence": _sentence(verdict, physics, faults, rivals, left, hidden, error, demoted)

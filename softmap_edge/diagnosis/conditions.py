@@ -38,7 +38,7 @@ class Conditions:
     visit: NDArray[np.int64]  # (K,) which uninterrupted dwell in one orientation the frame belongs to; -1 while moving
     dwell: Floats  # (K,) s
     history: Floats  # (K,) mm
-    time: Floats  # (K,) s since the first seen frame
+    time: Floats  # (K,) s, as in the run
     gravity: Floats | None  # (K, 3) unit vector, base frame
     temperature: Floats | None  # (K,) degree Celsius
 
@@ -95,7 +95,7 @@ def conditions(run: Any, command: Floats) -> Conditions:
         visit=np.where(moving, -1, visit).astype(np.int64),
         dwell=np.where(moving, 0.0, np.maximum(seen - stopped, 0.0)),
         history=np.maximum.accumulate(np.max(np.abs(u), axis=1))[index],
-        time=seen - seen[0] if len(seen) else seen,
+        time=seen,
         gravity=gravity,
         temperature=_at_seen(run, "temperature", t, seen, 1),
     )
@@ -138,7 +138,7 @@ def _uncommanded(run: Any, t: Floats, seen: Floats) -> Conditions:
         visit=np.zeros(count, np.int64),
         dwell=seen - seen[0] if count else zero,
         history=zero,
-        time=seen - seen[0] if count else zero,
+        time=seen,
         gravity=_at_seen(run, "gravity", t, seen, 3),
         temperature=_at_seen(run, "temperature", t, seen, 1),
     )

@@ -26,6 +26,7 @@ from softmap_edge.diagnosis.record import Record, record_of
 from softmap_edge.diagnosis.search import Search
 from softmap_edge.diagnosis.servo import servos
 from softmap_edge.errors import SoftmapError, brief
+from softmap_edge.model import BEYOND
 from softmap_edge.report.text import VERDICTS, check_diagnosis, diagnosis_text
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 SCHEMA = "softmap.diagnosis/1"
-BEYOND = 0.05  # share of the range, and of the frames, that may lie outside what a model was made from unsaid
+UNSAID = 0.05  # share of the frames that may lie outside what a model was made from
 OWN_FALL = 0.7  # fall of the held-out error by a refit from which the model's own numbers are in doubt
 ALIKE = 0.95  # cosine between two whitened signatures from which they cannot be told apart by their form
 CANDIDATES = ("offset", "gain", "latency", "lag", "backlash", "hysteresis", "creep", "gravity", "payload", "mount")
@@ -295,7 +296,7 @@ def _outside(record: Record) -> str:
     low, high = np.asarray(reach, float).T
     slack = BEYOND * (high - low)
     beyond = np.any((record.command < low - slack) | (record.command > high + slack), axis=1).mean()
-    if beyond < BEYOND:
+    if beyond < UNSAID:
         return ""
     return f" {100 * beyond:.0f} % of the frames lie beyond the commands that the model was made from: a guess there."
 

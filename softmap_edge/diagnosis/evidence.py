@@ -28,6 +28,7 @@ Floats = NDArray[np.float64]
 DETECTABLE = 5.0  # whitened size (standard deviations) below which a signature counts as not shown
 RIDGE = 3.0  # ridge on standardised columns
 LEFT_R2, LEFT_FORM, LEFT_SHARE = 0.12, 1.5, 0.25  # what makes a leftover worth a claim
+HALVED = 0.5  # of the held-out error: an effect that, added, leaves less was not left out for want of evidence
 MOST_FORM, MOST_SHARE = 3.0, 0.5  # or, predictable or not: so many form errors, and most of what there was
 
 
@@ -161,6 +162,25 @@ def leftover(search: Search, fit: Fit) -> Leftover:
     )
     claim |= rms > max(search.visible_mm, MOST_FORM * form) and rms > MOST_SHARE * removable
     return Leftover(rms, chi2, r2, best if r2 > 0.02 else None, bool(claim))
+
+
+def not_alone(search: Search, fit: Fit, left: Leftover) -> str | None:
+    """Return why what was found may not act alone, if so.
+
+    Two effects that look alike share what they explain, so that the second adds too little to be named (`SHARE`) and
+    the numbers of the first stand for both. It shows in what is left: far above the form error, and halved by it.
+    """
+    if not fit.effects or left.rms_mm <= max(search.visible_mm, MOST_FORM * search.problem.record.form_mm):
+        return None
+    more = [(search.held_out_mm(other), other) for other in search.larger(fit)]
+    before, (after, best) = search.held_out_mm(fit), min(more, key=lambda pair: pair[0], default=(np.inf, fit))
+    if after > HALVED * before:
+        return None
+    extra = next(iter(set(best.effects) - set(fit.effects)))
+    return (
+        f"with {extra} as well {after:.2f} mm are left of {before:.2f}, held out: both may act, and the numbers of "
+        f"{' + '.join(fit.effects)} are those of one alone"
+    )
 
 
 def condition_columns(record: Record) -> dict[str, Floats]:

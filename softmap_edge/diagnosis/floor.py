@@ -55,11 +55,12 @@ def noise_floor(
     whole = visible[1:-1] & visible[2:] & visible[:-2]
     if not whole.any():
         return None, "not known: no replicates, and no point is visible in three successive frames"
-    return _rms(bend[whole] / 1.5), "no replicates: from the residual's high-frequency part, an upper bound"
+    return rms(bend[whole] / 1.5), "no replicates: from the residual's high-frequency part, an upper bound"
 
 
-def _rms(squares: Floats) -> float:
-    return math.sqrt(float(np.mean(squares)))
+def rms(squares: Floats) -> float:
+    """Return the root of the mean of squares; NaN of none."""
+    return math.sqrt(float(np.mean(squares))) if len(squares) else math.nan
 
 
 def replicates(state: Conditions, seen: Floats, visible: Mask) -> tuple[float, str] | None:
@@ -71,7 +72,7 @@ def replicates(state: Conditions, seen: Floats, visible: Mask) -> tuple[float, s
         step = np.sum((seen[1:][pair] - seen[:-1][pair]) ** 2, axis=2)[both]
         if len(step):
             visits = len(np.unique(state.visit[1:][pair]))
-            return _rms(step / 2.0), f"{int(pair.sum())} pairs of successive frames inside {visits} dwells"
+            return rms(step / 2.0), f"{int(pair.sum())} pairs of successive frames inside {visits} dwells"
     groups = _replicates(state, settled)
     if sum(len(group) - 1 for group in groups) >= MIN_PAIRS:
         value = _within(groups, seen, visible)

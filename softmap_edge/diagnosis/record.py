@@ -29,6 +29,7 @@ Floats = NDArray[np.float64]
 CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
 SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
 APART = 60.0  # s between the runs of a `Records`: none is within a gap of another
+REACH_MM = 16.0  # of the finger whose commands the declared bounds in mm were chosen for
 PER_RUN = ("mount", "camera_drift", "clock_shift")
 
 
@@ -124,9 +125,9 @@ class Record:
                 source.append(i)
                 labels.append(f"{chain.labels[i]}@{run}")
             columns.append(column)
-        null, start, low, high = (
-            np.asarray(getattr(chain, k), float)[source] for k in ("null", "start", "low", "high")
-        )
+        factor = _per_mm(self.model, self.library, labels[:count], chain.units)
+        start, low, high = ((factor * np.asarray(x, float))[source] for x in (chain.start, chain.low, chain.high))
+        null = np.asarray(chain.null, float)[source]
         integer = np.asarray(chain.integer, bool)[source]
         log, units = np.asarray(chain.log, bool)[source], [chain.units[i] for i in source]
         return Layout(tuple(names), labels, units, null, start, low, high, log, integer, columns)
@@ -276,3 +277,18 @@ def record_of(model: Any, run: Run | Sequence[Run], library: Any = None) -> Reco
     if not runs:
         raise SoftmapError("no run is given; a diagnosis wants at least one")
     return Record(model, runs[0], library) if len(runs) == 1 else Records(model, runs, library)
+
+
+def _per_mm(model: Any, library: Any, labels: Sequence[str], units: Sequence[str]) -> Floats:
+    """Return by what (P,) to multiply declared starts and bounds: those in mm of command, where commands are not mm.
+
+    They are declared for tendons that move by REACH_MM to each side. A drive in degrees, radians or ticks moves by
+    another number, and its play may be that many times larger.
+    """
+    factor, reach = np.ones(len(labels)), np.asarray(getattr(model, "command_range", np.zeros((0, 2))), float)
+    if getattr(model, "command_unit", "mm") in ("mm", "N") or not len(reach):
+        return factor
+    half = float(np.median(0.5 * np.ptp(reach, axis=1)))
+    in_commands = {e["name"] for e in library.effects() if e["role"] == "channel"}
+    commanded = [unit == "mm" and label.split(".")[0] in in_commands for label, unit in zip(labels, units)]
+    return np.where(commanded, half / REACH_MM, factor) if half > 0 else factor

@@ -341,6 +341,11 @@ class Search:
             fit = best
         return fit
 
+    def larger(self, fit: Fit) -> list[Fit]:
+        """Return the sets with one effect more that were tried on the way."""
+        mine = frozenset(fit.effects)
+        return [found for key, found in self._fits.items() if mine < key and len(key) == len(mine) + 1]
+
     def alternatives(self, fit: Fit, member: str, count: int) -> list[Fit]:
         """Return the best `count` sets with `member` exchanged for another candidate."""
         rest = self.get(frozenset(fit.effects) - {member})

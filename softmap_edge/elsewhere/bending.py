@@ -24,12 +24,11 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.elsewhere.centreline import Centreline, carried
 from softmap_edge.errors import SoftmapError
+from softmap_edge.model import TIP_PER_NEWTON
 
 Floats = NDArray[np.float64]
 
-STANDARD_GRAVITY = 9.80665  # m/s²
 LOCK = 1.0  # what is taken where no known load tells
-NOMINAL = 0.1  # 1 N across the tip moves it by this share of the length where no known load tells
 NOMINAL_WEIGHT = 1.0  # N
 _SIMPSON = ((0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0))
 
@@ -53,7 +52,7 @@ class Stiffness:
         """Return the numbers that stand in where no load is known: 1 N moves the tip of the straight body by a
         tenth.
         """
-        return cls(12.0 * NOMINAL / line.length**2, LOCK, NOMINAL_WEIGHT, False)
+        return cls(12.0 * TIP_PER_NEWTON / line.length**2, LOCK, NOMINAL_WEIGHT, False)
 
 
 def fields(line: Centreline, points: Floats, stiffness: Stiffness) -> dict[str, Floats]:
@@ -106,7 +105,7 @@ def weigh(
         )
     rest = moved.ravel() - both @ np.array([a, b])
     residual = float(np.sqrt(np.sum(rest**2) / (moved.size / 3)))
-    return Stiffness(float(a), float(b / a), mass * 1e-3 * STANDARD_GRAVITY, True, size, residual)
+    return Stiffness(float(a), float(b / a), mass * 1e-3 * _core.STANDARD_GRAVITY, True, size, residual)
 
 
 def _answers(line: Centreline, points: Floats, force: Floats, spread: bool) -> tuple[Floats, Floats]:

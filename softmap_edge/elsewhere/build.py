@@ -26,8 +26,9 @@ from softmap_edge.elsewhere.centreline import Centreline, farthest, find_centrel
 from softmap_edge.elsewhere.scattered import fit_scattered
 from softmap_edge.elsewhere.sweep_file import ShapeSweep, is_own_sweep, is_shape_sweep
 from softmap_edge.errors import SweepError, brief
-from softmap_edge.model import Arrays, Model, tip_of
+from softmap_edge.model import NOMINAL, Arrays, Model, tip_of
 from softmap_edge.solid.build import FIELD_MODES, FIELD_STEPS, Progress, from_sweep, leading
+from softmap_edge.solid.simulator import Simulator, Sweep, tensor_grid
 
 Floats = NDArray[np.float64]
 Errors = list[tuple[Floats, Floats]]  # coefficients left out (n, m), and what the modes do not hold (n, M)
@@ -62,14 +63,11 @@ def model_from_file(path: str | Path, progress: Progress | None = None) -> Model
 
 
 def _as_from_its_finger(path: Path, report: Progress) -> Model:
-    from softmap_edge.solid.simulator import Simulator, Sweep
-
     sweep = Sweep.load(path)
     if not np.array_equal(sweep.gravity, sweep.finger.gravity) or np.any(sweep.tip_force):
         raise SweepError(
             f"{path.name}: made under gravity {sweep.gravity.tolist()} and a tip force of {sweep.tip_force.tolist()} "
-            "N, its "
-            f"finger hangs under {list(sweep.finger.gravity)} without; make it with `softmap sweep finger.toml`"
+            f"N, its finger hangs under {list(sweep.finger.gravity)} without; make it with `softmap sweep finger.toml`"
         )
     return from_sweep(sweep.finger, Simulator(sweep.finger), sweep, report)
 
@@ -160,8 +158,7 @@ def _gaps(reach: float) -> list[str]:
         return []
     return [
         f"the commands leave gaps: one between two of them lies {100 * reach:.0f} % of half the range from the "
-        "nearest; the "
-        "model is a guess there, and its stated error may be too small"
+        "nearest; the model is a guess there, and its stated error may be too small"
     ]
 
 
@@ -211,7 +208,7 @@ def _coarser(axes: tuple[Floats, ...], values: Floats, stride: int) -> tuple[Flo
     coarse = _core.Table(
         [axis[k] for axis, k in zip(axes, kept)], np.ascontiguousarray(values[inside]), np.zeros(size), np.eye(size)
     )
-    commands = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)[outside]
+    commands = tensor_grid(axes)[outside]
     return coarse.evaluate(np.ascontiguousarray(commands)) - values[outside], outside
 
 
@@ -236,7 +233,7 @@ def _stiffness(sweep: ShapeSweep, line: Centreline, shape: Any, own_error: float
     assert sweep.loaded_command is not None and sweep.loaded_vertices is not None
     assert sweep.gravity is not None and sweep.mass is not None
     unloaded = shape.evaluate(np.ascontiguousarray(sweep.loaded_command)).reshape(sweep.loaded_vertices.shape)
-    force = sweep.load[:, None] * 1e-3 * 9.80665 * sweep.gravity
+    force = sweep.load[:, None] * 1e-3 * _core.STANDARD_GRAVITY * sweep.gravity
     return weigh(line, unloaded, sweep.loaded_vertices, force, sweep.mass, own_error)
 
 
@@ -248,7 +245,7 @@ def _fields(sweep: ShapeSweep, line: Centreline, shape: Any, stiffness: Stiffnes
         while steps ** len(sweep.axes) * points > FIELD_NUMBERS and steps > 3:
             steps -= 1
         axes = [np.linspace(axis[0], axis[-1], min(steps, len(axis))) for axis in sweep.axes]
-        commands = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
+        commands = tensor_grid(axes)
         arrays: Arrays = {f"axis{c}": axis for c, axis in enumerate(axes)}
     else:
         scaled = sweep.command / np.ptp(sweep.command, axis=0)
@@ -270,7 +267,7 @@ def _fields(sweep: ShapeSweep, line: Centreline, shape: Any, stiffness: Stiffnes
 
 def _told(stiffness: Stiffness) -> dict[str, Any] | str:
     if not stiffness.known:
-        return "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
+        return NOMINAL
     return {
         "per_n_mm2": float(f"{stiffness.compliance:.6g}"),
         "lock": round(stiffness.lock, 4),

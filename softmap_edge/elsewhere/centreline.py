@@ -301,8 +301,7 @@ def _turn(start: Floats, end: Floats) -> Floats:
 
 def _order(points: Floats, base: Floats) -> Floats:
     """Return the distance (N,) mm of each point from those next to the base, over a graph of near neighbours."""
-    square = np.sum(points**2, axis=1)
-    apart = np.sqrt(np.maximum(square[:, None] + square - 2.0 * points @ points.T, 0.0))
+    apart = distances(points, points)
     near = np.argsort(apart, axis=1)[:, : NEIGHBOURS + 1]
     edges = np.full(apart.shape, np.inf)
     rows = np.arange(len(points))[:, None]
@@ -321,6 +320,12 @@ def _order(points: Floats, base: Floats) -> Floats:
         open_[best] = False
         distance = np.where(open_, np.minimum(distance, distance[best] + edges[best]), distance)
     return np.asarray(distance)
+
+
+def distances(a: Floats, b: Floats) -> Floats:
+    """Return the distances (n, m) between points (n, D) and (m, D)."""
+    square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
+    return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
 def farthest(points: Floats, count: int) -> NDArray[np.intp]:

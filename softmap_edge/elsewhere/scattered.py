@@ -21,7 +21,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.elsewhere.centreline import farthest
+from softmap_edge.elsewhere.centreline import distances, farthest
 
 Floats = NDArray[np.float64]
 
@@ -89,13 +89,13 @@ def gap(q: Floats) -> float:
     rng = np.random.default_rng(PAIRS_SEED)
     pairs = rng.integers(len(q), size=(PAIRS, 2))
     between = 0.5 * (q[pairs[:, 0]] + q[pairs[:, 1]])[pairs[:, 0] != pairs[:, 1]]
-    return float(np.median(_distance(between, q).min(axis=1))) if len(between) else 0.0
+    return float(np.median(distances(between, q).min(axis=1))) if len(between) else 0.0
 
 
 def _groups(q: Floats, reach: float) -> list[tuple[int, NDArray[np.intp]]]:
     """Return groups of rows to leave out, and how many of each, its first, are tested."""
     rows = len(q)
-    apart = _distance(q, q)
+    apart = distances(q, q)
     np.fill_diagonal(apart, np.inf)
     following = np.abs(np.argmin(apart, axis=1) - np.arange(rows)) == 1
     if rows >= 10 * BLOCKS and np.mean(following) > FOLLOWING:
@@ -120,7 +120,7 @@ class _System:
 
     def __init__(self, q: Floats, nodes: NDArray[np.intp], tail: Floats, power: int) -> None:
         sign = -1.0 if power == 1 else 1.0  # the kernel that is positive where the tail is annihilated
-        kernel = sign * _distance(q, q[nodes]) ** power  # (S, n)
+        kernel = sign * distances(q, q[nodes]) ** power  # (S, n)
         full = np.linalg.qr(tail[nodes], mode="complete")[0]
         null = full[:, tail.shape[1] :]  # (n, r) weights that annihilate the tail
         strength, vectors = np.linalg.eigh(null.T @ kernel[nodes] @ null)
@@ -158,8 +158,3 @@ class _System:
         weights = self.weights @ inner
         tail = np.linalg.lstsq(self.tail, values - self.kernel @ weights, rcond=None)[0]
         return np.vstack([self.sign * weights, tail])
-
-
-def _distance(a: Floats, b: Floats) -> Floats:
-    square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
-    return np.asarray(np.sqrt(np.maximum(square, 0.0)))

@@ -59,7 +59,7 @@ def read_summary(path: Path) -> dict[str, Any]:
             vertices=own.vertices,
             triangles=own.triangles,
             robot=own.finger.name,
-            command_unit="mm",
+            command_unit=own.finger.command_unit,
             gravity=own.gravity,
             base=np.zeros(3),
             axes=own.axes,

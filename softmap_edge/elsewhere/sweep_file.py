@@ -3,8 +3,8 @@
 An `.npz` archive (numpy.savez); docs/elsewhere.md explains every field with an example.
 
     command          (S, C)     required; mm of tendon, + pulls, or in `command_unit`
-    vertices         (S, N, 3)  required; mm in the base frame: vertices of a mesh, or markers; the same points in every
-    row triangles        (F, 3)     of the vertices, whole numbers from 0
+    vertices         (S, N, 3)  required; mm in the base frame: vertices of a mesh, or markers; in every row the same
+    triangles        (F, 3)     of the vertices, whole numbers from 0
     robot            text       a name
     command_unit     text       mm (default), rad, deg, ticks …
     gravity          (3,)       unit vector in the base frame under which the shapes were found; hanging by default
@@ -19,6 +19,7 @@ Every field is checked; the first that is wrong is named with what was expected.
 
 from __future__ import annotations
 
+import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -220,23 +221,20 @@ def _ranges(numbers: Mapping[str, Floats], unit: str) -> None:
         if outside.any():
             raise SweepError(
                 f"`loaded_command` row {int(np.argmax(outside))} lies outside the commands of the sweep; hang the "
-                "load on "
-                "where the unloaded shape is known"
+                "load on where the unloaded shape is known"
             )
     for name in ("load", "mass"):
         value = numbers.get(name, np.ones(1))
         if value.size and not (float(value.min()) > 0.0 and float(value.max()) <= MOST_GRAMS):
             raise SweepError(
                 f"`{name}` holds {float(value.min()):.4g} to {float(value.max()):.4g} g, expected more than 0 and at "
-                "most "
-                f"{MOST_GRAMS:g}"
+                f"most {MOST_GRAMS:g}"
             )
     if "load" in numbers and not numbers["load"].size:
         raise SweepError("`load` is empty; give at least one shape under a known load, or leave its fields out")
-    if "gravity" in numbers and abs(float(np.linalg.norm(numbers["gravity"])) - 1.0) > 1e-3:
-        raise SweepError(
-            f"`gravity` has length {float(np.linalg.norm(numbers['gravity'])):.4g}, expected a unit vector"
-        )
+    length = math.hypot(*numbers["gravity"]) if "gravity" in numbers else 1.0  # of any number, without a warning
+    if abs(length - 1.0) > 1e-3:
+        raise SweepError(f"`gravity` has length {length:.4g}, expected a unit vector")
 
 
 def _once(command: Floats, vertices: Floats, notes: list[str]) -> tuple[Floats, Floats]:
@@ -315,8 +313,7 @@ def _lever(command: Floats, vertices: Floats) -> None:
             f"row {row} of `command` is {pulled[row]:.3g} from home and moves a body of {size:.3g} mm by "
             f"{travel[row]:.3g} mm, "
             f"as if tendons ran {lever:.2g} mm beside its middle; the commands look like {looks} (or, if they are mm, "
-            "say "
-            "command_unit = 'mm')"
+            "say command_unit = 'mm')"
         )
 
 

@@ -106,11 +106,19 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
             f"no column looks like a command or a marker by its name ({seen[:600]}); write the mapping by hand: "
             "docs/mapping.md lists its keys, examples/trunk.toml shows the form"
         )
+    found.unknown += [
+        line for sheet, time in zip(sheets, found.times.values()) for line in _left_out(sheet, time[0], found)
+    ]
     text = _write(sheets, files, found)
     head = [f"# Proposed from the header and the ranges of {', '.join(path.name for path in files)}; read every line."]
     head += [f"# ASSUMED  {line}" for line in found.assumed] + [f"# UNKNOWN  {line}" for line in found.unknown]
-    text = "\n".join([*head, text])
+    text = "\n".join([*map(_one_line, head), text])
     return Guess(text, tuple(found.assumed), tuple(found.unknown), _tried(files, text))
+
+
+def _one_line(comment: str) -> str:
+    """Names of files and columns may hold anything; a comment must not end within one and go on as keys."""
+    return "".join(c if c.isprintable() else " " for c in comment)
 
 
 def _tried(files: list[Path], text: str) -> tuple[str, ...]:
@@ -123,6 +131,20 @@ def _tried(files: list[Path], text: str) -> tuple[str, ...]:
 
 def _called(sheet: Sheet) -> str:
     return sheet.path.name if sheet.topic is None else f"{sheet.path.name} {sheet.topic}"
+
+
+def _left_out(sheet: Sheet, time: str | None, found: _Found) -> list[str]:
+    """Name the columns that vary and are not taken, so that nobody believes that they are in the run."""
+    used = {time, found.label} | {c for pair in found.others if pair[0] is sheet for c in pair[1].columns}
+    used |= {c for pair in (found.command, found.present) if pair and pair[0] is sheet for c in pair[1].columns}
+    if found.points is not None and found.points[0] is sheet:
+        used |= {name for triple in [*found.points[1], *found.base] for name in triple}
+    varies = [name for name in sheet.names if np.unique(sheet.column(name)[np.isfinite(sheet.column(name))]).size > 1]
+    left = [name for name in varies if name not in used]
+    if not left:
+        return []
+    named = ", ".join(map(_range_of(sheet), left[:6])) + (f" and {len(left) - 6} more" if len(left) > 6 else "")
+    return [f"what these columns of {_called(sheet)} are: {named}; they are left out, add them if the run needs them"]
 
 
 def _range_of(sheet: Sheet) -> Any:

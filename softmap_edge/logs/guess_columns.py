@@ -22,6 +22,7 @@ from softmap_edge.logs.table import LARGEST, open_log
 
 Array = NDArray[np.float64]
 ROWS = 20_000  # of each log that are looked at
+MOST_COLUMNS = 4096  # of each log: names are compared by pairs
 _COUNTERS = re.compile(r"^(id|frame#?|index|idx|sample|row|count(er)?|nr|no|n|#|)$", re.IGNORECASE)
 _TIMES = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
 _LABELS = re.compile(r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE)
@@ -96,6 +97,11 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
                     numbers = np.where(np.abs(held.numbers) < LARGEST, held.numbers, np.nan)
                     sheets.append(Sheet(path, topic.name, held.names, {}, numbers, {}))
             continue
+        if len(columns.names) > MOST_COLUMNS:
+            raise RunError(
+                f"{path}: {len(columns.names)} columns, at most {MOST_COLUMNS} are looked at; name those of the robot "
+                "in a mapping by hand: docs/mapping.md lists its keys"
+            )
         texts: dict[str, list[str]] = {}
         if isinstance(columns, TextColumns):
             texts = columns.texts(200)
@@ -123,10 +129,18 @@ def time_of(sheet: Sheet) -> tuple[str | None, str, str]:
             if pattern.search(bare):
                 unit, why = _time_unit(sheet, name)
                 return name, unit, f"'{name}' rises throughout; {why}"
-    if rising and not sheet.header and rising[0] == sheet.names[0]:
+    if rising and rising[0] == sheet.names[0] and (not sheet.header or _even(sheet.column(rising[0]))):
         unit, why = _time_unit(sheet, rising[0])
-        return rising[0], unit, f"the first column rises throughout; {why}"
+        called = f" '{rising[0]}'" if sheet.header else ""
+        return rising[0], unit, f"the first column{called} rises throughout; {why}"
     return None, "rows", "no column tells time"
+
+
+def _even(values: Array) -> bool:
+    """Whether numbers rise by nearly the same step from row to row, as a clock does under whatever name."""
+    step = np.diff(values[np.isfinite(values)])
+    usual = float(np.median(step))
+    return usual > 0 and bool((np.abs(step - usual) < 0.5 * usual).mean() > 0.9)
 
 
 def _time_unit(sheet: Sheet, name: str) -> tuple[str, str]:
@@ -175,6 +189,9 @@ def points_of(sheet: Sheet) -> list[list[str]]:
                     found.append(triple)
                     used |= set(triple)
                 break
+    stems = {triple[0].lower() for triple in found}
+    if stems & {"x", "px"}:  # beside a place there are rates and forces: fx, vx, wx
+        found = [triple for triple in found if not re.fullmatch(r"[afgmqtvw]x", triple[0].lower())]
     bodies = [triple for triple in found if triple[0].replace(".x", ".rotation.x") in sheet.names]
     others = [triple for triple in found if triple not in bodies]
     return bodies if len(bodies) > 1 else others or bodies
@@ -219,7 +236,22 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
                 unit = _UNIT.get((sheet.units.get(names[0]) or unit_in_name(names[0], _UNIT) or "").lower())
                 roles.append((rank, Role(kind, names, unit if unit in UNITS[kind] else None, why, sure=rank < 5)))
                 break
-    return [role for _, role in sorted(roles, key=lambda pair: pair[0])]
+    roles.sort(key=lambda pair: pair[0])  # stable: neighbours in the file stay neighbours
+    merged: list[tuple[int, Role]] = []
+    for rank, role in roles:
+        if merged and merged[-1][0] == rank and _siblings(sheet, merged[-1][1], role):
+            merged[-1][1].columns.extend(role.columns)
+        else:
+            merged.append((rank, role))
+    return [role for _, role in merged]
+
+
+def _siblings(sheet: Sheet, one: Role, other: Role) -> bool:
+    """Whether two columns side by side differ only in their last word: `motor_links`, `motor_rechts`."""
+    place = sheet.names.index(other.columns[0]) - sheet.names.index(one.columns[-1])
+    stems = [re.sub(r"[^_]*$", "", role.columns[0].lower()) for role in (one, other)]
+    alone = len(other.columns) == 1 and not any(re.search(r"\d", name) for name in (one.columns[0], other.columns[0]))
+    return alone and place == 1 and stems[0] == stems[1] != "" and one.unit == other.unit
 
 
 def drive_unit(rows: Array, stated: str | None) -> tuple[str, str, bool]:

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge import _core
 from softmap_edge.errors import RunError
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
@@ -32,7 +33,7 @@ from softmap_edge.run import Run
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
 
 Array = NDArray[np.float64]
-_TO_SI = {"g": 1.0, "kg": 1000.0, "N": 1000.0 / 9.80665, "mA": 1.0, "A": 1000.0}
+_TO_SI = {"g": 1.0, "kg": 1000.0, "N": 1000.0 / _core.STANDARD_GRAVITY, "mA": 1.0, "A": 1000.0}
 
 
 @dataclass(frozen=True)

@@ -120,6 +120,8 @@ def doubts_of_rest(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Map
     along = rest_axis(rest, start)
     if along is None:
         return []
+    if start is None and _plate_on_axis(rest, mapping):
+        along = np.array([0.0, 0.0, 1.0])
     doubts = []
     k = int(np.argmax(np.abs(along)))
     if along[2] < 0.5:
@@ -138,6 +140,15 @@ def doubts_of_rest(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Map
             "last: set frame.origin_mm to the place of the clamp"
         )
     return doubts
+
+
+def _plate_on_axis(rest: Array, mapping: Mapping) -> bool:
+    """Whether markers (M, 3) sit close together, up the z axis of a clamp whose place is given: a plate at the tip."""
+    rest = rest[np.isfinite(rest).all(axis=1)]
+    middle = rest.mean(axis=0)
+    away = float(np.linalg.norm(middle))
+    given = bool(np.any(np.asarray(mapping.origin_mm) != 0))
+    return given and away > float(np.ptp(rest, axis=0).max()) and middle[2] > 0.9 * away
 
 
 def is_base(label: str) -> bool:

@@ -87,7 +87,7 @@ def over_time(series: Series) -> bytes:
         axes.grid(axis="y", color=FAINT, linewidth=0.8)
         axes.set_axisbelow(True)
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
-        return _svg(figure)
+        return svg(figure)
 
 
 def tip_path(series: Series) -> bytes:
@@ -108,7 +108,7 @@ def tip_path(series: Series) -> bytes:
             axes.grid(color=FAINT, linewidth=0.8)
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
         panels[0].set_ylabel(f"{'xyz'[second]} of the tip, mm")
-        return _svg(figure)
+        return svg(figure)
 
 
 def body(series: Series) -> bytes:
@@ -153,7 +153,7 @@ def where_maps(before: Mapping[str, Sequence[Any]], after: Mapping[str, Sequence
                 _bars(axes, before[name], None if after is None else after.get(name, []), top)
                 axes.set_title(WHERE.get(name, name), x=-(LABEL - 0.07) / (WIDE / 3 - LABEL - 0.53), pad=5)
                 used += tall
-        return _svg(figure)
+        return svg(figure)
 
 
 def ladder_bars(error: Mapping[str, Any]) -> bytes:
@@ -180,7 +180,7 @@ def ladder_bars(error: Mapping[str, Any]) -> bytes:
         )
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
-        return _svg(figure)
+        return svg(figure)
 
 
 def _tip_height(path: Floats, panels: int) -> float:
@@ -354,7 +354,8 @@ def _clean(text: str, longest: int) -> str:
     return printable if len(printable) <= longest else printable[: longest - 1] + "…"
 
 
-def _svg(figure: Figure) -> bytes:
+def svg(figure: Figure) -> bytes:
+    """Return a figure as SVG; the same figure gives the same bytes."""
     return _saved(figure, "svg", metadata={"Date": None, "Creator": None})
 
 

@@ -366,7 +366,7 @@ def _unexplained(left: Mapping[str, Any]) -> str:
     named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "nothing that was tried")
     chi, share = number(left.get("chi2_per_n")), number(left.get("blocked_r2"))
     rows = [
-        ("size", f"{mm(left.get('rms_mm'))} mm RMS"),
+        ("size", f"{mm(left.get('rms_mm'))} mm RMS beyond the noise"),
         ("against the noise", "–" if chi is None else f"chi² per number {chi:.3g} (1 is noise alone)"),
         ("predictable share", "–" if share is None else f"blocked R² {share:.2g}"),
         ("follows", named),

@@ -364,7 +364,7 @@ def _unexplained_lines(left: Mapping[str, Any]) -> list[str]:
     if not left:
         return []
     chi, r2 = left.get("chi2_per_n"), left.get("blocked_r2")
-    facts = [f"{mm(left.get('rms_mm'))} mm RMS"]
+    facts = [f"{mm(left.get('rms_mm'))} mm RMS beyond the noise"]
     facts += [f"chi²/n {chi:.3g} (1 is noise alone)"] if isinstance(chi, (int, float)) else []
     facts += [f"predictable share (blocked R²) {r2:.2g}"] if isinstance(r2, (int, float)) else []
     by = left.get("predicted_by")

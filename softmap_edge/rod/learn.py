@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import __version__, _core
 from softmap_edge.errors import SoftmapError
 from softmap_edge.folds import folds
+from softmap_edge.model import NOMINAL, Model
 from softmap_edge.rod.elastic import ElasticParameters
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
 from softmap_edge.rod.polynomial import RodParameters, fit_polynomial
@@ -28,7 +29,6 @@ from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
 from softmap_edge.rod.regression import rms
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
     from softmap_edge.rod.robot import Robot
     from softmap_edge.run import Run, Source
 
@@ -37,6 +37,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
 USELESS = 0.8  # share of that straying from which a held-out error says that commands explain little
+POOR = 0.4  # of the same: a rod that knows its commands leaves a tenth
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +137,7 @@ def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> Learne
     more = {
         "per_fold_mm": [round(error, 4) for error in per_fold],
         "per_marker_mm": [round(error, 4) for error in per_marker],
-        "compliance": "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams",
+        "compliance": NOMINAL,
         "notes": list(notes),
     }
     if fitted.numbers:
@@ -169,6 +170,11 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
             f"the held-out error of {error:.2f} mm is hardly below the {stray:.2f} mm of always answering the mean "
             "pose: the commands do not explain these markers, or the run is too short"
         )
+    elif error > POOR * stray:
+        notes.append(
+            f"the held-out error of {error:.2f} mm is much of the {stray:.2f} mm of always answering the mean pose: "
+            "the mapping may miss a command or have a wrong rate, or the run is short"
+        )
     vague = [number.label for number in fitted.numbers if number.note]
     if vague:
         notes.append(f"this run does not tell {', '.join(vague)}; make them known in robot.toml, or record other moves")
@@ -192,8 +198,6 @@ def learn_model(
 
 def learned_model(run: Run, learned: LearnedRod) -> Model:
     """Return the model of a rod that was learned from `run`."""
-    from softmap_edge.model import Model
-
     rod, markers = learned.rod.compiled(), len(learned.per_marker_mm)
     commands = run.commands(learned.input)
     home = rod.evaluate(np.zeros((1, commands.shape[1]))).reshape(-1, 3)

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.folds import folds
-from softmap_edge.rod.reference_run import TIP_PER_NEWTON, Fitted, Seen
+from softmap_edge.model import TIP_PER_NEWTON
+from softmap_edge.rod.reference_run import Fitted, Seen
 from softmap_edge.rod.regression import Regression, choose_degree, fit_drive, normalise, refine_drive
 
 Floats = NDArray[np.float64]

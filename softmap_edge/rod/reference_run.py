@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +13,10 @@ from softmap_edge import _core
 from softmap_edge.errors import RunError
 from softmap_edge.folds import Folds
 from softmap_edge.rod.regression import Drive, rms
-
-if TYPE_CHECKING:
-    from softmap_edge.run import Run, Source
+from softmap_edge.run import Run, Source, known
 
 Floats = NDArray[np.float64]
 
-TIP_PER_NEWTON = 0.1  # nominal: 1 N across the tip moves it by a tenth of the length; the stiffness itself is not seen
 SLOW = 0.25  # s between frames from which a log tells nothing of delay and lag
 STILL = 0.005  # of the robot's length: markers that stray less from their mean teach nothing
 
@@ -121,9 +118,7 @@ def observe(run: Run, input: Source | None, hold_out: Sequence[tuple[float, floa
 
 def _usable(run: Run, hold_out: Sequence[tuple[float, float]], rate_hz: float) -> NDArray[np.intp]:
     assert run.markers is not None
-    keep = np.all(np.isfinite(run.markers), axis=(1, 2))
-    if run.visible is not None:
-        keep &= np.all(run.visible, axis=1)
+    keep = known(run, run.markers).all(axis=1)
     for low, high in hold_out:
         keep &= (run.t_seen < low) | (run.t_seen >= high)
     slot = np.floor((run.t_seen - run.t_seen[:1]) * rate_hz + 1e-6)

@@ -22,7 +22,7 @@ from softmap_edge.model import Arrays, Model, tip_of
 from softmap_edge.run import Run
 from softmap_edge.solid.bodies import Meshed
 from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Compliance, Simulator, Sweep
+from softmap_edge.solid.simulator import Compliance, Simulator, Sweep, tensor_grid
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -76,12 +76,8 @@ def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progr
     many = len(sweep.axes) > 2 or isinstance(finger.solid, Meshed)
     steps = COARSE_FIELD_STEPS if many else FIELD_STEPS
     field_axes = [np.linspace(axis[0], axis[-1], steps) for axis in sweep.axes]
-    if field_axes:
-        grid = np.stack([g.ravel() for g in np.meshgrid(*field_axes, indexing="ij")], axis=1)
-    else:
-        grid = np.zeros((1, 0))
     report("fields", 0.0)
-    fields = _field_arrays(simulator.fields(grid), field_axes)
+    fields = _field_arrays(simulator.fields(tensor_grid(field_axes)), field_axes)
     if finger.tendons and finger.command_unit == "mm":  # a tension given in N stays what it is under a load
         fields["stiffness"] = np.full(len(finger.tendons), finger.cable_stiffness_n_mm)
     report("fields", 1.0)

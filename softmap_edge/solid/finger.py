@@ -84,8 +84,14 @@ class Finger:
             check_number(field, getattr(self, field), low, high, remedy)
         if self.load_at_mm is not None:
             check_vector("load_at_mm", self.load_at_mm, -2000.0, 2000.0, "give the place in mm where the load hangs")
-        if len(self.gravity) != 3 or not all(finite(g) and abs(g) <= 10 for g in self.gravity):
-            raise FingerError(f"gravity_g: {shown(self.gravity)}; expected three numbers of g within ±10, as [0, 0, 1]")
+        if len(self.gravity) != 3 or not all(map(finite, self.gravity)):
+            raise FingerError(f"gravity_g: {shown(self.gravity)}; expected three numbers of g, as [0, 0, 1]")
+        if (strength := sum(g * g for g in self.gravity) ** 0.5) > 3:
+            raise FingerError(
+                f"gravity_g: {shown(self.gravity)} is {strength:.3g} g; count in g, not in m/s2: [0, 0, 1] hangs"
+            )
+        if 0 < self.density_kg_m3 < 10:
+            raise FingerError(f"density_kg_m3: {self.density_kg_m3:g} looks like g/cm3; multiply by 1000")
         if len(self.tendons) > 16 or len(self.regions) > 100:
             raise FingerError(
                 f"{len(self.tendons)} tendons and {len(self.regions)} regions, allowed are at most 16 and 100"

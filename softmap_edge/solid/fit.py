@@ -25,14 +25,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge import _core
+from softmap_edge.alignment.rigid import Pose, rotation
 from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.features import attach, marker_features, section_features, seen_residual, upright
-from softmap_edge.run import Run
+from softmap_edge.run import Run, known
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator, tour
-
-STANDARD_GRAVITY = 9.80665  # N/kg
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -185,13 +185,18 @@ def _settled(finger: Finger, run: Run) -> _Dwells:
     """Return the mean of the settled frames of each dwell.
 
     Raises:
-        RunError: the run has no points, or too few dwells to fit and to judge.
+        RunError: the run has no points, commands of another kind, or no dwell.
     """
     u = run.commands()
     if u.shape[1] != len(finger.pairs):
         raise RunError(
             f"the run has {u.shape[1]} commands a sample, {finger.name} takes {len(finger.pairs)}; "
             "give the finger.toml of the robot that was recorded"
+        )
+    if run.command_unit != finger.command_unit:
+        raise RunError(
+            f"the run's commands are in {run.command_unit}, {finger.name} takes {finger.command_unit}; convert them "
+            "where the log is imported"
         )
     state = conditions(run, u)
     still = (state.visit >= 0) & (state.dwell >= SETTLED)
@@ -201,10 +206,7 @@ def _settled(finger: Finger, run: Run) -> _Dwells:
             f"the robot never stands still for {SETTLED:g} s; a fit of the finger's own numbers wants dwells of 2 s, "
             "better 20 of them in two orientations"
         )
-    hidden = None if run.visible is None else ~np.asarray(run.visible, bool)
-    points = np.array(run.seen_points, float)
-    if hidden is not None:
-        points[hidden] = np.nan
+    points = np.where(known(run, run.seen_points)[..., None], run.seen_points, np.nan)
     at = [int(v[-1]) for v in visits]
     gravity = np.tile(finger.gravity, (len(visits), 1)) if state.gravity is None else state.gravity[at]
     load = np.zeros(len(visits)) if run.load is None else np.interp(run.t_seen[at], run.t, run.load)
@@ -287,7 +289,7 @@ class _Bench:
             *gravity, mass = self.loads[group]
             order = tour(self.dwells.command[part])
             points = np.empty((len(part), len(self.template.vertices), 3))
-            force = mass * 1e-3 * STANDARD_GRAVITY * np.array(gravity)
+            force = mass * 1e-3 * _core.STANDARD_GRAVITY * np.array(gravity)
             solver = Simulator(finger, self.template)
             points[order] = solver.path(self.dwells.command[part][order], gravity=gravity, load=force)
             self._solved[key] = points if self.carry is None else np.einsum("mn,knc->kmc", self.carry, points)
@@ -319,11 +321,7 @@ class _Bench:
 
 def moved(points: Floats, mount: Floats) -> Floats:
     """Return points (..., 3) mm turned about the base by the vector mount[:3] (rad) and shifted by mount[3:] (mm)."""
-    angle = float(np.linalg.norm(mount[:3]))
-    x, y, z = mount[:3] / max(angle, 1e-300)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    turn = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
-    return np.asarray(points @ turn.T + mount[3:])
+    return Pose(rotation(mount[:3]), mount[3:])(points)
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,22 @@ def read_tetrahedra(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]
         raise FingerError(f"{path}: points of shape {points.shape}, expected (n, 3) numbers; export it again")
     if not np.all(np.abs(points) < _FARTHEST):
         raise FingerError(f"{path}: a point beyond ±{_FARTHEST:g} or not a number; export it again")
+    _check_joined(path, np.asarray(points, np.float64), cells)
     return np.ascontiguousarray(points, np.float64), np.ascontiguousarray(cells, np.int64)
+
+
+def _check_joined(path: Path, points: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
+    """Refuse cells given twice, which count twice, and nodes at one place, where cells touch and are not joined."""
+    twice = len(cells) - len(np.unique(np.sort(cells[:, :4], axis=1), axis=0))
+    if twice:
+        raise FingerError(f"{path}: {twice} of {len(cells)} tetrahedra are there twice; save each once")
+    grid = max(float(np.ptp(points, axis=0).max(initial=0.0)), 1e-300) * 1e-9
+    apart = len(points) - len(np.unique(np.rint(points / grid), axis=0))
+    if apart:
+        raise FingerError(
+            f"{path}: {apart} of {len(points)} nodes lie where another one does, so that cells touch and are not "
+            "joined; merge coincident nodes and save again"
+        )
 
 
 def read_guides(path: Path) -> tuple[tuple[float, float, float], ...]:

@@ -128,6 +128,13 @@ class Sweep:
             raise SimulationError(f"{path}: triangles point outside the {n} vertices; make it again")
 
 
+def tensor_grid(axes: Sequence[Floats]) -> Floats:
+    """Return the commands (S, C) of a grid of `axes`, the last one fastest; of no axes one command of no channels."""
+    size = math.prod(len(axis) for axis in axes)
+    columns = [column.ravel() for column in np.meshgrid(*axes, indexing="ij")]
+    return np.stack(columns, axis=1) if columns else np.zeros((size, 0))
+
+
 def tour(places: Floats) -> NDArray[np.intp]:
     """Return an order of the places (K, C) in which each is near the one before: always on to the nearest."""
     left = np.ones(len(places), bool)
@@ -150,8 +157,12 @@ class Simulator:
     def __init__(self, finger: Finger, template: Template | None = None) -> None:
         points = None if template is None else np.ascontiguousarray(template.vertices, dtype=np.float64)
         try:
+            mesh = finger.solid.cells([z for tendon in finger.tendons for z in tendon.ends()])
+            low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+            for number, region in enumerate(finger.regions):
+                region.check_meets(f"region[{number}]", low, high)
             self.solid = _core.Solid(
-                mesh=finger.solid.cells([z for tendon in finger.tendons for z in tendon.ends()]),
+                mesh=mesh,
                 young=finger.young_mpa,
                 poisson=finger.poisson,
                 density=finger.density_kg_m3,
@@ -197,10 +208,9 @@ class Simulator:
             vertices, pull = self.solid.sweep(
                 [axis.tolist() for axis in grid], self._gravity(gravity), _vector("load", load), progress
             )
-        command = np.stack([a.ravel() for a in np.meshgrid(*grid, indexing="ij")], axis=1) if grid else np.zeros((1, 0))
         return Sweep(
             axes=grid,
-            command=command,
+            command=tensor_grid(grid),
             vertices=vertices,
             pull=pull,
             triangles=self.template.triangles,

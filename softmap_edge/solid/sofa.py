@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import __version__
+from softmap_edge import __version__, _core
 from softmap_edge.errors import FingerError
 from softmap_edge.solid.finger import Finger
 
-_STANDARD_GRAVITY = 9806.65  # mm/s²
 _TONNES = 1e-12  # of a kg/m³, in tonnes/mm³
 _GUIDES = 24  # along a tendon that is given by a formula
 
@@ -101,7 +100,7 @@ def sofa_scene(finger: Finger, file: str = "finger.py") -> str:
         cells=renumbered.reshape(cells.shape).tolist(),
         held=np.flatnonzero(np.isin(corners, mesh.fixed)).tolist(),
         tendons=tendons,
-        gravity=[_STANDARD_GRAVITY * g for g in finger.gravity],
+        gravity=[1e3 * _core.STANDARD_GRAVITY * g for g in finger.gravity],
         plugins=["SofaPython3", "SoftRobots", "Sofa.Component"],
         container="HexahedronSetTopologyContainer" if bricks else "TetrahedronSetTopologyContainer",
         key="hexahedra" if bricks else "tetrahedra",

@@ -132,6 +132,16 @@ class Region:
         if self.side_deg is None and self.x is None and self.y is None and self.z is None:
             raise FingerError(f"{field}: give at least one of x_mm, y_mm, z_mm, side_deg; or set material.young_mpa")
 
+    def check_meets(self, field: str, low: Sequence[float], high: Sequence[float]) -> None:
+        """Refuse a region that lies outside a solid from corner `low` to `high` mm. Raises FingerError."""
+        for axis, least, most in zip("xyz", low, high):
+            limits = getattr(self, axis)
+            if limits is not None and not (limits[0] < most and limits[1] > least):
+                raise FingerError(
+                    f"{field}.{axis}_mm: {shown(limits)}; the solid lies from {least:g} to {most:g} mm, so that the "
+                    "region holds nothing"
+                )
+
     def boxed(self) -> tuple[Vector, Vector, float | None, float]:
         """Return the region as the core takes it: low and high corner mm, side rad, modulus MPa."""
         (x0, x1), (y0, y1), (z0, z1) = (limits or (-inf, inf) for limits in (self.x, self.y, self.z))

@@ -76,10 +76,12 @@ def _labels(reader: Any) -> list[str]:
         found += [raw[k : k + width].decode("utf-8", "replace") for k in range(0, len(raw), max(width, 1))]
     found = ["".join(c for c in label if c.isprintable()).strip() for label in found[:count]]
     found += [""] * min(count - len(found), 2**16)
+    taken: set[str] = set()  # beside the list: a damaged file may promise 65 535 of them
     unique: list[str] = []
     for k, label in enumerate(found):
         label = label or f"marker {k}"
-        unique.append(label if label not in unique else f"{label} #{k}")
+        unique.append(label if label not in taken else f"{label} #{k}")
+        taken.add(unique[-1])
     return unique
 
 

@@ -67,10 +67,12 @@ def open_motive(path: Path) -> TextColumns:
     kinds = next((row for row in cells[:at] if len(row) > 1 and row[1].lower() == "type"), [])
     rows = [row + [""] * (width - len(row)) for row in (kinds, named, cells[at - 1], cells[at])]
     names = ["frame", "time"]
+    taken = set(names)  # beside the list: a damaged head may hold 500 000 cells
     for kind, name, what, axis in list(zip(*rows))[2:]:
         column = f"{name}.{axis.lower()}" if what == "Position" else f"{name}.{what.lower()}.{axis.lower()}"
         column = column if axis else f"{name}.{what}"
-        names.append(column if column not in names else f"{column} ({kind})")
+        names.append(column if column not in taken else f"{column} ({kind})")
+        taken.add(names[-1])
     stated = dict(zip(cells[0][::2], cells[0][1::2]))
     return _rows(path, names, ",", cells, at + 1, stated.get("Length Units", ""))
 

@@ -26,6 +26,7 @@ LONGEST = 2**20  # characters of one line: 50 000 columns
 _BLOCK = 2**22  # characters read at a time
 _HEAD = 1000  # lines in which a header must be
 _ABSENT = {"", "nan", "na", "n/a", "null", "none", "-nan"}
+_COMMA_NUMBER = re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?")
 _DELIMITERS = (",", ";", "\t", "|")
 _OTHERS = ("", "-", "°", "°c", "degrees", "radians", "n", "ma", "a", "g", "kg")
 _UNITS = {*LENGTH, *TIME, *ANGLE, *_OTHERS}  # what a line of units holds
@@ -216,7 +217,14 @@ def split(line: str, delimiter: str) -> list[str]:
 
 
 def find_delimiter(line: str) -> str:
-    """Return what cuts a line into most cells; a space only where nothing else does."""
+    """Return what cuts a line into most cells; a space only where nothing else does.
+
+    Between numbers with decimal commas there are more commas than delimiters: what leaves such numbers whole, cuts.
+    """
+    for mark in (";", "\t", "|", " "):
+        cells = [cell for cell in split(line, mark) if cell] if "," in line else []
+        if len(cells) > 1 and all(_COMMA_NUMBER.fullmatch(cell) for cell in cells):
+            return mark
     best = max(_DELIMITERS, key=line.count)
     return best if best in line else (" " if " " in line.strip() else ",")
 

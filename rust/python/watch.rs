@@ -1,0 +1,54 @@
+//! Long work on another thread, while the interpreter shows its progress and can be interrupted.
+
+use crate::Result;
+use crate::error::invalid;
+use crate::fem::progress::Progress;
+use pyo3::prelude::*;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+/// How often a waiting interpreter looks for Ctrl-C and reports progress.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Run on another thread while this one reports `progress(share)` and watches for Ctrl-C.
+pub fn watched<T: Send>(
+    py: Python<'_>,
+    total: usize,
+    progress: Option<Py<PyAny>>,
+    work: impl FnOnce(&Progress) -> Result<T> + Send,
+) -> PyResult<T> {
+    let state = Progress::default();
+    std::thread::scope(|scope| {
+        let worker = scope.spawn(|| work(&state));
+        let mut trouble = None;
+        let mut told = usize::MAX;
+        while !worker.is_finished() {
+            py.detach(|| std::thread::sleep(LOOK));
+            let done = state.done.load(Ordering::Relaxed);
+            let mut look = py.check_signals();
+            if let (Ok(()), Some(call), true) = (&look, &progress, done != told) {
+                told = done;
+                look = call
+                    .call1(py, (done as f64 / total.max(1) as f64,))
+                    .map(|_| ());
+            }
+            if let Err(error) = look {
+                state.stop.store(true, Ordering::Relaxed);
+                trouble.get_or_insert(error);
+            }
+        }
+        let result = worker
+            .join()
+            .map_err(|_| invalid("the simulator stopped unexpectedly; please report it"))?;
+        match trouble {
+            Some(error) => Err(error),
+            None => {
+                let result = result?;
+                if let Some(call) = &progress {
+                    call.call1(py, (1.0,))?;
+                }
+                Ok(result)
+            }
+        }
+    })
+}
