@@ -7,7 +7,7 @@ OUT ?= out
 
 RUST := $(shell find rust -name '*.rs') Cargo.toml Cargo.lock
 
-.PHONY: demo build test lint bench prove docs wheel data builtin clean test-rust test-python
+.PHONY: demo build test lint bench bank prove docs wheel data builtin clean test-rust test-python
 
 demo: $(VENV)/.core
 	$(BIN)/softmap demo --out $(OUT)/demo
@@ -36,6 +36,12 @@ lint: $(VENV)/.lint
 
 bench: $(VENV)/.test
 	$(BIN)/python -m benches
+
+# The benchmark bank at its full sizes on seeds kept apart for figures; SEEDS=development for work. Goes on where it was stopped.
+SEEDS ?= reporting
+SHARE ?= 1
+bank: $(VENV)/.test
+	$(BIN)/python -m benches.bank --seeds $(SEEDS) --share $(SHARE) --out $(OUT)/bank
 
 prove: $(VENV)/.test
 	cargo test --locked --release --quiet -- --include-ignored

@@ -61,7 +61,7 @@ class BoucWen(Law):
 class Prony(Law):
     """u (1 + c) in the end, by three terms."""
 
-    NAME, STRONG, LIMIT = "creep", ("compliance",), 3.0
+    NAME, STRONG, LIMIT = "creep", ("compliance",), 2.3
     compliance: Numbers
     tau_s: float
     weight: Numbers
@@ -259,7 +259,7 @@ class Curled(Law):
 class Hinge(Law):
     """One element softer by e^{a}, and by half as much again on one side."""
 
-    NAME, STRONG, SHAPE, LIMIT = "kink", ("log",), True, 4.0
+    NAME, STRONG, SHAPE, LIMIT = "kink", ("log",), True, 2.0
     log: float
     at_mm: float
     side: float

@@ -21,6 +21,7 @@ clock_shift       frames labelled late, by a shift that wanders
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import tanh
 from typing import Self
 
 import numpy as np
@@ -88,7 +89,7 @@ class Packets(Law):
 
 @dataclass(frozen=True)
 class Loop(Law):
-    """y'' = ω²(u − y) − 2ζω y', ω = 1/τ, in exact steps for a held command, then a drum with τ/4."""
+    """y'' = ω²(u − y) − 2ζω y', ω = 1/τ, exact for a command linear between samples, then a drum with τ/4."""
 
     NAME, STRONG, LIMIT = "lag", ("tau_s",), 3.0
     tau_s: float
@@ -103,7 +104,7 @@ class Loop(Law):
 
         step = (record.t[-1] - record.t[0]) / (len(record.t) - 1)
         omega = 1.0 / self.tau_s
-        b, a, _ = cont2discrete(([omega**2], [1.0, 2 * self.damping * omega, omega**2]), step, method="bilinear")
+        b, a, _ = cont2discrete(([omega**2], [1.0, 2 * self.damping * omega, omega**2]), step, method="foh")
         y = lfilter(np.ravel(b), a, u - u[0], axis=0) + u[0]
         return slow(record.t, y, self.tau_s / 4)
 
@@ -122,11 +123,14 @@ class Motor(Law):
 
     def drive(self, record: Record, u: Floats) -> Floats:
         speed, step = 1.0 / self.slowness, (record.t[-1] - record.t[0]) / (len(record.t) - 1)
-        y, out = u[0].copy(), np.empty_like(u)
-        for k, want in enumerate(u):
-            for _ in range(4):
-                y = y + step / 4 * speed * np.tanh((want - y) / (speed * self.tau_s))
-            out[k] = y
+        out = np.empty_like(u)
+        for c, column in enumerate(u.T):
+            y, line = float(column[0]), []
+            for want in column.tolist():
+                for _ in range(4):
+                    y += step / 4 * speed * tanh((want - y) / (speed * self.tau_s))
+                line.append(y)
+            out[:, c] = line
         return out
 
 
@@ -198,7 +202,7 @@ class Gear(Law):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(tuple(0.6 * np.array(per_channel(rng, channels, False))), float(rng.uniform(0.01, 0.03)))
+        return cls(tuple(0.6 * np.array(per_channel(rng, channels, False))), float(rng.uniform(0.002, 0.006)))
 
     def drive(self, record: Record, u: Floats) -> Floats:
         step = (record.t[-1] - record.t[0]) / (len(record.t) - 1)
@@ -271,7 +275,7 @@ class SoftCables(Law):
 class CableCreep(Law):
     """d − a ⟨d⟩ late by τ and by 5 τ, of cables that are pulled."""
 
-    NAME, STRONG, LIMIT = "tendon_creep", ("loss",), 4.0
+    NAME, STRONG, LIMIT = "tendon_creep", ("loss",), 2.5
     loss: Numbers
     tau_s: float
 
@@ -291,7 +295,7 @@ class CableCreep(Law):
 class Drag(Law):
     """u_i + c_i u_j (1 + |u_i|/40)."""
 
-    NAME, STRONG = "coupling", ("share",)
+    NAME, STRONG, LIMIT = "coupling", ("share",), 2.5
     share: Numbers
 
     @classmethod
@@ -304,7 +308,7 @@ class Drag(Law):
 
 @dataclass(frozen=True)
 class LetsGo(Law):
-    """One cable grows longer by δ over a second of hard pulling after t*; the other cable of the pair is wound as before."""
+    """One cable grows longer by δ over a second of hard pulling after t*; the other is wound as before."""
 
     NAME, STRONG, LIMIT = "anchor_slip", ("slip_mm",), 4.0
     cable: int
@@ -341,6 +345,6 @@ class WrongClock(Law):
 
 
 DRIVE: dict[str, type[Law]] = chosen(
-    (Horns, Lever, Packets, Loop, Motor, Stops, OffCentre, Plugs, Gear, DahlElements, LongCables, SoftCables, CableCreep,
-     Drag, LetsGo, WrongClock)
+    (Horns, Lever, Packets, Loop, Motor, Stops, OffCentre, Plugs, Gear, DahlElements, LongCables, SoftCables,
+     CableCreep, Drag, LetsGo, WrongClock)
 )  # fmt: skip

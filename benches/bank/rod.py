@@ -96,6 +96,24 @@ def straight(design: Design, count: int) -> Poses:
     return Poses(x, frame, np.zeros((count, 4)), np.full(count, np.inf))
 
 
+def laid(design: Design, strain: Floats) -> Poses:
+    """Return the rods (not settled) that have strains (B, n, 6): shear, shear, stretch, bending, bending, twist."""
+    poses, length = straight(design, len(strain)), design.length
+    theta = strain[..., 3:] * length[:, None]
+    whole, half = turn(theta), turn(theta / 2)
+    chord = (strain[..., :3] + [0.0, 0.0, 1.0]) * length[:, None]
+    for j in range(len(length)):
+        here = poses.frame[:, j]
+        poses.frame[:, j + 1] = here @ whole[:, j]
+        poses.x[:, j + 1] = poses.x[:, j] + _out(here @ half[:, j], chord[:, j])
+    return poses
+
+
+def strains(design: Design, poses: Poses) -> Floats:
+    """Return the strains (B, n, 6) of rods, as `laid` takes them."""
+    return _strains(design, poses.x, poses.frame)[3]
+
+
 def settle(design: Design, loads: Loads, start: Poses | None = None, parts: int = 8) -> Poses:
     """Find the equilibria of B rods.
 
@@ -192,12 +210,13 @@ def _section(design: Design, loads: Loads, strain: Floats) -> tuple[Floats, Floa
     stretch = 1.0 + np.einsum("nfk,bnk->bnf", lever, np.stack([strain[..., 2], bend[..., 0], bend[..., 1]], axis=2))
     bound = np.maximum(stretch, FLOOR)
     below = stretch - bound
-    modulus = design.young * area / 3.0  # (n, F) N
+    whole_fibre = design.young * area / 3.0  # (n, F) N
+    modulus = whole_fibre * np.where(stretch > 1.0, design.torn, 1.0)
     rate = modulus * (1.0 + 2.0 * bound**-3)
     force = modulus * (bound - bound**-2) + rate * below
     stored = modulus / 2 * (bound**2 + 2.0 / bound - 3.0) + (modulus * (bound - bound**-2) + rate * below / 2) * below
-    whole = np.sum(modulus, axis=1)  # G·A
-    polar = np.sum(modulus * (x**2 + y**2), axis=1)  # G·J
+    whole = np.sum(whole_fibre, axis=1)  # G·A
+    polar = np.sum(whole_fibre * (x**2 + y**2), axis=1)  # G·J
     shear = SHEAR * whole[:, None] * strain[..., :2]
     energy = stored.sum(axis=2) + np.sum(shear * strain[..., :2], axis=2) / 2 + polar * bend[..., 2] ** 2 / 2
     out = np.zeros_like(strain)
@@ -318,7 +337,7 @@ def _element(length: Floats, theta: Floats, chord: Floats, sigma: Floats, law: F
 
 
 def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats) -> tuple[Floats, Floats]:
-    """Return tension (B, 4) N and the slopes (B, n+1, 6, 4) of the cables' lengths; add what taut lines do to `ends`."""
+    """Return tension (B, 4) N and slopes (B, n+1, 6, 4) of the cables' lengths; add what taut lines do to `ends`."""
     m = design.guide.shape[1]
     arm = np.einsum("bmij,cmj->bcmi", frame[:, :m], design.guide)
     line = np.diff(x[:, None, :m] + arm, axis=2)
@@ -332,15 +351,17 @@ def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats
     slopes = np.zeros((*x.shape[:2], 6, 4))
     slopes[:, :m, :3] = np.moveaxis(at, 1, 3)
     slopes[:, :m, 3:] = np.moveaxis(np.cross(arm, at), 1, 3)
-    own, across = pull[..., None, None, None], np.eye(3) - along[..., :, None] * along[..., None, :]
     moved = np.zeros((*along.shape, 12))
     moved[..., :3], moved[..., 6:9] = -np.eye(3), np.eye(3)
     moved[..., 3:6], moved[..., 9:] = hat(arm[:, :, :-1]), -hat(arm[:, :, 1:])
-    stiff = own * (_t(moved) @ (across / span[..., None, None]) @ moved)
+    across = moved - along[..., :, None] * (along[..., None, :] @ moved)
+    across *= np.sqrt(pull[..., None] / span)[..., None, None]
+    rows = np.moveaxis(across, 1, 2).reshape(len(x), m - 1, 12, 12)  # 4 cables of 3 rows
+    ends[:, : m - 1] += _t(rows) @ rows
+    own = pull[..., None, None, None]
     for block, lever, sign in ((slice(3, 6), arm[:, :, :-1], -1.0), (slice(9, 12), arm[:, :, 1:], 1.0)):
         turn_ = lever[..., :, None] * along[..., None, :] - np.sum(lever * along, axis=3)[..., None, None] * np.eye(3)
-        stiff[..., block, block] += sign * own * turn_
-    ends[:, : m - 1] += stiff.sum(axis=1)
+        ends[:, : m - 1, block, block] += np.sum(sign * own * turn_, axis=1)
     return pull, slopes
 
 

@@ -1,4 +1,4 @@
-"""What the bank's rod finger is made of: cross-sections of incompressible rubber fibres, and four cables through guides.
+"""What the bank's rod finger is made of: sections of incompressible rubber fibres, and four cables through guides.
 
 A cross-section is an area of fibres along the rod, each of neo-Hookean rubber that keeps its volume (Poisson 0.5):
 
@@ -33,8 +33,9 @@ class Design:
     """One rod finger at rest: `place` (n+1,) mm of the nodes, and by element what it is made of.
 
     `radius` (n,) mm · `young` (n, F) MPa by fibre · `rest` (n, 3) rad/mm its own curvature and twist · `guide`
-    (4, m, 3) mm where the cables run, from the axis, at the first m nodes · `cable` (4,) N/mm · `slack` (4,) mm by which
-    each cable is too long at rest · `mass` (n+1,) g at the nodes.
+    (4, m, 3) mm where the cables run, from the axis, at the first m nodes · `cable` (4,) N/mm · `slack` (4,) mm by
+    which each cable is too long at rest · `mass` (n+1,) g at the nodes · `torn` (n, F) share of the stress that a fibre
+    carries when it is drawn, 1 in sound rubber.
     """
 
     place: Floats
@@ -45,6 +46,7 @@ class Design:
     cable: Floats
     slack: Floats
     mass: Floats
+    torn: Floats | float = 1.0
 
     @property
     def length(self) -> Floats:

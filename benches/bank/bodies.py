@@ -1,0 +1,76 @@
+"""The two bodies of the bank behind one face: slice A, the Cosserat rod; slice B, finite elements on another mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Protocol
+
+from benches.bank import body_rod, model_rod
+from benches.bank.body_solid import SolidBody
+from benches.bank.law import Floats, Law
+from benches.bank.laws_body import BODY
+from benches.bank.laws_drive import DRIVE
+from benches.bank.laws_unknown import UNKNOWN
+from benches.bank.section import finger
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+
+
+class Body(Protocol):
+    """What a case asks of a body: name, channels, `place` (N,) mm of its points, and the laws that it `can` have."""
+
+    name: str
+    channels: int
+    can: frozenset[str]
+
+    @property
+    def place(self) -> Floats: ...
+
+    def points(self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool) -> Floats:
+        """Return points (K, N, 3) mm under pulls (K, 2C) mm and declared gravity (K, 3) g."""
+        ...
+
+    def rough(self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool) -> Floats:
+        """Return about the same, quickly, for laws that leave the body as it is."""
+        ...
+
+    def rest(self, marked: bool) -> Floats:
+        """Return the points (N, 3) mm without load."""
+        ...
+
+    def model(self) -> Model:
+        """Return the model that is diagnosed."""
+        ...
+
+
+class RodBody:
+    """Slice A."""
+
+    name, channels = body_rod.NAME, 2
+    can = frozenset({*DRIVE, *BODY, *UNKNOWN})
+
+    @property
+    def place(self) -> Floats:
+        return body_rod.template()[0]
+
+    def points(self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool) -> Floats:
+        where = body_rod.markers() if marked else body_rod.template()
+        return body_rod.solved(laws, pull, gravity).points(finger(1), *where)
+
+    def rough(self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool) -> Floats:
+        where = body_rod.markers() if marked else body_rod.template()
+        return body_rod.guessed(pull).points(finger(1), *where)
+
+    def rest(self, marked: bool) -> Floats:
+        return body_rod.rest(body_rod.markers() if marked else body_rod.template())
+
+    def model(self) -> Model:
+        return model_rod.model()
+
+
+@lru_cache(maxsize=4)
+def body_of(slice_: str) -> Body:
+    """Return the body of a slice. Raises KeyError for an unknown one."""
+    return {"A": RodBody, "B": SolidBody}[slice_]()

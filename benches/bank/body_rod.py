@@ -1,0 +1,110 @@
+"""Slice A: the rod finger as a body that laws change.
+
+Every frame of every case is solved to an equilibrium, so that nothing is interpolated in what is seen; a table of
+strains over commands only says where Newton starts, and how strong a law of the command has to be. The rod has 16 + 3
+elements, with which its tip is 0.06 mm from where it would be with four times as many: truth and model share that body.
+Units: mm, g, N. Pinned by tests/test_bank.py.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benches.bank.law import Floats, Law
+from benches.bank.rod import Loads, Poses, laid, settle, strains
+from benches.bank.section import finger
+
+NAME = "rod-finger"
+REACH = 16.0
+HANGING = np.array([0.0, 0.0, 1.0])
+RINGS, AROUND = 14, 12
+GRID = 9  # commands a channel from which Newton starts
+KEPT = Path("out/bank/kept")  # sweeps of the clean rod, which every process would compute again
+
+
+def template() -> tuple[Floats, Floats]:
+    """Return the seen points of the finger: place (N,) mm along it and offset (N, 2) mm from its axis."""
+    design = finger(1)
+    place = np.repeat(np.linspace(0.0, design.place[-1], RINGS), AROUND)
+    radius = np.interp(place, design.middle, design.radius)
+    angle = np.tile(np.arange(AROUND) * 2 * np.pi / AROUND, RINGS)
+    return place, radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def markers() -> tuple[Floats, Floats]:
+    """Return nine marker points on the surface, as `template`: three on each of three rings."""
+    design = finger(1)
+    place = np.repeat([40.0, 75.0, 108.0], 3)
+    angle = np.tile(np.arange(3) * 2 * np.pi / 3, 3) + np.repeat([0.2, 1.1, 0.6], 3)
+    radius = np.interp(place, design.middle, design.radius)
+    return place, radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def rest(points: tuple[Floats, Floats]) -> Floats:
+    """Return where points (N, 3) mm are before any load."""
+    return np.concatenate([points[1], points[0][:, None]], axis=1)
+
+
+def solved(laws: Sequence[Law], pull: Floats, gravity: Floats, start: Poses | None = None) -> Poses:
+    """Return the finger in equilibrium under pulls (K, 4) mm and declared gravity (K, 3) g, as `laws` make it."""
+    design = finger(1)
+    for law in laws:
+        design = law.design(design)
+    loads = Loads(pull, np.asarray(gravity, float), np.zeros((len(pull), 3)))
+    poses = start or guessed(pull)
+    if any(law.NAME == "magnet" for law in laws):
+        poses = settle(design, loads, poses)
+    for law in laws:
+        loads = law.loads(loads, poses)
+    return settle(design, loads, poses)
+
+
+def guessed(pull: Floats) -> Poses:
+    """Return about where the plain finger is under pulls (K, 4) mm: strains interpolated in a small table."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    half = pull.shape[1] // 2
+    first, second = pull[:, :half], pull[:, half:]
+    u = np.where(first >= second, first, -second)
+    axis, table = _table()
+    values = RegularGridInterpolator([axis] * half, table, bounds_error=False, fill_value=None)(u)
+    return laid(finger(1), values.reshape(len(u), -1, 6))
+
+
+@lru_cache(maxsize=1)
+def _table() -> tuple[Floats, Floats]:
+    axis = np.linspace(-18.0, 18.0, GRID)
+    table = kept("start", (GRID,), lambda: {"strain": strains(finger(1), settle(finger(1), hanging(grid(axis))))})
+    return axis, table["strain"].reshape(GRID, GRID, -1)
+
+
+def grid(axis: Floats) -> Floats:
+    return np.stack([g.ravel() for g in np.meshgrid(axis, axis, indexing="ij")], axis=1)
+
+
+def hanging(u: Floats) -> Loads:
+    pull = np.concatenate([u, -u], axis=1)
+    return Loads(pull, np.tile(HANGING, (len(u), 1)), np.zeros((len(u), 3)))
+
+
+def kept(name: str, of: tuple[object, ...], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Return what `make` computes, from a file if these very sources wrote it with the same `of` before."""
+    sources = [Path(__file__).with_name(n).read_bytes() for n in ("section.py", "rod.py", "body_rod.py")]
+    digest = hashlib.sha256(b"".join(sources) + repr(of).encode()).hexdigest()[:12]
+    path = KEPT / f"rod-{name}-{digest}.npz"
+    if path.exists():
+        with np.load(path, allow_pickle=False) as archive:
+            return dict(archive)
+    found = make()
+    KEPT.mkdir(parents=True, exist_ok=True)
+    half = path.with_suffix(f".{os.getpid()}.npz")
+    np.savez(half, **found)
+    half.replace(path)
+    return found

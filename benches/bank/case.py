@@ -1,0 +1,236 @@
+"""One case of the bank: a pure function of (set of seeds, slice, level, kind, number).
+
+    null        nothing is hidden                      unknown      a law that no library has
+    single      one law                                removed      one law, diagnosed without its effect
+    pair        two laws                               untestable   a law that this very run cannot show, or not alone
+    rivals      as untestable, then with the run that was asked for
+
+Development seeds are for setting thresholds, reporting seeds for figures; no threshold may be set on the latter.
+The strength of each law is scaled until the section centroids move by what the level says on the standard protocol.
+Units: s, mm, g, °C. Pinned by tests/test_bank.py.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benches.bank.bodies import Body, body_of
+from benches.bank.law import Floats, Law, Record
+from benches.bank.laws_body import BODY
+from benches.bank.laws_drive import DRIVE
+from benches.bank.laws_unknown import UNKNOWN
+from benches.bank.watch import LEVELS, Level, background, looked, names, rms, sections
+from softmap_edge.protocol import HANGING, Protocol, other_protocol, standard_protocol
+from softmap_edge.run import Run
+
+SEEDS = {"development": 20_000, "reporting": 70_000}
+KINDS = ("null", "single", "pair", "unknown", "removed", "untestable", "rivals")
+LAWS: dict[str, type[Law]] = {**DRIVE, **BODY}
+GROSS = ("servo_swap",)  # as large as they are
+ONE_POSE, AT_REST = ("gravity", "payload"), ("latency", "lag", "rate_limit")
+EVERY = 4  # frames: every fourth tells how far a law moves the finger
+TRIES = 6  # characters drawn until one can move the finger as far as wanted
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A finger with its secrets, before a camera."""
+
+    name: str
+    level: Level
+    kind: str
+    body: Body
+    laws: tuple[Law, ...]  # hidden
+    small: tuple[Law, ...]  # always there
+    moved_mm: tuple[float, ...]  # by each hidden law alone, section centroids
+    seed: int
+    marked: bool  # seen by markers, not as a surface
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Return the names of the hidden laws."""
+        return names(self.laws)
+
+    def run(self, protocol: Protocol, laws: Sequence[Law] | None = None, warm: bool = True) -> Run:
+        """Record a protocol; without `laws` as it is, with `()` the twin that hides nothing. Same noise for both."""
+        rng = np.random.default_rng([self.seed, protocol.frames])
+        acting = (*self.small, *(self.laws if laws is None else laws))
+        points = seen(self.body, acting, protocol, self.marked, warm)
+        noisy, visible = looked(points, protocol.t_seen, self.level, rng)
+        kind = {"markers": noisy, "marker_rest": self.body.rest(True)} if self.marked else {"vertices": noisy}
+        return Run(
+            t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen,
+            block=protocol.block, temperature=temperature(protocol.t, warm), robot=self.body.name,
+            visible=None if visible.all() else visible, **kind,
+        )  # fmt: skip
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what was hidden."""
+        told = [
+            {"name": law.NAME, "params": law.params(), "moved_mm": round(mm, 4)}
+            for law, mm in zip(self.laws, self.moved_mm)
+        ]
+        return {"case": self.name, "hidden": told, "seen": "markers" if self.marked else "vertices"}
+
+
+def case(seeds: str, slice_: str, level: str, kind: str, number: int) -> Case:
+    """Make a case. Raises KeyError for an unknown word, ArithmeticError if a body does not settle."""
+    name = f"{seeds}-{slice_}-{level}-{kind}-{number:04d}"
+    seed = SEEDS[seeds] + number
+    rng = np.random.default_rng([seed, zlib.crc32(f"{slice_} {level} {kind}".encode())])
+    body, hardness = body_of(slice_), LEVELS[level]
+    small = background(hardness, rng, body.channels)
+    wanted = _wanted(kind, number, rng, body)
+    found = [_drawn(one, body, hardness, rng) for one in wanted]
+    order = list(LAWS) + list(UNKNOWN)
+    found.sort(key=lambda pair: order.index(pair[0].NAME))
+    return Case(
+        name, hardness, kind, body, tuple(law for law, _ in found), small, tuple(mm for _, mm in found),
+        int(rng.integers(2**31)), kind != "null" and number % 5 == 4 or kind == "null" and number % 4 == 3,
+    )  # fmt: skip
+
+
+def _wanted(kind: str, number: int, rng: np.random.Generator, body: Body) -> list[str]:
+    """Return what a case hides: singles go round, pairs are drawn."""
+    known = [name for name in LAWS if name in body.can]
+    if kind == "null":
+        return []
+    if kind in ("single", "removed"):
+        return [known[number % len(known)]]
+    if kind == "pair":
+        loose = [name for name in known if name not in (*GROSS, "clock_shift")]
+        return [str(name) for name in rng.choice(loose, size=2, replace=False)]
+    if kind == "unknown":
+        strange = [name for name in UNKNOWN if name in body.can]
+        return [strange[number % len(strange)]]
+    if kind == "untestable":
+        choice = (*ONE_POSE, *AT_REST)
+        return [choice[number % len(choice)]]
+    if kind == "rivals":
+        return [ONE_POSE[number % 2]]
+    raise KeyError(f"no kind '{kind}'; there are {', '.join(KINDS)}")
+
+
+def protocol_of(kind: str, hidden: Sequence[str], number: int) -> Protocol:
+    """Return what is recorded for a first diagnosis: the standard protocol, or one that cannot show what is hidden."""
+    whole = standard_protocol(2, seed=number % 16)
+    if kind in ("untestable", "rivals") and set(hidden) <= set(ONE_POSE):
+        return _in_one_pose(whole)
+    return at_rest(number) if kind == "untestable" else whole
+
+
+def _in_one_pose(whole: Protocol) -> Protocol:
+    """Return the second half of the standard protocol: one orientation, leaning."""
+    leaning = np.any(whole.gravity != HANGING, axis=1)
+    start = float(whole.t[np.flatnonzero(leaning)[0]])
+    later, frames = whole.t >= start, whole.t_seen >= start
+    return Protocol(
+        "one orientation", whole.t[later] - start, whole.command[later], whole.gravity[later],
+        whole.t_seen[frames] - start, whole.block[frames],
+    )  # fmt: skip
+
+
+def at_rest(number: int) -> Protocol:
+    """Return a grid of commands that is seen only when all has settled: no motion, no dwell, one history."""
+    rng = np.random.default_rng([number, 5])
+    targets = rng.permutation(np.stack(np.meshgrid(*[np.linspace(-10, 10, 7)] * 2), axis=2).reshape(-1, 2))
+    corners, times, now, looks, labels = [np.zeros(2)], [0.0], 0.0, [1.0, 2.0, 3.0, 4.0], ["home"] * 4
+    now = 5.0
+    times.append(now)
+    corners.append(np.zeros(2))
+    for k, target in enumerate(targets):
+        now += max(float(np.abs(target - corners[-1]).max()) / 9.0, 0.1)
+        times.append(now)
+        corners.append(target)
+        now += 6.0
+        times.append(now)
+        corners.append(target)
+        looks += [now - 0.6, now - 0.3, now - 0.05]
+        labels += [f"row {k // 7}"] * 3
+    t = np.arange(0.0, now, 0.02)
+    command = np.stack([np.interp(t, times, [c[i] for c in corners]) for i in range(2)], axis=1)
+    half = t > now / 2
+    gravity = np.tile(HANGING, (len(t), 1)).astype(float)
+    gravity[half] = standard_protocol(2).gravity[-1]
+    return Protocol("at rest", t, command, gravity, np.array(looks), np.array(labels))
+
+
+def judge_protocol(number: int) -> Protocol:
+    """Return the run of another kind, on which the fall of the error is measured."""
+    return other_protocol(2, seed=number % 16)
+
+
+def temperature(t: Floats, warm: bool = True) -> Floats:
+    """Return what the run says of the room (T,) °C: it warms by 9 K, halts, and cools again by half, slowly."""
+    if not warm:
+        return np.full(t.size, 22.0)
+    knots = np.array([0.0, 0.15, 0.4, 0.55, 0.75, 1.0]) * max(float(t[-1]), 1.0)
+    return np.asarray(np.interp(t, knots, [22.0, 22.0, 31.0, 31.0, 25.0, 27.0]))
+
+
+def seen(
+    body: Body, laws: Sequence[Law], protocol: Protocol, marked: bool, warm: bool = True, every: int = 1,
+    rough: bool = False,
+) -> Floats:  # fmt: skip
+    """Return the true points (K, N, 3) mm of every `every`-th frame; `rough` ones are not settled."""
+    order = list(LAWS) + list(UNKNOWN)
+    laws = sorted(laws, key=lambda law: order.index(law.NAME))
+    record = Record(protocol.t, protocol.command, temperature(protocol.t, warm))
+    u = protocol.command
+    for law in laws:
+        u = law.drive(record, u)
+    pull = np.concatenate([u, -u], axis=1)
+    for law in laws:
+        pull = law.pull(record, pull)
+    labelled = protocol.t_seen[::every]
+    taken = labelled
+    for law in laws:
+        taken = law.clock(taken)
+    at = np.stack([np.interp(taken, protocol.t, column) for column in pull.T], axis=1)
+    gravity = protocol.gravity[np.searchsorted(protocol.t, labelled, side="right") - 1]
+    points = (body.rough if rough else body.points)(laws, at, gravity, marked)
+    for law in laws:
+        points = law.seen(points, labelled)
+    return points
+
+
+def _drawn(name: str, body: Body, level: Level, rng: np.random.Generator) -> tuple[Law, float]:
+    """Draw a law and scale it until it moves the section centroids as far as the level wants, in mm RMS.
+
+    A twist turns sections without moving their centres: there the points count.
+    """
+    low, high = level.moves_mm
+    kind = LAWS[name] if name in LAWS else UNKNOWN[name]
+    protocol = standard_protocol(2)
+    best: tuple[Law, float] | None = None
+    for _ in range(TRIES):
+        drawn = kind.draw(rng, body.channels)
+        target = float(rng.uniform(low, high))
+        strength, reached = 1.0, 0.0
+        plain = seen(body, (), protocol, False, every=EVERY, rough=not kind.SHAPE)
+        for _ in range(1 if name in GROSS else 7):
+            try:
+                there = seen(body, (drawn.scaled(strength),), protocol, False, every=EVERY, rough=not kind.SHAPE)
+            except ArithmeticError:  # so strong that the body buckles
+                strength *= 0.6
+                continue
+            moved = there - plain
+            reached = max(rms(sections(moved, body.place)), rms(moved) if name == "twist" else 0.0)
+            if abs(reached - target) < 0.04 * target or name in GROSS:
+                break
+            step = np.clip(target / max(reached, 1e-6), 0.25, 4.0)
+            if strength >= drawn.LIMIT and step > 1.0:
+                break
+            strength = float(min(strength * step, drawn.LIMIT))
+        found = (drawn.scaled(strength), reached)
+        if name in GROSS or low * 0.8 <= reached <= 1.2 * high:
+            return found
+        if best is None or abs(np.log(max(reached, 1e-6) / low)) < abs(np.log(max(best[1], 1e-6) / low)):
+            best = found
+    assert best is not None
+    return best

@@ -1,0 +1,194 @@
+"""What a diagnosis of a case is worth, and the table of all cases: goal, measured, 95 % interval, n.
+
+A law counts as named if it has the largest share of what is claimed and stands alone: every rival set holds it, or
+holds in its place a structural equivalent under the conditions of the run (`twins`). A name that the library does not
+have, or that this model cannot express, is told as *not in the library*. Intervals are Wilson's:
+
+    (p + z²/2n ± z √(p(1−p)/n + z²/4n²)) / (1 + z²/n),   z = 1.96
+
+Fall = (before − after)/(before − floor) of the RMS error (mm) over all seen points of a run of another kind; the floor
+is the same finger with nothing hidden. Pinned by tests/test_bank.py.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+Row = Mapping[str, Any]
+
+ALWAYS = (("latency", "clock_shift"), ("dead_zone", "slack"), ("gain", "tendon_stretch"), ("offset", "pre_curve"))
+IN_ONE_POSE = (("gravity", "payload"),)
+
+
+def twins(name: str, one_pose: bool) -> set[str]:
+    """Return what cannot be told from an effect, itself included."""
+    pairs = ALWAYS + (IN_ONE_POSE if one_pose else ())
+    return {name}.union(*(pair for pair in pairs if name in pair))
+
+
+def judged(hidden: Sequence[str], document: Mapping[str, Any], one_pose: bool = False) -> dict[str, Any]:
+    """Return what a diagnosis `document` says about a finger that hides `hidden`, and what of it is right."""
+    entries = sorted([*document["effects"], *document["faults"]], key=lambda e: -e["share"])
+    named = [e["name"] for e in entries]
+    rivals = [set(r["effects"]) for r in document["rivals"]]
+    candidates = set(document["made_from"]["candidates"])
+    known = {name: bool(twins(name, one_pose) & candidates) for name in hidden}
+    like = {name: twins(name, one_pose) for name in hidden}
+    right = [any(e["name"] in like[name] for name in hidden) for e in entries]
+    top = named[0] if named else None
+    alone = bool(named) and any(top in like[n] and all(r & like[n] for r in rivals) for n in hidden)
+    said = set(named).union(*rivals)
+    open_ = {h["name"] for h in document["not_testable"]}
+    settles = {name for block in document["next"] for name in block["settles"]}
+    honest = document["verdict"] in ("ambiguous", "cannot_tell", "nothing") and all(
+        like[n] & (open_ | settles | (said if rivals else set())) for n in hidden
+    )
+    return {
+        "verdict": document["verdict"],
+        "named": named,
+        "rivals": [sorted(r) for r in rivals],
+        "not_testable": sorted(open_),
+        "next": [{"block": b["block"], "settles": b["settles"]} for b in document["next"]],
+        "in_library": all(known.values()),
+        "first": alone,
+        "exact": len(named) == len(hidden) and _matched(named, like),
+        "inside": any(len(s) == len(hidden) and _matched(s, like) for s in [set(named), *rivals]),
+        "claims": [{"name": e["name"], "probability": e["probability"], "true": ok} for e, ok in zip(entries, right)],
+        "flagged": document["verdict"] == "partly_explained",
+        "cannot": honest and all(like[n] & settles for n in hidden),
+    }
+
+
+def _matched(named: Any, like: Mapping[str, set[str]]) -> bool:
+    """Whether each hidden law has a name of its own among those named."""
+    left = set(named)
+    for names in like.values():
+        if not left & names:
+            return False
+        left -= {sorted(left & names)[0]}
+    return True
+
+
+def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:
+    """Return the 95 % interval of a share."""
+    if n == 0:
+        return 0.0, 1.0
+    p = hits / n
+    middle, half = p + z * z / (2 * n), z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    return float((middle - half) / (1 + z * z / n)), float((middle + half) / (1 + z * z / n))
+
+
+def calibration_error(claims: Sequence[Row], bins: int = 10) -> float:
+    """Return the expected calibration error of claims `{probability, true}`: Σ share |mean p − share true| by bin."""
+    if not claims:
+        return 0.0
+    p = np.array([c["probability"] for c in claims])
+    true = np.array([c["true"] for c in claims], float)
+    which = np.minimum((p * bins).astype(int), bins - 1)
+    return float(sum(abs(p[which == b].sum() - true[which == b].sum()) for b in range(bins)) / len(p))
+
+
+def confusion(rows: Sequence[Row]) -> dict[str, Counter[str]]:
+    """Return, for each law hidden alone, how often what was named first (`-` nothing, `+?` flagged)."""
+    found: dict[str, Counter[str]] = {}
+    for row in rows:
+        if row["kind"] == "single":
+            top = row["named"][0] if row["named"] else "-"
+            found.setdefault(row["hidden"][0], Counter())[top + ("+?" if row["flagged"] else "")] += 1
+    return found
+
+
+Measure = tuple[str, str, Callable[[Row], bool], Callable[[Row], bool]]
+
+
+def _is(*kinds: str, known: bool | None = True) -> Callable[[Row], bool]:
+    return lambda row: row["kind"] in kinds and (known is None or row["in_library"] == known)
+
+
+SHARES: tuple[Measure, ...] = (
+    ("single effect, alone in first place", "≥ 98 % easy, ≥ 90 % real", _is("single"), lambda r: r["first"]),
+    ("exact set, pairs", "≥ 93 % real", _is("pair"), lambda r: r["exact"]),
+    ("truth inside the reported set", "≥ 97 %", _is("single", "pair"), lambda r: r["inside"]),
+    ("nothing hidden, something claimed", "≤ 1 %", _is("null", known=None), lambda r: bool(r["named"])),
+    ("false 'unknown' flags", "≤ 5 %", _is("null", "single", "pair"), lambda r: r["flagged"]),
+    ("unknown law flagged", "≥ 97 %", _is("unknown", known=None), lambda r: r["flagged"]),
+    ("true effect removed: flagged, or its equivalent named", "≥ 85 %",
+     _is("removed", known=None), lambda r: r["flagged"] or r["first"]),
+    ("not in the library: flagged, or its equivalent named", "≥ 85 %",
+     _is("single", "pair", known=False), lambda r: r["flagged"] or r["first"]),
+    ("says 'cannot tell', with the right experiment", "≥ 98 %", _is("untestable", known=None), lambda r: r["cannot"]),
+    ("rivals resolved after the suggested experiment", "≥ 97 %", _is("rivals"), lambda r: r["first"]),
+)  # fmt: skip
+
+
+def table(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return the measures of cases, one dict each: measure, goal, value, low, high, n, hits."""
+    done = [row for row in rows if "failed" not in row]
+    found = []
+    for what, goal, among, hit in SHARES:
+        mine = [row for row in done if among(row)]
+        if mine:
+            hits = sum(bool(hit(row)) for row in mine)
+            low, high = wilson(hits, len(mine))
+            found.append(dict(measure=what, goal=goal, value=hits / len(mine), low=low, high=high, n=len(mine)))
+    claims = [c for row in done if row["kind"] in ("null", "single", "pair") for c in row["claims"]]
+    if claims:
+        true = sum(c["true"] for c in claims)
+        low, high = wilson(true, len(claims))
+        found.append(
+            dict(
+                measure="claims that are true",
+                goal="≥ 95 %",
+                value=true / len(claims),
+                low=low,
+                high=high,
+                n=len(claims),
+            )
+        )
+        found.append(
+            dict(measure="calibration error (ECE)", goal="≤ 3 %", value=calibration_error(claims), n=len(claims))
+        )
+    fell = [row["fall"] for row in done if row["kind"] == "single" and row["in_library"] and row["fall"] is not None]
+    if fell:
+        low, high = np.quantile(fell, [0.25, 0.75])
+        found.append(
+            dict(measure="fall of the held-out error, single (median, quartiles)", goal="≥ 90 %",
+                 value=float(np.median(fell)), low=float(low), high=float(high), n=len(fell))
+        )  # fmt: skip
+    for what, key in (("time of a diagnosis, s (median)", "seconds"), ("time of a truth, s (median)", "truth_seconds")):
+        times = [row[key] for row in done if row["kind"] in ("null", "single", "pair")]
+        if times:
+            low, high = np.quantile(times, [0.05, 0.95])
+            goal = "≤ 2" if key == "seconds" else "-"
+            value = float(np.median(times))
+            found.append(dict(measure=what, goal=goal, value=value, low=low, high=high, n=len(times), unit="s"))
+    return found
+
+
+def text(rows: Sequence[Row]) -> str:
+    """Return the table by slice and level, and the confusion matrix."""
+    lines = []
+    groups = sorted({(row["slice"], row["level"]) for row in rows})
+    for slice_, level in groups:
+        mine = [row for row in rows if (row["slice"], row["level"]) == (slice_, level)]
+        lines += ["", f"slice {slice_}, {level}: {len(mine)} cases"]
+        lines.append(f"  {'measure':<56}{'goal':<28}{'measured':>9}   95 % interval       n")
+        for m in table(mine):
+            scale, unit = (1.0, "s") if m.get("unit") == "s" else (100.0, "%")
+            between = f"{scale * m['low']:6.1f} … {scale * m['high']:5.1f}" if "low" in m else ""
+            lines.append(
+                f"  {m['measure']:<56}{m['goal']:<28}{scale * m['value']:7.1f} {unit}  {between:<16}{m['n']:>6}"
+            )
+        failed = [row for row in mine if "failed" in row]
+        lines += [f"  failed: {row['case']}: {row['failed']}" for row in failed]
+    done = [row for row in rows if "failed" not in row]
+    lines += ["", "hidden alone → named first (`-` nothing, `?` something unknown is flagged as well)"]
+    for name, said in sorted(confusion(done).items()):
+        known = all(row["in_library"] for row in done if row["kind"] == "single" and row["hidden"] == [name])
+        told = ", ".join(f"{what} {count}" for what, count in said.most_common())
+        lines.append(f"  {name + ('' if known else ' (not in the library)'):<44}{told}")
+    return "\n".join(lines)

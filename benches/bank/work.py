@@ -1,0 +1,75 @@
+"""One case from beginning to end: make it, diagnose it, judge it, write one small JSON. What the processes call."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+Task = tuple[str, str, str, str, int]  # seeds, slice, level, kind, number
+
+
+def run_case(task: Task) -> dict[str, Any]:
+    """Make one case, diagnose it, judge it."""
+    from benches.bank.case import case, judge_protocol, protocol_of
+    from benches.bank.judge import judged
+    from benches.bank.watch import rms
+    from softmap_edge import _core
+    from softmap_edge.diagnosis.diagnose import diagnose
+
+    seeds, slice_, level, kind, number = task
+    started = time.perf_counter()
+    mine = case(*task)
+    model = mine.body.model()
+    judge = judge_protocol(number)
+    run, other = mine.run(protocol_of(kind, mine.hidden, number)), mine.run(judge)
+    twin = mine.run(judge, ()) if mine.laws else other
+    whole = mine.run(protocol_of("single", mine.hidden, number)) if kind == "rivals" else None
+    made = time.perf_counter()
+    library = [e["name"] for e in _core.effects() if kind != "removed" or e["name"] not in mine.hidden]
+    first = diagnose(model, run, effects=library)
+    finished = time.perf_counter()
+    verdict = judged(mine.hidden, first.to_dict(), one_pose=kind in ("untestable", "rivals"))
+    if whole is not None:
+        before, last = verdict, diagnose(model, whole, effects=library)
+        verdict = judged(mine.hidden, last.to_dict()) | {"at_first": before}
+    elif kind == "removed":
+        verdict["in_library"] = any(e["name"] in mine.hidden for e in _core.effects())
+
+    def off(predicted: Any, seen: Any) -> float:
+        points = seen.vertices if seen.vertices is not None else seen.markers
+        return rms(predicted.predict(seen) - points, seen.visible)
+
+    error = {"before": off(model, other), "after": off(first.model, other), "floor": off(model, twin)}
+    removable = error["before"] - error["floor"]
+    fall = (error["before"] - error["after"]) / removable if mine.laws and removable > 0.05 else None
+    return {
+        "slice": slice_, "level": level, "kind": kind, "number": number, "seeds": seeds, **mine.to_dict(), **verdict,
+        "hidden": list(mine.hidden), "laws": mine.to_dict()["hidden"], "error_mm": error, "fall": fall,
+        "frames": int(run.t_seen.size), "sentence": first.sentence,
+        "truth_seconds": round(made - started, 2), "seconds": round(finished - made, 2),
+    }  # fmt: skip
+
+
+def kept(task: Task, out: Path) -> Path:
+    """Return the file of a case."""
+    seeds, slice_, level, kind, number = task
+    return out / f"{seeds}-{slice_}-{level}-{kind}-{number:04d}.json"
+
+
+def work(job: tuple[Task, str]) -> dict[str, Any]:
+    """Run one case and write its file; a case that fails says so in its file, and is tried again next time."""
+    task, out = job
+    try:
+        row = run_case(task)
+    except Exception as error:  # one case must not stop a thousand others
+        row = dict(zip(("seeds", "slice", "level", "kind", "number"), task)) | {
+            "case": kept(task, Path(out)).stem, "failed": f"{type(error).__name__}: {error}"[:300],
+        }  # fmt: skip
+    path = kept(task, Path(out))
+    half = path.with_suffix(f".{os.getpid()}.part")
+    half.write_text(json.dumps(row) + "\n", encoding="utf-8")
+    half.replace(path)
+    return row
