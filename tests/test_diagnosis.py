@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from arm import LIBRARY, Arm, protocol, record_run
 
+from softmap_edge import _core
 from softmap_edge.bundle import builtin_model
 from softmap_edge.diagnosis.comparison import compare
 from softmap_edge.diagnosis.diagnose import Diagnosis, diagnose, refit
@@ -229,17 +230,39 @@ def finger_run(names=(), params=None, acting=None, noise=0.25):
     return replace(run, vertices=points + noise * np.random.default_rng(0).normal(size=points.shape))
 
 
-@pytest.mark.parametrize(
-    "acting",
-    [lambda u: np.clip(u, -8.0, 8.0), lambda u: np.sign(u) * np.maximum(np.abs(u) - 1.0, 0.0)],
-    ids=["saturation", "dead zone"],
-)
-def test_what_no_effect_explains_is_no_effect(acting):
-    """A static law outside the library: an effect that the form error lets pass must still win in mm, or go."""
-    found = diagnose(builtin_model(), finger_run(acting=acting))
+LAWS = {
+    "saturation": lambda u: np.clip(u, -8.0, 8.0),
+    "dead_zone": lambda u: np.sign(u) * np.maximum(np.abs(u) - 1.0, 0.0),
+    "eccentric_pulley": lambda u: u + 0.8 * (np.sin(u / 4.0 + 0.3) - np.sin(0.3)),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_what_no_effect_explains_is_no_effect(name):
+    """A static law is named where the library has it; without it, what takes its place must win in mm, or go."""
+    run = finger_run(acting=LAWS[name])
+    whole = diagnose(builtin_model(), run)
+    assert whole.verdict == "identified" and named(whole) == {name}
+    rest = [e["name"] for e in _core.effects() if e["name"] != name]
+    found = diagnose(builtin_model(), run, effects=rest)
     assert found.verdict == "partly_explained"
     values = [found.error["model"]] + [step["value"] for step in found.error["ladder"]]
     assert values[-1] == min(values)
+
+
+@pytest.mark.parametrize(
+    ("acting", "case"), [(lambda u: u[:, ::-1], 3), (lambda u: u * [1.0, -1.0], 2)], ids=["swap", "sign"]
+)
+def test_wrong_wiring_is_named_before_any_physics(acting, case):
+    """Swapped servos move the finger ten times as far off as the play behind them, and hide it not."""
+    found = diagnose(builtin_model(), finger_run(acting=acting))
+    assert found.verdict == "measurement_fault" and found.effects == []
+    assert found.faults[0]["params"]["servo_swap.case"]["value"] == case
+    assert "measurement is at fault" in found.sentence and "servo_swap" in found.sentence
+    behind = diagnose(builtin_model(), finger_run(["backlash"], {"backlash.gap": 1.0}, acting=acting))
+    assert [f["name"] for f in behind.faults] == ["servo_swap"] and [e["name"] for e in behind.effects] == ["backlash"]
+    assert behind.error["ladder"][-1]["value"] < 0.1 * behind.error["ladder"][0]["value"]
+    assert behind.effects[0]["params"]["backlash.gap"]["value"] == pytest.approx(1.0, abs=0.02)
 
 
 def test_tiny_effect_is_no_larger_lie():

@@ -82,7 +82,7 @@ def assert_whole(page, pictures):
 
 def test_a_comparison_has_its_page(story, capsys):
     page, document = written(story, capsys, "compare", story / "run.npz")
-    assert_whole(page, pictures=4)  # over time, on the body, where, tip
+    assert_whole(page, pictures=5)  # over time, on the body, where, tip
     assert f"{document['error']['rms_mm']:.2f} mm" in page.text
     assert f"{document['noise_floor_mm']:.3f} mm" in page.text and "floor" in page.text
     assert "effects in the model: none" in page.text
@@ -91,7 +91,7 @@ def test_a_comparison_has_its_page(story, capsys):
 def test_two_bundles_have_one_page_that_shows_the_fall(story, capsys):
     bundles = ("--bundle", story / "plain", "--bundle", story / "played")
     page, (before, after) = written(story, capsys, "compare", story / "run.npz", *bundles)
-    assert_whole(page, pictures=4)
+    assert_whole(page, pictures=5)
     old, new = before["error"]["rms_mm"], after["error"]["rms_mm"]
     assert new < 0.5 * old
     assert f"{old:.2f} mm" in page.text and f"{new:.3f} mm" in page.text
@@ -101,7 +101,7 @@ def test_two_bundles_have_one_page_that_shows_the_fall(story, capsys):
 
 def test_a_diagnosis_has_its_page(story, capsys):
     page, document = written(story, capsys, "diagnose", story / "run.npz", "--effects", "backlash,lag,gain")
-    assert_whole(page, pictures=5)  # and the ladder
+    assert_whole(page, pictures=6)  # and the ladder
     assert [e["name"] for e in document["effects"]] == ["backlash"]
     assert document["verdict"] in page.text and " ".join(document["sentence"].split()) in page.text
     gap = document["effects"][0]["params"]["backlash.gap"]

@@ -79,7 +79,7 @@ def conclude(
     record = search.problem.record
     registry = {e["name"]: e for e in record.library.effects()}
     weights = {e: max(search.share(fit, e), 0.0) for e in fit.effects}
-    order = sorted(fit.effects, key=lambda e: (-weights[e], e))
+    order = sorted(fit.effects, key=lambda e: (e not in search.faults, -weights[e], e))
     found = search.rivals(fit)
     left = leftover(search, fit)
     hidden = [*not_testable(search, fit, registry), *impossible]
@@ -131,9 +131,9 @@ def _entries(
     record = search.problem.record
     sigma = search.problem.uncertainty(fit, search.dispersion(fit)) if len(fit.x) else np.zeros(0)
     probability = search.probabilities(fit, TEMPERATURE)
-    total = max(sum(weights.values()), 1e-300)
     entries = []
     for name in order:
+        total = sum(weights[e] for e in order if (e in search.faults) == (name in search.faults))
         open_rivals = sum(1 for r in rivals if r["member"] == name)
         held = None
         if other is not None:
@@ -144,7 +144,7 @@ def _entries(
                 "family": registry[name]["family"],
                 "stage": registry[name]["stage"],
                 "probability": min(probability[name], 1.0 / (1 + open_rivals)),
-                "share": weights[name] / total,
+                "share": weights[name] / max(total, 1e-300),
                 "displacement_mm": {"fitted": record.rms_mm(search.displacement(fit, name)), "held_out": held},
                 "params": parameters(record, fit, sigma, (name,)),
             }
@@ -165,7 +165,7 @@ def _shift_on(fit: Fit, other: Record, name: str) -> Floats:
 def parameters(record: Record, fit: Fit, sigma: Floats, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the fitted parameters of the effects `names` by label: value, sigma, unit, and whether at a bound.
 
-    A bound where the effect ends (no payload, one creep time) is none.
+    A bound where the effect ends (no payload, one creep time) is none, nor is the last of whole numbers.
     """
     values, null = fit.space.values(fit.x), fit.space.scaled(fit.space.null)
     in_commands = {e["name"] for e in record.library.effects() if e["role"] == "channel"}
@@ -179,7 +179,7 @@ def parameters(record: Record, fit: Fit, sigma: Floats, names: Sequence[str]) ->
         if unit == "mm" and label.split(".")[0] in in_commands:
             unit = getattr(record.model, "command_unit", "mm")
         bounds = [x for x in (fit.space.low[j], fit.space.high[j]) if abs(x - null[j]) > 1e-6]
-        at_bound = any(abs(fit.x[j] - x) <= 1e-6 for x in bounds)
+        at_bound = not fit.space.integer[j] and any(abs(fit.x[j] - x) <= 1e-6 for x in bounds)
         found[label] = {"value": float(values[j]), "sigma": float(sigma[j]), "unit": unit, "at_bound": at_bound}
     return found
 

@@ -39,7 +39,6 @@ SCHEMA = "softmap.diagnosis/1"
 UNSAID = 0.05  # share of the frames that may lie outside what a model was made from
 OWN_FALL = 0.7  # fall of the held-out error by a refit from which the model's own numbers are in doubt
 ALIKE = 0.95  # cosine between two whitened signatures from which they cannot be told apart by their form
-CANDIDATES = ("offset", "gain", "latency", "lag", "backlash", "hysteresis", "creep", "gravity", "payload", "mount")
 SIGNATURE_FRAMES = 1500  # frames on which the span of the signatures is found
 
 
@@ -143,7 +142,7 @@ def diagnose(
         run: the measured run, vertices or markers at K >= 8 seen frames; or several of one robot, which share all
             parameters but those of the camera's frame and clock.
         held_out: an independent run of another kind; effects that do not lower the error there are dropped.
-        effects: names of the candidates; `CANDIDATES` by default, of those that the library has.
+        effects: names of the candidates; all of the registry by default.
         seed: kept in the document; the method itself draws nothing at random.
         progress: hears one line per stage.
         library: where effects come from; the compiled core by default.
@@ -268,8 +267,7 @@ def _candidates(
     unknown = [name for name in wanted or () if name not in registry]
     if unknown:
         raise SoftmapError(f"no effect '{unknown[0]}'; there are {', '.join(registry)}")
-    wanted = CANDIDATES if wanted is None else wanted
-    names = [n for n in registry if n in wanted and n not in record.model.chain_names]
+    names = [n for n in registry if (wanted is None or n in wanted) and n not in record.model.chain_names]
     if not names:
         raise SoftmapError("no effect is left to look for: the model already has every candidate")
     impossible = []
@@ -352,13 +350,13 @@ def _error_on(fit: Fit, other: Record) -> float:
 
 
 def _demote(search: Search, fit: Fit, error: Callable[[Fit], float], share: float) -> tuple[Fit, list[str]]:
-    """Drop members as long as the `error` (mm, on what was not fitted) is at most `share` of what it is with them."""
+    """Drop members, or all at once, while the `error` (mm, on what was not fitted) is then at most `share` of before."""
     demoted: list[str] = []
     while fit.effects:
-        rests = {e: search.get(frozenset(fit.effects) - {e}) for e in fit.effects}
-        useless = min(rests, key=lambda e: error(rests[e]))
-        if error(rests[useless]) > share * error(fit):
+        rests = [search.null, *(search.get(frozenset(fit.effects) - {e}) for e in fit.effects)]
+        best = min(rests, key=error)
+        if error(best) > share * error(fit):
             break
-        demoted.append(useless)
-        fit = rests[useless]
+        demoted += [e for e in fit.effects if e not in best.effects]
+        fit = best
     return fit, demoted

@@ -64,7 +64,9 @@ class Search:
         self._glances: dict[tuple[frozenset[str], str], float] = {}
         self._points: dict[tuple[frozenset[str], str], list[Floats]] = {}
         self._slopes: dict[frozenset[str], tuple[Floats, Floats]] = {}
-        self.roles = {e["name"]: e["role"] for e in problem.record.library.effects()}
+        registry = problem.record.library.effects()
+        self.roles = {e["name"]: e["role"] for e in registry}
+        self.faults = {e["name"] for e in registry if e["kind"] == "fault"}
         self._shifts: dict[tuple[frozenset[str], str], Floats] = {}
         noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0)  # of one component of a section mean
         self.visible_mm = max(VISIBLE_MM, noise if "replicates" in problem.noise.source else 0.0)
@@ -247,7 +249,8 @@ class Search:
         fall = (rest.cost - fit.cost) / dispersion
         cv_fall, cv_folds = self._cv_fall(rest, fit)
         shift = self.displacement(fit, member)
-        others = [self.problem.record.rms_mm(self.displacement(fit, e)) for e in fit.effects if e != member]
+        forms = [e for e in fit.effects if e != member and e not in self.faults]  # a swapped wire has no wrong form
+        others = [self.problem.record.rms_mm(self.displacement(fit, e)) for e in forms]
         moved = self.problem.record.rms_mm(shift)
         least = max(self._least_mm(shift), FORM_TOLERANCE * max(others, default=0.0))
         checks = [
@@ -282,11 +285,19 @@ class Search:
         return max(found, key=lambda f: (f[0] >= CV_FALL and f[1] >= CV_FOLDS, f[0]))
 
     def share(self, fit: Fit, member: str) -> float:
-        """Return which share of the explained misfit a member carries, on held-out blocks or on the objective."""
+        """Return which share of the explained misfit a member carries, on held-out blocks or on the objective.
+
+        What faults of the measurement explain hides no physics: that is counted in what they leave.
+        """
         rest = self.get(frozenset(fit.effects) - {member})
-        plain = [float(self.cv(f)[0].sum()) for f in (self.null, rest, fit)]
+        base = self.null if member in self.faults else self._measured(fit)
+        plain = [float(self.cv(f)[0].sum()) for f in (base, rest, fit)]
         held = (plain[1] - plain[2]) / max(plain[0] - plain[2], 1e-300)
-        return max(held, (rest.cost - fit.cost) / max(self.null.cost - fit.cost, 1e-300))
+        return max(held, (rest.cost - fit.cost) / max(base.cost - fit.cost, 1e-300))
+
+    def _measured(self, fit: Fit) -> Fit:
+        """Return the faults of a set without its physics."""
+        return self.get(frozenset(fit.effects) & self.faults)
 
     def valid(self, fit: Fit) -> bool:
         """Whether every member of a set is accepted."""
@@ -309,7 +320,7 @@ class Search:
             good = next((c for c in beam if self.valid(c)), None)
             if good is None:  # a pair may need its third; what is not accepted is never reported
                 won = min(b.cost for b in [chosen, *beam_before]) - beam[0].cost
-                if won < PROMISING * (self.null.cost - beam[0].cost):
+                if won < PROMISING * (self._measured(beam[0]).cost - beam[0].cost):
                     break
                 continue
             chosen = self._swapped(good)
