@@ -118,7 +118,7 @@ def inputs(run: Run, rod: LearnedRod) -> Floats:
 def cross_validate(make: Callable[[], Any], x: Floats, y: Floats, parts: Folds) -> Floats:
     """Return predicted − seen (n, K, 3) mm, each block predicted from the frames beyond its gaps."""
     residuals = np.empty_like(y)
-    for test, train in parts:
+    for train, test in parts:
         scaler = StandardScaler().fit(x[train])
         model = make().fit(scaler.transform(x[train]), y[train].reshape(len(train), -1))
         residuals[test] = model.predict(scaler.transform(x[test])).reshape(len(test), -1, 3) - y[test]

@@ -18,7 +18,7 @@ from softmap_edge.errors import RunError, SoftmapError
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.intp]
-Folds = list[tuple[Index, Index]]  # (frames tested, frames trained on)
+Folds = list[tuple[Index, Index]]  # (frames trained on, frames tested)
 
 FOLDS, GAP = 8, 1.0  # of a diagnosis, and the seconds left out beside what is held out
 MOST_FOLDS = 10
@@ -52,11 +52,11 @@ def folds(t: Floats, blocks: int, gap_s: float, labels: NDArray[Any] | None = No
         after = np.searchsorted(t[test], t)
         last, next_ = np.maximum(after - 1, 0), np.minimum(after, len(test) - 1)
         away = np.minimum(np.abs(t - t[test[last]]), np.abs(t - t[test[next_]]))
-        parts.append((test, np.flatnonzero((fold != k) & (away > gap_s))))
+        parts.append((np.flatnonzero((fold != k) & (away > gap_s)), test))
     return parts
 
 
-def run_folds(t_seen: Floats, labels: NDArray[Any] | None = None) -> list[tuple[Index, Index]]:
+def run_folds(t_seen: Floats, labels: NDArray[Any] | None = None) -> Folds:
     """Return (train, test) frame indices of a diagnosis: by label where there are 16 or more, else by blocks of time.
 
     Args:
@@ -70,7 +70,7 @@ def run_folds(t_seen: Floats, labels: NDArray[Any] | None = None) -> list[tuple[
         raise SoftmapError(f"{frames} seen frames cannot be held out in blocks; record at least 8, better 60")
     count = FOLDS if frames >= 2 * FOLDS else max(2, frames // 4)
     found = []
-    for test, train in folds(t_seen, count, GAP, labels if labelled(labels) else None, FOLDS):
+    for train, test in folds(t_seen, count, GAP, labels if labelled(labels) else None, FOLDS):
         if len(train) < frames // 4:  # labels that change with every frame leave nothing a second away
             train = np.setdiff1d(np.arange(frames), test)
         found.append((train, test))

@@ -190,11 +190,11 @@ def test_folds_by_label_deal_out_whole_labels():
     labels = np.array([f"move {int(x // 5)}" for x in t])  # 12 labels
     parts = folds(t, 5, 1.0, labels)
     assert len(parts) == 10
-    assert np.array_equal(np.sort(np.concatenate([test for test, _ in parts])), np.arange(len(t)))
-    for test, train in parts:
+    assert np.array_equal(np.sort(np.concatenate([test for _, test in parts])), np.arange(len(t)))
+    for train, test in parts:
         assert not set(labels[test]) & set(labels[train])
         assert np.abs(t[train][:, None] - t[test]).min() > 1.0
-    assert set(labels[parts[0][0]]) == {"move 0", "move 10"}  # far apart in time, so are kinds of moves
+    assert set(labels[parts[0][1]]) == {"move 0", "move 10"}  # far apart in time, so are kinds of moves
     with pytest.raises(RunError, match="blocks"):
         folds(t, 5, 1.0, np.zeros(len(t)))
 

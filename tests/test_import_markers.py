@@ -135,5 +135,5 @@ def test_labels_of_the_protocol_become_blocks_and_folds(tmp_path):
     part = [f"pattern {k // 20}" for k in range(400)]
     run = imported(tmp_path, written(t, points, part), MAP).run
     assert list(run.block) == part
-    for tested, trained in folds(run.t_seen, 5, 0.0, run.block):
+    for trained, tested in folds(run.t_seen, 5, 0.0, run.block):
         assert not set(run.block[tested]) & set(run.block[trained])

@@ -121,10 +121,10 @@ def test_holding_out_nothing_is_an_error(plain, interval, tmp_path, capsys):
 
 def test_frames_near_a_block_do_not_predict_it():
     t = np.arange(0.0, 50.0, 0.05)
-    for test, train in folds(t, 5, 2.0):
+    for train, test in folds(t, 5, 2.0):
         assert np.abs(t[train][:, None] - t[test][[0, -1]]).min() > 2.0
         assert len(np.intersect1d(test, train)) == 0
-    assert np.array_equal(np.concatenate([test for test, _ in folds(t, 5, 2.0)]), np.arange(len(t)))
+    assert np.array_equal(np.concatenate([test for _, test in folds(t, 5, 2.0)]), np.arange(len(t)))
 
 
 def test_hidden_markers_are_left_out(plain):

@@ -350,7 +350,7 @@ def _error_on(fit: Fit, other: Record) -> float:
 
 
 def _demote(search: Search, fit: Fit, error: Callable[[Fit], float], share: float) -> tuple[Fit, list[str]]:
-    """Drop members, or all at once, while the `error` (mm, on what was not fitted) is then at most `share` of before."""
+    """Drop members, or all at once, while the `error` (mm, on what was not fitted) is at most `share` without them."""
     demoted: list[str] = []
     while fit.effects:
         rests = [search.null, *(search.get(frozenset(fit.effects) - {e}) for e in fit.effects)]

@@ -48,7 +48,7 @@ def fit_elastic(seen: Seen, robot: Robot, parts: Folds, seed: int) -> Fitted:
     Raises:
         RunError: a fold leaves too little to fit the numbers from.
     """
-    least, free = min(len(train) for _, train in parts) * seen.markers[0].size, len(robot.coordinates().labels)
+    least, free = min(len(train) for train, _ in parts) * seen.markers[0].size, len(robot.coordinates().labels)
     if least < 2 * free:
         raise RunError(
             f"beside one of the {len(parts)} parts that are held out in turn {least} coordinates are left to fit "
@@ -192,7 +192,7 @@ def best_of(data: Data, starts: int, seed: int) -> tuple[Floats, int]:
 def cross_validate(data: Data, x: Floats, parts: Folds) -> tuple[Floats, Floats]:
     """Return predicted − seen (n, 3M) mm, each fold by a refit without it, and the refits (folds, D)."""
     residuals, refits = np.empty_like(data.seen), []
-    for test, train in parts:
+    for train, test in parts:
         without = descend(data.term(train), x, data.coordinates.low, data.coordinates.high)[0]
         residuals[test] = data.residuals(without, test)
         refits.append(without)

@@ -131,7 +131,7 @@ def learn(
 def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> LearnedRod:
     """Put together what was fitted, how far off it is, and what to beware of."""
     residuals, params = fitted.residuals, dict(zip(("latency.delay", "lag.tau"), fitted.pair))
-    per_fold = [rms(residuals[test]) for test, _ in fitted.parts]
+    per_fold = [rms(residuals[test]) for _, test in fitted.parts]
     per_marker = [rms(residuals[:, k]) for k in range(residuals.shape[1])]
     notes = _notes(seen, fitted, rms(residuals))
     more = {

@@ -93,7 +93,7 @@ class RodParameters:
 def fit_polynomial(seen: Seen, blocks: int, gap_s: float, base: ArrayLike | None, degree: int | None) -> Fitted:
     """Fit a polynomial rod: its degree, ridge, delay and lag by cross-validation."""
     commands, parts = seen.drive.u, folds(seen.t, blocks, gap_s)
-    smallest = min(len(train) for _, train in parts)
+    smallest = min(len(train) for train, _ in parts)
     degrees: tuple[int, ...] = DEGREES if degree is None else (degree,)
     degrees = tuple(d for d in degrees if 2 * len(_core.monomial_degrees(commands.shape[1], d)) < smallest)
     if not degrees:

@@ -62,7 +62,7 @@ def _ridge(features: Floats, targets: Floats, penalty: Floats, folds: Folds) -> 
     rows = np.concatenate([np.ones((len(features), 1)), features], axis=1)
     square, mixed = rows.T @ rows, rows.T @ targets
     weights = []
-    for _, train in [*folds, (None, np.arange(len(rows)))]:
+    for train, _ in [*folds, (np.arange(len(rows)), None)]:
         left_out = np.ones(len(rows), bool)
         left_out[train] = False
         gone = rows[left_out]
@@ -89,7 +89,7 @@ class Regression:
         """Return predicted − seen (n, K, 3) mm, each frame predicted by the fit that left out its block."""
         residuals = np.empty_like(self.markers)
         centre, scale = np.zeros(q.shape[1]), np.ones(q.shape[1])
-        for (test, _), angles, lengths in zip(self.folds, self.angle_weights(q, degree, ridge), self.length_weights):
+        for (_, test), angles, lengths in zip(self.folds, self.angle_weights(q, degree, ridge), self.length_weights):
             rod = _core.Rod(self.base, centre, scale, degree, angles, lengths)
             residuals[test] = rod.evaluate(q[test]).reshape(len(test), -1, 3) - self.markers[test]
         return residuals
