@@ -1,20 +1,22 @@
 """Slice B: the built-in finger as finite elements on another mesh, of softer silicone, diagnosed with its own bundle.
 
 Shapes come from dense sweeps of that other finger, one for each orientation of the protocols, interpolated by splines
-in their leading modes; `interpolation_mm` measures by how much that misses an equilibrium. Where a law changes the
-weights every frame is solved. A pair of cables is one command here: what a law does to single cables counts where they
-pull.
+in their leading modes; `interpolation_mm` measures by how much that misses an equilibrium. Where a law changes weights,
+modulus, cables or their routes, every frame is solved. A pair of cables is one command here: what a law does to single
+cables counts where they pull. Curvature and twist at rest, a plane and torn fibres are for slice A alone.
 Units: mm, g, N. Pinned by tests/test_bank.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from benches.bank import section
 from benches.bank.body_rod import kept
 from benches.bank.law import Floats, Law
 from benches.bank.laws_body import BODY
@@ -23,7 +25,7 @@ from benches.bank.laws_unknown import UNKNOWN
 from benches.bank.rod import Loads
 from softmap_edge.bundle import builtin_model
 from softmap_edge.protocol import HANGING, LEANING
-from softmap_edge.solid.finger import Finger
+from softmap_edge.solid.finger import Finger, Region
 from softmap_edge.solid.simulator import Simulator, tour
 
 if TYPE_CHECKING:
@@ -34,19 +36,15 @@ LAYERS = 0.8  # layers against the first finger's
 REACH, STEPS = 18.0, 25  # mm; commands a channel
 NEAR = 0.02  # g: gravity this near to that of a sweep is that of the sweep
 MODES = 40
-NO_SHAPE = ("magnet", "crack")
-WEIGHTS = ("gravity", "payload")
+ONLY_A = ("magnet", "crack", "contact", "twist", "pre_curve", "kink")
+SLICES = 12  # of the body, each of one modulus, of two where a side differs
 
 
 class SolidBody:
     """Slice B."""
 
     name, channels = "moe-finger", 2
-    can = frozenset(
-        name
-        for name, law in {**DRIVE, **BODY, **UNKNOWN}.items()
-        if name not in NO_SHAPE and (name in WEIGHTS or not law.SHAPE)
-    )
+    can = frozenset({*DRIVE, *BODY, *UNKNOWN} - {*ONLY_A})
 
     @property
     def place(self) -> Floats:
@@ -60,17 +58,17 @@ class SolidBody:
         u, loads = _commands(pull), Loads(pull, np.asarray(gravity, float), np.zeros((len(pull), 3)))
         for law in laws:
             loads = law.loads(loads, None)
+        other = _made(tuple(law for law in laws if law.SHAPE))
         out = np.empty((len(u), len(self.rest(False)), 3))
-        kinds, which = np.unique(
-            np.round(np.concatenate([loads.gravity, loads.tip], axis=1), 9), axis=0, return_inverse=True
-        )
+        weights = np.round(np.concatenate([loads.gravity, loads.tip], axis=1), 9)
+        kinds, which = np.unique(weights, axis=0, return_inverse=True)
         for i, kind in enumerate(kinds):
             rows = np.flatnonzero(which.reshape(-1) == i)
             swept = [k for k, g in enumerate((HANGING, LEANING)) if np.linalg.norm(kind[:3] - g) < NEAR]
-            if swept and not kind[3:].any():
+            if other is None and swept and not kind[3:].any():
                 out[rows] = _swept(swept[0], STEPS)(u[rows])
             else:
-                out[rows] = _solved(u[rows], kind[:3], kind[3:])
+                out[rows] = _solved(other or _second(), u[rows], kind[:3], kind[3:])
         return out[:, _markers()] if marked else out
 
     def rough(self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool) -> Floats:
@@ -83,7 +81,7 @@ class SolidBody:
 def interpolation_mm(count: int = 20, seed: int = 0) -> float:
     """Return the RMS distance between what is interpolated and equilibria at commands off the grid."""
     u = np.random.default_rng(seed).uniform(-12.0, 12.0, (count, 2))
-    off = _swept(0, STEPS)(u) - _solved(u, np.array(HANGING), np.zeros(3))
+    off = _swept(0, STEPS)(u) - _solved(_second(), u, np.array(HANGING), np.zeros(3))
     return float(np.sqrt(np.mean(np.sum(off**2, axis=2))))
 
 
@@ -98,11 +96,46 @@ def _first() -> Simulator:
     return Simulator(Finger.builtin())
 
 
+def _plain() -> Finger:
+    finger = Finger.builtin()
+    return finger.replace(solid=finger.solid.along(LAYERS), young_mpa=finger.young_mpa * SOFTER)
+
+
 @lru_cache(maxsize=1)
 def _second() -> Simulator:
-    finger = Finger.builtin()
-    other = finger.replace(solid=finger.solid.along(LAYERS), young_mpa=finger.young_mpa * SOFTER)
-    return Simulator(other, template=_first().template)
+    return Simulator(_plain(), template=_first().template)
+
+
+@lru_cache(maxsize=2)
+def _made(laws: tuple[Law, ...]) -> Simulator | None:
+    """Return the second finger as `laws` make it, read off the rod's design; None where they leave its body."""
+    before = after = section.finger(1)
+    for law in laws:
+        after = law.design(after)
+    if after is before:
+        return None
+    finger, ratio = _plain(), np.log(after.young / before.young)
+    x, y, _ = before.fibres()
+    side = float(np.degrees(np.arctan2(np.sum(ratio * y), np.sum(ratio * x))))
+    towards = before.half(np.radians(side)) > 0.0
+    edges = np.linspace(0.0, before.place[-1], SLICES + 1)
+    regions = []
+    for low, high in zip(edges[:-1], edges[1:]):
+        here = (before.middle >= low) & (before.middle < high)
+        for mask, angle in ((towards, side), (~towards, side + 180.0)):
+            young = finger.young_mpa * np.exp(ratio[here][mask[here]].mean())
+            regions.append(Region(float(young), z=(float(low), float(high)), side_deg=(angle + 180.0) % 360.0 - 180.0))
+    turned = [np.arctan2(a[:, 1], a[:, 0]) - np.arctan2(b[:, 1], b[:, 0]) for a, b in zip(after.guide, before.guide)]
+    tendons = []
+    for tendon, angle in zip(finger.tendons, np.degrees(np.angle(np.exp(1j * np.array(turned))))):
+        tendons.append(replace(tendon, angle_deg=tendon.angle_deg + angle[0], turn_deg=float(angle[-1] - angle[0])))
+    changed = finger.replace(
+        regions=tuple(regions) if np.ptp(ratio) > 1e-9 else (),
+        tendons=tuple(tendons),
+        cable_stiffness_n_mm=float(after.cable.mean()),
+        pretension_mm=float(-after.slack.mean()),
+    )
+    return Simulator(changed, template=_first().template)
 
 
 @lru_cache(maxsize=1)
@@ -119,12 +152,12 @@ def _markers() -> Any:
     return np.array(found)
 
 
-def _solved(u: Floats, gravity: Floats, tip: Floats) -> Floats:
+def _solved(simulator: Simulator, u: Floats, gravity: Floats, tip: Floats) -> Floats:
     """Return equilibria (K, N, 3) mm at commands (K, 2), each from a near one."""
     places, which = np.unique(np.round(u, 3), axis=0, return_inverse=True)
     order = tour(places)
     points = np.empty((len(places), len(_first().template.vertices), 3))
-    points[order] = _second().path(places[order], gravity=gravity, load=tip)
+    points[order] = simulator.path(places[order], gravity=gravity, load=tip)
     return points[which.reshape(-1)]
 
 
@@ -142,7 +175,8 @@ def _swept(orientation: int, steps: int) -> Any:
         left, size, modes = np.linalg.svd(values - mean, full_matrices=False)
         return {"mean": mean, "weights": (left * size)[:, :MODES], "modes": modes[:MODES]}
 
-    table = kept(f"solid{orientation}", (steps, SOFTER, LAYERS, REACH), make)
+    probe = np.round(_second().path(np.array([[9.0, -4.0]])), 4).tobytes()  # another simulator, another sweep
+    table = kept(f"solid{orientation}", (steps, SOFTER, LAYERS, REACH, probe), make)
     splines = [RectBivariateSpline(axis, axis, w.reshape(steps, steps)) for w in table["weights"].T]
 
     def points(u: Floats) -> Floats:

@@ -79,7 +79,7 @@ def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:
         return 0.0, 1.0
     p = hits / n
     middle, half = p + z * z / (2 * n), z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return float((middle - half) / (1 + z * z / n)), float((middle + half) / (1 + z * z / n))
+    return max(0.0, float((middle - half) / (1 + z * z / n))), min(1.0, float((middle + half) / (1 + z * z / n)))
 
 
 def calibration_error(claims: Sequence[Row], bins: int = 10) -> float:
@@ -135,7 +135,7 @@ def table(rows: Sequence[Row]) -> list[dict[str, Any]]:
             hits = sum(bool(hit(row)) for row in mine)
             low, high = wilson(hits, len(mine))
             found.append(dict(measure=what, goal=goal, value=hits / len(mine), low=low, high=high, n=len(mine)))
-    claims = [c for row in done if row["kind"] in ("null", "single", "pair") for c in row["claims"]]
+    claims = [c for row in done if _is("null", "single", "pair")(row) for c in row["claims"]]
     if claims:
         true = sum(c["true"] for c in claims)
         low, high = wilson(true, len(claims))
@@ -159,7 +159,10 @@ def table(rows: Sequence[Row]) -> list[dict[str, Any]]:
             dict(measure="fall of the held-out error, single (median, quartiles)", goal="≥ 90 %",
                  value=float(np.median(fell)), low=float(low), high=float(high), n=len(fell))
         )  # fmt: skip
-    for what, key in (("time of a diagnosis, s (median)", "seconds"), ("time of a truth, s (median)", "truth_seconds")):
+    for what, key in (
+        ("processor time of a diagnosis (median)", "seconds"),
+        ("of its truth (median)", "truth_seconds"),
+    ):
         times = [row[key] for row in done if row["kind"] in ("null", "single", "pair")]
         if times:
             low, high = np.quantile(times, [0.05, 0.95])

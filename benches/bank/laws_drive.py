@@ -3,7 +3,7 @@
 offset            horns askew, each cable of a pair by another length, in encoder steps
 gain              spool of another radius, its lever an arc: R sin(u/R)
 latency           bus packets at a fixed period, each late by its own delay, held until the next
-lag               position loop of second order, damping 0.7, with a cable-drum pole behind it
+lag               position loop of second order, overdamped, with a cable drum behind it
 rate_limit        speed = v tanh(e/(v τ)): a motor that runs out of voltage, not a clipped slope
 saturation        soft end stop: the logarithm of exponentials
 eccentric_pulley  true circle off its centre: A cos + A²/4ρ cos 2·, zero at home
@@ -97,7 +97,7 @@ class Loop(Law):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(0.15, float(rng.uniform(0.7, 0.9)))
+        return cls(0.15, float(rng.uniform(1.3, 1.8)))
 
     def drive(self, record: Record, u: Floats) -> Floats:
         from scipy.signal import cont2discrete, lfilter

@@ -20,17 +20,17 @@ def run_case(task: Task) -> dict[str, Any]:
     from softmap_edge.diagnosis.diagnose import diagnose
 
     seeds, slice_, level, kind, number = task
-    started = time.perf_counter()
+    started = time.process_time()
     mine = case(*task)
     model = mine.body.model()
     judge = judge_protocol(number)
     run, other = mine.run(protocol_of(kind, mine.hidden, number)), mine.run(judge)
     twin = mine.run(judge, ()) if mine.laws else other
     whole = mine.run(protocol_of("single", mine.hidden, number)) if kind == "rivals" else None
-    made = time.perf_counter()
+    made = time.process_time()
     library = [e["name"] for e in _core.effects() if kind != "removed" or e["name"] not in mine.hidden]
     first = diagnose(model, run, effects=library)
-    finished = time.perf_counter()
+    finished = time.process_time()
     verdict = judged(mine.hidden, first.to_dict(), one_pose=kind in ("untestable", "rivals"))
     if whole is not None:
         before, last = verdict, diagnose(model, whole, effects=library)
