@@ -106,7 +106,7 @@ def test_what_a_run_does_not_show_is_kept_and_said():
     """A finger that hardly moves in one orientation says nothing about its stiffness."""
     still = fit_finger(FINGER, record(FINGER.replace(young_mpa=0.3), [HANGING], places=4, reach=0.1, noise=5.0))
     for number in still.numbers.values():
-        assert number.sigma is None and number.value == number.start and "not identifiable" in number.why_not
+        assert number.sigma is None and number.value == number.start and "not identifiable" in number.note
     assert still.finger == FINGER and "not identifiable" in str(still)
 
 

@@ -60,7 +60,7 @@ class Number:
     unit: str
     start: float
     at_bound: bool = False
-    why_not: str = ""
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class FingerFit:
         """Return the document softmap.refit-finger/1."""
 
         def rows(numbers: dict[str, Number]) -> dict[str, dict[str, Any]]:
-            return {name: {k: v for k, v in vars(n).items() if k != "why_not" or v} for name, n in numbers.items()}
+            return {name: {k: v for k, v in vars(n).items() if k != "note" or v} for name, n in numbers.items()}
 
         return {
             "schema": "softmap.refit-finger/1",
@@ -103,7 +103,7 @@ class FingerFit:
         lines = [f"{self.finger.name}: {self.dwells} dwells fitted, {self.kept_out} kept out"]
         for name, n in (*self.numbers.items(), *self.mount.items()):
             value = f"{n.value:.4g}" + (f" ± {n.sigma:.2g}" if n.sigma is not None else "") + f" {n.unit}"
-            note = n.why_not or ("at its bound: widen it in [fit], or look for what is missing" if n.at_bound else "")
+            note = n.note or ("at its bound: widen it in [fit], or look for what is missing" if n.at_bound else "")
             lines.append(f"  {name:<22} {value:<24} was {n.start:.4g}" + (f"   {note}" if note else ""))
         for one, other, correlation in self.together:
             lines.append(f"  {one} and {other} are seen only together (correlation {correlation:+.2f})")
@@ -143,7 +143,7 @@ def fit_finger(finger: Finger, run: Run, progress: Progress | None = None) -> Fi
         name = names.pop(int(np.argmax(deviation)))
         start = float(getattr(finger, name))
         numbers[name] = Number(
-            start, None, UNITS[name], start, why_not="not identifiable with this run: kept as it was"
+            start, None, UNITS[name], start, note="not identifiable with this run: kept as it was"
         )
         found = _descend(bench, names)
     new = bench.finger(names, found.x)
