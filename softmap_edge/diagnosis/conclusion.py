@@ -89,15 +89,16 @@ def conclude(
         if own.before_mm - own.after_mm >= RIVAL_SHARE * fall:
             block = ("`softmap refit` on this run, then diagnose again", 0.0)
             rivals.insert(0, {"member": order[0], "effects": list(own.names), "why": str(own), "experiment": block})
-    entries = _entries(search, fit, other, order, weights, rivals, registry)
+    shared = not_alone(search, fit, left)
+    entries = _entries(search, fit, shared and shared[0], other, order, weights, rivals, registry)
     faults = [e for e in entries if registry[e["name"]]["kind"] == "fault"]
     physics = [e for e in entries if registry[e["name"]]["kind"] != "fault"]
     error = _error(search, order, other)
-    shared = not_alone(search, fit, left)
-    doubts = [*([str(own)] if own else []), *([shared] if shared else []), *_at_bounds(entries)]
+    doubts = [*([str(own)] if own else []), *([shared[1]] if shared else []), *_at_bounds(entries)]
     unsure = any(registry[e]["kind"] != "fault" for r in rivals for e in r["effects"])  # a fault that may be physics
     count = len(search.candidates) + len(impossible)
-    verdict = _verdict(physics or (unsure and faults), faults, [*rivals, *doubts], left, hidden, count)
+    unknown = left.claim and (shared is None or leftover(search, shared[0]).claim)
+    verdict = _verdict(physics or (unsure and faults), faults, [*rivals, *doubts], unknown, hidden, count)
     return {
         "verdict": verdict,
         "sentence": _sentence(verdict, physics, faults, rivals, left, hidden, error, demoted)
@@ -122,6 +123,7 @@ def conclude(
 def _entries(
     search: Search,
     fit: Fit,
+    larger: Fit | None,
     other: Record | None,
     order: list[str],
     weights: dict[str, float],
@@ -130,6 +132,9 @@ def _entries(
 ) -> list[dict[str, Any]]:
     record = search.problem.record
     sigma = search.problem.uncertainty(fit, search.dispersion(fit)) if len(fit.x) else np.zeros(0)
+    if larger is not None:  # where another may act too, numbers are no surer than what it would make of them
+        mine, theirs = fit.space.values(fit.x), larger.params
+        sigma = np.hypot(sigma, mine - [theirs[label] for label in fit.space.free_labels()])
     probability = search.probabilities(fit, TEMPERATURE)
     entries = []
     for name in order:
@@ -209,9 +214,9 @@ def _rivals(
 
 
 def _verdict(
-    physics: Any, faults: list[Any], doubts: list[Any], left: Leftover, hidden: list[Untestable], count: int
+    physics: Any, faults: list[Any], doubts: list[Any], unknown: bool, hidden: list[Untestable], count: int
 ) -> str:
-    if left.claim:
+    if unknown:
         return "partly_explained"
     if physics:
         return "ambiguous" if doubts else "identified"

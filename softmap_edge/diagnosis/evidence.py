@@ -164,8 +164,8 @@ def leftover(search: Search, fit: Fit) -> Leftover:
     return Leftover(rms, chi2, r2, best if r2 > 0.02 else None, bool(claim))
 
 
-def not_alone(search: Search, fit: Fit, left: Leftover) -> str | None:
-    """Return why what was found may not act alone, if so.
+def not_alone(search: Search, fit: Fit, left: Leftover) -> tuple[Fit, str] | None:
+    """Return the larger set that may act instead of what was found, and why, if there is one.
 
     Two effects that look alike share what they explain, so that the second adds too little to be named (`SHARE`) and
     the numbers of the first stand for both. It shows in what is left: far above the form error, and halved by it.
@@ -177,7 +177,7 @@ def not_alone(search: Search, fit: Fit, left: Leftover) -> str | None:
     if after > HALVED * before:
         return None
     extra = next(iter(set(best.effects) - set(fit.effects)))
-    return (
+    return best, (
         f"with {extra} as well {after:.2f} mm are left of {before:.2f}, held out: both may act, and the numbers of "
         f"{' + '.join(fit.effects)} are those of one alone"
     )

@@ -24,6 +24,7 @@ from softmap_edge.diagnosis.fit import Fit, Problem, Space, newton_step
 Floats = NDArray[np.float64]
 
 BEAM, REFITS, LARGEST = 2, 5, 4
+STAGES = ("command", "transmission", "material", "shape", "sensing")
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
 VISIBLE_MM = 0.12  # least RMS displacement of the centreline
 PREDICTED = 2  # candidates that are predicted and not only looked at by slopes, for each one that is fitted
@@ -66,6 +67,7 @@ class Search:
         self._slopes: dict[frozenset[str], tuple[Floats, Floats]] = {}
         registry = problem.record.library.effects()
         self.roles = {e["name"]: e["role"] for e in registry}
+        self.stages = {e["name"]: e["stage"] for e in registry}
         self.faults = {e["name"] for e in registry if e["kind"] == "fault"}
         self._shifts: dict[tuple[frozenset[str], str], Floats] = {}
         noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0)  # of one component of a section mean
@@ -421,7 +423,7 @@ class Search:
                 if twin in fit.effects or twin not in self.candidates:
                     continue
                 other = self.get(frozenset(fit.effects) - {member} | {twin})
-                earlier = self.candidates.index(twin) < self.candidates.index(member)
+                earlier = STAGES.index(self.stages[twin]) < STAGES.index(self.stages[member])
                 if earlier and self.held_out_mm(other) <= ALIKE * self.held_out_mm(fit) and self.valid(other):
                     fit = other
                     break

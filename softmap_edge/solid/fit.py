@@ -142,9 +142,7 @@ def fit_finger(finger: Finger, run: Run, progress: Progress | None = None) -> Fi
     while (deviation := found.deviation[: len(names)]).max(initial=0.0) > SEEN:
         name = names.pop(int(np.argmax(deviation)))
         start = float(getattr(finger, name))
-        numbers[name] = Number(
-            start, None, UNITS[name], start, note="not identifiable with this run: kept as it was"
-        )
+        numbers[name] = Number(start, None, UNITS[name], start, note="not identifiable with this run: kept as it was")
         found = _descend(bench, names)
     new = bench.finger(names, found.x)
     for i, name in enumerate(names):
