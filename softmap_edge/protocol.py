@@ -3,8 +3,10 @@
 A protocol is a list of blocks: home revisits, triangles of growing size, small loops at two offsets,
 diagonals, staircases with long dwells, fast triangles; each in two mounting orientations, because one cannot tell the
 weight of the body from a weight at the tip. The other run holds circles, spirals and smooth random moves.
-Units: s, mm of tendon shortening, gravity in g in the base frame. Limit: straight moves at constant speed, without the
-ramps of a real servo; `tests/test_truth.py` pins the frame counts, speeds and coverage.
+A `Tape` takes the moves, within the `Limits` of a robot; single blocks to choose from are in `experiment/blocks.py`.
+Units: s, mm of tendon shortening (or the robot's own unit), gravity in g in the base frame, load in g. Limit: straight
+moves at constant speed, without the ramps of a real servo; `tests/test_truth.py` pins the frame counts, speeds and
+coverage.
 """
 
 from __future__ import annotations
@@ -21,9 +23,12 @@ Floats = NDArray[np.float64]
 
 RATE = 50.0  # Hz, rate at which commands are recorded
 REACH = 12.0  # mm, largest command: leaves room for gain and offset inside a ±16 mm sweep
-SLOW, FAST = 9.0, 55.0  # mm/s; at 55 mm/s a delay of 20 ms is 1.1 mm
+SLOW, FAST = 9.0, 55.0  # mm/s at this reach; at 55 mm/s a delay of 20 ms is 1.1 mm
+SHARE = 0.75  # of the range of a model that is used: leaves room for gain and offset
 DWELL = 7.0  # s, long enough to see creep
+STAIRS = 3  # channels up to which each has its staircase in each orientation
 TURNING = 6.0  # s at home while the mounting is turned; no frame is taken
+LIMIT_MINUTES = 120.0  # longer is no protocol
 HANGING = (0.0, 0.0, 1.0)
 LEAN, AZIMUTH = np.radians(35.0), np.radians(25.0)  # second mounting: off hanging, and out of the tendon planes
 LEANING = (
@@ -38,6 +43,8 @@ class Protocol:
     """Commands to send and instants to look.
 
     `t` (T,) s, `command` (T, C) mm, `gravity` (T, 3) g in the base frame, `t_seen` (K,) s, `block` (K,) labels.
+    `load` (T,) g that is hung at the tip, and `temperature` (T,) °C that is to be reached, where they are part of it.
+    `notes` say at which time (s) something is to be done by hand. `unit` of the commands, mm unless the robot has another.
     """
 
     name: str
@@ -46,50 +53,153 @@ class Protocol:
     gravity: Floats
     t_seen: Floats
     block: NDArray[np.str_]
+    load: Floats | None = None
+    temperature: Floats | None = None
+    notes: tuple[tuple[float, str], ...] = ()
+    unit: str = "mm"
 
     @property
     def frames(self) -> int:
         """Return the number of seen frames K."""
         return int(self.t_seen.size)
 
+    @property
+    def minutes(self) -> float:
+        """Return how long it takes."""
+        return float(self.t[-1] - self.t[0]) / 60.0
 
-def standard_protocol(channels: int = 2, seed: int = 0, reach: float = REACH) -> Protocol:
+
+@dataclass(frozen=True)
+class Limits:
+    """How far and how fast a robot is moved: home, low and high (C,) in its unit, slow and fast (C,) in units a second."""
+
+    home: Floats
+    low: Floats
+    high: Floats
+    slow: Floats
+    fast: Floats
+    unit: str = "mm"
+
+    @classmethod
+    def even(cls, channels: int, reach: float = REACH) -> Limits:
+        """Return ± `reach` mm for each of `channels`, at the usual speeds.
+
+        Raises:
+            SoftmapError: no channel, or a reach that is none.
+        """
+        if channels < 1 or not 0.0 < reach < 1e3:
+            raise SoftmapError(
+                f"a protocol needs at least 1 channel and 0 < reach < 1000 mm, got {channels} and {reach}"
+            )
+        one = np.ones(channels)
+        return cls(0.0 * one, -reach * one, reach * one, SLOW * one, FAST * one)
+
+    @classmethod
+    def of(cls, command_range: Floats, unit: str = "mm", fastest: float | None = None) -> Limits:
+        """Return three quarters of a model's `command_range` (C, 2) to both sides of home, at speeds that go with it.
+
+        Home is command 0, or what is nearest to it. `fastest` units a second bounds every speed.
+
+        Raises:
+            SoftmapError: nothing is commanded, a channel without range, or a speed that is none.
+        """
+        low, high = np.asarray(command_range, float).reshape(-1, 2).T
+        if not low.size or not np.all(np.isfinite(low) & np.isfinite(high) & (high > low)):
+            raise SoftmapError(
+                f"commands from {low.tolist()} to {high.tolist()} leave no room to move; take a model with commands"
+            )
+        if fastest is not None and not 0.0 < fastest < 1e6:
+            raise SoftmapError(f"a fastest speed of {fastest:g} {unit}/s is none; give a number above 0")
+        home = np.clip(0.0, low, high)
+        up, down = SHARE * (high - home), SHARE * (home - low)
+        slow, fast = (np.maximum(up, down) * speed / REACH for speed in (SLOW, FAST))
+        if fastest is not None:
+            slow, fast = np.minimum(slow, fastest / 2), np.minimum(fast, fastest)
+        return cls(home, home - down, home + up, slow, fast, unit)
+
+    @property
+    def channels(self) -> int:
+        """Number of commands C."""
+        return len(self.home)
+
+    @property
+    def two_sided(self) -> NDArray[np.bool_]:
+        """Which channels (C,) can be moved to both sides of home."""
+        least = 0.1 * (self.high - self.low)
+        return np.asarray((self.home - self.low > least) & (self.high - self.home > least))
+
+    def at(self, share: Floats) -> Floats:
+        """Return the command (..., C) at `share` of the way from home to high (above 0) or to low (below 0)."""
+        up, down = self.high - self.home, self.home - self.low
+        return np.asarray(self.home + np.where(share > 0, share * up, share * down))
+
+
+def standard_protocol(
+    channels: int = 2, seed: int = 0, reach: float = REACH, limits: Limits | None = None, back: bool = False
+) -> Protocol:
     """Make the standard protocol: about 360 frames in 4 minutes, two orientations.
 
-    Args: `channels` C ≥ 1; `seed` of the irregular frame times; `reach` mm, the largest command.
+    Args: `channels` C ≥ 1; `seed` of the irregular frame times; `reach` mm, the largest command; `limits` of a robot, in
+    place of both; `back` returns to the first orientation for triangles and the other side of the staircases, so that
+    orientation no longer follows time: 6 minutes.
     Returns the protocol. Raises SoftmapError if channels or reach are not usable.
     """
-    return _in_two_orientations("standard protocol", channels, seed, reach, _standard_blocks)
+    limits = limits or Limits.even(channels, reach)
+    return _in_orientations("standard protocol", limits, seed, _standard_blocks, 3 if back else 2)
 
 
-def other_protocol(channels: int = 2, seed: int = 0, reach: float = REACH) -> Protocol:
+def other_protocol(
+    channels: int = 2, seed: int = 0, reach: float = REACH, limits: Limits | None = None
+) -> Protocol:
     """Make a run of another kind (circles, spirals, smooth random moves), to judge by what was never fitted.
 
     Args and errors as `standard_protocol`; returns about 240 frames in 2 minutes, the same two orientations.
     """
-    return _in_two_orientations("another kind of run", channels, seed, reach, _other_blocks)
+    return _in_orientations("another kind of run", limits or Limits.even(channels, reach), seed, _other_blocks, 2)
 
 
-class _Tape:
-    """Collects the corners of the command and the instants to look, one move after another."""
+class Tape:
+    """Collects the corners of the command, the conditions and the instants to look, one move after another."""
 
-    def __init__(self, channels: int, reach: float, rng: np.random.Generator) -> None:
-        self.channels, self.reach, self.rng = channels, reach, rng
+    def __init__(
+        self, limits: Limits, rng: np.random.Generator, gravity: tuple[float, ...], load: float = 0.0
+    ) -> None:
+        self.limits, self.rng, self.channels = limits, rng, limits.channels
+        self.slow, self.fast = limits.slow, limits.fast
         self.now = 0.0
-        self.corners: list[tuple[float, Floats]] = [(0.0, np.zeros(channels))]
-        self.turns: list[tuple[float, tuple[float, ...]]] = []
+        self.corners: list[tuple[float, Floats]] = [(0.0, limits.home)]
+        self.turns: list[tuple[float, tuple[float, ...]]] = [(0.0, gravity)]
+        self.loads: list[tuple[float, float]] = [(0.0, load)]
+        self.warmth: list[tuple[float, float]] = []
+        self.notes: list[tuple[float, str]] = []
         self.seen: list[tuple[float, str]] = []
 
     @property
     def here(self) -> Floats:
         return self.corners[-1][1]
 
+    def _pause(self, note: str) -> float:
+        """Rest at home for what is done by hand, and return the time in the middle."""
+        self.home()
+        self.hold(TURNING, 0.0, "")
+        self.notes.append((self.now - TURNING, note))
+        return self.now - TURNING / 2
+
     def turn(self, gravity: tuple[float, ...]) -> None:
         """Turn the mounting half-way through a pause at home."""
-        if self.turns:
-            self.to(np.zeros(self.channels), SLOW, 0.0, "")
-            self.hold(TURNING, 0.0, "")
-        self.turns.append((self.now - TURNING / 2 if self.turns else 0.0, gravity))
+        if gravity != self.turns[-1][1]:
+            down = " ".join(f"{x:.2f}" for x in gravity)
+            self.turns.append((self._pause(f"turn the robot until gravity points along {down}"), gravity))
+
+    def hang(self, load: float) -> None:
+        """Hang `load` g at the tip, in all, half-way through a pause at home."""
+        if load != self.loads[-1][1]:
+            note = f"hang {load:g} g at the tip" if load else "take the load from the tip"
+            self.loads.append((self._pause(note), load))
+
+    def home(self) -> None:
+        """Go home slowly, unseen."""
+        self.to(self.limits.home, self.slow, 0.0, "")
 
     def look(self, start: float, end: float, rate: float, label: str) -> None:
         if rate <= 0.0:
@@ -105,9 +215,9 @@ class _Tape:
         self.now += seconds
         self.corners.append((self.now, self.here.copy()))
 
-    def to(self, target: Floats, speed: float, rate: float, label: str) -> None:
-        """Move straight to `target` mm; the fastest channel moves at `speed` mm/s."""
-        samples = int(np.ceil(float(np.max(np.abs(target - self.here))) / speed * RATE - 1e-9))
+    def to(self, target: Floats, speed: Floats, rate: float, label: str) -> None:
+        """Move straight to `target` (C,) mm; none of the channels moves faster than its `speed` (C,) mm/s."""
+        samples = int(np.ceil(float(np.max(np.abs(target - self.here) / speed)) * RATE - 1e-9))
         if samples <= 0:
             return
         seconds = samples / RATE
@@ -124,106 +234,134 @@ class _Tape:
             self.corners.append((self.now + p * seconds, command))
         self.now += seconds
 
-    def axis(self, channel: int, value: float) -> Floats:
+    def axis(self, channel: int, share: float) -> Floats:
+        """Return the command with one channel at `share` of its reach."""
         target = np.zeros(self.channels)
-        target[channel] = value
-        return target
+        target[channel] = share
+        return self.limits.at(target)
 
     def protocol(self, name: str) -> Protocol:
         times = np.array([time for time, _ in self.corners])
         corners = np.array([command for _, command in self.corners])
         t = np.arange(int(np.ceil(self.now * RATE)) + 1) / RATE
         command = np.stack([np.interp(t, times, corners[:, c]) for c in range(self.channels)], axis=1)
-        gravity = np.empty((t.size, 3))
+        gravity, load = np.empty((t.size, 3)), np.empty(t.size)
         for start, direction in self.turns:
             gravity[t >= start] = direction
+        for start, hung in self.loads:
+            load[t >= start] = hung
+        warmth = None if not self.warmth else np.interp(t, *np.array(self.warmth).T)
         seen = np.array([time for time, _ in self.seen])
         block = np.array([label for _, label in self.seen])
-        return Protocol(name, t, command, gravity, seen, block)
+        load_known = load if len(self.loads) > 1 or self.loads[0][1] else None
+        unit, notes = self.limits.unit, tuple(self.notes)
+        return Protocol(name, t, command, gravity, seen, block, load_known, warmth, notes, unit)
 
 
-def _in_two_orientations(
-    name: str, channels: int, seed: int, reach: float, blocks: Callable[[_Tape, int], None]
+def _in_orientations(
+    name: str, limits: Limits, seed: int, blocks: Callable[[Tape, int], None], parts: int
 ) -> Protocol:
-    if channels < 1 or not 0.0 < reach < 1e3:
-        raise SoftmapError(f"a protocol needs at least 1 channel and 0 < reach < 1000 mm, got {channels} and {reach}")
-    tape = _Tape(channels, reach, np.random.default_rng([seed, len(name)]))
-    for part, gravity in enumerate((HANGING, LEANING)):
-        tape.turn(gravity)
+    tape = Tape(limits, np.random.default_rng([seed, len(name)]), HANGING)
+    for part in range(parts):
+        tape.turn(LEANING if part == 1 else HANGING)
         blocks(tape, part)
     return tape.protocol(name)
 
 
-def _standard_blocks(tape: _Tape, part: int) -> None:
-    home = np.zeros(tape.channels)
-    tape.hold(5.0, 1.4, "home")
-    for channel in range(tape.channels):
-        _triangles(tape, channel)
-    tape.hold(4.0, 1.6, "home")
-    for channel in range(tape.channels):
-        _small_loops(tape, channel)
-    for sign in (1.0, -1.0):
-        corner = 0.72 * tape.reach * np.array([1.0 if c % 2 == 0 else sign for c in range(tape.channels)])
-        for target in (corner, -corner, home):
-            tape.to(target, SLOW, 2.3, "diagonal")
-    for channel in range(tape.channels):
-        _staircase(tape, channel, 1.0 if part == 0 else -1.0)
-    for channel in range(tape.channels):
-        _fast_triangles(tape, channel)
-    tape.hold(6.0, 1.2, "home")
+def _standard_blocks(tape: Tape, part: int) -> None:
+    channels = range(tape.channels)
+    home(tape, 5.0, 1.4)
+    for channel in channels:
+        triangles(tape, channel)
+    if part < 2:
+        home(tape, 4.0, 1.6)
+        for channel in channels:
+            small_loops(tape, channel)
+        diagonals(tape)
+    for channel in channels:
+        if tape.channels <= STAIRS or channel % 2 == part % 2:  # with many channels each in one of the orientations
+            staircase(tape, channel, 1.0 if part == 0 else -1.0)
+    for channel in channels if part < 2 else ():
+        fast_triangles(tape, channel)
+    home(tape, 6.0, 1.2)
 
 
-def _triangles(tape: _Tape, channel: int) -> None:
+def home(tape: Tape, seconds: float, rate: float) -> None:
+    """Rest where the tape is, which is home."""
+    tape.hold(seconds, rate, "home")
+
+
+def triangles(tape: Tape, channel: int) -> None:
+    """Move one channel to both sides and back, in three sizes."""
     for size in (0.3, 0.62, 1.0):
         for end in (size, -size, 0.0):
-            tape.to(tape.axis(channel, end * tape.reach), SLOW, 2.3, f"triangle[{channel}]")
+            tape.to(tape.axis(channel, end), tape.slow, 2.3, f"triangle[{channel}]")
 
 
-def _small_loops(tape: _Tape, channel: int) -> None:
-    for middle in (0.6, -0.4):
+def small_loops(tape: Tape, channel: int) -> None:
+    """Move one channel a little, to and fro, about two places far from each other."""
+    for middle in (0.6, -0.4) if tape.limits.two_sided[channel] else (0.7, 0.3):
         for end in (middle - 0.12, middle + 0.12, middle - 0.12, middle):
-            tape.to(tape.axis(channel, end * tape.reach), SLOW, 2.3, f"small loop[{channel}]")
-    tape.to(np.zeros(tape.channels), SLOW, 2.3, f"small loop[{channel}]")
+            tape.to(tape.axis(channel, end), tape.slow, 2.3, f"small loop[{channel}]")
+    tape.to(tape.limits.home, tape.slow, 2.3, f"small loop[{channel}]")
 
 
-def _staircase(tape: _Tape, channel: int, sign: float) -> None:
+def diagonals(tape: Tape) -> None:
+    """Move all channels together, and then every second one against the others."""
+    for sign in (1.0, -1.0):
+        corner = 0.72 * np.array([1.0 if c % 2 == 0 else sign for c in range(tape.channels)])
+        for share in (corner, -corner, 0.0 * corner):
+            tape.to(tape.limits.at(share), tape.slow, 2.3, "diagonal")
+
+
+def staircase(tape: Tape, channel: int, sign: float) -> None:
+    """Rest on each step of a staircase long enough to see creep."""
+    sign = sign if tape.limits.two_sided[channel] else 1.0
     for level in (0.5, 1.0, 0.5, 0.0):
-        tape.to(tape.axis(channel, sign * level * tape.reach), 2 * SLOW, 0.0, "")
+        tape.to(tape.axis(channel, sign * level), 2 * tape.slow, 0.0, "")
         tape.hold(DWELL, 0.65, f"staircase[{channel}]")
 
 
-def _fast_triangles(tape: _Tape, channel: int) -> None:
+def fast_triangles(tape: Tape, channel: int) -> None:
+    """Move one channel over most of its range as fast as it may go, seen often."""
     for end in (0.85, -0.85, 0.85, -0.85, 0.0):
-        tape.to(tape.axis(channel, end * tape.reach), FAST, 9.0, f"fast[{channel}]")
+        tape.to(tape.axis(channel, end), tape.fast, 9.0, f"fast[{channel}]")
     tape.hold(1.2, 4.0, f"fast[{channel}]")
 
 
-def _other_blocks(tape: _Tape, part: int) -> None:
+def _other_blocks(tape: Tape, part: int) -> None:
     tape.hold(5.0, 1.6, "home")
-    reach, shift = tape.reach, np.arange(tape.channels) * (np.pi / 2)
-
-    def circle(phase: Floats) -> Floats:
-        grow = np.minimum(1.0, 6.0 * np.minimum(phase, 1.0 - phase))
-        return 0.75 * reach * grow[:, None] * np.sin(4 * np.pi * phase[:, None] + shift)
+    tape.follow(circle(tape), 14.0, 2.0, "circle")
+    shift = np.arange(tape.channels) * (np.pi / 2)
 
     def spiral(phase: Floats) -> Floats:
-        return 0.95 * reach * np.sin(np.pi * phase)[:, None] * np.sin(-10 * np.pi * phase[:, None] + shift)
+        return tape.limits.at(0.95 * np.sin(np.pi * phase)[:, None] * np.sin(-10 * np.pi * phase[:, None] + shift))
 
-    tape.follow(circle, 14.0, 2.0, "circle")
     tape.follow(spiral, 20.0, 2.0, "spiral")
-    tape.follow(_wander(tape, 0.85 * reach), 14.0 + 2 * part, 2.0, "random")
-    tape.follow(_wander(tape, 0.7 * reach), 3.0, 7.0, "random fast")
+    tape.follow(_wander(tape, 0.85), 14.0 + 2 * part, 2.0, "random")
+    tape.follow(_wander(tape, 0.7), 3.0, 7.0, "random fast")
     tape.hold(4.5, 1.6, "home")
 
 
-def _wander(tape: _Tape, size: float) -> Callable[[Floats], Floats]:
-    """Return a smooth random path that starts and ends at home and stays within ± size mm."""
+def circle(tape: Tape) -> Callable[[Floats], Floats]:
+    """Return a path of two turns, each channel a quarter behind the one before, that starts and ends at home."""
+    shift = np.arange(tape.channels) * (np.pi / 2)
+
+    def path(phase: Floats) -> Floats:
+        grow = np.minimum(1.0, 6.0 * np.minimum(phase, 1.0 - phase))
+        return tape.limits.at(0.75 * grow[:, None] * np.sin(4 * np.pi * phase[:, None] + shift))
+
+    return path
+
+
+def _wander(tape: Tape, size: float) -> Callable[[Floats], Floats]:
+    """Return a smooth random path that starts and ends at home and stays within ± `size` of the reach."""
     waves = np.arange(1, 6)
     weight = tape.rng.normal(size=(waves.size, tape.channels)) / waves[:, None] ** 0.5
 
     def path(phase: Floats) -> Floats:
         raw = np.sin(np.pi * np.outer(phase, waves)) @ weight
         fine = np.sin(np.pi * np.outer(np.linspace(0.0, 1.0, 501), waves)) @ weight
-        return np.asarray(size * raw / np.max(np.abs(fine), axis=0), dtype=np.float64)
+        return tape.limits.at(size * raw / np.max(np.abs(fine), axis=0))
 
     return path

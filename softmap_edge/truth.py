@@ -30,7 +30,7 @@ from softmap_edge.protocol import Protocol, standard_protocol
 from softmap_edge.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator, tour
-from softmap_edge.truth_laws import LAWS, Law, rotation
+from softmap_edge.truth_laws import LAWS, STANDARD_GRAVITY, Law, rotation
 
 Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -141,6 +141,8 @@ class Truth:
             t=protocol.t,
             command=protocol.command,
             gravity=protocol.gravity,
+            load=protocol.load,
+            temperature=protocol.temperature,
             t_seen=protocol.t_seen,
             vertices=self.camera.look(self.shapes(protocol), protocol.t_seen, rng),
             block=protocol.block,
@@ -149,14 +151,17 @@ class Truth:
         )
 
     def _weights(self, protocol: Protocol) -> list[tuple[NDArray[np.int64], Vector, Vector]]:
-        """Return, for each orientation, its frames and the true gravity (g) and tip force (N)."""
-        declared = protocol.gravity[np.searchsorted(protocol.t, protocol.t_seen, side="right") - 1]
+        """Return, for each orientation and declared load, its frames and the true gravity (g) and tip force (N)."""
+        at = np.searchsorted(protocol.t, protocol.t_seen, side="right") - 1
+        hung = np.zeros(len(protocol.t)) if protocol.load is None else protocol.load
+        declared = np.column_stack([protocol.gravity, hung])[at]
         parts = []
-        for direction in np.unique(declared, axis=0):
-            gravity, force = direction, np.zeros(3)
+        for row in np.unique(declared, axis=0):
+            direction = row[:3]
+            gravity, force = direction, row[3] * STANDARD_GRAVITY * direction
             for secret in self.secrets:
                 gravity, force = secret.law.gravity(gravity), force + secret.law.force(direction)
-            parts.append((np.flatnonzero((declared == direction).all(axis=1)), _vector(gravity), _vector(force)))
+            parts.append((np.flatnonzero((declared == row).all(axis=1)), _vector(gravity), _vector(force)))
         return parts
 
 

@@ -1,0 +1,229 @@
+"""The blocks of commands to choose an experiment from: what each moves, which one condition it changes, how it is made.
+
+A block starts and ends at home. It changes one condition at most (`changes`): the orientation, or the load at the tip,
+or the warmth, never two of them, because what then differs could not be told apart; and what it does in the changed
+condition it does in the usual one too, so that a block alone holds both. `plan` puts blocks one after another.
+Units: s, mm (or the robot's own unit), g, °C. Moves are those of `protocol.py`, within the limits of a robot.
+Known limit: a warm-up is planned as a straight rise; a real one follows the thermometer. Pinned by
+tests/test_experiment.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import protocol as moves
+from softmap_edge.errors import SoftmapError
+from softmap_edge.protocol import HANGING, LEAN, LIMIT_MINUTES, Limits, Protocol, Tape
+
+Floats = NDArray[np.float64]
+Vector = tuple[float, ...]
+
+KNOWN_LOAD = 10.0  # g that are hung at the tip, on top of what hangs there
+WARMER, ROOM = 5.0, 22.0  # °C to warm by, and to start from where no temperature is declared
+WARM_UP = 600.0  # s that it takes
+TILTS = (25.0, 205.0, 115.0)  # degrees of azimuth to lean to; the first is that of the standard protocol
+NEAR = np.cos(np.radians(20.0))  # orientations within 20 degrees count as one
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How a robot stands while nothing is changed: gravity (3,) in g, load g; and all orientations seen so far."""
+
+    gravity: Vector = HANGING
+    load: float = 0.0
+    temperature: float = ROOM
+    seen: tuple[Vector, ...] = (HANGING,)
+
+    @classmethod
+    def of(cls, gravity: Floats | None, load: Floats | None, temperature: Floats | None, usual: Floats) -> Setting:
+        """Return the setting after runs that declare gravity (n, 3), load (n,) g and temperature (n,) °C, if any."""
+        rows = np.atleast_2d(np.asarray(usual if gravity is None else gravity, float))
+        return cls(
+            _vector(rows[-1]),
+            0.0 if load is None or not len(load) else float(load[-1]),
+            ROOM if temperature is None or not len(temperature) else float(temperature[-1]),
+            tuple(_vector(row) for row in np.unique(np.round(rows, 9), axis=0)),
+        )
+
+    def leaning(self) -> Vector:
+        """Return a direction of gravity 35° from the usual one that was not seen yet, if there is such."""
+        down = np.array(self.gravity) / max(float(np.linalg.norm(self.gravity)), 1e-12)
+        x = np.array([1.0, 0.0, 0.0]) if abs(down[0]) < 0.9 else np.array([0.0, 0.0, 1.0])
+        x = (x - (x @ down) * down) / np.linalg.norm(x - (x @ down) * down)
+        y = np.cross(down, x)
+        others = []
+        for azimuth in np.radians(TILTS):
+            side = np.cos(azimuth) * x + np.sin(azimuth) * y
+            others.append(np.cos(LEAN) * down + np.sin(LEAN) * side)
+        near = [max(float(other @ np.array(s)) for s in self.seen) > NEAR for other in others]
+        return _vector(others[near.index(False) if False in near else 0])
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some moves that show something: `moves` puts them on a tape, in a setting. `changes` is the one condition."""
+
+    name: str
+    moves: Callable[[Tape, Setting], None]
+    changes: Literal["nothing", "orientation", "load", "temperature"] = "nothing"
+    channels: int = 1  # that it takes
+
+    def plan(self, limits: Limits, setting: Setting | None = None, seed: int = 0) -> Protocol:
+        """Return the block alone as a protocol, for a robot with these limits, standing as it does."""
+        return plan([self], limits, setting, seed)
+
+
+def plan(
+    blocks: Sequence[Block], limits: Limits, setting: Setting | None = None, seed: int = 0, name: str = ""
+) -> Protocol:
+    """Return blocks one after another as a protocol; what a block changes is put back before the next.
+
+    Args:
+        blocks: at least one. limits: of the robot. setting: how it stands; hanging, without load, by default.
+        seed: of the irregular times of the frames. name: of the protocol; the names of the blocks by default.
+
+    Raises:
+        SoftmapError: no block, one that takes more channels, or more than two hours.
+    """
+    if not blocks:
+        raise SoftmapError(f"no block is asked for; there are {', '.join(BLOCKS)}")
+    setting = setting or Setting()
+    named = name or " + ".join(block.name for block in blocks)
+    tape = Tape(limits, np.random.default_rng([seed, len(named)]), setting.gravity, setting.load)
+    for block in sorted(blocks, key=lambda block: block.changes == "temperature"):  # what is warm stays warm: last
+        if block.channels > limits.channels:
+            raise SoftmapError(
+                f"'{block.name}' moves {block.channels} channels together, the robot has {limits.channels}; "
+                "take another block"
+            )
+        tape.turn(setting.gravity)
+        tape.hang(setting.load)
+        block.moves(tape, setting)
+        tape.home()
+        if tape.now > LIMIT_MINUTES * 60:
+            raise SoftmapError(f"{named}: more than {LIMIT_MINUTES:g} minutes; take fewer blocks")
+    return tape.protocol(named)
+
+
+def chosen(names: Iterable[str]) -> list[Block]:
+    """Return blocks by their names.
+
+    Raises:
+        SoftmapError: there is no such block.
+    """
+    found = []
+    for name in names:
+        if name not in BLOCKS:
+            raise SoftmapError(f"no block '{name}'; there are {', '.join(BLOCKS)}")
+        found.append(BLOCKS[name])
+    return found
+
+
+# --- the moves ----------------------------------------------------------------------------------
+
+
+def _each(move: Callable[[Tape, int], None]) -> Callable[[Tape, Setting], None]:
+    """Return: rest at home, one channel after the other, rest at home."""
+
+    def moved(tape: Tape, setting: Setting) -> None:
+        moves.home(tape, 3.0, 1.6)
+        for channel in range(tape.channels):
+            move(tape, channel)
+        moves.home(tape, 3.0, 1.6)
+
+    return moved
+
+
+def _home_revisits(tape: Tape, setting: Setting) -> None:
+    for channel in range(tape.channels):
+        for end in (0.6, -0.6):
+            moves.home(tape, 4.0, 1.6)
+            tape.to(tape.axis(channel, end), tape.slow, 2.3, "home revisit")
+            tape.to(tape.limits.home, tape.slow, 2.3, "home revisit")
+    moves.home(tape, 4.0, 1.6)
+
+
+def _levels(tape: Tape, channel: int) -> None:
+    for level in (1 / 3, 2 / 3, 1.0, -1 / 3, -2 / 3, -1.0):
+        tape.to(tape.axis(channel, level), 2 * tape.slow, 0.0, "")
+        tape.hold(2.0, 1.6, f"level[{channel}]")
+
+
+def _fast_and_slow(tape: Tape, channel: int) -> None:
+    for end in (0.85, -0.85, 0.0):
+        tape.to(tape.axis(channel, end), tape.slow, 2.3, f"slow[{channel}]")
+    moves.fast_triangles(tape, channel)
+
+
+def _stairs(tape: Tape, channel: int) -> None:
+    moves.staircase(tape, channel, 1.0)
+
+
+def _diagonals(tape: Tape, setting: Setting) -> None:
+    moves.home(tape, 3.0, 1.6)
+    moves.diagonals(tape)
+    moves.home(tape, 3.0, 1.6)
+
+
+def _circle(tape: Tape, setting: Setting) -> None:
+    moves.home(tape, 3.0, 1.6)
+    tape.follow(moves.circle(tape), 14.0, 2.0, "circle")
+    moves.home(tape, 3.0, 1.6)
+
+
+def _sample(tape: Tape, label: str) -> None:
+    """Home and one triangle of each channel: what is repeated where a condition changes."""
+    tape.hold(5.0, 1.6, f"{label} home")
+    for channel in range(tape.channels):
+        for end in (0.85, -0.85, 0.0):
+            tape.to(tape.axis(channel, end), tape.slow, 2.3, f"{label} triangle[{channel}]")
+
+
+def _another_orientation(tape: Tape, setting: Setting) -> None:
+    _sample(tape, "upright")
+    tape.turn(setting.leaning())
+    _sample(tape, "leaning")
+
+
+def _known_load(tape: Tape, setting: Setting) -> None:
+    _sample(tape, "unloaded")
+    tape.hang(setting.load + KNOWN_LOAD)
+    _sample(tape, "loaded")
+
+
+def _warm_up(tape: Tape, setting: Setting) -> None:
+    note = f"warm the robot by {WARMER:g} °C from here on, and log a thermometer beside the silicone"
+    tape.notes.append((tape.now, note))
+    start = tape.now
+    while tape.now - start < WARM_UP:
+        _sample(tape, "warming")
+        tape.hold(20.0, 0.2, "warming")
+    tape.warmth += [(start, setting.temperature), (tape.now, setting.temperature + WARMER)]
+
+
+BLOCKS: dict[str, Block] = {
+    block.name: block
+    for block in (
+        Block("home revisits", _home_revisits),
+        Block("levels of both signs", _each(_levels)),
+        Block("triangles of growing size", _each(moves.triangles)),
+        Block("small loops at two offsets", _each(moves.small_loops)),
+        Block("fast and slow triangles", _each(_fast_and_slow)),
+        Block("staircase with long dwells", _each(_stairs)),
+        Block("diagonals", _diagonals, channels=2),
+        Block("circle", _circle, channels=2),
+        Block("another orientation", _another_orientation, "orientation"),
+        Block("a known 10 g", _known_load, "load"),
+        Block("a warm-up", _warm_up, "temperature"),
+    )
+}
+
+
+def _vector(v: Floats) -> Vector:
+    return tuple(float(x) for x in v)
