@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from softmap_edge.diagnosis.comparison import Comparison, compare
     from softmap_edge.diagnosis.diagnose import Diagnosis, diagnose, refit
     from softmap_edge.diagnosis.series import series
+    from softmap_edge.experiment.choose import Experiment, next_experiment
     from softmap_edge.logs.guess import guess_mapping
     from softmap_edge.logs.importer import import_logs
     from softmap_edge.logs.mapping import read_mapping
@@ -32,6 +33,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Comparison",
     "Diagnosis",
+    "Experiment",
     "Finger",
     "Model",
     "Robot",
@@ -48,6 +50,7 @@ __all__ = [
     "import_logs",
     "learn_model",
     "load_bundle",
+    "next_experiment",
     "read_mapping",
     "refit",
     "save_bundle",
@@ -63,6 +66,7 @@ _HOMES = {
     "diagnosis.comparison": ["Comparison", "compare"],
     "diagnosis.series": ["series"],
     "diagnosis.diagnose": ["Diagnosis", "diagnose", "refit"],
+    "experiment.choose": ["Experiment", "next_experiment"],
     "solid.finger": ["Finger"],
     "logs.guess": ["guess_mapping"],
     "logs.importer": ["import_logs"],

@@ -44,7 +44,7 @@ class Protocol:
 
     `t` (T,) s, `command` (T, C) mm, `gravity` (T, 3) g in the base frame, `t_seen` (K,) s, `block` (K,) labels.
     `load` (T,) g that is hung at the tip, and `temperature` (T,) °C that is to be reached, where they are part of it.
-    `notes` say at which time (s) something is to be done by hand. `unit` of the commands, mm unless the robot has another.
+    `notes` say at which time (s) something is to be done by hand; `unit` is that of the commands.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Protocol:
 
 @dataclass(frozen=True)
 class Limits:
-    """How far and how fast a robot is moved: home, low and high (C,) in its unit, slow and fast (C,) in units a second."""
+    """How far and how fast a robot is moved: home, low, high (C,) in its unit, slow and fast (C,) in units a second."""
 
     home: Floats
     low: Floats
@@ -135,35 +135,38 @@ class Limits:
 
 
 def standard_protocol(
-    channels: int = 2, seed: int = 0, reach: float = REACH, limits: Limits | None = None, back: bool = False
+    channels: int = 2,
+    seed: int = 0,
+    reach: float = REACH,
+    limits: Limits | None = None,
+    back: bool = False,
+    orientations: tuple[tuple[float, ...], tuple[float, ...]] = (HANGING, LEANING),
 ) -> Protocol:
     """Make the standard protocol: about 360 frames in 4 minutes, two orientations.
 
-    Args: `channels` C ≥ 1; `seed` of the irregular frame times; `reach` mm, the largest command; `limits` of a robot, in
-    place of both; `back` returns to the first orientation for triangles and the other side of the staircases, so that
-    orientation no longer follows time: 6 minutes.
+    Args: `channels` C ≥ 1; `seed` of the irregular frame times; `reach` mm, the largest command; `limits` of a robot,
+    in place of both; `back` returns to the first orientation for triangles and the other side of the staircases, so
+    that orientation no longer follows time: 6 minutes; `orientations` are the two directions of gravity.
     Returns the protocol. Raises SoftmapError if channels or reach are not usable.
     """
     limits = limits or Limits.even(channels, reach)
-    return _in_orientations("standard protocol", limits, seed, _standard_blocks, 3 if back else 2)
+    directions = (*orientations, orientations[0]) if back else orientations
+    return _in_orientations("standard protocol", limits, seed, _standard_blocks, directions)
 
 
-def other_protocol(
-    channels: int = 2, seed: int = 0, reach: float = REACH, limits: Limits | None = None
-) -> Protocol:
+def other_protocol(channels: int = 2, seed: int = 0, reach: float = REACH, limits: Limits | None = None) -> Protocol:
     """Make a run of another kind (circles, spirals, smooth random moves), to judge by what was never fitted.
 
     Args and errors as `standard_protocol`; returns about 240 frames in 2 minutes, the same two orientations.
     """
-    return _in_orientations("another kind of run", limits or Limits.even(channels, reach), seed, _other_blocks, 2)
+    limits = limits or Limits.even(channels, reach)
+    return _in_orientations("another kind of run", limits, seed, _other_blocks, (HANGING, LEANING))
 
 
 class Tape:
     """Collects the corners of the command, the conditions and the instants to look, one move after another."""
 
-    def __init__(
-        self, limits: Limits, rng: np.random.Generator, gravity: tuple[float, ...], load: float = 0.0
-    ) -> None:
+    def __init__(self, limits: Limits, rng: np.random.Generator, gravity: tuple[float, ...], load: float = 0.0) -> None:
         self.limits, self.rng, self.channels = limits, rng, limits.channels
         self.slow, self.fast = limits.slow, limits.fast
         self.now = 0.0
@@ -259,11 +262,15 @@ class Tape:
 
 
 def _in_orientations(
-    name: str, limits: Limits, seed: int, blocks: Callable[[Tape, int], None], parts: int
+    name: str,
+    limits: Limits,
+    seed: int,
+    blocks: Callable[[Tape, int], None],
+    directions: tuple[tuple[float, ...], ...],
 ) -> Protocol:
-    tape = Tape(limits, np.random.default_rng([seed, len(name)]), HANGING)
-    for part in range(parts):
-        tape.turn(LEANING if part == 1 else HANGING)
+    tape = Tape(limits, np.random.default_rng([seed, len(name)]), directions[0])
+    for part, gravity in enumerate(directions):
+        tape.turn(gravity)
         blocks(tape, part)
     return tape.protocol(name)
 

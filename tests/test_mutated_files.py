@@ -86,6 +86,18 @@ def diagnosis_sample(folder):
     return folder / "d.json"
 
 
+def commands_sample(folder):
+    from softmap_edge.experiment.blocks import BLOCKS
+    from softmap_edge.experiment.command_file import write_commands
+    from softmap_edge.protocol import Limits
+
+    made = BLOCKS["a known 10 g"].plan(Limits.even(2))
+    write_commands(folder / "c.csv", made, "sample")
+    lines = (folder / "c.csv").read_text().split("\n")
+    (folder / "c.csv").write_text("\n".join(lines[:30]) + "\n")  # damage meets the head as often as the rows
+    return folder / "c.csv"
+
+
 def sweep_sample(folder):
     from softmap_edge.solid.finger import Finger
     from softmap_edge.solid.simulator import Simulator
@@ -200,6 +212,14 @@ def use_diagnosis(path):
         builtin_model().with_effects([entry["name"]], found.params_of(entry["name"]))
 
 
+def use_commands(path):
+    from softmap_edge.experiment.command_file import read_commands, steps, write_commands
+
+    made, robot = read_commands(path)
+    steps(made.notes)
+    write_commands(path.with_name("again.csv"), made, robot)
+
+
 def use_sweep(path):
     from softmap_edge.solid.simulator import Sweep
 
@@ -237,6 +257,7 @@ FORMATS = [
     Format("robot", robot_sample, spoil_text_file, use_robot),
     Format("sweep", sweep_sample, spoil_npz_file, use_sweep),
     Format("diagnosis", diagnosis_sample, spoil_text_file, use_diagnosis),
+    Format("commands", commands_sample, spoil_text_file, use_commands),
     Format("sweep made elsewhere", shapes_sample, spoil_npz_file, use_shapes),
     Format("scattered bundle", scattered_bundle_sample, spoil_bundle, use_bundle),
     Format("bundle", bundle_sample, spoil_bundle, use_bundle),

@@ -29,9 +29,11 @@ VERBS: list[Verb] = [
     Verb("effects", "look", "the effects that the library knows", "softmap_edge.commands.look"),
     Verb("compare", "understand", "how far off is the model, and where", "softmap_edge.commands.understand"),
     Verb("diagnose", "understand", "which effect is missing", "softmap_edge.commands.understand"),
+    Verb("next", "understand", "which experiment settles what is open", "softmap_edge.commands.experiment"),
     Verb("add", "understand", "add an effect to a bundle", "softmap_edge.commands.understand"),
     Verb("remove", "understand", "remove an effect from a bundle", "softmap_edge.commands.understand"),
     Verb("refit", "understand", "fit the effects of a bundle again", "softmap_edge.commands.understand"),
+    Verb("record", "move", "play a command file, on the simulated finger", "softmap_edge.commands.experiment"),
 ]
 
 # Verbs of distributions that may not be installed, and what to install for each.

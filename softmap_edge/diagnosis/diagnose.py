@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.conclusion import OwnMisfit, conclude, parameters
 from softmap_edge.diagnosis.evidence import Untestable, equivalents, experiment, orientations, shown, unseen
 from softmap_edge.diagnosis.fit import Fit, Problem
-from softmap_edge.diagnosis.noise import command_kernel, estimate_noise, form_covariance, rod_noise, whitener
+from softmap_edge.diagnosis.noise import Noise, command_kernel, estimate_noise, form_covariance, rod_noise, whitener
 from softmap_edge.diagnosis.record import Record, record_of
 from softmap_edge.diagnosis.search import Search
 from softmap_edge.diagnosis.servo import servos
@@ -308,8 +308,8 @@ def _own_misfit(record: Record) -> OwnMisfit | None:
     return OwnMisfit(tuple(record.model.chain_names), before, after) if after <= OWN_FALL * before else None
 
 
-def _problem(record: Record, candidates: Sequence[str]) -> Problem:
-    """Measure the noise, set up the form error and look along the span of the candidates' signatures."""
+def _problem(record: Record, candidates: Sequence[str], noise: Noise | None = None) -> Problem:
+    """Measure the noise (if none is given), set up the form error and look along the candidates' signatures."""
     base = record.predict(record.model.chain_names, record.own()[None])[0]
     if len(record) < 8:
         raise SoftmapError(f"{len(record)} seen frames are too few to diagnose; record at least 8, better 60")
@@ -318,10 +318,10 @@ def _problem(record: Record, candidates: Sequence[str]) -> Problem:
     stack = np.stack(signatures) if signatures else np.zeros((1, len(thin), record.features))
     kernel = command_kernel(record.command, record.spread)
     if record.model.kind == "rod":
-        noise = rod_noise(record.seen - base, record.t_seen, record.form_error)
+        noise = noise or rod_noise(record.seen - base, record.t_seen, record.form_error)
         form = np.zeros((record.features, record.features))
     else:
-        noise = estimate_noise(record.seen - base, record.t_seen, record.state.visit)
+        noise = noise or estimate_noise(record.seen - base, record.t_seen, record.state.visit)
         form = form_covariance(record.form_error, record.positions, record.section)
     return Problem(record, noise, whitener(noise, form, stack, kernel))
 

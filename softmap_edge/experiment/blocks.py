@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from numpy.typing import NDArray
 from softmap_edge import protocol as moves
 from softmap_edge.errors import SoftmapError
 from softmap_edge.protocol import HANGING, LEAN, LIMIT_MINUTES, Limits, Protocol, Tape
+
+if TYPE_CHECKING:
+    from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
 Vector = tuple[float, ...]
@@ -41,13 +44,16 @@ class Setting:
     seen: tuple[Vector, ...] = (HANGING,)
 
     @classmethod
-    def of(cls, gravity: Floats | None, load: Floats | None, temperature: Floats | None, usual: Floats) -> Setting:
-        """Return the setting after runs that declare gravity (n, 3), load (n,) g and temperature (n,) °C, if any."""
-        rows = np.atleast_2d(np.asarray(usual if gravity is None else gravity, float))
+    def after(cls, runs: Sequence[Run], usual: Floats) -> Setting:
+        """Return how a robot stands after some runs; hanging by `usual` gravity (3,) where they declare none."""
+        down = [np.atleast_2d(run.gravity) for run in runs if run.gravity is not None]
+        last = runs[-1].load if runs else None
+        warm = next((run.temperature for run in reversed(runs) if run.temperature is not None), None)
+        rows = np.concatenate(down) if down else np.atleast_2d(np.asarray(usual, float))
         return cls(
             _vector(rows[-1]),
-            0.0 if load is None or not len(load) else float(load[-1]),
-            ROOM if temperature is None or not len(temperature) else float(temperature[-1]),
+            0.0 if last is None or not len(last) else float(last[-1]),
+            ROOM if warm is None or not len(warm) else float(warm[-1]),
             tuple(_vector(row) for row in np.unique(np.round(rows, 9), axis=0)),
         )
 

@@ -83,7 +83,9 @@ def _protocol(path: str | Path, rows: list[list[str]], unit: str) -> Protocol:
     channels = len(names) - len(BEFORE) - len(AFTER)
     wanted = [*BEFORE, *(f"u{c}" for c in range(max(channels, 0))), *AFTER]
     if names != wanted or channels > CHANNELS:
-        raise RunError(f"{path}: columns {_line(','.join(names))[:100]}; expected t, u0 to u63 at most, {', '.join(AFTER)}")
+        raise RunError(
+            f"{path}: columns {_line(','.join(names))[:100]}; expected t, u0 to u63 at most, {', '.join(AFTER)}"
+        )
     if not 2 <= len(rows) - 1 <= ROWS:
         raise RunError(f"{path}: {len(rows) - 1} rows of commands; 2 to {ROWS} are read")
     width = len(names) - 2  # the last two are texts

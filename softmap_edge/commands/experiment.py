@@ -1,0 +1,185 @@
+"""Verbs about the next experiment: next (which block to record, as a command file), record (play a command file)."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from softmap_edge.commands.output import check_file
+from softmap_edge.commands.progress import Bar
+from softmap_edge.commands.understand import _bundle, _run
+from softmap_edge.errors import RunError, SoftmapError
+
+
+def next_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `softmap next`."""
+    parser.add_argument("diagnosis", nargs="?", metavar="FILE", help="the diagnosis, JSON, of `softmap diagnose --out`")
+    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    parser.add_argument(
+        "--run", action="append", default=[], metavar="RUN",
+        help="a run that the diagnosis was made from (give each); without it blocks are judged less well",
+    )  # fmt: skip
+    parser.add_argument("--out", metavar="CSV", help="write the commands, for `softmap record`")
+    parser.add_argument("--standard", action="store_true", help="the standard protocol for this robot, no diagnosis")
+    parser.add_argument(
+        "--block", action="append", default=[], metavar="NAME", help="write this block, whatever is best"
+    )
+    parser.add_argument("--minutes", type=float, default=6.0, help="write further blocks up to this long (6)")
+    parser.add_argument(
+        "--fastest", type=float, metavar="SPEED", help="no faster than this, in mm/s or the robot's unit/s"
+    )
+    parser.add_argument("--since", metavar="FILE", help="an earlier diagnosis: say what has been settled since")
+    parser.add_argument("--seed", type=int, default=0, help="draws the irregular times of the frames (0)")
+
+
+def next(args: argparse.Namespace) -> int:
+    """Say which block of commands settles what is open, and write it."""
+    from softmap_edge.experiment.choose import SCHEMA
+    from softmap_edge.experiment.command_file import steps, write_commands
+
+    check_file("--out", args.out, ".csv")
+    if not args.minutes > 0:
+        raise SoftmapError(f"--minutes {args.minutes:g}: give a time above 0")
+    if args.seed < 0:
+        raise SoftmapError(f"--seed {args.seed} is negative; give 0 or more")
+    model = _bundle(args.bundle)
+    made, found, lines = _standard(args, model) if args.diagnosis is None else _answered(args, model)
+    names = [] if made is None else made.name.split(" + ")
+    settles = list(dict.fromkeys(name for e in found if e.block in names for name in e.settles))
+    if made is not None and args.out:
+        write_commands(args.out, made, model.robot)
+    document = {
+        "schema": SCHEMA,
+        "next": [e.to_dict() for e in found],
+        "blocks": names,
+        "settles": settles,
+        "minutes": None if made is None else round(made.minutes, 2),
+        "frames": None if made is None else made.frames,
+        "commands": args.out if made is not None else None,
+        "by_hand": [] if made is None else [{"t_s": round(t, 2), "do": text} for t, text in made.notes],
+        "progress": lines,
+    }
+    if args.json:
+        print(json.dumps(document, ensure_ascii=False, indent=1))
+        return 0
+    if found:
+        lines += ["What would settle it, best first", *(f"  {e}" for e in found)]
+    elif made is None:
+        lines += ["Nothing is open, so there is nothing to record."]
+    if made is not None:
+        told = f", to settle {', '.join(settles)}" if settles else ""
+        lines += [f"{made.name}: {made.minutes:.1f} minutes, {made.frames} frames{told}"]
+        lines += [f"  at {step}" for step in steps(made.notes)]
+    if made is not None and args.out:
+        lines += [f"written to {args.out}; on the simulated finger: `softmap record {args.out} --sim --out new.npz`"]
+    print("\n".join(lines))
+    return 0
+
+
+def _standard(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], list[str]]:
+    """Return commands that are asked for without a diagnosis: the standard protocol, or blocks by name."""
+    from softmap_edge.experiment.blocks import Setting, chosen, plan
+    from softmap_edge.protocol import standard_protocol
+
+    setting = Setting.after([], model.gravity_reference)
+    if args.block:
+        return plan(chosen(args.block), _limits(args, model), setting, args.seed), [], []
+    if not args.standard:
+        raise SoftmapError("no diagnosis is given; name the file of `softmap diagnose --out`, or ask for --standard")
+    both = (setting.gravity, setting.leaning())
+    return standard_protocol(seed=args.seed, limits=_limits(args, model), back=True, orientations=both), [], []
+
+
+def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], list[str]]:
+    """Return the commands for what a diagnosis left open, the blocks that were weighed, and what is open."""
+    from softmap_edge.diagnosis.diagnose import Diagnosis
+    from softmap_edge.experiment.blocks import Setting, chosen, plan
+    from softmap_edge.experiment.choose import next_experiment, program
+    from softmap_edge.report.progress import progress_lines
+
+    if args.standard:
+        raise SoftmapError("--standard takes no diagnosis; leave one of the two out")
+    diagnosis, before = Diagnosis.load(args.diagnosis), args.since and Diagnosis.load(args.since).to_dict()
+    runs, limits = [_run(path) for path in args.run], _limits(args, model)
+    with Bar(args.json) as bar:
+        found = next_experiment(model, diagnosis, runs, limits, progress=lambda share: bar("simulating", share))
+    names = args.block or [e.block for e in program(found, args.minutes)]
+    setting = Setting.after(runs, model.gravity_reference)
+    made = plan(chosen(names), limits, setting, args.seed) if names else None
+    return made, found, progress_lines(before or None, diagnosis.to_dict())
+
+
+def _limits(args: argparse.Namespace, model: Any) -> Any:
+    from softmap_edge.protocol import Limits
+
+    return Limits.of(model.command_range, model.command_unit, args.fastest)
+
+
+def record_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `softmap record`."""
+    parser.add_argument("commands", metavar="CSV", help="a command file of `softmap next --out`")
+    parser.add_argument("--sim", action="store_true", help="on the simulated finger; the only one for now")
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="the model that the commands are for; the built-in finger without it"
+    )
+    parser.add_argument("--finger", metavar="TOML", help="the simulated finger; the built-in one without it")
+    hidden = parser.add_mutually_exclusive_group()
+    hidden.add_argument("--hide", nargs="+", default=[], metavar="NAME", help="effects that the simulated finger has")
+    hidden.add_argument("--truth-from", metavar="FILE", help="the same secrets as in a demo (its --json document)")
+    parser.add_argument("--seed", type=int, help="draws the finger and the strengths of its secrets (1)")
+    parser.add_argument("--noise-seed", type=int, default=0, help="draws the noise of the camera (0)")
+    parser.add_argument("--out", required=True, metavar="RUN", help="the run to write, .npz")
+
+
+def record(args: argparse.Namespace) -> int:
+    """Play a command file on the simulated finger and write the run."""
+    from softmap_edge.experiment.command_file import read_commands
+    from softmap_edge.solid.finger import Finger
+    from softmap_edge.truth import WATCH, hide
+
+    if not args.sim:
+        raise SoftmapError("a servo bus is not driven by this version; give --sim for the simulated finger")
+    check_file("--out", args.out, ".npz")
+    made, robot = read_commands(args.commands)
+    model = _bundle(args.bundle)
+    finger = Finger.builtin() if args.finger is None else Finger.load(args.finger)
+    if finger.name != model.robot:
+        raise SoftmapError(
+            f"the model is of '{model.robot}', the simulated finger is '{finger.name}'; give its own with --finger"
+        )
+    if robot != finger.name or made.unit != finger.command_unit or made.command.shape[1] != len(finger.pairs):
+        raise SoftmapError(
+            f"{args.commands}: {made.command.shape[1]} commands in {made.unit} for '{robot}', '{finger.name}' takes "
+            f"{len(finger.pairs)} in {finger.command_unit}; write them for this one with `softmap next --bundle`"
+        )
+    if args.noise_seed < 0:
+        raise SoftmapError(f"--noise-seed {args.noise_seed} is negative; give 0 or more")
+    names, seed = (args.hide, 1) if args.truth_from is None else _secrets(args.truth_from)
+    seed = seed if args.seed is None else args.seed
+    with Bar(args.json) as bar:
+        before = WATCH.set(lambda share: bar("solving", share))
+        try:
+            run = hide(names, seed, finger=finger).measure(made, args.noise_seed)
+        finally:
+            WATCH.reset(before)
+    run.save(args.out)
+    document = {
+        "schema": "softmap.record/1", "out": args.out, "rows": len(run.t), "channels": run.channels,
+        "frames": run.frames, "minutes": round(made.minutes, 2), "simulated": True, "hash": run.hash(),
+    }  # fmt: skip
+    print(json.dumps(document, ensure_ascii=False) if args.json else f"{run}\nsimulated; written to {args.out}")
+    return 0
+
+
+def _secrets(path: str) -> tuple[list[str], int]:
+    """Return what a demo hid: names and seed."""
+    try:
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+        names, seed = [str(row["name"]) for row in document["hidden"]], document["seed"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise RunError(f"{path}: not the document of a demo; make it with `softmap demo --json`") from None
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
+        raise RunError(f"{path}: seed {str(seed)[:40]}, expected a whole number from 0 on")
+    return names, seed

@@ -1,0 +1,42 @@
+"""What an experiment has settled: the open questions of an earlier diagnosis beside those of a later one."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from typing import Any
+
+WIDTH = 100
+
+
+def progress_lines(before: Mapping[str, Any] | None, after: Mapping[str, Any]) -> list[str]:
+    """Return what was open and what still is, for a terminal.
+
+    Args:
+        before, after: documents softmap.diagnosis/1, earlier and later; without `before` only what is open now.
+    """
+    lines = [] if before is None else _open("Before", before)
+    lines += _open("Now" if before is not None else "Open", after)
+    if before is not None:
+        gone = [name for name in _asked(before) if name not in _asked(after)]
+        lines += _folded("Settled   " + (", ".join(gone) or "nothing yet"))
+    return lines
+
+
+def _open(title: str, document: Mapping[str, Any]) -> list[str]:
+    found = " + ".join(str(row.get("name")) for row in [*document["effects"], *document["faults"]]) or "nothing named"
+    rivals = list(dict.fromkeys(" + ".join(map(str, row.get("effects") or ["?"])) for row in document["rivals"]))
+    hidden = [str(row.get("name")) for row in document["not_testable"]]
+    verdict = str(document["verdict"]).replace("_", " ")
+    told = f"{title:<9} {found} ({verdict}); rivals: {', '.join(rivals) or 'none'}"
+    return _folded(told + f"; not testable: {', '.join(hidden) or 'none'}")
+
+
+def _asked(document: Mapping[str, Any]) -> list[str]:
+    rivals = [" + ".join(map(str, row.get("effects") or ["?"])) for row in document["rivals"]]
+    return list(dict.fromkeys([*rivals, *(str(row.get("name")) for row in document["not_testable"])]))
+
+
+def _folded(text: str) -> list[str]:
+    text = "".join(c for c in text if c.isprintable())
+    return textwrap.wrap(text, WIDTH, subsequent_indent=" " * 10)
