@@ -30,7 +30,7 @@ from softmap_edge.protocol import Protocol, standard_protocol
 from softmap_edge.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator, tour
-from softmap_edge.truth_laws import LAWS, STANDARD_GRAVITY, Law, rotation
+from softmap_edge.truth_laws import LAWS, NEWTON_PER_GRAM, Law, rotation
 
 Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -158,7 +158,7 @@ class Truth:
         parts = []
         for row in np.unique(declared, axis=0):
             direction = row[:3]
-            gravity, force = direction, row[3] * STANDARD_GRAVITY * direction
+            gravity, force = direction, row[3] * NEWTON_PER_GRAM * direction
             for secret in self.secrets:
                 gravity, force = secret.law.gravity(gravity), force + secret.law.force(direction)
             parts.append((np.flatnonzero((declared == row).all(axis=1)), _vector(gravity), _vector(force)))

@@ -201,6 +201,7 @@ class _World:
         sets = {self.found, *(q.other for q in self.questions if q.hidden is None)}
         self.hidden = [q.hidden for q in self.questions if q.hidden is not None]
         self.setting = Setting.after(runs, model.gravity_reference)
+        self.bare = _blank_record(model, self.setting, library)
         self.old = record_of(model, _thinned(runs), library) if runs else None
         self.names = [n for n in self.registry if any(n in s for s in sets) or n in self.hidden]
         self.params: dict[tuple[str, ...], dict[str, float]] = {}
@@ -324,10 +325,9 @@ class _World:
 
     def _middle(self, effects: Sequence[str]) -> dict[str, float]:
         """Return parameters at mid-range: halfway from null to high, or the start where the scale is logarithmic."""
-        chain = self.library.Chain(list(effects), self.model.channels)
-        half = 0.5 * (np.asarray(chain.null, float) + np.asarray(chain.high, float))
-        middle = np.where(chain.log, chain.start, half)
-        return dict(zip(chain.labels, map(float, middle)))
+        layout = self.bare.layout(tuple(effects))
+        middle = np.where(layout.log, layout.start, 0.5 * (layout.null + layout.high))
+        return dict(zip(layout.labels, map(float, middle)))
 
     def _needs(self, name: str) -> list[str]:
         return list(self.registry[name].get("needs", []))
@@ -445,6 +445,14 @@ def _blank(model: Model, made: Protocol, like: Run | None, setting: Setting) -> 
         t=made.t, command=made.command, t_seen=made.t_seen, gravity=made.gravity, load=made.load,
         temperature=warm, block=made.block, robot=model.robot, command_unit=model.command_unit, **seen,
     )  # fmt: skip
+
+
+def _blank_record(model: Model, setting: Setting, library: Any) -> Record:
+    """Return a record of two frames at home, that knows the parameters of any chain."""
+    limits = Limits.of(model.command_range, model.command_unit)
+    made = plan([BLOCKS["home revisits"]], limits, setting)
+    blank = _blank(model, made, None, setting)
+    return Record(model, blank.at([0, 1]), library)
 
 
 def _of(params: Mapping[str, float], label: str, rest: Mapping[str, float]) -> float:
