@@ -80,7 +80,7 @@ def conclude(
     registry = {e["name"]: e for e in record.library.effects()}
     weights = {e: max(search.share(fit, e), 0.0) for e in fit.effects}
     order = sorted(fit.effects, key=lambda e: (e not in search.faults, -weights[e], e))
-    found = search.rivals(fit)
+    found = [r for r in search.rivals(fit) if not set(r[1].effects) & set(demoted)]  # what was dropped is no rival
     left = leftover(search, fit)
     hidden = [*not_testable(search, fit, registry), *impossible]
     rivals = _rivals(search, fit, found, registry)

@@ -24,6 +24,7 @@ from softmap_edge.diagnosis.fit import Fit, Problem, Space, newton_step
 Floats = NDArray[np.float64]
 
 BEAM, REFITS, LARGEST = 2, 5, 4
+RIVALS = 5  # other candidates that are fitted in the place of a member
 STAGES = ("command", "transmission", "material", "shape", "sensing")
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
 VISIBLE_MM = 0.12  # least RMS displacement of the centreline
@@ -113,7 +114,8 @@ class Search:
     def screen(self, parent: Fit, effects: Sequence[str], count: int) -> list[tuple[float, str, list[Floats]]]:
         """Return the `count` most promising of `effects` on top of `parent`: (objective, effect, joint points).
 
-        All are looked at by slopes; the objectives of the best PREDICTED times as many are then predicted.
+        All are looked at by slopes; the objectives of the best PREDICTED times as many are then predicted. Parameters
+        have their price.
         """
         glances = sorted((self._screened(parent, effect), effect) for effect in effects)
         found = []
@@ -123,7 +125,9 @@ class Search:
             costs = self.problem.costs(self.problem.at(space, np.stack(points[:2]))[1], np.stack(points[:2]))[0]
             order = [*np.argsort(costs, kind="stable"), *range(2, len(points))]
             found.append((float(costs.min()), effect, [points[i] for i in order]))
-        return sorted(found, key=lambda item: item[:2])[:count]
+        dispersion = max([1.0, min(cost for cost, *_ in found) / max(1.0, self.problem.numbers)]) if found else 1.0
+        price = dispersion * log(max(3.0, self.problem.numbers))  # of a parameter, as in EBIC
+        return sorted(found, key=lambda item: (item[0] + price * len(item[2][0]), item[1]))[:count]
 
     def _screened(self, parent: Fit, effect: str) -> float:
         """Return the objective by slopes after one step of `effect` on top of `parent`; its points are kept."""
@@ -371,7 +375,7 @@ class Search:
         mine = self.cv(fit)
         for member in fit.effects:
             rest = self.cv(self.get(frozenset(fit.effects) - {member}))
-            for other in self.alternatives(fit, member, 3):
+            for other in self.alternatives(fit, member, RIVALS):
                 theirs = self.cv(other)
                 share = float((rest[0] - theirs[0]).sum() / max(float((rest[0] - mine[0]).sum()), 1e-300))
                 behind = self._behind(other, mine)
@@ -430,7 +434,7 @@ class Search:
         return fit
 
     def _swaps(self, fit: Fit) -> list[Fit]:
-        return [other for member in fit.effects for other in self.alternatives(fit, member, 3)]
+        return [other for member in fit.effects for other in self.alternatives(fit, member, RIVALS)]
 
     def _behind(self, other: Fit, mine: tuple[Floats, Floats, Floats]) -> float:
         return max(_standard_errors(self.cv(other)[i], mine[i]) for i in (0, 1))
