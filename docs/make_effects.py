@@ -30,6 +30,7 @@ HEAD = """# Effects
 
 Made from the registry by `docs/make_effects.py`; do not edit. An effect is declared once, in a file of its own under
 `rust/effects/`, and its name stands in the list of `rust/effects/mod.rs`: one file and one line add one.
+A Python file does as well, everywhere but in the control loop: [own_effect.md](own_effect.md).
 
 At its null values an effect is absent. A fit searches from *low* to *high* (on a logarithmic scale where *low* is
 positive) and begins at *start*. A parameter marked *per channel* has one value for each command: `gain.factor[0]`,

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from softmap_edge.logs.importer import import_logs
     from softmap_edge.logs.mapping import read_mapping
     from softmap_edge.model import Model
+    from softmap_edge.own_effect import forget_effect, load_effect
     from softmap_edge.report.html import write_html
     from softmap_edge.rod.learn import learn_model
     from softmap_edge.rod.robot import Robot
@@ -46,10 +47,12 @@ __all__ = [
     "compare",
     "diagnose",
     "effects",
+    "forget_effect",
     "guess_mapping",
     "import_logs",
     "learn_model",
     "load_bundle",
+    "load_effect",
     "next_experiment",
     "read_mapping",
     "refit",
@@ -72,6 +75,7 @@ _HOMES = {
     "logs.importer": ["import_logs"],
     "logs.mapping": ["read_mapping"],
     "model": ["Model"],
+    "own_effect": ["forget_effect", "load_effect"],
     "report.html": ["write_html"],
     "rod.robot": ["Robot"],
     "rod.learn": ["learn_model"],

@@ -1,6 +1,6 @@
 """Types of the compiled core; the bindings in rust/python/ implement them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self, final
 
 import numpy as np
@@ -28,8 +28,10 @@ __all__ = [
     "Solid",
     "Table",
     "effects",
+    "forget",
     "monomial_degrees",
     "monomials",
+    "register",
 ]
 
 @disjoint_base
@@ -97,6 +99,8 @@ FIELDS: list[str]
 STANDARD_GRAVITY: float  # m/s², N/kg
 
 def effects() -> list[dict[str, Any]]: ...
+def register(declaration: Mapping[str, Any], rollout: Callable[..., _Floats]) -> None: ...
+def forget(name: str) -> None: ...
 
 @final
 class Chain:

@@ -1,4 +1,4 @@
-"""The bundle: the folder that carries a model from one machine to another. Data only; nothing in it is ever run.
+"""The bundle: the folder that carries a model from one machine to another. Nothing in it is run unasked.
 
 manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it
 prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes, scale, power and
@@ -6,6 +6,8 @@ prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattere
 template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh
 fields.npz      displacement fields per 1 g and per 1 N, as modes over fewer commands
 effects.json    the chain: names and parameters
+NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run only where whoever
+                loads the bundle has loaded that very file before (`load_effect`), or says so when asked
 calibration.json, safety.toml   joined when the bench has them
 """
 
@@ -14,6 +16,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -22,16 +25,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import __version__, _core
+from softmap_edge import __version__, _core, own_effect
 from softmap_edge.errors import BundleError, SoftmapError, brief
 from softmap_edge.features import SECTIONS, Body
 from softmap_edge.model import Arrays, Model
 from softmap_edge.npz import read_npz, write_npz
 
-SCHEMA = 2  # 2: scattered families, bodies without a mesh; a model that needs neither is written as 1
+# 2: scattered families, bodies without a mesh; 3: a user's own effects; a model that needs none is written as 1
+SCHEMA = 3
 _MAX_BYTES = 256 << 20
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
 _KINDS = ("table", "scattered", "rod")
+Trust = Callable[[Path, str], bool]
 _SHARED = ("modes", "nodes", "scale", "power")  # what the fields of one bundle have in common beside their axes
 _TENSION = "tension_"  # what the field of a tendon is called, before its number
 _LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
@@ -63,10 +68,13 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         if model.body.angle is not None:
             template["angle"] = model.body.angle.astype(np.float32)
     write_npz(partial / "template.npz", template)
+    own = [effect for name, effect in own_effect.loaded().items() if name in model.chain_names]
+    for effect in own:
+        (partial / f"{effect.name}.py").write_bytes(effect.source)
     chain = {"chain": list(model.chain_names), "params": model.params}
     (partial / "effects.json").write_text(json.dumps(chain, indent=1, sort_keys=True) + "\n")
     manifest = {
-        "schema": SCHEMA if model.kind == "scattered" or model.body is not None else 1,
+        "schema": 3 if own else 2 if model.kind == "scattered" or model.body is not None else 1,
         "kind": model.kind,
         "robot": model.robot,
         "channels": model.channels,
@@ -82,6 +90,8 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         "written_by": f"softmap-edge {__version__}",
         "sha256": {name: _sha256(partial / name) for name in _FILES},
     }
+    if own:
+        manifest["own_effects"] = {effect.name: effect.sha256 for effect in own}
     (partial / "manifest.json").write_text(json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n")
     if folder.exists():
         shutil.rmtree(folder)
@@ -99,17 +109,28 @@ def check_folder(folder: Path) -> None:
         raise BundleError(f"{folder} exists and is not a bundle; choose another name or remove it")
 
 
-def load_bundle(path: str | Path) -> Model:
-    """Read a bundle folder and return its model; raise BundleError with one line when it is damaged or newer."""
+def load_bundle(path: str | Path, trust: Trust | None = None) -> Model:
+    """Read a bundle folder and return its model.
+
+    Args:
+        path: the folder.
+        trust: asked for each own effect that is not loaded yet whether its file may be run, `trust(file, sha256)`;
+            without it none is.
+
+    Raises:
+        BundleError: it is damaged or newer, or holds code that nobody has allowed to run.
+    """
     folder = Path(path)
     manifest = load_manifest(folder)
-    for name in _FILES:
+    for name in (*_FILES, *(f"{name}.py" for name in manifest.get("own_effects", {}))):
         if not (folder / name).is_file():
             raise BundleError(f"{folder.name}: {name} is missing; copy the whole bundle folder again")
-        if _sha256(folder / name) != manifest["sha256"].get(name):
+        if _sha256(folder / name) != (manifest["sha256"] | _own_hashes(manifest)).get(name):
             raise BundleError(
                 f"{folder.name}: {name} is not the file that the manifest names (hash differs); copy it again"
             )
+    for name, digest in manifest.get("own_effects", {}).items():
+        _allow(folder / f"{name}.py", name, digest, trust)
     try:
         return _model(folder, manifest)
     except BundleError:
@@ -163,7 +184,25 @@ def load_manifest(path: str | Path) -> dict[str, Any]:
         lambda v: isinstance(v, list) and len(v) == manifest["channels"] and all(_floats(r, 2) for r in v),
         "a [low, high] pair a channel",
     )
+    _require({"own_effects": {}, **manifest}, "own_effects", _hashes, "a table of names and sha256, of at most 16")
     return manifest
+
+
+def _allow(file: Path, name: str, digest: str, trust: Trust | None) -> None:
+    """See that the effect `name` of a bundle is loaded, by running `file` only if `trust` says so."""
+    known = own_effect.loaded().get(name)
+    if known is None:
+        if trust is None or not trust(file, digest):
+            raise BundleError(
+                f"{file.parent}: its effect '{name}' is Python code, which is not run unasked; read {file}, then "
+                f"allow it with --effects {file} (in Python: load_effect)"
+            )
+        known = own_effect.load_effect(file, digest)
+    if known.sha256 != digest or known.name != name:
+        raise BundleError(
+            f"{file.parent}: its effect '{name}' is a file of sha256 {digest[:12]}…, loaded is {known.name} of "
+            f"{known.sha256[:12]}… ({known.file}); a name stands for one file, so give --effects {file}"
+        )
 
 
 def family_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table | _core.Scattered:
@@ -257,7 +296,11 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         raise BundleError(
             f"{folder.name}: form error of shape {model.form_error.shape}, expected ({len(model.positions)}, 3)"
         )
-    return model.with_effects(*_chain(folder))
+    names, params = load_chain(folder)
+    nameless = [name for name in names if name in own_effect.loaded() and name not in manifest.get("own_effects", {})]
+    if nameless:
+        raise BundleError(f"{folder.name}: its chain has '{nameless[0]}', code that its manifest does not name")
+    return model.with_effects(names, params)
 
 
 def _body(folder: Path, template: Arrays, points: int) -> Body:
@@ -275,8 +318,9 @@ def _body(folder: Path, template: Arrays, points: int) -> Body:
     return Body(section, np.asarray(template["along"], float), angle)
 
 
-def _chain(folder: Path) -> tuple[list[str], dict[str, float]]:
-    """Read names and parameters of the effects."""
+def load_chain(path: str | Path) -> tuple[list[str], dict[str, float]]:
+    """Read names and parameters of the effects of a bundle, without asking what they are."""
+    folder = Path(path)
     effects = _json(folder / "effects.json")
     names, params = effects.get("chain"), effects.get("params")
     if not isinstance(names, list) or not all(isinstance(n, str) for n in names) or not isinstance(params, dict):
@@ -284,6 +328,10 @@ def _chain(folder: Path) -> tuple[list[str], dict[str, float]]:
     if not all(_finite_number(v) for v in params.values()):
         raise BundleError(f"{folder.name}: effects.json: every parameter must be a number within ±{_LARGEST:g}")
     return names, params
+
+
+def _own_hashes(manifest: dict[str, Any]) -> dict[str, str]:
+    return {f"{name}.py": digest for name, digest in manifest.get("own_effects", {}).items()}
 
 
 def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, Any]:
@@ -347,6 +395,15 @@ def _finite_number(value: Any) -> bool:
         and not isinstance(value, bool)
         and abs(value) <= _LARGEST
         and math.isfinite(value)
+    )
+
+
+def _hashes(value: Any) -> bool:
+    return (
+        isinstance(value, dict)
+        and len(value) <= 16
+        and all(own_effect.NAME.fullmatch(name) for name in value)
+        and all(isinstance(digest, str) and re.fullmatch("[0-9a-f]{64}", digest) for digest in value.values())
     )
 
 

@@ -17,6 +17,10 @@ class SweepError(SoftmapError):
     """A sweep made elsewhere is not usable."""
 
 
+class EffectError(SoftmapError):
+    """A user's own effect cannot be loaded, or fails."""
+
+
 class ComparisonError(SoftmapError):
     """A model and a run cannot be compared."""
 

@@ -166,7 +166,10 @@ def spoil_bundle(sample, folder, rng):
     manifest = folder / "bundle" / "manifest.json"
     if victim != manifest and rng.random() < 0.9:
         document = json.loads(manifest.read_text(encoding="utf-8"))
-        document["sha256"][victim.name] = sha256(victim.read_bytes()).hexdigest()
+        hashes, key = (
+            (document["own_effects"], victim.stem) if victim.suffix == ".py" else (document["sha256"], victim.name)
+        )
+        hashes[key] = sha256(victim.read_bytes()).hexdigest()
         manifest.write_text(json.dumps(document), encoding="utf-8")
     return folder / "bundle"
 

@@ -144,6 +144,20 @@ def bundle_sample(folder):
     return save_bundle(builtin_model(), folder / "bundle")
 
 
+def own_effect_sample(folder):
+    """A bundle with a user's effect, whose code counts how often it was run."""
+    import builtins
+
+    from softmap_edge.bundle import builtin_model, save_bundle
+    from softmap_edge.own_effect import load_effect, template
+
+    builtins.runs = 0
+    (folder / "mine.py").write_text(f"import builtins\nbuiltins.runs += 1\n{template('mine')}")
+    load_effect(folder / "mine.py")
+    (folder / "mine.py").unlink()
+    return save_bundle(builtin_model().with_effects(["mine"], {"mine.share": 0.2}), folder / "bundle")
+
+
 def elastic_sample(folder):
     from softmap_edge.bundle import save_bundle
     from softmap_edge.rod.learn import learn_model
@@ -247,6 +261,16 @@ def use_bundle(path):
     model.features(run)
 
 
+def use_own_effect(path):
+    import builtins
+
+    from softmap_edge.commands.runs import _bundle, _bundle_lines
+
+    _bundle_lines({"path": str(path), **_bundle(path, asking=False)})
+    use_bundle(path)
+    assert builtins.runs == 1  # what came in a bundle never was
+
+
 FORMATS = [
     Format("run", run_sample, spoil_npz_file, use_run),
     Format("run of clouds", clouds_sample, spoil_npz_file, use_run),
@@ -262,6 +286,7 @@ FORMATS = [
     Format("scattered bundle", scattered_bundle_sample, spoil_bundle, use_bundle),
     Format("bundle", bundle_sample, spoil_bundle, use_bundle),
     Format("elastic bundle", elastic_sample, spoil_bundle, use_bundle),
+    Format("bundle with a user's effect", own_effect_sample, spoil_bundle, use_own_effect),
 ]
 
 

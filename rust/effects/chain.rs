@@ -5,9 +5,9 @@
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
-use super::{REGISTRY, find};
+use super::{find, registry};
 use crate::error::{Result, invalid};
-use crate::room::{room, zeros};
+use crate::room::zeros;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -44,7 +44,7 @@ impl Chain {
         }
         for (i, name) in names.iter().enumerate() {
             if find(name).is_none() {
-                let known: Vec<_> = REGISTRY
+                let known: Vec<_> = registry()
                     .iter()
                     .map(|effect| effect.declaration.name)
                     .collect();
@@ -60,8 +60,8 @@ impl Chain {
             }
         }
         let (mut width, mut memory) = (0, HEAD);
-        let chosen = REGISTRY
-            .iter()
+        let chosen = registry()
+            .into_iter()
             .filter(|effect| names.iter().any(|name| name == effect.declaration.name));
         let links = chosen
             .map(|effect| {
@@ -149,10 +149,9 @@ impl Chain {
 
     /// The first parameters that belong to channel effects (they come first in stage order).
     pub fn channel_width(&self) -> usize {
-        self.channel_links()
-            .map(|(link, _)| link.params.end)
-            .max()
-            .unwrap_or(0)
+        let of_channels = |link: &&Link| link.effect.law.role() == "channel";
+        let links = self.links.iter().filter(of_channels);
+        links.map(|link| link.params.end).max().unwrap_or(0)
     }
 
     fn channel_links(&self) -> impl Iterator<Item = (&Link, &'static dyn ChannelEffect)> {
@@ -162,17 +161,27 @@ impl Chain {
         })
     }
 
+    /// Refuse what goes sample by sample where a user's effect maps whole records only. A control loop asks this first.
+    pub fn stepwise(&self) -> Result<()> {
+        let whole = |link: &&Link| matches!(link.effect.law, Law::Record(_));
+        let name = |link: &Link| link.effect.declaration.name;
+        self.links.iter().find(whole).map(name).map_or(Ok(()), |name| {
+            Err(invalid(format!(
+                "'{name}' is a Python effect: it maps whole records and has no state to start, step or continue, so not \
+                 in the control loop; write it in Rust, see docs/own_effect.md"
+            )))
+        })
+    }
+
     /// The state in equilibrium with `u` (C,) held forever.
-    pub fn init(&self, params: &[f64], u: &[f64]) -> Vec<f64> {
+    pub fn init(&self, params: &[f64], u: &[f64]) -> Result<Vec<f64>> {
+        self.stepwise()?;
         let (mut state, mut x) = (vec![0.0; self.memory], u.to_vec());
         for (link, law) in self.channel_links() {
-            law.settle(
-                &params[link.params.clone()],
-                &mut x,
-                &mut state[link.state.clone()],
-            );
+            let memory = &mut state[link.state.clone()];
+            law.settle(&params[link.params.clone()], &mut x, memory);
         }
-        state
+        Ok(state)
     }
 
     /// Advance one sample: `x` (C,) is changed to what acts, `state` remembers.
@@ -193,29 +202,40 @@ impl Chain {
         (state[0] > 0.0).then_some(state[1])
     }
 
-    /// Advance a whole record (T, C) in place, effect by effect.
-    pub fn advance(
+    /// Advance a whole record (T, C) in place, effect by effect; where it begins, from equilibrium with `held` (C,).
+    fn advance(
         &self,
         params: &[f64],
         record: &mut [f64],
         state: &mut [f64],
         conditions: &Conditions,
-    ) {
-        if self.channels > 0 {
-            for (link, law) in self.channel_links() {
-                let memory = &mut state[link.state.clone()];
-                law.rollout(
-                    &params[link.params.clone()],
-                    record,
-                    self.channels,
-                    memory,
-                    conditions,
-                );
+        mut held: Option<Vec<f64>>,
+    ) -> Result<()> {
+        for link in &self.links {
+            let params = &params[link.params.clone()];
+            match link.effect.law {
+                Law::Channel(law) => {
+                    let memory = &mut state[link.state.clone()];
+                    if let Some(x) = &mut held {
+                        law.settle(params, x, memory);
+                    }
+                    if !record.is_empty() {
+                        law.rollout(params, record, self.channels, memory, conditions);
+                    }
+                }
+                Law::Record(law) if !record.is_empty() => {
+                    law.rollout(params, record, self.channels, conditions)?;
+                    if let Some(x) = &mut held {
+                        x.copy_from_slice(&record[..self.channels]);
+                    }
+                }
+                _ => {}
             }
         }
-        if let Some(end) = conditions.t().last() {
+        if let Some(end) = conditions.t().last().filter(|_| !record.is_empty()) {
             state[..HEAD].copy_from_slice(&[1.0, *end]);
         }
+        Ok(())
     }
 
     /// What acts, (B, T, C), for parameters (B, P) on the commands `u` (T, C); sets run in parallel.
@@ -242,16 +262,16 @@ impl Chain {
             "a record (parameter sets, samples, channels)",
             &[sets, u.len()],
         )?;
-        if states.is_empty() {
-            room("a state of every parameter set", &[sets, self.memory])?;
-            let held: &[f64] = if samples > 0 {
-                &u[..self.channels]
-            } else {
-                &vec![0.0; self.channels]
-            };
-            *states = (0..sets)
-                .flat_map(|b| self.init(&params[b * self.width..(b + 1) * self.width], held))
-                .collect();
+        let held = if !states.is_empty() {
+            self.stepwise()?;
+            None
+        } else if u.is_empty() {
+            Some(vec![0.0; self.channels])
+        } else {
+            Some(u[..self.channels].to_vec())
+        };
+        if held.is_some() {
+            *states = zeros("a state of every parameter set", &[sets, self.memory])?;
         }
         if states.len() != sets * self.memory {
             return Err(invalid(format!(
@@ -271,20 +291,19 @@ impl Chain {
             }
             first.map_or(Ok(()), |before| conditions.after(before))?;
         }
-        if !u.is_empty() {
-            let conditions = &*conditions;
-            out.par_chunks_exact_mut(u.len())
-                .zip(states.par_chunks_exact_mut(self.memory))
-                .enumerate()
-                .for_each(|(b, (record, state))| {
-                    record.copy_from_slice(u);
-                    self.advance(
-                        &params[b * self.width..(b + 1) * self.width],
-                        record,
-                        state,
-                        conditions,
-                    );
-                });
+        let conditions = &*conditions;
+        let one = |b: usize, record: &mut [f64], state: &mut [f64]| {
+            record.copy_from_slice(u);
+            let params = &params[b * self.width..(b + 1) * self.width];
+            self.advance(params, record, state, conditions, held.clone())
+        };
+        let states = states.par_chunks_exact_mut(self.memory).enumerate();
+        if u.is_empty() {
+            states.try_for_each(|(b, state)| one(b, &mut [], state))?;
+        } else {
+            let records = out.par_chunks_exact_mut(u.len());
+            let pairs = records.zip(states);
+            pairs.try_for_each(|(record, (b, state))| one(b, record, state))?;
         }
         Ok(out)
     }

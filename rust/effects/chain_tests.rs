@@ -4,7 +4,7 @@ use super::*;
 use proptest::prelude::*;
 
 fn chain(channels: usize) -> Chain {
-    let names: Vec<String> = REGISTRY
+    let names: Vec<String> = super::super::REGISTRY
         .iter()
         .map(|effect| effect.declaration.name.to_string())
         .collect();
@@ -28,7 +28,7 @@ proptest! {
         let t: Vec<f64> = gaps.iter().scan(0.0, |sum, gap| { *sum += gap; Some(*sum) }).collect();
         let p = params(&chain, |p| 0.5 * (p.null + p.high));
         let whole = chain.rollout(&p, &u, &mut world(t.clone()), &mut vec![]).unwrap();
-        let mut state = chain.init(&p, &u[..2]);
+        let mut state = chain.init(&p, &u[..2]).unwrap();
         let mut parts = chain.rollout(&p, &u[..2 * at], &mut world(t[..at].to_vec()), &mut state).unwrap();
         parts.extend(chain.rollout(&p, &u[2 * at..], &mut world(t[at..].to_vec()), &mut state).unwrap());
         prop_assert_eq!(whole, parts);

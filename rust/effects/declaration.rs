@@ -223,6 +223,18 @@ pub trait ChannelEffect: Sync {
     }
 }
 
+/// A change of the command numbers that sees a whole record at once: a user's own (`own.rs`). It has no state to pass on.
+pub trait RecordEffect: Sync {
+    /// Change a whole record `samples` (T, C) in place, T and C at least 1. It begins in equilibrium with its first sample.
+    fn rollout(
+        &self,
+        params: &[f64],
+        samples: &mut [f64],
+        channels: usize,
+        conditions: &Conditions,
+    ) -> Result<()>;
+}
+
 /// Coefficients of shape fields.
 pub trait ShapeEffect: Sync {
     /// Which of [`FIELDS`] the effect uses, by index.
@@ -247,6 +259,8 @@ pub trait SensingEffect: Sync {
 /// An effect's law in its role.
 pub enum Law {
     Channel(&'static dyn ChannelEffect),
+    /// A channel effect too, of a user.
+    Record(&'static dyn RecordEffect),
     Shape(&'static dyn ShapeEffect),
     Sensing(&'static dyn SensingEffect),
 }
@@ -254,7 +268,7 @@ pub enum Law {
 impl Law {
     pub fn role(&self) -> &'static str {
         match self {
-            Law::Channel(_) => "channel",
+            Law::Channel(_) | Law::Record(_) => "channel",
             Law::Shape(_) => "shape",
             Law::Sensing(_) => "sensing",
         }

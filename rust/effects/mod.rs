@@ -6,16 +6,18 @@
 mod chain;
 mod conditions;
 mod declaration;
+mod own;
 
 pub use chain::Chain;
 pub use conditions::{Conditions, Context, bracket};
 pub use declaration::*;
+pub use own::{forget, register, registry};
 
 macro_rules! registry {
     ($($name:ident)*) => {
         $(mod $name;)*
 
-        /// Every effect, in stage order.
+        /// Every effect of the library, in stage order; [`registry`] holds those of users too.
         pub static REGISTRY: &[&Effect] = &[$(&$name::EFFECT),*];
     };
 }
@@ -51,9 +53,8 @@ registry! {
 
 /// The effect of that name.
 pub fn find(name: &str) -> Option<&'static Effect> {
-    REGISTRY
-        .iter()
-        .copied()
+    registry()
+        .into_iter()
         .find(|effect| effect.declaration.name == name)
 }
 

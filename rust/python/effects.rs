@@ -2,7 +2,7 @@
 
 use super::arrays::{Floats, floats};
 use crate::Error;
-use crate::effects::{Chain, Conditions, Context, Each, Kind, Parameter, REGISTRY};
+use crate::effects::{Chain, Conditions, Context, Each, Kind, Law, Parameter, registry};
 use crate::loads::FIELDS;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
@@ -22,7 +22,7 @@ const HANGING: [f64; 3] = [0.0, 0.0, 1.0];
 #[pyfunction]
 pub fn effects<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     let list = PyList::empty(py);
-    for effect in REGISTRY {
+    for effect in registry() {
         let (d, entry) = (&effect.declaration, PyDict::new(py));
         entry.set_item("name", d.name)?;
         entry.set_item("family", d.family)?;
@@ -34,6 +34,7 @@ pub fn effects<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
             "effect"
         };
         entry.set_item("kind", kind)?;
+        entry.set_item("own", matches!(effect.law, Law::Record(_)))?;
         entry.set_item("formula", d.formula)?;
         entry.set_item("doc", d.doc)?;
         entry.set_item("signature", d.signature)?;
@@ -159,9 +160,8 @@ impl PyChain {
         temperature: Maybe<'py>,
         state: Maybe<'py>,
     ) -> PyResult<Records<'py>> {
-        Ok(self
-            .advance(py, params, u, t, gravity, load, temperature, state)?
-            .0)
+        let both = self.records(py, params, u, t, gravity, load, temperature, state)?;
+        Ok(both.0)
     }
 
     /// Like `rollout`, and the states (B, S) at the end of the record, with which the next one goes on.
@@ -177,21 +177,8 @@ impl PyChain {
         temperature: Maybe<'py>,
         state: Maybe<'py>,
     ) -> PyResult<(Records<'py>, Rows<'py>)> {
-        let chain = &self.chain;
-        let params = self.sets(params)?;
-        let (u, mut world) = self.record(u, t, HANGING, gravity, load, temperature)?;
-        let (sets, memory) = (params.shape[0], chain.state_size());
-        let axes = [("B", Some(sets)), ("S", Some(memory))];
-        let mut states = match state {
-            Some(state) => floats("state", &state, &axes)?.data,
-            None => vec![],
-        };
-        let out = py.detach(|| chain.rollout(&params.data, &u, &mut world, &mut states))?;
-        let shape = [sets, world.len(), chain.channels()];
-        Ok((
-            out.into_pyarray(py).reshape(shape)?,
-            states.into_pyarray(py).reshape([sets, memory])?,
-        ))
+        self.chain.stepwise()?;
+        self.records(py, params, u, t, gravity, load, temperature, state)
     }
 
     /// The state (S,) in equilibrium with u0 (C,) mm held forever.
@@ -202,7 +189,7 @@ impl PyChain {
         u0: Value<'_, 'py>,
     ) -> PyResult<Row<'py>> {
         let (params, u) = self.one(params, u0)?;
-        Ok(self.chain.init(&params, &u).into_pyarray(py))
+        Ok(self.chain.init(&params, &u)?.into_pyarray(py))
     }
 
     /// Advance one sample: (what acts (C,) mm, new state (S,)); the state given is left as it is.
@@ -219,6 +206,7 @@ impl PyChain {
         load: Option<f64>,
         temperature: Option<f64>,
     ) -> PyResult<(Row<'py>, Row<'py>)> {
+        self.chain.stepwise()?;
         let (params, mut x) = self.one(params, u)?;
         let mut state = floats("state", state, &[("S", Some(self.chain.state_size()))])?.data;
         let gravity = match gravity {
@@ -299,6 +287,35 @@ impl PyChain {
 }
 
 impl PyChain {
+    /// What acts (B, T, C) and the states (B, S) at the end.
+    fn records<'py>(
+        &self,
+        py: Python<'py>,
+        params: Value<'_, 'py>,
+        u: Value<'_, 'py>,
+        t: Value<'_, 'py>,
+        gravity: Maybe<'py>,
+        load: Maybe<'py>,
+        temperature: Maybe<'py>,
+        state: Maybe<'py>,
+    ) -> PyResult<(Records<'py>, Rows<'py>)> {
+        let chain = &self.chain;
+        let params = self.sets(params)?;
+        let (u, mut world) = self.record(u, t, HANGING, gravity, load, temperature)?;
+        let (sets, memory) = (params.shape[0], chain.state_size());
+        let axes = [("B", Some(sets)), ("S", Some(memory))];
+        let mut states = match state {
+            Some(state) => floats("state", &state, &axes)?.data,
+            None => vec![],
+        };
+        let out = py.detach(|| chain.rollout(&params.data, &u, &mut world, &mut states))?;
+        let shape = [sets, world.len(), chain.channels()];
+        Ok((
+            out.into_pyarray(py).reshape(shape)?,
+            states.into_pyarray(py).reshape([sets, memory])?,
+        ))
+    }
+
     fn column<'py, T: numpy::Element>(
         &self,
         py: Python<'py>,

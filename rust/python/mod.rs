@@ -5,6 +5,7 @@ mod cables;
 mod effects;
 mod elastic;
 mod fem;
+mod own;
 mod predict;
 mod rod;
 mod scattered;
@@ -41,6 +42,8 @@ mod _core {
     use super::elastic::{PyElasticField, PyElasticRod};
     #[pymodule_export]
     use super::fem::{Mesh, Solid};
+    #[pymodule_export]
+    use super::own::{forget, register};
     #[pymodule_export]
     use super::predict::PyPredictor;
     #[pymodule_export]

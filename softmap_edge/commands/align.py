@@ -11,8 +11,8 @@ import numpy as np
 
 from softmap_edge.alignment.align import align_base, align_home, base_markers, clamped_places, in_frame
 from softmap_edge.alignment.rigid import Pose
-from softmap_edge.bundle import builtin_model, load_bundle
 from softmap_edge.commands.output import check_file
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import AlignError
 from softmap_edge.run import Run
 
@@ -26,6 +26,7 @@ def align_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `align`."""
     parser.add_argument("run", help="a run (.npz) in the frame of the camera or mocap")
     parser.add_argument("--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it")
+    effects_argument(parser)
     parser.add_argument("--out", required=True, metavar="RUN", help="the run in the base frame (.npz)")
     parser.add_argument(
         "--base",
@@ -62,7 +63,8 @@ def align(args: argparse.Namespace) -> int:
 
 
 def _bundle(args: argparse.Namespace) -> Any:
-    return load_bundle(args.bundle) if args.bundle else builtin_model()
+    load_own(args)
+    return open_model(args.bundle)
 
 
 def _like(args: argparse.Namespace, run: Run) -> int:

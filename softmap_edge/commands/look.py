@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from softmap_edge import _core
-from softmap_edge.bundle import builtin_model, load_bundle
 from softmap_edge.commands.output import check_file
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.npz import write_npz
+from softmap_edge.own_effect import template
 from softmap_edge.report.text import WIDTH
 from softmap_edge.run import Run
 
@@ -24,13 +25,15 @@ def predict_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `predict`."""
     parser.add_argument("input", help="a run (.npz), or one command as comma-separated mm: 8,-3")
     parser.add_argument("--bundle", help="bundle folder (default: the built-in finger)")
+    effects_argument(parser)
     parser.add_argument("--out", help="write the predicted points (K, N, 3) mm to this .npz")
 
 
 def predict(args: argparse.Namespace) -> int:
     """Predict shapes for a run or one command."""
     check_file("--out", args.out, ".npz")
-    model = load_bundle(args.bundle) if args.bundle else builtin_model()
+    load_own(args)
+    model = open_model(args.bundle)
     run = Run.load(args.input) if Path(args.input).suffix == ".npz" else _held(args.input, model)
     for note in model.beyond(run):
         print(f"softmap predict: {note}", file=sys.stderr)
@@ -55,11 +58,16 @@ def predict(args: argparse.Namespace) -> int:
 
 def effects_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `effects`."""
-    parser.add_argument("name", nargs="?", help="show this one in full")
+    parser.add_argument("name", nargs="?", help="show this one in full; 'new' writes a file for an effect of your own")
+    parser.add_argument("new_name", nargs="?", metavar="NAME", help="after 'new': its name; NAME.py is written here")
+    effects_argument(parser)
 
 
 def effects(args: argparse.Namespace) -> int:
-    """List the effects that the library knows, or show one."""
+    """List the effects that the library knows, show one, or write the template of a user's own."""
+    if args.name == "new":
+        return _new(args)
+    load_own(args)
     known = {effect["name"]: effect for effect in _core.effects()}
     if args.name and args.name not in known:
         raise SoftmapError(f"no effect '{args.name}'; there are {', '.join(known)}")
@@ -81,6 +89,21 @@ def effects(args: argparse.Namespace) -> int:
             for p in effect["parameters"]:
                 head = f"  {p['name']:<12} {p['unit']:<6} null {p['null']:g}, {p['low']:g} … {p['high']:g}   "
                 print("\n".join(_hung(head, p["doc"])))
+    return 0
+
+
+def _new(args: argparse.Namespace) -> int:
+    if args.new_name is None:
+        raise SoftmapError("give the new effect a name: `softmap effects new wobble` writes wobble.py")
+    text, file = template(args.new_name), Path(f"{args.new_name}.py")
+    check_file("effects new", str(file))
+    if file.exists():
+        raise SoftmapError(f"{file} stands here already; give another name or remove it")
+    file.write_text(text, encoding="utf-8")
+    if args.json:
+        print(json.dumps({"schema": "softmap.effects/1", "written": str(file)}))
+    else:
+        print(f"{file}: runs as it is; write your law into it, then look for it: softmap diagnose RUN --effects {file}")
     return 0
 
 

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from softmap_edge.bundle import load_chain, load_manifest
 from softmap_edge.commands.output import check_file, check_kept
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.diagnosis.advice import effect_lines
 from softmap_edge.elsewhere.summary import read_summary
 from softmap_edge.elsewhere.summary import sentences as sweep_sentences
@@ -18,6 +20,7 @@ from softmap_edge.elsewhere.sweep_file import LIMIT, is_shape_sweep
 from softmap_edge.errors import RunError, SoftmapError, SweepError
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.npz import read_npz
+from softmap_edge.own_effect import loaded
 from softmap_edge.run import Run
 from softmap_edge.run_summary import SCHEMA, sentences, summary
 
@@ -93,11 +96,13 @@ def check_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `check`."""
     parser.add_argument("path", help="a run (.npz), a sweep (.npz) or a bundle folder")
     parser.add_argument("--bundle", metavar="DIR", help="of a run: say which effects would show against this model's")
+    effects_argument(parser)
 
 
 def check(args: argparse.Namespace) -> int:
     """Say whether a run or bundle is sound, and what it holds; 0 when sound, 1 when not."""
     path = _existing(args.path)
+    load_own(args)
     kind = "bundle" if path.is_dir() else "sweep" if is_shape_sweep(path) else "run"
     document: dict[str, Any] = {"schema": SCHEMA, "path": str(path), "kind": kind}
     try:
@@ -120,13 +125,15 @@ def check(args: argparse.Namespace) -> int:
 def show_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `show`."""
     parser.add_argument("path", help="a run (.npz), a sweep (.npz) or a bundle folder")
+    effects_argument(parser)
 
 
 def show(args: argparse.Namespace) -> int:
-    """Print what is in a run (its fields and traces) or a bundle (its manifest)."""
+    """Print what is in a run (its fields and traces) or a bundle (its manifest); code in a bundle is not run."""
     path = _existing(args.path)
+    load_own(args)
     if path.is_dir():
-        document = {"schema": "softmap.show/1", "path": str(path), "kind": "bundle", **_bundle(path)}
+        document = {"schema": "softmap.show/1", "path": str(path), "kind": "bundle", **_bundle(path, asking=False)}
         print(json.dumps(document, ensure_ascii=False) if args.json else "\n".join(_bundle_lines(document)))
         return DONE
     sweep = is_shape_sweep(path)
@@ -156,18 +163,19 @@ def _run(path: Path, bundle: str | None) -> dict[str, Any]:
     run = Run.load(path)
     document = summary(run)
     if bundle is not None:
-        from softmap_edge.bundle import load_bundle
         from softmap_edge.diagnosis.diagnose import showing
 
-        document["effects"] = showing(load_bundle(bundle), run)
+        document["effects"] = showing(open_model(bundle), run)
     return document
 
 
-def _bundle(path: Path) -> dict[str, Any]:
-    from softmap_edge.bundle import load_bundle, load_manifest
-
+def _bundle(path: Path, asking: bool = True) -> dict[str, Any]:
+    """Return manifest and chain; with code that is not loaded and not `asking`, the chain as it is written."""
     manifest = load_manifest(path)
-    model = load_bundle(path)
+    if not asking and set(manifest.get("own_effects", {})) - set(loaded()):
+        names, params = load_chain(path)
+        return {"manifest": manifest, "effects": names, "params": params}
+    model = open_model(str(path))
     chain = {"effects": list(model.chain_names), "params": model.params}
     return {"manifest": manifest, **chain}
 
@@ -175,7 +183,13 @@ def _bundle(path: Path) -> dict[str, Any]:
 def _bundle_lines(document: dict[str, Any]) -> list[str]:
     manifest = document["manifest"]
     shown = {k: v for k, v in manifest.items() if k != "sha256"} | {"effects": document["effects"] or "none"}
-    return [f"{key:<18} {_plain(value)}" for key, value in shown.items()]
+    lines = [f"{key:<18} {_plain(value)}" for key, value in shown.items()]
+    for name in manifest.get("own_effects", {}):
+        file = Path(document["path"]) / f"{name}.py"
+        lines.append(
+            f"{'code':<18} the effect {name} is Python code, {file}: read it, then allow it with --effects {file}"
+        )
+    return lines
 
 
 def _plain(value: Any) -> str:

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_kept
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
+from softmap_edge.own_effect import check_hashes
 
 
 def compare_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,6 +25,7 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="the model; the built-in finger without it; give two to see both",
     )
+    effects_argument(parser)
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
 
 
@@ -32,7 +35,8 @@ def compare(args: argparse.Namespace) -> int:
     from softmap_edge.report.text import pair_text
 
     check_file("--html", args.html)
-    run, models = _run(args.run), [_bundle(path) for path in args.bundle or [None]]
+    load_own(args)
+    run, models = _run(args.run), [open_model(path) for path in args.bundle or [None]]
     _warn("compare", models[0], run)
     found = [measure(model, run) for model in models]
     if args.json:
@@ -52,7 +56,7 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("runs", nargs="+", metavar="run", help="the measured run, .npz; several share their effects")
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
     parser.add_argument("--held-out", metavar="RUN", help="an independent run that is never fitted")
-    parser.add_argument("--effects", metavar="NAME,NAME", help="look for these only")
+    effects_argument(parser, "; NAME,NAME: look for these only, and for those of the files")
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
     parser.add_argument("--out", metavar="FILE", help="write the diagnosis as JSON, for `softmap add --from`")
     parser.add_argument("--seed", type=int, default=0, help="kept in the document")
@@ -64,9 +68,12 @@ def diagnose(args: argparse.Namespace) -> int:
 
     check_file("--html", args.html)
     check_file("--out", args.out)
-    model, runs = _bundle(args.bundle), [_run(path) for path in args.runs]
+    names = [name for text in args.effects if not text.endswith(".py") for name in _names(text)]
+    args.effects = [path for path in args.effects if path.endswith(".py")]
+    own = load_own(args)
+    wanted = [*dict.fromkeys([*names, *own])] if names else None
+    model, runs = open_model(args.bundle), [_run(path) for path in args.runs]
     held_out = _run(args.held_out) if args.held_out else None
-    wanted = _names(args.effects) if args.effects else None
     for run in runs:
         _warn("diagnose", model, run)
     found = find(model, runs, held_out, wanted, args.seed, _progress(args))
@@ -84,6 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("name", metavar="NAME[,NAME]", help="the effects to add")
     parser.add_argument("--from", dest="source", required=True, metavar="FILE", help="a diagnosis, JSON")
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    effects_argument(parser)
     bundle_arguments(parser)
 
 
@@ -92,8 +100,10 @@ def add(args: argparse.Namespace) -> int:
     from softmap_edge.diagnosis.diagnose import Diagnosis
 
     check_bundle(args.out, args.force)
-    model, diagnosis = _bundle(args.bundle), Diagnosis.load(args.source)
+    load_own(args)
+    model, diagnosis = open_model(args.bundle), Diagnosis.load(args.source)
     names = _names(args.name)
+    check_hashes(names, diagnosis.made_from.get("python_effects"))
     twice = [n for n in names if n in model.chain_names]
     if twice:
         raise SoftmapError(f"the model has '{twice[0]}' already; `softmap refit` fits it again")
@@ -108,13 +118,15 @@ def remove_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap remove`."""
     parser.add_argument("name", metavar="NAME[,NAME]", help="the effects to remove")
     parser.add_argument("--bundle", required=True, metavar="DIR", help="the model")
+    effects_argument(parser)
     bundle_arguments(parser)
 
 
 def remove(args: argparse.Namespace) -> int:
     """Write a bundle without some of its effects."""
     check_bundle(args.out, args.force)
-    model, names = _bundle(args.bundle), _names(args.name)
+    load_own(args)
+    model, names = open_model(args.bundle), _names(args.name)
     for name in names:
         if name not in model.chain_names:
             held = ", ".join(model.chain_names) or "none"
@@ -130,6 +142,7 @@ def refit_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--bundle", metavar="DIR", help="a model with effects: fit the effects again")
     what.add_argument("--finger", metavar="TOML", help="a finger.toml: fit the finger's own numbers ([fit] says which)")
+    effects_argument(parser)
     bundle_arguments(parser)
 
 
@@ -140,7 +153,8 @@ def refit(args: argparse.Namespace) -> int:
     from softmap_edge.diagnosis.diagnose import refit as fit_again
 
     check_bundle(args.out, args.force)
-    model, report = fit_again(_bundle(args.bundle), [_run(path) for path in args.runs])
+    load_own(args)
+    model, report = fit_again(open_model(args.bundle), [_run(path) for path in args.runs])
     _write(args, model, report)
     return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
 
@@ -171,12 +185,6 @@ def _run(path: str) -> Any:
     from softmap_edge.run import Run
 
     return Run.load(path)
-
-
-def _bundle(path: str | None) -> Any:
-    from softmap_edge.bundle import builtin_model, load_bundle
-
-    return builtin_model() if path is None else load_bundle(path)
 
 
 def _warn(verb: str, model: Any, run: Any) -> None:

@@ -31,6 +31,7 @@ from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import RIVAL_SHARE, Search
 from softmap_edge.folds import labelled
+from softmap_edge.own_effect import hashes
 
 Floats = NDArray[np.float64]
 
@@ -350,6 +351,7 @@ def _made_from(
         "frames": len(record),
         "robot": getattr(record.model, "robot", None),
         "own_effects": list(record.model.chain_names),
+        "python_effects": hashes([*record.model.chain_names, *search.candidates]),
         "candidates": search.candidates,
         "demoted": list(demoted),
         "noise": problem.noise.source,

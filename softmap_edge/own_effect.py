@@ -1,0 +1,364 @@
+"""A user's own effect: one Python file that declares a law of the commands; it joins the library of this process.
+
+The file holds `EFFECT`, the declaration, and `rollout(params (B, P), u (B, T, C) mm, t (T,) s, ctx)`, which returns
+what acts (B, T, C) mm; `template` writes one that runs as it is. Loading it executes it, with all rights of whoever
+runs the process, so nothing here loads by itself: a bundle carries a copy and its hash, and whoever opens it decides.
+A name stands for one file: another file of the same name is refused until `forget_effect`. The law is called for each
+record with B = 1, remembers nothing between calls and begins in equilibrium with its first sample; that it changes
+nothing at its null values is tried once for each number of channels. It has no step, so no control loop takes it.
+Pinned by tests/test_own_effect.py.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import math
+import re
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import EffectError, brief
+
+Floats = NDArray[np.float64]
+
+NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
+MAX_BYTES = 1 << 20
+STAGES = ("command", "transmission", "material")
+FIELDS = ("gravity", "load", "temperature")  # what a law may need of a run beside its commands
+LONGEST = 1000  # characters of a text
+NULL_MM = 1e-9  # by which a law may change a command of 1 mm at its null values: round-off
+
+_TEXTS = ("stage", "formula", "doc", "signature")
+_OPTIONAL = {
+    "family": "own",
+    "reference": "a user's own file",
+    "experiment": ("what its signature asks for", 1.0),
+    "needs": (),
+}
+_NUMBERS = ("null", "start", "low", "high")
+_SWITCHES = {"per_channel": False, "integer": False}
+
+
+@dataclass(frozen=True)
+class Context:
+    """The world around a record: dt (T,) s since the sample before, gravity (T, 3) unit vectors in the base frame,
+    load (T,) g, temperature (T,) °C (NaN where the run has none).
+    """
+
+    dt: Floats
+    gravity: Floats
+    load: Floats
+    temperature: Floats
+
+
+@dataclass(frozen=True)
+class OwnEffect:
+    """A loaded effect: its name, the file that it came from, what stood in it and the hash of that."""
+
+    name: str
+    file: Path
+    source: bytes
+    sha256: str
+
+
+_LOADED: dict[str, OwnEffect] = {}
+
+
+def load_effect(path: str | Path, sha256: str | None = None) -> OwnEffect:
+    """Execute the file at `path`, a note of which goes to stderr, and add its effect to those of this process.
+
+    Args:
+        path: the Python file; the very file loaded before is not executed again.
+        sha256: the hash that it must have, where somebody has vouched for it.
+
+    Returns:
+        OwnEffect: its name, file, source and hash.
+
+    Raises:
+        EffectError: no readable file, another hash, code that fails, a wrong declaration, a name that is taken.
+    """
+    file = Path(path)
+    source = _read(file)
+    digest = hashlib.sha256(source).hexdigest()
+    if sha256 is not None and digest != sha256:
+        raise EffectError(
+            f"{file}: its sha256 is {digest[:12]}…, expected {sha256[:12]}…; it was changed, so it is not run"
+        )
+    for known in _LOADED.values():
+        if known.sha256 == digest:
+            return known
+    print(f"softmap: {file.name} is code and runs with your rights", file=sys.stderr)
+    module = _execute(file, source)
+    declaration = _declaration(file.name, getattr(module, "EFFECT", None))
+    rollout = getattr(module, "rollout", None)
+    if not callable(rollout):
+        raise EffectError(f"{file.name}: it has no function `rollout`; `softmap effects new NAME` writes the form")
+    name = declaration["name"]
+    if name in _LOADED:
+        raise EffectError(
+            f"{file}: another file of the effect '{name}' is loaded ({_LOADED[name].file}); one name stands for one "
+            f"file: forget_effect('{name}') first, or start anew"
+        )
+    _core.register(declaration, _Law(declaration, file, rollout))
+    _LOADED[name] = OwnEffect(name, file, source, digest)
+    return _LOADED[name]
+
+
+def forget_effect(name: str) -> None:
+    """Take an own effect out of the library; models that have it can then be asked no more.
+
+    Raises:
+        SoftmapError: no such effect was loaded.
+    """
+    _core.forget(name)
+    del _LOADED[name]
+
+
+def loaded() -> Mapping[str, OwnEffect]:
+    """Return the own effects of this process by name."""
+    return dict(_LOADED)
+
+
+def hashes(names: Sequence[str]) -> dict[str, str]:
+    """Return the sha256 of the files of those of the effects `names` that are own ones."""
+    return {name: _LOADED[name].sha256 for name in names if name in _LOADED}
+
+
+def check_hashes(names: Sequence[str], fitted: Any) -> None:
+    """Refuse to take numbers of effects that were fitted with other files (`hashes` of a document) than are loaded.
+
+    Raises:
+        EffectError: a file is not loaded, or another one.
+    """
+    for name, digest in (fitted if isinstance(fitted, dict) else {}).items():
+        known = _LOADED.get(name)
+        if name in names and (known is None or known.sha256 != digest):
+            here = "none of that name is loaded" if known is None else f"{known.file} is another ({known.sha256[:12]}…)"
+            raise EffectError(
+                f"'{name}' was fitted as a Python file of sha256 {digest!s:.12}…, {here}; give that file with --effects"
+            )
+
+
+def template(name: str) -> str:
+    """Return a file of the effect `name` that runs as it is.
+
+    Raises:
+        EffectError: the name is taken, or no name.
+    """
+    _check_name("softmap effects new", name)
+    if name in {effect["name"] for effect in _core.effects()}:
+        raise EffectError(f"there is an effect '{name}' already; give yours another name")
+    return _TEMPLATE.replace("NAME", name)
+
+
+_TEMPLATE = '''"""NAME: what it is. `softmap diagnose RUN --effects NAME.py` tries it; see docs/own_effect.md."""
+
+import numpy as np
+
+EFFECT = {
+    "name": "NAME",
+    "stage": "transmission",  # command, transmission or material: where on the way to the shape it acts
+    "formula": "x = u · (1 + share · tanh(u / reach))",
+    "doc": "What it is, in a sentence or two.",
+    "signature": "What the error looks like while it is missing.",
+    "parameters": [  # nothing changes at null; a fit begins at start and searches from low to high
+        {"name": "share", "unit": "1", "null": 0.0, "start": 0.1, "low": -0.5, "high": 0.5, "doc": "how much"},
+        {"name": "reach", "unit": "mm", "null": 5.0, "start": 5.0, "low": 1.0, "high": 20.0, "doc": "from where on"},
+    ],
+}
+
+
+def rollout(params, u, t, ctx):
+    """params (B, P), u (B, T, C) mm, t (T,) s; ctx has dt (T,), gravity (T, 3), load (T,), temperature (T,)."""
+    share, reach = params[:, 0, None, None], params[:, 1, None, None]  # (B, 1, 1)
+    return u * (1.0 + share * np.tanh(u / reach))  # what acts (B, T, C) mm
+'''
+
+
+# --- reading and checking -----------------------------------------------------------------------
+
+
+def _read(file: Path) -> bytes:
+    if file.suffix != ".py" or not file.is_file():
+        raise EffectError(f"{file}: no Python file; `softmap effects new NAME` writes one")
+    if file.stat().st_size > MAX_BYTES:
+        raise EffectError(f"{file}: {file.stat().st_size} bytes, an effect has at most {MAX_BYTES}")
+    return file.read_bytes()
+
+
+def _execute(file: Path, source: bytes) -> ModuleType:
+    module = ModuleType(f"softmap_own_{file.stem}")
+    module.__file__ = str(file)
+    sys.modules[module.__name__] = module  # dataclasses look their module up
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # what it prints is no part of a document
+            exec(compile(source, str(file), "exec"), module.__dict__)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as fault:
+        del sys.modules[module.__name__]
+        raise EffectError(f"{file.name}{_line(fault, file)} does not run: {_said(fault)}") from None
+    return module
+
+
+def _declaration(where: str, given: Any) -> dict[str, Any]:
+    """Return the declaration that a file gives, whole and of the right kinds."""
+    if not isinstance(given, dict):
+        raise EffectError(f"{where}: EFFECT is missing or no table; `softmap effects new NAME` writes the form")
+    known = ("name", *_TEXTS, "parameters", *_OPTIONAL)
+    _keys(where, "EFFECT", given, ("name", *_TEXTS, "parameters"), known)
+    found: dict[str, Any] = _OPTIONAL | given
+    _check_name(where, found["name"])
+    for key in (*_TEXTS, "family", "reference"):
+        found[key] = _text(where, key, found[key])
+    if found["stage"] not in STAGES:
+        raise EffectError(f"{where}: the stage is '{found['stage']}'; {', '.join(STAGES)} are allowed")
+    found["needs"] = [str(field) for field in found["needs"]]
+    wrong = [field for field in found["needs"] if field not in FIELDS]
+    if wrong:
+        raise EffectError(f"{where}: it needs '{wrong[0]}'; a law may need {', '.join(FIELDS)}")
+    block, minutes = _pair(where, found["experiment"])
+    found["experiment"] = (_text(where, "experiment", block), minutes)
+    if not isinstance(found["parameters"], list | tuple) or not 1 <= len(found["parameters"]) <= 32:
+        raise EffectError(f"{where}: `parameters` is a list of 1 to 32 tables")
+    found["parameters"] = [_parameter(where, p) for p in found["parameters"]]
+    names = [p["name"] for p in found["parameters"]]
+    if len(set(names)) < len(names):
+        raise EffectError(f"{where}: two parameters have one name among {', '.join(names)}; names must differ")
+    return found
+
+
+def _parameter(where: str, given: Any) -> dict[str, Any]:
+    if not isinstance(given, dict):
+        raise EffectError(f"{where}: a parameter is {type(given).__name__}, expected a table with name, unit, null, …")
+    wanted = ("name", "unit", *_NUMBERS, "doc")
+    _keys(where, "a parameter", given, wanted, (*wanted, *_SWITCHES))
+    found: dict[str, Any] = _SWITCHES | given
+    _check_name(where, found["name"])
+    label = f"parameter {found['name']}"
+    found["unit"], found["doc"] = (_text(where, f"{key} of {label}", found[key]) for key in ("unit", "doc"))
+    for key in _SWITCHES:
+        if not isinstance(found[key], bool):
+            raise EffectError(f"{where}: {label}: {key} is {found[key]!r:.40}, expected True or False")
+    for key in _NUMBERS:
+        value = found[key]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise EffectError(f"{where}: {label}: {key} is {value!r:.40}, expected a finite number")
+        found[key] = float(value)
+    if not (found["low"] < found["high"] and found["low"] <= found["start"] <= found["high"]):
+        raise EffectError(
+            f"{where}: {label}: low {found['low']:g}, start {found['start']:g}, high {found['high']:g}; "
+            "start must lie between low and high"
+        )
+    return found
+
+
+def _keys(where: str, what: str, given: dict[Any, Any], wanted: tuple[str, ...], known: tuple[str, ...]) -> None:
+    missing = [key for key in wanted if key not in given]
+    if missing:
+        raise EffectError(f"{where}: {what} has no '{missing[0]}'; it takes {', '.join(known)}")
+    odd = [key for key in given if key not in known]
+    if odd:
+        raise EffectError(f"{where}: {what} has '{odd[0]!s:.40}'; it takes {', '.join(known)}")
+
+
+def _check_name(where: str, name: Any) -> None:
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise EffectError(
+            f"{where}: the name {name!r:.60}; small letters, digits and _ are allowed, a letter first, at most 40"
+        )
+
+
+def _text(where: str, key: str, value: Any) -> str:
+    if not isinstance(value, str) or not value.isprintable() or not 1 <= len(value) <= LONGEST:
+        raise EffectError(
+            f"{where}: {key} is {value!r:.60}, expected one printable line of at most {LONGEST} characters"
+        )
+    return value
+
+
+def _pair(where: str, value: Any) -> tuple[Any, float]:
+    if isinstance(value, list | tuple) and len(value) == 2:
+        block, minutes = value
+        if isinstance(minutes, int | float) and 0 < minutes < 1e4:
+            return block, float(minutes)
+    raise EffectError(f"{where}: experiment is {value!r:.60}, expected what to record and how many minutes that takes")
+
+
+# --- the law as the core asks it ----------------------------------------------------------------
+
+
+class _Law:
+    """Ask a user's `rollout` for one record, and say in one line where it fails or gives something else."""
+
+    def __init__(self, declaration: dict[str, Any], file: Path, rollout: Callable[..., Any]) -> None:
+        self._declaration, self._file, self._rollout = declaration, file, rollout
+        self._head = f"the effect '{declaration['name']}' ({file.name})"
+        self._tried: set[int] = set()
+
+    def __call__(
+        self, params: Floats, u: Floats, t: Floats, gravity: Floats, load: Floats, temperature: Floats
+    ) -> Floats:
+        """Return what acts (T, C) for params (P,) on u (T, C); the arguments may not be written to."""
+        context = Context(np.diff(t, prepend=t[:1]), gravity, load, temperature)
+        for array in (params, u, t, context.dt, gravity, load, temperature):
+            array.flags.writeable = False
+        channels = u.shape[1]
+        if channels not in self._tried:
+            null = [
+                p["null"] for p in self._declaration["parameters"] for _ in range(channels if p["per_channel"] else 1)
+            ]
+            away = float(np.abs(self._ask(np.array(null), u, t, context) - u).max())
+            if away > NULL_MM * max(1.0, float(np.abs(u).max())):
+                raise EffectError(
+                    f"{self._head} changes the command by up to {away:.3g} at its null values; there it must not"
+                )
+            self._tried.add(channels)
+        return self._ask(params, u, t, context)
+
+    def _ask(self, params: Floats, u: Floats, t: Floats, context: Context) -> Floats:
+        shape = (1, *u.shape)
+        wanted = f"rollout(params (1, {params.size}), u {shape}, t ({t.size},), ctx) must return what acts, {shape}"
+        try:
+            with np.errstate(all="ignore"):  # what is not finite is told below, with its parameters
+                given = self._rollout(params[None], u[None], t, context)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as fault:
+            raise EffectError(f"{self._head}{_line(fault, self._file)} raised {_said(fault)}; {wanted}") from None
+        answer = np.asarray(given) if isinstance(given, np.ndarray | list | tuple | float | int) else None
+        if answer is None or answer.dtype.kind not in "biuf":
+            kind = type(given).__name__ if answer is None else f"an array of {answer.dtype}"
+            raise EffectError(f"{self._head} returned {kind}; {wanted}")
+        if answer.shape != shape:
+            raise EffectError(f"{self._head} returned an array of shape {answer.shape}; {wanted}")
+        if not np.isfinite(answer).all():
+            sample, channel = np.argwhere(~np.isfinite(answer[0]))[0]
+            numbers = ", ".join(f"{value:.4g}" for value in params[:8])
+            raise EffectError(
+                f"{self._head} returned {answer[0, sample, channel]} at sample {sample}, channel {channel}, for params "
+                f"{numbers}; every parameter from low to high must give finite numbers"
+            )
+        return np.ascontiguousarray(answer[0], np.float64)
+
+
+def _line(fault: BaseException, file: Path) -> str:
+    """Return the line of the user's file in which it failed, as words."""
+    if isinstance(fault, SyntaxError):
+        return f", line {fault.lineno}," if fault.lineno else ""
+    lines = [at.lineno for at in traceback.extract_tb(fault.__traceback__) if at.filename == str(file)]
+    return f", line {lines[-1]}," if lines else ""
+
+
+def _said(fault: BaseException) -> str:
+    return f"{type(fault).__name__}: {brief(fault)}" if str(fault) else type(fault).__name__
