@@ -88,7 +88,9 @@ def servos(run: Run, effects: list[str]) -> list[dict[str, Any]]:
     """
     if run.command is None or run.present is None or not len(run.t):
         return []
-    wanted = [e["name"] for e in _core.effects() if e["stage"] == "command" and e["role"] == "channel"]
+    # A user's own law may need all channels at once, which one servo is not.
+    early = [e for e in _core.effects() if e["stage"] == "command" and not e["own"]]
+    wanted = [e["name"] for e in early if e["role"] == "channel"]
     every = np.unique(np.linspace(0, len(run.t) - 1, min(len(run.t), THINNED)).astype(int))
     seen = replace(run, t_seen=np.asarray(run.t)[every], vertices=None, markers=None, points=None, start=None,
                    visible=None, sigma=None, block=None, marker_rest=None)  # fmt: skip
