@@ -306,6 +306,7 @@ VERBS = [
     ["refit", "run.npz", "--bundle", "bundle", "--out", "out"],
     ["remove", "mine", "--bundle", "bundle", "--out", "out"],
     ["align", "run.npz", "--bundle", "bundle", "--out", "out.npz"],
+    ["next", "--standard", "--bundle", "bundle", "--out", "out.csv"],
 ]
 
 

@@ -8,15 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.output import check_file
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
-from softmap_edge.commands.understand import _bundle, _run
+from softmap_edge.commands.understand import _run
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.own_effect import check_hashes
 
 
 def next_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap next`."""
     parser.add_argument("diagnosis", nargs="?", metavar="FILE", help="the diagnosis, JSON, of `softmap diagnose --out`")
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    effects_argument(parser)
     parser.add_argument(
         "--run", action="append", default=[], metavar="RUN",
         help="a run that the diagnosis was made from (give each); without it blocks are judged less well",
@@ -44,7 +47,8 @@ def next(args: argparse.Namespace) -> int:
         raise SoftmapError(f"--minutes {args.minutes:g}: give a time above 0")
     if args.seed < 0:
         raise SoftmapError(f"--seed {args.seed} is negative; give 0 or more")
-    model = _bundle(args.bundle)
+    load_own(args)
+    model = open_model(args.bundle)
     made, found, lines = _standard(args, model) if args.diagnosis is None else _answered(args, model)
     names = [] if made is None else made.name.split(" + ")
     settles = list(dict.fromkeys(name for e in found if e.block in names for name in e.settles))
@@ -102,6 +106,8 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     if args.standard:
         raise SoftmapError("--standard takes no diagnosis; leave one of the two out")
     diagnosis, before = Diagnosis.load(args.diagnosis), args.since and Diagnosis.load(args.since).to_dict()
+    asked = {name for e in [*diagnosis.effects, *diagnosis.rivals] for name in e.get("effects", [e.get("name")])}
+    check_hashes([*asked], diagnosis.made_from.get("python_effects"))
     runs, limits = [_run(path) for path in args.run], _limits(args, model)
     with Bar(args.json) as bar:
         found = next_experiment(model, diagnosis, runs, limits, progress=lambda share: bar("simulating", share))
@@ -124,6 +130,7 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bundle", metavar="DIR", help="the model that the commands are for; the built-in finger without it"
     )
+    effects_argument(parser)
     parser.add_argument("--finger", metavar="TOML", help="the simulated finger; the built-in one without it")
     hidden = parser.add_mutually_exclusive_group()
     hidden.add_argument("--hide", nargs="+", default=[], metavar="NAME", help="effects that the simulated finger has")
@@ -143,7 +150,8 @@ def record(args: argparse.Namespace) -> int:
         raise SoftmapError("a servo bus is not driven by this version; give --sim for the simulated finger")
     check_file("--out", args.out, ".npz")
     made, robot = read_commands(args.commands)
-    model = _bundle(args.bundle)
+    load_own(args)
+    model = open_model(args.bundle)
     finger = Finger.builtin() if args.finger is None else Finger.load(args.finger)
     if finger.name != model.robot:
         raise SoftmapError(
