@@ -208,10 +208,10 @@ def test_the_full_bank_has_the_sizes_that_were_asked_for():
 def test_a_case_that_fails_says_so_and_is_tried_again(tmp_path, capsys, monkeypatch):
     task = ("development", "A", "real", "null", 0)
     monkeypatch.setattr("benches.bank.work.run_case", lambda task: 1 / 0)
-    assert "ZeroDivisionError" in work((task, str(tmp_path)))["failed"]
+    assert "ZeroDivisionError" in work((task, str(tmp_path), "now"))["failed"]
     monkeypatch.setattr("benches.bank.work.run_case", lambda task: {"case": "x", "kind": task[3]})
-    assert work((task, str(tmp_path)))["case"] == "x" and len(list(tmp_path.iterdir())) == 1
-    assert json.loads(kept(task, tmp_path).read_text())["kind"] == "null"
+    assert work((task, str(tmp_path), "now"))["case"] == "x" and len(list(tmp_path.iterdir())) == 1
+    assert json.loads(kept(task, tmp_path).read_text()) == {"case": "x", "kind": "null", "code": "now"}
     with pytest.raises(SystemExit):
         main(["--kinds", "nonsense", "--out", str(tmp_path)])
     assert "null, single" in capsys.readouterr().err
@@ -247,13 +247,14 @@ FIXED = [("null", 0), ("null", 3), ("single", 0), ("single", 8), ("untestable", 
 
 def test_a_fixed_slice_is_diagnosed(tmp_path, capsys):
     for kind, number in FIXED:
-        work((("development", "A", "real", kind, number), str(tmp_path)))
+        work((("development", "A", "real", kind, number), str(tmp_path), "now"))
     assert main(["--table", "--out", str(tmp_path)]) == 0
     told = capsys.readouterr().out
     rows = {(r["kind"], r["number"]): r for r in (json.loads(p.read_text()) for p in tmp_path.glob("*.json"))}
     assert not [r for r in rows.values() if "failed" in r], told
     assert not rows["null", 0]["named"] and not rows["null", 3]["named"], told
-    for key in (("single", 0), ("single", 8)):
+    for key in (("single", 1), ("single", 8)):
         assert rows[key]["named"][0] == rows[key]["hidden"][0] and rows[key]["fall"] > 0.8, rows[key]
-    assert rows["removed", 8]["named"][:1] != ["backlash"]
+    assert "backlash" not in rows["removed", 8]["named"] and rows["removed", 8]["in_library"]
+    assert "at_first" in rows["rivals", 1]
     assert "alone in first place" in told and "backlash" in told

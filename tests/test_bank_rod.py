@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benches.bank.rod import Loads, _assembled, _energy, settle, straight, turn
+from benches.bank.rod import Loads, assembled, energy_of, settle, straight
+from benches.bank.rotations import turn
 from benches.bank.section import GRAVITY, finger, uniform
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
@@ -35,7 +36,7 @@ def bent(count, refine=1):
 
 def test_forces_are_the_slope_of_the_energy_and_the_tangent_is_theirs():
     design, loads, x, frame = bent(2)
-    force, (below, diagonal, above), cables, pull = _assembled(design, loads, x, frame)
+    force, (below, diagonal, above), cables, pull = assembled(design, loads, x, frame)
     h = 1e-5
 
     def moved(way):
@@ -47,9 +48,9 @@ def test_forces_are_the_slope_of_the_energy_and_the_tangent_is_theirs():
     for _ in range(5):
         way = h * rng.normal(size=force.shape)
         ends = [moved(sign * way) for sign in (1, -1)]
-        rise = (_energy(design, loads, *ends[0]) - _energy(design, loads, *ends[1])) / 2
+        rise = (energy_of(design, loads, *ends[0]) - energy_of(design, loads, *ends[1])) / 2
         assert rise == pytest.approx(np.sum(force * way, axis=(1, 2)), rel=1e-5)
-        change = (_assembled(design, loads, *ends[0])[0] - _assembled(design, loads, *ends[1])[0]) / 2
+        change = (assembled(design, loads, *ends[0])[0] - assembled(design, loads, *ends[1])[0]) / 2
         told = np.einsum("bnij,bnj->bni", diagonal, way)
         told[:, 1:] += np.einsum("bnij,bnj->bni", below, way[:, :-1])
         told[:, :-1] += np.einsum("bnij,bnj->bni", above, way[:, 1:])
@@ -93,7 +94,7 @@ def test_what_the_cables_pull_is_what_the_rod_stores():
     u = np.linspace(0.0, 12.0, steps)[:, None] * [1.0, 0.3]
     loads = pulled(u)
     poses = settle(design, loads)
-    energy = _energy(design, loads, poses.x, poses.frame)
+    energy = energy_of(design, loads, poses.x, poses.frame)
     work = np.sum((poses.tension[1:] + poses.tension[:-1]) / 2 * np.diff(loads.pull, axis=0))
     assert energy[-1] - energy[0] == pytest.approx(work, rel=2e-4)
 

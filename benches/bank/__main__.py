@@ -18,7 +18,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-from benches.bank.work import Task, kept, work
+from benches.bank.work import Task, code, kept, work
 
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "RAYON_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # one process a core; read when NumPy is loaded, below
@@ -57,28 +57,36 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     args.out.mkdir(parents=True, exist_ok=True)
     if not args.table:
-        parts = [tuple(p.split("/")) for p in args.parts.split(",")]
+        parts: list[tuple[str, str]] = [tuple(p.split("/")) for p in args.parts.split(",")]  # type: ignore[misc]
         wrong = [k for k in args.kinds.split(",") if k not in SIZES] + ["/".join(p) for p in parts if p not in SHARES]
         if wrong:
             parser.error(
                 f"no '{wrong[0]}'; kinds are {', '.join(SIZES)}, parts {', '.join('/'.join(p) for p in SHARES)}"
             )
-        _run(list(tasks(args.seeds, args.share, args.kinds.split(","), parts)), args.out, args.processes)  # type: ignore[arg-type]
-    from benches.bank.judge import table, text
+        _run(list(tasks(args.seeds, args.share, args.kinds.split(","), parts)), args.out, args.processes)
+    from benches.bank.judge import parts_of, table, text
 
     rows = rows_in(args.out, args.seeds)
-    print(json.dumps({"schema": "softmap.bank/1", "rows": table(rows)}) if args.json else text(rows))
+    if args.json:
+        told = {part: table(mine) for part, mine in parts_of(rows).items()}
+        print(json.dumps({"schema": "softmap.bank/1", "seeds": args.seeds, "cases": len(rows), "parts": told}))
+    else:
+        print(text(rows))
     return 0
 
 
 def _run(wanted: list[Task], out: Path, processes: int) -> None:
     """Run what has no file yet, in parallel."""
+    now = code()
 
     def finished(task: Task) -> bool:
         path = kept(task, out)
-        return path.exists() and "failed" not in json.loads(path.read_text(encoding="utf-8"))
+        if not path.exists():
+            return False
+        row = json.loads(path.read_text(encoding="utf-8"))
+        return "failed" not in row and row.get("code") == now
 
-    left = [(task, str(out)) for task in wanted if not finished(task)]
+    left = [(task, str(out), now) for task in wanted if not finished(task)]
     print(f"{len(wanted)} cases, {len(left)} to run, {processes} at a time → {out}", file=sys.stderr)
     started = time.monotonic()
     fresh = multiprocessing.get_context("spawn")

@@ -26,7 +26,7 @@ REACH = 16.0
 HANGING = np.array([0.0, 0.0, 1.0])
 RINGS, AROUND = 14, 12
 GRID = 9  # commands a channel from which Newton starts
-KEPT = Path("out/bank/kept")  # sweeps of the clean rod, which every process would compute again
+KEPT = Path("out/bank/kept")  # sweeps of clean fingers, which every process would compute again
 
 
 def template() -> tuple[Floats, Floats]:
@@ -81,7 +81,9 @@ def guessed(pull: Floats) -> Poses:
 @lru_cache(maxsize=1)
 def _table() -> tuple[Floats, Floats]:
     axis = np.linspace(-18.0, 18.0, GRID)
-    table = kept("start", (GRID,), lambda: {"strain": strains(finger(1), settle(finger(1), hanging(grid(axis))))})
+    table = kept(
+        "rod-start", (sources(), GRID), lambda: {"strain": strains(finger(1), settle(finger(1), hanging(grid(axis))))}
+    )
     return axis, table["strain"].reshape(GRID, GRID, -1)
 
 
@@ -94,17 +96,25 @@ def hanging(u: Floats) -> Loads:
     return Loads(pull, np.tile(HANGING, (len(u), 1)), np.zeros((len(u), 3)))
 
 
+@lru_cache(maxsize=1)
+def sources() -> str:
+    """Return a digest of what the rod is: other sources, other sweeps."""
+    files = [Path(__file__).with_name(n) for n in ("section.py", "rod.py", "rotations.py", "body_rod.py")]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def stored(name: str, of: tuple[object, ...], make: Callable[[], dict[str, Any]]) -> Path:
+    """Return the archive of what `make` computes, written once for the same `of`."""
+    path = KEPT / f"{name}-{hashlib.sha256(repr(of).encode()).hexdigest()[:12]}.npz"
+    if not path.exists():
+        KEPT.mkdir(parents=True, exist_ok=True)
+        half = path.with_suffix(f".{os.getpid()}.npz")
+        np.savez(half, **make())
+        half.replace(path)
+    return path
+
+
 def kept(name: str, of: tuple[object, ...], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Return what `make` computes, from a file if these very sources wrote it with the same `of` before."""
-    sources = [Path(__file__).with_name(n).read_bytes() for n in ("section.py", "rod.py", "body_rod.py")]
-    digest = hashlib.sha256(b"".join(sources) + repr(of).encode()).hexdigest()[:12]
-    path = KEPT / f"rod-{name}-{digest}.npz"
-    if path.exists():
-        with np.load(path, allow_pickle=False) as archive:
-            return dict(archive)
-    found = make()
-    KEPT.mkdir(parents=True, exist_ok=True)
-    half = path.with_suffix(f".{os.getpid()}.npz")
-    np.savez(half, **found)
-    half.replace(path)
-    return found
+    """Return what `make` computes, as `stored`."""
+    with np.load(stored(name, of, make), allow_pickle=False) as archive:
+        return dict(archive)

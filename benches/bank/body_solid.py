@@ -176,7 +176,7 @@ def _swept(orientation: int, steps: int) -> Any:
         return {"mean": mean, "weights": (left * size)[:, :MODES], "modes": modes[:MODES]}
 
     probe = np.round(_second().path(np.array([[9.0, -4.0]])), 4).tobytes()  # another simulator, another sweep
-    table = kept(f"solid{orientation}", (steps, SOFTER, LAYERS, REACH, probe), make)
+    table = kept(f"solid-{orientation}", (steps, SOFTER, LAYERS, REACH, probe), make)
     splines = [RectBivariateSpline(axis, axis, w.reshape(steps, steps)) for w in table["weights"].T]
 
     def points(u: Floats) -> Floats:

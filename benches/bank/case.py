@@ -75,7 +75,7 @@ class Case:
             {"name": law.NAME, "params": law.params(), "moved_mm": round(mm, 4)}
             for law, mm in zip(self.laws, self.moved_mm)
         ]
-        return {"case": self.name, "hidden": told, "seen": "markers" if self.marked else "vertices"}
+        return {"case": self.name, "laws": told, "seen": "markers" if self.marked else "vertices"}
 
 
 def case(seeds: str, slice_: str, level: str, kind: str, number: int) -> Case:

@@ -172,13 +172,22 @@ def table(rows: Sequence[Row]) -> list[dict[str, Any]]:
     return found
 
 
+def parts_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Return the cases by slice and level, `A/real`."""
+    found: dict[str, list[Row]] = {}
+    for row in sorted(rows, key=lambda row: (row["slice"], row["level"])):
+        found.setdefault(f"{row['slice']}/{row['level']}", []).append(row)
+    return found
+
+
 def text(rows: Sequence[Row]) -> str:
     """Return the table by slice and level, and the confusion matrix."""
     lines = []
-    groups = sorted({(row["slice"], row["level"]) for row in rows})
-    for slice_, level in groups:
-        mine = [row for row in rows if (row["slice"], row["level"]) == (slice_, level)]
-        lines += ["", f"slice {slice_}, {level}: {len(mine)} cases"]
+    codes = {row.get("code") for row in rows}
+    if len(codes) > 1:
+        lines += [f"made by {len(codes)} states of the code: run the bank again before you compare"]
+    for part, mine in parts_of(rows).items():
+        lines += ["", f"slice {part}: {len(mine)} cases"]
         lines.append(f"  {'measure':<56}{'goal':<28}{'measured':>9}   95 % interval       n")
         for m in table(mine):
             scale, unit = (1.0, "s") if m.get("unit") == "s" else (100.0, "%")

@@ -24,7 +24,8 @@ from typing import Self
 import numpy as np
 
 from benches.bank.law import Floats, Law, Numbers, Record, chosen, per_channel, slow
-from benches.bank.rod import Loads, Poses, turn
+from benches.bank.rod import Loads, Poses
+from benches.bank.rotations import turn
 from benches.bank.section import GRAVITY, Design
 
 

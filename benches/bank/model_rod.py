@@ -20,9 +20,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benches.bank.body_rod import HANGING, NAME, REACH, grid, guessed, hanging, kept, template
+from benches.bank.body_rod import HANGING, NAME, REACH, grid, guessed, hanging, kept, sources, stored, template
 from benches.bank.law import Floats
-from benches.bank.rod import Loads, Poses, _assembled, _guides, _own, _solved, settle, turn
+from benches.bank.rod import Loads, Poses, assembled, guides, newton_step, own_lengths, settle
+from benches.bank.rotations import turn
 from benches.bank.section import GRAVITY, Design, finger
 from softmap_edge import _core
 
@@ -43,12 +44,11 @@ Change = Callable[[Design, Loads, float], tuple[Design, Loads]]
 def model() -> Model:
     """Return the model of the clean rod. Grams are allowed: a known weight was hung on."""
     from softmap_edge.bundle import family_from, fields_from
-    from softmap_edge.elsewhere.build import model_from_shapes
-    from softmap_edge.elsewhere.sweep_file import _checked
+    from softmap_edge.elsewhere.build import model_from_file
 
-    made = model_from_shapes(_checked(kept("sweep", (SWEEP,), _sweep)))
+    made = model_from_file(stored("rod-sweep", (sources(), SWEEP, KNOWN), _sweep))
     names = [name for name in _core.FIELDS if name in changes()]
-    found = kept("fields", (FIELDS, *names), lambda: _answers(names))
+    found = kept("rod-fields", (sources(), SWEEP, FIELDS, *names), lambda: _answers(names))
     axis = np.linspace(-REACH, REACH, FIELDS)
     values = found["fields"]  # (names + 4 cables, S, 3N)
     size = np.sqrt(np.mean(values**2, axis=(1, 2), keepdims=True)) + 1e-12
@@ -148,18 +148,18 @@ def _answers(names: Sequence[str]) -> dict[str, Any]:
     pull = design.cable * _length(design, fine, settle(design, fine, guessed(fine.pull)))
     loads = hanging(grid(np.linspace(-REACH, REACH, FIELDS)))
     poses = settle(design, loads, guessed(loads.pull))
-    _, blocks, lengths, _ = _assembled(design, loads, poses.x, poses.frame)
+    _, blocks, lengths, _ = assembled(design, loads, poses.x, poses.frame)
     none = np.zeros(lengths.shape[:1] + (4,), bool)
     moved, fields, stretch = [], [], []
     for name in names:
         change, size = changes()[name]
         ends = [change(design, loads, half) for half in (size / 2, -size / 2)]
-        force = [_assembled(*end, poses.x, poses.frame)[0] for end in ends]
+        force = [assembled(*end, poses.x, poses.frame)[0] for end in ends]
         longer = [_length(*end, poses) for end in ends]
-        moved.append(_solved(blocks, (force[0] - force[1]) / size, lengths, none, design.cable))
+        moved.append(newton_step(blocks, (force[0] - force[1]) / size, lengths, none, design.cable))
         stretch.append((longer[0] - longer[1]) / size)
     for c in range(4):
-        moved.append(_solved(blocks, lengths[..., c], lengths, none, design.cable))
+        moved.append(newton_step(blocks, lengths[..., c], lengths, none, design.cable))
         stretch.append(np.zeros((len(loads.pull), 4)))
     for way, direct in zip(moved, stretch):
         fields.append(_carried(design, poses, way))
@@ -169,8 +169,8 @@ def _answers(names: Sequence[str]) -> dict[str, Any]:
 
 def _length(design: Design, loads: Loads, poses: Poses) -> Floats:
     """Return by how much (B, 4) mm the cables are stretched; below zero they hang."""
-    span = np.linalg.norm(np.diff(_guides(design, poses.x, poses.frame), axis=2), axis=3).sum(axis=2)
-    return np.asarray(span - _own(design) + loads.pull - design.slack)
+    span = np.linalg.norm(np.diff(guides(design, poses.x, poses.frame), axis=2), axis=3).sum(axis=2)
+    return np.asarray(span - own_lengths(design) + loads.pull - design.slack)
 
 
 def _carried(design: Design, poses: Poses, way: Floats) -> Floats:

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.bank.rotations import hat, into, log, out_of, transposed, turn
 from benches.bank.section import FLOOR, GRAVITY, SHEAR, Design
 
 Floats = NDArray[np.float64]
@@ -76,16 +77,16 @@ class Poses:
         """
         at = np.clip(np.searchsorted(design.place, place, side="right") - 1, 0, len(design.length) - 1)
         share = (place - design.place[at]) / design.length[at]
-        theta = log(_t(self.frame[:, at]) @ self.frame[:, at + 1])
+        theta = log(transposed(self.frame[:, at]) @ self.frame[:, at + 1])
         frame = self.frame[:, at] @ turn(theta * share[:, None])
         chord = self.x[:, at + 1] - self.x[:, at]
         middle = self.frame[:, at] @ turn(theta / 2)
         # An element is an arc: half the square of its share falls inside the chord.
-        sag = np.cross(theta, _in(middle, chord)) * (share * (share - 1) / 2)[:, None]
-        line = self.x[:, at] + share[:, None] * chord + _out(middle, sag)
+        sag = np.cross(theta, into(middle, chord)) * (share * (share - 1) / 2)[:, None]
+        line = self.x[:, at] + share[:, None] * chord + out_of(middle, sag)
         stretch = np.linalg.norm(chord, axis=2) / design.length[at]
         offset = np.concatenate([around, np.zeros((len(place), 1))], axis=1) / np.sqrt(stretch)[..., None]
-        return np.asarray(line + _out(frame, offset))
+        return np.asarray(line + out_of(frame, offset))
 
 
 def straight(design: Design, count: int) -> Poses:
@@ -105,7 +106,7 @@ def laid(design: Design, strain: Floats) -> Poses:
     for j in range(len(length)):
         here = poses.frame[:, j]
         poses.frame[:, j + 1] = here @ whole[:, j]
-        poses.x[:, j + 1] = poses.x[:, j] + _out(here @ half[:, j], chord[:, j])
+        poses.x[:, j + 1] = poses.x[:, j] + out_of(here @ half[:, j], chord[:, j])
     return poses
 
 
@@ -149,10 +150,10 @@ def _arrays(poses: Poses) -> tuple[Floats, ...]:
 def _newton(design: Design, loads: Loads, start: Poses, steps: int) -> Poses:
     x, frame, tension, error = (a.copy() for a in _arrays(start))
     open_ = np.arange(len(x))
-    energy = _energy(design, loads, x, frame)
+    energy = energy_of(design, loads, x, frame)
     for _ in range(steps):
         here = loads.rows(open_)
-        force, blocks, cables, pull = _assembled(design, here, x[open_], frame[open_])
+        force, blocks, cables, pull = assembled(design, here, x[open_], frame[open_])
         tension[open_] = pull
         error[open_] = np.max(np.abs(force) * [1, 1, 1, 0.1, 0.1, 0.1], axis=(1, 2))
         going = error[open_] > TOLERANCE
@@ -160,7 +161,7 @@ def _newton(design: Design, loads: Loads, start: Poses, steps: int) -> Poses:
             break
         open_, here = open_[going], here.rows(np.flatnonzero(going))
         blocks = tuple(b[going] for b in blocks)
-        step = _solved(blocks, force[going], cables[going], pull[going] > 0.0, design.cable)
+        step = newton_step(blocks, force[going], cables[going], pull[going] > 0.0, design.cable)
         slope = np.sum(step * force[going], axis=(1, 2))
         step[slope > 0.0] *= -1.0  # uphill: a tangent that is not definite
         size = np.maximum(
@@ -177,7 +178,7 @@ def _newton(design: Design, loads: Loads, start: Poses, steps: int) -> Poses:
             new_x[:, 1:] += s[..., :3]
             new_frame = frame[rows].copy()
             new_frame[:, 1:] = turn(s[..., 3:]) @ new_frame[:, 1:]
-            value = _energy(design, here.rows(wait), new_x, new_frame)
+            value = energy_of(design, here.rows(wait), new_x, new_frame)
             good = value <= energy[rows] + 1e-4 * share[wait] * fall[wait] + 1e-9 * (1.0 + np.abs(energy[rows]))
             x[rows[good]], frame[rows[good]], energy[rows[good]] = new_x[good], new_frame[good], value[good]
             wait = wait[~good]
@@ -192,9 +193,9 @@ def _newton(design: Design, loads: Loads, start: Poses, steps: int) -> Poses:
 
 def _strains(design: Design, x: Floats, frame: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return mid frames (B, n, 3, 3), θ (B, n, 3), chords in the mid frame (B, n, 3) and strains (B, n, 6)."""
-    theta = log(_t(frame[:, :-1]) @ frame[:, 1:])
+    theta = log(transposed(frame[:, :-1]) @ frame[:, 1:])
     middle = frame[:, :-1] @ turn(theta / 2)
-    chord = _in(middle, np.diff(x, axis=1))
+    chord = into(middle, np.diff(x, axis=1))
     length = design.length[:, None]
     gamma = chord / length - [0.0, 0.0, 1.0]
     return middle, theta, chord, np.concatenate([gamma, theta / length], axis=2)
@@ -235,13 +236,15 @@ def _section(design: Design, loads: Loads, strain: Floats) -> tuple[Floats, Floa
     )
 
 
-def _energy(design: Design, loads: Loads, x: Floats, frame: Floats) -> Floats:
+def energy_of(design: Design, loads: Loads, x: Floats, frame: Floats) -> Floats:
     """Return the total energy (B,) N·mm."""
     *_, strain = _strains(design, x, frame)
     total = np.asarray(_section(design, loads, strain)[0] @ design.length)
-    points = _guides(design, x, frame)
+    points = guides(design, x, frame)
     span = np.linalg.norm(np.diff(points, axis=2), axis=3).sum(axis=2)
-    total += np.sum(design.cable / 2 * np.maximum(span - _own(design) + loads.pull - design.slack, 0.0) ** 2, axis=1)
+    total += np.sum(
+        design.cable / 2 * np.maximum(span - own_lengths(design) + loads.pull - design.slack, 0.0) ** 2, axis=1
+    )
     total -= GRAVITY * np.einsum("bk,bik,i->b", loads.gravity, x, design.mass) + np.sum(loads.tip * x[:, -1], axis=1)
     if loads.plane is not None:
         total += WALL / 2 * np.sum(np.maximum(_gap(design, loads, x), 0.0) ** 2, axis=1)
@@ -255,19 +258,19 @@ def _gap(design: Design, loads: Loads, x: Floats) -> Floats:
     return np.asarray(x @ normal + np.append(design.radius, design.radius[-1]) - place)
 
 
-def _guides(design: Design, x: Floats, frame: Floats) -> Floats:
+def guides(design: Design, x: Floats, frame: Floats) -> Floats:
     """Return the guides (B, 4, m, 3) mm."""
     m = design.guide.shape[1]
     return np.asarray(x[:, None, :m] + np.einsum("bmij,cmj->bcmi", frame[:, :m], design.guide))
 
 
-def _own(design: Design) -> Floats:
+def own_lengths(design: Design) -> Floats:
     """Return the length (4,) mm of the cables of a straight rod."""
     points = design.guide + design.place[: design.guide.shape[1], None] * np.array([0.0, 0.0, 1.0])
     return np.asarray(np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1))
 
 
-def _assembled(
+def assembled(
     design: Design, loads: Loads, x: Floats, frame: Floats
 ) -> tuple[Floats, tuple[Floats, Floats, Floats], Floats, Floats]:
     """Return the slope (B, n, 6) of the energy by the free nodes, its tangent without the cables' own stiffness as
@@ -276,10 +279,10 @@ def _assembled(
     middle, theta, chord, strain = _strains(design, x, frame)
     _, sigma, law = _section(design, loads, strain)
     local, force = _element(design.length, theta, chord, sigma, law)
-    spatial = _out(middle[:, :, None], force.reshape(*force.shape[:2], 4, 3)).reshape(force.shape)
+    spatial = out_of(middle[:, :, None], force.reshape(*force.shape[:2], 4, 3)).reshape(force.shape)
     ends = local.reshape(*local.shape[:2], 4, 3, 12)
     ends = (middle[:, :, None] @ ends).reshape(local.shape)
-    ends = _t((middle[:, :, None] @ _t(ends).reshape(*local.shape[:2], 4, 3, 12)).reshape(local.shape))
+    ends = transposed((middle[:, :, None] @ transposed(ends).reshape(*local.shape[:2], 4, 3, 12)).reshape(local.shape))
     b, nodes = x.shape[:2]
     slope = np.zeros((b, nodes, 6))
     slope[:, :-1] += spatial[..., :6]
@@ -320,8 +323,8 @@ def _element(length: Floats, theta: Floats, chord: Floats, sigma: Floats, law: F
     chords[..., :3] -= np.eye(3)
     chords[..., 6:9] += np.eye(3)
     map_ = np.concatenate([chords, inverse @ apart], axis=2)  # ℓ × strains, (B, n, 6, 12)
-    force = (_t(map_) @ sigma[..., None])[..., 0]
-    tangent = _t(map_) @ law @ map_ / length[:, None, None]
+    force = (transposed(map_) @ sigma[..., None])[..., 0]
+    tangent = transposed(map_) @ law @ map_ / length[:, None, None]
     n = hat(sigma[..., :3])
     couple = np.cross(sigma[..., :3], chord)
     of_couple = n @ chords
@@ -343,7 +346,7 @@ def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats
     line = np.diff(x[:, None, :m] + arm, axis=2)
     span = np.linalg.norm(line, axis=3)
     along = line / span[..., None]
-    stretch = span.sum(axis=2) - _own(design) + loads.pull - design.slack
+    stretch = span.sum(axis=2) - own_lengths(design) + loads.pull - design.slack
     pull = design.cable * np.maximum(stretch, 0.0)
     at = np.zeros_like(arm)  # slope by the guide's place
     at[:, :, 1:] += along
@@ -357,7 +360,7 @@ def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats
     across = moved - along[..., :, None] * (along[..., None, :] @ moved)
     across *= np.sqrt(pull[..., None] / span)[..., None, None]
     rows = np.moveaxis(across, 1, 2).reshape(len(x), m - 1, 12, 12)  # 4 cables of 3 rows
-    ends[:, : m - 1] += _t(rows) @ rows
+    ends[:, : m - 1] += transposed(rows) @ rows
     own = pull[..., None, None, None]
     for block, lever, sign in ((slice(3, 6), arm[:, :, :-1], -1.0), (slice(9, 12), arm[:, :, 1:], 1.0)):
         turn_ = lever[..., :, None] * along[..., None, :] - np.sum(lever * along, axis=3)[..., None, None] * np.eye(3)
@@ -365,7 +368,7 @@ def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats
     return pull, slopes
 
 
-def _solved(
+def newton_step(
     blocks: tuple[Floats, ...], force: Floats, lengths: Floats, taut: NDArray[np.bool_], stiffness: Floats
 ) -> Floats:
     """Return the Newton step (B, n, 6): −(K + Σ k l lᵀ)⁻¹ f over the taut cables, K block-tridiagonal."""
@@ -392,43 +395,3 @@ def _solved(
     inner = np.einsum("bnkc,bnkd->bcd", lengths, by_cable) + np.diag(1.0 / np.maximum(stiffness, 1e-12))
     share = np.linalg.solve(inner, np.einsum("bnkc,bnk->bc", lengths, plain)[..., None])
     return np.asarray(plain - (by_cable @ share[:, None])[..., 0])
-
-
-# --- rotations -----------------------------------------------------------------------------------
-
-
-def hat(v: Floats) -> Floats:
-    """Return the matrices (..., 3, 3) of v (..., 3): hat(v) w = v × w."""
-    out = np.zeros((*v.shape, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return out
-
-
-def turn(v: Floats) -> Floats:
-    """Return the rotations (..., 3, 3) of rotation vectors (..., 3) rad."""
-    angle = np.linalg.norm(v, axis=-1)[..., None, None]
-    k = hat(v)
-    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * k + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (k @ k))
-
-
-def log(frame: Floats) -> Floats:
-    """Return the rotation vectors (..., 3) rad of rotations by less than a quarter turn."""
-    part = np.stack([frame[..., 2, 1] - frame[..., 1, 2], frame[..., 0, 2] - frame[..., 2, 0],
-                     frame[..., 1, 0] - frame[..., 0, 1]], axis=-1) / 2  # fmt: skip
-    sine = np.linalg.norm(part, axis=-1)[..., None]
-    return np.asarray(part * np.where(sine < 1e-9, 1.0, np.arcsin(np.minimum(sine, 1.0)) / np.maximum(sine, 1e-300)))
-
-
-def _t(a: Floats) -> Floats:
-    return np.swapaxes(a, -1, -2)
-
-
-def _in(frame: Floats, v: Floats) -> Floats:
-    """Return vectors in the frame."""
-    return np.asarray(np.einsum("...ij,...i->...j", frame, v))
-
-
-def _out(frame: Floats, v: Floats) -> Floats:
-    """Return vectors of the frame in space."""
-    return np.asarray(np.einsum("...ij,...j->...i", frame, v))

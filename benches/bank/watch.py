@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from benches.bank.law import Floats, Law
 from benches.bank.laws_body import Askew, OtherWeight, Prony
 from benches.bank.laws_drive import Gear, Horns, Loop
-from benches.bank.rod import turn
+from benches.bank.rotations import turn
 
 
 @dataclass(frozen=True)

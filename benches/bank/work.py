@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import time
@@ -47,8 +48,8 @@ def run_case(task: Task) -> dict[str, Any]:
     fall = (error["before"] - error["after"]) / removable if mine.laws and removable > 0.05 else None
     return {
         "slice": slice_, "level": level, "kind": kind, "number": number, "seeds": seeds, **mine.to_dict(), **verdict,
-        "hidden": list(mine.hidden), "laws": mine.to_dict()["hidden"], "error_mm": error, "fall": fall,
-        "frames": int(run.t_seen.size), "sentence": first.sentence,
+        "hidden": list(mine.hidden), "error_mm": error, "fall": fall,
+        "frames": int(run.t_seen.size), "sentence": first.sentence, "ladder": first.error,
         "truth_seconds": round(made - started, 2), "seconds": round(finished - made, 2),
     }  # fmt: skip
 
@@ -59,15 +60,27 @@ def kept(task: Task, out: Path) -> Path:
     return out / f"{seeds}-{slice_}-{level}-{kind}-{number:04d}.json"
 
 
-def work(job: tuple[Task, str]) -> dict[str, Any]:
-    """Run one case and write its file; a case that fails says so in its file, and is tried again next time."""
-    task, out = job
+def code() -> str:
+    """Return a digest of the bank and of what it judges: a case that other code made is made again."""
+    import softmap_edge
+
+    digest = hashlib.sha256()
+    for folder, pattern in ((Path(__file__).parent, "*.py"), (Path(softmap_edge.__file__).parent, "**/*.[ps][yo]")):
+        for path in sorted(folder.glob(pattern)):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def work(job: tuple[Task, str, str]) -> dict[str, Any]:
+    """Run one case and write its file, marked with `code`; one that fails says so there, and is tried again."""
+    task, out, made_by = job
     try:
         row = run_case(task)
     except Exception as error:  # one case must not stop a thousand others
         row = dict(zip(("seeds", "slice", "level", "kind", "number"), task)) | {
             "case": kept(task, Path(out)).stem, "failed": f"{type(error).__name__}: {error}"[:300],
         }  # fmt: skip
+    row["code"] = made_by
     path = kept(task, Path(out))
     half = path.with_suffix(f".{os.getpid()}.part")
     half.write_text(json.dumps(row) + "\n", encoding="utf-8")
