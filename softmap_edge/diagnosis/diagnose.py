@@ -276,7 +276,11 @@ def _candidates(
         if registry[name]["role"] == "channel" and record.model.channels == 0:
             impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
         elif missing:
-            impossible.append(Untestable(name, f"the run does not declare {', '.join(missing)}", "declare it", 1.0))
+            block, minutes = experiment(registry, name)
+            wanted = ", ".join(missing)
+            impossible.append(
+                Untestable(name, f"the run does not declare {wanted}", f"{block}; {wanted} declared", minutes)
+            )
     if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record.gravity) == 1:
         # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than
         # its form error, and a tilt of gravity is an offset. The simpler member stands for the family.

@@ -29,6 +29,7 @@ from softmap_edge.report.text import (
     ladder_steps,
     parameter,
     servo_row,
+    untestable_rows,
 )
 
 INSTALL = "pip install 'softmap-edge[report]'"
@@ -326,8 +327,7 @@ def _open_questions(story: Story) -> str:
         for row in found.get("rivals") or []
     ]
     untestable = [
-        (row.get("name", "?"), f"{row.get('why', '')}" + (f" — {row['experiment']}" if row.get("experiment") else ""))
-        for row in found.get("not_testable") or []
+        (names, f"{why} — {experiment}" if experiment else why) for names, why, experiment in untestable_rows(found)
     ]
     steps = [(f"{row.get('block', '?')}{_minutes(row)}", _settles(row)) for row in found.get("next") or []]
     parts = [

@@ -156,7 +156,7 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
     servos = [servo_row(row) for row in document.get("servo") or []]
     lines += _list_lines("Servos: between command and encoder", servos, ": ".join)
     lines += _list_lines("Rivals: what explains these data as well", document.get("rivals"), _rival)
-    lines += _list_lines("Not testable with these data", document.get("not_testable"), _untestable)
+    lines += _list_lines("Not testable with these data", untestable_rows(document), _untestable)
     lines += _unexplained_lines(document.get("unexplained") or {})
     lines += _list_lines("Next experiment", document.get("next"), _next)
     return "\n".join(line.rstrip() for line in lines)
@@ -346,9 +346,19 @@ def _rival(row: Mapping[str, Any]) -> str:
     return f"{' + '.join(map(str, row.get('effects') or ['?']))}: {tamed(row.get('why', ''))}"
 
 
-def _untestable(row: Mapping[str, Any]) -> str:
-    experiment = f" To test it: {row['experiment']}." if row.get("experiment") else ""
-    return f"{row.get('name', '?')}: {row.get('why', '')}".rstrip(". ") + "." + experiment.replace("..", ".")
+def untestable_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Return what a diagnosis cannot test as (effects, why, experiment), effects of one reason in one row."""
+    rows: dict[tuple[str, str], list[str]] = {}
+    for row in document.get("not_testable") or []:
+        reason = (str(row.get("why") or ""), str(row.get("experiment") or ""))
+        rows.setdefault(reason, []).append(str(row.get("name", "?")))
+    return [(", ".join(names), *reason) for reason, names in rows.items()]
+
+
+def _untestable(row: tuple[str, str, str]) -> str:
+    names, why, experiment = row
+    remedy = f" To test it: {experiment}." if experiment else ""
+    return f"{names}: {why}".rstrip(". ") + "." + remedy.replace("..", ".")
 
 
 def _next(row: Mapping[str, Any]) -> str:
