@@ -31,7 +31,7 @@ T = np.arange(0.0, 30.0, 0.02)
 EVERY = {**LAWS, **UNKNOWN}
 PARTS = ("young", "rest", "guide", "cable", "slack", "torn")
 # mm that remain without strength: packets still come late by their jitter, the motor has its loop, horns their steps
-LEFT = {"latency": 0.8, "rate_limit": 0.8, "saturation": 0.1, "offset": 0.004, "backlash": 0.1}
+LEFT = {"latency": 0.8, "rate_limit": 0.2, "saturation": 0.1, "offset": 0.004, "backlash": 0.1}
 
 
 def record(u):

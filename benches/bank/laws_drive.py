@@ -115,7 +115,7 @@ class Motor(Law):
 
     NAME, STRONG, LIMIT = "rate_limit", ("slowness",), 12.0
     slowness: float  # s/mm, 1/v
-    tau_s: float = 0.02
+    tau_s: float = 0.004
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
@@ -127,8 +127,8 @@ class Motor(Law):
         for c, column in enumerate(u.T):
             y, line = float(column[0]), []
             for want in column.tolist():
-                for _ in range(4):
-                    y += step / 4 * speed * tanh((want - y) / (speed * self.tau_s))
+                for _ in range(8):
+                    y += step / 8 * speed * tanh((want - y) / (speed * self.tau_s))
                 line.append(y)
             out[:, c] = line
         return out
