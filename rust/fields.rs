@@ -10,15 +10,23 @@ use std::sync::Arc;
 /// Fields in a fixed order; some may be absent.
 pub struct Fields {
     members: Vec<Option<Arc<dyn Shape>>>,
-    /// The same side by side, if all are tables that share grid and modes.
+    /// Those that are there side by side, if all of them are tables that share grid and modes; and which they are.
     together: Option<TableSum>,
+    there: Vec<usize>,
 }
 
 impl Fields {
     /// Take fields in order.
     pub fn new(members: Vec<Option<Arc<dyn Shape>>>) -> Fields {
+        let there: Vec<usize> = (0..members.len())
+            .filter(|f| members[*f].is_some())
+            .collect();
         let together = Fields::together(&members);
-        Fields { members, together }
+        Fields {
+            members,
+            together,
+            there,
+        }
     }
 
     /// Number of fields, absent ones included.
@@ -37,7 +45,8 @@ impl Fields {
             return;
         }
         if let Some(sum) = &self.together {
-            return sum.add(u, weights, frame);
+            let own: Vec<f64> = self.there.iter().map(|f| weights[*f]).collect();
+            return sum.add(u, &own, frame);
         }
         for (field, weight) in self.members.iter().zip(weights) {
             if let (Some(field), true) = (field, *weight != 0.0) {
@@ -53,7 +62,8 @@ impl Fields {
     fn together(members: &[Option<Arc<dyn Shape>>]) -> Option<TableSum> {
         let tables: Option<Vec<&Table>> = members
             .iter()
-            .map(|field| field.as_ref().and_then(|field| field.table()))
+            .flatten()
+            .map(|field| field.table())
             .collect();
         TableSum::new(&tables?)
     }
@@ -76,24 +86,27 @@ mod tests {
     }
 
     #[test]
-    fn fields_of_one_sweep_are_summed_together_as_one_by_one() {
+    fn fields_of_one_sweep_are_summed_together_as_one_by_one_and_absent_ones_are_left_out() {
         let one = table([1.0, 2.0, -1.0, 0.5, 3.0, 1.0], 1.0);
         let two = table([0.0, 1.0, 4.0, 2.0, -1.0, 1.5], 1.0);
         let other = table([0.0, 1.0, 4.0, 2.0, -1.0, 1.5], 1.5);
         let together = Fields::new(vec![Some(one.clone()), Some(two.clone())]);
-        let apart = Fields::new(vec![Some(one.clone()), Some(two), None]);
-        assert!(together.together.is_some() && apart.together.is_none());
+        let mut apart = Fields::new(vec![Some(one.clone()), None, Some(two)]);
+        assert!(together.together.is_some() && apart.together.is_some());
         assert!(Fields::new(vec![Some(one), Some(other)]).together.is_none());
-        for weights in [[0.0, 0.0], [2.0, 0.0], [0.3, -1.5]] {
-            let (a, b) = (
-                sum(&together, &weights),
-                sum(&apart, &[weights[0], weights[1], 0.0]),
-            );
-            // Round-off of a sum in another order.
-            assert!(
-                a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-13),
-                "{a:?} {b:?}"
-            );
+        for summed in [true, false] {
+            apart.together = apart.together.filter(|_| summed);
+            for weights in [[0.0, 0.0], [2.0, 0.0], [0.3, -1.5]] {
+                let (a, b) = (
+                    sum(&together, &weights),
+                    sum(&apart, &[weights[0], 7.0, weights[1]]),
+                );
+                // Round-off of a sum in another order.
+                assert!(
+                    a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-13),
+                    "{a:?} {b:?}"
+                );
+            }
         }
     }
 }

@@ -3,6 +3,8 @@
 //! Nothing here knows Python except the `python` module, which only converts and forwards.
 
 pub mod cables;
+pub mod complementarity;
+pub mod contact;
 mod cubic;
 mod dense;
 pub mod effects;

@@ -1,24 +1,84 @@
-//! Dead loads and what they are called: gravity on the whole body, and a force on its tip, along the axes of the base.
+//! What moves a body beside its commands, and what it is called: dead loads, and changes of its design.
 //!
-//! Every prior answers them by *fields*: displacement per 1 g of gravity, and per 1 N on the tip. The simulator computes
-//! fields, a rod has its own, shape effects give their coefficients; all of them mean the order that stands here.
+//! Every prior answers by *fields*: displacement per unit of each at constant tension of its cables. The simulator computes
+//! them, a rod has its own, shape effects give their coefficients; all of them mean the order and the units that stand here:
+//! gravity on the whole body (per 1 g) and a force on its tip (per 1 N), along the axes of the base; then, per unit, the
+//! logarithm of the modulus in each of [`HATS`] stretches of the body, and by how much that logarithm rises from the axis to
+//! the +x and the +y side; the deflection of the tip at rest towards x and y (1 mm, an even curvature); the twist of body and
+//! tendons (1° at the tip, even); the phase about z of the tendons of each command (1°); a
+//! force on a section (1 N) at some stations along the body.
+
+use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Names of the fields.
-pub const FIELDS: [&str; 6] = [
+pub const FIELDS: [&str; 30] = [
     "gravity_x",
     "gravity_y",
     "gravity_z",
     "tip_force_x",
     "tip_force_y",
     "tip_force_z",
+    "stiff_0",
+    "stiff_1",
+    "stiff_2",
+    "stiff_3",
+    "stiff_4",
+    "stiff_5",
+    "stiff_6",
+    "stiff_x",
+    "stiff_y",
+    "curve_x",
+    "curve_y",
+    "twist",
+    "routing_0",
+    "routing_1",
+    "routing_2",
+    "push_0_x",
+    "push_0_y",
+    "push_0_z",
+    "push_1_x",
+    "push_1_y",
+    "push_1_z",
+    "push_2_x",
+    "push_2_y",
+    "push_2_z",
 ];
 
-/// Where the gravity triple and the tip force triple begin in [`FIELDS`].
+/// Where each kind begins in [`FIELDS`].
 pub const GRAVITY: usize = 0;
 pub const TIP_FORCE: usize = 3;
+pub const STIFF: usize = 6;
+pub const ACROSS: usize = STIFF + HATS;
+pub const CURVE: usize = ACROSS + 2;
+pub const TWIST: usize = CURVE + 2;
+pub const ROUTING: usize = TWIST + 1;
+pub const PUSH: usize = ROUTING + PHASES;
 
-/// Coefficients of [`FIELDS`], in g and N.
-pub type Coefficients = [f64; FIELDS.len()];
+/// Fields that are dead loads; those up to [`PUSH`] are changes of design, the rest pushes.
+pub const LOADS: usize = STIFF;
+/// Stretches of the body that have a modulus of their own.
+pub const HATS: usize = 7;
+/// Commands whose tendons have a phase.
+pub const PHASES: usize = 3;
+/// Where along the body, as shares of its height, an obstacle can push it; on the last one by the force on the tip.
+pub const STATIONS: [f64; 4] = [0.4, 0.6, 0.8, 1.0];
+
+/// Where the coefficients stand that are no fields: the compliance (mm/N) that every cable has beside the model's; and an
+/// obstacle: 1 if there is one, its foremost point (mm), the normal there and its curvature (1/mm).
+pub const TENDON: usize = FIELDS.len();
+pub const CONTACT: usize = TENDON + 1;
+
+/// Coefficients of [`FIELDS`] in their units, then [`TENDON`] and [`CONTACT`].
+pub type Coefficients = [f64; CONTACT + 8];
+
+/// What a coefficient is called.
+pub fn name(coefficient: usize) -> &'static str {
+    match coefficient {
+        TENDON => "tendon_compliance",
+        field if field < TENDON => FIELDS[field],
+        _ => "contact",
+    }
+}
 
 /// Standard gravity, m/s² = N/kg (exact by convention).
 pub const STANDARD_GRAVITY: f64 = 9.80665;
@@ -26,4 +86,54 @@ pub const STANDARD_GRAVITY: f64 = 9.80665;
 /// The force (N) of a mass (g) at rest along gravity (a unit vector, or in multiples of g).
 pub fn weight(mass: f64, gravity: [f64; 3]) -> [f64; 3] {
     gravity.map(|g| mass * 1e-3 * STANDARD_GRAVITY * g)
+}
+
+/// Middle of a stretch, as a share of the body's height.
+pub fn middle(hat: usize) -> f64 {
+    hat as f64 / (HATS - 1) as f64
+}
+
+/// How much of a stretch there is at a share of the height: cos² around its middle, all stretches together 1 everywhere.
+pub fn hat(hat: usize, share: f64) -> f64 {
+    let away = (share.clamp(0.0, 1.0) - middle(hat)) * (HATS - 1) as f64;
+    if away.abs() < 1.0 {
+        (FRAC_PI_2 * away).cos().powi(2)
+    } else {
+        0.0
+    }
+}
+
+/// The part of a stretch that lies between two shares of the height, 0 to 1.
+pub fn covered(hat: usize, low: f64, high: f64) -> f64 {
+    let count = (HATS - 1) as f64;
+    // ∫ cos²(π t/2) dt = t/2 + sin(π t)/2π, and no stretch reaches beyond the body.
+    let upto = |share: f64| {
+        let t = ((share.clamp(0.0, 1.0) - middle(hat)) * count).clamp(-1.0, 1.0);
+        0.5 * t + (PI * t).sin() / (2.0 * PI)
+    };
+    (upto(high) - upto(low)) / (upto(1.0) - upto(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stretches_share_the_body_and_are_covered_by_their_integral() {
+        for k in 0..=100 {
+            let share = k as f64 / 100.0;
+            let sum: f64 = (0..HATS).map(|h| hat(h, share)).sum();
+            assert!((sum - 1.0).abs() < 1e-12);
+        }
+        for h in 0..HATS {
+            let steps = 20_000;
+            let part = |low: f64, high: f64| -> f64 {
+                let at = |k: usize| low + (high - low) * (k as f64 + 0.5) / steps as f64;
+                (0..steps).map(|k| hat(h, at(k))).sum::<f64>() * (high - low) / steps as f64
+            };
+            let (some, all) = (part(0.2, 0.55), part(0.0, 1.0));
+            assert!((covered(h, 0.2, 0.55) - some / all).abs() < 1e-6);
+            assert_eq!(covered(h, -1.0, 2.0), 1.0);
+        }
+    }
 }

@@ -59,12 +59,23 @@ impl Modes {
                 weights.len()
             )));
         }
+        // A feature sees few of the vertices, and a vertex enters few features.
+        let weighed: Vec<Vec<(usize, f64)>> = weights
+            .chunks_exact(to)
+            .map(|row| {
+                row.iter()
+                    .copied()
+                    .enumerate()
+                    .filter(|(_, w)| *w != 0.0)
+                    .collect()
+            })
+            .collect();
         let through = |row: &[f64]| {
             let mut image = vec![0.0; to];
-            for (value, weight_row) in row.iter().zip(weights.chunks_exact(to)) {
-                if *value != 0.0 {
-                    accumulate(&mut image, weight_row, *value);
-                }
+            for (value, weighed) in row.iter().zip(&weighed) {
+                weighed
+                    .iter()
+                    .for_each(|(j, weight)| image[*j] += value * weight);
             }
             image
         };

@@ -3,16 +3,17 @@
 //! A frame at time t is `sense(prior(u_eff) + Σ c_k·field_k(u_eff) + Σ ΔT_i·cable_i(u_eff))`. `u_eff(t)` comes out of the
 //! chain at the command times and is read linearly at the seen times, less what the frames are stamped too late. `c(t)` holds the known physics, gravity declared by
 //! the run minus the gravity the prior was solved with (g) and the weight of the declared load (N), plus what the shape
-//! effects add; a prior whose stiffness is not known leaves the known physics out, and the effects find it. ΔT(t) is how the cables' tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
+//! effects add, loads and changes of design alike; a prior whose stiffness is not known leaves the known physics out, and the effects find it. ΔT(t) is how the cables' tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
 //!
 //! Parameter sets that agree in all channel effects share their shapes: in a Jacobian, steps in shape and sensing parameters
 //! cost next to nothing. Limits: bodies answer linearly (see `effects/gravity.rs`, `effects/payload.rs`).
 
 use crate::cables::Cables;
+use crate::contact::Contact;
 use crate::effects::{Chain, Conditions, Context, bracket};
 use crate::error::{Result, invalid};
 use crate::fields::Fields;
-use crate::loads::{Coefficients, FIELDS, GRAVITY, TIP_FORCE, weight};
+use crate::loads::{self, CONTACT, Coefficients, FIELDS, GRAVITY, TENDON, TIP_FORCE, weight};
 use crate::room::zeros;
 use crate::shape::Shape;
 use rayon::prelude::*;
@@ -28,6 +29,7 @@ pub struct Predictor {
     /// Fields of the dead loads, then of the cables.
     fields: Fields,
     cables: Option<Cables>,
+    contact: Option<Contact>,
     positions: Vec<bool>,
     reference: [f64; 3],
     /// Whether the loads that a run declares are applied.
@@ -102,10 +104,19 @@ impl Predictor {
             prior,
             fields: Fields::new(known),
             cables,
+            contact: None,
             positions,
             reference,
             declared: true,
         })
+    }
+
+    /// The same with stations that an obstacle can stop.
+    pub fn with_contact(self, contact: Contact) -> Predictor {
+        Predictor {
+            contact: Some(contact),
+            ..self
+        }
     }
 
     /// The same without the loads that a run declares: for a prior whose fields have no known scale. Gravity still tells
@@ -279,10 +290,11 @@ impl Predictor {
         let width = job.chain.width();
         let mut all = Vec::with_capacity(sets * job.frames);
         for b in 0..sets {
-            for context in job.world(b) {
+            for (k, context) in job.world(b).iter().enumerate() {
+                let set = &job.params[b * width..(b + 1) * width];
                 let mut sum = job
                     .chain
-                    .coefficients(&job.params[b * width..(b + 1) * width], context);
+                    .coefficients(set, job.at(job.group[b], k), context);
                 if self.declared {
                     let force = weight(context.load, context.gravity);
                     for i in 0..3 {
@@ -293,7 +305,7 @@ impl Predictor {
                 for (f, value) in sum.iter_mut().enumerate() {
                     if value.abs() <= NEGLIGIBLE {
                         *value = 0.0;
-                    } else if self.fields.get(f).is_none() {
+                    } else if !self.has(f) {
                         return Err(self.absent(job.chain, f, *value));
                     }
                 }
@@ -301,6 +313,15 @@ impl Predictor {
             }
         }
         Ok(all)
+    }
+
+    /// Whether a coefficient means something to this body: its field is there, or it is that of cables.
+    fn has(&self, coefficient: usize) -> bool {
+        match coefficient {
+            TENDON => self.cables.is_some(),
+            field if field < TENDON => self.fields.get(field).is_some(),
+            _ => self.contact.is_some(),
+        }
     }
 
     fn absent(&self, chain: &Chain, field: usize, value: f64) -> crate::Error {
@@ -317,40 +338,48 @@ impl Predictor {
         invalid(format!(
             "{wants} asks for {value:.3e} of the field {}, which this model does not have; build the model with its \
              fields, or leave that effect out",
-            FIELDS[field]
+            loads::name(field)
         ))
     }
 
     /// Weights (B, K, fields) of the fields: the loads, and the changes of tension with which the cables answer them.
     fn weights(&self, job: &Job, loads: &[Coefficients]) -> Vec<f64> {
         let (frames, count) = (job.frames, FIELDS.len());
-        let Some(cables) = &self.cables else {
-            return loads.iter().flatten().copied().collect();
-        };
+        let tendons = self.cables.as_ref().map_or(0, Cables::count);
+        let size = self.cables.as_ref().map_or(0, Cables::size);
         let mut loaded = vec![false; job.shared.len() * frames];
         for (i, row) in loads.iter().enumerate() {
             loaded[job.group[i / frames] * frames + i % frames] |= row.iter().any(|c| *c != 0.0);
         }
-        let size = cables.size();
         let mut places = vec![0.0; loaded.len() * size];
-        places
-            .par_chunks_exact_mut(size)
-            .zip(&loaded)
-            .enumerate()
-            .filter(|(_, (_, loaded))| **loaded)
-            .for_each(|(i, (place, _))| cables.at(job.at(i / frames, i % frames), place));
-        let width = count + cables.count();
+        if let Some(cables) = &self.cables {
+            places
+                .par_chunks_exact_mut(size)
+                .zip(&loaded)
+                .enumerate()
+                .filter(|(_, (_, loaded))| **loaded)
+                .for_each(|(i, (place, _))| cables.at(job.at(i / frames, i % frames), place));
+        }
+        let width = count + tendons;
         let mut weights = vec![0.0; loads.len() * width];
         weights
             .par_chunks_exact_mut(width)
             .zip(loads)
             .enumerate()
+            .filter(|(_, (_, loads))| loads.iter().any(|c| *c != 0.0))
             .for_each(|(i, (row, loads))| {
-                let (own, change) = row.split_at_mut(count);
-                own.copy_from_slice(loads);
-                if loads.iter().any(|c| *c != 0.0) {
-                    let place = job.group[i / frames] * frames + i % frames;
-                    cables.answer(&places[place * size..(place + 1) * size], loads, change);
+                let (group, k) = (job.group[i / frames], i % frames);
+                let at = group * frames + k;
+                let cables = self
+                    .cables
+                    .as_ref()
+                    .map(|c| (c, &places[at * size..(at + 1) * size]));
+                row[..count].copy_from_slice(&loads[..count]);
+                if let Some((cables, place)) = cables {
+                    cables.answer(place, loads, &mut row[count..]);
+                }
+                if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {
+                    contact.stop(job.at(group, k), loads, cables, row);
                 }
             });
         weights

@@ -18,6 +18,8 @@ __all__ = [
     "ElasticField",
     "ElasticRod",
     "FIELDS",
+    "LOADS",
+    "STATIONS",
     "Mesh",
     "Predictor",
     "Rod",
@@ -96,6 +98,8 @@ class Scattered(Shape):
     def project(self, weights: _Floats, offset: _Floats) -> Scattered: ...
 
 FIELDS: list[str]
+LOADS: list[str]
+STATIONS: list[float]
 STANDARD_GRAVITY: float  # m/s², N/kg
 
 def effects() -> list[dict[str, Any]]: ...
@@ -111,6 +115,8 @@ class Chain:
     def channels(self) -> int: ...
     @property
     def state_size(self) -> int: ...
+    @property
+    def fields(self) -> list[str]: ...
     @property
     def labels(self) -> list[str]: ...
     @property
@@ -176,6 +182,7 @@ class Chain:
         gravity: _Floats,
         load: _Floats | None = None,
         temperature: _Floats | None = None,
+        u: _Floats | None = None,
     ) -> _Floats: ...
 
 @final
@@ -193,6 +200,7 @@ class Predictor:
         gravity_reference: _Floats,
         cables: Cables | None = None,
         declared_loads: bool = True,
+        contact: tuple[Shape, dict[str, Shape], Cables | None, Sequence[float]] | None = None,
     ) -> Self: ...
     def predict(
         self,
@@ -261,6 +269,7 @@ class Solid:
         load_at: tuple[float, float, float] | None = None,
         points: _Floats | None = None,
         tolerance: float = 2.5,
+        change: list[tuple[str, float]] = [],
     ) -> Self: ...
     vertices: _Floats
     triangles: NDArray[np.int32]
@@ -292,5 +301,6 @@ class Solid:
         commands: _Floats,
         gravity: tuple[float, float, float],
         load: tuple[float, float, float],
+        design: bool = False,
         progress: Callable[[float], None] | None = None,
     ) -> dict[str, _Floats]: ...

@@ -4,10 +4,14 @@ manifest.json   schema version, kind of prior, units, hashes, own held-out error
 prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes, scale, power and
                 the rest as a table), or a rod
 template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh
-fields.npz      displacement fields per 1 g and per 1 N, as modes over fewer commands
+fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands
 effects.json    the chain: names and parameters
+<<<<<<< HEAD
 NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run only where whoever
                 loads the bundle has loaded that very file before (`load_effect`), or says so when asked
+=======
+NAME_step       beside an array of whole numbers NAME in an archive: NAME counts these steps
+>>>>>>> ddf77d6 (Changes of a body's design, its routing and obstacles are effects: the simulator has a field for each)
 calibration.json, safety.toml   joined when the bench has them
 """
 
@@ -29,10 +33,14 @@ from softmap_edge import __version__, _core, own_effect
 from softmap_edge.errors import BundleError, SoftmapError, brief
 from softmap_edge.features import SECTIONS, Body
 from softmap_edge.model import Arrays, Model
-from softmap_edge.npz import read_npz, write_npz
+from softmap_edge.npz import read_npz, unpacked, write_npz
 
+<<<<<<< HEAD
 # 2: scattered families, bodies without a mesh; 3: a user's own effects; a model that needs none is written as 1
 SCHEMA = 3
+=======
+SCHEMA = 3  # 2: scattered families, bodies without a mesh; 3: fields of a design, steps; 1 without any of them
+>>>>>>> ddf77d6 (Changes of a body's design, its routing and obstacles are effects: the simulator has a field for each)
 _MAX_BYTES = 256 << 20
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
 _KINDS = ("table", "scattered", "rod")
@@ -74,7 +82,11 @@ def save_bundle(model: Model, path: str | Path) -> Path:
     chain = {"chain": list(model.chain_names), "params": model.params}
     (partial / "effects.json").write_text(json.dumps(chain, indent=1, sort_keys=True) + "\n")
     manifest = {
+<<<<<<< HEAD
         "schema": 3 if own else 2 if model.kind == "scattered" or model.body is not None else 1,
+=======
+        "schema": _schema(model),
+>>>>>>> ddf77d6 (Changes of a body's design, its routing and obstacles are effects: the simulator has a field for each)
         "kind": model.kind,
         "robot": model.robot,
         "channels": model.channels,
@@ -97,6 +109,13 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         shutil.rmtree(folder)
     partial.replace(folder)
     return folder
+
+
+def _schema(model: Model) -> int:
+    """Return the oldest schema that holds the model."""
+    if set(model.fields) - set(_core.LOADS) or any(key.endswith("_step") for key in model.arrays["prior"]):
+        return 3
+    return 2 if model.kind == "scattered" or model.body is not None else 1
 
 
 def check_folder(folder: Path) -> None:
@@ -209,6 +228,7 @@ def family_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table | _cor
     """Return the compiled shape family of `coefficients`, `mean` and `modes` over `axis0…`, or over scattered
     `nodes`.
     """
+    arrays = unpacked(arrays)
     mean, modes, coefficients = (np.asarray(arrays[name], np.float64) for name in ("mean", "modes", "coefficients"))
     if "nodes" in arrays:
         nodes, scale = (np.asarray(arrays[name], np.float64) for name in ("nodes", "scale"))
@@ -336,6 +356,7 @@ def _own_hashes(manifest: dict[str, Any]) -> dict[str, str]:
 
 def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, Any]:
     """Return the compiled fields stored as `coefficients_NAME` over shared `axis0…` or `nodes`, and `modes`."""
+    arrays = unpacked(arrays)
     shared = {key: value for key, value in arrays.items() if key.startswith("axis") or key in _SHARED}
     names = [key.removeprefix("coefficients_") for key in arrays if key.startswith("coefficients_")]
     size = shared["modes"].shape[1] if names else 0
@@ -355,19 +376,36 @@ def cables_from(
     """
     if "stiffness" not in fields:
         return None
+    prior, fields = unpacked(prior), unpacked(fields)
     shared = {key: value for key, value in fields.items() if key.startswith("axis") or key == "modes"}
     still = np.zeros(shared["modes"].shape[1])
     names = [f"coefficients_{_TENSION}{i}" for i in range(fields["stiffness"].size)]
     return _core.Cables(
         np.asarray(fields["stiffness"], np.float64),
-        _plain_table(prior, "pull"),
-        _plain_table(fields, "stretch"),
+        plain_table(prior, "pull"),
+        plain_table({**fields, "stretch": _stretch(fields)}, "stretch"),
         [table_from({**shared, "coefficients": fields[name], "mean": still}) for name in names],
     )
 
 
-def _plain_table(arrays: Mapping[str, NDArray[np.generic]], name: str) -> _core.Table:
+def _stretch(fields: Mapping[str, NDArray[np.generic]]) -> NDArray[np.float64]:
+    """Return the stretch (S, T·(F + T)) of every tendon for each of `_core.FIELDS` and each tension.
+
+    Zero where a bundle has no such field.
+    """
+    tendons, loads = fields["stiffness"].size, len(_core.LOADS)
+    stored = np.asarray(fields["stretch"], np.float64).reshape(len(fields["stretch"]), tendons, loads + tendons)
+    full = np.zeros((len(stored), tendons, len(_core.FIELDS) + tendons))
+    full[..., :loads], full[..., len(_core.FIELDS) :] = stored[..., :loads], stored[..., loads:]
+    for f, name in enumerate(_core.FIELDS):
+        if f"stretch_{name}" in fields:
+            full[..., f] = fields[f"stretch_{name}"]
+    return full.reshape(len(full), -1)
+
+
+def plain_table(arrays: Mapping[str, NDArray[np.generic]], name: str) -> _core.Table:
     """Return the table of the numbers (S, n) called `name` over `axis0…`, each its own mode."""
+    arrays = unpacked(arrays)
     axes = {key: value for key, value in arrays.items() if key.startswith("axis")}
     width = arrays[name].shape[1]
     return table_from({**axes, "coefficients": arrays[name], "mean": np.zeros(width), "modes": np.eye(width)})

@@ -37,6 +37,7 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 Shape = Any  # a compiled shape: _core.Table, _core.Rod, _core.RodField
 _TIP_SHARE = 0.05
+_STATION_SHARE = 0.05  # of the length to each side of a station
 TIP_PER_NEWTON = 0.1  # where stiffness is not known: 1 N across the tip moves it by this share of the length
 NOMINAL = "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
 BEYOND = 0.05  # share of its range by which a command may leave it before a word is said
@@ -120,6 +121,12 @@ class Model:
     def params(self) -> dict[str, float]:
         """The parameters of the effects, by label (`backlash.gap`, `gain.factor[0]`)."""
         return dict(zip(self.chain.labels, map(float, self.chain_params)))
+
+    def lacking(self, name: str) -> list[str]:
+        """Return what this model lacks that the effect `name` acts through: names of fields, or `tendon_compliance`."""
+        there = set(self.fields) | ({"tendon_compliance"} if self.cables is not None else set())
+        there |= set() if self._contact is None else {"contact"}
+        return [field for field in _core.Chain([name], self.channels).fields if field not in there]
 
     def with_effects(self, names: Sequence[str], params: Floats | Mapping[str, float]) -> Model:
         """Return a model whose chain holds exactly `names` with `params` (in chain order, or by label)."""
@@ -333,7 +340,28 @@ class Model:
     def _predictor(
         self, prior: Shape, fields: dict[str, Shape], positions: NDArray[np.bool_], cables: _core.Cables | None
     ) -> _core.Predictor:
-        return _core.Predictor(prior, fields, positions, self.gravity_reference, cables, self.stiffness_known)
+        return _core.Predictor(
+            prior, fields, positions, self.gravity_reference, cables, self.stiffness_known, self._contact
+        )
+
+    @cached_property
+    def _contact(self) -> tuple[Shape, dict[str, Shape], _core.Cables | None, list[float]] | None:
+        """Where an obstacle can stop the body: middles of its stations, how fields move them, and their radii mm."""
+        if not {name for name in _core.FIELDS if name.startswith("push")} <= set(self.fields) or self.markers:
+            return None
+        share = self.along / max(float(np.max(self.along)), 1e-9)
+        near = [np.abs(share - station) <= _STATION_SHARE for station in _core.STATIONS[:-1]]
+        near.append(share >= 1.0 - 2 * _STATION_SHARE)
+        if not all(n.any() for n in near):
+            return None
+        weights = np.stack([n / n.sum() for n in near])
+        mapping = FeatureMap(weights, np.ones(len(weights), bool), np.arange(len(weights)))
+        matrix, zero = mapping.matrix(), np.zeros(3 * len(weights))
+        aside = self.rest - (weights @ self.rest)[:, None]
+        reach = [float(np.mean(np.linalg.norm(a[n][:, :2], axis=1))) for a, n in zip(aside, near)]
+        moved = {name: shape.project(matrix, zero) for name, shape in self.fields.items()}
+        cables = None if self.cables is None else self.cables.project(matrix, zero)
+        return self.prior.project(matrix, zero), moved, cables, reach
 
 
 def tip_of(vertices: Floats) -> NDArray[np.int64]:

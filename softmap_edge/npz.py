@@ -6,6 +6,7 @@ import io
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import SoftmapError, brief
 
 MAX_BYTES = 4 << 30
+_STEP = "_step"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
@@ -56,6 +58,35 @@ def read_npz(
         raise error(
             f"{path.name}: not a readable .npz archive ({brief(fault)}); make it again or copy it again"
         ) from None
+
+
+def packed(
+    name: str, values: NDArray[np.float64], step: NDArray[np.float64] | float, kind: type
+) -> dict[str, NDArray[Any]]:
+    """Return `values` as whole numbers of steps under `name`, and the steps under `name_step`.
+
+    `step` is one number or broadcasts to the values; it is widened where values would not fit into `kind` (np.int8 or
+    np.int16). Half a step is lost at most.
+    """
+    step = np.asarray(step, np.float64)
+    alike = tuple(axis for axis, length in enumerate(step.shape) if length == 1) if step.ndim else None
+    largest = np.max(np.abs(values), axis=alike, keepdims=step.ndim > 0, initial=0.0)
+    # Up by more than what float32 may round it down.
+    exact = np.maximum(np.float32((1.0 + 1e-6) * np.maximum(step, largest / np.iinfo(kind).max)), np.float32(1e-30))
+    return {name: np.round(values / exact.astype(np.float64)).astype(kind), f"{name}{_STEP}": np.asarray(exact)}
+
+
+def unpacked(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, NDArray[np.generic]]:
+    """Return `arrays` with what `packed` made as numbers again; ValueError where steps do not fit their array."""
+    steps = {f"{name}{_STEP}" for name in arrays}
+    plain = {name: array for name, array in arrays.items() if name not in steps}
+    for name, array in plain.items():
+        if f"{name}{_STEP}" in arrays:
+            step = np.asarray(arrays[f"{name}{_STEP}"], np.float64)
+            if np.broadcast_shapes(step.shape, array.shape) != array.shape:
+                raise ValueError(f"steps {step.shape} of '{name}' {array.shape}")
+            plain[name] = np.asarray(array, np.float64) * step
+    return plain
 
 
 def _read_array(data: bytes, name: str, path: Path, error: type[SoftmapError]) -> NDArray[np.generic]:

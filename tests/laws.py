@@ -82,17 +82,138 @@ def field(direction, tip):
     return values
 
 
+def bent(direction, profile):
+    """Displacement (n, 27): `direction` of commands (n, 2) → (n, 2 or 3) mm, times a number for each section."""
+
+    def values(u):
+        aside = np.zeros((len(u), 3))
+        towards = direction(u)
+        aside[:, : towards.shape[1]] = towards
+        return (profile[None, :, None] * aside[:, None, :]).reshape(len(u), -1)
+
+    return values
+
+
+SHARE = SECTIONS / SECTIONS[-1]
+MIDDLES = np.linspace(0.0, 1.0, 7)  # of the stretches of the fields stiff_0 … stiff_6
+OBSTACLE = ("present", "q_x", "q_y", "q_z", "n_x", "n_y", "n_z", "curvature")
+COEFFICIENTS = [*_core.FIELDS, "tendon_compliance", *OBSTACLE]
+
 # Tip displacements per g and per N as the simulator finds them: 1 g lateral 3.5 mm, 20 g at the tip 3.2 mm.
 FIELD_VALUES = {
     name: field(np.eye(3)["xyz".index(name[-1])], (3.5 if name[0] == "g" else 16.0) * (0.1 if name[-1] == "z" else 1.0))
-    for name in _core.FIELDS
+    for name in _core.LOADS
+}
+# A stretch that is stiffer bends less, and the rest makes up for four fifths of it.
+FIELD_VALUES |= {
+    f"stiff_{k}": bent(lambda u: -3.0 * u, np.maximum(SHARE - middle, 0.0) - 0.8 * SHARE * (1.0 - middle))
+    for k, middle in enumerate(MIDDLES)
+}
+FIELD_VALUES |= {
+    "stiff_x": bent(lambda u: np.linalg.norm(u, axis=1)[:, None] * [[0.3, 0.0]], SHARE**2),
+    "stiff_y": bent(lambda u: np.linalg.norm(u, axis=1)[:, None] * [[0.0, 0.3]], SHARE**2),
+    "curve_x": field([1.0, 0.0, 0.0], 1.0),
+    "curve_y": field([0.0, 1.0, 0.0], 1.0),
+    "twist": bent(lambda u: 0.04 * u[:, ::-1] * [[-1.0, 1.0]], SHARE**3),
+    "routing_0": bent(lambda u: 0.09 * u[:, :1] * [[0.0, 1.0]], SHARE**2),
+    "routing_1": bent(lambda u: 0.09 * u[:, 1:] * [[-1.0, 0.0]], SHARE**2),
 }
 
 
+def cantilever(at):
+    """Deflection along a beam that a force at a share of its length bends; 1 at the tip for one at the tip."""
+    return np.where(at > SHARE, SHARE**2 * (3 * at - SHARE), at**2 * (3 * SHARE - at)) / 2
+
+
+def pushing(axis, at):
+    way = 16.0 * np.eye(3)["xyz".index(axis)] * (0.1 if axis == "z" else 1.0)
+    return bent(lambda u: np.tile(way, (len(u), 1)), cantilever(at))
+
+
+FIELD_VALUES |= {f"push_{k}_{a}": pushing(a, at) for k, at in enumerate(_core.STATIONS[:3]) for a in "xyz"}
+FIELD_VALUES |= {f"tip_force_{a}": pushing(a, 1.0) for a in "xyz"}
+FIELD_VALUES = {name: FIELD_VALUES[name] for name in _core.FIELDS if name in FIELD_VALUES}
+
+# Two pairs of tendons that pull 0.6 N for each mm and get 0.1 mm shorter for each N; no load changes their length.
+CABLE, SHORTER, PULL = 20.0, 0.1, 0.6
+TENSION_VALUES = [field([*side, 0.0], 3.0) for side in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))]
+
+
+def pulls(u):
+    """Pull (n, 4) N of the tendons, below zero how slack they are."""
+    return PULL * np.concatenate([u, -u], axis=1)
+
+
+def lost(compliance, u):
+    """Change of the tensions (n, 4) N with so many mm/N more of every tendon: its length is shared out anew."""
+    before = np.maximum(pulls(u), 0.0)
+    own = 1.0 / CABLE + SHORTER
+    return before * own / (own + compliance) - before
+
+
+def cables():
+    """The tendons of that finger."""
+    stretch = np.hstack([np.zeros((4, len(_core.FIELDS))), -SHORTER * np.eye(4)]).ravel()
+    still = _core.Table([[-20.0, 20.0]] * 2, np.tile(stretch, (4, 1)), np.zeros(stretch.size), np.eye(stretch.size))
+    fields = [tabulated(values) for values in TENSION_VALUES]
+    return _core.Cables(np.full(4, CABLE), tabulated(pulls), still, fields)
+
+
+STATIONS, GIRTH = [3, 5, 6, 8], 5.0  # sections that an obstacle can stop, and their radius mm
+
+
+def stations():
+    """What `_core.Predictor` takes for contact: the middles of these sections and how they move."""
+    matrix, zero = np.zeros((27, 12)), np.zeros(12)
+    for k, section in enumerate(STATIONS):
+        matrix[3 * section : 3 * section + 3, 3 * k : 3 * k + 3] = np.eye(3)
+    moved = {name: tabulated(values).project(matrix, zero) for name, values in FIELD_VALUES.items()}
+    return tabulated(finger).project(matrix, zero), moved, cables().project(matrix, zero), [GIRTH] * 4
+
+
+def stopped(row, frames, u):
+    """What an obstacle (coefficients from `present` on) adds to frames (n, 27): the one set of pushed stations that
+    leaves no gap negative and no push either, found by trying all.
+    """
+    _, q, n, curvature = row[0], row[1:4], row[4:7], row[7]
+    pushes = np.stack([tabulated(FIELD_VALUES[f"push_{k}_{a}"]).evaluate(u) for k in range(3) for a in "xyz"], axis=1)
+    tip = np.stack([tabulated(FIELD_VALUES[f"tip_force_{a}"]).evaluate(u) for a in "xyz"], axis=1)
+    unit = np.concatenate([pushes, tip], axis=1).reshape(len(u), 4, 3, 27)
+    out = np.zeros_like(frames)
+    for frame, units, more in zip(frames, unit, out):
+        places = frame.reshape(9, 3)[STATIONS]
+        if curvature > 0:
+            away = places - (q - n / curvature)
+            gaps = np.linalg.norm(away, axis=1) - 1 / curvature - GIRTH
+            normals = away / np.linalg.norm(away, axis=1)[:, None]
+        else:
+            gaps, normals = (places - q) @ n - GIRTH, np.tile(n, (4, 1))
+        by = np.einsum("ka,kam->km", normals, units)  # per newton on each station
+        matrix = np.einsum("ia,kia->ik", normals, by.reshape(4, 9, 3)[:, STATIONS])
+        for pushed in range(16):
+            on = np.array([(pushed >> k) % 2 == 1 for k in range(4)])
+            force = np.zeros(4)
+            if on.any():
+                force[on] = np.linalg.solve(matrix[np.ix_(on, on)], -gaps[on])
+            if (force >= 0).all() and (gaps + matrix @ force >= -1e-9).all():
+                more += force @ by
+                break
+        else:
+            raise AssertionError("no set of stations answers")
+    return out
+
+
 def finger_body(positions=None):
-    """A predictor of that finger with all its fields, solved hanging; `positions` (9,) as in _core.Predictor."""
+    """A predictor of that finger with fields and tendons, solved hanging; `positions` (9,) as in _core.Predictor."""
     fields = {name: tabulated(values) for name, values in FIELD_VALUES.items()}
-    return _core.Predictor(tabulated(finger), fields, np.ones(9, bool) if positions is None else positions, HOME)
+    return _core.Predictor(
+        tabulated(finger),
+        fields,
+        np.ones(9, bool) if positions is None else positions,
+        HOME,
+        cables(),
+        contact=stations(),
+    )
 
 
 def values(chain, kind):
@@ -189,20 +310,6 @@ def eccentric(p, u, t):
     return u + size * (np.sin(u / p["radius"] + phase) - np.sin(phase))
 
 
-def turned(p, u, t):
-    """The pull as a complex number; of three tendons, the shortenings that make the turned pull with the same mean."""
-    turn = np.exp(1j * np.deg2rad(p["phase"]))
-    if u.shape[1] == 2:
-        pull = (u[:, 0] + 1j * u[:, 1]) * turn
-        return np.stack([pull.real, pull.imag], axis=1)
-    if u.shape[1] != 3:
-        return u
-    tendons = np.exp(2j * np.pi * np.arange(3) / 3)
-    system = np.array([tendons.real, tendons.imag, np.ones(3)])
-    pull = (u @ tendons) * turn
-    return np.linalg.solve(system, np.array([pull.real, pull.imag, u.sum(axis=1)])).T
-
-
 def rubbed(p, u, t):
     """Five beads on the tendon, each dragged along once the pull leaves its own play."""
     beads, out = np.tile(u[0], (5, 1)), []
@@ -234,13 +341,57 @@ def turn(axis, degrees):
     return matrix
 
 
-def gravity_coefficients(p, gravity):
+def coefficients(count, **named):
+    """Coefficients (count, F + 1): those named, each a number or (count,), and zeros."""
+    out = np.zeros((count, len(COEFFICIENTS)))
+    for name, value in named.items():
+        out[:, COEFFICIENTS.index(name)] = value
+    return out
+
+
+def triple(name, vectors):
+    return coefficients(len(vectors), **{f"{name}_{axis}": column for axis, column in zip("xyz", vectors.T)})
+
+
+def gravity_coefficients(p, gravity, u):
     actual = (1 + p["density"]) * gravity @ (turn(1, p["tilt_y"]) @ turn(0, p["tilt_x"])).T
-    return np.hstack([actual - gravity, np.zeros_like(gravity)])
+    return triple("gravity", actual - gravity)
 
 
-def payload_coefficients(p, gravity):
-    return np.hstack([np.zeros_like(gravity), p["mass"] / 1000 * 9.80665 * gravity])
+def payload_coefficients(p, gravity, u):
+    return triple("tip_force", p["mass"] / 1000 * 9.80665 * gravity)
+
+
+def section(centre, width, count):
+    """Coefficients of stiff_0 … stiff_6 for 1 in a section: its mean under each stretch's cos², by Gauss's rule."""
+    node, weight = np.polynomial.legendre.leggauss(24)
+
+    def under(middle, low, high):
+        low, high = max(low, middle - 1 / 6, 0.0), min(high, middle + 1 / 6, 1.0)
+        s = low + (high - low) * (node + 1) / 2
+        return max(high - low, 0.0) / 2 * weight @ np.cos(3 * np.pi * (s - middle)) ** 2
+
+    low, high = centre - width / 2, centre + width / 2
+    means = {f"stiff_{k}": under(m, low, high) / under(m, -1.0, 2.0) for k, m in enumerate(MIDDLES)}
+    return coefficients(count, **means)
+
+
+def gradient_coefficients(p, gravity, u):
+    values = {f"stiff_{k}": p["gradient"] * (middle - 0.5) for k, middle in enumerate(MIDDLES)}
+    return coefficients(len(gravity), **values)
+
+
+def obstacle_coefficients(p, gravity, u):
+    towards = np.array([np.cos(np.deg2rad(p["heading"])), np.sin(np.deg2rad(p["heading"])), 0.0])
+    normal = -np.cos(np.deg2rad(p["tilt"])) * towards - np.sin(np.deg2rad(p["tilt"])) * HOME
+    row = [1.0, *(p["distance"] * towards + p["height"] * HOME), *normal, p["curvature"]]
+    return coefficients(len(gravity), **dict(zip(OBSTACLE, row)))
+
+
+def kink_coefficients(p, gravity, u):
+    beyond = 1.0 - p["bend"] / np.maximum(np.linalg.norm(u, axis=1), 1e-12)
+    softer = p["softening"] * np.clip(beyond, 0.0, 1.0)
+    return -softer[:, None] * section(p["centre"], 0.25, len(gravity))
 
 
 def moved(p, frames, positions):
@@ -274,7 +425,6 @@ ORACLES = {
     "backlash": lambda p, u, t: played(u, p["gap"] / 2),
     "friction": rubbed,
     "coupling": lambda p, u, t: u @ (np.eye(u.shape[1]) + p["factor"]).T,
-    "routing": turned,
     "dead_zone": lambda p, u, t: np.sign(u) * np.maximum(np.abs(u) - p["slack"], 0.0),
     "tendon_creep": lambda p, u, t: u - p["loss"] * relaxed(u, t, p["tau"]),
     "anchor_slip": slipped,
@@ -285,8 +435,17 @@ ORACLES = {
     "mullins": broken_in,
     "thermal_softening": lambda p, u, t: u * (1.0 + 0.01 * p["rate"] * (warming(t) - warming(t[0])))[:, None],
     "asymmetry": lambda p, u, t: np.where(u > 0, u * (1.0 + p["excess"]), u * (1.0 - p["excess"])),
+    "tendon_stretch": lambda p, g, u: coefficients(len(g), tendon_compliance=p["compliance"]),
+    "routing": lambda p, g, u: coefficients(len(g), routing_0=p["phase"][0], routing_1=p["phase"][1]),
     "gravity": gravity_coefficients,
     "payload": payload_coefficients,
+    "stiffness_gradient": gradient_coefficients,
+    "stiff_section": lambda p, g, u: p["amount"] * section(p["centre"], p["width"], len(g)),
+    "one_sided_stiffness": lambda p, g, u: coefficients(len(g), stiff_x=p["x"], stiff_y=p["y"]),
+    "kink": kink_coefficients,
+    "twist": lambda p, g, u: coefficients(len(g), twist=p["angle"]),
+    "pre_curve": lambda p, g, u: coefficients(len(g), curve_x=p["x"], curve_y=p["y"]),
+    "contact": obstacle_coefficients,
     "scale": lambda p, see, positions, t: p["factor"] * see(t),
     "mount": lambda p, see, positions, t: moved(p, see(t), positions),
     "camera_drift": drifted,

@@ -10,10 +10,13 @@ from laws import (
     FIELD_VALUES,
     HOME,
     ORACLES,
+    TENSION_VALUES,
     finger,
     finger_body,
+    lost,
     named,
     record,
+    stopped,
     tabulated,
     turning,
     values,
@@ -47,13 +50,17 @@ def test_all_together_agree_with_the_oracles_in_stage_order(body):
 
         def see(moments, x=x, own=own):
             seen_gravity = np.stack([np.interp(moments, t, g) for g in gravity.T], axis=1)
-            coefficients = sum(ORACLES[name](own[name], seen_gravity) for name in BY_ROLE["shape"])
+            acting = np.stack([np.interp(moments, t, column) for column in x.T], axis=1)
+            coefficients = sum(ORACLES[name](own[name], seen_gravity, acting) for name in BY_ROLE["shape"])
             coefficients[:, :3] += seen_gravity - HOME
             coefficients[:, 3:6] += 9.80665e-3 * np.interp(moments, t, load)[:, None] * seen_gravity
-            acting = np.stack([np.interp(moments, t, column) for column in x.T], axis=1)
             frames = tabulated(finger).evaluate(acting)
-            for f, name in enumerate(_core.FIELDS):
-                frames = frames + coefficients[:, f : f + 1] * tabulated(FIELD_VALUES[name]).evaluate(acting)
+            for name, values_of in FIELD_VALUES.items():
+                f = _core.FIELDS.index(name)
+                frames = frames + coefficients[:, f : f + 1] * tabulated(values_of).evaluate(acting)
+            for change, values_of in zip(lost(coefficients[0, len(_core.FIELDS)], acting).T, TENSION_VALUES):
+                frames = frames + change[:, None] * tabulated(values_of).evaluate(acting)
+            frames = frames + stopped(coefficients[0, -8:], frames, acting)
             return frames.reshape(-1, 9, 3)
 
         for name in BY_ROLE["sensing"]:

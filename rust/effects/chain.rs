@@ -326,26 +326,26 @@ impl Chain {
         Ok(params.len() / self.width)
     }
 
-    /// Coefficients of [`FIELDS`] that the shape effects add at one context.
-    pub fn coefficients(&self, params: &[f64], context: &Context) -> Coefficients {
-        let mut out = [0.0; FIELDS.len()];
+    /// Coefficients that the shape effects add at the command `u` (C,) that acts, in one context.
+    pub fn coefficients(&self, params: &[f64], u: &[f64], context: &Context) -> Coefficients {
+        let mut out = [0.0; CONTACT + 8];
         for link in &self.links {
             if let Law::Shape(law) = link.effect.law {
-                law.add(&params[link.params.clone()], context, &mut out);
+                law.add(&params[link.params.clone()], u, context, &mut out);
             }
         }
         out
     }
 
-    /// Each field that a shape effect of the chain uses, with the effect's name.
+    /// Each coefficient (a field, [`TENDON`] or [`CONTACT`]) that a shape effect of the chain uses, with the effect's name.
     pub fn fields(&self) -> Vec<(usize, &'static str)> {
         let mut used = vec![];
         for link in &self.links {
             if let Law::Shape(law) = link.effect.law {
                 used.extend(
-                    law.fields()
-                        .iter()
-                        .map(|field| (*field, link.effect.declaration.name)),
+                    law.fields(self.channels)
+                        .into_iter()
+                        .map(|field| (field, link.effect.declaration.name)),
                 );
             }
         }

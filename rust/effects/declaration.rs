@@ -7,7 +7,7 @@
 use super::conditions::{Conditions, Context};
 use crate::error::Result;
 
-pub use crate::loads::{Coefficients, FIELDS, GRAVITY, STANDARD_GRAVITY, TIP_FORCE, weight};
+pub use crate::loads::*;
 
 /// Where in the path from command to camera an effect acts; chains are composed in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -237,11 +237,11 @@ pub trait RecordEffect: Sync {
 
 /// Coefficients of shape fields.
 pub trait ShapeEffect: Sync {
-    /// Which of [`FIELDS`] the effect uses, by index.
-    fn fields(&self) -> &'static [usize];
+    /// Which coefficients the effect uses on a robot of so many channels: indices into [`FIELDS`], [`TENDON`] or [`CONTACT`].
+    fn fields(&self, channels: usize) -> Vec<usize>;
 
-    /// Add the effect's coefficients (g, N) to `out`.
-    fn add(&self, params: &[f64], context: &Context, out: &mut Coefficients);
+    /// Add the effect's coefficients to `out`, at the command `u` (C,) that acts.
+    fn add(&self, params: &[f64], u: &[f64], context: &Context, out: &mut Coefficients);
 }
 
 /// A change of what is seen.

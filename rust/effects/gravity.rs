@@ -62,11 +62,11 @@ pub static EFFECT: Effect = Effect {
 struct Gravity;
 
 impl ShapeEffect for Gravity {
-    fn fields(&self) -> &'static [usize] {
-        &[GRAVITY, GRAVITY + 1, GRAVITY + 2]
+    fn fields(&self, _channels: usize) -> Vec<usize> {
+        vec![GRAVITY, GRAVITY + 1, GRAVITY + 2]
     }
 
-    fn add(&self, params: &[f64], context: &Context, out: &mut Coefficients) {
+    fn add(&self, params: &[f64], _u: &[f64], context: &Context, out: &mut Coefficients) {
         let [gx, gy, gz] = context.gravity;
         let (sx, cx) = params[1].to_radians().sin_cos();
         let (sy, cy) = params[2].to_radians().sin_cos();

@@ -34,7 +34,6 @@ registry! {
     backlash
     friction
     coupling
-    routing
     dead_zone
     tendon_creep
     anchor_slip
@@ -43,8 +42,17 @@ registry! {
     mullins
     thermal_softening
     asymmetry
+    tendon_stretch
+    routing
     gravity
     payload
+    stiffness_gradient
+    stiff_section
+    one_sided_stiffness
+    kink
+    twist
+    pre_curve
+    contact
     scale
     mount
     camera_drift

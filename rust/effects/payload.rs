@@ -39,11 +39,11 @@ pub static EFFECT: Effect = Effect {
 struct Payload;
 
 impl ShapeEffect for Payload {
-    fn fields(&self) -> &'static [usize] {
-        &[TIP_FORCE, TIP_FORCE + 1, TIP_FORCE + 2]
+    fn fields(&self, _channels: usize) -> Vec<usize> {
+        vec![TIP_FORCE, TIP_FORCE + 1, TIP_FORCE + 2]
     }
 
-    fn add(&self, params: &[f64], context: &Context, out: &mut Coefficients) {
+    fn add(&self, params: &[f64], _u: &[f64], context: &Context, out: &mut Coefficients) {
         for (i, force) in weight(params[0], context.gravity).into_iter().enumerate() {
             out[TIP_FORCE + i] += force;
         }

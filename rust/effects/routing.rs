@@ -1,10 +1,8 @@
-//! Routing: the guides of all tendons sit turned about the axis, so that every pull points elsewhere.
+//! Routing: the tendons of a command run at another angle about the axis than the model's.
 //!
-//! The pull of all channels together turns by `phase` about the axis of the body. Two channels are pairs along x and y:
-//! `x = R(phase)·u`. Three are tendons at 120° in this order: `x_i = m + (u_i − m)·cos(phase) + (u_{i−1} −
-//! u_{i+1})·sin(phase)/√3` with the mean `m`. Any other number of channels says nothing about where its tendons run,
-//! and is left as it is: not testable. To first order the antisymmetric part of `coupling`. Limit: a turn of guides as
-//! a whole; one tendon alone is `coupling`.
+//! The coefficients of the fields routing_c (displacement per 1°) are the phases of the tendons that command c moves.
+//! Other than a turn of the commands it is no affine map of them: which tendons go slack is decided by where they run.
+//! Limit: linear; 5 % off at 5° (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -13,48 +11,40 @@ pub static EFFECT: Effect = Effect {
     declaration: Declaration {
         name: "routing",
         family: "actuation map",
-        stage: Stage::Transmission,
+        stage: Stage::Shape,
         kind: Kind::Effect,
-        formula: "x = R(phase) · u  for two pairs along x and y, or three tendons at 120°",
-        doc: "The guides, or the finger in its clamp, are turned about the axis against the pulls that the model \
-              knows.",
-        signature: "Static: every bend points to one side of where it should, by one angle, whatever its size.",
-        reference: "Pull of a tendon by its place in the section: Camarillo and others, IEEE Trans. Robotics 24 (2008) 1262.",
-        experiment: ("each channel alone, both signs, then diagonals", 1.5),
-        alike: &[("coupling", "never")],
+        formula: "tendons of command c turned by phase_c about the axis  on routing_c",
+        doc: "A pair of tendons is threaded aside of where the model has it, or the body is clamped turned while marks on it are not.",
+        signature: "Static: each command bends the body in a plane turned by a constant angle; nothing at home.",
+        reference: "Field of the simulator: one assembly of the residual with the changed design and one back-substitution; tensions by complementarity.",
+        experiment: ("each command alone, then diagonals", 1.5),
+        alike: &[],
         needs: &[],
         parameters: &[Parameter::new(
             "phase",
             "deg",
             0.0,
-            6.0,
-            -30.0,
-            30.0,
-            "turn of all pulls about the axis, from x to y",
-        )],
+            4.0,
+            -20.0,
+            20.0,
+            "angle of the tendons of the channel about the axis, beyond the model",
+        )
+        .per_channel()],
     },
-    law: Law::Channel(&Routing),
+    law: Law::Shape(&Routing),
 };
 
 struct Routing;
 
-impl ChannelEffect for Routing {
-    fn settle(&self, params: &[f64], x: &mut [f64], _state: &mut [f64]) {
-        let (sin, cos) = params[0].to_radians().sin_cos();
-        match x {
-            [x, y] => (*x, *y) = (cos * *x - sin * *y, sin * *x + cos * *y),
-            [a, b, c] => {
-                let (mean, side) = ((*a + *b + *c) / 3.0, sin / 3.0_f64.sqrt());
-                let turned = |own: f64, before: f64, after: f64| {
-                    own - (1.0 - cos) * (own - mean) + side * (before - after)
-                };
-                (*a, *b, *c) = (turned(*a, *c, *b), turned(*b, *a, *c), turned(*c, *b, *a));
-            }
-            _ => {}
-        }
+impl ShapeEffect for Routing {
+    fn fields(&self, channels: usize) -> Vec<usize> {
+        (ROUTING..ROUTING + channels).collect()
     }
 
-    fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {
-        self.settle(params, x, state);
+    fn add(&self, params: &[f64], _u: &[f64], _context: &Context, out: &mut Coefficients) {
+        // A model has fields for as many commands as it names; `fields` asks for more where there are more.
+        for (out, phase) in out[ROUTING..ROUTING + PHASES].iter_mut().zip(params) {
+            *out += phase;
+        }
     }
 }

@@ -27,6 +27,8 @@ pub trait Element: Send + Sync {
     fn share(&self) -> &[f64];
     /// Energy, N·mm; infinite where the cell is inside out.
     fn energy(&self, x: &[Vec3]) -> f64;
+    /// The gradient of the energy (N) alone, added by node; nothing usable where the cell is inside out.
+    fn force(&self, x: &[Vec3], force: &mut [Vec3]);
     /// Energy, its gradient (N) by node and its tangent (N/mm) by pairs (a, b ≤ a), row after row.
     fn tangent(&self, x: &[Vec3], force: &mut [Vec3], k: &mut [Block]) -> f64;
 }
@@ -118,7 +120,34 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
         self.nodes.map(|n| x[n])
     }
 
-    /// One Gauss point: with g = F^(−T) ∇N (spatial gradient) and v = F ∇N the blocks are
+    /// Forces of one Gauss point: with g = F^(−T) ∇N (spatial gradient) and v = F ∇N, I₁ = tr FᵀF, they are
+    /// μ J^(−2/3) (v_a − I₁/3 g_a), and J g_a is its share of the part's swelling. Returns g, v, I₁ and μ J^(−2/3) dV.
+    fn add_force(
+        &self,
+        q: usize,
+        f: &[Vec3; 3],
+        c: &[Vec3; 3],
+        j: f64,
+        force: &mut [Vec3],
+        swell: &mut [Vec3; N],
+    ) -> ([Vec3; N], [Vec3; N], f64, f64) {
+        let weight = self.weight[q];
+        let first = dot(f[0], f[0]) + dot(f[1], f[1]) + dot(f[2], f[2]);
+        let scale = self.mu[q] * weight / j.cbrt().powi(2);
+        let (mut g, mut v) = ([[0.0; 3]; N], [[0.0; 3]; N]);
+        for a in 0..N {
+            let n = self.gradient[q][a];
+            apply(c, n, 1.0 / j, &mut g[a]);
+            apply(f, n, 1.0, &mut v[a]);
+            for i in 0..3 {
+                force[a][i] += scale * (v[a][i] - first / 3.0 * g[a][i]);
+                swell[a][i] += weight * j * g[a][i];
+            }
+        }
+        (g, v, first, scale)
+    }
+
+    /// One Gauss point: beside its forces the blocks
     /// μ J^(−2/3) [(∇N_a·∇N_b) I − 2/3 (v_a g_bᵀ + g_a v_bᵀ) + I₁ (2/9 g_a g_bᵀ + 1/3 g_b g_aᵀ)] + p J (g_a g_bᵀ − g_b g_aᵀ).
     fn add_point(
         &self,
@@ -132,18 +161,7 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
         swell: &mut [Vec3; N],
     ) -> f64 {
         let (weight, mu) = (self.weight[q], self.mu[q]);
-        let first = dot(f[0], f[0]) + dot(f[1], f[1]) + dot(f[2], f[2]);
-        let scale = mu * weight / j.cbrt().powi(2);
-        let (mut g, mut v) = ([[0.0; 3]; N], [[0.0; 3]; N]);
-        for a in 0..N {
-            let n = self.gradient[q][a];
-            apply(c, n, 1.0 / j, &mut g[a]);
-            apply(f, n, 1.0, &mut v[a]);
-            for i in 0..3 {
-                force[a][i] += scale * (v[a][i] - first / 3.0 * g[a][i]);
-                swell[a][i] += weight * j * g[a][i];
-            }
-        }
+        let (g, v, first, scale) = self.add_force(q, f, c, j, force, swell);
         let spin = pressure * j * weight;
         for a in 0..N {
             let left: Vec3 = std::array::from_fn(|i| {
@@ -203,6 +221,23 @@ impl<const N: usize, const Q: usize, const G: usize> Element for Hyperelastic<N,
             energy += shear + self.bulk(part, dilated).0;
         }
         energy
+    }
+
+    fn force(&self, x: &[Vec3], force: &mut [Vec3]) {
+        let x = self.gather(x);
+        for part in 0..Q / G {
+            let (mut dilated, mut swell) = (0.0, [[0.0; 3]; N]);
+            for q in part * G..(part + 1) * G {
+                let f = self.deformation(&x, q);
+                let (c, j) = cofactor(&f);
+                dilated += self.weight[q] * j;
+                self.add_force(q, &f, &c, j, force, &mut swell);
+            }
+            let pressure = self.bulk(part, dilated).1;
+            for a in 0..N {
+                force[a] = axpy(force[a], pressure, swell[a]);
+            }
+        }
     }
 
     fn tangent(&self, x: &[Vec3], force: &mut [Vec3], k: &mut [Block]) -> f64 {

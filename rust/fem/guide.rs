@@ -56,6 +56,22 @@ pub enum Route {
 }
 
 impl Route {
+    /// The same route turned about z by an angle, rad.
+    pub fn turned(&self, by: f64) -> Route {
+        match self {
+            Route::Formula { angle, turn, path } => Route::Formula {
+                angle: angle + by,
+                turn: *turn,
+                path: path.clone(),
+            },
+            Route::Points(points) => {
+                let (s, c) = by.sin_cos();
+                let turn = |p: &Vec3| [c * p[0] - s * p[1], s * p[0] + c * p[1], p[2]];
+                Route::Points(points.iter().map(turn).collect())
+            }
+        }
+    }
+
     /// Heights of the first guide and the anchor.
     pub fn ends(&self) -> Option<(f64, f64)> {
         match self {

@@ -7,6 +7,7 @@
 
 use super::Vec3;
 use crate::error::{Result, invalid};
+use crate::loads::{HATS, hat};
 
 /// Shear and bulk modulus, MPa.
 #[derive(Debug, Clone, Copy)]
@@ -54,12 +55,32 @@ impl Region {
     }
 }
 
+/// By how much the logarithm of the modulus differs from what the base and the regions say, smoothly: `hats` along a body
+/// of `height` mm, `across` from its axis to `reach` mm along x and y.
+#[derive(Debug, Clone, Copy)]
+pub struct Modulation {
+    pub hats: [f64; HATS],
+    pub across: [f64; 2],
+    pub height: f64,
+    pub reach: f64,
+}
+
+impl Modulation {
+    fn factor(&self, p: Vec3) -> f64 {
+        let along: f64 = (0..HATS)
+            .map(|k| self.hats[k] * hat(k, p[2] / self.height))
+            .sum();
+        (along + (self.across[0] * p[0] + self.across[1] * p[1]) / self.reach).exp()
+    }
+}
+
 /// A body's material (MPa, kg/m³).
 #[derive(Debug, Clone)]
 pub struct Body {
     pub density: f64,
     base: Material,
     regions: Vec<(Region, Material)>,
+    modulation: Option<Modulation>,
 }
 
 impl Body {
@@ -78,6 +99,7 @@ impl Body {
             density,
             base: Material::new(young, poisson)?,
             regions,
+            modulation: None,
         })
     }
 
@@ -86,10 +108,23 @@ impl Body {
         Body::new(young, poisson, density, Vec::new())
     }
 
+    /// The same body with its modulus changed smoothly.
+    pub fn modulated(self, modulation: Modulation) -> Body {
+        Body {
+            modulation: Some(modulation),
+            ..self
+        }
+    }
+
     /// The material at a place of the rest configuration.
     pub fn at(&self, p: Vec3) -> Material {
         let last = self.regions.iter().rev().find(|(r, _)| r.holds(p));
-        last.map_or(self.base, |(_, material)| *material)
+        let Material { mu, kappa } = last.map_or(self.base, |(_, material)| *material);
+        let factor = self.modulation.map_or(1.0, |m| m.factor(p));
+        Material {
+            mu: factor * mu,
+            kappa: factor * kappa,
+        }
     }
 }
 

@@ -32,6 +32,7 @@ pub(in crate::fem) fn design(core: usize, layers: usize) -> Design {
         },
         routes: (0..4).map(route).collect(),
         drive: Drive::Shortening,
+        change: Default::default(),
     }
 }
 
@@ -319,6 +320,7 @@ fn a_load_acts_where_it_hangs() {
             },
             routes: Vec::new(),
             drive: Drive::Shortening,
+            change: Default::default(),
         })
     };
     let place = [4.0, -3.0, 103.0];

@@ -4,6 +4,7 @@
 //! spread over the last tenth of the height, with a slope where it acts elsewhere. Its residual and tangent are assembled and solved in `work.rs`.
 
 use super::cable::{Cable, Drive};
+use super::change::{self, Change};
 use super::element::{Element, elements};
 use super::guide::{Averaging, Route};
 use super::material::Body;
@@ -12,12 +13,14 @@ use super::sparse::Pattern;
 use super::{Vec3, axpy, dot, norm, sub};
 use crate::dense;
 use crate::error::{Result, invalid};
-use crate::loads::STANDARD_GRAVITY;
+use crate::loads::{STANDARD_GRAVITY, STATIONS};
 
 pub use super::work::Work;
 
 /// Part of the height over which a tip load is spread.
 const TIP_PART: f64 = 0.1;
+/// Standard deviation along the height of a push at a station, as a part of it.
+const PUSH_WIDTH: f64 = 0.04;
 /// A tip load acts this far outside the body at most, as a part of the height.
 const LOAD_REACH: f64 = 0.5;
 /// Slope of its shares over the height from which they are no answer but round-off.
@@ -25,7 +28,7 @@ const STEEPEST: f64 = 1e4;
 /// Number of a clamped node among the free ones.
 pub(super) const HELD: usize = usize::MAX;
 
-/// What a finger is made of (mm, MPa, kg/m³, N/mm).
+/// What a finger is made of (mm, MPa, kg/m³, N/mm), and by how much it differs from that.
 #[derive(Debug, Clone)]
 pub struct Design {
     pub mesh: Mesh,
@@ -38,6 +41,7 @@ pub struct Design {
     pub averaging: Averaging,
     pub routes: Vec<Route>,
     pub drive: Drive,
+    pub change: Change,
 }
 
 /// What acts on a solid: command of each cable (shortening in mm, or tension in N), gravity (g), force on the tip (N).
@@ -59,32 +63,25 @@ pub struct Solid {
     weight: Vec<f64>,
     /// Share of a tip load of each node; sums to 1.
     tip: Vec<f64>,
+    /// The same of a push at each station but the tip.
+    push: Vec<Vec<f64>>,
     pub(super) pattern: Pattern,
     /// Place in the pattern of each pair (a, b ≤ a) of each element, one element after the other.
     pub(super) slots: Vec<u32>,
+    /// What it was built from.
+    pub(super) design: Option<Box<Design>>,
 }
 
 impl Solid {
     /// The finger of a design; refused with the reason when it cannot be built.
     pub fn build(design: Design) -> Result<Solid> {
-        let bind = |route: &Route| {
-            let Design {
-                mesh,
-                averaging,
-                cable_stiffness,
-                pretension,
-                drive,
-                ..
-            } = &design;
-            let mut cable = Cable::new(mesh, route, *averaging, *cable_stiffness, *drive)?;
-            cable.rest_length -= pretension;
-            Ok(cable)
-        };
-        let cables = design.routes.iter().map(bind).collect::<Result<Vec<_>>>()?;
-        let mut solid = Solid::new(design.mesh, cables, &design.body)?;
+        let mut made = design.clone();
+        let cables = change::bind(&mut made)?;
+        let mut solid = Solid::new(made.mesh, cables, &made.body)?;
         if let Some(place) = design.load_at {
             solid.load_at(place)?;
         }
+        solid.design = Some(Box::new(design));
         Ok(solid)
     }
 
@@ -102,6 +99,8 @@ impl Solid {
             .map(|v| v * body.density * 1e-9 * STANDARD_GRAVITY) // kg/m³ = 1e-9 kg/mm³
             .collect();
         let tip = tip_shares(&mesh, &volume);
+        let stations = STATIONS.iter().take(STATIONS.len() - 1);
+        let push = stations.map(|s| push_shares(&mesh, &volume, *s)).collect();
         // A cell that is held altogether, in a flange, has weight and nothing to solve.
         elements.retain(|e| e.nodes().iter().any(|&n| !mesh.clamped[n]));
         let (mut free, mut blocks) = (vec![HELD; mesh.nodes.len()], 0);
@@ -132,8 +131,10 @@ impl Solid {
             free,
             weight,
             tip,
+            push,
             pattern,
             slots,
+            design: None,
         })
     }
 
@@ -242,6 +243,17 @@ impl Solid {
         f
     }
 
+    /// Right-hand side of 1 N along an axis at a station.
+    pub fn push_vector(&self, station: usize, axis: usize) -> Vec<f64> {
+        let mut f = vec![0.0; self.unknowns()];
+        for (n, share) in self.push[station].iter().enumerate() {
+            let mut force = [0.0; 3];
+            force[axis] = *share;
+            self.scatter(n, force, &mut f);
+        }
+        f
+    }
+
     pub(super) fn scatter(&self, node: usize, v: Vec3, into: &mut [f64]) {
         let f = self.free[node];
         if f != HELD {
@@ -262,6 +274,15 @@ fn tip_shares(mesh: &Mesh, volume: &[f64]) -> Vec<f64> {
     let total: f64 = share.iter().sum();
     share.iter_mut().for_each(|s| *s /= total);
     share
+}
+
+/// Shares of a push at a share of the height: volume, bell-shaped along it, so that no mesh is special.
+fn push_shares(mesh: &Mesh, volume: &[f64], station: f64) -> Vec<f64> {
+    let away = |z: f64| (z / mesh.height - station) / PUSH_WIDTH;
+    let share = |n: usize| volume[n] * (-0.5 * away(mesh.nodes[n][2]).powi(2)).exp();
+    let shares: Vec<f64> = (0..volume.len()).map(share).collect();
+    let total: f64 = shares.iter().sum();
+    shares.into_iter().map(|s| s / total).collect()
 }
 
 fn element_slots(pattern: &Pattern, free: &[usize], nodes: &[usize]) -> Vec<u32> {

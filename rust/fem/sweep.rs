@@ -4,6 +4,7 @@
 //! next axis, both ways, in parallel. A path is cut into chunks of fixed length, so that the answer does not depend on the
 //! number of cores. A field is the displacement per unit load by back-substitution at the equilibrium's tangent.
 
+use super::change::Changes;
 use super::embed::Points;
 use super::newton::{Solver, State};
 use super::progress::Progress;
@@ -11,7 +12,7 @@ use super::solid::{Load, Solid};
 use super::work::inner;
 use super::{Vec3, sub};
 use crate::error::{Error, Result, invalid};
-use crate::loads::{FIELDS, TIP_FORCE};
+use crate::loads::{FIELDS, LOADS, PUSH, TIP_FORCE};
 use crate::room::room;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,10 +33,11 @@ pub struct Configuration {
     pub pull: Vec<f64>,
 }
 
-/// How an equilibrium answers small loads and tensions while all other tensions stay as they are.
+/// How an equilibrium answers small loads, changes of design and tensions while all other tensions stay as they are.
 #[derive(Debug, Clone, Default)]
 pub struct Compliance {
-    /// Displacements of the points per unit of each of `FIELDS`, then per 1 N in each cable.
+    /// Displacements of the points per unit of each of `FIELDS`, then per 1 N in each cable; empty where there is no such
+    /// field.
     pub fields: Vec<Vec<Vec3>>,
     /// Stretch of each cable under the same, mm: rows (cables, fields).
     pub stretch: Vec<f64>,
@@ -245,21 +247,23 @@ impl Simulation {
             .collect()
     }
 
-    /// The compliance at the equilibrium of each command.
+    /// The compliance at the equilibrium of each command, to changes of `design` and to pushes too if asked.
     pub fn fields(
         &self,
         commands: &[Vec<f64>],
         gravity: Vec3,
         tip: Vec3,
+        design: bool,
         progress: &Progress,
     ) -> Result<Vec<Compliance>> {
-        let fields = FIELDS.len() + self.solid.cables.len();
+        let fields = if design { FIELDS.len() } else { LOADS } + self.solid.cables.len();
         self.room("the fields", &[commands.len()], fields)?;
+        let changes = design.then(|| Changes::new(&self.solid, &self.drive));
         let order = short_tour(commands, &progress.stop)?;
         let sorted: Vec<Vec<f64>> = order.iter().map(|&i| commands[i].clone()).collect();
         let gravities = vec![gravity; sorted.len()];
         let found = self.follow(&sorted, &gravities, tip, progress, |solver, state| {
-            self.compliance(solver, state)
+            self.compliance(solver, state, changes.as_ref())
         })?;
         let mut answer = vec![Compliance::default(); found.len()];
         for (i, field) in order.into_iter().zip(found) {
@@ -322,38 +326,57 @@ impl Simulation {
         }
     }
 
-    fn compliance(&self, solver: &mut Solver, state: &State) -> Result<Compliance> {
+    fn compliance(
+        &self,
+        solver: &mut Solver,
+        state: &State,
+        changes: Option<&Changes>,
+    ) -> Result<Compliance> {
         solver.linearise(state)?;
+        let tension: Vec<f64> = solver.pulls(state).iter().map(|p| p.max(0.0)).collect();
         let work = &mut solver.work;
-        let at = self.points.place(&state.x);
-        let cables: Vec<Vec<f64>> = (0..self.solid.cables.len())
+        let cables: Vec<Vec<f64>> = (0..tension.len())
             .map(|c| work.slope(c, &state.x))
             .collect();
-        let forces = (0..FIELDS.len())
-            .map(|f| {
-                let mut unit = Load::default();
-                let part = if f < TIP_FORCE {
-                    &mut unit.gravity
-                } else {
-                    &mut unit.tip
-                };
-                part[f % 3] = 1.0;
-                self.solid.dead_vector(&unit)
-            })
-            .chain(cables.iter().map(|b| b.iter().map(|b| -b).collect()));
-        let (mut fields, mut columns) = (Vec::new(), Vec::new());
-        for force in forces {
+        let still = vec![0.0; cables.len()];
+        let loads = (0..LOADS).map(|f| {
+            let mut unit = Load::default();
+            let part = if f < TIP_FORCE {
+                &mut unit.gravity
+            } else {
+                &mut unit.tip
+            };
+            part[f % 3] = 1.0;
+            (f, self.solid.dead_vector(&unit), still.clone())
+        });
+        let pushes = (PUSH..FIELDS.len()).filter(|_| changes.is_some()).map(|f| {
+            let force = self.solid.push_vector((f - PUSH) / 3, (f - PUSH) % 3);
+            (f, force, still.clone())
+        });
+        let pulls = cables.iter().enumerate().map(|(c, b)| {
+            let force = b.iter().map(|b| -b).collect();
+            (FIELDS.len() + c, force, still.clone())
+        });
+        let designs = changes
+            .into_iter()
+            .flat_map(|c| c.at(&self.solid, &state.x, &tension));
+        let at = self.points.place(&state.x);
+        let count = FIELDS.len() + cables.len();
+        let mut answer = Compliance {
+            fields: vec![Vec::new(); count],
+            stretch: vec![0.0; cables.len() * count],
+        };
+        for (field, force, own) in loads.chain(designs).chain(pushes).chain(pulls) {
             let step = work.solve_slack(force);
             let moved = self
                 .points
                 .place(&self.solid.displace(&state.x, &step, 1.0));
-            fields.push(moved.iter().zip(&at).map(|(p, q)| sub(*p, *q)).collect());
-            columns.push(cables.iter().map(|b| inner(b, &step)).collect::<Vec<f64>>());
+            answer.fields[field] = moved.iter().zip(&at).map(|(p, q)| sub(*p, *q)).collect();
+            for (c, b) in cables.iter().enumerate() {
+                answer.stretch[c * count + field] = own[c] + inner(b, &step);
+            }
         }
-        let stretch = (0..cables.len())
-            .flat_map(|i| columns.iter().map(move |column| column[i]))
-            .collect();
-        Ok(Compliance { fields, stretch })
+        Ok(answer)
     }
 }
 

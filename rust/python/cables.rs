@@ -5,8 +5,8 @@ use super::table::PyTable;
 use crate::cables::Cables;
 use pyo3::prelude::*;
 
-/// How the tensions of n cables answer loads: `stiffness` (n,) N/mm, `pull` → (n,) N, `stretch` → (n·(6 + n),) mm per unit
-/// load and tension, `fields` → displacements per 1 N in each cable.
+/// How the tensions of n cables answer loads: `stiffness` (n,) N/mm, `pull` → (n,) N, `stretch` → (n·(F + n),) mm per unit
+/// of each of `FIELDS` and of tension, `fields` → displacements per 1 N in each cable.
 #[pyclass(name = "Cables", module = "softmap_edge._core", frozen)]
 pub struct PyCables {
     pub inner: Cables,

@@ -2,8 +2,13 @@
 
 use super::arrays::{Floats, floats};
 use crate::Error;
+<<<<<<< HEAD
 use crate::effects::{Chain, Conditions, Context, Each, Kind, Law, Parameter, registry};
 use crate::loads::FIELDS;
+=======
+use crate::effects::{Chain, Conditions, Context, Each, Kind, Parameter, REGISTRY};
+use crate::loads::{self, Coefficients};
+>>>>>>> ddf77d6 (Changes of a body's design, its routing and obstacles are effects: the simulator has a field for each)
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -14,6 +19,9 @@ pub(super) type Maybe<'py> = Option<Bound<'py, PyAny>>;
 type Row<'py> = Bound<'py, PyArray1<f64>>;
 type Rows<'py> = Bound<'py, PyArray2<f64>>;
 type Records<'py> = Bound<'py, PyArray3<f64>>;
+
+/// Numbers of one row of coefficients.
+const WIDTH: usize = size_of::<Coefficients>() / size_of::<f64>();
 
 /// Gravity of a hanging finger, for calls in which nothing depends on it.
 const HANGING: [f64; 3] = [0.0, 0.0, 1.0];
@@ -248,8 +256,18 @@ impl PyChain {
         Ok(both.0)
     }
 
-    /// Coefficients (B, K, F) of `FIELDS` in g and N that the shape effects add, for gravity (K, 3) and load (K,) g.
-    #[pyo3(signature = (params, gravity, load=None, temperature=None))]
+    /// Names of the coefficients that the shape effects of this chain use.
+    #[getter]
+    fn fields(&self) -> Vec<&'static str> {
+        let mut used: Vec<usize> = self.chain.fields().iter().map(|(f, _)| *f).collect();
+        used.sort_unstable();
+        used.dedup();
+        used.into_iter().map(loads::name).collect()
+    }
+
+    /// Coefficients (B, K, F + 9) of `FIELDS`, of the cables' compliance and of an obstacle (`loads.rs`) that the shape effects add, for gravity (K, 3),
+    /// load (K,) g and the command (K, C) that acts.
+    #[pyo3(signature = (params, gravity, load=None, temperature=None, u=None))]
     fn coefficients<'py>(
         &self,
         py: Python<'py>,
@@ -257,6 +275,7 @@ impl PyChain {
         gravity: Value<'_, 'py>,
         load: Maybe<'py>,
         temperature: Maybe<'py>,
+        u: Maybe<'py>,
     ) -> PyResult<Records<'py>> {
         let params = self.sets(params)?;
         let gravity = floats("gravity", gravity, &[("K", None), ("xyz", Some(3))])?;
@@ -264,17 +283,23 @@ impl PyChain {
         let load = column("load", load, frames, 0.0)?;
         let temperature = column("temperature", temperature, frames, f64::NAN)?;
         let world = Conditions::new(vec![0.0; frames], triples(&gravity), load, temperature)?;
+        let channels = self.chain.channels();
+        let u = match u {
+            None => vec![0.0; frames * channels],
+            Some(u) => floats("u", &u, &[("K", Some(frames)), ("C", Some(channels))])?.data,
+        };
         self.chain.sets(&params.data)?;
         let width = self.chain.width();
-        let mut out = Vec::with_capacity(params.shape[0] * frames * FIELDS.len());
+        let mut out = Vec::with_capacity(params.shape[0] * frames * WIDTH);
         for b in 0..params.shape[0] {
             for k in 0..frames {
                 let set = &params.data[b * width..(b + 1) * width];
-                out.extend(self.chain.coefficients(set, &world.at(k)));
+                let u = &u[k * channels..(k + 1) * channels];
+                out.extend(self.chain.coefficients(set, u, &world.at(k)));
             }
         }
         out.into_pyarray(py)
-            .reshape([params.shape[0], frames, FIELDS.len()])
+            .reshape([params.shape[0], frames, WIDTH])
     }
 
     fn __repr__(&self) -> String {

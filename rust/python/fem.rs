@@ -5,6 +5,7 @@ use crate::Result;
 use crate::error::invalid;
 use crate::fem::Vec3;
 use crate::fem::cable::Drive;
+use crate::fem::change::{self, Change};
 use crate::fem::embed::Points;
 use crate::fem::guide::{Averaging, Route};
 use crate::fem::material::{Body, Region};
@@ -13,7 +14,7 @@ use crate::fem::newton::newton_step;
 use crate::fem::solid::{Design, Solid as FemSolid};
 use crate::fem::sweep::{Configuration, Simulation};
 use crate::fem::tetrahedra::tetrahedra;
-use crate::loads::FIELDS;
+use crate::loads::{FIELDS, LOADS, PUSH};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -126,9 +127,10 @@ pub struct Solid {
 
 #[pymethods]
 impl Solid {
-    /// `drive[t][c]` is what tendon t is told per unit of command c: mm of shortening, or N if `by_tension`.
+    /// `drive[t][c]` is what tendon t is told per unit of command c: mm of shortening, or N if `by_tension`. `change` says
+    /// by how much the body differs from the rest: names and amounts of the fields of a design.
     #[new]
-    #[pyo3(signature = (mesh, young, poisson, density, regions, cable_stiffness, ring, disc, routes, drive, by_tension=false, pretension=0.0, load_at=None, points=None, tolerance=2.5))]
+    #[pyo3(signature = (mesh, young, poisson, density, regions, cable_stiffness, ring, disc, routes, drive, by_tension=false, pretension=0.0, load_at=None, points=None, tolerance=2.5, change=Vec::new()))]
     fn new(
         py: Python<'_>,
         mesh: &Mesh,
@@ -146,6 +148,7 @@ impl Solid {
         load_at: Option<Vec3>,
         points: Option<PyReadonlyArray2<f64>>,
         tolerance: f64,
+        change: Vec<(String, f64)>,
     ) -> PyResult<Solid> {
         let region = |(low, high, side, young): Boxed| Region {
             low,
@@ -161,7 +164,7 @@ impl Solid {
             },
             Way::Points(points) => Route::Points(points),
         };
-        let design = Design {
+        let mut design = Design {
             mesh: mesh.mesh.clone(),
             body: Body::new(
                 young,
@@ -179,14 +182,28 @@ impl Solid {
             } else {
                 Drive::Shortening
             },
+            change: Change::default(),
         };
+        for (name, by) in change {
+            let field = FIELDS[LOADS..PUSH].iter().position(|field| *field == name);
+            let changed = field
+                .filter(|_| by.is_finite())
+                .and_then(|f| change::changed(&design, &drive, LOADS + f, by));
+            design = changed.ok_or_else(|| {
+                invalid(format!(
+                    "change {name} by {by}: allowed are finite amounts of {}, and of routing only for commands there are",
+                    FIELDS[LOADS..PUSH].join(", ")
+                ))
+            })?;
+        }
         let template = points.map(|p| vectors(&p, "points")).transpose()?;
         let simulation = py.detach(|| {
-            let solid = FemSolid::build(design)?;
+            // Points are material: they are found in the body as it is described, and go where it goes.
             let points = match template {
-                None => Points::surface(&solid.mesh),
-                Some(places) => Points::embedded(&solid.mesh, &places, tolerance)?,
+                None => Points::surface(&design.mesh),
+                Some(places) => Points::embedded(&design.mesh, &places, tolerance)?,
             };
+            let solid = FemSolid::build(design)?;
             Simulation::new(solid, points, drive)
         })?;
         Ok(Solid { simulation })
@@ -286,19 +303,21 @@ impl Solid {
     }
 
     /// At the equilibria of commands (S, C), all tensions as they are: displacement (S, N, 3) per unit of each field, by
-    /// name, then per 1 N in each cable as `tension_0…`, and `stretch` (S, T, fields) of the cables under the same.
-    #[pyo3(signature = (commands, gravity, load, progress=None))]
+    /// name, then per 1 N in each cable as `tension_0…`, and `stretch` (S, T, F + T) of the cables under the same: `FIELDS`,
+    /// zero where there is none, then tensions. Changes of `design` are answered if asked.
+    #[pyo3(signature = (commands, gravity, load, design=false, progress=None))]
     fn fields<'py>(
         &self,
         py: Python<'py>,
         commands: PyReadonlyArray2<f64>,
         gravity: Vec3,
         load: Vec3,
+        design: bool,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let commands = rows(&commands);
         let found = watched(py, commands.len(), progress, |p| {
-            self.simulation.fields(&commands, gravity, load, p)
+            self.simulation.fields(&commands, gravity, load, design, p)
         })?;
         let answer = PyDict::new(py);
         let (samples, points) = (found.len(), self.simulation.points.weights.len());
@@ -308,6 +327,9 @@ impl Solid {
             .chain((0..cables).map(|c| format!("tension_{c}")))
             .enumerate()
         {
+            if found.iter().any(|s| s.fields[f].len() != points) {
+                continue;
+            }
             let moved: Vec<f64> = found
                 .iter()
                 .flat_map(|s| s.fields[f].iter().flatten().copied())

@@ -55,12 +55,15 @@ mod _core {
     #[pymodule_export]
     use super::table::PyTable;
 
-    /// Adds the base of its errors, `FIELDS`, the names of the shape fields in the order of `Chain.coefficients`, and
+    /// Adds the base of its errors; `FIELDS`, the names of the shape fields in the order of `Chain.coefficients`;
+    /// `LOADS`, those of them that are dead loads; `STATIONS`, shares of the height at which an obstacle can push; and
     /// `STANDARD_GRAVITY`.
     #[pymodule_init]
     fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
         use pyo3::types::PyModuleMethods;
         module.add("CoreError", module.py().get_type::<super::CoreError>())?;
+        module.add("LOADS", &crate::loads::FIELDS[..crate::loads::LOADS])?;
+        module.add("STATIONS", crate::loads::STATIONS)?;
         module.add("FIELDS", crate::loads::FIELDS)?;
         module.add("STANDARD_GRAVITY", crate::loads::STANDARD_GRAVITY)
     }

@@ -5,11 +5,14 @@ use super::cables::PyCables;
 use super::effects::{Maybe, PyChain, Value, vector};
 use super::shape::PyShape;
 use crate::Result;
+use crate::contact::Contact;
 use crate::effects::Conditions;
 use crate::predict::Predictor;
+use crate::shape::Shape;
 use numpy::{IntoPyArray, PyArray3, PyArray4, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::sync::Arc;
 
 /// Commands → chain → prior and fields → sensing, batched: what every fit calls.
 #[pyclass(name = "Predictor", module = "softmap_edge._core", frozen)]
@@ -20,9 +23,10 @@ pub struct PyPredictor {
 #[pymethods]
 impl PyPredictor {
     /// `positions` (V,) is true for places and false for directions; `gravity_reference` (3,) is what the prior was solved with.
-    /// Without `declared_loads` the gravity and load of a run are not applied: the scale of the fields is not known.
+    /// `contact` makes it possible to stop the body: a shape of the places of its stations, fields and cables seen at them,
+    /// and their radii. Without `declared_loads` the gravity and load of a run are not applied: the scale of the fields is not known.
     #[new]
-    #[pyo3(signature = (prior, fields, positions, gravity_reference, cables=None, declared_loads=true))]
+    #[pyo3(signature = (prior, fields, positions, gravity_reference, cables=None, declared_loads=true, contact=None))]
     fn new(
         prior: PyRef<'_, PyShape>,
         fields: &Bound<'_, PyDict>,
@@ -30,17 +34,32 @@ impl PyPredictor {
         gravity_reference: Value<'_, '_>,
         cables: Option<PyRef<'_, PyCables>>,
         declared_loads: bool,
+        contact: Option<(
+            PyRef<'_, PyShape>,
+            Bound<'_, PyDict>,
+            Option<PyRef<'_, PyCables>>,
+            Vec<f64>,
+        )>,
     ) -> PyResult<PyPredictor> {
-        let mut shapes = vec![];
-        for (name, field) in fields.iter() {
-            let field: PyRef<'_, PyShape> = field.extract()?;
-            shapes.push((name.extract::<String>()?, field.inner.clone()));
-        }
+        let shapes = named(fields)?;
         let reference = vector("gravity_reference", gravity_reference)?;
         let cables = cables.map(|c| c.inner.clone());
+        let contact = contact.map(|(places, moved, cables, radii)| -> PyResult<Contact> {
+            let cables = cables.as_ref().map(|c| &c.inner);
+            Ok(Contact::new(
+                places.inner.clone(),
+                named(&moved)?,
+                cables,
+                radii,
+            )?)
+        });
+        let contact = contact.transpose()?;
         let predictor: Result<_> =
             Predictor::new(prior.inner.clone(), shapes, cables, positions, reference);
-        let predictor = predictor?;
+        let mut predictor = predictor?;
+        if let Some(contact) = contact {
+            predictor = predictor.with_contact(contact);
+        }
         Ok(PyPredictor {
             predictor: if declared_loads {
                 predictor
@@ -169,4 +188,13 @@ impl PyPredictor {
             t_seen: floats("t_seen", t_seen, &[("K", None)])?.data,
         })
     }
+}
+
+/// Shapes by name.
+fn named(fields: &Bound<'_, PyDict>) -> PyResult<Vec<(String, Arc<dyn Shape>)>> {
+    let shape = |(name, field): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
+        let field: PyRef<'_, PyShape> = field.extract()?;
+        Ok((name.extract::<String>()?, field.inner.clone()))
+    };
+    fields.iter().map(shape).collect()
 }

@@ -10,7 +10,7 @@
 
 use super::Rod;
 use crate::error::{Result, invalid};
-use crate::loads::{FIELDS, GRAVITY, TIP_FORCE};
+use crate::loads::{FIELDS, GRAVITY, LOADS, TIP_FORCE};
 use crate::shape::Shape;
 use crate::vector::{add, cross, dot, norm, scaled, sub};
 
@@ -26,12 +26,12 @@ pub enum Load {
 impl Load {
     /// The load and the axis of the field called `name`.
     pub(super) fn of(name: &str) -> Result<(Self, usize)> {
-        match FIELDS.iter().position(|known| *known == name) {
+        match FIELDS[..LOADS].iter().position(|known| *known == name) {
             Some(field) if field < TIP_FORCE => Ok((Load::Weight, field - GRAVITY)),
             Some(field) => Ok((Load::TipForce, field - TIP_FORCE)),
             None => Err(invalid(format!(
                 "a rod has no field {name:?}; it has {}",
-                FIELDS.join(", ")
+                FIELDS[..LOADS].join(", ")
             ))),
         }
     }

@@ -275,6 +275,9 @@ def _candidates(
         missing = record.missing(registry[name].get("needs", []))
         if registry[name]["role"] == "channel" and record.model.channels == 0:
             impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
+        elif lacking := record.model.lacking(name):
+            why = f"this model has no field {lacking[0]}"
+            impossible.append(Untestable(name, why, "a model built from a finger.toml by this version", 1.0))
         elif missing:
             block, minutes = experiment(registry, name)
             wanted = ", ".join(missing)

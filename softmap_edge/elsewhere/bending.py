@@ -60,7 +60,7 @@ def fields(line: Centreline, points: Floats, stiffness: Stiffness) -> dict[str, 
     tip.
     """
     found = {}
-    for name in _core.FIELDS:
+    for name in _core.LOADS:
         force = np.eye(3)["xyz".index(name[-1])]
         spread = name.startswith("gravity")
         free, held = _answers(line, points, np.broadcast_to(force, (len(points), 3)), spread)

@@ -79,7 +79,7 @@ class ElasticParameters:
     def fields(self) -> dict[str, _core.ElasticField]:
         """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1 N."""
         rod = self.compiled()
-        return {name: _core.ElasticField(rod, name, self.flexibility) for name in _core.FIELDS}
+        return {name: _core.ElasticField(rod, name, self.flexibility) for name in _core.LOADS}
 
     def to_arrays(self) -> Arrays:
         """Return the arrays of `prior.npz`."""

@@ -54,7 +54,7 @@ class RodParameters:
     def fields(self) -> dict[str, _core.RodField]:
         """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1 N."""
         rod = self.compiled()
-        return {name: _core.RodField(rod, name, self.compliance, self.lock) for name in _core.FIELDS}
+        return {name: _core.RodField(rod, name, self.compliance, self.lock) for name in _core.LOADS}
 
     def to_arrays(self) -> Arrays:
         """Return the arrays of `prior.npz`."""

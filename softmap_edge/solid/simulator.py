@@ -1,4 +1,4 @@
-"""Simulate a finger: its shapes over a grid of commands or along a path, and its answer to small loads.
+"""Simulate a finger: its shapes over a grid of commands or along a path, and its answer to loads and changes of design.
 
     sweep = Simulator(Finger.builtin()).sweep([np.linspace(-16, 16, 41)] * 2)
 
@@ -40,10 +40,12 @@ class Template:
 
 @dataclass(frozen=True)
 class Compliance:
-    """How S equilibria answer small loads and tensions while all (other) tensions of the T tendons stay as they are.
+    """How S equilibria answer loads, changes of design and tensions while all (other) tensions of the T tendons stay.
 
-    fields: displacement (S, N, 3) mm per 1 g (`gravity_x|y|z`), per 1 N on the tip (`tip_force_x|y|z`) and per 1 N in
-    each tendon (`tension_0…`), by name · stretch: (S, T, 6 + T) mm of each tendon under the same, in that order.
+    fields: displacement (S, N, 3) mm per unit of those of `_core.FIELDS` that there are (per 1 g `gravity_x|y|z`, per
+    1 N on the tip `tip_force_x|y|z`; if asked for, the changes of design that `Simulator` names) and per 1 N in each
+    tendon (`tension_0…`), by name · stretch: (S, T, F + T) mm of each tendon under the same, in the order of
+    `_core.FIELDS` and of the tendons, zero where there is no field.
     """
 
     fields: dict[str, Floats]
@@ -150,11 +152,16 @@ class Simulator:
     """The finite elements of one finger.
 
     finger: what to simulate · template: report these material points (embedded at rest) instead of the own surface,
-    so that fingers on different meshes give the same vertices. Raises FingerError when the finger cannot be built or
-    the template does not lie in it.
+    so that fingers on different meshes give the same vertices · change: by how much the body differs from the finger's
+    file, in the units of the fields of a design: `stiff_0` … `stiff_6` and `stiff_x|y` are logarithms of the modulus
+    (in seven stretches from base to tip; from the axis to the sides), `curve_x|y` mm of the tip and `twist` degrees
+    at the tip at rest, `routing_c` degrees by which the tendons of command c are turned about the axis. Raises
+    FingerError when the finger cannot be built or the template does not lie in it.
     """
 
-    def __init__(self, finger: Finger, template: Template | None = None) -> None:
+    def __init__(
+        self, finger: Finger, template: Template | None = None, change: Mapping[str, float] | None = None
+    ) -> None:
         points = None if template is None else np.ascontiguousarray(template.vertices, dtype=np.float64)
         try:
             mesh = finger.solid.cells([z for tendon in finger.tendons for z in tendon.ends()])
@@ -176,6 +183,7 @@ class Simulator:
                 pretension=finger.pretension_mm,
                 load_at=finger.load_at_mm,
                 points=points,
+                change=[(name, float(by)) for name, by in (change or {}).items()],
             )
         except _core.CoreError as error:
             raise FingerError(f"{finger.name}: {error}") from None
@@ -253,14 +261,16 @@ class Simulator:
         gravity: ArrayLike | None = None,
         load: ArrayLike = (0.0, 0.0, 0.0),
         progress: Progress | None = None,
+        design: bool = False,
     ) -> Compliance:
-        """Return how the equilibria of commands (S, C) mm under `gravity` and `load` answer small loads and tensions.
+        """Return how the equilibria of commands (S, C) mm under `gravity` and `load` answer small loads and tensions,
+        and changes of `design` if asked.
 
         Raises SimulationError.
         """
         u = _array("commands", commands, (None, len(self.finger.pairs)))
         with _told():
-            found = self.solid.fields(u, self._gravity(gravity), _vector("load", load), progress)
+            found = self.solid.fields(u, self._gravity(gravity), _vector("load", load), design, progress)
         return Compliance(found, found.pop("stretch"))
 
     def _gravity(self, gravity: ArrayLike | None) -> tuple[float, float, float]:
