@@ -6,12 +6,9 @@ prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattere
 template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh
 fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands
 effects.json    the chain: names and parameters
-<<<<<<< HEAD
+NAME_step       beside an array of whole numbers NAME in an archive: NAME counts these steps
 NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run only where whoever
                 loads the bundle has loaded that very file before (`load_effect`), or says so when asked
-=======
-NAME_step       beside an array of whole numbers NAME in an archive: NAME counts these steps
->>>>>>> ddf77d6 (Changes of a body's design, its routing and obstacles are effects: the simulator has a field for each)
 calibration.json, safety.toml   joined when the bench has them
 """
 
@@ -35,12 +32,8 @@ from softmap_edge.features import SECTIONS, Body
 from softmap_edge.model import Arrays, Model
 from softmap_edge.npz import read_npz, unpacked, write_npz
 
-<<<<<<< HEAD
-# 2: scattered families, bodies without a mesh; 3: a user's own effects; a model that needs none is written as 1
+# 2: scattered families, bodies without a mesh; 3: a user's own effects, fields of a design, steps; 1 without any of them
 SCHEMA = 3
-=======
-SCHEMA = 3  # 2: scattered families, bodies without a mesh; 3: fields of a design, steps; 1 without any of them
->>>>>>> ddf77d6 (Changes of a body's design, its routing and obstacles are effects: the simulator has a field for each)
 _MAX_BYTES = 256 << 20
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
 _KINDS = ("table", "scattered", "rod")
@@ -82,11 +75,7 @@ def save_bundle(model: Model, path: str | Path) -> Path:
     chain = {"chain": list(model.chain_names), "params": model.params}
     (partial / "effects.json").write_text(json.dumps(chain, indent=1, sort_keys=True) + "\n")
     manifest = {
-<<<<<<< HEAD
-        "schema": 3 if own else 2 if model.kind == "scattered" or model.body is not None else 1,
-=======
-        "schema": _schema(model),
->>>>>>> ddf77d6 (Changes of a body's design, its routing and obstacles are effects: the simulator has a field for each)
+        "schema": 3 if own else _schema(model),
         "kind": model.kind,
         "robot": model.robot,
         "channels": model.channels,

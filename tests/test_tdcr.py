@@ -107,7 +107,9 @@ def test_a_pretension_by_another_name_is_dropped_and_what_is_left_is_ambiguous(p
     document = json.loads((page / "tdcr.json").read_text(encoding="utf-8"))
     named = {effect["name"] for effect in document["effects"]}
     assert document["verdict"] == "ambiguous" and named == {"latency"} and "offset" in document["sentence"]
-    assert {"lag", "clock_shift", "backlash", "friction"} == {name for rival in document["rivals"] for name in rival["effects"]}
+    assert {"lag", "clock_shift", "backlash", "friction"} == {
+        name for rival in document["rivals"] for name in rival["effects"]
+    }
     ladder = {step["added"]: step["value"] for step in document["error"]["ladder"]}
     before, after = document["error"]["model"], list(ladder.values())[-1]
     assert f"{before:.1f} → {after:.1f} mm" in PAGE

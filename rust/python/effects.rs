@@ -2,13 +2,8 @@
 
 use super::arrays::{Floats, floats};
 use crate::Error;
-<<<<<<< HEAD
 use crate::effects::{Chain, Conditions, Context, Each, Kind, Law, Parameter, registry};
-use crate::loads::FIELDS;
-=======
-use crate::effects::{Chain, Conditions, Context, Each, Kind, Parameter, REGISTRY};
 use crate::loads::{self, Coefficients};
->>>>>>> ddf77d6 (Changes of a body's design, its routing and obstacles are effects: the simulator has a field for each)
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
