@@ -32,7 +32,7 @@ from softmap_edge.features import SECTIONS, Body
 from softmap_edge.model import Arrays, Model
 from softmap_edge.npz import read_npz, unpacked, write_npz
 
-# 2: scattered families, bodies without a mesh; 3: a user's own effects, fields of a design, steps; 1 without any of them
+# 2: scattered families, bodies without a mesh; 3: a user's own effects, fields of a design, steps; else 1
 SCHEMA = 3
 _MAX_BYTES = 256 << 20
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")

@@ -37,6 +37,7 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 Shape = Any  # a compiled shape: _core.Table, _core.Rod, _core.RodField
 _TIP_SHARE = 0.05
+_OUTSIDE = 0.75  # of a station's vertices lie within its radius: a domed tip has many near its axis
 _STATION_SHARE = 0.05  # of the length to each side of a station
 TIP_PER_NEWTON = 0.1  # where stiffness is not known: 1 N across the tip moves it by this share of the length
 NOMINAL = "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
@@ -358,7 +359,7 @@ class Model:
         mapping = FeatureMap(weights, np.ones(len(weights), bool), np.arange(len(weights)))
         matrix, zero = mapping.matrix(), np.zeros(3 * len(weights))
         aside = self.rest - (weights @ self.rest)[:, None]
-        reach = [float(np.mean(np.linalg.norm(a[n][:, :2], axis=1))) for a, n in zip(aside, near)]
+        reach = [float(np.quantile(np.linalg.norm(a[n][:, :2], axis=1), _OUTSIDE)) for a, n in zip(aside, near)]
         moved = {name: shape.project(matrix, zero) for name, shape in self.fields.items()}
         cables = None if self.cables is None else self.cables.project(matrix, zero)
         return self.prior.project(matrix, zero), moved, cables, reach

@@ -24,7 +24,7 @@ def seen(model, commands, **params):
 
 
 def test_a_wall_stops_the_tip_as_a_force_does_that_holds_it_there(model):
-    command, wall = [[9.0, 0.0]], 42.0
+    command, wall = [[9.0, 0.0]], 38.0
     tip = model.along >= 0.9 * model.along.max()
     radius = model._contact[3][-1]
     simulator = Simulator(Finger.builtin())
@@ -54,13 +54,13 @@ def test_a_wall_stops_the_tip_as_a_force_does_that_holds_it_there(model):
 def test_a_wall_acts_on_one_side_only_and_not_before_it_is_reached(model):
     commands = [[u, 0.0] for u in (-10.0, 0.0, 3.0, 7.0, 10.0)]
     free = seen(model, commands)
-    stopped = seen(model, commands, distance=42.0, heading=0.0)
+    stopped = seen(model, commands, distance=38.0, heading=0.0)
     moved = np.linalg.norm(stopped - free, axis=2).max(axis=1)
     np.testing.assert_array_equal(moved[:3], 0.0)
     assert moved[3] < moved[4] and moved[4] > 2.0
     # As on the other side, turned by half a turn about the axis.
     others = [[-u, v] for u, v in commands]
-    mirrored = seen(model, others, distance=42.0, heading=180.0) - seen(model, others)
+    mirrored = seen(model, others, distance=38.0, heading=180.0) - seen(model, others)
     np.testing.assert_allclose(np.linalg.norm(mirrored, axis=2).max(axis=1), moved, atol=0.3)
 
 
