@@ -2,7 +2,7 @@
 
 A picture shows one recording without and with the effect. Effects on commands, at their start: what is told and what
 acts over time, then what the effect adds against what is told, or the plane of both channels where one moves the other.
-Effects on the shape and on what is seen, at mid-range: postures of the built-in finger, then its tip over time.
+Effects on the shape and on what is seen, at mid-range: postures of the built-in finger, then what is added at its tip.
 """
 
 from __future__ import annotations
@@ -88,6 +88,8 @@ def load_table(errors: dict[str, tuple[float, float]]) -> str:
 FIRST = [0, 5, -5, 11, 11, -11, 7, 7, 0, 0, 0, 0, 0, 0]
 SECOND = [0, 0, 0, 0, 0, 0, 0, 0, 0, 9, 9, -9, 0, 0]
 KNOTS = np.array([FIRST, SECOND], float).T
+# Two cameras that look along −x and −y at a place 30 mm above the base, from 200 mm away.
+CAMERAS = np.array([[[0, 1, 0, 0], [0, 0, -1, 30], [-1, 0, 0, 200]], [[-1, 0, 0, 0], [0, 0, -1, 30], [0, -1, 0, 200]]])
 LASTS = {"delay": 7.0, "slow drift": 200.0}  # s, by family; others:
 USUAL = 60.0
 POSTURES = (0, 4, 13)  # knots seen from the side: at home, at 11 mm, home again
@@ -101,7 +103,7 @@ def pictured(effect: dict[str, Any]) -> bytes:
     moments = np.linspace(0.0, lasts, len(KNOTS))
     u = np.stack([np.interp(t, moments, column) for column in KNOTS.T], axis=1)
     warm = 22.0 + 9.0 * (1.0 - np.exp(-4.0 * t / lasts))
-    run = Run(t=t, command=u, t_seen=t, temperature=warm)
+    run = Run(t=t, command=u, t_seen=t, temperature=warm, cameras=CAMERAS)
     chain = _core.Chain([effect["name"]], 2)
     commands = effect["role"] == "channel"
     params = chain.start if commands else 0.5 * (chain.null + chain.high)
@@ -146,21 +148,19 @@ def _channel(figure: Figure, t: Floats, u: Floats, acts: Floats) -> None:
 
 
 def _seen(figure: Figure, t: Floats, moments: Floats, before: Floats, after: Floats) -> None:
-    """Draw section middles (T, S, 3) mm from the side at three moments, and the tip over time."""
+    """Draw section middles (T, S, 3) mm from the side at three moments, and what is added at the tip over time."""
     side, time = figure.subplots(1, 2, width_ratios=[1.0, 1.7])
-    for frames, colour, name in ((before, BEFORE, "without"), (after, AFTER, "with")):
+    for frames, colour in ((before, BEFORE), (after, AFTER)):
         for knot in POSTURES:
             body = frames[int(np.argmin(np.abs(t - moments[knot])))]
             side.plot(body[:, 0], body[:, 2], "o-", color=colour, linewidth=1.3, markersize=2.5)
-        for axis, line in ((0, "-"), (1, (0, (3, 2)))):
-            time.plot(
-                t, frames[:, -1, axis], color=colour, linewidth=1.3, linestyle=line, label=f"{name}, {'xy'[axis]}"
-            )
+    added = after[:, -1] - before[:, -1]
+    for axis, line in enumerate(("-", (0, (4, 2)), (0, (1, 1.5)))):
+        time.plot(t, added[:, axis], color=AFTER, linewidth=1.3, linestyle=line, label="xyz"[axis])
+    time.set_ylim(1.1 * min(added.min(), -0.02), 1.1 * max(added.max(), 0.02))
     side.set(xlabel="x, mm", ylabel="z, mm", aspect="equal")
-    time.set(xlabel="time, s", ylabel="tip, mm")
-    time.legend(loc="lower left", ncols=2, frameon=False, fontsize=7.5)
-    low, high = time.get_ylim()
-    time.set_ylim(low - 0.3 * (high - low), high)
+    time.set(xlabel="time, s", ylabel="added at the tip, mm")
+    time.legend(ncols=3, frameon=False, fontsize=7.5)
     for axes in (side, time):
         axes.grid(color=FAINT, linewidth=0.8)
 

@@ -10,7 +10,7 @@
 
 use crate::cables::Cables;
 use crate::contact::Contact;
-use crate::effects::{Chain, Conditions, Context, bracket};
+use crate::effects::{Camera, Chain, Conditions, Context, bracket};
 use crate::error::{Result, invalid};
 use crate::fields::Fields;
 use crate::loads::{self, CONTACT, Coefficients, FIELDS, GRAVITY, TENDON, TIP_FORCE, weight};
@@ -44,6 +44,7 @@ struct Job<'a> {
     frames: usize,
     /// The world (K,) at the frames, for each clock: the shift between stamps and what they show.
     contexts: Vec<Vec<Context>>,
+    cameras: Vec<Camera>,
     /// Clock of each group.
     clock: Vec<usize>,
     /// Group (sets with equal channel parameters and clock) of each set, and whether others share it.
@@ -200,6 +201,7 @@ impl Predictor {
                         &self.positions,
                         frame,
                         job.context(b, k),
+                        &job.cameras,
                     );
                 },
             );
@@ -278,6 +280,7 @@ impl Predictor {
             params,
             frames: t_seen.len(),
             contexts,
+            cameras: conditions.cameras().to_vec(),
             clock,
             group,
             shared,

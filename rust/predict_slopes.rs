@@ -68,6 +68,7 @@ impl Predictor {
             params: &all,
             frames,
             contexts: job.contexts,
+            cameras: job.cameras,
             clock: vec![0; sides],
             group: (0..sides).collect(),
             shared: vec![false; sides],

@@ -212,6 +212,7 @@ class Predictor:
         gravity: _Floats | None = None,
         load: _Floats | None = None,
         temperature: _Floats | None = None,
+        cameras: _Floats | None = None,
     ) -> _Floats: ...
     def acting(
         self,
@@ -223,6 +224,7 @@ class Predictor:
         gravity: _Floats | None = None,
         load: _Floats | None = None,
         temperature: _Floats | None = None,
+        cameras: _Floats | None = None,
     ) -> _Floats: ...
     def slopes(
         self,
@@ -235,6 +237,7 @@ class Predictor:
         gravity: _Floats | None = None,
         load: _Floats | None = None,
         temperature: _Floats | None = None,
+        cameras: _Floats | None = None,
     ) -> _Floats: ...
 
 @final

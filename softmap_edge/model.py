@@ -314,6 +314,7 @@ class Model:
             gravity=None if gravity is None else np.ascontiguousarray(gravity),
             load=None if run.load is None else np.ascontiguousarray(run.load, float),
             temperature=None if run.temperature is None else np.ascontiguousarray(run.temperature, float),
+            cameras=None if run.cameras is None else np.ascontiguousarray(run.cameras, float),
         )
 
     @cached_property

@@ -90,6 +90,7 @@ class Run:
         marker_rest: (M, 3) mm, the markers of the straight robot. robot: its name.
         frame: (3, 4) [R | mm], what took the points from where they were recorded to the base frame (`softmap align`);
             frame_sigma: (6,) its standard deviations, deg and mm, about the axes of the base frame.
+        cameras: (A, 3, 4) [R | mm], the pose of each camera, from the base frame to its own, in which it looks along z.
         extra: fields that this version does not know, kept as they are.
 
     Raises:
@@ -116,6 +117,7 @@ class Run:
     marker_rest: Array | None = None
     frame: Array | None = None
     frame_sigma: Array | None = None
+    cameras: Array | None = None
     robot: str | None = None
     command_unit: str = "mm"
     extra: dict[str, NDArray[Any]] = field(default_factory=dict)

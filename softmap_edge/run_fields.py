@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from softmap_edge.run import Run
 
 # field: (axes, type). Axes: T command rows, C channels, K frames, N points a frame, P points in all, S = K + 1;
-# a digit is itself.
+# A cameras; a digit is itself.
 AXES: dict[str, tuple[str, str]] = {
     "t": ("T", "real"),
     "t_seen": ("K", "real"),
@@ -40,6 +40,7 @@ AXES: dict[str, tuple[str, str]] = {
     "marker_rest": ("N3", "real"),
     "frame": ("34", "real"),
     "frame_sigma": ("6", "real"),
+    "cameras": ("A34", "real"),
 }
 _TIME = (-1e11, 1e11, "s", "convert the time to seconds")
 _TICKS = (-1e7, 1e7, "ticks", "a servo turn has about 4096 ticks; give ticks counted from home")
@@ -61,6 +62,7 @@ RANGES: dict[str, tuple[float, float, str, str]] = {
     "points": _PLACE,
     "marker_rest": _PLACE,
     "frame": (-1e6, 1e6, "", "give the rotation and the shift in mm"),
+    "cameras": (-1e6, 1e6, "", "give each camera's rotation and shift in mm"),
     "frame_sigma": (0.0, 1e6, "", "give standard deviations in degrees and mm"),
     "sigma": (1e-9, 1e3, "mm", "give the standard deviation of a coordinate in mm"),
 }
@@ -270,6 +272,10 @@ def _units(run: Run) -> None:
         turn = run.frame[:, :3]
         if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-6 or np.linalg.det(turn) < 0:
             raise RunError("frame: its first three columns are no rotation; make it with `softmap align`")
+    if run.cameras is not None and run.cameras.size:
+        turns = run.cameras[:, :, :3]
+        if np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6 or np.linalg.det(turns).min() < 0:
+            raise RunError("cameras: their first three columns are no rotations; give poses [R | t] base to camera")
     for name in ("command", "present"):
         value = getattr(run, name)
         if run.command_unit == "mm" and value is not None and value.size and np.abs(value).max() > _COMMAND_LIMIT:

@@ -48,6 +48,15 @@ def warming(t):
     return 22.0 + 9.0 * (1.0 - np.exp(-np.asarray(t) / 40.0))
 
 
+def camera(place, target, up=(0.0, 0.0, 1.0)):
+    """The pose (3, 4) [R | t] of a camera at a place that looks at another, both (3,) mm in the base frame."""
+    z = np.subtract(target, place) / np.linalg.norm(np.subtract(target, place))
+    x = np.cross(z, up) / np.linalg.norm(np.cross(z, up))
+    turn = np.stack([x, np.cross(z, x), z])
+    return np.column_stack([turn, -turn @ place])
+
+
+CAMERAS = np.stack([camera([180.0, 30.0, 50.0], [0, 0, 20.0]), camera([-40.0, 170.0, 70.0], [0, 10.0, 30.0])])
 SECTIONS = np.linspace(0.0, 100.0, 9)
 
 
@@ -265,7 +274,7 @@ def delayed(p, u, t):
 
 def prandtl_ishlinskii(p, u, t):
     """What a stop holds back is what its play lets slip: stop = identity − play."""
-    held = [u - played(u, p["reach"] * share) for share in (0.25, 0.5, 0.75, 1.0)]
+    held = [u - played(u, p["reach"] * share ** p["shape"]) for share in (0.25, 0.5, 0.75, 1.0)]
     return u - p["strength"] * np.mean(held, axis=0)
 
 
@@ -413,6 +422,26 @@ def drifted(p, see, positions, t):
     return np.stack([moved({k: v * m for k, v in p.items()}, f, positions) for f, m in zip(frames, minutes)])
 
 
+def beside(p, see, positions, t):
+    """Each point where the bent rays of the cameras meet: all their equations side by side, least squares."""
+    frames = see(t).copy()
+    for frame in frames:
+        for v in np.flatnonzero(positions):
+            rows, right = [], []
+            for pose in CAMERAS:
+                turn, shift = pose[:, :3], pose[:, 3]
+                q = turn @ frame[v] + shift
+                n = q[:2] / q[2]
+                n = n * (1.0 + p["radial"] * (n @ n))
+                # A point s lies on the ray where (turn s + shift) is in line with (n, 1).
+                cross = np.array([[0, -1, n[1]], [1, 0, -n[0]], [-n[1], n[0], 0]])
+                cross = cross / np.linalg.norm([*n, 1.0])
+                rows.append(cross @ turn)
+                right.append(-cross @ shift)
+            frame[v] = np.linalg.lstsq(np.vstack(rows), np.hstack(right), rcond=None)[0]
+    return frames
+
+
 ORACLES = {
     "servo_swap": swapped,
     "saturation": lambda p, u, t: np.clip(u, -p["below"], p["above"]),
@@ -446,6 +475,7 @@ ORACLES = {
     "twist": lambda p, g, u: coefficients(len(g), twist=p["angle"]),
     "pre_curve": lambda p, g, u: coefficients(len(g), curve_x=p["x"], curve_y=p["y"]),
     "contact": obstacle_coefficients,
+    "lens": beside,
     "scale": lambda p, see, positions, t: p["factor"] * see(t),
     "mount": lambda p, see, positions, t: moved(p, see(t), positions),
     "camera_drift": drifted,

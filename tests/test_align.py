@@ -9,7 +9,7 @@ import pytest
 from logs import published
 
 from softmap_edge import Run, builtin_model, compare, diagnose, save_bundle
-from softmap_edge.alignment.align import align_base, align_home, clamped_places
+from softmap_edge.alignment.align import align_base, align_home, clamped_places, in_frame
 from softmap_edge.alignment.rigid import Pose, kabsch, robust, rotation, rotation_vector
 from softmap_edge.cli import main
 from softmap_edge.commands.align import without
@@ -399,6 +399,24 @@ def test_markers_that_an_import_keeps_beside_the_run_give_the_frame_too(tmp_path
     document = json.loads(capsys.readouterr().out)
     assert np.abs(document["transform"]["turn_deg"]).max() < 0.7 and document["removed_by_frame"]
     assert main([*words, "b0", "b1", "b7"]) == 2 and "b0 to b3" in capsys.readouterr().err
+
+
+def test_cameras_are_carried_along_with_what_they_see():
+    """In its own frame a camera sees the same before and after."""
+    points, t = np.random.default_rng(3).normal(0.0, 30.0, (4, 6, 3)), np.arange(4.0)
+    looking = np.stack(
+        [np.column_stack([rotation(np.array(v)), [5.0, -9.0, 300.0]]) for v in ([0.3, 0, 1], [0, -2, 0.1])]
+    )
+    run = Run(t=t, command=np.zeros((4, 2)), t_seen=t, markers=points, cameras=looking)
+    moved = in_frame(run, CAMERA, np.ones(6))
+    for before, after in zip(run.cameras, moved.cameras):
+        own = [Pose(c[:, :3], c[:, 3])(seen) for c, seen in ((before, run.markers), (after, moved.markers))]
+        np.testing.assert_allclose(own[1], own[0], atol=1e-10)
+    assert np.abs(moved.cameras - run.cameras).max() > 1.0
+    with pytest.raises(RunError, match="cameras: .* no rotations"):
+        replace(run, cameras=2.0 * looking)
+    with pytest.raises(RunError, match="cameras: shape"):
+        replace(run, cameras=looking[0])
 
 
 def test_a_frame_that_is_no_rotation_is_refused():

@@ -2,12 +2,14 @@
 
 import importlib.util
 import re
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 from laws import (
     BY_ROLE,
+    CAMERAS,
     COEFFICIENTS,
     EFFECTS,
     HOME,
@@ -18,6 +20,7 @@ from laws import (
     protocol,
     random_params,
     record,
+    slot,
     turning,
     values,
     warming,
@@ -26,7 +29,7 @@ from laws import (
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
 
-RUN_FIELDS = {"gravity", "load", "temperature", "present", "current"}
+RUN_FIELDS = {"cameras", "gravity", "load", "temperature", "present", "current"}
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +87,9 @@ def test_null_is_the_identity(name, channels, body):
         seen = np.linspace(t[0], t[-1], 40)
         none = _core.Chain([], 2)
         plain = body.predict(none, none.null[None], u, t, seen)
-        np.testing.assert_allclose(body.predict(chain, chain.null[None], u, t, seen), plain, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            body.predict(chain, chain.null[None], u, t, seen, cameras=CAMERAS), plain, rtol=0, atol=1e-12
+        )
 
 
 # What an effect does not act on, by its own words: one channel has no neighbour.
@@ -131,7 +136,7 @@ def test_sensing_effects_agree_with_the_oracle(name):
         return body.predict(none, none.null[None], u, t, moments, gravity, load)[0]
 
     sets = [values(chain, "middle"), 1e-7 * values(chain, "middle"), random_params(chain, 3), random_params(chain, 4)]
-    batch = body.predict(chain, np.stack(sets), u, t, t[::9], gravity, load)
+    batch = body.predict(chain, np.stack(sets), u, t, t[::9], gravity, load, cameras=CAMERAS)
     for params, got in zip(sets, batch):
         wanted = ORACLES[name](named(name, params, 2), see, positions, t[::9])
         np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-11)
@@ -144,7 +149,7 @@ def test_it_moves_the_sections_by_half_a_millimetre(name, body):
     chain = _core.Chain([name], 2)
     t, u = protocol()
     sets = np.stack([chain.null, values(chain, "middle"), values(chain, "start")])
-    frames = body.predict(chain, sets, u, t, t[::5], turning(len(t)), temperature=warming(t))
+    frames = body.predict(chain, sets, u, t, t[::5], turning(len(t)), temperature=warming(t), cameras=CAMERAS)
     moved = np.sqrt(((frames[1:] - frames[0]) ** 2).sum(axis=-1).mean(axis=(1, 2))).max()
     assert moved >= 0.5, f"{moved:.2f} mm RMS"
 
@@ -243,3 +248,50 @@ def test_a_clock_that_is_late_is_no_latency_for_loads(body):
     for gravity, same in ((still, True), (turning(len(t)), False)):
         frames = [body.predict(*chain, u, t, seen, gravity)[0] for chain in (late, delay)]
         assert (np.abs(frames[0] - frames[1]).max() < 1e-9) == same
+
+
+def best(law, truth, *grids):
+    """The least RMS misfit of `strength · law(*shape)` to truth (T,), over grids of the shape's numbers."""
+    found = np.inf
+    for shape in product(*grids):
+        form = law(*shape)
+        rest = truth - form * (form @ truth) / (form @ form)
+        found = min(found, float(np.sqrt(np.mean(rest**2))))
+    return found / np.sqrt(np.mean(truth**2))
+
+
+def test_two_terms_of_creep_stand_for_three_and_one_does_not():
+    t, u = (column[::6] for column in protocol())
+    u = u[:, :1]
+    chain = _core.Chain(["creep"], 1)
+
+    def slow(tau, spread):
+        return (chain.rollout([[1.0, tau, spread]], u, t)[0] - u)[:, 0]
+
+    for weights, taus in (((1, 1, 1), (1, 10, 100)), ((4, 2, 1), (1, 8, 60)), ((1, 2, 4), (1, 8, 60))):
+        truth = sum(w * slow(tau, 1.0) for w, tau in zip(weights, taus))
+        one, two = (best(slow, truth, np.geomspace(1, 100, 25), spread) for spread in ([1.0], np.geomspace(1, 10, 12)))
+        assert two < 0.09 and one > 0.1, (weights, one, two)
+
+
+def test_the_shape_of_hysteresis_follows_other_laws():
+    """Thresholds of other densities than the library's; growing, falling and minor loops."""
+    turns = [0, 4, -4, 10, -10, 12, 6, 9, 3, 0]
+    u = np.interp(np.arange(0.0, 9.0, 0.01), np.arange(10.0), turns)[:, None]
+    t = np.arange(len(u), dtype=float)
+    chain = _core.Chain(["hysteresis"], 1)
+
+    def held(reach, shape):
+        return (u - chain.rollout([[1.0, reach, shape]], u, t)[0])[:, 0]
+
+    def stop(r):
+        return u[:, 0] - slot(u[:, 0], r)
+
+    densities = {
+        "exponential": sum(np.exp(-r / 2) * stop(r) for r in np.linspace(0.1, 12, 40)),
+        "1/r": sum(stop(r) for r in np.geomspace(0.05, 12, 40)),
+    }
+    for name, truth in densities.items():
+        reaches = np.geomspace(1.0, 10.0, 16)
+        even, free = (best(held, truth, reaches, shapes) for shapes in ([1.0], np.geomspace(0.4, 4.0, 12)))
+        assert free < 0.09 and free < 0.75 * even, (name, even, free)

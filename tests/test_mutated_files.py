@@ -27,6 +27,7 @@ def run_sample(folder):
         temperature=np.full(12, 20.0),
         frame=np.eye(3, 4),
         frame_sigma=np.ones(6),
+        cameras=np.eye(3, 4)[None],
         t_seen=t[::2],
         markers=np.arange(72.0).reshape(6, 4, 3),
         visible=np.ones((6, 4), bool),

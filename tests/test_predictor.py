@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from laws import (
     BY_ROLE,
+    CAMERAS,
     EFFECTS,
     FIELD_VALUES,
     HOME,
@@ -38,7 +39,7 @@ def test_all_together_agree_with_the_oracles_in_stage_order(body):
     gravity, load = turning(len(t)), np.linspace(0.0, 5.0, len(t))
     seen = np.linspace(t[0], t[-1], 61) + 0.004
     for params in (values(chain, "middle"), values(chain, "start")):
-        got = body.predict(chain, params[None], u, t, seen, gravity, load, warming(t))[0]
+        got = body.predict(chain, params[None], u, t, seen, gravity, load, warming(t), CAMERAS)[0]
         own, at = {}, 0
         for name in chain.names:
             width = len(_core.Chain([name], 2).labels)

@@ -47,7 +47,14 @@ pub static EFFECT: Effect = Effect {
 struct CameraDrift;
 
 impl SensingEffect for CameraDrift {
-    fn apply(&self, params: &[f64], positions: &[bool], points: &mut [f64], context: &Context) {
+    fn apply(
+        &self,
+        params: &[f64],
+        positions: &[bool],
+        points: &mut [f64],
+        context: &Context,
+        _cameras: &[Camera],
+    ) {
         let minutes = context.seen_for / 60.0;
         let moved = [0, 1, 2, 3, 4, 5].map(|i| params[i] * minutes);
         move_rigidly(&moved, positions, points);

@@ -362,10 +362,23 @@ impl Chain {
     }
 
     /// Apply the sensing effects to `points` (V, 3) in place.
-    pub fn sense(&self, params: &[f64], positions: &[bool], points: &mut [f64], context: &Context) {
+    pub fn sense(
+        &self,
+        params: &[f64],
+        positions: &[bool],
+        points: &mut [f64],
+        context: &Context,
+        cameras: &[Camera],
+    ) {
         for link in &self.links {
             if let Law::Sensing(law) = link.effect.law {
-                law.apply(&params[link.params.clone()], positions, points, context);
+                law.apply(
+                    &params[link.params.clone()],
+                    positions,
+                    points,
+                    context,
+                    cameras,
+                );
             }
         }
     }

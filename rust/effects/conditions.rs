@@ -18,6 +18,9 @@ pub struct Context {
     pub seen_for: f64,
 }
 
+/// The pose [R | t] of a camera, base frame → camera, which looks along its z.
+pub type Camera = [[f64; 4]; 3];
+
 /// The contexts of a record of T samples; what a run does not declare is constant.
 #[derive(Debug, Clone)]
 pub struct Conditions {
@@ -26,6 +29,7 @@ pub struct Conditions {
     gravity: Vec<[f64; 3]>,
     load: Vec<f64>,
     temperature: Vec<f64>,
+    cameras: Vec<Camera>,
 }
 
 impl Conditions {
@@ -64,7 +68,18 @@ impl Conditions {
             gravity,
             load,
             temperature,
+            cameras: vec![],
         })
+    }
+
+    /// The same world, with the poses of the cameras that look at it.
+    pub fn seen_by(self, cameras: Vec<Camera>) -> Conditions {
+        Conditions { cameras, ..self }
+    }
+
+    /// Poses of the cameras, none where they are not known.
+    pub fn cameras(&self) -> &[Camera] {
+        &self.cameras
     }
 
     /// Number of samples T.

@@ -7,6 +7,7 @@
 use super::conditions::{Conditions, Context};
 use crate::error::Result;
 
+pub use super::conditions::Camera;
 pub use crate::loads::*;
 
 /// Where in the path from command to camera an effect acts; chains are composed in this order.
@@ -247,7 +248,14 @@ pub trait ShapeEffect: Sync {
 /// A change of what is seen.
 pub trait SensingEffect: Sync {
     /// Move `points` (V, 3) in place; where `positions` is false the vector is a direction, which no shift moves.
-    fn apply(&self, _params: &[f64], _positions: &[bool], _points: &mut [f64], _context: &Context) {
+    fn apply(
+        &self,
+        _params: &[f64],
+        _positions: &[bool],
+        _points: &mut [f64],
+        _context: &Context,
+        _cameras: &[Camera],
+    ) {
     }
 
     /// How much later a frame is stamped than what it shows, s.

@@ -9,7 +9,7 @@ mod declaration;
 mod own;
 
 pub use chain::Chain;
-pub use conditions::{Conditions, Context, bracket};
+pub use conditions::{Camera, Conditions, Context, bracket};
 pub use declaration::*;
 pub use own::{forget, register, registry};
 
@@ -53,6 +53,7 @@ registry! {
     twist
     pre_curve
     contact
+    lens
     scale
     mount
     camera_drift

@@ -82,7 +82,14 @@ fn rotation(degrees: &[f64]) -> [[f64; 3]; 3] {
 }
 
 impl SensingEffect for Mount {
-    fn apply(&self, params: &[f64], positions: &[bool], points: &mut [f64], _context: &Context) {
+    fn apply(
+        &self,
+        params: &[f64],
+        positions: &[bool],
+        points: &mut [f64],
+        _context: &Context,
+        _cameras: &[Camera],
+    ) {
         move_rigidly(params, positions, points);
     }
 }

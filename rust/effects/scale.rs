@@ -36,7 +36,14 @@ pub static EFFECT: Effect = Effect {
 struct Scale;
 
 impl SensingEffect for Scale {
-    fn apply(&self, params: &[f64], _positions: &[bool], points: &mut [f64], _context: &Context) {
+    fn apply(
+        &self,
+        params: &[f64],
+        _positions: &[bool],
+        points: &mut [f64],
+        _context: &Context,
+        _cameras: &[Camera],
+    ) {
         points.iter_mut().for_each(|p| *p *= params[0]);
     }
 }

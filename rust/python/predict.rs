@@ -69,8 +69,8 @@ impl PyPredictor {
         })
     }
 
-    /// Frames (B, K, V, 3) for params (B, P) on u (T, C) mm at t (T,) s, seen at t_seen (K,) s.
-    #[pyo3(signature = (chain, params, u, t, t_seen, gravity=None, load=None, temperature=None))]
+    /// Frames (B, K, V, 3) for params (B, P) on u (T, C) mm at t (T,) s, seen at t_seen (K,) s by `cameras` (A, 3, 4).
+    #[pyo3(signature = (chain, params, u, t, t_seen, gravity=None, load=None, temperature=None, cameras=None))]
     fn predict<'py>(
         &self,
         py: Python<'py>,
@@ -82,8 +82,19 @@ impl PyPredictor {
         gravity: Maybe<'py>,
         load: Maybe<'py>,
         temperature: Maybe<'py>,
+        cameras: Maybe<'py>,
     ) -> PyResult<Bound<'py, PyArray4<f64>>> {
-        let asked = self.asked(&chain, params, u, t, t_seen, gravity, load, temperature)?;
+        let asked = self.asked(
+            &chain,
+            params,
+            u,
+            t,
+            t_seen,
+            gravity,
+            load,
+            temperature,
+            cameras,
+        )?;
         let Asked {
             params,
             sets,
@@ -98,7 +109,7 @@ impl PyPredictor {
     }
 
     /// What acts (B, K, C) at t_seen for params (B, P); the other arguments as in `predict`.
-    #[pyo3(signature = (chain, params, u, t, t_seen, gravity=None, load=None, temperature=None))]
+    #[pyo3(signature = (chain, params, u, t, t_seen, gravity=None, load=None, temperature=None, cameras=None))]
     fn acting<'py>(
         &self,
         py: Python<'py>,
@@ -110,8 +121,19 @@ impl PyPredictor {
         gravity: Maybe<'py>,
         load: Maybe<'py>,
         temperature: Maybe<'py>,
+        cameras: Maybe<'py>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let asked = self.asked(&chain, params, u, t, t_seen, gravity, load, temperature)?;
+        let asked = self.asked(
+            &chain,
+            params,
+            u,
+            t,
+            t_seen,
+            gravity,
+            load,
+            temperature,
+            cameras,
+        )?;
         let Asked {
             params,
             sets,
@@ -126,7 +148,7 @@ impl PyPredictor {
     }
 
     /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, about params (1, P); else as `predict`.
-    #[pyo3(signature = (chain, params, u, t, t_seen, step, gravity=None, load=None, temperature=None))]
+    #[pyo3(signature = (chain, params, u, t, t_seen, step, gravity=None, load=None, temperature=None, cameras=None))]
     fn slopes<'py>(
         &self,
         py: Python<'py>,
@@ -139,8 +161,19 @@ impl PyPredictor {
         gravity: Maybe<'py>,
         load: Maybe<'py>,
         temperature: Maybe<'py>,
+        cameras: Maybe<'py>,
     ) -> PyResult<Bound<'py, PyArray4<f64>>> {
-        let asked = self.asked(&chain, params, u, t, t_seen, gravity, load, temperature)?;
+        let asked = self.asked(
+            &chain,
+            params,
+            u,
+            t,
+            t_seen,
+            gravity,
+            load,
+            temperature,
+            cameras,
+        )?;
         let Asked {
             params,
             u,
@@ -176,10 +209,21 @@ impl PyPredictor {
         gravity: Maybe<'py>,
         load: Maybe<'py>,
         temperature: Maybe<'py>,
+        cameras: Maybe<'py>,
     ) -> PyResult<Asked> {
         let params = chain.sets(params)?;
         let still = self.predictor.reference();
         let (u, world) = chain.record(u, t, still, gravity, load, temperature)?;
+        let world = match cameras {
+            None => world,
+            Some(poses) => {
+                let axes = [("A", None), ("rows", Some(3)), ("columns", Some(4))];
+                let poses = floats("cameras", &poses, &axes)?.data;
+                let row = |pose: &[f64], i: usize| [0, 1, 2, 3].map(|k| pose[4 * i + k]);
+                let pose = |pose: &[f64]| [0, 1, 2].map(|i| row(pose, i));
+                world.seen_by(poses.chunks_exact(12).map(pose).collect())
+            }
+        };
         Ok(Asked {
             sets: params.shape[0],
             params: params.data,

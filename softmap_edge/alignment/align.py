@@ -143,6 +143,9 @@ def in_frame(run: Run, pose: Pose, sigma: Floats, frames: Pose | None = None) ->
     base = base_markers(run)
     if base.shape[1]:
         change["extra"] = run.extra | {BASE_MARKERS: (frames or pose)(base)}
+    if run.cameras is not None:  # they look from where they stood, at points that have other numbers now
+        looking = Pose(run.cameras[:, :, :3], run.cameras[:, :, 3]).after(pose.inverse())
+        change["cameras"] = np.concatenate([looking.rotation, looking.shift[:, :, None]], axis=2)
     before = Pose(np.eye(3), np.zeros(3)) if run.frame is None else Pose(run.frame[:, :3], run.frame[:, 3])
     whole = pose.after(before)
     change |= {"frame": np.column_stack([whole.rotation, whole.shift]), "frame_sigma": sigma}

@@ -1,0 +1,113 @@
+//! Lens: the cameras bend straight lines towards the rim of their pictures; a fault of the measurement, not of the robot.
+//!
+//! A camera with the pose [R | t] (base → camera, looking along its z) sees p at `q = R·p + t`, in its picture at
+//! `n = (q_x, q_y)/q_z`, and takes it for `n·(1 + radial·|n|²)`. What is seen is the point nearest to the rays of all cameras
+//! (least squares; of one camera, the point of its ray nearest to the true one). Cameras behind which a point lies do not see it.
+//! Without the cameras' poses in the run it does nothing. One number for all cameras, on top of their calibration.
+//! Source: first radial term of Brown's model. Limit: places only, by their section middles; the size of a section stays.
+
+use super::conditions::Context;
+use super::declaration::*;
+use crate::vector::{Vec3, axpy, dot};
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "lens",
+        family: "sensor frame",
+        stage: Stage::Sensing,
+        kind: Kind::Fault,
+        formula: "n → n · (1 + radial · |n|²) in each picture; p where the rays of all cameras meet best",
+        doc: "Radial distortion that the calibration of the cameras leaves: a changed focus, a wide lens calibrated in its middle.",
+        signature: "Static; nothing in the middle of the pictures, growing with the third power towards their rim, at home too.",
+        reference: "Brown, Decentering distortion of lenses, Photogrammetric Engineering 32 (1966) 444.",
+        experiment: (
+            "points over the whole picture, and the poses of the cameras in the run",
+            1.0,
+        ),
+        alike: &[],
+        needs: &["cameras"],
+        parameters: &[Parameter::new(
+            "radial",
+            "1",
+            0.0,
+            0.05,
+            -0.4,
+            0.4,
+            "first radial term, left over by the calibration",
+        )],
+    },
+    law: Law::Sensing(&Lens),
+};
+
+struct Lens;
+
+/// Share of the identity that keeps the meeting point of one ray, or of parallel ones, unique.
+const UNIQUE: f64 = 1e-12;
+
+impl SensingEffect for Lens {
+    fn apply(
+        &self,
+        params: &[f64],
+        positions: &[bool],
+        points: &mut [f64],
+        _context: &Context,
+        cameras: &[Camera],
+    ) {
+        if params[0] == 0.0 || cameras.is_empty() {
+            return;
+        }
+        for (p, place) in points.chunks_exact_mut(3).zip(positions) {
+            if *place {
+                let shift = seen_beside(params[0], [p[0], p[1], p[2]], cameras);
+                p.iter_mut().zip(shift).for_each(|(p, shift)| *p += shift);
+            }
+        }
+    }
+}
+
+/// By how much a point is seen beside its place, mm.
+fn seen_beside(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
+    let (mut system, mut right) = ([[0.0; 3]; 3], [0.0; 3]);
+    for (i, row) in system.iter_mut().enumerate() {
+        row[i] = UNIQUE;
+    }
+    for pose in cameras {
+        let axes = pose.map(|row| [row[0], row[1], row[2]]);
+        let q = [0, 1, 2].map(|i| dot(axes[i], p) + pose[i][3]);
+        if q[2] <= 0.0 {
+            continue;
+        }
+        let (x, y) = (q[0] / q[2], q[1] / q[2]);
+        let bent = radial * (x * x + y * y);
+        // From the camera to p, and the ray that it takes it for, both in the base frame, at the depth of p.
+        let beside = [0, 1, 2].map(|i| bent * (axes[0][i] * q[0] + axes[1][i] * q[1]));
+        let ray = [0, 1, 2]
+            .map(|i| axes[0][i] * q[0] + axes[1][i] * q[1] + axes[2][i] * q[2] + beside[i]);
+        let square = dot(ray, ray);
+        // The distance of p + shift from the ray: that of (shift − beside), since the ray goes through p + beside.
+        let across = |v: Vec3| axpy(v, -dot(v, ray) / square, ray);
+        let wanted = across(beside);
+        for i in 0..3 {
+            let mut unit = [0.0; 3];
+            unit[i] = 1.0;
+            let column = across(unit);
+            for (k, row) in system.iter_mut().enumerate() {
+                row[i] += column[k];
+            }
+            right[i] += wanted[i];
+        }
+    }
+    solve(system, right)
+}
+
+/// The solution of a symmetric positive definite system, by Cramer's rule along its columns.
+fn solve(system: [Vec3; 3], right: Vec3) -> Vec3 {
+    let det = crate::vector::det(&system);
+    [0, 1, 2].map(|c| {
+        let mut replaced = system;
+        for (row, value) in replaced.iter_mut().zip(right) {
+            row[c] = value;
+        }
+        crate::vector::det(&replaced) / det
+    })
+}
