@@ -49,7 +49,7 @@ pub static EFFECT: Effect = Effect {
                 "1",
                 1.0,
                 1.0,
-                0.4,
+                0.7,
                 4.0,
                 "how the thresholds crowd: evenly at 1, at small motions above",
             ),
