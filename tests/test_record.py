@@ -7,11 +7,16 @@ import numpy as np
 import pytest
 from page import blocks, lines
 from test_align import BASE, CAMERA, SIDES, marked
+from test_next_experiment import LIMITS, played
 
 from softmap_edge import Run, _core, builtin_model, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.experiment.blocks import BLOCKS as MOVES
+from softmap_edge.experiment.blocks import chosen, plan
+from softmap_edge.experiment.command_file import read_commands
 from softmap_edge.protocol import standard_protocol
 
+WEIGHT = {"payload.mass": 9.0}
 PAGE = (Path(__file__).parents[1] / "docs/record.md").read_text(encoding="utf-8")
 BLOCKS = blocks(PAGE)
 PROSE = re.sub(r"^```.*?^```$", "", PAGE, flags=re.MULTILINE | re.DOTALL)
@@ -37,6 +42,11 @@ def page(tmp_path_factory):
     hasty().save(there / "hasty.npz")
     marked(3, noise=0.05, play=0.05, rest=SIDES).save(there / "camera.npz")
     marked(4, noise=0.05, play=0.05, base=BASE[:3]).save(there / "markers.npz")
+    hanging = plan(
+        chosen(["home revisits", "triangles of growing size", "diagonals", "staircase with long dwells"]), LIMITS
+    )
+    played(hanging, WEIGHT).save(there / "hanging.npz")
+    played(MOVES["another orientation"].plan(LIMITS), WEIGHT, seed=1).save(there / "leaning.npz")
     save_bundle(builtin_model(), there / "finger")
     inline = [line for text in re.findall(r"`(softmap align [^`]*)`", PROSE) for line in lines(text)]
     with pytest.MonkeyPatch.context() as patch:
@@ -55,7 +65,7 @@ def page(tmp_path_factory):
 def test_what_the_page_quotes_is_what_is_printed(page):
     """Numbers of an effect may differ in their last figure; all else is as it stands."""
     _, printed = page
-    poor, effects = (text.splitlines() for language, text in BLOCKS if language == "text")
+    poor, effects, following = (text.splitlines() for language, text in BLOCKS if language == "text")
     told = printed["check hasty.npz"].splitlines()
     start = told.index(poor[0])
     assert told[start : start + len(poor)] == poor
@@ -63,9 +73,27 @@ def test_what_the_page_quotes_is_what_is_printed(page):
     found = printed["check hasty.npz --bundle finger"].splitlines()
     line = next(k for k, text in enumerate(found) if text.startswith("  + latency"))
     assert found[line + 1] == remedy
-    assert re.sub(r"[\d.]+", "#", " ".join(found[line].split())) == re.sub(r"[\d.]+", "#", " ".join(named.split()))
-    said, quoted = (np.array(re.findall(r"[\d.]+", text), float) for text in (found[line], named))
-    np.testing.assert_allclose(said, quoted, rtol=0.03)
+    assert_alike(found[line], named)
+    said = printed["next diagnosis.json --run hanging.npz --bundle finger --out next.csv"].splitlines()
+    at = said.index(following[0])
+    assert_alike(said[at + 1], following[1])
+
+
+def assert_alike(said, quoted):
+    """The same words, and numbers within 3 %."""
+    assert re.sub(r"[\d.]+", "#", " ".join(said.split())) == re.sub(r"[\d.]+", "#", " ".join(quoted.split()))
+    numbers = (np.array(re.findall(r"\d[\d.]*", text), float) for text in (said, quoted))
+    np.testing.assert_allclose(*numbers, rtol=0.03)
+
+
+def test_the_doubt_of_the_page_is_settled(page):
+    there, printed = page
+    told = printed["diagnose hanging.npz leaning.npz --bundle finger --out settled.json --since diagnosis.json"]
+    assert "Now       payload (identified); rivals: none" in told and "Settled   gravity" in told
+    assert read_commands(there / "next.csv")[0].gravity[:, 0].max() > 0.5
+    assert set(Run.load(there / "circle.npz").block) == {"home", "circle"}
+    named = re.search(r"`--block` writes those that you name:(.*?)\.\n", PAGE, re.DOTALL)[1]
+    assert re.findall(r"`([^`]+)`", named) == list(MOVES)
 
 
 def test_the_aligned_runs_are_in_the_frame_of_the_base(page):
@@ -76,12 +104,13 @@ def test_the_aligned_runs_are_in_the_frame_of_the_base(page):
         assert run.markers.shape[1] == len(SIDES)
 
 
-def test_the_table_of_commands_is_the_protocol(page):
+def test_the_command_file_of_the_page_is_the_protocol(page):
     there, _ = page
-    table = np.loadtxt(there / "commands.csv", delimiter=",", skiprows=1)
-    plan = standard_protocol(2, reach=12.0)
-    np.testing.assert_allclose(table, np.column_stack([plan.t, plan.command]), atol=1e-3)
-    assert plan.frames == pytest.approx(360, abs=20) and plan.t[-1] / 60 == pytest.approx(4.0, abs=0.1)
+    made, robot = read_commands(there / "commands.csv")
+    wanted = standard_protocol(2, back=True)
+    assert robot == builtin_model().robot
+    np.testing.assert_allclose(made.command, wanted.command, atol=1e-3)
+    assert made.frames == pytest.approx(470, abs=10) and made.minutes == pytest.approx(6.0, abs=0.5)
 
 
 def test_the_times_of_the_page_are_those_of_the_protocol():

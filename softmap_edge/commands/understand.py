@@ -59,15 +59,19 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     effects_argument(parser, "; NAME,NAME: look for these only, and for those of the files")
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
     parser.add_argument("--out", metavar="FILE", help="write the diagnosis as JSON, for `softmap add --from`")
+    parser.add_argument("--since", metavar="FILE", help="an earlier diagnosis: say what has been settled since")
     parser.add_argument("--seed", type=int, default=0, help="kept in the document")
 
 
 def diagnose(args: argparse.Namespace) -> int:
     """Name the effect that a model lacks; 0 whatever the verdict, since silence and doubt are answers."""
+    from softmap_edge.diagnosis.diagnose import Diagnosis
     from softmap_edge.diagnosis.diagnose import diagnose as find
+    from softmap_edge.report.progress import progress_lines
 
     check_file("--html", args.html)
     check_file("--out", args.out)
+    before = None if args.since is None else Diagnosis.load(args.since).to_dict()
     names = [name for text in args.effects if not text.endswith(".py") for name in _names(text)]
     args.effects = [path for path in args.effects if path.endswith(".py")]
     own = load_own(args)
@@ -80,6 +84,8 @@ def diagnose(args: argparse.Namespace) -> int:
     if args.out:
         _write_json(args.out, found.to_dict())
     print(json.dumps(found.to_dict(), indent=1) if args.json else found)
+    if before is not None and not args.json:
+        print("\n".join(["", *progress_lines(before, found.to_dict())]))
     if args.html:
         kind = "fitted" if held_out is None else "held out"
         _page(args.html, held_out or runs[0], model, found.model, found, kind)

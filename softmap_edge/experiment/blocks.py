@@ -30,6 +30,7 @@ Vector = tuple[float, ...]
 KNOWN_LOAD = 10.0  # g that are hung at the tip, on top of what hangs there
 WARMER, ROOM = 5.0, 22.0  # °C to warm by, and to start from where no temperature is declared
 WARM_UP = 600.0  # s that it takes
+LONG = 40.0  # s of rest at the end of the range
 TILTS = (25.0, 205.0, 115.0)  # degrees of azimuth to lean to; the first is that of the standard protocol
 NEAR = np.cos(np.radians(20.0))  # orientations within 20 degrees count as one
 
@@ -171,6 +172,13 @@ def _stairs(tape: Tape, channel: int) -> None:
     moves.staircase(tape, channel, 1.0)
 
 
+def _long_dwell(tape: Tape, channel: int) -> None:
+    tape.to(tape.axis(channel, 1.0), 2 * tape.slow, 0.0, "")
+    tape.hold(LONG, 0.5, f"long dwell[{channel}]")
+    tape.to(tape.limits.home, 2 * tape.slow, 0.0, "")
+    tape.hold(LONG / 2, 0.5, f"long dwell[{channel}]")
+
+
 def _diagonals(tape: Tape, setting: Setting) -> None:
     moves.home(tape, 3.0, 1.6)
     moves.diagonals(tape)
@@ -222,6 +230,7 @@ BLOCKS: dict[str, Block] = {
         Block("small loops at two offsets", _each(moves.small_loops)),
         Block("fast and slow triangles", _each(_fast_and_slow)),
         Block("staircase with long dwells", _each(_stairs)),
+        Block("a long dwell", _each(_long_dwell)),
         Block("diagonals", _diagonals, channels=2),
         Block("circle", _circle, channels=2),
         Block("another orientation", _another_orientation, "orientation"),

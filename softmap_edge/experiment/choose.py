@@ -18,7 +18,7 @@ add nothing to each other. Pinned by tests/test_next_experiment.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +30,7 @@ from softmap_edge.diagnosis.evidence import DETECTABLE, experiment
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.noise import FLOOR, Noise
 from softmap_edge.diagnosis.record import Record, record_of
-from softmap_edge.diagnosis.search import Search
+from softmap_edge.diagnosis.search import VISIBLE_MM, Search
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, Block, Setting, plan
 from softmap_edge.protocol import Limits, Protocol
@@ -78,6 +78,7 @@ class Experiment:
     separation: float | None
     plan: Protocol | None = None
     answers: tuple[tuple[Question, float], ...] = ()
+    alone: str = ""  # why its run is to be diagnosed without the earlier ones, if so
 
     def to_dict(self) -> dict[str, Any]:
         """Return an entry of `next`: `{block, minutes, settles, separation}`."""
@@ -94,8 +95,9 @@ class Experiment:
         return [q for q, _ in sorted(found, key=lambda pair: (pair[0].hidden is not None, -pair[1]))]
 
     def __str__(self) -> str:
-        apart = "not simulated" if self.separation is None else f"separation {self.separation:.3g}"
-        return f"{self.block} ({self.minutes:.1f} min): settles {', '.join(self.settles) or 'nothing'}; {apart}"
+        apart = "not simulated" if self.separation is None else f"separation {float(f'{self.separation:.3g}'):g}"
+        settles = ", ".join(self.settles) or "nothing"
+        return f"{self.block} ({self.minutes:.1f} min): settles {settles}; {apart}{self.alone}"
 
 
 def next_experiment(
@@ -133,7 +135,7 @@ def next_experiment(
     for i, block in enumerate(world.blocks(limits)):
         plan_ = plan([block], limits, world.setting)
         answers = world.answers(plan_, block.changes)
-        found.append(_experiment(block, plan_, answers))
+        found.append(_experiment(world, block, plan_, answers))
         if progress is not None:
             progress((i + 1) / len(BLOCKS))
     worth = _worth([e for e in found if e.settles], world.questions)
@@ -168,11 +170,14 @@ def _worth(experiments: Sequence[Experiment], questions: Sequence[Question]) -> 
     return worth
 
 
-def _experiment(block: Block, made: Protocol, answers: list[tuple[Question, float]]) -> Experiment:
+def _experiment(world: _World, block: Block, made: Protocol, answers: list[tuple[Question, float]]) -> Experiment:
     bare = Experiment(block.name, made.minutes, [], None, made, tuple(answers))
     names = list(dict.fromkeys(name for q in bare.settled() for name in q.names))
     first = next((s for q, s in answers if q in bare.settled()[:1]), None)
-    return Experiment(block.name, made.minutes, names, first, made, tuple(answers))
+    missing = [name for name in names if not world.declared(name)]
+    fields = dict.fromkeys(field for name in missing for field in world.needs(name))
+    alone = f"; for {', '.join(missing)} diagnose its run by itself, the earlier ones declare no {', '.join(fields)}"
+    return replace(bare, settles=names, separation=first, alone=alone if missing else "")
 
 
 def _rest(world: _World, questions: Sequence[Question]) -> list[Experiment]:
@@ -206,8 +211,8 @@ class _World:
         self.names = [n for n in self.registry if any(n in s for s in sets) or n in self.hidden]
         self.params: dict[tuple[str, ...], dict[str, float]] = {}
         if runs:
-            problem = _problem(record_of(model, runs, library), [n for n in self.names if self._declared(n)])
-            search = Search(problem, [n for n in self.names if self._declared(n)])
+            problem = _problem(record_of(model, runs, library), [n for n in self.names if self.declared(n)])
+            search = Search(problem, [n for n in self.names if self.declared(n)])
             fits = {key: search.get(key) for key in sets}
             self.noise, self.dispersion = problem.noise, search.dispersion(fits[self.found])
             self.params |= {key: fit.params for key, fit in fits.items()}
@@ -237,7 +242,7 @@ class _World:
         joint = record_of(self.model, [*_thinned(self.runs), run], self.library)
         problem = _problem(joint, [n for n in self.names if self._predicted(n, [*parts, new])], self.noise)
         alone = _Linear(
-            self, _problem(new, [n for n in self.names if not new.missing(self._needs(n))], self.noise), [new]
+            self, _problem(new, [n for n in self.names if not new.missing(self.needs(n))], self.noise), [new]
         )
         both = _Linear(self, problem, [*parts, new])
         found = []
@@ -247,10 +252,14 @@ class _World:
                 apart = 0.0
                 if self._resolvable(question, changes):
                     apart = min(self._apart(problem, [*parts, new], a, b) for a, b in ways)
-            elif self._declared(question.hidden):
+            elif self.declared(question.hidden):
                 apart = both.left(question.hidden) - self._hidden_before(question.hidden)
-            else:
-                apart = 0.0 if new.missing(self._needs(question.hidden)) else alone.left(question.hidden)
+                apart = apart if self._moved(question.hidden, new) >= VISIBLE_MM else 0.0
+            elif new.missing(self.needs(question.hidden)):
+                apart = 0.0
+            else:  # the earlier runs will not tell: what the new one says by itself
+                apart = alone.left(question.hidden)
+                apart = apart if new.rms_mm(self._shift(question.hidden, new)) >= VISIBLE_MM else 0.0
             found.append((question, max(apart, 0.0) / self.dispersion))
         return found
 
@@ -296,7 +305,7 @@ class _World:
     def _old_problem(self) -> Problem | None:
         if self.old is None:
             return None
-        return _problem(self.old, [n for n in self.names if self._declared(n)], self.noise)
+        return _problem(self.old, [n for n in self.names if self.declared(n)], self.noise)
 
     @cached_property
     def _old_linear(self) -> _Linear | None:
@@ -308,6 +317,22 @@ class _World:
         if name not in self._kept:
             self._kept[name] = self._old_linear.left(name)
         return self._kept[name]
+
+    def _moved(self, name: str, new: Record) -> float:
+        """Return how far an unseen effect moves the centreline over old runs and block, mm RMS."""
+        squares = len(new) * new.rms_mm(self._shift(name, new)) ** 2
+        frames = sum(run.frames for run in self.runs)
+        if self.old is not None:
+            key = ("moved", name)
+            if key not in self._kept:
+                self._kept[key] = self.old.rms_mm(self._shift(name, self.old))
+            squares += frames * self._kept[key] ** 2
+        return float(np.sqrt(squares / (len(new) + frames)))
+
+    def _shift(self, name: str, record: Record) -> Floats:
+        effects, params = self.with_hidden(name)
+        there = self.predicted(record, effects, params)
+        return there - self.predicted(record, self.found, self.params[self.found])
 
     # --- what is predicted ----------------------------------------------------------------------
 
@@ -329,15 +354,15 @@ class _World:
         middle = np.where(layout.log, layout.start, 0.5 * (layout.null + layout.high))
         return dict(zip(layout.labels, map(float, middle)))
 
-    def _needs(self, name: str) -> list[str]:
+    def needs(self, name: str) -> list[str]:
         return list(self.registry[name].get("needs", []))
 
     def _predicted(self, name: str, parts: Sequence[Record]) -> bool:
-        return not any(part.missing(self._needs(name)) for part in parts)
+        return not any(part.missing(self.needs(name)) for part in parts)
 
-    def _declared(self, name: str) -> bool:
+    def declared(self, name: str) -> bool:
         """Whether the old runs declare what an effect needs."""
-        return self.old is None or not self.old.missing(self._needs(name))
+        return self.old is None or not self.old.missing(self.needs(name))
 
 
 class _Linear:
@@ -368,10 +393,7 @@ class _Linear:
 
     def left(self, name: str) -> float:
         """Return the chi² that is left of an effect at mid-range."""
-        effects, params = self.world.with_hidden(name)
-        shift = np.concatenate([self.world.predicted(p, effects, params) for p in self.parts]) - np.concatenate(
-            self._base
-        )
+        shift = np.concatenate([self.world._shift(name, part) for part in self.parts])
         shift = np.where(np.isfinite(self.problem.record.seen), shift, np.nan)
         white = self.problem.white(self.problem.whitener.modes(shift) * self.problem.gain)
         if not len(self._jacobian):
