@@ -99,7 +99,7 @@ def old(tmp_path_factory):
 def test_a_bundle_without_these_fields_is_read_and_answers_loads_as_before(old):
     t = np.arange(float(len(COMMANDS)))
     run = Run(t=t, command=COMMANDS, t_seen=t, gravity=np.array([0.6, 0.0, 0.8]), load=np.full(len(t), 20.0))
-    np.testing.assert_allclose(old.predict(run), builtin_model().predict(run), atol=1e-9)
+    np.testing.assert_allclose(old.predict(run), builtin_model().predict(run), atol=1e-4)  # float32
     assert old.lacking("payload") == [] and old.lacking("tendon_stretch") == []
     assert old.lacking("twist") == ["twist"] and builtin_model().lacking("twist") == []
     with pytest.raises(SoftmapError, match="field twist, which this model does not have"):
@@ -113,7 +113,7 @@ def test_an_effect_without_its_field_is_told_untestable(old):
     seen = points + np.random.default_rng(0).normal(scale=0.1, size=points.shape)
     run = Run(t=t, command=command, t_seen=t, vertices=seen)
     found = diagnose(old, run, effects=["gain", "twist"])
-    told = {row["name"]: row["why"] for row in found.to_dict()["untestable"]}
+    told = {row["name"]: row["why"] for row in found.to_dict()["not_testable"]}
     assert "no field twist" in told["twist"]
 
 

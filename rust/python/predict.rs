@@ -14,6 +14,14 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
 
+/// Places, fields and cables of the stations that an obstacle can stop, and their radii.
+type Stations<'py> = (
+    PyRef<'py, PyShape>,
+    Bound<'py, PyDict>,
+    Option<PyRef<'py, PyCables>>,
+    Vec<f64>,
+);
+
 /// Commands → chain → prior and fields → sensing, batched: what every fit calls.
 #[pyclass(name = "Predictor", module = "softmap_edge._core", frozen)]
 pub struct PyPredictor {
@@ -34,12 +42,7 @@ impl PyPredictor {
         gravity_reference: Value<'_, '_>,
         cables: Option<PyRef<'_, PyCables>>,
         declared_loads: bool,
-        contact: Option<(
-            PyRef<'_, PyShape>,
-            Bound<'_, PyDict>,
-            Option<PyRef<'_, PyCables>>,
-            Vec<f64>,
-        )>,
+        contact: Option<Stations<'_>>,
     ) -> PyResult<PyPredictor> {
         let shapes = named(fields)?;
         let reference = vector("gravity_reference", gravity_reference)?;
