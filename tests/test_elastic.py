@@ -238,7 +238,7 @@ def test_a_run_of_another_robot_is_refused(run):
 
 def test_one_newton_across_the_tip_moves_it_by_a_tenth_of_the_length(learned):
     fields = learned.rod.fields()
-    assert set(fields) == set(_core.FIELDS)
+    assert set(fields) == set(_core.LOADS)
     moved = [np.linalg.norm(fields[f"tip_force_{a}"].evaluate(np.zeros((1, 6)))[0, -3:]) for a in "xy"]
     assert np.mean(moved) == pytest.approx(12.0, rel=1e-6)
 

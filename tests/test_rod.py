@@ -156,7 +156,7 @@ def test_one_newton_across_the_tip_moves_it_by_a_tenth_of_the_length():
     lengths[0] = 120.0, 80.0
     compliance = 0.1 * 200.0 / ((120.0**3 + 80.0**3) / 12.0)
     fields = RodParameters(np.zeros(3), np.zeros(1), np.ones(1), 1, straight, lengths, compliance).fields()
-    assert set(fields) == set(_core.FIELDS)
+    assert set(fields) == set(_core.LOADS)
     home = np.zeros((1, 1))
     np.testing.assert_allclose(fields["tip_force_x"].evaluate(home)[0, 3:], [20.0, 0.0, 0.0], atol=1e-9)
     # An even weight of 1 N, as a plain sum: moment less its mean on each chord, times the arm to the tip.

@@ -27,7 +27,7 @@ from softmap_edge.elsewhere.scattered import fit_scattered
 from softmap_edge.elsewhere.sweep_file import ShapeSweep, is_own_sweep, is_shape_sweep
 from softmap_edge.errors import SweepError, brief
 from softmap_edge.model import NOMINAL, Arrays, Model, tip_of
-from softmap_edge.solid.build import FIELD_MODES, FIELD_STEPS, Progress, from_sweep, leading
+from softmap_edge.solid.build import FIELD_STEPS, Progress, from_sweep, leading
 from softmap_edge.solid.simulator import Simulator, Sweep, tensor_grid
 
 Floats = NDArray[np.float64]
@@ -36,6 +36,7 @@ Errors = list[tuple[Floats, Floats]]  # coefficients left out (n, m), and what t
 MODES = 48  # at most
 HELD = 1e-4  # of the movement: so much may be outside the modes
 MODE_ROWS = 1500  # shapes at most from which modes are found
+FIELD_MODES = 12
 FIELD_NODES = 120  # commands of a scattered sweep at which loads are computed
 FIELD_NUMBERS = 3_500_000  # commands × points: the fields of more would not fit
 KINK_ORDER = 1.5
