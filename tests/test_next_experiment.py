@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softmap_edge import Run, builtin_model, diagnose, next_experiment
+from softmap_edge import Run, _core, builtin_model, diagnose, next_experiment
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.diagnose import Diagnosis
 from softmap_edge.errors import SoftmapError
@@ -116,6 +116,15 @@ def test_what_no_block_settles_is_left_to_what_the_library_says():
     open_ones = [e for e in ranked if e.plan is None]
     assert all(e.separation is None and e.settles for e in open_ones)
     assert next_experiment(MODEL, document(), []) == []
+
+
+def test_every_effect_of_the_library_can_be_asked_for():
+    """Also those that this model has no field for, and those that need what no block declares."""
+    names = [e["name"] for e in _core.effects()]
+    hidden = [{"name": name, "why": "", "experiment": ""} for name in names]
+    ranked = next_experiment(MODEL, document(not_testable=hidden), [])
+    assert {name for e in ranked for name in e.settles} == set(names)
+    assert not {name for name in names if MODEL.lacking(name)} & {n for e in ranked if e.plan for n in e.settles}
 
 
 def test_blocks_are_taken_until_all_is_settled_or_time_is_up(ambiguous):

@@ -67,7 +67,8 @@ class World:
         self.setting = Setting.after(runs, model.gravity_reference)
         self.bare = _blank_record(model, self.setting, library)
         self.old = record_of(model, _thinned(runs), library) if runs else None
-        self.names = [n for n in self.registry if any(n in s for s in sets) or n in self.hidden]
+        asked = [n for n in self.registry if any(n in s for s in sets) or n in self.hidden]
+        self.names = [n for n in asked if not model.lacking(n)]  # what the model has no field for is not simulated
         self.params: dict[tuple[str, ...], dict[str, float]] = {}
         if runs:
             problem = _problem(record_of(model, runs, library), [n for n in self.names if self.declared(n)])
@@ -111,6 +112,8 @@ class World:
                 apart = 0.0
                 if self._resolvable(question, changes):
                     apart = min(self._apart(problem, [*parts, new], a, b) for a, b in ways)
+            elif question.hidden not in self.names:
+                apart = 0.0
             elif self.declared(question.hidden):
                 apart = both.left(question.hidden) - self._hidden_before(question.hidden)
                 apart = apart if self._moved(question.hidden, new) >= VISIBLE_MM else 0.0
