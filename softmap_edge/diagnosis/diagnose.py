@@ -273,7 +273,7 @@ def _candidates(
     impossible = []
     for name in names:
         missing = record.missing(registry[name].get("needs", []))
-        if registry[name]["role"] == "channel" and record.model.channels == 0:
+        if record.model.channels == 0 and (registry[name]["role"] == "channel" or not record.layout((name,)).labels):
             impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
         elif lacking := record.model.lacking(name):
             why = f"this model has no field {lacking[0]}"

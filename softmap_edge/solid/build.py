@@ -220,6 +220,8 @@ def _sizes(compliance: Compliance, flat: dict[str, Floats], pull: Floats, stiffn
         left = values.copy()
         for s, stretch in enumerate(compliance.stretch):
             taut = np.flatnonzero(pull[s] > 0.0)
+            if not len(taut):
+                continue
             matrix = np.eye(len(taut)) / stiffness - stretch[np.ix_(taut, count + taut)]
             answer = np.linalg.solve(matrix, stretch[taut, _core.FIELDS.index(name)])
             left[s] += answer @ np.array([flat[f"tension_{t}"][s] for t in taut]).reshape(len(taut), -1)
