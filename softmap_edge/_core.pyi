@@ -272,7 +272,7 @@ class Solid:
         load_at: tuple[float, float, float] | None = None,
         points: _Floats | None = None,
         tolerance: float = 2.5,
-        change: list[tuple[str, float]] = [],
+        change: list[tuple[str, float]] = ...,
     ) -> Self: ...
     vertices: _Floats
     triangles: NDArray[np.int32]

@@ -245,7 +245,7 @@ def test_what_no_effect_explains_is_no_effect(name):
     assert whole.verdict == "identified" and named(whole) == {name}
     rest = [e["name"] for e in _core.effects() if e["name"] != name]
     found = diagnose(builtin_model(), run, effects=rest)
-    assert found.verdict == "partly_explained"
+    assert found.verdict in ("partly_explained", "ambiguous")  # never identified: thirty others stand in its place
     values = [found.error["model"]] + [step["value"] for step in found.error["ladder"]]
     assert values[-1] == min(values)
 
@@ -288,7 +288,8 @@ def test_finger_that_is_partly_seen():
     found = diagnose(model, replace(run, visible=late))
     assert named(found) == {"backlash"} and found.made_from["run"] == replace(run, visible=late).hash()
     blind = diagnose(model, replace(run, visible=base))
-    assert blind.verdict == "cannot_tell" and len(blind.not_testable) == len(blind.made_from["candidates"])
+    hidden = {row["name"] for row in blind.not_testable}
+    assert blind.verdict == "cannot_tell" and hidden >= set(blind.made_from["candidates"])
     for document in (found, blind, compare(model, replace(run, visible=base))):
         assert str(document) and json.dumps(document.to_dict(), allow_nan=False)
 
