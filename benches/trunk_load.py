@@ -98,9 +98,9 @@ def rods(free: Run) -> dict[str, float]:
     return found
 
 
-def diagnosed(model: Model, loaded: Run) -> Diagnosis:
-    """Return the diagnosis of the loaded run's frames before `FITTED`."""
-    return diagnose(model, loaded.at(loaded.t_seen < FITTED))
+def diagnosed(model: Model, loaded: Run, reference: Run | None = None) -> Diagnosis:
+    """Return the diagnosis of the loaded run's frames before `FITTED`, relative to a `reference` if one is given."""
+    return diagnose(model, loaded.at(loaded.t_seen < FITTED), reference=reference)
 
 
 def report(folder: Path) -> Iterator[str]:
@@ -112,7 +112,9 @@ def report(folder: Path) -> Iterator[str]:
         numbers[f"100 g, {effects} ({count} numbers), later, mm"] = later
     for effects, _, later in load_table(slack, loaded, (("payload",), ("payload", "offset"))):
         numbers[f"100 g, tendons free, {effects}, later, mm"] = later
-    found = diagnosed(model, loaded)
-    numbers["100 g, as diagnosed, later, mm"] = error(found.model, loaded)
+    found = {"": diagnosed(model, loaded), " with the unloaded run": diagnosed(model, loaded, free)}
+    for how, one in found.items():
+        numbers[f"100 g, as diagnosed{how}, later, mm"] = error(one.model, loaded)
     yield from (f"{name:<52} {value:8.3f}" for name, value in numbers.items())
-    yield from ["", *str(found).splitlines()]
+    for one in found.values():
+        yield from ["", *str(one).splitlines()]

@@ -85,6 +85,29 @@ def test_the_error_falls_on_moves_that_nothing_was_fitted_to(page):
         assert_error_falls(compare(model, later), compare(model, later))
 
 
+def test_the_unloaded_run_as_the_model_gives_the_same_answer_with_more_power(page):
+    from softmap_edge import compare
+
+    names = page[1]
+    alone, paired = names["found"], names["paired"]
+    mine, other = ({e["name"]: e for e in d.effects} for d in (alone, paired))
+    assert set(mine) == set(other) and {"payload", "offset"} <= set(other)
+    said = set(other) | {name for rival in paired.rivals for name in rival["effects"]}
+    assert "gain" in said and paired.made_from["reference"]["share"] == 0.0
+    before, after = zip(*((d.error["model"], d.error["ladder"][-1]["value"]) for d in (alone, paired)))
+    assert 1.0 - after[1] / before[1] > 1.0 - after[0] / before[0] + 0.05
+    masses = [e["payload"]["params"]["payload.mass"] for e in (mine, other)]
+    clear = [mass["value"] / mass["sigma"] for mass in masses]
+    assert clear[1] > clear[0]
+    rows = {
+        "held-out error on blocks, before and after, mm": [before[0], after[0], before[1], after[1]],
+        "payload, in standard deviations": clear,
+        "later seconds, mm": [compare(d.model, names["later"]).error["rms_mm"] for d in (alone, paired)],
+    }
+    for row, values in rows.items():
+        assert numbers(row) == pytest.approx(values, abs=0.06), row
+
+
 def numbers(row):
     """Return the numbers of one row of a table of the page, to the right of its first column."""
     found = re.search(rf"^\| {re.escape(row)} \|(.*)\|$", PAGE, re.MULTILINE)

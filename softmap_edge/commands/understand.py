@@ -56,6 +56,9 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("runs", nargs="+", metavar="run", help="the measured run, .npz; several share their effects")
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
     parser.add_argument("--held-out", metavar="RUN", help="an independent run that is never fitted")
+    parser.add_argument(
+        "--reference", metavar="RUN", help="a run of the same commands that stands for the model's own error"
+    )
     effects_argument(parser, "; NAME,NAME: look for these only, and for those of the files")
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
     parser.add_argument("--out", metavar="FILE", help="write the diagnosis as JSON, for `softmap add --from`")
@@ -77,10 +80,10 @@ def diagnose(args: argparse.Namespace) -> int:
     own = load_own(args)
     wanted = [*dict.fromkeys([*names, *own])] if names else None
     model, runs = open_model(args.bundle), [_run(path) for path in args.runs]
-    held_out = _run(args.held_out) if args.held_out else None
-    for run in runs:
+    held_out, reference = (_run(path) if path else None for path in (args.held_out, args.reference))
+    for run in [*runs, *([reference] if reference else [])]:
         _warn("diagnose", model, run)
-    found = find(model, runs, held_out, wanted, args.seed, _progress(args))
+    found = find(model, runs, held_out, wanted, args.seed, _progress(args), reference=reference)
     if args.out:
         _write_json(args.out, found.to_dict())
     print(json.dumps(found.to_dict(), indent=1) if args.json else found)

@@ -8,7 +8,7 @@ tests/test_diagnosis.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -348,6 +348,7 @@ def _made_from(
         "seed": seed,
         "run": record.whole[0].hash() if len(record.whole) == 1 else [run.hash() for run in record.whole],
         "held_out": None if other is None else other.whole[0].hash(),
+        "reference": None if record.replay is None else asdict(record.replay),
         "frames": len(record),
         "robot": getattr(record.model, "robot", None),
         "own_effects": list(record.model.chain_names),

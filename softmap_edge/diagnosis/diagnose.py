@@ -134,6 +134,7 @@ def diagnose(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
     library: Any = None,
+    reference: Run | None = None,
 ) -> Diagnosis:
     """Find out which effect a model lacks.
 
@@ -146,14 +147,16 @@ def diagnose(
         seed: kept in the document; the method itself draws nothing at random.
         progress: hears one line per stage.
         library: where effects come from; the compiled core by default.
+        reference: a run of the same commands that stands for the model's own error (paired replay): what acts alike
+            in both cancels out, and every error but that on `held_out` is relative to it.
 
     Returns:
         Diagnosis: verdict, effects with parameters and sigma, rivals, what cannot be told, the held-out error ladder.
 
     Raises:
-        SoftmapError: too few frames, unknown effects, a run of another robot.
+        SoftmapError: too few frames, unknown effects, a run of another robot, a reference of other commands.
     """
-    record = record_of(model, run, library)
+    record = record_of(model, run, library, reference)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = _candidates(record, registry, effects)
     problem = _problem(record, candidates)
@@ -169,8 +172,9 @@ def diagnose(
     else:  # form error can swallow what a static effect does wrong on unseen blocks; in mm it shows
         fit, demoted = _demote(search, fit, search.held_out_mm, 1.0)
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
-    document = conclude(search, fit, other, demoted, impossible, _own_misfit(record), seed)
-    document["sentence"] += _outside(record)
+    own = _own_misfit(record) if record.replay is None else None  # wrong numbers of its own cancel out too
+    document = conclude(search, fit, other, demoted, impossible, own, seed)
+    document["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
     told = servos(record.whole[0], [*candidates, *record.model.chain_names]) if library is None else []
     return Diagnosis(**document, servo=told, model=found)
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.conditions import Conditions, conditions
+from softmap_edge.diagnosis.paired import Replay, pair
 from softmap_edge.errors import SoftmapError
 
 if TYPE_CHECKING:
@@ -56,19 +57,37 @@ class Layout:
 class Record:
     """One run: measured features (K, F) mm, the commands behind them, and predictions for any chain of effects."""
 
-    def __init__(self, model: Any, run: Run, library: Any = None) -> None:
-        """Bind a model to a run; `library` has `Chain(names, channels)` and `effects()` (the compiled core)."""
+    seen: Floats  # (K, F) mm
+    form_error: Floats  # (V, 3) mm
+
+    def __init__(self, model: Any, run: Run, library: Any = None, reference: Run | None = None) -> None:
+        """Bind a model to a run; `library` has `Chain(names, channels)` and `effects()` (the compiled core).
+
+        With a `reference` that plays the same commands, what the model misses there is taken off what is seen.
+        """
         if library is None:
             from softmap_edge import _core as library
-        self.model, self.run, self.library = model, run, library
+        self.model, self.library = model, library
         self.whole: tuple[Run, ...] = (run,)
+        self.replay: Replay | None = None
+        self._bind(run)
+        if reference is not None:
+            self.replay, missed, form = pair(self, Record(model, reference, library))
+            met = np.isfinite(missed).any(axis=1)
+            if not met.all():
+                self._bind(self.run.at(met))
+            self.seen, self.form_error = self.seen - missed[met], form
+
+    def _bind(self, run: Run) -> None:
+        """Take the frames of a run in which anything is seen: others hold nothing out, their loss speaks for nobody."""
+        model = self.model
         seen = np.asarray(model.seen_features(run), float)
         some = np.isfinite(seen).any(axis=(1, 2))
-        if not some.all():  # a frame in which nothing is seen holds nothing out, and its loss of 0 speaks for nobody
-            self.run, seen = run.at(some), seen[some]
-            run = self.run
+        if not some.all():
+            run, seen = run.at(some), seen[some]
+        self.run = run
         self.frames, self.features = seen.shape[0], seen.shape[1] * 3
-        self.seen: Floats = seen.reshape(self.frames, self.features)
+        self.seen = seen.reshape(self.frames, self.features)
         self.t_seen: Floats = np.asarray(run.t_seen, float)
         self.u: Floats = np.asarray(model.commands(run), float)
         t = np.asarray(run.t, float)
@@ -77,7 +96,7 @@ class Record:
         mapping = model.run_feature_map(run)
         self.positions: NDArray[np.bool_] = np.asarray(mapping.positions, bool)
         self.section: NDArray[np.int64] = np.asarray(mapping.section)
-        self.form_error: Floats = np.asarray(model.run_form_error(run), float)
+        self.form_error = np.asarray(model.run_form_error(run), float)
         self.block: NDArray[Any] | None = run.block
 
     # --- what the run declares ------------------------------------------------------------------
@@ -181,13 +200,13 @@ class Record:
 class Records(Record):
     """Several runs of one robot, one after the other."""
 
-    def __init__(self, model: Any, runs: Sequence[Run], library: Any = None) -> None:
-        """Bind a model to several runs.
+    def __init__(self, model: Any, runs: Sequence[Run], library: Any = None, reference: Run | None = None) -> None:
+        """Bind a model to several runs, each of which plays the commands of the `reference` if there is one.
 
         Raises:
             SoftmapError: the runs are not seen in the same way.
         """
-        parts = [Record(model, run, library) for run in runs]
+        parts = [Record(model, run, library, reference) for run in runs]
         kinds = [(part.features, len(part.positions)) for part in parts]
         if len(set(kinds)) > 1:
             raise SoftmapError(
@@ -195,6 +214,7 @@ class Records(Record):
                 "together must be seen in the same way, so diagnose them apart"
             )
         self.parts, self.model, self.library = parts, model, parts[0].library
+        self.replay = max((p.replay for p in parts if p.replay is not None), key=lambda r: r.share, default=None)
         self.whole = tuple(runs)
         self.frames, self.features = sum(part.frames for part in parts), parts[0].features
         self.seen = np.concatenate([part.seen for part in parts])
@@ -267,16 +287,18 @@ class Records(Record):
         return np.concatenate([part.slopes(names, own) for part, own in self._each(names, params)], axis=1)
 
 
-def record_of(model: Any, run: Run | Sequence[Run], library: Any = None) -> Record:
-    """Return one run, or several, as a fit sees them.
+def record_of(model: Any, run: Run | Sequence[Run], library: Any = None, reference: Run | None = None) -> Record:
+    """Return one run, or several, as a fit sees them; relative to a `reference` if one is given.
 
     Raises:
-        SoftmapError: no run at all, or runs that are not seen in the same way.
+        SoftmapError: no run at all, runs that are not seen in the same way, a reference of other commands.
     """
     runs = list(run) if isinstance(run, Sequence) else [run]
     if not runs:
         raise SoftmapError("no run is given; a diagnosis wants at least one")
-    return Record(model, runs[0], library) if len(runs) == 1 else Records(model, runs, library)
+    if len(runs) == 1:
+        return Record(model, runs[0], library, reference)
+    return Records(model, runs, library, reference)
 
 
 def _per_mm(model: Any, library: Any, labels: Sequence[str], units: Sequence[str]) -> Floats:

@@ -1,0 +1,200 @@
+"""Paired replay: a reference run that plays the same commands stands for what the model gets wrong.
+
+    seen'(t) = seen(t) - [reference(t + s) - model(reference)(t + s)]
+
+What the model misses on the reference at the same place of the replay (same command, same past) is taken off what is
+seen, so that its own error cancels out, and so does every effect that acts alike in both runs. The reference is read
+linearly between frames; s is the shift in time at which the commands agree. What is left to doubt:
+- the camera: the noise of a difference, twice that of one run where frames meet, comes out of the replicates as it is;
+- a table: KEPT of its form error. Where an effect moves the acting command by 1-2 of 32 mm, an error that varies over
+  0.4 of the range changes by about a sixth; and what another gravity or load adds to it;
+- a rod, whose stated error is mostly that the robot does not repeat itself: per feature 2·(var a - cov(a, b)) of the
+  residuals a of the reference and b of the run, what the reference does not share with the run, twice.
+Units: those of the commands, mm, s. Limits: an effect in both runs is never seen; one that acts on top of another
+(more load on a softened body) is seen to first order. Pinned by tests/test_paired.py and tests/test_trunk.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import SoftmapError
+
+if TYPE_CHECKING:
+    from softmap_edge.diagnosis.record import Record
+
+Floats = NDArray[np.float64]
+
+AGREE = 0.01  # of the range of the commands: RMS difference up to which two runs play the same
+KEPT = 0.2  # of a table's form error that a change of condition leaves
+GAPS = 3.0  # median periods of the reference: it is not read across longer gaps
+LEAST_OVERLAP = 0.5  # of the frames of a run, which the reference must have seen too
+GRID = 200_000  # rows at most that are looked at for the shift in time
+FLOOR = 0.01  # mm: no robot repeats itself better than this
+LEAST_FRAMES = 8
+
+
+@dataclass(frozen=True)
+class Replay:
+    """How a reference run meets a run: by what its time is shifted, and how far the commands differ (RMS)."""
+
+    run: str  # hash of the reference
+    shift_s: float
+    differ: float
+    share: float
+    unit: str
+    frames: int
+
+    def __str__(self) -> str:
+        return (
+            f"All of this is relative to the reference run, whose commands agree within {self.differ:.2g} {self.unit} "
+            f"RMS ({100 * self.share:.2g} % of their range): what acts alike in both runs cancels out and is not seen"
+        )
+
+
+def pair(record: Record, reference: Record) -> tuple[Replay, Floats, Floats]:
+    """Bring a run and its reference together.
+
+    Args:
+        record: the run, K frames of F features. reference: the run that stands for the model, seen in the same way.
+
+    Returns:
+        tuple: how they meet; what the model misses on the reference at the run's frames (K, F) mm, NaN where the
+        reference does not tell; and the form error (V, 3) mm that is left of the model's own.
+
+    Raises:
+        SoftmapError: points of another kind or place, commands that differ, too little in common.
+    """
+    _check_points(record, reference)
+    played = all(r.run.command is not None for r in (record, reference))  # else what encoders say of it
+    ours, theirs = (np.asarray(r.run.command if played else r.u, float) for r in (record, reference))
+    shift = _shift(np.asarray(record.run.t, float), ours, np.asarray(reference.run.t, float), theirs)
+    at = record.t_seen + shift
+    differ, share = _differ(record.t_seen, at, record, reference, ours, theirs)
+    inside = _read(at, reference.t_seen, reference.seen)
+    met = np.isfinite(inside).any(axis=1)
+    if met.sum() < max(LEAST_FRAMES, LEAST_OVERLAP * len(record)):
+        raise SoftmapError(
+            f"the reference run was seen at {int(met.sum())} of the {len(record)} frames of this run, at least "
+            f"{max(LEAST_FRAMES, int(LEAST_OVERLAP * len(record)))} are needed; record both for as long, with the "
+            "camera on, or diagnose without --reference"
+        )
+    base = reference.predict(reference.model.chain_names, reference.own()[None])[0]
+    missed = _read(at, reference.t_seen, reference.seen - base)
+    replay = Replay(
+        reference.whole[0].hash(), shift, differ, share, getattr(record.model, "command_unit", "mm"), int(met.sum())
+    )
+    return replay, missed, _form_left(record, reference, missed)
+
+
+def _check_points(record: Record, reference: Record) -> None:
+    if record.features != reference.features or not np.array_equal(record.positions, reference.positions):
+        raise SoftmapError(
+            f"the reference run shows {reference.features} features a frame, this run {record.features}; both must be "
+            "seen in the same way (vertices, or the same markers)"
+        )
+    rests = [getattr(r.run, "marker_rest", None) for r in (record, reference)]
+    if rests[0] is not None and rests[1] is not None:
+        apart = float(np.abs(np.asarray(rests[0], float) - np.asarray(rests[1], float)).max(initial=0.0))
+        if apart > 1.0:
+            raise SoftmapError(
+                f"the markers of the reference run sit up to {apart:.2g} mm from those of this run, 1 mm is allowed; "
+                "record both with the markers in place, or diagnose without --reference"
+            )
+
+
+def _differ(
+    t: Floats, at: Floats, record: Record, reference: Record, ours: Floats, theirs: Floats
+) -> tuple[float, float]:
+    """Return how far the commands of the worst channel differ at the frames, RMS, and as a share of the range."""
+    if ours.shape[1] != theirs.shape[1]:
+        raise SoftmapError(
+            f"the reference run has {theirs.shape[1]} commands a sample, this run {ours.shape[1]}; it is another robot"
+        )
+    inside = (at >= reference.run.t[0]) & (at <= reference.run.t[-1])
+    if not ours.shape[1] or not inside.any():
+        return 0.0, 0.0
+    t, at = t[inside], at[inside]
+    columns = zip(ours.T, theirs.T)
+    off = [np.interp(t, record.run.t, mine) - np.interp(at, reference.run.t, other) for mine, other in columns]
+    apart = np.sqrt(np.mean(np.square(off), axis=1))
+    span = np.ptp(theirs, axis=0)
+    share = apart / np.maximum(np.where(span > 1e-9, span, span.max(initial=0.0)), 1e-9)
+    worst = int(np.argmax(share))
+    if not share[worst] <= AGREE:
+        unit = getattr(record.model, "command_unit", "mm")
+        raise SoftmapError(
+            f"the reference run does not play the commands of this run: channel {worst} differs by "
+            f"{apart[worst]:.3g} {unit} RMS, {100 * share[worst]:.2g} % of its range, allowed are {100 * AGREE:g} %; "
+            "record both from one command file (`softmap next` writes one), or diagnose without --reference"
+        )
+    return float(apart[worst]), float(share[worst])
+
+
+def _shift(t: Floats, u: Floats, t_ref: Floats, u_ref: Floats) -> float:
+    """Return by what (s) to shift times of the run so that the commands of the reference agree best.
+
+    Time stamps as they are, if those agree; else the lag with the least mean square difference over the overlap.
+    """
+    if not u.shape[1] or u.shape[1] != u_ref.shape[1] or min(len(t), len(t_ref)) < 2:
+        return 0.0
+    span = np.maximum(np.ptp(u_ref, axis=0), 1e-9)
+    inside = (t >= t_ref[0]) & (t <= t_ref[-1])
+    if inside.mean() >= LEAST_OVERLAP:
+        columns = zip(u.T, u_ref.T)
+        off = np.stack([np.interp(t[inside], t_ref, theirs) - mine[inside] for mine, theirs in columns], axis=1)
+        if np.all(np.sqrt(np.mean((off / span) ** 2, axis=0)) <= AGREE):
+            return 0.0
+    step = max(float(np.median(np.diff(t_ref))), (np.ptp(t) + np.ptp(t_ref)) / GRID, 1e-6)
+    a, b = (_gridded(*pair, step) / span for pair in ((t, u), (t_ref, u_ref)))
+    size = 1 << (len(a) + len(b) - 1).bit_length()
+    lags = np.arange(-(len(a) - 1), len(b))  # row k of the run meets row k + lag of the reference
+    both = np.fft.irfft(np.fft.rfft(b, size, axis=0) * np.conj(np.fft.rfft(a, size, axis=0)), size, axis=0).sum(axis=1)
+    first, last = np.maximum(0, -lags), np.minimum(len(a), len(b) - lags)
+    sums = [np.r_[0.0, np.cumsum(np.sum(x**2, axis=1))] for x in (a, b)]
+    squares = sums[0][last] - sums[0][first] + sums[1][last + lags] - sums[1][first + lags] - 2.0 * both[lags]
+    count = last - first
+    mean = np.where(count >= LEAST_OVERLAP * len(a), squares / np.maximum(count, 1), np.inf)
+    if not np.isfinite(mean).any():
+        return 0.0
+    return float(t_ref[0] - t[0] + step * lags[int(np.argmin(mean))])
+
+
+def _gridded(t: Floats, u: Floats, step: float) -> Floats:
+    """Return commands at regular times from the first on."""
+    grid = t[0] + step * np.arange(max(2, int(np.ptp(t) / step) + 1))
+    return np.stack([np.interp(grid, t, column) for column in u.T], axis=1)
+
+
+def _read(at: Floats, t: Floats, values: Floats) -> Floats:
+    """Return `values` (K, F) seen at t (K,) at other times (n,): linear; NaN beyond the ends and across gaps."""
+    after = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
+    before = after - 1
+    gap = t[after] - t[before]
+    share = np.where(gap > 0, (at - t[before]) / np.maximum(gap, 1e-12), 0.0)
+    share = np.where(np.abs(share - np.round(share)) < 1e-6, np.round(share), share)[:, None]
+    with np.errstate(invalid="ignore"):
+        lower = np.where(share < 1.0, (1.0 - share) * values[before], 0.0)
+        upper = np.where(share > 0.0, share * values[after], 0.0)
+    told = (share >= 0.0) & (share <= 1.0)
+    told &= (gap <= GAPS * np.median(np.diff(t)))[:, None] | (share == 0.0) | (share == 1.0)
+    return np.where(told, lower + upper, np.nan)
+
+
+def _form_left(record: Record, reference: Record, missed: Floats) -> Floats:
+    """Return what is left (V, 3) mm of the model's own error in the difference of the runs."""
+    if record.model.kind != "rod":
+        mine, theirs = record.form_error, reference.form_error
+        return np.asarray(np.sqrt((KEPT * theirs) ** 2 + np.maximum(mine**2 - theirs**2, 0.0)))
+    base = record.predict(record.model.chain_names, record.own()[None])[0]
+    ours = record.seen - base
+    both = np.isfinite(ours) & np.isfinite(missed)
+    count = np.maximum(both.sum(axis=0), 1)
+    a, b = (np.where(both, x, 0.0) for x in (missed, ours))
+    a, b = (np.where(both, x - x.sum(axis=0) / count, 0.0) for x in (a, b))
+    unshared = 2.0 * np.sum(a * (a - b), axis=0) / count
+    return np.asarray(np.sqrt(np.maximum(unshared, FLOOR**2)).reshape(-1, 3))
