@@ -2,7 +2,8 @@
 
 A picture shows one recording without and with the effect. Effects on commands, at their start: what is told and what
 acts over time, then what the effect adds against what is told, or the plane of both channels where one moves the other.
-Effects on the shape and on what is seen, at mid-range: postures of the built-in finger, then what is added at its tip.
+Effects on the shape and on what is seen, at mid-range: postures of the built-in finger, then what is added at its tip;
+those that change a number of the prior, on an elastic rod of the same length.
 """
 
 from __future__ import annotations
@@ -106,14 +107,18 @@ def pictured(effect: dict[str, Any]) -> bytes:
     run = Run(t=t, command=u, t_seen=t, temperature=warm, cameras=CAMERAS)
     chain = _core.Chain([effect["name"]], 2)
     commands = effect["role"] == "channel"
-    params = chain.start if commands else 0.5 * (chain.null + chain.high)
+    far = np.where(chain.high > chain.null, chain.high, chain.low)
+    params = chain.start if commands else 0.5 * (chain.null + far)
     with matplotlib.rc_context({**STYLE, "svg.hashsalt": effect["name"]}):
         figure = Figure(figsize=(8.0, 2.7), layout="constrained")
         if commands:
             _channel(figure, t, u, chain.rollout(params[None], u, t, temperature=warm)[0])
         else:
             sets = np.stack([chain.null, params])
-            frames = model.predict_features((effect["name"],), sets, run)[:, :, model.positions]
+            if effect["role"] == "prior":
+                frames = _rod().predict(chain, sets, u, t, t)
+            else:
+                frames = model.predict_features((effect["name"],), sets, run)[:, :, model.positions]
             _seen(figure, t, moments, frames[0], frames[1])
         units = ("" if unit == "1" else f" {unit}" for unit in chain.units)
         given = ", ".join(f"{n.split('.')[1]} {v:.3g}{unit}" for n, v, unit in zip(chain.labels, params, units))
@@ -121,6 +126,15 @@ def pictured(effect: dict[str, Any]) -> bytes:
         target = io.BytesIO()
         figure.savefig(target, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
         return target.getvalue()
+
+
+def _rod() -> _core.Predictor:
+    """Return an elastic rod of 105 mm, bent by four tendons 6 mm off its axis that push as they pull."""
+    quarter = np.pi / 2 * np.arange(4.0)
+    numbers = [[1.0], quarter, [6.0] * 4, np.zeros(4), [30.0], [105.0], np.zeros(2), np.zeros(3), np.zeros(2)]
+    tendons = [0] * 4, [0, 1, 0, 1], [1.0, 1.0, -1.0, -1.0]
+    rod = _core.ElasticRod(1, 2, *tendons, list(np.linspace(0.0, 1.0, 10)[1:]), np.concatenate(numbers))
+    return _core.Predictor(rod, {}, [True] * 9, np.array([0.0, 0.0, 1.0]))
 
 
 def _channel(figure: Figure, t: Floats, u: Floats, acts: Floats) -> None:

@@ -29,6 +29,16 @@ impl Fields {
         }
     }
 
+    /// The same fields of a body of which one number is multiplied; a field that has no such number stays as it is.
+    pub fn with_number(&self, name: &str, factor: f64) -> Fields {
+        let changed = |field: &Arc<dyn Shape>| {
+            let other = field.with_number(name, factor);
+            other.unwrap_or_else(|| field.clone())
+        };
+        let members = self.members.iter();
+        Fields::new(members.map(|field| field.as_ref().map(changed)).collect())
+    }
+
     /// Number of fields, absent ones included.
     pub fn count(&self) -> usize {
         self.members.len()

@@ -23,11 +23,17 @@ use std::sync::Arc;
 /// Coefficients smaller than this (g, N) ask for no field: 1e-6 g moves no finger by a micrometre.
 const NEGLIGIBLE: f64 = 1e-6;
 
-/// A prior, its fields and what the outputs are.
-pub struct Predictor {
+/// What bends: a prior and its fields.
+#[derive(Clone)]
+struct Body {
     prior: Arc<dyn Shape>,
     /// Fields of the dead loads, then of the cables.
-    fields: Fields,
+    fields: Arc<Fields>,
+}
+
+/// A prior, its fields and what the outputs are.
+pub struct Predictor {
+    body: Body,
     cables: Option<Cables>,
     contact: Option<Contact>,
     positions: Vec<bool>,
@@ -47,9 +53,11 @@ struct Job<'a> {
     cameras: Vec<Camera>,
     /// Clock of each group.
     clock: Vec<usize>,
-    /// Group (sets with equal channel parameters and clock) of each set, and whether others share it.
+    /// Group (sets with equal channel parameters, clock and numbers of the prior) of each set, whether others share it,
+    /// and what bends in it.
     group: Vec<usize>,
     shared: Vec<bool>,
+    bodies: Vec<Body>,
     /// u_eff (groups, K, C) at the seen times.
     acting: Vec<f64>,
 }
@@ -102,8 +110,10 @@ impl Predictor {
             }
         }
         Ok(Predictor {
-            prior,
-            fields: Fields::new(known),
+            body: Body {
+                prior,
+                fields: Arc::new(Fields::new(known)),
+            },
             cables,
             contact: None,
             positions,
@@ -156,11 +166,11 @@ impl Predictor {
 
     /// Refuse a chain or a record that this prior cannot be asked with.
     fn agrees(&self, chain: &Chain, conditions: &Conditions, t_seen: &[f64]) -> Result<()> {
-        if chain.channels() != self.prior.channels() {
+        if chain.channels() != self.body.prior.channels() {
             return Err(invalid(format!(
                 "the chain has {} channels, the prior {}; make the chain for this model",
                 chain.channels(),
-                self.prior.channels()
+                self.body.prior.channels()
             )));
         }
         if conditions.is_empty() && chain.channels() > 0 && !t_seen.is_empty() {
@@ -173,7 +183,7 @@ impl Predictor {
 
     /// Frames (B, K, V, 3) of a prepared job.
     fn frames(&self, job: &Job, sets: usize, frames: usize) -> Result<Vec<f64>> {
-        let (size, count) = (self.prior.size(), self.fields.count());
+        let (size, count) = (self.body.prior.size(), self.body.fields.count());
         let mut out = zeros(
             "a prediction (parameter sets, frames, outputs)",
             &[sets, frames, size],
@@ -192,8 +202,8 @@ impl Predictor {
                         Some(shapes) => shapes.combine(k, size, row, frame),
                         None => {
                             let u = job.at(group, k);
-                            self.prior.eval(u, frame);
-                            self.fields.add(u, row, scratch, frame);
+                            job.bodies[group].prior.eval(u, frame);
+                            job.bodies[group].fields.add(u, row, scratch, frame);
                         }
                     }
                     job.chain.sense(
@@ -221,19 +231,21 @@ impl Predictor {
         let (width, channels) = (chain.width(), chain.channels());
         let mut numbers: HashMap<Vec<u64>, usize> = HashMap::new();
         let (mut group, mut shared, mut chosen) = (vec![], vec![], vec![]);
-        let (mut clock, mut shifts) = (vec![], vec![]);
+        let (mut clock, mut shifts, mut bodies) = (vec![], vec![], vec![]);
         for b in 0..sets {
             let set = &params[b * width..(b + 1) * width];
-            let late = chain.late(set);
+            let (late, factors) = (chain.late(set), chain.factors(set));
             let key = set[..chain.channel_width()]
                 .iter()
                 .chain([&late])
+                .chain(factors.iter().map(|(_, factor)| factor))
                 .map(|value| value.to_bits())
                 .collect();
             let number = *numbers.entry(key).or_insert(shared.len());
             if number == shared.len() {
                 shared.push(false);
                 chosen.extend_from_slice(set);
+                bodies.push(self.body.changed(&factors)?);
                 let known = shifts.iter().position(|shift| *shift == late);
                 clock.push(known.unwrap_or(shifts.len()));
                 if known.is_none() {
@@ -284,6 +296,7 @@ impl Predictor {
             clock,
             group,
             shared,
+            bodies,
             acting,
         })
     }
@@ -322,7 +335,7 @@ impl Predictor {
     fn has(&self, coefficient: usize) -> bool {
         match coefficient {
             TENDON => self.cables.is_some(),
-            field if field < TENDON => self.fields.get(field).is_some(),
+            field if field < TENDON => self.body.fields.get(field).is_some(),
             _ => self.contact.is_some(),
         }
     }
@@ -390,7 +403,7 @@ impl Predictor {
 
     /// For each group with several members, its shapes at all frames, evaluated once.
     fn shared_shapes(&self, job: &Job, weights: &[f64]) -> Vec<Option<Shapes>> {
-        let (frames, width) = (job.frames, self.fields.count());
+        let (frames, width) = (job.frames, self.body.fields.count());
         let mut wanted = vec![vec![false; width]; job.shared.len()];
         for (i, row) in weights.chunks_exact(width).enumerate() {
             wanted[job.group[i / frames]]
@@ -407,10 +420,13 @@ impl Predictor {
             values
         };
         let shapes = |group: usize| Shapes {
-            prior: evaluate(self.prior.as_ref(), group),
+            prior: evaluate(job.bodies[group].prior.as_ref(), group),
             fields: (0..width)
                 .filter(|f| wanted[group][*f])
-                .filter_map(|f| self.fields.get(f).map(|field| (f, evaluate(field, group))))
+                .filter_map(|f| {
+                    let field = job.bodies[group].fields.get(f)?;
+                    Some((f, evaluate(field, group)))
+                })
                 .collect(),
         };
         job.shared
@@ -418,6 +434,26 @@ impl Predictor {
             .enumerate()
             .map(|(group, shared)| shared.then(|| shapes(group)))
             .collect()
+    }
+}
+
+impl Body {
+    /// The same with some of the prior's own numbers multiplied, in its fields as well.
+    fn changed(&self, factors: &[(&'static str, f64)]) -> Result<Body> {
+        let mut body = self.clone();
+        for (name, factor) in factors.iter().filter(|(_, factor)| *factor != 1.0) {
+            let prior = body.prior.with_number(name, *factor).ok_or_else(|| {
+                let known = self.prior.numbers().join(", ");
+                invalid(format!(
+                    "an effect changes the number '{name}' of the prior by {factor:.3}; this prior has {}; leave that \
+                     effect out",
+                    if known.is_empty() { "none to change" } else { &known }
+                ))
+            })?;
+            let fields = Arc::new(body.fields.with_number(name, *factor));
+            body = Body { prior, fields };
+        }
+        Ok(body)
     }
 }
 

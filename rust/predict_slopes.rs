@@ -72,10 +72,11 @@ impl Predictor {
             clock: vec![0; sides],
             group: (0..sides).collect(),
             shared: vec![false; sides],
+            bodies: vec![job.bodies[0].clone(); sides],
             acting,
         };
         let shapes = self.frames(&about, sides, frames)?;
-        let size = frames * self.prior.size();
+        let size = frames * self.body.prior.size();
         let pairs = shapes.chunks_exact((2 * size).max(1));
         let slopes = pairs.zip(step).flat_map(|(pair, h)| {
             let (up, down) = pair.split_at(size);

@@ -5,6 +5,7 @@
 //! asks for tables, to sum them faster).
 
 use crate::table::Table;
+use std::sync::Arc;
 
 /// A map from commands to shape numbers.
 pub trait Shape: Send + Sync {
@@ -19,6 +20,16 @@ pub trait Shape: Send + Sync {
 
     /// The table that this shape is, if it is one.
     fn table(&self) -> Option<&Table> {
+        None
+    }
+
+    /// Names of the shape's own numbers that an effect may change.
+    fn numbers(&self) -> Vec<&'static str> {
+        vec![]
+    }
+
+    /// The same shape with one of `numbers` multiplied by a factor; none if it has no such number.
+    fn with_number(&self, _name: &str, _factor: f64) -> Option<Arc<dyn Shape>> {
         None
     }
 

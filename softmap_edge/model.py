@@ -31,6 +31,7 @@ from softmap_edge.features import (
 )
 
 if TYPE_CHECKING:
+    from softmap_edge.rod.elastic import Change, ElasticParameters
     from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
@@ -124,15 +125,27 @@ class Model:
         return dict(zip(self.chain.labels, map(float, self.chain_params)))
 
     def lacking(self, name: str) -> list[str]:
-        """Return what this model lacks that the effect `name` acts through: names of fields, or `tendon_compliance`."""
+        """Return what this model lacks that the effect `name` acts through.
+
+        Names of fields, `tendon_compliance`, `contact`, or of a number of its prior.
+        """
         there = set(self.fields) | ({"tendon_compliance"} if self.cables is not None else set())
         there |= set() if self._contact is None else {"contact"}
-        return [field for field in _core.Chain([name], self.channels).fields if field not in there]
+        there |= set(self.prior.numbers)
+        chain = _core.Chain([name], self.channels)
+        return [wanted for wanted in (*chain.fields, *chain.numbers) if wanted not in there]
 
     def with_effects(self, names: Sequence[str], params: Floats | Mapping[str, float]) -> Model:
-        """Return a model whose chain holds exactly `names` with `params` (in chain order, or by label)."""
+        """Return a model whose chain holds exactly `names` with `params` (in chain order, or by label).
+
+        By label, `params` may hold changes of the prior's numbers as well (`changes`).
+        """
         chain = _core.Chain(list(names), self.channels)
         if isinstance(params, Mapping):
+            known = {change.label for change in self.changes(names)}
+            moved = {label: value for label, value in params.items() if label in known}
+            if moved:
+                return self.changed(moved).with_effects(names, {k: v for k, v in params.items() if k not in known})
             unknown = [label for label in params if label not in chain.labels]
             if unknown:
                 raise SoftmapError(f"no parameter '{unknown[0]}' in the chain; there are {', '.join(chain.labels)}")
@@ -145,6 +158,33 @@ class Model:
             wrong = chain.labels[int(np.argmin(np.isfinite(params)))]
             raise SoftmapError(f"{wrong} is not a finite number; give each parameter one")
         return replace(self, chain_names=tuple(names), chain_params=params)
+
+    def changes(self, names: Sequence[str]) -> list[Change]:
+        """Return what is fitted along with the effects `names`, labelled as theirs: changes of the prior's numbers.
+
+        The numbers of a rod were fitted under the law that it had; where an effect changes it, they are open again.
+        """
+        laws = [name for name in names if _core.Chain([name], self.channels).numbers]
+        if not laws or self._elastic is None:
+            return []
+        return [replace(c, label=f"{laws[0]}.{c.label}") for c in self._elastic.changeable()]
+
+    def changed(self, values: Mapping[str, float]) -> Model:
+        """Return the model with changes of the prior's numbers, by the labels of `changes`."""
+        if self._elastic is None:
+            raise SoftmapError(f"the model of '{self.robot}' has no rod whose numbers could change")
+        rod = self._elastic.changed({label.split(".", 1)[1]: value for label, value in values.items()})
+        arrays = {**self.arrays, "prior": rod.to_arrays()}
+        return replace(self, prior=rod.compiled(), fields=dict(rod.fields()), arrays=arrays)
+
+    @cached_property
+    def _elastic(self) -> ElasticParameters | None:
+        """The elastic rod that the prior is, if a run has told some of its numbers."""
+        if "free" not in self.arrays.get("prior", {}):
+            return None
+        from softmap_edge.rod.elastic import ElasticParameters
+
+        return ElasticParameters.from_arrays(self.arrays["prior"])
 
     # --- from runs ------------------------------------------------------------------------------
 

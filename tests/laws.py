@@ -1,13 +1,14 @@
 """A record, a finger and every effect's law in plain NumPy: what the tests of effects and predictor compare with."""
 
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
 from softmap_edge import _core
 
 EFFECTS = {effect["name"]: effect for effect in _core.effects()}
-BY_ROLE = {role: [n for n, e in EFFECTS.items() if e["role"] == role] for role in ("channel", "shape", "sensing")}
+ROLES = ("channel", "shape", "sensing", "prior")
+BY_ROLE = {role: [n for n, e in EFFECTS.items() if e["role"] == role] for role in ROLES}
 HOME = np.array([0.0, 0.0, 1.0])
 
 
@@ -225,9 +226,24 @@ def finger_body(positions=None):
     )
 
 
+TENDONS = np.array([[5.0, 0.0], [0.0, 5.0], [-5.0, 0.0], [0.0, -5.0]])  # radius and side, mm
+BENDING = 20.0  # bending stiffness of a segment over that of a tendon, mm²
+
+
+def rod_body(slack=1.0):
+    """A predictor of an elastic rod of two halves and four tendons, all along it, that push as they pull or less."""
+    angle, radius = np.arctan2(TENDONS[:, 1], TENDONS[:, 0]), np.linalg.norm(TENDONS, axis=1)
+    numbers = [[slack], angle, radius, np.zeros(4), [BENDING] * 2, [50.0] * 2, np.zeros(4), np.zeros(3), np.zeros(2)]
+    pulls = [1, 1, 1, 1], [0, 1, 0, 1], [1.0, 1.0, -1.0, -1.0]
+    rod = _core.ElasticRod(2, 2, *pulls, list(np.linspace(0.0, 2.0, 10)[1:]), np.concatenate(numbers))
+    fields = {name: _core.ElasticField(rod, name, 1.0) for name in _core.LOADS}
+    return _core.Predictor(rod, fields, np.ones(9, bool), HOME)
+
+
 def values(chain, kind):
-    """Null, start or mid-range parameters (P,) of a chain; mid-range is halfway from null to high."""
-    return {"null": chain.null, "start": chain.start, "middle": 0.5 * (chain.null + chain.high)}[kind]
+    """Null, start or mid-range parameters (P,) of a chain; mid-range is halfway from null to the far end."""
+    far = np.where(chain.high > chain.null, chain.high, chain.low)
+    return {"null": chain.null, "start": chain.start, "middle": 0.5 * (chain.null + far)}[kind]
 
 
 def random_params(chain, seed):
@@ -442,7 +458,37 @@ def beside(p, see, positions, t):
     return frames
 
 
+def slackened(p, u):
+    """Markers (n, 9, 3) of `rod_body` with tendons that push `ratio` times as hard as they pull.
+
+    Every set of pulling tendons is tried; the one that agrees with its own stretch is the equilibrium.
+    """
+    out = np.empty((len(u), 9, 3))
+    reach = np.concatenate([TENDONS, TENDONS], axis=1)
+    drawn = np.concatenate([u, -u], axis=1)
+    for d, points in zip(drawn, out):
+        for pulling in product([1.0, p["ratio"]], repeat=4):
+            w = np.array(pulling)
+            bent = np.linalg.solve(BENDING * np.eye(4) + reach.T * w @ reach, reach.T @ (w * d))
+            if np.array_equal(np.where(d - reach @ bent > 0, 1.0, p["ratio"]), w):
+                break
+        else:
+            raise AssertionError("no set of tendons agrees")
+        for at, point in zip(np.linspace(0.0, 100.0, 10)[1:], points):  # both halves bend alike: one arc
+            point[:] = arc(bent[:2] / 50.0, at)
+    return out
+
+
+def arc(curvature, along):
+    """Where an arc of curvature (2,) 1/mm from the origin along z is after `along` mm: its tangent, summed."""
+    s = along * (np.arange(2000) + 0.5) / 2000
+    turn = np.linalg.norm(curvature) * s
+    aside = np.sin(turn)[:, None] * curvature / max(np.linalg.norm(curvature), 1e-300)
+    return np.column_stack([aside, np.cos(turn)]).mean(axis=0) * along
+
+
 ORACLES = {
+    "slack": slackened,
     "servo_swap": swapped,
     "saturation": lambda p, u, t: np.clip(u, -p["below"], p["above"]),
     "offset": lambda p, u, t: u + p["shift"],

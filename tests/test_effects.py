@@ -20,6 +20,7 @@ from laws import (
     protocol,
     random_params,
     record,
+    rod_body,
     slot,
     turning,
     values,
@@ -33,8 +34,14 @@ RUN_FIELDS = {"cameras", "gravity", "load", "temperature", "present", "current"}
 
 
 @pytest.fixture(scope="module")
-def body():
-    return finger_body()
+def bodies():
+    """A body for each role: a finger, and an elastic rod where an effect changes a number of the prior."""
+    return dict.fromkeys(BY_ROLE, finger_body()) | {"prior": rod_body()}
+
+
+@pytest.fixture(scope="module")
+def body(bodies):
+    return bodies["channel"]
 
 
 def test_every_effect_has_an_oracle():
@@ -76,7 +83,7 @@ def test_the_page_is_up_to_date():
 
 @pytest.mark.parametrize("channels", [0, 1, 2, 6])
 @pytest.mark.parametrize("name", EFFECTS)
-def test_null_is_the_identity(name, channels, body):
+def test_null_is_the_identity(name, channels, bodies):
     chain = _core.Chain([name], channels)
     t, u = record(channels)
     out = chain.rollout(chain.null[None], u, t, temperature=warming(t))[0]
@@ -84,6 +91,7 @@ def test_null_is_the_identity(name, channels, body):
     held = np.full((7, channels), 9.0)
     assert not chain.coefficients(chain.null[None], turning(7), u=held).any()
     if channels == 2:
+        body = bodies[EFFECTS[name]["role"]]
         seen = np.linspace(t[0], t[-1], 40)
         none = _core.Chain([], 2)
         plain = body.predict(none, none.null[None], u, t, seen)
@@ -143,10 +151,29 @@ def test_sensing_effects_agree_with_the_oracle(name):
     assert np.abs(batch[0] - see(t[::9])).max() > 0.5
 
 
+@pytest.mark.parametrize("name", BY_ROLE["prior"])
+def test_prior_effects_agree_with_the_oracle(name):
+    chain, rod = _core.Chain([name], 2), rod_body()
+    t, u = record(2)
+    sets = np.stack([values(chain, "middle"), chain.low, *(random_params(chain, s) for s in range(3))])
+    batch = rod.predict(chain, sets, u, t, t[::9])
+    for params, got in zip(sets, batch):
+        wanted = ORACLES[name](named(name, params, 2), u[::9])
+        np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-5)  # the oracle's sum along the arc
+    assert np.abs(batch[0] - rod.predict(chain, chain.null[None], u, t, t[::9])[0]).max() > 0.5
+
+
+@pytest.mark.parametrize("name", BY_ROLE["prior"])
+def test_a_body_without_the_number_refuses_it(name, body):
+    chain, (t, u) = _core.Chain([name], 2), record(2)
+    with pytest.raises(SoftmapError, match=f"'{chain.numbers[0]}'.*has none to change"):
+        body.predict(chain, values(chain, "middle")[None], u, t, t[::9])
+
+
 @pytest.mark.parametrize("name", EFFECTS)
-def test_it_moves_the_sections_by_half_a_millimetre(name, body):
+def test_it_moves_the_sections_by_half_a_millimetre(name, bodies):
     """At mid-range or at its start, whichever moves more: what a diagnosis calls its size."""
-    chain = _core.Chain([name], 2)
+    body, chain = bodies[EFFECTS[name]["role"]], _core.Chain([name], 2)
     t, u = protocol()
     sets = np.stack([chain.null, values(chain, "middle"), values(chain, "start")])
     frames = body.predict(chain, sets, u, t, t[::5], turning(len(t)), temperature=warming(t), cameras=CAMERAS)

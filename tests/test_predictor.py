@@ -17,6 +17,7 @@ from laws import (
     lost,
     named,
     record,
+    rod_body,
     stopped,
     tabulated,
     turning,
@@ -33,8 +34,9 @@ def body():
 
 
 def test_all_together_agree_with_the_oracles_in_stage_order(body):
-    chain = _core.Chain(list(reversed(EFFECTS)), 2)
-    assert chain.names == list(EFFECTS)
+    every = [name for name in EFFECTS if name not in BY_ROLE["prior"]]  # a finger has no such numbers
+    chain = _core.Chain(list(reversed(every)), 2)
+    assert chain.names == every
     t, u = record(2)
     gravity, load = turning(len(t)), np.linspace(0.0, 5.0, len(t))
     seen = np.linspace(t[0], t[-1], 61) + 0.004
@@ -67,6 +69,32 @@ def test_all_together_agree_with_the_oracles_in_stage_order(body):
         for name in BY_ROLE["sensing"]:
             see = partial(ORACLES[name], own[name], see, np.ones(9, bool))
         np.testing.assert_allclose(got, see(seen), rtol=0, atol=1e-8)
+
+
+def test_a_changed_number_makes_another_prior_loads_and_slopes_included():
+    """Alone and in batches that share shapes, as against a rod that was made with the number."""
+    (t, u), seen = record(2, samples=200), np.linspace(1.0, 6.0, 40)
+    world = turning(len(t)), np.linspace(0.0, 5.0, len(t))
+    effects = ["slack", "gain", "payload", "mount"]
+    chain, rest = _core.Chain(effects, 2), _core.Chain(effects[1:], 2)
+    assert chain.names == ["gain", "slack", "payload", "mount"] and chain.numbers == ["slack"] and rest.numbers == []
+    base = values(chain, "middle")
+    sets = np.tile(base, (6, 1))
+    sets[:, chain.labels.index("slack.ratio")] = [0.0, 0.25, 0.25, 1.0, 0.0, 0.25]
+    sets[2:4, chain.labels.index("mount.turn_x")] += 1.0
+    got = rod_body().predict(chain, sets, u, t, seen, *world)
+    at = chain.labels.index("slack.ratio")
+    without, step = np.delete(np.arange(len(base)), at), np.array([0.3, 0.3])
+    for params, frames in zip(sets, got):
+        made = rod_body(params[at])
+        wanted = made.predict(rest, params[None, without], u, t, seen, *world)[0]
+        np.testing.assert_allclose(frames, wanted, rtol=0, atol=1e-9)
+        slopes = rod_body().slopes(chain, params[None], u, t, seen, step, *world)
+        wanted = made.slopes(rest, params[None, without], u, t, seen, step, *world)
+        np.testing.assert_allclose(slopes, wanted, rtol=0, atol=1e-9)
+    halved = np.where(np.arange(len(base)) == at, 0.5, sets[1])  # multiplied, not set: half of a half
+    np.testing.assert_allclose(rod_body(0.5).predict(chain, halved[None], u, t, seen, *world)[0], got[1], atol=1e-9)
+    assert np.abs(got[0] - got[1]).max() > 0.5 and np.abs(got[1] - got[3]).max() > 0.5
 
 
 def test_labels_units_and_scales():

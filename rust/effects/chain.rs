@@ -352,6 +352,24 @@ impl Chain {
         used
     }
 
+    /// Each number of the prior that an effect of the chain changes, and by what it is multiplied.
+    pub fn factors(&self, params: &[f64]) -> Vec<(&'static str, f64)> {
+        let factor = |link: &Link| match link.effect.law {
+            Law::Prior(law) => Some((law.number(), law.factor(&params[link.params.clone()]))),
+            _ => None,
+        };
+        self.links.iter().filter_map(factor).collect()
+    }
+
+    /// Names of the numbers of the prior that the chain changes.
+    pub fn numbers(&self) -> Vec<&'static str> {
+        let number = |link: &Link| match link.effect.law {
+            Law::Prior(law) => Some(law.number()),
+            _ => None,
+        };
+        self.links.iter().filter_map(number).collect()
+    }
+
     /// How much later (s) frames are stamped than what they show.
     pub fn late(&self, params: &[f64]) -> f64 {
         let late = |link: &Link| match link.effect.law {

@@ -1,7 +1,7 @@
-//! What an effect declares about itself, and the three roles it can play.
+//! What an effect declares about itself, and the four roles it can play.
 //!
 //! A *channel* effect changes the C command numbers (mm) and may remember; a *shape* effect gives the coefficients of named
-//! fields; a *sensing* effect moves what is seen. At null parameters each is the identity. All memory lies in flat slices
+//! fields; a *sensing* effect moves what is seen; a *prior* effect changes a number that the prior itself takes. At null parameters each is the identity. All memory lies in flat slices
 //! that the caller owns, so it can be copied, reset and replayed.
 
 use super::conditions::{Conditions, Context};
@@ -264,6 +264,15 @@ pub trait SensingEffect: Sync {
     }
 }
 
+/// A change of a number that the prior itself takes.
+pub trait PriorEffect: Sync {
+    /// What the prior calls the number.
+    fn number(&self) -> &'static str;
+
+    /// By what the prior's own value is multiplied.
+    fn factor(&self, params: &[f64]) -> f64;
+}
+
 /// An effect's law in its role.
 pub enum Law {
     Channel(&'static dyn ChannelEffect),
@@ -271,6 +280,7 @@ pub enum Law {
     Record(&'static dyn RecordEffect),
     Shape(&'static dyn ShapeEffect),
     Sensing(&'static dyn SensingEffect),
+    Prior(&'static dyn PriorEffect),
 }
 
 impl Law {
@@ -279,6 +289,7 @@ impl Law {
             Law::Channel(_) | Law::Record(_) => "channel",
             Law::Shape(_) => "shape",
             Law::Sensing(_) => "sensing",
+            Law::Prior(_) => "prior",
         }
     }
 }

@@ -34,6 +34,7 @@ registry! {
     backlash
     friction
     coupling
+    slack
     dead_zone
     tendon_creep
     anchor_slip

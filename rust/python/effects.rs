@@ -260,6 +260,12 @@ impl PyChain {
         used.into_iter().map(loads::name).collect()
     }
 
+    /// Names of the numbers of the prior that this chain changes.
+    #[getter]
+    fn numbers(&self) -> Vec<&'static str> {
+        self.chain.numbers()
+    }
+
     /// Coefficients (B, K, F + 9) of `FIELDS`, of the cables' compliance and of an obstacle (`loads.rs`) that the shape effects add, for gravity (K, 3),
     /// load (K,) g and the command (K, C) that acts.
     #[pyo3(signature = (params, gravity, load=None, temperature=None, u=None))]

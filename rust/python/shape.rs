@@ -43,6 +43,12 @@ impl PyShape {
         self.inner.size()
     }
 
+    /// Names of its own numbers that an effect may change.
+    #[getter]
+    fn numbers(&self) -> Vec<&'static str> {
+        self.inner.numbers()
+    }
+
     /// Numbers (n, M) at commands `u` (n, C).
     fn evaluate<'py>(
         &self,

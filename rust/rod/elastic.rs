@@ -17,6 +17,7 @@ use crate::dense::Factor;
 use crate::error::Result;
 use crate::shape::Shape;
 use crate::vector::Vec3;
+use std::sync::Arc;
 
 const STEPS: usize = 100; // of Newton; ten are many
 const HALVINGS: usize = 40;
@@ -64,6 +65,13 @@ impl ElasticRod {
 
     fn stiffness(&self, i: usize) -> f64 {
         self.numbers[self.layout.first.stiffness + i / 2]
+    }
+
+    /// The same rod whose tendons push `factor` times as hard; none if they do not push at all, and have nothing to lose.
+    pub(super) fn slacker(&self, name: &str, factor: f64) -> Option<ElasticRod> {
+        let mut rod = self.clone();
+        rod.numbers[0] = (rod.numbers[0] * factor).clamp(0.0, 1.0);
+        self.numbers().contains(&name).then_some(rod)
     }
 
     /// Length (mm) of each segment.
@@ -215,6 +223,15 @@ pub(super) fn along(slopes: &[Vec3], turn: &[f64]) -> Vec3 {
 }
 
 impl Shape for ElasticRod {
+    fn numbers(&self) -> Vec<&'static str> {
+        let pushes = self.numbers[0] > 0.0;
+        if pushes { vec!["slack"] } else { vec![] }
+    }
+
+    fn with_number(&self, name: &str, factor: f64) -> Option<Arc<dyn Shape>> {
+        Some(Arc::new(self.slacker(name, factor)?))
+    }
+
     fn channels(&self) -> usize {
         self.layout.channels
     }

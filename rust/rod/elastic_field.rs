@@ -11,6 +11,7 @@ use super::field::Load;
 use crate::error::{Result, invalid};
 use crate::shape::Shape;
 use crate::vector::Vec3;
+use std::sync::Arc;
 
 /// Gauss points on 0…1 and their weights.
 const GAUSS: [(f64, f64); 3] = [
@@ -66,6 +67,14 @@ impl ElasticField {
 }
 
 impl Shape for ElasticField {
+    fn with_number(&self, name: &str, factor: f64) -> Option<Arc<dyn Shape>> {
+        let rod = self.rod.slacker(name, factor)?;
+        Some(Arc::new(ElasticField {
+            rod,
+            ..self.clone()
+        }))
+    }
+
     fn channels(&self) -> usize {
         self.rod.channels()
     }

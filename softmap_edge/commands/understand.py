@@ -116,11 +116,7 @@ def add(args: argparse.Namespace) -> int:
     twice = [n for n in names if n in model.chain_names]
     if twice:
         raise SoftmapError(f"the model has '{twice[0]}' already; `softmap refit` fits it again")
-    params = dict(model.params)
-    for name in names:
-        params |= diagnosis.params_of(name)
-    changed = model.with_effects((*model.chain_names, *names), params)
-    return _write(args, changed, {"added": names})
+    return _write(args, diagnosis.added(model, names), {"added": names})
 
 
 def remove_arguments(parser: argparse.ArgumentParser) -> None:

@@ -153,9 +153,26 @@ def _entries(
                 "share": weights[name] / max(total, 1e-300),
                 "displacement_mm": {"fitted": record.rms_mm(search.displacement(fit, name)), "held_out": held},
                 "params": parameters(record, fit, sigma, (name,)),
+                **refitted(search, fit, sigma, name),
             }
         )
     return entries
+
+
+def refitted(search: Search, fit: Fit, sigma: Floats, name: str) -> dict[str, Any]:
+    """Return the changes of the prior's own numbers that were fitted along with an effect, and what it errs by then.
+
+    The second is the error (F,) mm of each feature on blocks that trained nothing: with other numbers it is another
+    model, and the noise that a rod's next diagnosis counts with.
+    """
+    changes = parameters(search.problem.record, fit, sigma, (name,), declared=False)
+    if not changes:
+        return {}
+    record = search.problem.record
+    squares = np.full_like(record.seen, np.nan)
+    for prediction, (_, test) in zip(search.cv(fit)[2], search.problem.folds):
+        squares[test] = (record.seen[test] - prediction[test]) ** 2
+    return {"refitted": {"params": changes, "error_mm": np.sqrt(np.nanmean(squares, axis=0)).tolist()}}
 
 
 def _shift_on(fit: Fit, other: Record, name: str) -> Floats:
@@ -168,9 +185,12 @@ def _shift_on(fit: Fit, other: Record, name: str) -> Floats:
     return np.asarray(shift[0] - shift[1])
 
 
-def parameters(record: Record, fit: Fit, sigma: Floats, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+def parameters(
+    record: Record, fit: Fit, sigma: Floats, names: Sequence[str], declared: bool = True
+) -> dict[str, dict[str, Any]]:
     """Return the fitted parameters of the effects `names` by label: value, sigma, unit, and whether at a bound.
 
+    Those that the effects declare, or the numbers of the prior that were open with them.
     A bound where the effect ends (no payload, one creep time) is none, nor is the last of whole numbers.
     """
     values, null = fit.space.values(fit.x), fit.space.scaled(fit.space.null)
@@ -178,7 +198,7 @@ def parameters(record: Record, fit: Fit, sigma: Floats, names: Sequence[str]) ->
     found = {}
     for j, i in enumerate(fit.space.free):
         label, unit = fit.space.labels[i], fit.space.units[i]
-        if label.split(".")[0] not in names:
+        if label.split(".")[0] not in names or fit.space.declared[j] != declared:
             continue
         if unit == "g" and not getattr(record.model, "stiffness_known", True):
             unit = "of the model's own load scale"  # grams would be a claim without ground

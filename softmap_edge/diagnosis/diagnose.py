@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -118,9 +118,24 @@ class Diagnosis:
         """
         for entry in [*self.effects, *self.faults]:
             if entry["name"] == name:
-                return {label: float(p["value"]) for label, p in entry["params"].items() if "@" not in label}
+                params = entry["params"] | (entry.get("refitted") or {}).get("params", {})
+                return {label: float(p["value"]) for label, p in params.items() if "@" not in label}
         named = ", ".join(e["name"] for e in [*self.effects, *self.faults]) or "none"
         raise SoftmapError(f"the diagnosis does not name '{name}'; it names {named}")
+
+    def added(self, model: Model, names: Sequence[str]) -> Model:
+        """Return a model with effects that this diagnosis names, with what was fitted along with them.
+
+        Raises:
+            SoftmapError: the diagnosis does not name one of them, or is one of another model.
+        """
+        params: dict[str, float] = dict(model.params)
+        for name in names:
+            params |= self.params_of(name)
+        chain = (*model.chain_names, *(name for name in names if name not in model.chain_names))
+        entries = [entry for entry in [*self.effects, *self.faults] if entry["name"] in names]
+        found: Model = _with_error(model.with_effects(chain, params), entries)
+        return found
 
     def __str__(self) -> str:
         return diagnosis_text(self.to_dict())
@@ -176,7 +191,7 @@ def diagnose(
     document = conclude(search, fit, other, demoted, impossible, own, seed)
     document["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
     told = servos(record.whole[0], [*candidates, *record.model.chain_names]) if library is None else []
-    return Diagnosis(**document, servo=told, model=found)
+    return Diagnosis(**document, servo=told, model=_with_error(found, document["effects"]))
 
 
 def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[Model, dict[str, Any]]:
@@ -252,6 +267,23 @@ def _showing(
     )
 
 
+def _with_error(model: Any, entries: Sequence[Mapping[str, Any]]) -> Any:
+    """Return a model that errs by what the effects say that were added to it: with other numbers it is another rod."""
+    for entry in entries:
+        if not entry.get("refitted"):
+            continue
+        error = np.asarray(entry["refitted"]["error_mm"], float)
+        if error.shape != (model.form_error.size,) or not np.all(np.isfinite(error) & (error >= 0)):
+            raise SoftmapError(f"the diagnosis is not of this model of '{model.robot}'; diagnose again")
+        places = np.sum(error.reshape(-1, 3) ** 2, axis=1)
+        model = replace(
+            model,
+            form_error=error.reshape(model.form_error.shape),
+            vertex_error_mm=float(np.sqrt(np.mean(places))),
+        )
+    return model
+
+
 def _shared(fit: Fit) -> dict[str, float]:
     """Return the fitted parameters of a model: what later runs had for themselves stays with them."""
     return {label: value for label, value in fit.params.items() if "@" not in label}
@@ -274,19 +306,25 @@ def _candidates(
     names = [n for n in registry if (wanted is None or n in wanted) and n not in record.model.chain_names]
     if not names:
         raise SoftmapError("no effect is left to look for: the model already has every candidate")
+    lawless = [n for n in names if registry[n]["role"] == "prior" and record.model.lacking(n)]
+    if wanted is None:  # a law that the prior does not have is no question, unless it is asked
+        names = [n for n in names if n not in lawless]
     impossible = []
     for name in names:
         missing = record.missing(registry[name].get("needs", []))
         if record.model.channels == 0 and (registry[name]["role"] == "channel" or not record.layout((name,)).labels):
             impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
+        elif name in lawless:
+            why = "the tendons of this model do not push, or it knows none: there is no such law to change"
+            impossible.append(Untestable(name, why, "a model learned with a robot.toml whose tendons push", 1.0))
         elif lacking := record.model.lacking(name):
             why = f"this model has no field {lacking[0]}"
             impossible.append(Untestable(name, why, "a model built from a finger.toml by this version", 1.0))
         elif missing:
             block, minutes = experiment(registry, name)
-            wanted = ", ".join(missing)
+            absent = ", ".join(missing)
             impossible.append(
-                Untestable(name, f"the run does not declare {wanted}", f"{block}; {wanted} declared", minutes)
+                Untestable(name, f"the run does not declare {absent}", f"{block}; {absent} declared", minutes)
             )
     if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record.gravity) == 1:
         # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than

@@ -120,8 +120,10 @@ def unseen(moved: float, size: float) -> str | None:
 def strongest(problem: Problem, name: str) -> Floats:
     """Return the larger feature difference (K, F) mm that an effect makes at mid-range or at its start."""
     space = problem.space((name,))
-    middle = np.where(space.log, space.start, 0.5 * space.high)
-    high = np.where(space.log, np.minimum(0.5, space.high), 0.5 * space.high)
+    far = 0.5 * np.where(space.high > 0, space.high, space.low)  # some are absent at their high end
+    middle = np.where(space.log, space.start, far)
+    high = np.where(space.log, np.minimum(0.5, space.high), far)
+    middle, high = (np.where(space.declared, p, 0.0) for p in (middle, high))
     points = np.stack([np.clip(p, space.low, space.high) for p in (middle, high)])
     own = problem.space(())
     before = problem.record.predict(own.names, own.params(np.zeros((1, 0))))[0]

@@ -45,6 +45,7 @@ class Space:
         self.free = np.array([i for i, label in enumerate(self.labels) if label.split(".")[0] in wanted], int)
         self.base = np.array([base.get(label.split("@")[0], null[i]) for i, label in enumerate(self.labels)])
         self.log, self.integer = layout.log[self.free], layout.integer[self.free]
+        self.declared = layout.declared[self.free]  # not so the prior's own numbers, which count with or without
         self._zero = np.where(self.log, start[self.free], null[self.free])
         linear = np.maximum(np.abs(high - null), np.abs(low - null))[self.free]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -82,6 +83,11 @@ class Space:
         held = copy(self)
         held.low, held.high = np.where(self.integer, x, self.low), np.where(self.integer, x, self.high)
         return held
+
+    @property
+    def count(self) -> int:
+        """How many free parameters the effects have: what a criterion of information counts."""
+        return int(self.declared.sum())
 
     def free_labels(self) -> list[str]:
         """Return the labels of the free parameters."""

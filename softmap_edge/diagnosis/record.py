@@ -48,6 +48,13 @@ class Layout:
     log: NDArray[np.bool_]
     integer: NDArray[np.bool_]
     columns: list[NDArray[np.intp]]  # of each run, (chain's P,)
+    declared: NDArray[np.bool_]  # parameters of effects; the others are numbers of the prior that are open with them
+
+    @property
+    def middle(self) -> Floats:
+        """Mid-range (P,): halfway from null to the far end, or the start where the scale is logarithmic."""
+        far = np.where(self.high > self.null, self.high, self.low)
+        return np.where(self.declared, np.where(self.log, self.start, 0.5 * (self.null + far)), self.null)
 
     def values(self, params: Mapping[str, float]) -> Floats:
         """Return parameters (P,) by label; what only another run has is taken from its first."""
@@ -133,7 +140,7 @@ class Record:
 
     def _layout(self, names: Sequence[str], runs: int) -> Layout:
         """Return the parameters of a chain, those of the effects in PER_RUN once for each run."""
-        chain = self.library.Chain(list(names), self.model.channels)
+        chain, changes = self.library.Chain(list(names), self.model.channels), self._changes(names)
         count = len(chain.labels)
         own = [i for i, label in enumerate(chain.labels) if label.split(".")[0] in PER_RUN]
         source, labels, columns = list(range(count)), list(chain.labels), [np.arange(count)]
@@ -149,31 +156,61 @@ class Record:
         null = np.asarray(chain.null, float)[source]
         integer = np.asarray(chain.integer, bool)[source]
         log, units = np.asarray(chain.log, bool)[source], [chain.units[i] for i in source]
-        return Layout(tuple(names), labels, units, null, start, low, high, log, integer, columns)
+        declared = np.arange(len(labels) + len(changes)) < len(labels)
+        columns = [np.r_[column, np.flatnonzero(~declared)] for column in columns]
+        labels, units = labels + [c.label for c in changes], units + [c.unit for c in changes]
+        null, start = (np.r_[a, [c.null for c in changes]] for a in (null, start))
+        low, high = np.r_[low, [c.low for c in changes]], np.r_[high, [c.high for c in changes]]
+        log, integer = np.r_[log, [c.factor for c in changes]] > 0, np.r_[integer, np.zeros(len(changes), bool)]
+        return Layout(tuple(names), labels, units, null, start, low, high, log, integer, columns, declared)
+
+    def _changes(self, names: Sequence[str]) -> list[Any]:
+        """Return the numbers of the prior that are open with a chain of `names`; most priors have none."""
+        changes = getattr(self.model, "changes", None)
+        return [] if changes is None else list(changes(names))
+
+    def _models(self, names: Sequence[str], params: Floats) -> list[tuple[Any, NDArray[np.intp], Floats]]:
+        """Return the models that sets (B, P) ask for: each with its rows and their parameters of the chain."""
+        changes = self._changes(names)
+        if not changes:
+            return [(self.model, np.arange(len(params)), np.ascontiguousarray(params))]
+        count = params.shape[1] - len(changes)
+        found = []
+        sets, which = np.unique(params[:, count:], axis=0, return_inverse=True)
+        for i, values in enumerate(sets):
+            moved = {c.label: float(v) for c, v in zip(changes, values) if v != c.null}
+            rows = np.flatnonzero(which.ravel() == i)
+            model = self.model.changed(moved) if moved else self.model
+            found.append((model, rows, np.ascontiguousarray(params[rows, :count])))
+        return found
 
     def own(self) -> Floats:
         """Return the parameters (P,) of the model's own effects."""
         chain = self.library.Chain(list(self.model.chain_names), self.model.channels)
-        params = dict(zip(chain.labels, map(float, self.model.chain_params)))
-        return self.layout(self.model.chain_names).values(params)
+        layout = self.layout(self.model.chain_names)
+        unchanged = dict(zip(layout.labels, map(float, layout.null)))
+        return layout.values(unchanged | dict(zip(chain.labels, map(float, self.model.chain_params))))
 
     def predict(self, names: Sequence[str], params: Floats) -> Floats:
         """Return predicted features (B, K, F) mm for parameter sets (B, P) of the layout of `names`."""
         chunk = max(1, CHUNK // max(1, self.frames * self.features))
-        parts = [
-            self.model.predict_features(tuple(names), np.ascontiguousarray(params[i : i + chunk]), self.run)
-            for i in range(0, len(params), chunk)
-        ]
-        return np.concatenate(parts).reshape(len(params), self.frames, self.features)
+        out = np.empty((len(params), self.frames, self.features))
+        for model, rows, sets in self._models(names, params):
+            for i in range(0, len(rows), chunk):
+                part = model.predict_features(tuple(names), sets[i : i + chunk], self.run)
+                out[rows[i : i + chunk]] = np.reshape(part, (-1, self.frames, self.features))
+        return out
 
     def acting(self, names: Sequence[str], params: Floats) -> Floats:
         """Return what acts on the shape, (B, K, C), for parameter sets (B, P)."""
-        return np.asarray(self.model.acting(tuple(names), np.ascontiguousarray(params), self.run))
+        chain = np.ascontiguousarray(params[:, : params.shape[1] - len(self._changes(names))])
+        return np.asarray(self.model.acting(tuple(names), chain, self.run))
 
     def slopes(self, names: Sequence[str], params: Floats) -> Floats:
         """Return the slopes (C, K, F) mm of the features over what acts, about one parameter set (P,)."""
         step = np.maximum(SLOPE * self.spread, 1e-3)
-        slopes = self.model.slopes(tuple(names), np.ascontiguousarray(params), step, self.run)
+        model, _, sets = self._models(names, params[None])[0]
+        slopes = model.slopes(tuple(names), sets[0], step, self.run)
         return np.asarray(slopes).reshape(len(slopes), self.frames, self.features)
 
     # --- measures -------------------------------------------------------------------------------

@@ -99,14 +99,14 @@ class Search:
         if space.integer.any():
             return _whole_starts(space)
         points = [space.start.copy()]
-        for i in np.flatnonzero(space.log):
+        for i in np.flatnonzero(space.log & space.declared):
             for share in (0.15, 0.85):
                 point = space.start.copy()
                 point[i] = space.low[i] + share * (space.high[i] - space.low[i])
                 points.append(point)
-        signed = ~space.log & (space.low < 0)
+        signed = (~space.log & (space.low < 0))[space.declared]
         if signed.all():
-            every_other = np.where(np.arange(len(signed)) % 2, -space.start, space.start)
+            every_other = np.where(np.arange(len(space.start)) % 2, -space.start, space.start)
             flipped = [-space.start, every_other, -every_other][: 3 if len(signed) > 1 else 1]
             points += [np.clip(point, space.low, space.high) for point in flipped]
         return points[:7]
@@ -118,16 +118,17 @@ class Search:
         have their price.
         """
         glances = sorted((self._screened(parent, effect), effect) for effect in effects)
-        found = []
+        found, counts = [], {}
         for _, effect in glances[: PREDICTED * count]:
             points = self._points[frozenset(parent.effects), effect]
             space = self.problem.space((*parent.effects, effect))
+            counts[effect] = space.count
             costs = self.problem.costs(self.problem.at(space, np.stack(points[:2]))[1], np.stack(points[:2]))[0]
             order = [*np.argsort(costs, kind="stable"), *range(2, len(points))]
             found.append((float(costs.min()), effect, [points[i] for i in order]))
         dispersion = max([1.0, min(cost for cost, *_ in found) / max(1.0, self.problem.numbers)]) if found else 1.0
         price = dispersion * log(max(3.0, self.problem.numbers))  # of a parameter, as in EBIC
-        return sorted(found, key=lambda item: (item[0] + price * len(item[2][0]), item[1]))[:count]
+        return sorted(found, key=lambda item: (item[0] + price * counts[item[1]], item[1]))[:count]
 
     def _screened(self, parent: Fit, effect: str) -> float:
         """Return the objective by slopes after one step of `effect` on top of `parent`; its points are kept."""
@@ -207,7 +208,7 @@ class Search:
         starts = points[:1]
         space = self.problem.space((*parent.effects, effect))
         own = np.array([label.split(".")[0] == effect for label in space.free_labels()])
-        if np.any(space.log & own):
+        if np.any(space.log & own & space.declared):
             others = [p for p in points[1:] if np.max(np.abs(p - points[0])) > 0.5]
             starts += others[:1]
         found = self.problem.fit((*parent.effects, effect), starts)
@@ -223,7 +224,7 @@ class Search:
     def penalty(self, fit: Fit) -> float:
         """Return the EBIC penalty of a set: log n per parameter and the log of how many such sets there are."""
         n = max(3.0, self.problem.numbers)
-        return len(fit.x) * log(n) + 2.0 * log(comb(max(len(self.candidates), len(fit.effects)), len(fit.effects)))
+        return fit.space.count * log(n) + 2.0 * log(comb(max(len(self.candidates), len(fit.effects)), len(fit.effects)))
 
     def score(self, fit: Fit, dispersion: float) -> float:
         """Return the EBIC of a set at a given over-dispersion."""
@@ -410,12 +411,12 @@ class Search:
             worse = self.held_out_mm(other) / max(self.held_out_mm(fit), 1e-300) - 1.0
             if (
                 (self._behind(other, mine) <= 1.0 or worse < CV_FALL)
-                and len(other.x) < len(fit.x)
+                and other.space.count < fit.space.count
                 and self.valid(other)
             ):
                 near.append(other)
-        best = min(near, key=lambda f: (len(f.x), self.score(f, self.dispersion(fit))))
-        equals = [f for f in self._swaps(best) if len(f.x) == len(best.x) and self.valid(f)]
+        best = min(near, key=lambda f: (f.space.count, self.score(f, self.dispersion(fit))))
+        equals = [f for f in self._swaps(best) if f.space.count == best.space.count and self.valid(f)]
         level = self.score(best, self.dispersion(best)) + EQUAL
         close = [f for f in [best, *equals] if self.score(f, self.dispersion(best)) <= level]
         return min(close, key=lambda f: sorted(self.candidates.index(e) for e in f.effects)[::-1])

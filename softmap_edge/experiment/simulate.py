@@ -78,11 +78,9 @@ class World:
             self.params |= {key: fit.params for key, fit in fits.items()}
         else:
             self.noise, self.dispersion = _declared_noise(model, diagnosis), 1.0
-            told = {
-                label: float(p["value"])
-                for e in [*diagnosis.effects, *diagnosis.faults]
-                for label, p in e["params"].items()
-            }
+            told: dict[str, float] = {}
+            for name in self.found:
+                told |= diagnosis.params_of(name)
             self.params |= {key: self._middle(key) | told for key in sets}
 
     def blocks(self, limits: Limits) -> list[Block]:
@@ -213,8 +211,7 @@ class World:
     def _middle(self, effects: Sequence[str]) -> dict[str, float]:
         """Return parameters at mid-range: halfway from null to high, or the start where the scale is logarithmic."""
         layout = self.bare.layout(tuple(effects))
-        middle = np.where(layout.log, layout.start, 0.5 * (layout.null + layout.high))
-        return dict(zip(layout.labels, map(float, middle)))
+        return dict(zip(layout.labels, map(float, layout.middle)))
 
     def needs(self, name: str) -> list[str]:
         return list(self.registry[name].get("needs", []))

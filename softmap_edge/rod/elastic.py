@@ -55,18 +55,35 @@ class Layout:
         return {kind: slice(end - count, end) for (kind, count), end in zip(self.counts().items(), ends)}
 
 
+@dataclass(frozen=True)
+class Change:
+    """A change of a group of numbers: by a factor (1 is none) or by an angle or length (0 is none), within bounds."""
+
+    label: str
+    group: int
+    unit: str
+    null: float
+    low: float
+    high: float
+    factor: bool
+
+
 @dataclass(frozen=True, eq=False)
 class ElasticParameters:
-    """A rod with its numbers (P,) and the nominal `flexibility` of its tendons, mm per N, for its load fields."""
+    """A rod with its numbers (P,) and the nominal `flexibility` of its tendons, mm per N, for its load fields.
+
+    `free` says which of its numbers a run has told: for each the group in which it moved, -1 for what was known.
+    """
 
     layout: Layout
     numbers: Floats
     flexibility: float
+    free: tuple[int, ...] = ()
 
     @classmethod
-    def nominal(cls, layout: Layout, numbers: Floats) -> ElasticParameters:
+    def nominal(cls, layout: Layout, numbers: Floats, free: tuple[int, ...] = ()) -> ElasticParameters:
         """Return a rod on whose resting tip 1 N across moves it by a tenth of its length."""
-        unscaled = cls(layout, numbers, 1.0)
+        unscaled = cls(layout, numbers, 1.0, free)
         fields, home = unscaled.fields(), np.zeros((1, layout.channels))
         moved = [fields[f"tip_force_{axis}"].evaluate(home)[0, -3:] for axis in "xy"]
         length = float(numbers[layout.places()["length"]].sum())
@@ -93,7 +110,7 @@ class ElasticParameters:
             "at": np.array(layout.at, float),
             "numbers": self.numbers,
             "flexibility": np.array([self.flexibility]),
-        }
+        } | ({"free": np.array(self.free, np.int64)} if self.free else {})
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> ElasticParameters:
@@ -103,7 +120,8 @@ class ElasticParameters:
             SoftmapError: an array is missing, has the wrong shape, or holds what no rod has.
         """
         lists: dict[str, list[float]] = {}
-        for name in ("segments", "channels", "ends", "channel", "pull", "at", "numbers", "flexibility"):
+        optional = ("free",) if "free" in arrays else ()
+        for name in ("segments", "channels", "ends", "channel", "pull", "at", "numbers", "flexibility", *optional):
             if name not in arrays or np.ndim(arrays[name]) != 1 or len(arrays[name]) > MOST_NUMBERS:
                 got = f"of shape {np.shape(arrays[name])}" if name in arrays else "missing"
                 raise SoftmapError(f"elastic rod: array '{name}' is {got}, expected a list; learn the bundle again")
@@ -124,7 +142,45 @@ class ElasticParameters:
             pull=tuple(lists["pull"]),
             at=tuple(lists["at"]),
         )
-        return cls(layout, np.array(lists["numbers"]), lists["flexibility"][0])
+        free = lists.get("free", [])
+        if free and (len(free) != len(lists["numbers"]) or not all(-1 <= f < len(free) and f == int(f) for f in free)):
+            raise SoftmapError("elastic rod: 'free' is not one whole number from -1 a number; learn the bundle again")
+        return cls(layout, np.array(lists["numbers"]), lists["flexibility"][0], tuple(map(int, free)))
+
+    def changeable(self) -> list[Change]:
+        """Return the numbers that a run has told, as changes of what they are now."""
+        first: dict[int, int] = {}
+        for i, group in enumerate(self.free):
+            if group >= 0:
+                first.setdefault(group, i)
+        kinds = {i: kind for kind, place in self.layout.places().items() for i in range(place.start, place.stop)}
+        found = []
+        for group, i in sorted(first.items()):
+            kind, place = KINDS[kinds[i]], self.layout.places()[kinds[i]]
+            if kinds[i] == "slack":
+                continue
+            several = self.free.count(group) > 1
+            label = kinds[i] if several else f"{kinds[i]}[{i - place.start}]"
+            low, high = (np.exp(kind.low), np.exp(kind.high)) if kind.factor else (kind.low, kind.high)
+            turn = 180.0 / np.pi if kind.unit == "deg" else 1.0
+            unit = "times" if kind.factor else kind.unit
+            found.append(Change(label, group, unit, float(kind.factor), low * turn, high * turn, kind.factor))
+        return found
+
+    def changed(self, values: Mapping[str, float]) -> ElasticParameters:
+        """Return the rod with changes by label; what is not named stays as it is.
+
+        Raises:
+            SoftmapError: the rod has no such number to change, or none of that size.
+        """
+        numbers, known = np.array(self.numbers, float), {c.label: c for c in self.changeable()}
+        for label, value in values.items():
+            if label not in known or not np.isfinite(value):
+                raise SoftmapError(f"elastic rod: no change of '{label}' by {value:g}; there are {', '.join(known)}")
+            change, mine = known[label], np.array(self.free) == known[label].group
+            by = value * np.pi / 180.0 if change.unit == "deg" else value
+            numbers[mine] = numbers[mine] * by if change.factor else numbers[mine] + by
+        return replace(self, numbers=numbers)
 
     def __str__(self) -> str:
         """Say in a line what it is."""
@@ -201,6 +257,14 @@ class Coordinates:
         self.low, self.high = np.where(slack, -first, low), np.where(slack, 1.0 - first, high)
         self.doubt = np.array([KINDS[kind].doubt for kind in self.kinds])
         self.scatter = np.array([KINDS[kind].scatter for kind in self.kinds])
+
+    @property
+    def groups(self) -> tuple[int, ...]:
+        """The coordinate that moves each number (P,), -1 where none does."""
+        found = np.full(len(self.start), -1)
+        for column, indices in enumerate(self.moved):
+            found[indices] = column
+        return tuple(found.tolist())
 
     def _add(self, kind: str, labels: Sequence[str], moved: list[list[int]], indices: list[list[int]]) -> None:
         self.labels += labels

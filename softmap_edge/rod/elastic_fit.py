@@ -73,7 +73,7 @@ def fit_elastic(seen: Seen, robot: Robot, parts: Folds, seed: int) -> Fitted:
             x = descend(data.term(), x, space.low, space.high)[0]
     residuals, refits = cross_validate(data, x, parts)
     return Fitted(
-        rod=ElasticParameters.nominal(robot.layout, space.numbers(x)),
+        rod=ElasticParameters.nominal(robot.layout, space.numbers(x), space.groups),
         pair=pair,
         residuals=residuals.reshape(seen.markers.shape),
         parts=parts,
