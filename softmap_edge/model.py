@@ -319,11 +319,20 @@ class Model:
         error = self.form_error
         if carry is not None:
             error = np.full((len(carry), 3), self.vertex_error_mm / np.sqrt(3.0))
-        if run.gravity is None or not self.error_per_g_mm:
-            return error
-        away = np.broadcast_to(run.gravity, (len(run.t), 3)) - self.gravity_reference
-        more = self.error_per_g_mm**2 * float(np.mean(np.sum(away**2, axis=1)))
-        return np.asarray(error * np.sqrt(1.0 + more / max(self.vertex_error_mm, 1e-9) ** 2))
+        return np.asarray(error * np.sqrt(np.mean(np.sum(self.run_leaning(run) ** 2, axis=1))))
+
+    def run_leaning(self, run: Run) -> Floats:
+        """Return (K, 4) of each seen frame: 1, and by how many times its error upright the model errs for leaning along x, y, z.
+
+        What a model errs for a lean is another number in another orientation, though the command be the same.
+        """
+        rows = np.zeros((len(run.t_seen), 4))
+        rows[:, 0] = 1.0
+        if run.gravity is not None and self.error_per_g_mm:
+            away = np.broadcast_to(run.gravity, (len(run.t), 3)) - self.gravity_reference
+            near = np.clip(np.searchsorted(run.t, run.t_seen), 0, len(run.t) - 1)
+            rows[:, 1:] = self.error_per_g_mm / max(self.vertex_error_mm, 1e-9) * away[near]
+        return rows
 
     def _carry(self, run: Run) -> Floats | None:
         """Weights (M, N) that carry a run's markers on the template; None where points are the model's own."""

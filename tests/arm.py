@@ -118,6 +118,9 @@ class Arm:
     def run_feature_map(self, run):
         return FeatureMap(np.eye(SECTIONS), np.ones(SECTIONS, bool), np.arange(SECTIONS))
 
+    def run_leaning(self, run):
+        return np.ones((len(run.t_seen), 1))
+
     def run_form_error(self, run):
         return np.full((SECTIONS, 3), self.form)
 

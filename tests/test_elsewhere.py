@@ -14,6 +14,7 @@ from softmap_edge import Run, build_model, load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.elsewhere.build import model_from_file
 from softmap_edge.errors import SoftmapError
+from softmap_edge.solid.build import grid_axes
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
 
@@ -200,7 +201,7 @@ def test_three_channels_and_uneven_axes_are_a_table_and_six_are_scattered():
 
 def test_a_sweep_of_this_simulator_builds_exactly_as_its_finger(tmp_path):
     finger = Finger.builtin().replace(core=2, layers=12, command_range=((-4.0, 4.0), (-4.0, 4.0)))
-    Simulator(finger).sweep([np.linspace(-4, 4, 5)] * 2).save(tmp_path / "sweep.npz")
+    Simulator(finger).sweep(grid_axes(finger, 5)).save(tmp_path / "sweep.npz")
     assert main(["build", str(tmp_path / "sweep.npz"), "--out", str(tmp_path / "one")]) == 0
     save_bundle(build_model(finger, 5), tmp_path / "two")
     for file in (tmp_path / "two").iterdir():

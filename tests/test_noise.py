@@ -120,3 +120,21 @@ def test_unseen_features_do_not_count():
     hole = np.ones((4, F))
     hole[2] = np.nan
     assert np.all(white(hole)[2] == 0) and np.any(white(hole)[1] != 0)
+
+
+def test_what_a_lean_makes_is_another_error_in_another_orientation():
+    """The same smooth field everywhere is forgiven; one that turns round with the orientation only where it may."""
+    rng = np.random.default_rng(2)
+    command = rng.uniform(-10.0, 10.0, (120, 2))
+    side = np.where(np.arange(120) < 60, 1.0, -1.0)
+    field = 0.5 * np.cos(0.1 * command[:, 0])
+    leaning = np.stack([np.ones(120), 0.8 * side], axis=1)
+    spread = np.array([20.0, 20.0])
+    noise = Noise(np.eye(3) * 1e-2, "known", 1.0)
+    left = {}
+    for name, rows in (("command", None), ("orientation", leaning)):
+        kernel = command_kernel(command, spread, rows)
+        white = whitener(noise, np.eye(3) * 0.25, np.ones((1, 120, 3)), kernel)
+        left[name] = [float(np.sum(white(values[:, None] * np.ones(3)) ** 2)) for values in (field, side * field)]
+    assert left["command"][0] < 0.02 * left["command"][1]
+    assert left["orientation"][1] < 0.05 * left["command"][1]

@@ -259,6 +259,10 @@ def test_the_verbs_take_it_from_diagnosis_to_comparison(off_centre_run, here, ca
     off_centre_run.save(here / "run.npz")
     own = ["--effects", str(EXAMPLE)]
     assert main(["diagnose", "run.npz", "--effects", "gain", *own, "--out", "d.json"]) == 0
+    found = json.loads((here / "d.json").read_text())
+    for number in found["effects"][0]["params"].values():
+        number["value"] *= 1.2
+    (here / "d.json").write_text(json.dumps(found))
     assert main(["add", "off_centre_pulley", "--from", "d.json", "--out", "better", *own]) == 0
     assert main(["refit", "run.npz", "--bundle", "better", "--out", "again", *own]) == 0
     save_bundle(builtin_model(), here / "plain")

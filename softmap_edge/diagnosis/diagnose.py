@@ -365,7 +365,7 @@ def _problem(record: Record, candidates: Sequence[str], noise: Noise | None = No
     thin = np.unique(np.linspace(0, len(record) - 1, min(len(record), SIGNATURE_FRAMES)).astype(int))
     signatures = [s for name in candidates for s in _signatures(record, name, base, thin)]
     stack = np.stack(signatures) if signatures else np.zeros((1, len(thin), record.features))
-    kernel = command_kernel(record.command, record.spread)
+    kernel = command_kernel(record.command, record.spread, record.leaning)
     if record.model.kind == "rod":
         noise = noise or rod_noise(record.seen - base, record.t_seen, record.form_error)
         form = np.zeros((record.features, record.features))

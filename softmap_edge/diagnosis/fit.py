@@ -147,8 +147,9 @@ class Problem:
     @cached_property
     def fold_kernels(self) -> list[tuple[Kernel, Kernel]]:
         """Kernels over the commands of each fold's training and test frames."""
-        command, spread = self.record.command, self.record.spread
-        return [(command_kernel(command[a], spread), command_kernel(command[b], spread)) for a, b in self.folds]
+        command, spread, leaning = self.record.command, self.record.spread, self.record.leaning
+        parts = [(command_kernel(command[i], spread, leaning[i]) for i in fold) for fold in self.folds]
+        return [(train, test) for train, test in parts]
 
     def at(self, space: Space, x: Floats) -> tuple[Floats, Floats]:
         """Return predictions (B, K, F) and residual modes (B, K, M) at x (B, P)."""

@@ -130,8 +130,12 @@ def scaled_commands(command: Floats, unit: Floats) -> Floats:
     return np.asarray(command / np.where(unit > 1e-9, unit, np.inf))
 
 
-def command_kernel(command: Floats, spread: Floats, rank: int = RANK) -> Kernel:
-    """Return the squared-exponential kernel over commands (K, C), scaled by `spread` (C,), at rank <= `rank`."""
+def command_kernel(command: Floats, spread: Floats, leaning: Floats | None = None, rank: int = RANK) -> Kernel:
+    """Return the squared-exponential kernel over commands (K, C), scaled by `spread` (C,), at rank <= `rank`.
+
+    `leaning` (K, d): the kernel is multiplied by the products of its rows, so what grows with a lean is another error
+    in another orientation; its rank is then up to d times as large.
+    """
     if command.shape[0] == 0:
         return Kernel(np.zeros((0, 0)), np.zeros(0))
     x = scaled_commands(command, spread * KERNEL_LENGTH) if command.shape[1] else np.zeros((len(command), 1))
@@ -146,6 +150,9 @@ def command_kernel(command: Floats, spread: Floats, rank: int = RANK) -> Kernel:
     values, vectors = np.linalg.eigh(inner)
     keep = values > 1e-8 * values[-1]
     root = cross @ (vectors[:, keep] / np.sqrt(values[keep]))  # (K, r), root rootᵀ = Nyström kernel
+    if leaning is not None:
+        some = leaning[:, np.any(leaning != 0.0, axis=0)]
+        root = (root[:, :, None] * some[:, None, :]).reshape(len(root), -1)
     basis, singular, _ = np.linalg.svd(root, full_matrices=False)
     strong = singular > 1e-4 * singular[0]
     return Kernel(np.ascontiguousarray(basis[:, strong]), singular[strong] ** 2)

@@ -104,6 +104,7 @@ class Record:
         self.positions: NDArray[np.bool_] = np.asarray(mapping.positions, bool)
         self.section: NDArray[np.int64] = np.asarray(mapping.section)
         self.form_error = np.asarray(model.run_form_error(run), float)
+        self._leaning: Floats = np.asarray(model.run_leaning(run), float)
         self.block: NDArray[Any] | None = run.block
 
     # --- what the run declares ------------------------------------------------------------------
@@ -117,6 +118,11 @@ class Record:
     def spread(self) -> Floats:
         """Range (C,) of the commands."""
         return np.ptp(self.u, axis=0) if len(self.u) else np.zeros(self.u.shape[1])
+
+    @cached_property
+    def leaning(self) -> Floats:
+        """How the model's own error depends on the orientation, (K, 4) with rows of length 1 on average."""
+        return self._leaning / max(float(np.sqrt(np.mean(np.sum(self._leaning**2, axis=1)))), 1e-300)
 
     @property
     def gravity(self) -> Floats | None:
@@ -259,6 +265,7 @@ class Records(Record):
         self.positions, self.section = parts[0].positions, parts[0].section
         weight = [part.frames / max(1, self.frames) for part in parts]
         self.form_error = np.sqrt(sum(w * part.form_error**2 for w, part in zip(weight, parts)))
+        self._leaning = np.concatenate([part._leaning for part in parts])
         self.ends = np.cumsum([part.frames for part in parts])
         begins, end = [], 0.0
         for part in parts:

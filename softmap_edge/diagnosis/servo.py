@@ -59,6 +59,10 @@ class Servo:
         """Return what an encoder cannot tell, (1, 3)."""
         return np.array([[self.step, 0.0, 0.0]])
 
+    def run_leaning(self, run: Run) -> Floats:
+        """Return that no orientation matters, (K, 1)."""
+        return np.ones((len(run.t_seen), 1))
+
     def acting(self, names: tuple[str, ...], params: Floats, run: Run) -> Floats:
         """Return what a chain of `names` makes of the command, (B, K, 1)."""
         chain = _core.Chain(list(names), 1)

@@ -38,6 +38,8 @@ FORM_COMMANDS = 24
 MESHED_COMMANDS = 8
 REFINED_COMMANDS = 3  # a factor of the refined mesh takes seconds, not milliseconds
 USUAL_STEPS = {1: 41, 2: 41, 3: 13}  # commands a channel of a sweep: 1681 of two, 2197 of three
+EVEN_STEPS = 21  # steps of a sweep from which they are even
+GRADED = 1.7  # power by which fewer stand closer about home
 FORM_SEED = 20
 SIDEWAYS = 0.7  # g across the reference, a lean of 35 degrees: where the error under another gravity is measured
 
@@ -67,7 +69,13 @@ def grid_axes(finger: Finger, steps: int | None = None) -> list[Floats]:
             "its tendons, or simulate scattered commands with Simulator.path"
         )
     count = steps or USUAL_STEPS.get(len(finger.pairs), 1)
-    return [np.linspace(low, high, count) for low, high in finger.command_range]
+    return [_axis(low, high, count, count < EVEN_STEPS) for low, high in finger.command_range]
+
+
+def _axis(low: float, high: float, count: int, graded: bool) -> Floats:
+    """Return `count` nodes from `low` to `high`; graded, they stand closer about home, where tendons fall slack."""
+    even, far = np.linspace(low, high, count), max(-low, high)
+    return np.asarray(np.sign(even) * far * np.abs(even / far) ** GRADED) if graded and low < 0.0 else even
 
 
 def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progress, modes: int = MODES) -> Model:
@@ -78,7 +86,7 @@ def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progr
     prior |= packed("pull", sweep.pull, PULL_STEP, np.int16)
     many = len(sweep.axes) > 2 or isinstance(finger.solid, Meshed)
     steps = COARSE_FIELD_STEPS if many else FIELD_STEPS
-    field_axes = [np.linspace(axis[0], axis[-1], steps) for axis in sweep.axes]
+    field_axes = [_axis(axis[0], axis[-1], steps, len(axis) < EVEN_STEPS) for axis in sweep.axes]
     report("fields", 0.0)
     grid = tensor_grid(field_axes)
     # A tension given in N stays what it is under a load.
