@@ -322,7 +322,7 @@ class Model:
         return np.asarray(error * np.sqrt(np.mean(np.sum(self.run_leaning(run) ** 2, axis=1))))
 
     def run_leaning(self, run: Run) -> Floats:
-        """Return (K, 4) of each seen frame: 1, and by how many times its error upright the model errs for leaning along x, y, z.
+        """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z over that of the reference.
 
         What a model errs for a lean is another number in another orientation, though the command be the same.
         """
