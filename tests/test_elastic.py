@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from tendon_arm import ARM, ROUGH, arm, moves, recorded
 
-from softmap_edge import Robot, _core, compare, diagnose, learn_model, load_bundle
+from softmap_edge import Diagnosis, Robot, _core, builtin_model, compare, diagnose, learn_model, load_bundle, refit
 from softmap_edge import save_bundle as save
 from softmap_edge.cli import main
 from softmap_edge.errors import RobotError, RunError, SoftmapError
 from softmap_edge.folds import folds
 from softmap_edge.rod.elastic import ElasticParameters
-from softmap_edge.rod.learn import learn
+from softmap_edge.rod.learn import learn, learned_model
 
 ROOT = Path(__file__).parents[1]
 
@@ -274,6 +274,80 @@ def test_play_in_its_drives_is_named_and_added(run, learned, tmp_path, capsys):
     before, after = (compare(load_bundle(tmp_path / name), worn).error["rms_mm"] for name in ("arm", "arm2"))
     assert after < 0.5 * before
     capsys.readouterr()
+
+
+@pytest.fixture(scope="module")
+def taken_for_rods():
+    """A run of cables, seen within 0.3 mm, and the model of somebody who took them for rods that push."""
+    worn = recorded(arm(), seconds=60.0, rate=5.0, noise=0.3)
+    return worn, learn_model(worn, robot=arm().with_slack(1.0))
+
+
+LAWS = ["gain", "backlash", "friction", "slack", "dead_zone", "payload", "mount"]
+
+
+def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(taken_for_rods, tmp_path, capsys):
+    worn, model = taken_for_rods
+    before = float(np.sqrt(np.mean(np.sum((model.predict(worn) - worn.markers) ** 2, axis=-1))))
+    found = diagnose(model, worn, effects=LAWS)
+    assert [effect["name"] for effect in found.effects] == ["slack"] and found.verdict == "identified", found.sentence
+    entry = found.effects[0]
+    assert entry["params"]["slack.ratio"]["value"] < 0.02 and "slack.stiffness[0]" in entry["refitted"]["params"]
+    assert found.error["ladder"][-1]["value"] < 0.1 * before
+    numbers, truth = ElasticParameters.from_arrays(found.model.arrays["prior"]).numbers, arm()
+    for kind in ("angle", "radius", "stiffness", "length"):
+        place = truth.layout.places()[kind]
+        np.testing.assert_allclose(numbers[place], truth.start[place], rtol=0.05, atol=0.05, err_msg=kind)
+    # The same through files: the rod's numbers, and what it errs by, come along.
+    save(model, tmp_path / "rods")
+    (tmp_path / "d.json").write_text(json.dumps(found.to_dict()))
+    where = ["--bundle", str(tmp_path / "rods"), "--out", str(tmp_path / "cables")]
+    assert main(["add", "slack", "--from", str(tmp_path / "d.json"), *where]) == 0
+    capsys.readouterr()
+    added = load_bundle(tmp_path / "cables")
+    assert added.chain_names == ("slack",) and added.vertex_error_mm < 0.1 * model.vertex_error_mm
+    np.testing.assert_allclose(added.predict(worn), found.model.predict(worn), atol=1e-9)
+    np.testing.assert_allclose(added.form_error, found.model.form_error, rtol=1e-6)
+    again, told = refit(added, worn)
+    assert told["after_held_out_rms_mm"] < 1.1 * told["before_rms_mm"] and again.chain_names == ("slack",)
+    assert np.abs(again.predict(worn) - added.predict(worn)).max() < 0.5
+
+
+def test_rods_that_push_are_not_called_slack():
+    pushed = recorded(arm().with_slack(1.0), seconds=60.0, rate=5.0, noise=0.3)
+    found = diagnose(learn_model(pushed, robot=arm().with_slack(1.0)), pushed, effects=LAWS)
+    assert found.verdict == "nothing" and not found.effects, found.sentence
+
+
+def test_a_law_that_the_model_does_not_have_is_a_question_only_if_asked(run, learned, taken_for_rods):
+    cables = learned_model(run, learned)
+    assert cables.lacking("slack") == ["slack"] and taken_for_rods[1].lacking("slack") == []
+    assert builtin_model().lacking("slack") == ["slack"]
+    named = [item["name"] for item in diagnose(cables, run, effects=["slack", "lag"]).not_testable]
+    assert "slack" in named
+    with pytest.raises(SoftmapError, match="'slack' of the prior"):
+        cables.with_effects(["slack"], {"slack.ratio": 0.5}).predict(run)
+
+
+def test_changes_of_another_rod_are_refused(taken_for_rods):
+    worn, model = taken_for_rods
+    with pytest.raises(SoftmapError, match="stiffness"):
+        model.changed({"slack.elbow": 1.0})
+    with pytest.raises(SoftmapError):
+        model.with_effects(["slack"], {"slack.ratio": 0.5, "slack.stiffness[0]": -1.0})
+    found = diagnose(model, worn, effects=["slack"]).to_dict()
+    assert "14 numbers of the model itself" in str(Diagnosis.from_dict(found))
+    for damaged in ([1.0], None, "much", [-1.0] * 9):
+        found["effects"][0]["refitted"]["error_mm"] = damaged
+        with pytest.raises(SoftmapError, match="not of this model"):
+            Diagnosis.from_dict(found).added(model, ["slack"])
+    found["effects"][0]["refitted"]["params"] = {"slack.radius": 3}
+    with pytest.raises(SoftmapError, match="damaged diagnosis"):
+        Diagnosis.from_dict(found)
+    arrays = model.arrays["prior"]
+    for damaged in (arrays["free"][:-1], arrays["free"] * 0 + 999, arrays["free"] + 0.5):
+        with pytest.raises(SoftmapError, match="'free'"):
+            ElasticParameters.from_arrays({**arrays, "free": damaged})
 
 
 def test_a_bundle_is_replaced_only_by_force(run, tmp_path, capsys):

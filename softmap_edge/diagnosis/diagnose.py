@@ -272,7 +272,10 @@ def _with_error(model: Any, entries: Sequence[Mapping[str, Any]]) -> Any:
     for entry in entries:
         if not entry.get("refitted"):
             continue
-        error = np.asarray(entry["refitted"]["error_mm"], float)
+        try:
+            error = np.asarray(entry["refitted"].get("error_mm"), float)
+        except (TypeError, ValueError):
+            error = np.zeros(0)
         if error.shape != (model.form_error.size,) or not np.all(np.isfinite(error) & (error >= 0)):
             raise SoftmapError(f"the diagnosis is not of this model of '{model.robot}'; diagnose again")
         places = np.sum(error.reshape(-1, 3) ** 2, axis=1)

@@ -24,6 +24,7 @@ from softmap_edge.report.text import (
     LADDER_NOTE,
     STATIC_ADDED,
     VERDICTS,
+    again,
     check_diagnosis,
     check_pair,
     ladder_steps,
@@ -291,7 +292,7 @@ def _effect_row(row: Mapping[str, Any], judged: bool) -> str:
         + (' <span class="flag">at its bound</span>' if value.get("at_bound") else "")
         + "</div>"
         for label, value in (row.get("params") or {}).items()
-    )
+    ) + "".join(f"<div><small>{_text(line)}</small></div>" for line in again(row))
     shift = row.get("displacement_mm") or {}
     return (
         f"<tr><td><b>{_text(row.get('name', '?'))}</b><br><small>{_text(row.get('family', '?'))} · stage "

@@ -179,7 +179,9 @@ def check_diagnosis(document: Any) -> None:
     for row in named:
         _demand(_demand(row, Mapping, "an effect").get("displacement_mm") or {}, Mapping, "displacement_mm")
         _demand(row.get("name"), str, "the name of an effect")
-        for label, value in _demand(row.get("params"), Mapping, "params").items():
+        again = _demand(row.get("refitted") or {"params": {}}, Mapping, "refitted")
+        params = _demand(row.get("params"), Mapping, "params"), _demand(again.get("params"), Mapping, "refitted params")
+        for label, value in (item for group in params for item in group.items()):
             if number(_demand(value, Mapping, "an entry of params").get("value")) is None:
                 raise ReportError(f"damaged diagnosis: {label} has no finite value; make it again")
     for row in document.get("rivals") or []:
@@ -283,7 +285,15 @@ def _effect_lines(row: Mapping[str, Any]) -> list[str]:
     for label, value in (row.get("params") or {}).items():
         bound = "   at its bound" if value.get("at_bound") else ""
         lines.append(f"      {label:<26} {parameter(value)}{bound}")
-    return lines
+    return [*lines, *(f"      {line}" for line in again(row))]
+
+
+def again(row: Mapping[str, Any]) -> list[str]:
+    """Return a sentence on the numbers of the model that were fitted again with an effect, if there are any."""
+    changed = (row.get("refitted") or {}).get("params") or {}
+    return (
+        [f"with {len(changed)} numbers of the model itself fitted again; `softmap add` brings them"] if changed else []
+    )
 
 
 def parameter(value: Mapping[str, Any]) -> str:
