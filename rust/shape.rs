@@ -4,6 +4,7 @@
 //! rod and whatever comes later implement this trait; what consumes a shape need not know which one it is (`fields.rs`
 //! asks for tables, to sum them faster).
 
+use crate::error::{Result, invalid};
 use crate::table::Table;
 use std::sync::Arc;
 
@@ -54,9 +55,61 @@ pub trait Shape: Send + Sync {
     }
 }
 
+/// A prior and what was learned on top of it: out = prior(u) + residual(u).
+pub struct Sum {
+    prior: Arc<dyn Shape>,
+    residual: Arc<dyn Shape>,
+}
+
+impl Sum {
+    /// Add two shapes of the same commands and outputs.
+    pub fn new(prior: Arc<dyn Shape>, residual: Arc<dyn Shape>) -> Result<Sum> {
+        if prior.channels() != residual.channels() || prior.size() != residual.size() {
+            return Err(invalid(format!(
+                "the residual maps {} commands to {} numbers, the prior {} to {}; they must agree",
+                residual.channels(),
+                residual.size(),
+                prior.channels(),
+                prior.size()
+            )));
+        }
+        Ok(Sum { prior, residual })
+    }
+}
+
+impl Shape for Sum {
+    fn channels(&self) -> usize {
+        self.prior.channels()
+    }
+
+    fn size(&self) -> usize {
+        self.prior.size()
+    }
+
+    fn eval(&self, u: &[f64], out: &mut [f64]) {
+        let mut more = vec![0.0; out.len()];
+        self.prior.eval(u, out);
+        self.residual.eval(u, &mut more);
+        out.iter_mut()
+            .zip(more)
+            .for_each(|(sum, value)| *sum += value);
+    }
+
+    fn jacobian(&self, u: &[f64], out: &mut [f64]) {
+        let mut more = vec![0.0; out.len()];
+        self.prior.jacobian(u, out);
+        self.residual.jacobian(u, &mut more);
+        out.iter_mut()
+            .zip(more)
+            .for_each(|(sum, value)| *sum += value);
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::Shape;
+    use super::{Shape, Sum};
+    use crate::table::Table;
+    use std::sync::Arc;
 
     struct Parabola;
 
@@ -78,5 +131,24 @@ mod tests {
         Parabola.jacobian(&[7.0, -2.0], &mut slopes);
         // Central differences of a quadratic: round-off of the values (1e2) over the step (1e-4).
         assert!((slopes[0] + 28.0).abs() < 1e-8 && (slopes[1] - 46.0).abs() < 1e-8);
+    }
+    #[test]
+    fn a_sum_adds_values_and_slopes_and_refuses_another_shape() {
+        let sum = Sum::new(Arc::new(Parabola), Arc::new(Parabola)).unwrap();
+        let (mut one, mut two, mut slope, mut slopes) = ([0.0], [0.0], [0.0; 2], [0.0; 2]);
+        let u = [3.0, -2.0];
+        Parabola.eval(&u, &mut one);
+        sum.eval(&u, &mut two);
+        Parabola.jacobian(&u, &mut slope);
+        sum.jacobian(&u, &mut slopes);
+        assert!(two[0] == 2.0 * one[0] && slopes == [2.0 * slope[0], 2.0 * slope[1]]);
+        let table = Table::new(
+            vec![vec![-1.0, 0.0, 1.0]],
+            vec![0.0; 3],
+            vec![0.0],
+            vec![1.0],
+        )
+        .unwrap();
+        assert!(Sum::new(Arc::new(Parabola), Arc::new(table)).is_err());
     }
 }

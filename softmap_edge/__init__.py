@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from softmap_edge.model import Model
     from softmap_edge.own_effect import forget_effect, load_effect
     from softmap_edge.report.html import write_html
+    from softmap_edge.residual import adapt
     from softmap_edge.rod.learn import learn_model
     from softmap_edge.rod.robot import Robot
     from softmap_edge.run import Run
@@ -42,6 +43,7 @@ __all__ = [
     "Simulator",
     "SoftmapError",
     "__version__",
+    "adapt",
     "build_model",
     "builtin_model",
     "compare",
@@ -77,6 +79,7 @@ _HOMES = {
     "model": ["Model"],
     "own_effect": ["forget_effect", "load_effect"],
     "report.html": ["write_html"],
+    "residual": ["adapt"],
     "rod.robot": ["Robot"],
     "rod.learn": ["learn_model"],
     "run": ["Run"],

@@ -98,6 +98,10 @@ class Scattered(Shape):
     ) -> Self: ...
     def project(self, weights: _Floats, offset: _Floats) -> Scattered: ...
 
+@final
+class Sum(Shape):
+    def __new__(cls, prior: Shape, residual: Shape) -> Self: ...
+
 FIELDS: list[str]
 LOADS: list[str]
 STATIONS: list[float]

@@ -6,6 +6,7 @@ prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattere
 template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh
 fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands
 effects.json    the chain: names and parameters
+residual.npz    what was learned on top of the prior (`softmap adapt`), if anything: as a scattered family
 NAME_step       beside an array of whole numbers NAME in an archive: NAME counts these steps
 NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run only where whoever
                 loads the bundle has loaded that very file before (`load_effect`), or says so when asked
@@ -32,8 +33,8 @@ from softmap_edge.features import SECTIONS, Body
 from softmap_edge.model import Arrays, Model
 from softmap_edge.npz import read_npz, unpacked, write_npz
 
-# 2: scattered families, bodies without a mesh; 3: a user's own effects, fields of a design, steps; else 1
-SCHEMA = 3
+# 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a residual; else 1
+SCHEMA = 4
 _MAX_BYTES = 256 << 20
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
 _KINDS = ("table", "scattered", "rod")
@@ -56,7 +57,8 @@ def save_bundle(model: Model, path: str | Path) -> Path:
     partial = folder.with_name(folder.name + ".part")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    for name in ("prior", "fields"):
+    kept = [name for name in ("prior", "fields", "residual") if name in model.arrays]
+    for name in kept:
         write_npz(partial / f"{name}.npz", model.arrays[name])
     template: dict[str, NDArray[np.generic]] = {
         "rest": model.rest.astype(np.float32),
@@ -75,7 +77,7 @@ def save_bundle(model: Model, path: str | Path) -> Path:
     chain = {"chain": list(model.chain_names), "params": model.params}
     (partial / "effects.json").write_text(json.dumps(chain, indent=1, sort_keys=True) + "\n")
     manifest = {
-        "schema": 3 if own else _schema(model),
+        "schema": 4 if "residual" in kept else 3 if own else _schema(model),
         "kind": model.kind,
         "robot": model.robot,
         "channels": model.channels,
@@ -89,7 +91,7 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         "stiffness_known": model.stiffness_known,
         "made_from": dict(model.made_from),
         "written_by": f"softmap-edge {__version__}",
-        "sha256": {name: _sha256(partial / name) for name in _FILES},
+        "sha256": {name: _sha256(partial / name) for name in (*_FILES, *(f"{n}.npz" for n in kept[2:]))},
     }
     if own:
         manifest["own_effects"] = {effect.name: effect.sha256 for effect in own}
@@ -130,7 +132,7 @@ def load_bundle(path: str | Path, trust: Trust | None = None) -> Model:
     """
     folder = Path(path)
     manifest = load_manifest(folder)
-    for name in (*_FILES, *(f"{name}.py" for name in manifest.get("own_effects", {}))):
+    for name in (*_FILES, *_residual(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))):
         if not (folder / name).is_file():
             raise BundleError(f"{folder.name}: {name} is missing; copy the whole bundle folder again")
         if _sha256(folder / name) != (manifest["sha256"] | _own_hashes(manifest)).get(name):
@@ -235,11 +237,15 @@ def table_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table:
     return family
 
 
-def _arrays(folder: Path) -> dict[str, Arrays]:
+def _residual(manifest: dict[str, Any]) -> list[str]:
+    """Return the file of the residual that the manifest names, if it does."""
+    return ["residual.npz"] if "residual.npz" in manifest["sha256"] else []
+
+
+def _arrays(folder: Path, manifest: dict[str, Any]) -> dict[str, Arrays]:
     """Read the archives of a bundle; only finite numbers of a plausible size, which also keeps overflow out later."""
-    arrays = {
-        name: read_npz(folder / f"{name}.npz", BundleError, _MAX_BYTES) for name in ("prior", "fields", "template")
-    }
+    files = ["prior.npz", "fields.npz", "template.npz", *_residual(manifest)]
+    arrays = {file.removesuffix(".npz"): read_npz(folder / file, BundleError, _MAX_BYTES) for file in files}
     for name, group in arrays.items():
         for key, array in group.items():
             if array.dtype.kind not in "fiub" or not np.all(np.isfinite(array)):
@@ -255,7 +261,7 @@ def _arrays(folder: Path) -> dict[str, Arrays]:
 
 
 def _model(folder: Path, manifest: dict[str, Any]) -> Model:
-    arrays = _arrays(folder)
+    arrays = _arrays(folder, manifest)
     template = arrays["template"]
     if manifest["kind"] != "rod":
         prior: Any = family_from(arrays["prior"])
@@ -309,7 +315,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     nameless = [name for name in names if name in own_effect.loaded() and name not in manifest.get("own_effects", {})]
     if nameless:
         raise BundleError(f"{folder.name}: its chain has '{nameless[0]}', code that its manifest does not name")
-    return model.with_effects(names, params)
+    return model.with_effects(names, params).with_residual(arrays.get("residual"))
 
 
 def _body(folder: Path, template: Arrays, points: int) -> Body:

@@ -54,7 +54,8 @@ class Model:
     held-out error of each feature; `made_from` says what made the model (versions, seeds, hashes); `arrays` are the
     contents of `prior.npz` and `fields.npz`, from which prior, fields and cables were compiled. `body` says how the
     points lie along a body that does not stand along z or has no mesh. Without `stiffness_known` the fields have a
-    nominal scale: loads that a run declares are not applied, and no fitted load is a weight in grams.
+    nominal scale: loads that a run declares are not applied, and no fitted load is a weight in grams. `residual` is
+    what was learned on top of the prior with these effects (`adapt`); with others it is gone.
     """
 
     kind: str
@@ -78,6 +79,7 @@ class Model:
     body: Body | None = None
     stiffness_known: bool = True
     arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
+    residual: Shape | None = None  # commands (n, C) to flattened points (n, 3N) mm
     _attached: dict[bytes, Floats] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -157,7 +159,22 @@ class Model:
         if not np.isfinite(params).all():
             wrong = chain.labels[int(np.argmin(np.isfinite(params)))]
             raise SoftmapError(f"{wrong} is not a finite number; give each parameter one")
-        return replace(self, chain_names=tuple(names), chain_params=params)
+        return replace(self.with_residual(None), chain_names=tuple(names), chain_params=params)
+
+    def with_residual(self, arrays: Arrays | None) -> Model:
+        """Return the model with the residual that a shape family's `arrays` hold, in place of its own, or with none.
+
+        Raises:
+            SoftmapError: it is of other commands or points.
+        """
+        kept = {name: group for name, group in self.arrays.items() if name != "residual"}
+        if arrays is None:
+            return self if self.residual is None else replace(self, arrays=kept, residual=None)
+        from softmap_edge.bundle import family_from
+
+        residual = family_from(arrays)
+        _core.Sum(self.prior, residual)  # agrees, or says so
+        return replace(self, arrays=kept | {"residual": dict(arrays)}, residual=residual)
 
     def changes(self, names: Sequence[str]) -> list[Change]:
         """Return what is fitted along with the effects `names`, labelled as theirs: changes of the prior's numbers.
@@ -369,7 +386,13 @@ class Model:
     @cached_property
     def _points(self) -> _core.Predictor:
         everywhere = np.ones(len(self.rest), bool)
-        return self._predictor(self.prior, dict(self.fields), everywhere, self.cables)
+        prior = self.prior if self.residual is None else _core.Sum(self.prior, self.residual)
+        return self._predictor(prior, dict(self.fields), everywhere, self.cables)
+
+    def _body_seen(self, matrix: Floats, offset: Floats) -> Shape:
+        """Return prior and residual together, seen through a linear map."""
+        prior = self.prior.project(matrix, offset)
+        return prior if self.residual is None else _core.Sum(prior, self.residual.project(matrix, 0.0 * offset))
 
     @cached_property
     def _sections_predictor(self) -> _core.Predictor:
@@ -385,7 +408,7 @@ class Model:
         matrix, zero = mapping.matrix(), np.zeros(3 * len(mapping.weights))
         fields = {name: shape.project(matrix, zero) for name, shape in self.fields.items()}
         cables = None if self.cables is None else self.cables.project(matrix, zero)
-        prior = self.prior.project(matrix, zero)
+        prior = self._body_seen(matrix, zero)
         return self._predictor(prior, fields, mapping.positions, cables)
 
     def _predictor(
@@ -412,7 +435,7 @@ class Model:
         reach = [float(np.quantile(np.linalg.norm(a[n][:, :2], axis=1), _OUTSIDE)) for a, n in zip(aside, near)]
         moved = {name: shape.project(matrix, zero) for name, shape in self.fields.items()}
         cables = None if self.cables is None else self.cables.project(matrix, zero)
-        return self.prior.project(matrix, zero), moved, cables, reach
+        return self._body_seen(matrix, zero), moved, cables, reach
 
 
 def tip_of(vertices: Floats) -> NDArray[np.int64]:

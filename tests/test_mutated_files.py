@@ -145,6 +145,21 @@ def bundle_sample(folder):
     return save_bundle(builtin_model(), folder / "bundle")
 
 
+def residual_sample(folder):
+    from softmap_edge.bundle import builtin_model, save_bundle
+
+    model, rng = builtin_model(), np.random.default_rng(0)
+    residual = {
+        "nodes": rng.uniform(-9, 9, (6, 2)),
+        "scale": np.array([9.0, 9.0]),
+        "power": np.array(3),
+        "coefficients": 0.1 * rng.normal(size=(9, 2)),
+        "mean": rng.normal(size=model.prior.size),
+        "modes": rng.normal(size=(2, model.prior.size)),
+    }
+    return save_bundle(model.with_residual(residual), folder / "bundle")
+
+
 def own_effect_sample(folder):
     """A bundle with a user's effect, whose code counts how often it was run."""
     import builtins
@@ -285,6 +300,7 @@ FORMATS = [
     Format("commands", commands_sample, spoil_text_file, use_commands),
     Format("sweep made elsewhere", shapes_sample, spoil_npz_file, use_shapes),
     Format("scattered bundle", scattered_bundle_sample, spoil_bundle, use_bundle),
+    Format("bundle with a residual", residual_sample, spoil_bundle, use_bundle),
     Format("bundle", bundle_sample, spoil_bundle, use_bundle),
     Format("elastic bundle", elastic_sample, spoil_bundle, use_bundle),
     Format("bundle with a user's effect", own_effect_sample, spoil_bundle, use_own_effect),

@@ -51,7 +51,7 @@ mod _core {
     #[pymodule_export]
     use super::scattered::PyScattered;
     #[pymodule_export]
-    use super::shape::PyShape;
+    use super::shape::{PyShape, PySum};
     #[pymodule_export]
     use super::table::PyTable;
 

@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::room::zeros;
-use crate::shape::Shape;
+use crate::shape::{Shape, Sum};
 use numpy::{
     IntoPyArray, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods,
 };
@@ -90,5 +90,21 @@ impl PyShape {
             out
         });
         out.into_pyarray(py).reshape([n, size, channels])
+    }
+}
+
+/// A prior with a residual on top: numbers and slopes are those of both together.
+#[pyclass(name = "Sum", module = "softmap_edge._core", extends = PyShape, frozen)]
+pub struct PySum;
+
+#[pymethods]
+impl PySum {
+    #[new]
+    fn new(
+        prior: PyRef<'_, PyShape>,
+        residual: PyRef<'_, PyShape>,
+    ) -> PyResult<PyClassInitializer<PySum>> {
+        let inner = Arc::new(Sum::new(prior.inner.clone(), residual.inner.clone())?);
+        Ok(PyClassInitializer::from(PyShape { inner }).add_subclass(PySum))
     }
 }

@@ -1,4 +1,4 @@
-"""Verbs that answer what a model lacks: compare, diagnose, add, remove, refit."""
+"""Verbs that answer what a model lacks: compare, diagnose, add, remove, refit, adapt."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def add(args: argparse.Namespace) -> int:
     twice = [n for n in names if n in model.chain_names]
     if twice:
         raise SoftmapError(f"the model has '{twice[0]}' already; `softmap refit` fits it again")
-    return _write(args, diagnosis.added(model, names), {"added": names})
+    return _write(args, diagnosis.added(model, names), {"added": names} | _dropped(model))
 
 
 def remove_arguments(parser: argparse.ArgumentParser) -> None:
@@ -138,7 +138,7 @@ def remove(args: argparse.Namespace) -> int:
             raise SoftmapError(f"the model has no effect '{name}'; it has {held}")
     rest = tuple(n for n in model.chain_names if n not in names)
     params = {label: v for label, v in model.params.items() if label.split(".")[0] in rest}
-    return _write(args, model.with_effects(rest, params), {"removed": names})
+    return _write(args, model.with_effects(rest, params), {"removed": names} | _dropped(model))
 
 
 def refit_arguments(parser: argparse.ArgumentParser) -> None:
@@ -159,8 +159,33 @@ def refit(args: argparse.Namespace) -> int:
 
     check_bundle(args.out, args.force)
     load_own(args)
-    model, report = fit_again(open_model(args.bundle), [_run(path) for path in args.runs])
-    _write(args, model, report)
+    before = open_model(args.bundle)
+    model, report = fit_again(before, [_run(path) for path in args.runs])
+    _write(args, model, report | _dropped(before))
+    return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
+
+
+def adapt_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `softmap adapt`."""
+    parser.add_argument(
+        "runs", nargs="+", metavar="run", help="the measured run, .npz; several are learned from together"
+    )
+    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    effects_argument(parser)
+    bundle_arguments(parser)
+
+
+def adapt(args: argparse.Namespace) -> int:
+    """Write a bundle with a residual learned from a run; 1 if the held-out error does not fall."""
+    from softmap_edge.residual import adapt as learn
+
+    check_bundle(args.out, args.force)
+    load_own(args)
+    model, runs = open_model(args.bundle), [_run(path) for path in args.runs]
+    for run in runs:
+        _warn("adapt", model, run)
+    changed, report = learn(model, runs)
+    _write(args, changed, report)
     return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
 
 
@@ -216,6 +241,11 @@ def _page(path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: st
     write_html(path, found, diagnosis, series(run, before, after if two else None, kind))
 
 
+def _dropped(model: Any) -> dict[str, Any]:
+    """Return that a model's residual goes with its effects, for the report of a change of these."""
+    return {} if model.residual is None else {"residual": "dropped"}
+
+
 def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
     from softmap_edge.bundle import save_bundle
 
@@ -231,6 +261,10 @@ def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
     print(f"{folder}: {', '.join(model.chain_names) or 'no effects'}")
     for label, value in params.items():
         print(f"  {label:<24} {value:.6g}")
+    if model.residual is not None:
+        print(f"  residual of {report['size_mm']:.2f} mm RMS over the command, learned from {report['frames']} frames")
+    if "residual" in report:
+        print("the residual was learned without this and is dropped; `softmap adapt` learns it again")
     if "before_rms_mm" in report:
         print(f"error {report['before_rms_mm']:.3f} -> {report['after_held_out_rms_mm']:.3f} mm RMS (held out)")
     return 0

@@ -28,6 +28,7 @@ from softmap_edge.diagnosis.evidence import (
     not_testable,
 )
 from softmap_edge.diagnosis.fit import Fit
+from softmap_edge.diagnosis.masked import Masked
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import RIVAL_SHARE, Search
 from softmap_edge.folds import labelled
@@ -62,6 +63,7 @@ def conclude(
     impossible: Sequence[Untestable] = (),
     own: OwnMisfit | None = None,
     seed: int = 0,
+    masked: Masked | None = None,
 ) -> dict[str, Any]:
     """Say what a finished search means.
 
@@ -73,6 +75,7 @@ def conclude(
         impossible: effects that were never candidates, and why.
         own: what the model's own effects would reach with other numbers, if that is much.
         seed: kept in the document.
+        masked: what a residual that was taken out may hide.
 
     Returns:
         dict: the entries of softmap.diagnosis/1, all but its schema.
@@ -83,7 +86,9 @@ def conclude(
     order = sorted(fit.effects, key=lambda e: (e not in search.faults, -weights[e], e))
     found = [r for r in search.rivals(fit) if not set(r[1].effects) & set(demoted)]  # what was dropped is no rival
     left = leftover(search, fit)
-    hidden = [*not_testable(search, fit, registry), *impossible]
+    behind = [] if masked is None else masked.untestable(registry)
+    names = {h.name for h in behind}
+    hidden = [*behind, *(h for h in (*not_testable(search, fit, registry), *impossible) if h.name not in names)]
     rivals = _rivals(search, fit, found, registry)
     if own is not None and fit.effects:
         fall = own.before_mm - search.held_out_mm(fit)
@@ -100,10 +105,13 @@ def conclude(
     count = len(search.candidates) + len(impossible)
     unknown = left.claim and (shared is None or leftover(search, shared[0]).claim)
     verdict = _verdict(physics or (unsure and faults), faults, [*rivals, *doubts], unknown, hidden, count)
+    if verdict == "nothing" and behind:
+        verdict, hidden = "cannot_tell", behind
     return {
         "verdict": verdict,
         "sentence": _sentence(verdict, physics, faults, rivals, left, hidden, error, demoted)
-        + "".join(f" But {doubt}." for doubt in doubts),
+        + "".join(f" But {doubt}." for doubt in doubts)
+        + ("" if masked is None else f" {masked}."),
         "effects": physics,
         "faults": faults,
         "rivals": [{"effects": r["effects"], "why": r["why"]} for r in rivals],
@@ -117,7 +125,7 @@ def conclude(
             "predicted_by": left.predicted_by,
         },
         "next": _next(rivals, hidden, registry),
-        "made_from": _made_from(search, order, other, demoted, registry, seed),
+        "made_from": _made_from(search, order, other, demoted, registry, seed, masked),
     }
 
 
@@ -359,6 +367,7 @@ def _made_from(
     demoted: Sequence[str],
     registry: dict[str, dict[str, Any]],
     seed: int,
+    masked: Masked | None,
 ) -> dict[str, Any]:
     from softmap_edge import __version__
 
@@ -369,6 +378,7 @@ def _made_from(
         "run": record.whole[0].hash() if len(record.whole) == 1 else [run.hash() for run in record.whole],
         "held_out": None if other is None else other.whole[0].hash(),
         "reference": None if record.replay is None else asdict(record.replay),
+        "residual": None if masked is None else asdict(masked),
         "frames": len(record),
         "robot": getattr(record.model, "robot", None),
         "own_effects": list(record.model.chain_names),

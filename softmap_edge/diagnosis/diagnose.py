@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.conclusion import OwnMisfit, conclude, parameters
 from softmap_edge.diagnosis.evidence import Untestable, equivalents, experiment, orientations, shown, unseen
 from softmap_edge.diagnosis.fit import Fit, Problem
+from softmap_edge.diagnosis.masked import masked
 from softmap_edge.diagnosis.noise import Noise, command_kernel, estimate_noise, form_covariance, rod_noise, whitener
 from softmap_edge.diagnosis.record import Record, record_of
 from softmap_edge.diagnosis.search import Search
@@ -188,7 +189,8 @@ def diagnose(
         fit, demoted = _demote(search, fit, search.held_out_mm, 1.0)
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     own = _own_misfit(record) if record.replay is None else None  # wrong numbers of its own cancel out too
-    document = conclude(search, fit, other, demoted, impossible, own, seed)
+    hidden = masked(search, fit)
+    document = conclude(search, fit, other, demoted, impossible, own, seed, hidden)
     document["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
     told = servos(record.whole[0], [*candidates, *record.model.chain_names]) if library is None else []
     return Diagnosis(**document, servo=told, model=_with_error(found, document["effects"]))
@@ -375,6 +377,8 @@ def _problem(record: Record, candidates: Sequence[str], noise: Noise | None = No
     else:
         noise = noise or estimate_noise(record.seen - base, record.t_seen, record.state.visit)
         form = form_covariance(record.form_error, record.positions, record.section)
+        if record.static is not None:  # a residual may be the model's own error or an effect: both are allowed for
+            form = form + record.static.T @ record.static / len(record)
     return Problem(record, noise, whitener(noise, form, stack, kernel))
 
 

@@ -66,6 +66,7 @@ class Record:
 
     seen: Floats  # (K, F) mm
     form_error: Floats  # (V, 3) mm
+    static: Floats | None = None  # (K, F) mm, what the model's residual is here: it is taken out, `model` is without it
 
     def __init__(self, model: Any, run: Run, library: Any = None, reference: Run | None = None) -> None:
         """Bind a model to a run; `library` has `Chain(names, channels)` and `effects()` (the compiled core).
@@ -74,7 +75,8 @@ class Record:
         """
         if library is None:
             from softmap_edge import _core as library
-        self.model, self.library = model, library
+        adapted = getattr(model, "residual", None) is not None
+        self.model, self.library = model.with_residual(None) if adapted else model, library
         self.whole: tuple[Run, ...] = (run,)
         self.replay: Replay | None = None
         self._bind(run)
@@ -84,6 +86,8 @@ class Record:
             if not met.all():
                 self._bind(self.run.at(met))
             self.seen, self.form_error = self.seen - missed[met], form
+        elif adapted:
+            self.static = (model.features(self.run) - self.model.features(self.run)).reshape(self.seen.shape)
 
     def _bind(self, run: Run) -> None:
         """Take the frames of a run in which anything is seen: others hold nothing out, their loss speaks for nobody."""
@@ -263,6 +267,8 @@ class Records(Record):
         self.seen = np.concatenate([part.seen for part in parts])
         self.command = np.concatenate([part.command for part in parts])
         self.positions, self.section = parts[0].positions, parts[0].section
+        if parts[0].static is not None:
+            self.static = np.concatenate([part.static for part in parts])
         weight = [part.frames / max(1, self.frames) for part in parts]
         self.form_error = np.sqrt(sum(w * part.form_error**2 for w, part in zip(weight, parts)))
         self._leaning = np.concatenate([part._leaning for part in parts])

@@ -1,0 +1,133 @@
+"""What a model's residual may be hiding: static effects that look like it, and that the run does not speak against.
+
+A diagnosis takes the residual out, and lets a static field of its size stand for nothing (`_problem`: form error in the
+same directions; a rod's error is noise), since it may be the model's own error or an effect. What the run tells through
+memory, orientation or load is then found as ever. Here the residual itself is diagnosed: each effect is fitted to it
+alone. One that explains HIDES of its mean square, and with the numbers of that fit makes the misfit of the run no
+larger, may be what was learned; no more can be said without a run in which the two differ. A residual within the
+model's own error, or one that takes no error off this run, hides nothing.
+Units: mm. Limit: effects are fitted to the residual one by one. Pinned by tests/test_residual.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.evidence import LEFT_FORM, Untestable, experiment
+from softmap_edge.diagnosis.fit import Fit, Problem
+from softmap_edge.diagnosis.noise import form_covariance
+from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.search import VISIBLE_MM, Search
+
+Floats = NDArray[np.float64]
+
+HIDES = 0.6  # of the residual's mean square: an effect that explains less is another
+LOOKED_AT = 8  # effects that are fitted to the residual, of those that screening finds best
+AGAINST = 9.0  # of the objective over the over-dispersion: three standard deviations
+
+
+@dataclass(frozen=True)
+class Masked:
+    """A residual taken out: its size on the run and what the effects found leave of it, the run's error with it and
+    without, what it may be (share), and what of it the model's own error may be.
+    """
+
+    size_mm: float
+    left_mm: float
+    with_mm: float
+    without_mm: float
+    may_be: tuple[tuple[str, float], ...]
+    own_mm: float
+
+    def untestable(self, registry: Mapping[str, dict[str, Any]]) -> list[Untestable]:
+        """Return what may hide in the residual, with what to record."""
+        return [
+            Untestable(
+                name,
+                f"the model's residual of {self.size_mm:.2f} mm may be it: it explains {100 * share:.0f} % of that",
+                *_other_conditions(registry, name),
+            )
+            for name, share in self.may_be
+        ]
+
+    def __str__(self) -> str:
+        told = (
+            f"The model's residual of {self.size_mm:.2f} mm RMS was taken out (error on this run "
+            f"{self.with_mm:.2f} mm with it, {self.without_mm:.2f} mm without)"
+        )
+        if self.may_be:
+            which = ", ".join(f"{name} ({100 * share:.0f} % of it)" for name, share in self.may_be)
+            return f"{told}; it may hide {which}"
+        if self.with_mm >= self.without_mm:
+            return f"{told}; it is not of this run"
+        if self.left_mm <= self.own_mm:
+            return (
+                f"{told}; {self.left_mm:.2f} mm of it are unexplained, up to {self.own_mm:.2f} mm may be its own error"
+            )
+        return f"{told}; {self.left_mm:.2f} mm of it are left that no effect explains alone"
+
+
+def masked(search: Search, fit: Fit) -> Masked | None:
+    """Return what the residual that was taken out may hide beside the effects of a fit; None without a residual."""
+    record = search.problem.record
+    if record.static is None:
+        return None
+    shift = fit.predicted - search.null.predicted
+    left = min((record.static, record.static - shift), key=record.rms_mm)
+    size, without = record.rms_mm(record.static), record.rms_mm(record.seen - search.null.predicted)
+    with_mm = record.rms_mm(record.seen - search.null.predicted - record.static)
+    own = max(VISIBLE_MM, LEFT_FORM * record.form_mm)  # whatever the noise of this run: it was learned from another
+    may_be = _may_be(search, fit, left) if record.rms_mm(left) > own and with_mm < without else []
+    return Masked(size, record.rms_mm(left), with_mm, without, tuple(may_be), own)
+
+
+def _may_be(search: Search, fit: Fit, left: Floats) -> list[tuple[str, float]]:
+    record = search.problem.record
+    wanted = [e for e in search.candidates if e not in fit.effects and e not in search.faults]
+    if not wanted:
+        return []
+    alone = Search(_as_if_seen(search, left), wanted)
+    found = []
+    for _, effect, points in alone.screen(alone.null, wanted, LOOKED_AT):
+        one = alone.grow(alone.null, effect, points)
+        share = 1.0 - (record.rms_mm(left - alone.displacement(one, effect)) / record.rms_mm(left)) ** 2
+        if share >= HIDES and not _against(search, fit, one, effect):
+            found.append((effect, float(share)))
+    return sorted(found, key=lambda pair: -pair[1])
+
+
+def _as_if_seen(search: Search, field: Floats) -> Problem:
+    """Return the problem in which `field` (K, F) mm is all that the model misses, without form error for it."""
+    problem = search.problem
+    record: Record = copy(problem.record)
+    record.static = None
+    record.seen = np.where(np.isfinite(record.seen), search.null.predicted + field, np.nan)
+    rod = record.model.kind == "rod"
+    own = form_covariance(record.form_error, record.positions, record.section) * (not rod)
+    form = np.einsum("mf,fg,mg->m", problem.whitener.project, own, problem.whitener.project)
+    return Problem(record, problem.noise, replace(problem.whitener, form=form), problem.base)
+
+
+def _against(search: Search, fit: Fit, alone: Fit, effect: str) -> bool:
+    """Whether the run speaks against an effect with the numbers that the residual gives it."""
+    problem, record = search.problem, search.problem.record
+    space = problem.space((*fit.effects, effect))
+    params = np.array([[(fit.params | alone.params)[label] for label in space.labels]])
+    params[0, space.free] = np.clip(params[0, space.free], *(space.values(x) for x in (space.low, space.high)))
+    x = space.scaled(params[0, space.free])
+    predicted, modes = problem.at(space, x[None])
+    cost = float(problem.costs(modes, x[None])[0][0])
+    worse = (cost - fit.cost) / search.dispersion(fit) > AGAINST
+    return bool(worse or record.rms_mm(record.seen - predicted[0]) >= record.rms_mm(record.seen - fit.predicted))
+
+
+def _other_conditions(registry: Mapping[str, dict[str, Any]], name: str) -> tuple[str, float]:
+    """Return what to record so that an effect and a static field differ: for a weight, another orientation."""
+    block, minutes = experiment(registry, name)
+    return ("another orientation", 1.0) if registry[name]["family"] == "dead load" else (block, minutes)
