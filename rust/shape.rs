@@ -86,6 +86,16 @@ impl Shape for Sum {
         self.prior.size()
     }
 
+    fn numbers(&self) -> Vec<&'static str> {
+        self.prior.numbers()
+    }
+
+    fn with_number(&self, name: &str, factor: f64) -> Option<Arc<dyn Shape>> {
+        let prior = self.prior.with_number(name, factor)?;
+        let residual = self.residual.clone();
+        Some(Arc::new(Sum { prior, residual }))
+    }
+
     fn eval(&self, u: &[f64], out: &mut [f64]) {
         let mut more = vec![0.0; out.len()];
         self.prior.eval(u, out);

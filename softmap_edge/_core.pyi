@@ -28,6 +28,7 @@ __all__ = [
     "Scattered",
     "Shape",
     "Solid",
+    "Sum",
     "Table",
     "effects",
     "forget",

@@ -3,17 +3,19 @@
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from test_diagnosis import finger_run, named
 from test_story import FIRST, SECRETS
 
-from softmap_edge import adapt, builtin_model, compare, diagnose, load_bundle, refit, save_bundle
+from softmap_edge import _core, adapt, builtin_model, compare, diagnose, load_bundle, refit, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.protocol import Limits
+from softmap_edge.rod.robot import Robot
 from softmap_edge.truth import Secret, Truth
 
 MODEL = builtin_model()
@@ -121,6 +123,23 @@ def test_it_belongs_to_its_effects(adapted, loaded):
     worn = MODEL.with_effects(["backlash"], {"backlash.gap": 0.5})
     changed, _ = refit(adapt(worn, loaded)[0], loaded)
     assert changed.residual is None
+
+
+def test_an_effect_of_the_prior_s_own_law_reaches_the_prior_through_it():
+    robot = Robot.load(Path(__file__).parents[1] / "examples/tdcr_robot.toml").with_slack(1.0)
+    rod, rng = robot.layout.compiled(robot.start), np.random.default_rng(0)
+    size, t = rod.size, np.arange(0.0, 9.0, 0.5)
+    nodes, weights = rng.uniform(-4, 4, (12, 9)), rng.normal(size=(22, 1))
+    field = _core.Scattered(nodes, np.full(9, 4.0), 1, weights, np.zeros(size), np.ones((1, size)))
+    assert rod.numbers and _core.Sum(rod, field).numbers == rod.numbers
+    u = 4.0 * np.sin((0.3 + 0.1 * np.arange(9)) * t[:, None])
+    chain = _core.Chain(["slack"], 9)
+    both, alone = (
+        _core.Predictor(prior, {}, np.ones(size // 3, bool), np.zeros(3)).predict(chain, np.array([[0.3]]), u, t, t)[0]
+        for prior in (_core.Sum(rod, field), rod)
+    )
+    np.testing.assert_allclose((both - alone).reshape(len(t), -1), field.evaluate(u), atol=1e-9)
+    assert np.abs(alone.reshape(len(t), -1) - rod.evaluate(u)).max() > 0.1
 
 
 def test_what_teaches_nothing_is_refused(loaded):
