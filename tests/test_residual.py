@@ -1,4 +1,7 @@
-"""A residual is learned, carried and predicted with; a diagnosis takes it out, so that it hides no physics."""
+"""A residual is learned, carried and predicted with; a diagnosis takes it out, so that it hides no physics.
+
+The commands of docs/residual.md run as they stand there, and print what stands there.
+"""
 
 import json
 import shutil
@@ -7,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from page import blocks, run_commands
 from test_diagnosis import finger_run, named
 from test_story import FIRST, SECRETS
 
@@ -19,6 +23,7 @@ from softmap_edge.rod.robot import Robot
 from softmap_edge.truth import Secret, Truth
 
 MODEL = builtin_model()
+PAGE = (Path(__file__).parents[1] / "docs/residual.md").read_text(encoding="utf-8")
 PAYLOAD = {"payload.mass": 15.0}
 SOME = [
     "offset",
@@ -184,11 +189,15 @@ def test_where_the_run_is_too_poor_to_tell_it_says_what_it_may_be(adapted):
     assert found.made_from["residual"]["may_be"][0][0] == "payload"
 
 
+def of_another_finger(hidden):
+    """A run of one orientation, solved by finite elements on another mesh, in another batch of silicone."""
+    truth = Truth(4, (Secret(SECRETS[hidden], 0.0),))
+    return truth.measure(plan(chosen(FIRST), Limits.of(MODEL.command_range)))
+
+
 @pytest.mark.parametrize("hidden", SECRETS)
 def test_a_weight_of_another_finger_is_never_nothing(hidden):
-    """The truth is solved by finite elements on another mesh, in another batch of silicone."""
-    truth = Truth(4, (Secret(SECRETS[hidden], 0.0),))
-    run = truth.measure(plan(chosen(FIRST), Limits.of(MODEL.command_range)))
+    run = of_another_finger(hidden)
     found = diagnose(adapt(MODEL, run)[0], run, effects=SOME)
     said = named(found) | {name for rival in found.rivals for name in rival["effects"]}
     said |= {row["name"] for row in found.not_testable if "may be it" in row["why"]}
@@ -222,6 +231,18 @@ def test_a_residual_of_another_run_is_told(adapted):
 def test_a_reference_run_stands_for_the_residual_too(adapted, loaded):
     found = diagnose(adapted[0], loaded, effects=["payload", "offset"], reference=hanging(finger_run()))
     assert named(found) == {"payload"} and "was taken out" not in found.sentence
+
+
+def test_the_page_as_written(tmp_path, capsys, monkeypatch):
+    of_another_finger("payload").save(tmp_path / "hanging.npz")
+    run_commands(PAGE, tmp_path)
+    printed = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    wanted = [line for language, text in blocks(PAGE) if language == "text" for line in text.splitlines()]
+    assert len(wanted) == 3 and [line for line in wanted if line not in printed] == []
+    assert load_bundle(tmp_path / "adapted").residual is not None
+    nothing_left = ["adapt", "hanging.npz", "--bundle", "found", "--out", "again"]
+    monkeypatch.chdir(tmp_path)
+    assert main(nothing_left) == 1
 
 
 # --- the verb -----------------------------------------------------------------------------------
