@@ -46,7 +46,8 @@ finger this misses the simulator by (RMS over vertices and eleven commands, of w
 
 @LOADS@
 
-A rod has no tendons in its model: its fields answer loads alone, by one nominal compliance.
+A rod's fields answer loads by one nominal compliance. An elastic rod answers with its tendons, and has the fields of
+its modulus along the body and of a curvature at rest as well.
 """
 
 

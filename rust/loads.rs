@@ -103,6 +103,12 @@ pub fn hat(hat: usize, share: f64) -> f64 {
     }
 }
 
+/// The length of a stretch, as a share of the body's.
+pub fn width(hat: usize) -> f64 {
+    let ends = hat == 0 || hat == HATS - 1;
+    (if ends { 0.5 } else { 1.0 }) / (HATS - 1) as f64
+}
+
 /// The part of a stretch that lies between two shares of the height, 0 to 1.
 pub fn covered(hat: usize, low: f64, high: f64) -> f64 {
     let count = (HATS - 1) as f64;
@@ -132,6 +138,7 @@ mod tests {
                 (0..steps).map(|k| hat(h, at(k))).sum::<f64>() * (high - low) / steps as f64
             };
             let (some, all) = (part(0.2, 0.55), part(0.0, 1.0));
+            assert!((width(h) - all).abs() < 1e-6);
             assert!((covered(h, 0.2, 0.55) - some / all).abs() < 1e-6);
             assert_eq!(covered(h, -1.0, 2.0), 1.0);
         }

@@ -103,8 +103,9 @@ def save_bundle(model: Model, path: str | Path) -> Path:
 
 
 def _schema(model: Model) -> int:
-    """Return the oldest schema that holds the model."""
-    if set(model.fields) - set(_core.LOADS) or any(key.endswith("_step") for key in model.arrays["prior"]):
+    """Return the oldest schema that holds the model; a rod makes its fields itself."""
+    designed = model.kind != "rod" and bool(set(model.fields) - set(_core.LOADS))
+    if designed or any(key.endswith("_step") for key in model.arrays["prior"]):
         return 3
     return 2 if model.kind == "scattered" or model.body is not None else 1
 

@@ -238,7 +238,7 @@ def test_a_run_of_another_robot_is_refused(run):
 
 def test_one_newton_across_the_tip_moves_it_by_a_tenth_of_the_length(learned):
     fields = learned.rod.fields()
-    assert set(fields) == set(_core.LOADS)
+    assert set(fields) == {*_core.LOADS, "curve_x", "curve_y", *(f"stiff_{k}" for k in range(7))}
     moved = [np.linalg.norm(fields[f"tip_force_{a}"].evaluate(np.zeros((1, 6)))[0, -3:]) for a in "xy"]
     assert np.mean(moved) == pytest.approx(12.0, rel=1e-6)
 
@@ -274,6 +274,58 @@ def test_play_in_its_drives_is_named_and_added(run, learned, tmp_path, capsys):
     before, after = (compare(load_bundle(tmp_path / name), worn).error["rms_mm"] for name in ("arm", "arm2"))
     assert after < 0.5 * before
     capsys.readouterr()
+
+
+@pytest.mark.parametrize("slack", [0.0, 0.4, 1.0])
+def test_fields_of_a_changed_body_are_those_of_a_rod_with_other_numbers(slack):
+    """As central differences of the rod itself, in its bending stiffness and in its curvature at rest."""
+    robot = arm().with_slack(slack)
+    places, lengths = robot.layout.places(), np.array([70.0, 50.0])
+    fields = ElasticParameters(robot.layout, robot.start, 1.0).fields()
+    u = np.random.default_rng(5).uniform(-6, 6, (20, 6))
+
+    def changed(kind, by):
+        numbers = robot.start.copy()
+        numbers[places[kind]] += by
+        return robot.layout.compiled(numbers).evaluate(u)
+
+    s = (np.arange(12000) + 0.5) / 12000  # shares of the length; the first segment ends at 7/12
+    total = np.zeros_like(changed("rest", 0.0))
+    for k in range(7):
+        hat = np.where(np.abs(6 * s - k) < 1, np.cos(0.5 * np.pi * (6 * s - k)) ** 2, 0.0)
+        mean = np.array([hat[s < 7 / 12].mean(), hat[s > 7 / 12].mean()])
+        by = 1e-5 * mean * robot.start[places["stiffness"]]
+        got = fields[f"stiff_{k}"].evaluate(u)
+        np.testing.assert_allclose(got, (changed("stiffness", by) - changed("stiffness", -by)) / 2e-5, atol=1e-4)
+        total += got
+    assert np.abs(total).max() > 1.0
+    for axis in range(2):
+        by = np.zeros((2, 2))
+        by[:, axis] = 1e-5 * 2 * lengths / 120.0**2
+        wanted = (changed("rest", by.ravel()) - changed("rest", -by.ravel())) / 2e-5
+        np.testing.assert_allclose(fields[f"curve_{'xy'[axis]}"].evaluate(u), wanted, atol=1e-5)
+    straight = robot.start.copy()
+    straight[places["tilt"]] = straight[places["pretension"]] = 0.0
+    moved = ElasticParameters(robot.layout, straight, 1.0).fields()["curve_x"].evaluate(np.zeros((1, 6)))
+    np.testing.assert_allclose(moved[0, -3:], [1.0, 0.0, 0.0], atol=1e-9)
+    with pytest.raises(SoftmapError, match="twist"):
+        _core.ElasticField(robot.layout.compiled(robot.start), "twist", 1.0)
+
+
+def test_a_gradient_of_stiffness_is_found_on_a_rod_that_was_taken_for_even():
+    """Fields answer linearly: of 2.1 mm 0.66 are left, over half of that noise."""
+    known = {'stiffness = "each"': "", 'length = "each"': "", 'angle = "each"': "", 'radius = "shared"': ""}
+    even = arm(
+        **known | {"stiffness_mm2 = [8, 5]": "stiffness_mm2 = 7", "markers = [1, 1.5, 2]": "markers = [0.5, 1, 1.5, 2]"}
+    )
+    graded = replace(even, start=even.start.copy())
+    graded.start[even.layout.places()["stiffness"]] = 7.0 * np.exp([-0.35, 0.35])
+    seen = recorded(graded, seconds=60.0, rate=5.0, noise=0.2)
+    found = diagnose(
+        learn_model(seen, robot=even), seen, effects=["stiffness_gradient", "offset", "payload", "backlash"]
+    )
+    assert [effect["name"] for effect in found.effects] == ["stiffness_gradient"], found.sentence
+    assert found.error["ladder"][-1]["value"] < 0.4 * found.error["model"]
 
 
 @pytest.fixture(scope="module")

@@ -126,13 +126,13 @@ impl PyElasticRod {
     }
 }
 
-/// Marker displacements (n, 3M) mm of an elastic rod under one unit load along one axis.
+/// Marker displacements (n, 3M) mm of an elastic rod under one unit of a load or of a change of its body.
 #[pyclass(name = "ElasticField", module = "softmap_edge._core", extends = PyShape, frozen)]
 pub struct PyElasticField;
 
 #[pymethods]
 impl PyElasticField {
-    /// `name`: gravity_x|y|z or tip_force_x|y|z; `flexibility` mm/N, one over the stiffness of a tendon.
+    /// `name`: gravity_x|y|z, tip_force_x|y|z, stiff_0…6 or curve_x|y; `flexibility` mm/N, one over the stiffness of a tendon.
     #[new]
     fn new(
         rod: PyRef<'_, PyElasticRod>,

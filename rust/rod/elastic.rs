@@ -63,7 +63,7 @@ impl ElasticRod {
         &self.layout
     }
 
-    fn stiffness(&self, i: usize) -> f64 {
+    pub(super) fn stiffness(&self, i: usize) -> f64 {
         self.numbers[self.layout.first.stiffness + i / 2]
     }
 

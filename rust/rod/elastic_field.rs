@@ -1,14 +1,19 @@
-//! How a load moves the markers of an elastic rod: in its own modes, against its own bending and its taut tendons.
+//! How a load, or a change of its body, moves the markers of an elastic rod: in its own modes, against its bending and its
+//! taut tendons.
 //!
 //! A force F (N) at a point x of the rod adds (∂x/∂θ)ᵀ·F to the balance of moments, so to first order
 //!   δp = (1/k) · (∂p/∂θ) · H⁻¹ · (∂x/∂θ)ᵀ · F     (mm),
 //! H (mm²) the Hessian of `elastic.rs` in units of the tendon stiffness k. A tip force acts at the last marker; a weight of
 //! 1 N is spread evenly along the segments (three Gauss points each). k (N/mm) is not known from shapes: 1/k is one nominal
-//! number, and amounts of load are only meaningful as displacement. Limit: tendons that pull are those of the unloaded pose.
+//! number, and amounts of load are only meaningful as displacement. A modulus larger by the factor 1 + a(s) adds −ā·κ·φ to
+//! that balance, ā the mean of a over a segment: no stiffness need be known. An even curvature at rest adds to θ⁰, which no
+//! tendon feels; it is 1 mm at the end of a straight rod. Limits: tendons that pull are those of the unloaded pose; arcs have
+//! no sides and no twist.
 
 use super::elastic::{ElasticRod, along};
 use super::field::Load;
 use crate::error::{Result, invalid};
+use crate::loads::{ACROSS, CURVE, FIELDS, STIFF, TWIST, covered, width};
 use crate::shape::Shape;
 use crate::vector::Vec3;
 use std::sync::Arc;
@@ -20,19 +25,39 @@ const GAUSS: [(f64, f64); 3] = [
     (0.887_298_334_620_741_7, 5.0 / 18.0),
 ];
 
-/// Marker displacements (mm) of an elastic rod under one unit load along one axis of the base frame.
+/// What moves the rod, per unit.
+#[derive(Debug, Clone, Copy)]
+enum Cause {
+    /// A load along one axis of the base frame.
+    Load(Load, usize),
+    /// The logarithm of the modulus in one of the stretches of `loads.rs`.
+    Stretch(usize),
+    /// An even curvature at rest towards x or y.
+    Curve(usize),
+}
+
+impl Cause {
+    fn of(name: &str) -> Result<Cause> {
+        match FIELDS.iter().position(|known| *known == name) {
+            Some(field) if (STIFF..ACROSS).contains(&field) => Ok(Cause::Stretch(field - STIFF)),
+            Some(field) if (CURVE..TWIST).contains(&field) => Ok(Cause::Curve(field - CURVE)),
+            _ => Load::of(name).map(|(load, axis)| Cause::Load(load, axis)),
+        }
+    }
+}
+
+/// Marker displacements (mm) of an elastic rod under one unit of a load or of a change of its body.
 #[derive(Debug, Clone)]
 pub struct ElasticField {
     rod: ElasticRod,
-    load: Load,
-    axis: usize,
+    cause: Cause,
     flexibility: f64,
 }
 
 impl ElasticField {
-    /// `name` is `gravity_x|y|z` or `tip_force_x|y|z`; `flexibility` is 1/k in mm/N.
+    /// `name` is `gravity_x|y|z`, `tip_force_x|y|z`, `stiff_0…6` or `curve_x|y`; `flexibility` is 1/k in mm/N.
     pub fn new(rod: ElasticRod, name: &str, flexibility: f64) -> Result<Self> {
-        let (load, axis) = Load::of(name)?;
+        let cause = Cause::of(name)?;
         if !(flexibility.is_finite() && flexibility > 0.0) {
             return Err(invalid(format!(
                 "a rod's flexibility is {flexibility} mm per N; it must be positive"
@@ -40,16 +65,15 @@ impl ElasticField {
         }
         Ok(Self {
             rod,
-            load,
-            axis,
+            cause,
             flexibility,
         })
     }
 
-    /// Where the load acts: segment, share of it, newtons.
-    fn points(&self) -> Vec<(usize, f64, f64)> {
+    /// Where a load acts: segment, share of it, newtons.
+    fn points(&self, load: Load) -> Vec<(usize, f64, f64)> {
         let (lengths, markers) = (self.rod.lengths(), &self.rod.layout.markers);
-        match self.load {
+        match load {
             Load::TipForce => {
                 let (k, f) = markers[markers.len() - 1];
                 vec![(k, f, 1.0)]
@@ -88,20 +112,40 @@ impl Shape for ElasticField {
         let bends = self.rod.bends(&equilibrium);
         let chain = self.rod.chain(&bends);
         let mut slopes = chain.room();
-        let mut turn = vec![0.0; bends.len()];
-        for (k, f, newtons) in self.points() {
-            chain.slopes(k, f, &mut slopes);
-            for (turn, slope) in turn.iter_mut().zip(&slopes.bends) {
-                *turn += newtons * slope[self.axis];
+        let mut turn = vec![0.0; bends.len()]; // by how much the segments bend more
+        let total: f64 = self.rod.lengths().iter().sum();
+        match self.cause {
+            Cause::Load(load, axis) => {
+                for (k, f, newtons) in self.points(load) {
+                    chain.slopes(k, f, &mut slopes);
+                    for (turn, slope) in turn.iter_mut().zip(&slopes.bends) {
+                        *turn += self.flexibility * newtons * slope[axis];
+                    }
+                }
+                equilibrium.hessian.solve(&mut turn);
+            }
+            Cause::Stretch(hat) => {
+                let mut start = 0.0;
+                for (s, length) in self.rod.lengths().iter().enumerate() {
+                    let whole = covered(hat, start / total, (start + length) / total);
+                    let mean = whole * width(hat) * total / length;
+                    for i in 2 * s..2 * s + 2 {
+                        turn[i] = -mean * self.rod.stiffness(i) * equilibrium.bent[i];
+                    }
+                    start += length;
+                }
+                equilibrium.hessian.solve(&mut turn);
+            }
+            Cause::Curve(axis) => {
+                for (s, length) in self.rod.lengths().iter().enumerate() {
+                    turn[2 * s + axis] = 2.0 * length / (total * total);
+                }
             }
         }
-        equilibrium.hessian.solve(&mut turn);
         for (out, &(k, f)) in out.chunks_exact_mut(3).zip(&self.rod.layout.markers) {
             chain.slopes(k, f, &mut slopes);
             let shift: Vec3 = along(&slopes.bends, &turn);
-            for axis in 0..3 {
-                out[axis] = self.flexibility * shift[axis];
-            }
+            out.copy_from_slice(&shift);
         }
     }
 }

@@ -20,6 +20,8 @@ from softmap_edge.model import TIP_PER_NEWTON
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
+# Loads, its modulus along the body, its curvature at rest; arcs have neither sides nor a twist.
+FIELDS = (*_core.LOADS, *(f"stiff_{k}" for k in range(7)), "curve_x", "curve_y")
 MOST_NUMBERS = 4096  # of any array of a rod's file
 
 
@@ -94,9 +96,9 @@ class ElasticParameters:
         return self.layout.compiled(self.numbers)
 
     def fields(self) -> dict[str, _core.ElasticField]:
-        """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1 N."""
+        """Return its fields by name (`_core.FIELDS`): mm per N of tip force, mm per g for a nominal weight of 1 N."""
         rod = self.compiled()
-        return {name: _core.ElasticField(rod, name, self.flexibility) for name in _core.LOADS}
+        return {name: _core.ElasticField(rod, name, self.flexibility) for name in FIELDS}
 
     def to_arrays(self) -> Arrays:
         """Return the arrays of `prior.npz`."""
