@@ -32,6 +32,8 @@ PREDICTED = 2  # candidates that are predicted and not only looked at by slopes,
 NEAR = 0.25  # of the commands' range: farther, a screening step is predicted and not taken along the slopes
 SHARE = 0.03  # least share of the explained misfit: forms off by a sixth leave so much, and that is nobody's effect
 PROMISING = 0.03  # least share of the misfit that a larger set must win for the search to go on without a valid one
+WIDE = 4.0  # times what the best set leaves: one that leaves more is not grown
+HOPEFUL = 0.5  # of what a further member must carry: what is predicted to win less than this is not fitted
 FORM_TOLERANCE = 0.2  # of what the strongest other member moves: no form of the library is truer than that
 EQUAL = 6.0  # difference of EBIC (odds of 20) below which two sets of the same size count as equally good
 ALIKE = 1.02  # of the held-out error: effects of one form differ by less
@@ -323,23 +325,41 @@ class Search:
             self.progress(f"{size} effect{'s' if size > 1 else ''}: best {' + '.join(children[0].effects)}")
             if self.score(children[0], dispersion) >= min(self.score(b, dispersion) for b in [chosen, *beam]):
                 break
-            beam_before, beam = beam, children[:BEAM]
-            good = next((c for c in beam if self.valid(c)), None)
+            beam_before, beam = beam, self._beam(children)
+            level = self.score(chosen, dispersion)
+            good = next((c for c in beam if self.score(c, dispersion) < level and self.valid(c)), None)
             if good is None:  # a pair may need its third; what is not accepted is never reported
                 won = min(b.cost for b in [chosen, *beam_before]) - beam[0].cost
                 if won < PROMISING * (self._measured(beam[0]).cost - beam[0].cost):
                     break
                 continue
             chosen = self._swapped(good)
+            if self._done(chosen):
+                break
             if frozenset(chosen.effects) not in {frozenset(b.effects) for b in beam}:
                 beam = [chosen, beam[0]]
         return chosen
+
+    def _beam(self, children: list[Fit]) -> list[Fit]:
+        """Return the best of `children`, without those that leave WIDE times as much beyond noise as the first."""
+        least = self.problem.numbers + WIDE * max(children[0].cost - self.problem.numbers, 0.0)
+        return [child for child in children[:BEAM] if child.cost <= least]
+
+    def _done(self, fit: Fit) -> bool:
+        """Whether a valid set leaves less, beyond noise, than a further member would have to carry."""
+        base = self._measured(fit)
+        before, after = (float(self.cv(f)[0].sum()) for f in (base, fit))
+        pairs = [(base.cost, fit.cost), (before, after)]
+        return all(left - self.problem.numbers < SHARE * (first - left) for first, left in pairs)
 
     def _children(self, beam: list[Fit], refits: int) -> list[Fit]:
         found: dict[frozenset[str], Fit] = {}
         for parent in beam:
             others = [effect for effect in self.candidates if effect not in parent.effects]
-            for _, effect, points in self.screen(parent, others, refits):
+            least = HOPEFUL * SHARE * (self._measured(parent).cost - parent.cost)
+            for rank, (cost, effect, points) in enumerate(self.screen(parent, others, refits)):
+                if rank and parent.cost - cost < least:
+                    break
                 child = self.grow(parent, effect, points)
                 found[frozenset(child.effects)] = child
         dispersion = min((self.dispersion(f) for f in found.values()), default=1.0)
