@@ -94,7 +94,7 @@ def _may_be(search: Search, fit: Fit, left: Floats) -> list[tuple[str, float]]:
         return []
     alone = Search(_as_if_seen(search, left), wanted)
     found = []
-    for _, effect, points in alone.screen(alone.null, wanted, LOOKED_AT):
+    for _, effect, points in alone.screening.best(alone.null, wanted, LOOKED_AT):
         one = alone.grow(alone.null, effect, points)
         share = 1.0 - (record.rms_mm(left - alone.displacement(one, effect)) / record.rms_mm(left)) ** 2
         if share >= HIDES and not _against(search, fit, one, effect):

@@ -1,7 +1,6 @@
-"""Searches the sets of effects that explain a run: screening, forward selection with a beam, swaps, acceptance.
+"""Searches the sets of effects that explain a run: forward selection with a beam, swaps, acceptance.
 
-Screening is one Gauss-Newton step from a few starts of each candidate on top of the current fit, of effects on the
-command by the slopes of the features over what acts; the best are fitted in full. A set counts only if each of its
+Candidates are screened (`screening.py`); the best are fitted in full. A set counts only if each of its
 members is accepted: EBIC falls, blocked cross-validation falls by 1 % and in 60 % of the folds, the member moves the
 centreline by more than 0.12 mm (or the noise of a section mean) and more than a fifth of what the strongest other
 member moves, and it carries a share of what is explained. Differences of objectives are divided by the over-dispersion
@@ -13,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import product
 from math import comb, log
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.fit import Fit, Problem, Space, newton_step
+from softmap_edge.diagnosis.fit import Fit, Problem
+from softmap_edge.diagnosis.screening import Screening
 
 Floats = NDArray[np.float64]
 
@@ -28,8 +27,6 @@ RIVALS = 5  # other candidates that are fitted in the place of a member
 STAGES = ("command", "transmission", "material", "shape", "sensing")
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
 VISIBLE_MM = 0.12  # least RMS displacement of the centreline
-PREDICTED = 2  # candidates that are predicted and not only looked at by slopes, for each one that is fitted
-NEAR = 0.25  # of the commands' range: farther, a screening step is predicted and not taken along the slopes
 SHARE = 0.03  # least share of the explained misfit: forms off by a sixth leave so much, and that is nobody's effect
 PROMISING = 0.03  # least share of the misfit that a larger set must win for the search to go on without a valid one
 WIDE = 4.0  # times what the best set leaves: one that leaves more is not grown
@@ -65,11 +62,8 @@ class Search:
         self.null = problem.null()
         self._fits: dict[frozenset[str], Fit] = {frozenset(): self.null}
         self._cv: dict[frozenset[str], tuple[Floats, Floats, Floats]] = {}
-        self._glances: dict[tuple[frozenset[str], str], float] = {}
-        self._points: dict[tuple[frozenset[str], str], list[Floats]] = {}
-        self._slopes: dict[frozenset[str], tuple[Floats, Floats]] = {}
         registry = problem.record.library.effects()
-        self.roles = {e["name"]: e["role"] for e in registry}
+        self.screening = Screening(problem, {e["name"]: e["role"] for e in registry})
         self.stages = {e["name"]: e["stage"] for e in registry}
         self.faults = {e["name"] for e in registry if e["kind"] == "fault"}
         self._shifts: dict[tuple[frozenset[str], str], Floats] = {}
@@ -91,122 +85,13 @@ class Search:
             self.grow(parent, added)
         return self._fits[key]
 
-    def starts(self, effect: str) -> list[Floats]:
-        """Return scaled starting points of one effect alone: the declared one, its signs, and others on log scales.
-
-        Tendons that fall slack put a kink at home, where the slope on one side says nothing about the other. Every
-        combination of whole numbers is a start of its own.
-        """
-        space = self.problem.space((effect,), free=(effect,))
-        if space.integer.any():
-            return _whole_starts(space)
-        points = [space.start.copy()]
-        for i in np.flatnonzero(space.log & space.declared):
-            for share in (0.15, 0.85):
-                point = space.start.copy()
-                point[i] = space.low[i] + share * (space.high[i] - space.low[i])
-                points.append(point)
-        signed = (~space.log & (space.low < 0))[space.declared]
-        if signed.all():
-            every_other = np.where(np.arange(len(space.start)) % 2, -space.start, space.start)
-            flipped = [-space.start, every_other, -every_other][: 3 if len(signed) > 1 else 1]
-            points += [np.clip(point, space.low, space.high) for point in flipped]
-        return points[:7]
-
-    def screen(self, parent: Fit, effects: Sequence[str], count: int) -> list[tuple[float, str, list[Floats]]]:
-        """Return the `count` most promising of `effects` on top of `parent`: (objective, effect, joint points).
-
-        All are looked at by slopes; the objectives of the best PREDICTED times as many are then predicted. Parameters
-        have their price.
-        """
-        glances = sorted((self._screened(parent, effect), effect) for effect in effects)
-        found, counts = [], {}
-        for _, effect in glances[: PREDICTED * count]:
-            points = self._points[frozenset(parent.effects), effect]
-            space = self.problem.space((*parent.effects, effect))
-            counts[effect] = space.count
-            costs = self.problem.costs(self.problem.at(space, np.stack(points[:2]))[1], np.stack(points[:2]))[0]
-            order = [*np.argsort(costs, kind="stable"), *range(2, len(points))]
-            found.append((float(costs.min()), effect, [points[i] for i in order]))
-        dispersion = max([1.0, min(cost for cost, *_ in found) / max(1.0, self.problem.numbers)]) if found else 1.0
-        price = dispersion * log(max(3.0, self.problem.numbers))  # of a parameter, as in EBIC
-        return sorted(found, key=lambda item: (item[0] + price * counts[item[1]], item[1]))[:count]
-
-    def _screened(self, parent: Fit, effect: str) -> float:
-        """Return the objective by slopes after one step of `effect` on top of `parent`; its points are kept."""
-        key = (frozenset(parent.effects), effect)
-        if key not in self._glances:
-            self._glances[key], self._points[key] = self._step(parent, effect)
-        return self._glances[key]
-
-    def _step(self, parent: Fit, effect: str) -> tuple[float, list[Floats]]:
-        """Take one step of `effect` from each of its starts; the joint points come best first."""
-        problem = self.problem
-        space = problem.space((*parent.effects, effect))
-        labels = space.free_labels()
-        new = [i for i, label in enumerate(labels) if label.split(".")[0] == effect]
-        old = dict(zip(parent.space.free_labels(), range(len(parent.x))))
-        joint = []
-        for start in self.starts(effect):
-            x = np.array([parent.x[old[label]] if label in old else 0.0 for label in labels])
-            x[new] = start
-            joint.append(np.clip(x, space.low, space.high))
-        batch, width = [], len(new) + 1
-        for x in joint:
-            batch.append(x)
-            for i in new:
-                moved = x.copy()
-                moved[i] += -4e-3 if x[i] + 4e-3 > space.high[i] else 4e-3
-                batch.append(moved)
-        modes = self._glance(parent, space, effect, np.stack(batch))
-        ahead = []
-        for s, x in enumerate(joint):
-            here = modes[s * width]
-            slopes = np.zeros((len(labels), *here.shape))
-            for label, j in old.items():
-                slopes[labels.index(label)] = parent.slopes[j]
-            for j, i in enumerate(new):
-                slopes[i] = (modes[s * width + 1 + j] - here) / (batch[s * width + 1 + j][i] - x[i])
-            ahead.append(newton_step(space.pinned(x), x, problem.white(slopes), problem.white(here), 1e-3))
-        points = np.concatenate([np.stack(joint), np.stack(ahead)])
-        after = self._glance(parent, space, effect, np.stack(ahead))
-        costs = problem.costs(np.concatenate([modes[::width], after]), points)[0]
-        order = np.argsort(costs, kind="stable")
-        return float(costs[order[0]]), [points[i] for i in order]
-
-    def _glance(self, parent: Fit, space: Space, effect: str, points: Floats) -> Floats:
-        """Return residual modes (B, K, M) of joint points (B, P): for a channel effect by the slopes about `parent`."""
-        problem = self.problem
-        if self.roles[effect] != "channel":
-            return problem.at(space, points)[1]
-        acting, slopes = self._about(parent)
-        shift = problem.record.acting(space.names, space.params(points)) - acting
-        if np.abs(shift).max(initial=0.0) > NEAR * problem.record.spread.max(initial=0.0):
-            return problem.at(space, points)[1]
-        modes = np.asarray(parent.modes + np.einsum("bkc,ckm->bkm", shift, slopes))
-        labels = space.free_labels()
-        for label, x, slope in zip(parent.space.free_labels(), parent.x, parent.slopes):
-            if self.roles[label.split(".")[0]] != "channel":
-                modes += (points[:, labels.index(label)] - x)[:, None, None] * slope
-        return modes
-
-    def _about(self, parent: Fit) -> tuple[Floats, Floats]:
-        """Return what acts in a fit (K, C), and the slopes (C, K, M) of the residual modes over it."""
-        key = frozenset(parent.effects)
-        if key not in self._slopes:
-            record, params = self.problem.record, parent.space.params(parent.x[None])[0]
-            slopes = np.where(np.isfinite(record.seen), record.slopes(parent.space.names, params), np.nan)
-            acting = record.acting(parent.space.names, params[None])[0]
-            self._slopes[key] = acting, -self.problem.gain * self.problem.whitener.modes(slopes)
-        return self._slopes[key]
-
     def grow(self, parent: Fit, effect: str, points: list[Floats] | None = None) -> Fit:
         """Fit `parent` with `effect` added; effects with a log scale get a second start."""
         key = frozenset((*parent.effects, effect))
         if key in self._fits:
             return self._fits[key]
         if points is None:
-            points = self.screen(parent, [effect], 1)[0][2]
+            points = self.screening.best(parent, [effect], 1)[0][2]
         starts = points[:1]
         space = self.problem.space((*parent.effects, effect))
         own = np.array([label.split(".")[0] == effect for label in space.free_labels()])
@@ -357,7 +242,7 @@ class Search:
         for parent in beam:
             others = [effect for effect in self.candidates if effect not in parent.effects]
             least = HOPEFUL * SHARE * (self._measured(parent).cost - parent.cost)
-            for rank, (cost, effect, points) in enumerate(self.screen(parent, others, refits)):
+            for rank, (cost, effect, points) in enumerate(self.screening.best(parent, others, refits)):
                 if rank and parent.cost - cost < least:
                     break
                 child = self.grow(parent, effect, points)
@@ -388,7 +273,7 @@ class Search:
         """Return the best `count` sets with `member` exchanged for another candidate."""
         rest = self.get(frozenset(fit.effects) - {member})
         others = [other for other in self.candidates if other not in fit.effects]
-        return [self.grow(rest, other, points) for _, other, points in self.screen(rest, others, count)]
+        return [self.grow(rest, other, points) for _, other, points in self.screening.best(rest, others, count)]
 
     def rivals(self, fit: Fit) -> list[tuple[str, Fit, str]]:
         """Return (member, rival set, why) for sets within two standard errors in blocked cross-validation."""
@@ -468,17 +353,6 @@ class Search:
         weight = np.exp(-0.5 * (scores - scores.min()))
         weight /= weight.sum()
         return {e: float(sum(w for k, w in zip(keys, weight) if e in k)) for e in self.candidates}
-
-
-def _whole_starts(space: Space) -> list[Floats]:
-    """Return every combination of the whole numbers of an effect, but that where all are at their null."""
-    values = space.values(space.start)
-    rows = [
-        [float(k) for k in range(round(low), round(high) + 1)] if whole else [value]
-        for value, whole, low, high in zip(values, space.integer, space.values(space.low), space.values(space.high))
-    ]
-    points = [space.scaled(np.array(point)) for point in product(*rows)]
-    return [p for p in points if np.any(np.abs(p - space.scaled(space.null))[space.integer] > 1e-9)]
 
 
 def _standard_errors(theirs: Floats, mine: Floats) -> float:

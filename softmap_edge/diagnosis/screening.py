@@ -1,0 +1,153 @@
+"""Screens candidates on top of a fit: one Gauss-Newton step from a few starts of each, before any is fitted in full.
+
+Effects on the command are followed by the slopes of the features over what acts, all else is predicted. The best by
+slopes are then predicted. Limit: an effect that shows only far from every start is not seen. Pinned by
+tests/test_screening.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+from math import log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.fit import Fit, Problem, Space, newton_step
+
+Floats = NDArray[np.float64]
+
+PREDICTED = 2  # candidates that are predicted and not only looked at by slopes, for each one that is fitted
+NEAR = 0.25  # of the commands' range: farther, a screening step is predicted and not taken along the slopes
+
+
+class Screening:
+    """What each candidate promises on top of each fit; kept, so that nothing is looked at twice."""
+
+    def __init__(self, problem: Problem, roles: Mapping[str, str]) -> None:
+        """Screen on `problem`; `roles` of the effects by name."""
+        self.problem, self.roles = problem, roles
+        self._glances: dict[tuple[frozenset[str], str], float] = {}
+        self._points: dict[tuple[frozenset[str], str], list[Floats]] = {}
+        self._slopes: dict[frozenset[str], tuple[Floats, Floats]] = {}
+
+    def best(self, parent: Fit, effects: Sequence[str], count: int) -> list[tuple[float, str, list[Floats]]]:
+        """Return the `count` most promising of `effects` on top of `parent`: (objective, effect, joint points).
+
+        All are looked at by slopes; the objectives of the best PREDICTED times as many are then predicted. Parameters
+        have their price.
+        """
+        glances = sorted((self._screened(parent, effect), effect) for effect in effects)
+        found, counts = [], {}
+        for _, effect in glances[: PREDICTED * count]:
+            points = self._points[frozenset(parent.effects), effect]
+            space = self.problem.space((*parent.effects, effect))
+            counts[effect] = space.count
+            costs = self.problem.costs(self.problem.at(space, np.stack(points[:2]))[1], np.stack(points[:2]))[0]
+            order = [*np.argsort(costs, kind="stable"), *range(2, len(points))]
+            found.append((float(costs.min()), effect, [points[i] for i in order]))
+        dispersion = max([1.0, min(cost for cost, *_ in found) / max(1.0, self.problem.numbers)]) if found else 1.0
+        price = dispersion * log(max(3.0, self.problem.numbers))  # of a parameter, as in EBIC
+        return sorted(found, key=lambda item: (item[0] + price * counts[item[1]], item[1]))[:count]
+
+    def _screened(self, parent: Fit, effect: str) -> float:
+        """Return the objective by slopes after one step of `effect` on top of `parent`; its points are kept."""
+        key = (frozenset(parent.effects), effect)
+        if key not in self._glances:
+            self._glances[key], self._points[key] = self._step(parent, effect)
+        return self._glances[key]
+
+    def _step(self, parent: Fit, effect: str) -> tuple[float, list[Floats]]:
+        """Take one step of `effect` from each of its starts; the joint points come best first."""
+        problem = self.problem
+        space = problem.space((*parent.effects, effect))
+        labels = space.free_labels()
+        new = [i for i, label in enumerate(labels) if label.split(".")[0] == effect]
+        old = dict(zip(parent.space.free_labels(), range(len(parent.x))))
+        joint = []
+        for start in self.starts(effect):
+            x = np.array([parent.x[old[label]] if label in old else 0.0 for label in labels])
+            x[new] = start
+            joint.append(np.clip(x, space.low, space.high))
+        batch, width = [], len(new) + 1
+        for x in joint:
+            batch.append(x)
+            for i in new:
+                moved = x.copy()
+                moved[i] += -4e-3 if x[i] + 4e-3 > space.high[i] else 4e-3
+                batch.append(moved)
+        modes = self._glance(parent, space, effect, np.stack(batch))
+        ahead = []
+        for s, x in enumerate(joint):
+            here = modes[s * width]
+            slopes = np.zeros((len(labels), *here.shape))
+            for label, j in old.items():
+                slopes[labels.index(label)] = parent.slopes[j]
+            for j, i in enumerate(new):
+                slopes[i] = (modes[s * width + 1 + j] - here) / (batch[s * width + 1 + j][i] - x[i])
+            ahead.append(newton_step(space.pinned(x), x, problem.white(slopes), problem.white(here), 1e-3))
+        points = np.concatenate([np.stack(joint), np.stack(ahead)])
+        after = self._glance(parent, space, effect, np.stack(ahead))
+        costs = problem.costs(np.concatenate([modes[::width], after]), points)[0]
+        order = np.argsort(costs, kind="stable")
+        return float(costs[order[0]]), [points[i] for i in order]
+
+    def _glance(self, parent: Fit, space: Space, effect: str, points: Floats) -> Floats:
+        """Return residual modes (B, K, M) of joint points (B, P): for a channel effect by the slopes about `parent`."""
+        problem = self.problem
+        if self.roles[effect] != "channel":
+            return problem.at(space, points)[1]
+        acting, slopes = self._about(parent)
+        shift = problem.record.acting(space.names, space.params(points)) - acting
+        if np.abs(shift).max(initial=0.0) > NEAR * problem.record.spread.max(initial=0.0):
+            return problem.at(space, points)[1]
+        modes = np.asarray(parent.modes + np.einsum("bkc,ckm->bkm", shift, slopes))
+        labels = space.free_labels()
+        for label, x, slope in zip(parent.space.free_labels(), parent.x, parent.slopes):
+            if self.roles[label.split(".")[0]] != "channel":
+                modes += (points[:, labels.index(label)] - x)[:, None, None] * slope
+        return modes
+
+    def _about(self, parent: Fit) -> tuple[Floats, Floats]:
+        """Return what acts in a fit (K, C), and the slopes (C, K, M) of the residual modes over it."""
+        key = frozenset(parent.effects)
+        if key not in self._slopes:
+            record, params = self.problem.record, parent.space.params(parent.x[None])[0]
+            slopes = np.where(np.isfinite(record.seen), record.slopes(parent.space.names, params), np.nan)
+            acting = record.acting(parent.space.names, params[None])[0]
+            self._slopes[key] = acting, -self.problem.gain * self.problem.whitener.modes(slopes)
+        return self._slopes[key]
+
+    def starts(self, effect: str) -> list[Floats]:
+        """Return scaled starting points of one effect alone: the declared one, its signs, and others on log scales.
+
+        Tendons that fall slack put a kink at home, where the slope on one side says nothing about the other. Every
+        combination of whole numbers is a start of its own.
+        """
+        space = self.problem.space((effect,), free=(effect,))
+        if space.integer.any():
+            return _whole_starts(space)
+        points = [space.start.copy()]
+        for i in np.flatnonzero(space.log & space.declared):
+            for share in (0.15, 0.85):
+                point = space.start.copy()
+                point[i] = space.low[i] + share * (space.high[i] - space.low[i])
+                points.append(point)
+        signed = (~space.log & (space.low < 0))[space.declared]
+        if signed.all():
+            every_other = np.where(np.arange(len(space.start)) % 2, -space.start, space.start)
+            flipped = [-space.start, every_other, -every_other][: 3 if len(signed) > 1 else 1]
+            points += [np.clip(point, space.low, space.high) for point in flipped]
+        return points[:7]
+
+
+def _whole_starts(space: Space) -> list[Floats]:
+    """Return every combination of the whole numbers of an effect, but that where all are at their null."""
+    values = space.values(space.start)
+    rows = [
+        [float(k) for k in range(round(low), round(high) + 1)] if whole else [value]
+        for value, whole, low, high in zip(values, space.integer, space.values(space.low), space.values(space.high))
+    ]
+    points = [space.scaled(np.array(point)) for point in product(*rows)]
+    return [p for p in points if np.any(np.abs(p - space.scaled(space.null))[space.integer] > 1e-9)]

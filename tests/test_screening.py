@@ -1,0 +1,46 @@
+"""Screening: what one step promises is what a fit keeps, and whole numbers are all looked at."""
+
+import numpy as np
+import pytest
+from arm import LIBRARY, Arm, record_run
+
+from softmap_edge import _core, builtin_model
+from softmap_edge.diagnosis.diagnose import _problem
+from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.screening import Screening
+from softmap_edge.protocol import standard_protocol
+from softmap_edge.run import Run
+
+NAMES = [e["name"] for e in LIBRARY.effects()]
+
+
+def screening_of(problem, library):
+    return Screening(problem, {e["name"]: e["role"] for e in library.effects()})
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [{"offset.shift[0]": 0.8}, {"gain.factor[0]": 0.1}, {"latency.delay": 0.2}, {"backlash.gap": 1.0},
+     {"creep.strength": 0.12}, {"payload.mass": 40.0}, {"mount.x": 2.0}],
+    ids=lambda hidden: next(iter(hidden)).split(".")[0],
+)  # fmt: skip
+def test_the_hidden_effect_promises_most(hidden):
+    problem = _problem(Record(Arm(), record_run(hidden, noise=0.05, warp=0.0), LIBRARY), NAMES)
+    null = problem.null()
+    (promised, name, points), *_ = screening_of(problem, LIBRARY).best(null, NAMES, 3)
+    assert name == next(iter(hidden)).split(".")[0]
+    kept = problem.fit((name,), points[:1]).cost
+    assert null.cost - promised > 0.8 * (null.cost - kept)
+    modes = problem.at(problem.space((name,)), points[0][None])[1]
+    assert promised == pytest.approx(float(problem.costs(modes, points[0][None])[0][0]))
+
+
+def test_every_wiring_is_looked_at():
+    protocol, model = standard_protocol(), builtin_model()
+    blank = np.repeat(model.rest[None], protocol.frames, axis=0)
+    run = Run(protocol.t, protocol.command, protocol.t_seen, vertices=blank, gravity=protocol.gravity)
+    problem = _problem(Record(model, run), ["servo_swap"])
+    screening = screening_of(problem, _core)
+    space = problem.space(("servo_swap",))
+    ways = {int(space.values(start)[0]) for start in screening.starts("servo_swap")}
+    assert ways == {1, 2, 3}  # a sign of either channel, and the two exchanged
