@@ -3,7 +3,8 @@
     C = Σ ⊗ I + G ⊗ K(u, u)          features × frames
     Σ  noise covariance of a frame's features, from replicates (frames of one dwell), else from the high-frequency part
     G  form error of the model: its own held-out error per feature, correlated along the body
-    K  squared-exponential kernel over the command, rank <= 64 (Nyström on farthest-point inducing commands)
+    K  squared-exponential kernel over the command, rank <= 64 (Nyström on farthest-point inducing commands), times
+       1 + a·a' of two frames: a is the error that grows with the lean of the base, another one in another orientation
 
 Diagonalised: with Σ = L Lᵀ and spatial modes V (the span of the signatures), mode m has form variance s_m in units of
 noise, and C^(-1/2) = I + Q (diag(1/sqrt(1 + λ s_m)) - 1) Qᵀ over frames, K = Q diag(λ) Qᵀ. All is linear in the frames.
