@@ -190,7 +190,7 @@ def effects_of(run, bundle, folder, capsys):
 
 def test_every_candidate_has_its_line(bundle, tmp_path, capsys):
     found = effects_of(recorded(standard_protocol()), bundle, tmp_path, capsys)
-    assert list(found) == [e["name"] for e in effects()]
+    assert list(found) == [e["name"] for e in effects() if e["role"] != "prior"]  # a table has no law of tendons
     hidden = {name for name, row in found.items() if not row["shows"]}
     assert hidden == {"thermal_softening", "lens"}  # nobody warmed the room, and the cameras have no poses
     alike = {name: set(row["alike"]) for name, row in found.items() if row["alike"]}

@@ -86,6 +86,7 @@ class Record:
             if not met.all():
                 self._bind(self.run.at(met))
             self.seen, self.form_error = self.seen - missed[met], form
+            self._leaning = np.ones((self.frames, 1))  # what the model errs for a lean was seen in the reference
         elif adapted:
             self.static = (model.features(self.run) - self.model.features(self.run)).reshape(self.seen.shape)
 

@@ -226,7 +226,9 @@ class Search:
         return chosen
 
     def _beam(self, children: list[Fit]) -> list[Fit]:
-        """Return the best of `children`, without those that leave WIDE times as much beyond noise as the first."""
+        """Return the best of `children`; beside a valid first none that leaves WIDE times as much beyond noise."""
+        if not self.valid(children[0]):
+            return children[:BEAM]
         least = self.problem.numbers + WIDE * max(children[0].cost - self.problem.numbers, 0.0)
         return [child for child in children[:BEAM] if child.cost <= least]
 
