@@ -66,6 +66,7 @@ class Record:
 
     seen: Floats  # (K, F) mm
     form_error: Floats  # (V, 3) mm
+    _leaning: Floats  # (K, d)
     static: Floats | None = None  # (K, F) mm, what the model's residual is here: it is taken out, `model` is without it
 
     def __init__(self, model: Any, run: Run, library: Any = None, reference: Run | None = None) -> None:
@@ -109,7 +110,7 @@ class Record:
         self.positions: NDArray[np.bool_] = np.asarray(mapping.positions, bool)
         self.section: NDArray[np.int64] = np.asarray(mapping.section)
         self.form_error = np.asarray(model.run_form_error(run), float)
-        self._leaning: Floats = np.asarray(model.run_leaning(run), float)
+        self._leaning = np.asarray(model.run_leaning(run), float)
         self.block: NDArray[Any] | None = run.block
 
     # --- what the run declares ------------------------------------------------------------------
