@@ -20,46 +20,70 @@ pub const NO_AXIS: Stencil = Stencil {
     weights: [1.0, 0.0, 0.0, 0.0],
 };
 
-/// Weights of the (at most four) nodes that carry the value at `u`, or its derivative.
-pub fn stencil(axis: &[f64], u: f64, derivative: bool) -> Stencil {
-    let last = axis.len() - 1;
-    let cell = axis.partition_point(|node| *node <= u).clamp(1, last) - 1;
-    let width = axis[cell + 1] - axis[cell];
-    let inside = u.clamp(axis[0], axis[last]);
-    let s = (inside - axis[cell]) / width;
-    let value = [
-        (1.0 + 2.0 * s) * (1.0 - s) * (1.0 - s),
-        s * s * (3.0 - 2.0 * s),
-        width * s * (1.0 - s) * (1.0 - s),
-        -width * s * s * (1.0 - s),
-    ];
-    let slope = [
-        6.0 * s * (s - 1.0) / width,
-        -6.0 * s * (s - 1.0) / width,
-        (1.0 - s) * (1.0 - 3.0 * s),
-        s * (3.0 * s - 2.0),
-    ];
-    let mut hermite = if derivative { slope } else { value };
-    if !derivative && inside != u {
-        for i in 0..4 {
-            hermite[i] += slope[i] * (u - inside);
-        }
+/// The nodes of one axis, rising, and how the slope at each follows from the values at its neighbours.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Axis {
+    nodes: Vec<f64>,
+    slopes: Vec<(usize, [f64; 3])>,
+}
+
+impl Axis {
+    /// Take at least two rising nodes.
+    pub fn new(nodes: Vec<f64>) -> Axis {
+        let slopes = (0..nodes.len()).map(|i| node_slope(&nodes, i)).collect();
+        Axis { nodes, slopes }
     }
-    let first = cell.saturating_sub(1);
-    let count = (cell + 3).min(last + 1) - first;
-    let mut weights = [0.0; 4];
-    weights[cell - first] += hermite[0];
-    weights[cell + 1 - first] += hermite[1];
-    for (node, weight) in [(cell, hermite[2]), (cell + 1, hermite[3])] {
-        let (start, slopes) = node_slope(axis, node);
-        for (i, value) in slopes.iter().enumerate().take(axis.len().min(3)) {
-            weights[start + i - first] += weight * value;
-        }
+
+    /// The nodes.
+    pub fn nodes(&self) -> &[f64] {
+        &self.nodes
     }
-    Stencil {
-        first,
-        count,
-        weights,
+
+    /// Weights of the (at most four) nodes that carry the value at `u`, or its derivative.
+    pub fn stencil(&self, u: f64, derivative: bool) -> Stencil {
+        let axis = &self.nodes;
+        let last = axis.len() - 1;
+        let cell = axis.partition_point(|node| *node <= u).clamp(1, last) - 1;
+        let width = axis[cell + 1] - axis[cell];
+        let inside = u.clamp(axis[0], axis[last]);
+        let s = (inside - axis[cell]) / width;
+        let value = [
+            (1.0 + 2.0 * s) * (1.0 - s) * (1.0 - s),
+            s * s * (3.0 - 2.0 * s),
+            width * s * (1.0 - s) * (1.0 - s),
+            -width * s * s * (1.0 - s),
+        ];
+        let slope = || {
+            [
+                6.0 * s * (s - 1.0) / width,
+                -6.0 * s * (s - 1.0) / width,
+                (1.0 - s) * (1.0 - 3.0 * s),
+                s * (3.0 * s - 2.0),
+            ]
+        };
+        let mut hermite = if derivative { slope() } else { value };
+        if !derivative && inside != u {
+            hermite
+                .iter_mut()
+                .zip(slope())
+                .for_each(|(value, slope)| *value += slope * (u - inside));
+        }
+        let first = cell.saturating_sub(1);
+        let count = (cell + 3).min(last + 1) - first;
+        let mut weights = [0.0; 4];
+        weights[cell - first] += hermite[0];
+        weights[cell + 1 - first] += hermite[1];
+        for (node, weight) in [(cell, hermite[2]), (cell + 1, hermite[3])] {
+            let (start, slopes) = &self.slopes[node];
+            for (i, value) in slopes.iter().enumerate().take(axis.len().min(3)) {
+                weights[start + i - first] += weight * value;
+            }
+        }
+        Stencil {
+            first,
+            count,
+            weights,
+        }
     }
 }
 
@@ -96,13 +120,13 @@ mod tests {
 
     #[test]
     fn weights_sum_to_one_and_those_of_slopes_to_zero_at_nodes_between_and_beyond() {
-        let axis = [-2.0, -1.5, 0.0, 4.0];
+        let axis = Axis::new(vec![-2.0, -1.5, 0.0, 4.0]);
         for u in [-9.0, -2.0, -1.6, -1.5, 0.0, 3.9, 4.0, 11.0] {
-            let total = |derivative| stencil(&axis, u, derivative).weights.iter().sum::<f64>();
+            let total = |derivative| axis.stencil(u, derivative).weights.iter().sum::<f64>();
             assert!((total(false) - 1.0).abs() < 1e-12 && total(true).abs() < 1e-12);
-            let slope = stencil(&axis, u, true);
+            let slope = axis.stencil(u, true);
             let linear: f64 = (0..slope.count)
-                .map(|i| slope.weights[i] * axis[slope.first + i])
+                .map(|i| slope.weights[i] * axis.nodes()[slope.first + i])
                 .sum();
             assert!((linear - 1.0).abs() < 1e-12);
         }

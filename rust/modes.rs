@@ -7,6 +7,8 @@ use crate::error::{Result, invalid};
 
 /// Modes up to this number are blended on the stack.
 pub const STACK_MODES: usize = 64;
+/// Numbers that are summed at a time.
+const BLOCK: usize = 16;
 
 /// A mean (M,) and modes (m, M), row-major.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,6 +16,8 @@ pub struct Modes {
     mean: Vec<f64>,
     rows: Vec<f64>,
     count: usize,
+    /// Whether mode m is the number m itself, so that nothing is left to expand.
+    plain: bool,
 }
 
 impl Modes {
@@ -27,7 +31,14 @@ impl Modes {
             )));
         }
         let count = rows.len() / size;
-        Ok(Modes { mean, rows, count })
+        let unit = |i: usize| f64::from(i / size == i % size);
+        let plain = count == size && rows.iter().enumerate().all(|(i, v)| *v == unit(i));
+        Ok(Modes {
+            mean,
+            rows,
+            count,
+            plain,
+        })
     }
 
     /// The mean (M,).
@@ -90,20 +101,34 @@ impl Modes {
         )
     }
 
-    /// Add `Σ weight_m·mode_m` to `out` (M,).
+    /// Add `Σ weight_m·mode_m` to `out` (M,), as many numbers at a time as stay in registers.
+    #[inline(always)]
     pub fn expand(&self, weights: &[f64], out: &mut [f64]) {
-        for (weight, mode) in weights.iter().zip(self.rows.chunks_exact(out.len())) {
-            accumulate(out, mode, *weight);
+        let size = out.len();
+        let whole = size - size % BLOCK;
+        for first in (0..whole).step_by(BLOCK) {
+            let mut sum = [0.0; BLOCK];
+            sum.copy_from_slice(&out[first..first + BLOCK]);
+            for (m, weight) in weights.iter().enumerate() {
+                let start = m * size + first;
+                accumulate(&mut sum, &self.rows[start..start + BLOCK], *weight);
+            }
+            out[first..first + BLOCK].copy_from_slice(&sum);
+        }
+        for (m, weight) in weights.iter().enumerate() {
+            let row = m * size + whole..(m + 1) * size;
+            accumulate(&mut out[whole..], &self.rows[row], *weight);
         }
     }
 
-    /// Write the numbers to `out` (M,); `weigh` puts the m weights, zero at first.
+    /// Write the numbers to `out` (M,); `weigh` adds the m weights.
+    #[inline(always)]
     pub fn eval(&self, out: &mut [f64], weigh: impl FnOnce(&mut [f64])) {
         out.copy_from_slice(&self.mean);
         self.add(out, weigh);
     }
 
-    /// Write the slopes (M, `channels`) to `out`; `weigh` puts those of the m weights, zero at first, by each channel.
+    /// Write the slopes (M, `channels`) to `out`; `weigh` adds those of the m weights by each channel.
     pub fn jacobian(&self, channels: usize, out: &mut [f64], weigh: impl Fn(usize, &mut [f64])) {
         let mut column = vec![0.0; self.size()];
         for c in 0..channels {
@@ -116,7 +141,11 @@ impl Modes {
     }
 
     /// Few weights live on the stack.
+    #[inline(always)]
     fn add(&self, out: &mut [f64], weigh: impl FnOnce(&mut [f64])) {
+        if self.plain {
+            return weigh(out);
+        }
         let (mut few, mut many);
         let weights = if self.count <= STACK_MODES {
             few = [0.0; STACK_MODES];
@@ -130,9 +159,18 @@ impl Modes {
     }
 }
 
-/// `sum += factor·row`
+/// Work with the widest vectors that this processor has; each number comes out the same as without.
+#[inline(always)]
+pub(crate) fn wide<R>(work: impl FnOnce() -> R) -> R {
+    pulp::Arch::new().dispatch(work)
+}
+
+/// `sum += factor·row`; a plain loop, so that `wide` sees through it.
+#[inline(always)]
 pub(crate) fn accumulate(sum: &mut [f64], row: &[f64], factor: f64) {
-    sum.iter_mut()
-        .zip(row)
-        .for_each(|(sum, value)| *sum += factor * value);
+    let count = sum.len().min(row.len());
+    let (sum, row) = (&mut sum[..count], &row[..count]);
+    for i in 0..count {
+        sum[i] += factor * row[i];
+    }
 }

@@ -13,7 +13,7 @@ use crate::contact::Contact;
 use crate::effects::{Camera, Chain, Conditions, Context, bracket};
 use crate::error::{Result, invalid};
 use crate::fields::Fields;
-use crate::loads::{self, CONTACT, Coefficients, FIELDS, GRAVITY, TENDON, TIP_FORCE, weight};
+use crate::loads::{self, CONTACT, Coefficients, FIELDS, GRAVITY, PUSH, TENDON, TIP_FORCE, weight};
 use crate::room::zeros;
 use crate::shape::Shape;
 use rayon::prelude::*;
@@ -155,7 +155,7 @@ impl Predictor {
         chain: &Chain,
         params: &[f64],
         u: &[f64],
-        conditions: &mut Conditions,
+        conditions: &Conditions,
         t_seen: &[f64],
     ) -> Result<Vec<f64>> {
         self.agrees(chain, conditions, t_seen)?;
@@ -183,27 +183,37 @@ impl Predictor {
 
     /// Frames (B, K, V, 3) of a prepared job.
     fn frames(&self, job: &Job, sets: usize, frames: usize) -> Result<Vec<f64>> {
-        let (size, count) = (self.body.prior.size(), self.body.fields.count());
+        let size = self.body.prior.size();
         let mut out = zeros(
             "a prediction (parameter sets, frames, outputs)",
             &[sets, frames, size],
         )?;
-        let loads = self.coefficients(job, sets)?;
-        let weights = self.weights(job, &loads);
-        let shared = self.shared_shapes(job, &weights);
-        if size > 0 {
-            let width = job.chain.width();
-            out.par_chunks_exact_mut(size).enumerate().for_each_init(
-                || vec![0.0; size],
+        if size == 0 {
+            return Ok(out);
+        }
+        let shared = self.shared_shapes(job)?;
+        let width = job.chain.width();
+        out.par_chunks_exact_mut(size)
+            .enumerate()
+            .try_for_each_init(
+                || self.scratch(),
                 |scratch, (i, frame)| {
                     let (b, k) = (i / frames, i % frames);
-                    let (group, row) = (job.group[b], &weights[i * count..(i + 1) * count]);
-                    match &shared[group] {
-                        Some(shapes) => shapes.combine(k, size, row, frame),
+                    let group = job.group[b];
+                    let shapes = shared[group].as_ref();
+                    let u = job.at(group, k);
+                    self.weigh(
+                        &self.coefficients(job, b, k)?,
+                        u,
+                        shapes.map(|s| s.place(k)),
+                        scratch,
+                    );
+                    match shapes {
+                        Some(shapes) => shapes.combine(k, size, &scratch.weights, frame),
                         None => {
-                            let u = job.at(group, k);
                             job.bodies[group].prior.eval(u, frame);
-                            job.bodies[group].fields.add(u, row, scratch, frame);
+                            let fields = &job.bodies[group].fields;
+                            fields.add(u, &scratch.weights, &mut scratch.field, frame);
                         }
                     }
                     job.chain.sense(
@@ -213,9 +223,9 @@ impl Predictor {
                         job.context(b, k),
                         &job.cameras,
                     );
+                    Ok(())
                 },
-            );
-        }
+            )?;
         Ok(out)
     }
 
@@ -225,7 +235,7 @@ impl Predictor {
         params: &'a [f64],
         sets: usize,
         u: &[f64],
-        conditions: &mut Conditions,
+        conditions: &Conditions,
         t_seen: &[f64],
     ) -> Result<Job<'a>> {
         let (width, channels) = (chain.width(), chain.channels());
@@ -256,28 +266,17 @@ impl Predictor {
             }
             group.push(number);
         }
-        let records = chain.rollout(&chosen, u, conditions, &mut vec![])?;
-        let mut acting = Vec::with_capacity(shared.len() * t_seen.len() * channels);
-        if channels > 0 && !t_seen.is_empty() {
-            let places: Vec<Vec<_>> = shifts
-                .iter()
-                .map(|late| {
-                    let places = t_seen.iter().map(|t| bracket(conditions.t(), t - late));
-                    places.collect()
-                })
-                .collect();
-            for (record, clock) in records.chunks_exact(u.len()).zip(&clock) {
-                for (k, share) in &places[*clock] {
-                    let here = &record[k * channels..(k + 1) * channels];
-                    let next = if *share == 0.0 {
-                        here
-                    } else {
-                        &record[(k + 1) * channels..(k + 2) * channels]
-                    };
-                    acting.extend(here.iter().zip(next).map(|(a, b)| a + share * (b - a)));
-                }
-            }
-        }
+        let read = |late: &f64| {
+            let places = t_seen.iter().map(|t| bracket(conditions.t(), t - late));
+            places.collect()
+        };
+        let read: Vec<Vec<_>> = if channels > 0 {
+            shifts.iter().map(read).collect()
+        } else {
+            vec![vec![]; shifts.len()]
+        };
+        let places: Vec<_> = clock.iter().map(|c| read[*c].as_slice()).collect();
+        let acting = chain.acting(&chosen, u, conditions, &places)?;
         let first = t_seen.first().copied().unwrap_or(0.0);
         let context = |late: &f64, t: &f64| Context {
             seen_for: t - first,
@@ -301,34 +300,28 @@ impl Predictor {
         })
     }
 
-    /// Coefficients (B, K) of the fields; a field that is wanted but absent is an error.
-    fn coefficients(&self, job: &Job, sets: usize) -> Result<Vec<Coefficients>> {
-        let width = job.chain.width();
-        let mut all = Vec::with_capacity(sets * job.frames);
-        for b in 0..sets {
-            for (k, context) in job.world(b).iter().enumerate() {
-                let set = &job.params[b * width..(b + 1) * width];
-                let mut sum = job
-                    .chain
-                    .coefficients(set, job.at(job.group[b], k), context);
-                if self.declared {
-                    let force = weight(context.load, context.gravity);
-                    for i in 0..3 {
-                        sum[GRAVITY + i] += context.gravity[i] - self.reference[i];
-                        sum[TIP_FORCE + i] += force[i];
-                    }
-                }
-                for (f, value) in sum.iter_mut().enumerate() {
-                    if value.abs() <= NEGLIGIBLE {
-                        *value = 0.0;
-                    } else if !self.has(f) {
-                        return Err(self.absent(job.chain, f, *value));
-                    }
-                }
-                all.push(sum);
+    /// Coefficients of the fields for a set at a frame; a field that is wanted but absent is an error.
+    fn coefficients(&self, job: &Job, b: usize, k: usize) -> Result<Coefficients> {
+        let (width, context) = (job.chain.width(), job.context(b, k));
+        let set = &job.params[b * width..(b + 1) * width];
+        let mut sum = job
+            .chain
+            .coefficients(set, job.at(job.group[b], k), context);
+        if self.declared {
+            let force = weight(context.load, context.gravity);
+            for i in 0..3 {
+                sum[GRAVITY + i] += context.gravity[i] - self.reference[i];
+                sum[TIP_FORCE + i] += force[i];
             }
         }
-        Ok(all)
+        for (f, value) in sum.iter_mut().enumerate() {
+            if value.abs() <= NEGLIGIBLE {
+                *value = 0.0;
+            } else if !self.has(f) {
+                return Err(self.absent(job.chain, f, *value));
+            }
+        }
+        Ok(sum)
     }
 
     /// Whether a coefficient means something to this body: its field is there, or it is that of cables.
@@ -358,82 +351,85 @@ impl Predictor {
         ))
     }
 
-    /// Weights (B, K, fields) of the fields: the loads, and the changes of tension with which the cables answer them.
-    fn weights(&self, job: &Job, loads: &[Coefficients]) -> Vec<f64> {
-        let (frames, count) = (job.frames, FIELDS.len());
-        let tendons = self.cables.as_ref().map_or(0, Cables::count);
-        let size = self.cables.as_ref().map_or(0, Cables::size);
-        let mut loaded = vec![false; job.shared.len() * frames];
-        for (i, row) in loads.iter().enumerate() {
-            loaded[job.group[i / frames] * frames + i % frames] |= row.iter().any(|c| *c != 0.0);
+    fn scratch(&self) -> Scratch {
+        Scratch {
+            place: vec![0.0; self.cables.as_ref().map_or(0, Cables::size)],
+            weights: vec![0.0; self.body.fields.count()],
+            field: vec![0.0; self.body.prior.size()],
         }
-        let mut places = vec![0.0; loaded.len() * size];
-        if let Some(cables) = &self.cables {
-            places
-                .par_chunks_exact_mut(size)
-                .zip(&loaded)
-                .enumerate()
-                .filter(|(_, (_, loaded))| **loaded)
-                .for_each(|(i, (place, _))| cables.at(job.at(i / frames, i % frames), place));
+    }
+
+    /// Weights of the fields at a command: the loads, and the changes of tension with which the cables answer them.
+    /// `place` is what the cables are like there, if that is known.
+    fn weigh(&self, loads: &Coefficients, u: &[f64], place: Option<&[f64]>, scratch: &mut Scratch) {
+        let (count, weights) = (FIELDS.len(), &mut scratch.weights);
+        weights.fill(0.0);
+        if loads.iter().all(|c| *c == 0.0) {
+            return;
         }
-        let width = count + tendons;
-        let mut weights = vec![0.0; loads.len() * width];
-        weights
-            .par_chunks_exact_mut(width)
-            .zip(loads)
-            .enumerate()
-            .filter(|(_, (_, loads))| loads.iter().any(|c| *c != 0.0))
-            .for_each(|(i, (row, loads))| {
-                let (group, k) = (job.group[i / frames], i % frames);
-                let at = group * frames + k;
-                let cables = self
-                    .cables
-                    .as_ref()
-                    .map(|c| (c, &places[at * size..(at + 1) * size]));
-                row[..count].copy_from_slice(&loads[..count]);
-                if let Some((cables, place)) = cables {
-                    cables.answer(place, loads, &mut row[count..]);
-                }
-                if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {
-                    contact.stop(job.at(group, k), loads, cables, row);
-                }
+        weights[..count].copy_from_slice(&loads[..count]);
+        let cables = self.cables.as_ref().map(|cables| {
+            let place = place.unwrap_or_else(|| {
+                cables.at(u, &mut scratch.place);
+                &scratch.place
             });
-        weights
+            (cables, place)
+        });
+        if let Some((cables, place)) = cables {
+            cables.answer(place, loads, &mut weights[count..]);
+        }
+        if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {
+            contact.stop(u, loads, cables, weights);
+        }
     }
 
     /// For each group with several members, its shapes at all frames, evaluated once.
-    fn shared_shapes(&self, job: &Job, weights: &[f64]) -> Vec<Option<Shapes>> {
-        let (frames, width) = (job.frames, self.body.fields.count());
+    fn shared_shapes(&self, job: &Job) -> Result<Vec<Option<Shapes>>> {
+        let (count, width) = (FIELDS.len(), self.body.fields.count());
         let mut wanted = vec![vec![false; width]; job.shared.len()];
-        for (i, row) in weights.chunks_exact(width).enumerate() {
-            wanted[job.group[i / frames]]
-                .iter_mut()
-                .zip(row)
-                .for_each(|(wanted, value)| *wanted |= *value != 0.0);
+        for (b, group) in job.group.iter().enumerate() {
+            if !job.shared[*group] {
+                continue;
+            }
+            let wanted = &mut wanted[*group];
+            for k in 0..job.frames {
+                let loads = self.coefficients(job, b, k)?;
+                let pairs = wanted.iter_mut().zip(&loads[..count]);
+                pairs.for_each(|(wanted, load)| *wanted |= *load != 0.0);
+                let loaded = loads.iter().any(|load| *load != 0.0);
+                wanted[count..].iter_mut().for_each(|w| *w |= loaded);
+                if loads[CONTACT] != 0.0 {
+                    wanted[TIP_FORCE..TIP_FORCE + 3].fill(true);
+                    wanted[PUSH..count].fill(true);
+                }
+            }
         }
-        let evaluate = |shape: &dyn Shape, group: usize| {
-            let mut values = vec![0.0; frames * shape.size()];
-            let chunks = values.par_chunks_exact_mut(shape.size().max(1));
-            chunks
-                .enumerate()
-                .for_each(|(k, out)| shape.eval(job.at(group, k), out));
-            values
-        };
         let shapes = |group: usize| Shapes {
-            prior: evaluate(job.bodies[group].prior.as_ref(), group),
+            prior: job.each(group, self.body.prior.size(), |u, out| {
+                job.bodies[group].prior.eval(u, out)
+            }),
             fields: (0..width)
                 .filter(|f| wanted[group][*f])
                 .filter_map(|f| {
                     let field = job.bodies[group].fields.get(f)?;
-                    Some((f, evaluate(field, group)))
+                    Some((
+                        f,
+                        job.each(group, field.size(), |u, out| field.eval(u, out)),
+                    ))
                 })
                 .collect(),
+            places: match &self.cables {
+                Some(cables) if wanted[group].contains(&true) => {
+                    job.each(group, cables.size(), |u, out| cables.at(u, out))
+                }
+                _ => vec![],
+            },
+            frames: job.frames,
         };
-        job.shared
-            .iter()
-            .enumerate()
+        let groups = job.shared.iter().enumerate();
+        Ok(groups
             .map(|(group, shared)| shared.then(|| shapes(group)))
-            .collect()
+            .collect())
     }
 }
 
@@ -473,15 +469,43 @@ impl Job<'_> {
     fn context(&self, b: usize, k: usize) -> &Context {
         &self.world(b)[k]
     }
+
+    /// What `eval` writes (K, `size`) at all frames of a group.
+    fn each(
+        &self,
+        group: usize,
+        size: usize,
+        eval: impl Fn(&[f64], &mut [f64]) + Sync,
+    ) -> Vec<f64> {
+        let mut values = vec![0.0; self.frames * size];
+        let rows = values.par_chunks_exact_mut(size.max(1)).enumerate();
+        rows.for_each(|(k, out)| eval(self.at(group, k), out));
+        values
+    }
 }
 
-/// Prior and fields (K, 3V) of one group.
+/// Numbers of one frame that are in work.
+struct Scratch {
+    /// What the cables are like.
+    place: Vec<f64>,
+    weights: Vec<f64>,
+    field: Vec<f64>,
+}
+
+/// Prior and fields (K, 3V) of one group, and what the cables are like (K, n), if anything loads them.
 struct Shapes {
     prior: Vec<f64>,
     fields: Vec<(usize, Vec<f64>)>,
+    places: Vec<f64>,
+    frames: usize,
 }
 
 impl Shapes {
+    fn place(&self, k: usize) -> &[f64] {
+        let size = self.places.len() / self.frames;
+        &self.places[k * size..(k + 1) * size]
+    }
+
     fn combine(&self, k: usize, size: usize, weights: &[f64], frame: &mut [f64]) {
         let row = k * size..(k + 1) * size;
         frame.copy_from_slice(&self.prior[row.clone()]);

@@ -15,7 +15,7 @@ impl Predictor {
         chain: &Chain,
         params: &[f64],
         u: &[f64],
-        conditions: &mut Conditions,
+        conditions: &Conditions,
         t_seen: &[f64],
     ) -> Result<Vec<f64>> {
         let sets = chain.sets(params)?;
@@ -33,7 +33,7 @@ impl Predictor {
         params: &[f64],
         step: &[f64],
         u: &[f64],
-        conditions: &mut Conditions,
+        conditions: &Conditions,
         t_seen: &[f64],
     ) -> Result<Vec<f64>> {
         if chain.sets(params)? != 1 {

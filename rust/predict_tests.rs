@@ -44,7 +44,7 @@ fn frames_lie_between_samples_and_sets_that_share_shapes_agree_with_single_ones(
             &chain,
             params,
             &[2.0, 4.0],
-            &mut world([0.0, 0.0, 1.0], 10.0),
+            &world([0.0, 0.0, 1.0], 10.0),
             &[0.25, 5.0],
         )
         .unwrap()
@@ -66,12 +66,12 @@ fn slopes_are_those_of_the_shape_and_what_acts_is_what_the_chain_gives() {
     let chain = Chain::new(&["offset".to_string()], 1).unwrap();
     let body = predictor(&[]);
     let (u, seen) = ([2.0, 4.0], [0.25, 0.5, 5.0]);
-    let mut still = world([0.0, 0.0, 1.0], 0.0);
+    let still = world([0.0, 0.0, 1.0], 0.0);
     let acting = body
-        .acting(&chain, &[0.5, 1.0, 0.5], &u, &mut still, &seen)
+        .acting(&chain, &[0.5, 1.0, 0.5], &u, &still, &seen)
         .unwrap();
     assert_eq!(acting, [3.0, 3.5, 4.5, 3.5, 4.0, 5.0, 3.0, 3.5, 4.5]);
-    let slopes = |step: f64| body.slopes(&chain, &[0.5], &[step], &u, &mut still.clone(), &seen);
+    let slopes = |step: f64| body.slopes(&chain, &[0.5], &[step], &u, &still, &seen);
     for (got, known) in slopes(0.3).unwrap().iter().zip([1.0, 0.0, 2.0].repeat(3)) {
         assert!((got - known).abs() < 1e-12);
     }
@@ -87,7 +87,7 @@ fn absent_fields_and_foreign_chains_are_told() {
             &chain,
             &[params],
             &[0.0, 1.0],
-            &mut world(gravity, load),
+            &world(gravity, load),
             &[0.5],
         )
         .err()
@@ -110,7 +110,7 @@ fn absent_fields_and_foreign_chains_are_told() {
             &other,
             &[],
             &[0.0; 4],
-            &mut world([0.0, 0.0, 1.0], 0.0),
+            &world([0.0, 0.0, 1.0], 0.0),
             &[0.5]
         )
         .is_err()
@@ -123,8 +123,8 @@ fn a_prior_of_unknown_stiffness_leaves_declared_loads_to_the_effects() {
         Chain::new(&names.iter().map(|n| n.to_string()).collect::<Vec<_>>(), 1).unwrap()
     };
     let run = |body: &Predictor, chain: &Chain, params: &[f64]| {
-        let mut world = world([0.0, 0.0, 1.0], 10.0);
-        body.predict(chain, params, &[2.0, 4.0], &mut world, &[0.0])
+        let world = world([0.0, 0.0, 1.0], 10.0);
+        body.predict(chain, params, &[2.0, 4.0], &world, &[0.0])
             .unwrap()
     };
     let fields = ["tip_force_z"];

@@ -5,9 +5,9 @@
 //! linearly from the border in each axis. Limits: at most three channels; kinks of the tabulated family are rounded over one
 //! cell. Pinned by the tests at the foot.
 
-use crate::cubic::{NO_AXIS, Stencil, stencil};
+use crate::cubic::{Axis, NO_AXIS, Stencil};
 use crate::error::{Result, invalid};
-use crate::modes::{Modes, STACK_MODES, accumulate};
+use crate::modes::{Modes, STACK_MODES, accumulate, wide};
 use crate::room::room;
 use crate::shape::Shape;
 
@@ -17,7 +17,7 @@ pub const MAX_CHANNELS: usize = 3;
 /// Modes on a tensor grid of commands.
 #[derive(Debug, Clone)]
 pub struct Table {
-    axes: Vec<Vec<f64>>,
+    axes: Vec<Axis>,
     coefficients: Vec<f64>,
     modes: Modes,
 }
@@ -67,15 +67,15 @@ impl Table {
             ));
         }
         Ok(Table {
-            axes,
+            axes: axes.into_iter().map(Axis::new).collect(),
             coefficients,
             modes,
         })
     }
 
     /// The grid nodes of each channel, mm.
-    pub fn axes(&self) -> &[Vec<f64>] {
-        &self.axes
+    pub fn axes(&self) -> impl Iterator<Item = &[f64]> {
+        self.axes.iter().map(Axis::nodes)
     }
 
     /// Mode weights (n_1·…·n_C, m) at the nodes.
@@ -107,8 +107,9 @@ impl Table {
     }
 
     /// Call `add(node, share)` for the nodes of one stencil per axis.
+    #[inline(always)]
     fn visit(&self, stencils: &[Stencil; MAX_CHANNELS], mut add: impl FnMut(usize, f64)) {
-        let length = |c: usize| self.axes.get(c).map_or(1, Vec::len);
+        let length = |c: usize| self.axes.get(c).map_or(1, |axis| axis.nodes().len());
         let [a, b, c] = stencils;
         for i in 0..a.count {
             for j in 0..b.count {
@@ -120,18 +121,19 @@ impl Table {
         }
     }
 
-    /// Add the interpolated mode weights, with one stencil per axis.
-    fn blend(&self, stencils: &[Stencil; MAX_CHANNELS], weights: &mut [f64]) {
+    /// Add `times` the interpolated mode weights, with one stencil per axis.
+    #[inline(always)]
+    fn blend(&self, stencils: &[Stencil; MAX_CHANNELS], times: f64, weights: &mut [f64]) {
         self.visit(stencils, |node, share| {
             let row = &self.coefficients[node * weights.len()..(node + 1) * weights.len()];
-            accumulate(weights, row, share);
+            accumulate(weights, row, times * share);
         });
     }
 
     fn stencils(&self, u: &[f64], derivative: Option<usize>) -> [Stencil; MAX_CHANNELS] {
         let mut stencils = [NO_AXIS; MAX_CHANNELS];
         for (c, axis) in self.axes.iter().enumerate() {
-            stencils[c] = stencil(axis, u[c], derivative == Some(c));
+            stencils[c] = axis.stencil(u[c], derivative == Some(c));
         }
         stencils
     }
@@ -140,10 +142,7 @@ impl Table {
 /// Tables without means on one grid with one set of modes, whose weighted sum expands the modes once.
 #[derive(Debug, Clone)]
 pub struct TableSum {
-    /// Grid and modes that all share.
-    shared: Table,
-    /// Mode weights (nodes, tables, m) of all.
-    coefficients: Vec<f64>,
+    tables: Vec<Table>,
 }
 
 impl TableSum {
@@ -154,32 +153,25 @@ impl TableSum {
             t.axes == first.axes && t.modes == first.modes && t.mean().iter().all(|m| *m == 0.0)
         });
         let count = first.count();
-        if !alike || count == 0 || count > STACK_MODES {
-            return None;
-        }
-        let nodes = first.coefficients.len() / count;
-        let row = |n: usize| n * count..(n + 1) * count;
-        let coefficients = (0..nodes)
-            .flat_map(|n| tables.iter().flat_map(move |t| &t.coefficients[row(n)]))
-            .copied()
-            .collect();
-        Some(TableSum {
-            shared: first.clone(),
-            coefficients,
+        (alike && count > 0 && count <= STACK_MODES).then(|| TableSum {
+            tables: tables.iter().copied().cloned().collect(),
         })
     }
 
     /// Add Σ_t w_t·table_t(u) to `out` (M,).
     pub fn add(&self, u: &[f64], weights: &[f64], out: &mut [f64]) {
-        let (shared, count) = (&self.shared, self.shared.count());
+        let shared = &self.tables[0];
+        let stencils = shared.stencils(u, None);
         let mut sum = [0.0; STACK_MODES];
-        shared.visit(&shared.stencils(u, None), |node, share| {
-            let rows = self.coefficients[node * count * weights.len()..].chunks_exact(count);
-            for (row, weight) in rows.zip(weights).filter(|(_, weight)| **weight != 0.0) {
-                accumulate(&mut sum, row, share * weight);
+        let sum = &mut sum[..shared.count()];
+        wide(|| {
+            for (table, weight) in self.tables.iter().zip(weights) {
+                if *weight != 0.0 {
+                    table.blend(&stencils, *weight, sum);
+                }
             }
+            shared.modes.expand(sum, out);
         });
-        shared.modes.expand(&sum[..count], out);
     }
 }
 
@@ -197,14 +189,16 @@ impl Shape for Table {
     }
 
     fn eval(&self, u: &[f64], out: &mut [f64]) {
-        self.modes.eval(out, |weights| {
-            self.blend(&self.stencils(u, None), weights);
+        let stencils = self.stencils(u, None);
+        wide(|| {
+            self.modes
+                .eval(out, |weights| self.blend(&stencils, 1.0, weights))
         });
     }
 
     fn jacobian(&self, u: &[f64], out: &mut [f64]) {
         self.modes.jacobian(self.channels(), out, |c, weights| {
-            self.blend(&self.stencils(u, Some(c)), weights);
+            self.blend(&self.stencils(u, Some(c)), 1.0, weights);
         });
     }
 }

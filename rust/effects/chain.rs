@@ -249,15 +249,8 @@ impl Chain {
         conditions: &mut Conditions,
         states: &mut Vec<f64>,
     ) -> Result<Vec<f64>> {
-        let samples = conditions.len();
         let sets = self.sets(params)?;
-        if u.len() != samples * self.channels {
-            return Err(invalid(format!(
-                "u must be ({samples}, {}), got {} numbers",
-                self.channels,
-                u.len()
-            )));
-        }
+        self.fits(u, conditions)?;
         let mut out = zeros(
             "a record (parameter sets, samples, channels)",
             &[sets, u.len()],
@@ -306,6 +299,65 @@ impl Chain {
             pairs.try_for_each(|(record, (b, state))| one(b, record, state))?;
         }
         Ok(out)
+    }
+
+    /// What acts, (B, K, C), from equilibrium with `u[0]`: for each set at its own K `places`, each a sample and the share
+    /// of the way to the next one. One record a thread is kept.
+    pub fn acting(
+        &self,
+        params: &[f64],
+        u: &[f64],
+        conditions: &Conditions,
+        places: &[&[(usize, f64)]],
+    ) -> Result<Vec<f64>> {
+        self.fits(u, conditions)?;
+        let frames = places.first().map_or(0, |places| places.len());
+        let mut out = zeros(
+            "what acts (parameter sets, frames, channels)",
+            &[places.len(), frames, self.channels],
+        )?;
+        let width = frames * self.channels;
+        if width == 0 {
+            return Ok(out);
+        }
+        out.par_chunks_exact_mut(width)
+            .zip(places)
+            .enumerate()
+            .try_for_each_init(
+                || (u.to_vec(), vec![0.0; self.memory]),
+                |(record, state), (b, (acting, places))| {
+                    record.copy_from_slice(u);
+                    state.fill(0.0);
+                    let params = &params[b * self.width..(b + 1) * self.width];
+                    let held = Some(u[..self.channels].to_vec());
+                    self.advance(params, record, state, conditions, held)?;
+                    let rows = acting.chunks_exact_mut(self.channels);
+                    for (row, (k, share)) in rows.zip(*places) {
+                        let here = &record[k * self.channels..(k + 1) * self.channels];
+                        row.copy_from_slice(here);
+                        if *share != 0.0 {
+                            let next = &record[(k + 1) * self.channels..(k + 2) * self.channels];
+                            let pairs = row.iter_mut().zip(next);
+                            pairs.for_each(|(a, b)| *a += share * (b - *a));
+                        }
+                    }
+                    Ok(())
+                },
+            )?;
+        Ok(out)
+    }
+
+    /// Refuse commands that are not (T, C).
+    fn fits(&self, u: &[f64], conditions: &Conditions) -> Result<()> {
+        let samples = conditions.len();
+        if u.len() != samples * self.channels {
+            return Err(invalid(format!(
+                "u must be ({samples}, {}), got {} numbers",
+                self.channels,
+                u.len()
+            )));
+        }
+        Ok(())
     }
 
     /// Check parameters (B, P) and return B.

@@ -102,11 +102,11 @@ impl PyPredictor {
             params,
             sets,
             u,
-            mut world,
+            world,
             t_seen,
         } = asked;
         let (body, inner) = (&self.predictor, &chain.chain);
-        let out = py.detach(|| body.predict(inner, &params, &u, &mut world, &t_seen))?;
+        let out = py.detach(|| body.predict(inner, &params, &u, &world, &t_seen))?;
         let shape = [sets, t_seen.len(), body.vectors(), 3];
         out.into_pyarray(py).reshape(shape)
     }
@@ -141,11 +141,11 @@ impl PyPredictor {
             params,
             sets,
             u,
-            mut world,
+            world,
             t_seen,
         } = asked;
         let (body, inner) = (&self.predictor, &chain.chain);
-        let out = py.detach(|| body.acting(inner, &params, &u, &mut world, &t_seen))?;
+        let out = py.detach(|| body.acting(inner, &params, &u, &world, &t_seen))?;
         out.into_pyarray(py)
             .reshape([sets, t_seen.len(), inner.channels()])
     }
@@ -180,13 +180,13 @@ impl PyPredictor {
         let Asked {
             params,
             u,
-            mut world,
+            world,
             t_seen,
             ..
         } = asked;
         let (body, inner) = (&self.predictor, &chain.chain);
         let step = floats("step", step, &[("C", None)])?.data;
-        let out = py.detach(|| body.slopes(inner, &params, &step, &u, &mut world, &t_seen))?;
+        let out = py.detach(|| body.slopes(inner, &params, &step, &u, &world, &t_seen))?;
         out.into_pyarray(py)
             .reshape([inner.channels(), t_seen.len(), body.vectors(), 3])
     }

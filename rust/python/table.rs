@@ -51,15 +51,14 @@ impl PyTable {
     fn axes<'py>(&self, py: Python<'py>) -> Vec<Bound<'py, PyArray1<f64>>> {
         self.table
             .axes()
-            .iter()
-            .map(|axis| axis.clone().into_pyarray(py))
+            .map(|axis| axis.to_vec().into_pyarray(py))
             .collect()
     }
 
     /// Mode weights (n_1·…·n_C, m), the last axis fastest.
     #[getter]
     fn coefficients<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let nodes = self.table.axes().iter().map(Vec::len).product::<usize>();
+        let nodes = self.table.axes().map(<[f64]>::len).product::<usize>();
         self.table
             .coefficients()
             .to_vec()
