@@ -10,26 +10,18 @@
 
 use crate::cables::Cables;
 use crate::contact::Contact;
-use crate::effects::{Camera, Chain, Conditions, Context, bracket};
+use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
 use crate::fields::Fields;
 use crate::loads::{self, CONTACT, Coefficients, FIELDS, GRAVITY, PUSH, TENDON, TIP_FORCE, weight};
 use crate::room::zeros;
 use crate::shape::Shape;
+use job::{Body, Job};
 use rayon::prelude::*;
-use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Coefficients smaller than this (g, N) ask for no field: 1e-6 g moves no finger by a micrometre.
 const NEGLIGIBLE: f64 = 1e-6;
-
-/// What bends: a prior and its fields.
-#[derive(Clone)]
-struct Body {
-    prior: Arc<dyn Shape>,
-    /// Fields of the dead loads, then of the cables.
-    fields: Arc<Fields>,
-}
 
 /// A prior, its fields and what the outputs are.
 pub struct Predictor {
@@ -40,26 +32,6 @@ pub struct Predictor {
     reference: [f64; 3],
     /// Whether the loads that a run declares are applied.
     declared: bool,
-}
-
-/// What one call works on.
-struct Job<'a> {
-    chain: &'a Chain,
-    params: &'a [f64],
-    /// Number of frames K.
-    frames: usize,
-    /// The world (K,) at the frames, for each clock: the shift between stamps and what they show.
-    contexts: Vec<Vec<Context>>,
-    cameras: Vec<Camera>,
-    /// Clock of each group.
-    clock: Vec<usize>,
-    /// Group (sets with equal channel parameters, clock and numbers of the prior) of each set, whether others share it,
-    /// and what bends in it.
-    group: Vec<usize>,
-    shared: Vec<bool>,
-    bodies: Vec<Body>,
-    /// u_eff (groups, K, C) at the seen times.
-    acting: Vec<f64>,
 }
 
 impl Predictor {
@@ -160,7 +132,7 @@ impl Predictor {
     ) -> Result<Vec<f64>> {
         self.agrees(chain, conditions, t_seen)?;
         let sets = chain.sets(params)?;
-        let job = self.prepare(chain, params, sets, u, conditions, t_seen)?;
+        let job = Job::new(&self.body, chain, params, sets, u, conditions, t_seen)?;
         self.frames(&job, sets, t_seen.len())
     }
 
@@ -227,77 +199,6 @@ impl Predictor {
                 },
             )?;
         Ok(out)
-    }
-
-    fn prepare<'a>(
-        &self,
-        chain: &'a Chain,
-        params: &'a [f64],
-        sets: usize,
-        u: &[f64],
-        conditions: &Conditions,
-        t_seen: &[f64],
-    ) -> Result<Job<'a>> {
-        let (width, channels) = (chain.width(), chain.channels());
-        let mut numbers: HashMap<Vec<u64>, usize> = HashMap::new();
-        let (mut group, mut shared, mut chosen) = (vec![], vec![], vec![]);
-        let (mut clock, mut shifts, mut bodies) = (vec![], vec![], vec![]);
-        for b in 0..sets {
-            let set = &params[b * width..(b + 1) * width];
-            let (late, factors) = (chain.late(set), chain.factors(set));
-            let key = set[..chain.channel_width()]
-                .iter()
-                .chain([&late])
-                .chain(factors.iter().map(|(_, factor)| factor))
-                .map(|value| value.to_bits())
-                .collect();
-            let number = *numbers.entry(key).or_insert(shared.len());
-            if number == shared.len() {
-                shared.push(false);
-                chosen.extend_from_slice(set);
-                bodies.push(self.body.changed(&factors)?);
-                let known = shifts.iter().position(|shift| *shift == late);
-                clock.push(known.unwrap_or(shifts.len()));
-                if known.is_none() {
-                    shifts.push(late);
-                }
-            } else {
-                shared[number] = true;
-            }
-            group.push(number);
-        }
-        let read = |late: &f64| {
-            let places = t_seen.iter().map(|t| bracket(conditions.t(), t - late));
-            places.collect()
-        };
-        let read: Vec<Vec<_>> = if channels > 0 {
-            shifts.iter().map(read).collect()
-        } else {
-            vec![vec![]; shifts.len()]
-        };
-        let places: Vec<_> = clock.iter().map(|c| read[*c].as_slice()).collect();
-        let acting = chain.acting(&chosen, u, conditions, &places)?;
-        let first = t_seen.first().copied().unwrap_or(0.0);
-        let context = |late: &f64, t: &f64| Context {
-            seen_for: t - first,
-            ..conditions.between(t - late)
-        };
-        let contexts = shifts
-            .iter()
-            .map(|late| t_seen.iter().map(|t| context(late, t)).collect())
-            .collect();
-        Ok(Job {
-            chain,
-            params,
-            frames: t_seen.len(),
-            contexts,
-            cameras: conditions.cameras().to_vec(),
-            clock,
-            group,
-            shared,
-            bodies,
-            acting,
-        })
     }
 
     /// Coefficients of the fields for a set at a frame; a field that is wanted but absent is an error.
@@ -433,57 +334,6 @@ impl Predictor {
     }
 }
 
-impl Body {
-    /// The same with some of the prior's own numbers multiplied, in its fields as well.
-    fn changed(&self, factors: &[(&'static str, f64)]) -> Result<Body> {
-        let mut body = self.clone();
-        for (name, factor) in factors.iter().filter(|(_, factor)| *factor != 1.0) {
-            let prior = body.prior.with_number(name, *factor).ok_or_else(|| {
-                let known = self.prior.numbers().join(", ");
-                invalid(format!(
-                    "an effect changes the number '{name}' of the prior by {factor:.3}; this prior has {}; leave that \
-                     effect out",
-                    if known.is_empty() { "none to change" } else { &known }
-                ))
-            })?;
-            let fields = Arc::new(body.fields.with_number(name, *factor));
-            body = Body { prior, fields };
-        }
-        Ok(body)
-    }
-}
-
-impl Job<'_> {
-    /// u_eff (C,) of a group at a seen frame.
-    fn at(&self, group: usize, k: usize) -> &[f64] {
-        let channels = self.chain.channels();
-        let start = (group * self.frames + k) * channels;
-        &self.acting[start..start + channels]
-    }
-
-    /// The world (K,) at the frames of a parameter set.
-    fn world(&self, b: usize) -> &[Context] {
-        &self.contexts[self.clock[self.group[b]]]
-    }
-
-    fn context(&self, b: usize, k: usize) -> &Context {
-        &self.world(b)[k]
-    }
-
-    /// What `eval` writes (K, `size`) at all frames of a group.
-    fn each(
-        &self,
-        group: usize,
-        size: usize,
-        eval: impl Fn(&[f64], &mut [f64]) + Sync,
-    ) -> Vec<f64> {
-        let mut values = vec![0.0; self.frames * size];
-        let rows = values.par_chunks_exact_mut(size.max(1)).enumerate();
-        rows.for_each(|(k, out)| eval(self.at(group, k), out));
-        values
-    }
-}
-
 /// Numbers of one frame that are in work.
 struct Scratch {
     /// What the cables are like.
@@ -519,6 +369,8 @@ impl Shapes {
     }
 }
 
+#[path = "predict_job.rs"]
+mod job;
 #[path = "predict_slopes.rs"]
 mod slopes;
 

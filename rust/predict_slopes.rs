@@ -4,7 +4,8 @@
 //! cables, sensing) over the acting command. Their steps are the caller's: where tendons fall slack under a load the true
 //! slope jumps within some hundredths of a millimetre, and says nothing about a change of half a millimetre.
 
-use super::{Job, Predictor};
+use super::Predictor;
+use super::job::Job;
 use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
 
@@ -20,7 +21,7 @@ impl Predictor {
     ) -> Result<Vec<f64>> {
         let sets = chain.sets(params)?;
         self.agrees(chain, conditions, t_seen)?;
-        let job = self.prepare(chain, params, sets, u, conditions, t_seen)?;
+        let job = Job::new(&self.body, chain, params, sets, u, conditions, t_seen)?;
         let width = t_seen.len() * chain.channels();
         let group = |g: &usize| &job.acting[g * width..(g + 1) * width];
         Ok(job.group.iter().flat_map(group).copied().collect())
@@ -49,7 +50,7 @@ impl Predictor {
         }
         self.agrees(chain, conditions, t_seen)?;
         let (channels, frames) = (chain.channels(), t_seen.len());
-        let job = self.prepare(chain, params, 1, u, conditions, t_seen)?;
+        let job = Job::new(&self.body, chain, params, 1, u, conditions, t_seen)?;
         let sides = 2 * channels;
         let mut acting = Vec::with_capacity(sides * job.acting.len());
         for side in 0..sides {

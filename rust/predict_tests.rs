@@ -106,14 +106,8 @@ fn absent_fields_and_foreign_chains_are_told() {
     );
     let other = Chain::new(&[], 2).unwrap();
     assert!(
-        body.predict(
-            &other,
-            &[],
-            &[0.0; 4],
-            &world([0.0, 0.0, 1.0], 0.0),
-            &[0.5]
-        )
-        .is_err()
+        body.predict(&other, &[], &[0.0; 4], &world([0.0, 0.0, 1.0], 0.0), &[0.5])
+            .is_err()
     );
 }
 

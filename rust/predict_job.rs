@@ -1,0 +1,162 @@
+//! What one call of the predictor works on: parameter sets in groups that share their shapes, and what acts in each.
+
+use crate::effects::{Camera, Chain, Conditions, Context, bracket};
+use crate::error::{Result, invalid};
+use crate::fields::Fields;
+use crate::shape::Shape;
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// What bends: a prior and its fields.
+#[derive(Clone)]
+pub struct Body {
+    pub prior: Arc<dyn Shape>,
+    /// Fields of the dead loads, then of the cables.
+    pub fields: Arc<Fields>,
+}
+
+/// What one call works on.
+pub struct Job<'a> {
+    pub chain: &'a Chain,
+    pub params: &'a [f64],
+    /// Number of frames K.
+    pub frames: usize,
+    /// The world (K,) at the frames, for each clock: the shift between stamps and what they show.
+    pub contexts: Vec<Vec<Context>>,
+    pub cameras: Vec<Camera>,
+    /// Clock of each group.
+    pub clock: Vec<usize>,
+    /// Group (sets with equal channel parameters, clock and numbers of the prior) of each set, whether others share it,
+    /// and what bends in it.
+    pub group: Vec<usize>,
+    pub shared: Vec<bool>,
+    pub bodies: Vec<Body>,
+    /// u_eff (groups, K, C) at the seen times.
+    pub acting: Vec<f64>,
+}
+
+impl<'a> Job<'a> {
+    /// Group the sets, let the chain act and read it at the seen times.
+    pub fn new(
+        body: &Body,
+        chain: &'a Chain,
+        params: &'a [f64],
+        sets: usize,
+        u: &[f64],
+        conditions: &Conditions,
+        t_seen: &[f64],
+    ) -> Result<Job<'a>> {
+        let (width, channels) = (chain.width(), chain.channels());
+        let mut numbers: HashMap<Vec<u64>, usize> = HashMap::new();
+        let (mut group, mut shared, mut chosen) = (vec![], vec![], vec![]);
+        let (mut clock, mut shifts, mut bodies) = (vec![], vec![], vec![]);
+        for b in 0..sets {
+            let set = &params[b * width..(b + 1) * width];
+            let (late, factors) = (chain.late(set), chain.factors(set));
+            let key = set[..chain.channel_width()]
+                .iter()
+                .chain([&late])
+                .chain(factors.iter().map(|(_, factor)| factor))
+                .map(|value| value.to_bits())
+                .collect();
+            let number = *numbers.entry(key).or_insert(shared.len());
+            if number == shared.len() {
+                shared.push(false);
+                chosen.extend_from_slice(set);
+                bodies.push(body.changed(&factors)?);
+                let known = shifts.iter().position(|shift| *shift == late);
+                clock.push(known.unwrap_or(shifts.len()));
+                if known.is_none() {
+                    shifts.push(late);
+                }
+            } else {
+                shared[number] = true;
+            }
+            group.push(number);
+        }
+        let read = |late: &f64| {
+            let places = t_seen.iter().map(|t| bracket(conditions.t(), t - late));
+            places.collect()
+        };
+        let read: Vec<Vec<_>> = if channels > 0 {
+            shifts.iter().map(read).collect()
+        } else {
+            vec![vec![]; shifts.len()]
+        };
+        let places: Vec<_> = clock.iter().map(|c| read[*c].as_slice()).collect();
+        let acting = chain.acting(&chosen, u, conditions, &places)?;
+        let first = t_seen.first().copied().unwrap_or(0.0);
+        let context = |late: &f64, t: &f64| Context {
+            seen_for: t - first,
+            ..conditions.between(t - late)
+        };
+        let contexts = shifts
+            .iter()
+            .map(|late| t_seen.iter().map(|t| context(late, t)).collect())
+            .collect();
+        Ok(Job {
+            chain,
+            params,
+            frames: t_seen.len(),
+            contexts,
+            cameras: conditions.cameras().to_vec(),
+            clock,
+            group,
+            shared,
+            bodies,
+            acting,
+        })
+    }
+}
+
+impl Body {
+    /// The same with some of the prior's own numbers multiplied, in its fields as well.
+    fn changed(&self, factors: &[(&'static str, f64)]) -> Result<Body> {
+        let mut body = self.clone();
+        for (name, factor) in factors.iter().filter(|(_, factor)| *factor != 1.0) {
+            let prior = body.prior.with_number(name, *factor).ok_or_else(|| {
+                let known = self.prior.numbers().join(", ");
+                invalid(format!(
+                    "an effect changes the number '{name}' of the prior by {factor:.3}; this prior has {}; leave that \
+                     effect out",
+                    if known.is_empty() { "none to change" } else { &known }
+                ))
+            })?;
+            let fields = Arc::new(body.fields.with_number(name, *factor));
+            body = Body { prior, fields };
+        }
+        Ok(body)
+    }
+}
+
+impl Job<'_> {
+    /// u_eff (C,) of a group at a seen frame.
+    pub fn at(&self, group: usize, k: usize) -> &[f64] {
+        let channels = self.chain.channels();
+        let start = (group * self.frames + k) * channels;
+        &self.acting[start..start + channels]
+    }
+
+    /// The world (K,) at the frames of a parameter set.
+    pub fn world(&self, b: usize) -> &[Context] {
+        &self.contexts[self.clock[self.group[b]]]
+    }
+
+    pub fn context(&self, b: usize, k: usize) -> &Context {
+        &self.world(b)[k]
+    }
+
+    /// What `eval` writes (K, `size`) at all frames of a group.
+    pub fn each(
+        &self,
+        group: usize,
+        size: usize,
+        eval: impl Fn(&[f64], &mut [f64]) + Sync,
+    ) -> Vec<f64> {
+        let mut values = vec![0.0; self.frames * size];
+        let rows = values.par_chunks_exact_mut(size.max(1)).enumerate();
+        rows.for_each(|(k, out)| eval(self.at(group, k), out));
+        values
+    }
+}
