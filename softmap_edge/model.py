@@ -305,7 +305,8 @@ class Model:
         rest, seen = np.asarray(self.rest, float), self.seen_points(run)
         shown = seen if run.visible is None else np.where(run.visible[..., None], seen, np.nan)
         reach = float(np.linalg.norm(rest, axis=1).max())  # of a straight body from its clamp, the origin
-        off = float(np.nanmedian(np.linalg.norm(shown - rest.mean(axis=0), axis=-1)))
+        far = np.linalg.norm(shown - rest.mean(axis=0), axis=-1)
+        off = float(np.median(far[np.isfinite(far)])) if np.isfinite(far).any() else 0.0
         if not off > 2.5 * reach:
             return []
         return [

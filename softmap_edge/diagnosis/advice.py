@@ -9,7 +9,7 @@ Units: mm, s, °C. Pinned by tests/test_advice.py.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -60,29 +60,47 @@ def advice(run: Run, home_visits: int) -> list[Word]:
         return [
             Word("frames", False, "anything: no frame was seen", "record what the cameras see with the commands", 4.0)
         ]
-    rows = run.command if run.command is not None else run.ticks
-    u = np.zeros((len(run.t), 0)) if rows is None else np.asarray(rows, float)
+    u = _commanded(run)
     state = conditions(run, u)
-    words = [_frames(run), _noise(run, state), _home(run, home_visits), _orientation(run), *_points(run)]
-    if u.shape[1] == 0:
-        remedy = "send commands and log them with the frames"
-        words.append(Word("drive", False, "anything about the drive: nothing is commanded", remedy, 4.0))
-    elif not np.ptp(u, axis=0).any():
-        remedy = "move every channel to both ends of its range and back"
-        words.append(Word("drive", False, "anything about the drive: the commands never change", remedy, 2.0))
-    else:
-        words += [*_channels(u), _speed(u, state), _dwell(state), _direction(state)]
+    words = [_enough(run.frames), _noise(run, state), _home(run, home_visits), _orientation(run), *_points(run)]
+    words += _drive(u)
+    if words[-1].about != "drive":
+        words += [_speed(u, state), _dwell(state), _direction(state)]
     return [*words, _temperature(run)]
 
 
-def _frames(run: Run) -> Word:
-    if run.frames < FRAMES:
-        text = f"which effect is missing: {run.frames} frames are too few to hold some out"
+def asked(runs: Sequence[Run], frames: int, noise: str) -> list[str]:
+    """Return as sentences what a diagnosis stands on that its runs do not give.
+
+    Args:
+        runs: that are diagnosed together: what one of them tells is told. frames: that were used of all.
+        noise: where the noise is from, as `noise.py` names it.
+    """
+    words = [word for run in runs for word in _drive(_commanded(run))]
+    told = {word.about for word in words if word.tells}
+    words = [_enough(frames), *(word for word in words if word.about not in told)]
+    if "no replicates" in noise:
+        words.append(_NO_REPLICATES)
+    if any(run.gravity is None for run in runs):
+        words.append(_orientation(next(run for run in runs if run.gravity is None)))
+    poor = [f"these data cannot tell {word.text}; {word.remedy}" for word in words if not word.tells]
+    return list(dict.fromkeys(poor))
+
+
+_NO_REPLICATES = Word(
+    "noise", False, "noise from physics of the same size: nothing is seen twice, so the noise is only guessed",
+    "rest at home and at two other places for 7 s each, with 5 frames or more each time", 1.0,
+)  # fmt: skip
+
+
+def _enough(frames: int) -> Word:
+    if frames < FRAMES:
+        text = f"which effect is missing: {frames} frames are too few to hold some out"
         return Word("frames", False, text, f"record at least {ENOUGH_FRAMES} frames, better 360", 4.0)
-    if run.frames < ENOUGH_FRAMES:
-        text = f"small effects: {run.frames} frames leave few to judge by"
+    if frames < ENOUGH_FRAMES:
+        text = f"small effects: {frames} frames leave few to judge by"
         return Word("frames", False, text, "record the same for longer, about 360 frames", 4.0)
-    return Word("frames", True, f"whether an effect helps on what was not fitted: {run.frames} frames can be held out")
+    return Word("frames", True, f"whether an effect helps on what was not fitted: {frames} frames can be held out")
 
 
 def _noise(run: Run, state: Conditions) -> Word:
@@ -97,10 +115,7 @@ def _noise(run: Run, state: Conditions) -> Word:
         return Word(
             "noise", True, f"noise from physics: the run declares {float(np.median(run.sigma)):.2g} mm a coordinate"
         )
-    return Word(
-        "noise", False, "noise from physics of the same size: nothing is seen twice, so the noise is only guessed",
-        "rest at home and at two other places for 7 s each, with 5 frames or more each time", 1.0,
-    )  # fmt: skip
+    return _NO_REPLICATES
 
 
 def _home(run: Run, visits: int) -> Word:
@@ -145,6 +160,21 @@ def _points(run: Run) -> Iterator[Word]:
     if len(size) < 2 or size[1] < BESIDE * size[0]:
         text = "a twist, and turns of the base about the robot's axis: the markers lie on one line"
         yield Word("markers", False, text, "glue a marker or two beside the line, 10 mm or more", None)
+
+
+def _commanded(run: Run) -> Floats:
+    rows = run.command if run.command is not None else run.ticks
+    return np.zeros((len(run.t), 0)) if rows is None else np.asarray(rows, float)
+
+
+def _drive(u: Floats) -> list[Word]:
+    if u.shape[1] == 0:
+        remedy = "send commands and log them with the frames"
+        return [Word("drive", False, "anything about the drive: nothing is commanded", remedy, 4.0)]
+    if not np.ptp(u, axis=0).any():
+        remedy = "move every channel to both ends of its range and back"
+        return [Word("drive", False, "anything about the drive: the commands never change", remedy, 2.0)]
+    return list(_channels(u))
 
 
 def _channels(u: Floats) -> Iterator[Word]:

@@ -18,14 +18,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.diagnosis.advice import asked
 from softmap_edge.diagnosis.conclusion import OwnMisfit, conclude, parameters
 from softmap_edge.diagnosis.evidence import Untestable, equivalents, experiment, orientations, shown, unseen
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.masked import masked
 from softmap_edge.diagnosis.noise import Noise, command_kernel, estimate_noise, form_covariance, rod_noise, whitener
-from softmap_edge.diagnosis.record import Record, record_of
+from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import Search
 from softmap_edge.diagnosis.servo import servos
+from softmap_edge.diagnosis.sound import sound_record, stray
 from softmap_edge.errors import SoftmapError, brief
 from softmap_edge.model import BEYOND
 from softmap_edge.report.text import VERDICTS, check_diagnosis, diagnosis_text
@@ -62,6 +64,7 @@ class Diagnosis:
     next: list[dict[str, Any]]
     made_from: dict[str, Any]
     servo: list[dict[str, Any]] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)  # on the run itself: what was set aside, what it cannot tell
     model: Any = field(default=None, repr=False)  # a Model; callers of `diagnose` need not look for None
 
     def to_dict(self) -> dict[str, Any]:
@@ -88,7 +91,7 @@ class Diagnosis:
             kind = {"verdict": str, "sentence": str}.get(
                 f.name, dict if f.name in ("where", "error", "unexplained", "made_from") else list
             )
-            if f.name == "servo" and "servo" not in document:  # a document of before there was any
+            if f.name in ("servo", "remarks") and f.name not in document:  # a document of before there was any
                 continue
             if not isinstance(document.get(f.name), kind):
                 raise SoftmapError(f"the diagnosis has no usable '{f.name}'; make it again with `softmap diagnose`")
@@ -172,7 +175,7 @@ def diagnose(
     Raises:
         SoftmapError: too few frames, unknown effects, a run of another robot, a reference of other commands.
     """
-    record = record_of(model, run, library, reference)
+    record, remarks = sound_record(model, run, library, reference)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = _candidates(record, registry, effects)
     problem = _problem(record, candidates)
@@ -181,19 +184,24 @@ def diagnose(
     if model.kind == "rod":
         fit = search.simplest(fit)
     fit = search.earliest(fit, lambda name: equivalents(record, name, registry))
-    other = None if held_out is None else Record(model, held_out, library)
+    other = None if held_out is None else sound_record(model, held_out, library)[0]
     demoted: list[str] = []
     if other is not None:
         fit, demoted = _demote(search, fit, lambda f: _error_on(f, other), 0.995)
     else:  # form error can swallow what a static effect does wrong on unseen blocks; in mm it shows
         fit, demoted = _demote(search, fit, search.held_out_mm, 1.0)
+    gone = stray(record, fit)
+    fit = fit if gone is None else search.null
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     own = _own_misfit(record) if record.replay is None else None  # wrong numbers of its own cancel out too
     hidden = masked(search, fit)
     document = conclude(search, fit, other, demoted, impossible, own, seed, hidden)
     document["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
+    if gone is not None:
+        document |= {"verdict": "measurement_fault", "sentence": gone, "rivals": []}
+    remarks += [] if library is not None else asked(record.whole, len(record), problem.noise.source)
     told = servos(record.whole[0], [*candidates, *record.model.chain_names]) if library is None else []
-    return Diagnosis(**document, servo=told, model=_with_error(found, document["effects"]))
+    return Diagnosis(**document, servo=told, remarks=remarks, model=_with_error(found, document["effects"]))
 
 
 def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[Model, dict[str, Any]]:
@@ -208,7 +216,7 @@ def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[
     own = tuple(model.chain_names)
     if not own:
         raise SoftmapError("the model has no effects to refit; `softmap diagnose` finds out which it lacks")
-    record = record_of(model, run, library)
+    record, _ = sound_record(model, run, library)
     problem = _problem(record, list(own))
     space = problem.space(own, free=own)
     now = space.scaled(record.own()[space.free])
@@ -236,7 +244,7 @@ def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]
     Raises:
         SoftmapError: as `diagnose`.
     """
-    record = record_of(model, run, library)
+    record, _ = sound_record(model, run, library)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = _candidates(record, registry, None)
     problem = _problem(record, candidates)

@@ -96,6 +96,11 @@ class Record:
         model = self.model
         seen = np.asarray(model.seen_features(run), float)
         some = np.isfinite(seen).any(axis=(1, 2))
+        if len(some) and not some.any():
+            raise SoftmapError(
+                f"none of the {len(some)} frames shows enough of '{getattr(model, 'robot', 'the robot')}': a section "
+                "counts where six of its points are seen, a marker where it is seen; look at `visible`"
+            )
         if not some.all():
             run, seen = run.at(some), seen[some]
         self.run = run

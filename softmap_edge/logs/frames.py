@@ -69,6 +69,7 @@ def _few(lines: list[str]) -> list[str]:
     return [*lines[:_TOLD], *([f"and {len(lines) - _TOLD} more such swaps"] if len(lines) > _TOLD else [])]
 
 
+@np.errstate(invalid="ignore")  # a signalling NaN of a damaged file is a NaN like others
 def _points(table: LogTable, quantity: Quantity, doubts: list[str]) -> Array:
     """Points (K, M, 3) mm in the log's frame."""
     stated = table.unit(quantity.columns[0])

@@ -184,6 +184,7 @@ def _filled(name: str, table: LogTable, values: Array) -> tuple[Array, Array]:
     return t, values
 
 
+@np.errstate(invalid="ignore")  # a signalling NaN of a damaged file is a NaN like others
 def _convert(name: str, values: Array, quantity: Quantity, mapping: Mapping) -> Array:
     """The values in our units, changed in place: of a long log they are most of the memory."""
     unit = quantity.unit

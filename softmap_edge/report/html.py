@@ -336,6 +336,7 @@ def _open_questions(story: Story) -> str:
         _definitions("Rivals: what explains these data as well", rivals),
         _definitions("Not testable with these data", untestable),
         _definitions("Next experiment", steps),
+        _remarks(found.get("remarks") or []),
         _unexplained(found.get("unexplained") or {}),
     ]
     inner = "".join(part for part in parts if part)
@@ -358,6 +359,13 @@ def _definitions(title: str, rows: Sequence[tuple[Any, Any]]) -> str:
         return ""
     inner = "".join(f"<dt>{_text(term)}</dt><dd>{_text(meaning)}</dd>" for term, meaning in rows)
     return f"<section><h2>{_text(title)}</h2><dl>{inner}</dl></section>"
+
+
+def _remarks(rows: Sequence[str]) -> str:
+    if not rows:
+        return ""
+    inner = "".join(f"<li>{_text(tamed(row))}</li>" for row in rows)
+    return f"<section><h2>About the run</h2><ul>{inner}</ul></section>"
 
 
 def _unexplained(left: Mapping[str, Any]) -> str:

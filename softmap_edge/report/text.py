@@ -157,6 +157,7 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
     lines += _list_lines("Servos: between command and encoder", servos, ": ".join)
     lines += _list_lines("Rivals: what explains these data as well", document.get("rivals"), _rival)
     lines += _list_lines("Not testable with these data", untestable_rows(document), _untestable)
+    lines += _list_lines("About the run", document.get("remarks"), tamed)
     lines += _unexplained_lines(document.get("unexplained") or {})
     lines += _list_lines("Next experiment", document.get("next"), _next)
     return "\n".join(line.rstrip() for line in lines)
@@ -172,6 +173,8 @@ def check_diagnosis(document: Any) -> None:
     for key in ("effects", "faults", "servo", "rivals", "not_testable", "next"):
         for row in _demand(document.get(key) or [], list, key):
             _demand(row, Mapping, f"an entry of {key}")
+    for text in _demand(document.get("remarks") or [], list, "remarks"):
+        _demand(text, str, "a remark")
     named = [*(document.get("effects") or []), *(document.get("faults") or [])]
     for row in document.get("servo") or []:
         _demand(row.get("error") or {}, Mapping, "error of a servo")

@@ -1,0 +1,279 @@
+"""Whether a run is one of this model's robot under these commands: units, frame, handedness, order of points, clocks.
+
+What is asked is gross, so that no missing physics can be meant: each limit lies beyond what any effect of the library
+does. A run that fails is refused with its numbers and the remedy; a fault that a diagnosis can fit (a base that is
+misaligned by 2 mm, a swapped servo, a clock 0.2 s late) passes.
+
+    follows = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²     s seen, p predicted points, means over the frames
+
+Units: mm, s, deg. Limit: markers on one line have no handedness and no order. Pinned by tests/test_bad_runs.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.alignment.rigid import kabsch, rotation_vector
+from softmap_edge.errors import RunError
+from softmap_edge.logs.plausible import doubts_of_time
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+    from softmap_edge.run import Run
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FRAMES = 100  # looked at where all would take long
+LITTLE = 0.05  # of the range of the model: commands that stay within it may be in another unit
+NO_LOAD = 0.5  # g: a heaviest load below this was meant in kg
+OUT_OF_REACH = 3.0  # lengths of the body that no prediction may leave the base by
+SPACING = 2.0  # by which neighbouring points may come closer or part: silicone does not stretch so far
+TURNED, SHIFTED = 12.0, 12.0  # deg and mm, twice what the effect `mount` finds
+BETTER = 0.5  # of the distance between seen and predicted that such a move must leave at most
+LARGER = 4.0  # times as far as the commands say, or as little: no gain is that wrong
+ALIKE = 0.8  # share of the motion that is followed where a cause is named
+MOTION = 0.04  # of the body's length: less motion (RMS) says nothing about what drives it
+FOLLOWED = 0.6  # share of the motion below which a run is not one of these commands
+MENDED = 0.3  # of the error that gravity the other way round must leave at most
+LATE = 2.0  # s: a delay up to here is asked of the effects
+TIMES = 1000  # at which a shift of the clocks is tried
+HELD = 0.05  # of the frames at an extreme command before it is asked whether the log was clipped there
+
+
+def declared(model: Model, run: Run) -> list[str]:
+    """Return remarks on what a run says about itself."""
+    found = [f"{text}" for text in doubts_of_time(np.asarray(run.t, float))]
+    if run.robot is not None and run.robot != model.robot:
+        found.append(
+            f"the run is one of '{run.robot}', the model is of '{model.robot}'; give --bundle if that is another"
+        )
+    if model.channels and run.command_unit != model.command_unit:
+        found.append(
+            f"the run's commands are in {run.command_unit}, the model takes {model.command_unit}: they are taken as "
+            "they are; set the unit in the mapping"
+        )
+    low, high = np.asarray(model.command_range, float).T if len(model.command_range) else (np.zeros(0), np.zeros(0))
+    share = float(np.max(np.ptp(model.commands(run), axis=0) / np.maximum(high - low, 1e-12), initial=0.0))
+    if 0.0 < share < LITTLE:
+        found.append(
+            f"the commands move by at most {100 * share:.2g} % of what the model was made from; if they are not in "
+            f"{model.command_unit}, set their unit in the mapping"
+        )
+    most = 0.0 if run.load is None else float(np.max(run.load, initial=0.0))
+    if 0.0 < most < NO_LOAD:
+        found.append(f"the heaviest load is {most:.3g} g, which moves nothing; `load` is in grams, not kg")
+    return found
+
+
+def belongs(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floats) -> list[str]:
+    """Refuse a run that cannot be one of this robot under these commands; return remarks on one that may be.
+
+    Args:
+        model, run: as for `sound`. seen, predicted: points (K, N, 3) mm. visible: (K, N).
+
+    Raises:
+        RunError: what is wrong, with numbers, and what to do.
+    """
+    length = float(np.linalg.norm(model.rest, axis=1).max())
+    _in_reach(model, run, predicted, length)
+    some = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), FRAMES)).astype(int))
+    s, p, v = seen[some], predicted[some], visible[some]
+    rest = np.asarray(model.rest if run.marker_rest is None or model.markers else run.marker_rest, float)
+    _in_order(model, rest, s, v)
+    _in_place(model, rest, s, v, p)
+    _upside_down(model, run.at(some), s, v, p)
+    motion = _centred(s, v)
+    if float(np.sqrt(np.mean(np.sum(motion[v] ** 2, axis=1)))) < MOTION * length or not model.channels:
+        return []
+    answer = _centred(p, v)
+    both = float(np.sum(motion * answer))
+    power, moved = float(np.sum(answer**2)), float(np.sum(motion**2))
+    if power > 0 and both > ALIKE * np.sqrt(power * moved) and not 1 / LARGER < both / power < LARGER:
+        raise RunError(
+            f"the points move {both / power:.3g} times as far as the commands say, in the same way: the commands "
+            f"are in another unit than {model.command_unit} (cm, m, deg or ticks?) or of another robot; set `unit` in "
+            "the mapping"
+        )
+    if follows(s - p, s, v) < FOLLOWED:
+        _other_cause(model, run, s, v)
+    return _held(model, run, seen - predicted, visible, length)
+
+
+def follows(left: Floats, seen: Floats, visible: Mask) -> float:
+    """Return which share of the motion of points (K, N, 3) is not `left` (K, N, 3)."""
+    moved = float(np.sum(_centred(seen, visible) ** 2))
+    return 1.0 - float(np.sum(_centred(left, visible) ** 2)) / max(moved, 1e-300)
+
+
+def _centred(points: Floats, visible: Mask) -> Floats:
+    """Return points (K, N, 3) about the mean of each over the frames that show it; 0 where one was not seen."""
+    shown = np.where(visible[..., None], points, 0.0)
+    mean = shown.sum(axis=0) / np.maximum(visible.sum(axis=0), 1)[:, None]
+    return np.where(visible[..., None], shown - mean, 0.0)
+
+
+def _in_reach(model: Model, run: Run, predicted: Floats, length: float) -> None:
+    with np.errstate(over="ignore", invalid="ignore"):
+        far = np.linalg.norm(predicted, axis=2)
+    gone = ~(far < OUT_OF_REACH * length).all(axis=1)
+    if not gone.any():
+        return
+    reasons = model.beyond(run)
+    if run.load is not None and np.any(run.load):
+        alone = np.linalg.norm(model.predict(replace(run, load=None)), axis=2)
+        if (alone < OUT_OF_REACH * length).all():
+            reasons = [f"the run declares a load of up to {run.load.max():.4g} g; give `load` in grams"]
+    why = (reasons or [""])[0] or "look at the commands with `softmap show`"
+    raise RunError(
+        f"in {int(gone.sum())} of {len(gone)} frames the model puts the body beyond {OUT_OF_REACH * length:.3g} mm "
+        f"from its base, {OUT_OF_REACH:g} times the length of '{model.robot}', so nothing can be told: {why}"
+    )
+
+
+def _in_order(model: Model, rest: Floats, seen: Floats, visible: Mask) -> None:
+    """Points that are neighbours at rest stay neighbours."""
+    if len(rest) < 4:
+        return
+    ones = np.unique(np.linspace(0, len(rest) - 1, min(len(rest), FRAMES)).astype(int))
+    apart = np.linalg.norm(rest[ones, None] - rest[None], axis=2)
+    apart[apart <= 1e-9] = np.inf
+    others = np.argmin(apart, axis=1)
+    usual = apart[np.arange(len(ones)), others]
+    both = visible[:, ones] & visible[:, others]
+    if not both.any() or not np.isfinite(usual).all():
+        return
+    ratio = np.linalg.norm(seen[:, ones] - seen[:, others], axis=2)[both] / np.broadcast_to(usual, both.shape)[both]
+    median = float(np.median(np.maximum(ratio, 1.0 / np.maximum(ratio, 1e-9))))
+    if median > SPACING:
+        raise RunError(
+            f"neighbouring points of '{model.robot}' are {median:.3g} times farther apart or closer in this run than "
+            f"at rest, at most {SPACING:g} times is plausible: the points are in another order, in another unit, or of "
+            "another robot; give them as the template has them"
+        )
+
+
+def _in_place(model: Model, rest: Floats, seen: Floats, visible: Mask, predicted: Floats) -> None:
+    """The frame of the points is right-handed, and the base stands where a fit can find it."""
+    weight = visible.astype(float)
+    middle = (seen * weight[..., None]).sum(axis=1) / np.maximum(weight.sum(axis=1), 1.0)[:, None]
+    whole = visible.all(axis=1)
+    if whole.any() and len(rest) >= 4:
+        about = seen[whole] - middle[whole][:, None]
+        still = rest - rest.mean(axis=0)
+        mixed = np.einsum("kni,nj->kij", about, still)
+        strength, sign = np.linalg.svd(mixed, compute_uv=False), np.sign(np.linalg.det(mixed))
+        total = np.sum(about**2, axis=(1, 2)) + np.sum(still**2)
+        pair = [total - 2 * (strength[:, 0] + strength[:, 1] + way * sign * strength[:, 2]) for way in (1.0, -1.0)]
+        turned, mirrored = (float(np.sqrt(max(float(left.min()), 0.0) / np.sum(still**2))) for left in pair)
+        if mirrored < 0.5 * turned and mirrored < 0.1 and turned > 0.1:
+            raise RunError(
+                f"the points are mirrored: no turn brings them nearer to '{model.robot}' at rest than "
+                f"{100 * turned:.0f} % of its size, a mirror does to {100 * mirrored:.0f} %; the axes of their frame "
+                "are left-handed, so turn one axis round in the mapping"
+            )
+    flat = (seen[visible], predicted[visible])
+    pose = kabsch(flat[1], flat[0], np.ones(len(flat[0])))
+    before, after = (float(np.sqrt(np.mean(np.sum((q - flat[0]) ** 2, axis=1)))) for q in (flat[1], pose(flat[1])))
+    angle, shift = np.degrees(np.linalg.norm(rotation_vector(pose.rotation))), float(np.linalg.norm(pose.shift))
+    if after < BETTER * before and (angle > TURNED or shift > SHIFTED):
+        raise RunError(
+            f"the points are turned by {angle:.3g}° and shifted by {shift:.4g} mm against the base of '{model.robot}', "
+            f"which takes their distance from {before:.3g} to {after:.3g} mm RMS; bring them to the base with "
+            "`softmap align`"
+        )
+
+
+def _upside_down(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floats) -> None:
+    """What is declared as gravity points the way in which things fall."""
+    if run.gravity is None:
+        return
+    other = np.asarray(model.predict(replace(run, gravity=-run.gravity)))
+    ours, theirs = (float(np.sqrt(np.mean(np.sum((seen - p)[visible] ** 2, axis=1)))) for p in (predicted, other))
+    if theirs < MENDED * ours:
+        raise RunError(
+            f"with `gravity` the other way round the error is {theirs:.3g} instead of {ours:.3g} mm RMS: it is "
+            "declared upside down; give the direction in which things fall, in the base frame"
+        )
+
+
+def _other_cause(model: Model, run: Run, seen: Floats, visible: Mask) -> None:
+    """Name what would make commands and frames agree: another clock, or the other sign."""
+    some = np.unique(np.linspace(0, run.frames - 1, min(run.frames, FRAMES)).astype(int))
+    turned = {n: -getattr(run, n) for n in ("command", "present") if getattr(run, n) is not None}
+    other = np.asarray(model.predict(replace(run, **turned).at(some)))
+    share = follows(seen - other, seen, visible)
+    if share > ALIKE:
+        raise RunError(
+            f"with the opposite sign the commands explain {100 * share:.0f} % of the motion, as they are far "
+            "less: every channel pulls the other way; set sign = -1 in the mapping"
+        )
+    late, share = _clock(model, run, seen, visible, run.t_seen[some])
+    if share > ALIKE and abs(late) > LATE:
+        raise RunError(
+            f"the commands explain {100 * share:.0f} % of the motion with the frames {abs(late):.4g} s "
+            f"{'earlier' if late > 0 else 'later'}, as they are far less: bring both to one clock "
+            "(`clock` in the mapping)"
+        )
+
+
+def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tuple[float, float]:
+    """Return by how many s the frames are late, and which share of the motion the commands explain then."""
+    grid = np.linspace(run.t[0], run.t[-1], TIMES)
+    blank: dict[str, Any] = {
+        "vertices": None,
+        "markers": None,
+        "visible": None,
+        "sigma": None,
+        "block": None,
+        "t_seen": grid,
+    }
+    name = "vertices" if run.vertices is not None else "markers"
+    blank |= {name: np.full((TIMES, *seen.shape[1:]), np.nan), "visible": np.zeros((TIMES, seen.shape[1]), bool)}
+    played = np.asarray(model.predict(replace(run, extra={}, **blank)))
+    motion = _centred(seen, visible)
+    ones = np.argsort(-np.sum(motion**2, axis=(0, 2)))[:3]  # the points that move most
+    best = (0.0, -np.inf)
+    for late in np.linspace(-1.0, 1.0, 2 * TIMES + 1) * (grid[-1] - grid[0]):
+        inside = (t - late >= grid[0]) & (t - late <= grid[-1])
+        if inside.sum() < max(30, 0.4 * len(t)):
+            continue
+        at = np.clip(np.rint((t[inside] - late - grid[0]) / (grid[1] - grid[0])).astype(int), 0, TIMES - 1)
+        s, v = seen[inside][:, ones], visible[inside][:, ones]
+        share = follows(s - played[at][:, ones], s, v)
+        best = max(best, (float(late), share), key=lambda pair: pair[1])
+    return best
+
+
+def _held(model: Model, run: Run, left: Floats, visible: Mask, length: float) -> list[str]:
+    """Say where a command is logged at its extreme while the body goes on moving: the log may be clipped."""
+    u = model.commands(run)
+    at = np.stack([np.interp(run.t_seen, run.t, row) for row in u.T], axis=1)
+    ends = np.stack([u.min(axis=0), u.max(axis=0)], axis=1)  # (C, 2)
+    held = np.abs(at[:, :, None] - ends) <= 1e-9 * np.maximum(np.ptp(u, axis=0), 1e-12)[:, None]  # (K, C, 2)
+    free = ~held.any(axis=(1, 2))
+    if not free.any():
+        return []
+    limit = max(1.5 * spread(left[free], visible[free]), 0.5 * MOTION * length)
+    found, frames, most = [], np.zeros(len(at), bool), 0.0
+    for c, end in np.ndindex(ends.shape):
+        rows = held[:, c, end]
+        moved = spread(left[rows], visible[rows])
+        if rows.sum() >= HELD * len(at) and moved > limit:
+            found.append(f"{ends[c, end]:.4g} {model.command_unit} on channel {c}")
+            frames, most = frames | rows, max(most, moved)
+    if not found:
+        return []
+    return [
+        f"commands are logged at exactly {', '.join(found)} in {int(frames.sum())} of {len(at)} frames, in which the "
+        f"body moves on by {most:.2g} mm RMS: the log may be clipped there; log what is sent"
+    ]
+
+
+def spread(left: Floats, visible: Mask) -> float:
+    """Return the RMS mm of what is left (K, N, 3) about its mean over these frames."""
+    return float(np.sqrt(np.sum(_centred(left, visible) ** 2) / max(int(visible.sum()), 1)))
