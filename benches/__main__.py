@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
+from benches import diagnosis_time
 from benches.peer_elastic import markers as peer_markers
 from benches.peer_newton import NumpySolid
 from benches.peer_rollout import NUMBERS as PEER_NUMBERS
@@ -36,12 +37,16 @@ def main() -> int:
     """Run every benchmark; with `--json` print one document."""
     parser = argparse.ArgumentParser(prog="benches", description=__doc__)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--quick", action="store_true", help="leave out the 41×41 sweep and the trunk robot's table")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="leave out what takes minutes: the 41×41 sweep, whole diagnoses, the trunk robot's table",
+    )
     args = parser.parse_args()
-    rows = [newton_step(), rollouts(), elastic_rod(), equilibrium(), imports(), diagnosis(), table_against_simulator()]
+    rows = [newton_step(), rollouts(), elastic_rod(), equilibrium(), imports(), table_against_simulator()]
     rows.append(elastic_fit())
     if not args.quick:
-        rows += [full_sweep(), million_rows()]
+        rows += [full_sweep(), million_rows(), *diagnosis_time.rows()]
     document = {"schema": "softmap.bench/1", "machine": machine(), "rows": rows}
     if args.json:
         print(json.dumps(document))
@@ -201,20 +206,6 @@ def imports() -> dict[str, object]:
 
     seconds = started("import softmap_edge") - started("pass")
     return {"name": "import softmap_edge", "value": seconds, "unit": "s", "wanted": "aim ≤ 0.2"}
-
-
-def diagnosis() -> dict[str, object]:
-    """One diagnosis of about 350 frames over the whole library."""
-    from softmap_edge.diagnosis.diagnose import CANDIDATES, diagnose
-    from softmap_edge.protocol import standard_protocol
-    from softmap_edge.truth import hide
-
-    model = builtin_model()
-    run = hide(["backlash"], 1).measure(standard_protocol())
-    start = time.perf_counter()
-    diagnose(model, run)
-    name = f"diagnosis of {len(run.t_seen)} frames over {len(CANDIDATES)} effects"
-    return {"name": name, "value": time.perf_counter() - start, "unit": "s", "wanted": "aim ≤ 2"}
 
 
 def table_against_simulator() -> dict[str, object]:
