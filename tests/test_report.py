@@ -122,7 +122,7 @@ def test_diagnosis_says_everything_it_knows():
     text = diagnosis_text(DIAGNOSIS)
     for part in (
         *("partly explained", "backlash.gap", "0.621 ± 0.013 mm", "at its bound", "friction", "thermal_softening"),
-        *("a warm-up", "+ backlash", "floor: nothing hidden", "blocked R²", "staircase", "2.5 min", "held-out rms"),
+        *("a warm-up", "+ backlash", "floor: nothing hidden", "(held-out blocks)", "staircase", "2.5 min", "held-out rms"),
     ):
         assert part in text, part
     assert max(map(len, text.splitlines())) <= 100
@@ -130,12 +130,12 @@ def test_diagnosis_says_everything_it_knows():
 
 def test_what_is_not_known_is_not_printed():
     text = diagnosis_text(DIAGNOSIS | {"error": DIAGNOSIS["error"] | {"noise_floor": None}})
-    assert "moves the body by 1.82 mm\n" in text and "–" not in text
+    assert "moves the body by 1.82 mm RMS (fitted)\n" in text and "–" not in text
     assert "noise floor" not in text and "own held-out error 0.190 mm" in text
     moved = copy.deepcopy(DIAGNOSIS)
     moved["effects"][0]["displacement_mm"]["held_out"] = 1.5
     moved["error"]["held_out_on"] = "an independent run"
-    assert "1.82 mm, held out by 1.50 mm" in diagnosis_text(moved)
+    assert "1.82 mm RMS (fitted), 1.50 mm RMS (held out)" in " ".join(diagnosis_text(moved).split())
     assert "on an independent run" in diagnosis_text(moved)
 
 

@@ -213,7 +213,12 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
         share = fall(old, new, floor if floor is not None and (story.floor or new > floor) else None)
         cards.append(("error after", f"{mm(new)} mm", f"RMS, {note}", "after"))
         cards.append(
-            ("of the removable error gone", percent(share), f"{percent(fall(old, new))} of the raw error", "after")
+            (
+                "of the removable error gone",
+                percent(share),
+                f"{percent(fall(old, new))} of the raw error; {told}",
+                "after",
+            )
         )
     cards.append(("floor", f"{mm(floor)} mm", origin, "floor"))
     if story.before is not None and story.after is None:
@@ -278,8 +283,9 @@ def _effects(story: Story) -> str:
     for title, rows in (("Faults of the measurement", found.get("faults")), ("Effects found", found.get("effects"))):
         if rows:
             judged = any((row.get("displacement_mm") or {}).get("held_out") is not None for row in rows)
-            moves = "moves the body, mm" + ("<br>fitted / held out" if judged else "")
-            columns = ("effect", "parameters ± 1σ", "probability", "share", moves)
+            moves = "moves the body, mm RMS<br>fitted" + (" / held out" if judged else "")
+            values = "parameters, fitted ± 1σ<br>ratios have no unit"
+            columns = ("effect", values, "probability", "share of what is explained<br>fitted", moves)
             head = "".join(f"<th>{name}</th>" for name in columns)
             body = "".join(_effect_row(row, judged) for row in rows)
             parts.append(_section(title, f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"))
@@ -375,9 +381,9 @@ def _unexplained(left: Mapping[str, Any]) -> str:
     named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "nothing that was tried")
     chi, share = number(left.get("chi2_per_n")), number(left.get("blocked_r2"))
     rows = [
-        ("size", f"{mm(left.get('rms_mm'))} mm RMS beyond the noise"),
-        ("against the noise", "–" if chi is None else f"chi² per number {chi:.3g} (1 is noise alone)"),
-        ("predictable share", "–" if share is None else f"blocked R² {share:.2g}"),
+        ("size", f"{mm(left.get('rms_mm'))} mm RMS beyond the noise, fitted"),
+        ("against the noise", "–" if chi is None else f"chi² per number {chi:.3g} (1 is noise alone), fitted"),
+        ("predictable share", "–" if share is None else f"R² {share:.2g} on held-out blocks"),
         ("follows", named),
     ]
     return _definitions("Left unexplained", rows)

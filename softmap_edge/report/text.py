@@ -146,7 +146,10 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
     check_diagnosis(document)
     lines = [f"Verdict: {VERDICTS.get(document['verdict'], document['verdict'])}"]
     lines += _folded(tamed(document.get("sentence", "")), 2)
-    for title, key in (("Faults of the measurement", "faults"), ("Missing effects, in order of importance", "effects")):
+    for title, key in (
+        (f"Faults of the measurement ({PARAMETERS})", "faults"),
+        (f"Missing effects, in order of importance ({PARAMETERS})", "effects"),
+    ):
         rows = document.get(key) or []
         if rows:
             lines += ["", title]
@@ -207,6 +210,7 @@ def _demand(value: Any, kind: Any, name: str) -> Any:
     return value
 
 
+PARAMETERS = "parameters fitted, ± 1 σ; ratios have no unit"
 STATIC_ADDED = "+ static correction"
 LADDER_NOTE = (
     "Measured at the middles of the body's sections, or at the markers; a comparison takes every point. "
@@ -281,8 +285,9 @@ def _effect_lines(row: Mapping[str, Any]) -> list[str]:
     held = shift.get("held_out")
     facts = [
         f"probability {percent(row.get('probability'))}",
-        f"{percent(row.get('share'))} of what is explained",
-        f"moves the body by {mm(shift.get('fitted'))} mm" + ("" if held is None else f", held out by {mm(held)} mm"),
+        f"{percent(row.get('share'))} of what is explained (fitted)",
+        f"moves the body by {mm(shift.get('fitted'))} mm RMS (fitted)"
+        + ("" if held is None else f", {mm(held)} mm RMS (held out)"),
     ]
     lines = [head, *_folded(" · ".join(facts), 6)]
     for label, value in (row.get("params") or {}).items():
@@ -387,9 +392,9 @@ def _unexplained_lines(left: Mapping[str, Any]) -> list[str]:
     if not left:
         return []
     chi, r2 = left.get("chi2_per_n"), left.get("blocked_r2")
-    facts = [f"{mm(left.get('rms_mm'))} mm RMS beyond the noise"]
-    facts += [f"chi²/n {chi:.3g} (1 is noise alone)"] if isinstance(chi, (int, float)) else []
-    facts += [f"predictable share (blocked R²) {r2:.2g}"] if isinstance(r2, (int, float)) else []
+    facts = [f"{mm(left.get('rms_mm'))} mm RMS beyond the noise (fitted)"]
+    facts += [f"chi²/n {chi:.3g} (fitted; 1 is noise alone)"] if isinstance(chi, (int, float)) else []
+    facts += [f"predictable share R² {r2:.2g} (held-out blocks)"] if isinstance(r2, (int, float)) else []
     by = left.get("predicted_by")
     named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "")
     facts += [f"follows {named}"] if named else []
