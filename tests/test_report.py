@@ -121,8 +121,16 @@ def test_pairs_of_different_runs_are_refused(pair, tmp_path):
 def test_diagnosis_says_everything_it_knows():
     text = diagnosis_text(DIAGNOSIS)
     for part in (
-        *("partly explained", "backlash.gap", "0.621 ± 0.013 mm", "at its bound", "friction", "thermal_softening"),
-        *("a warm-up", "+ backlash", "floor: nothing hidden", "(held-out blocks)", "staircase", "2.5 min", "held-out rms"),
+        *(
+            "partly explained",
+            "backlash.gap",
+            "0.621 ± 0.013 mm",
+            "at its bound",
+            "friction",
+            "thermal_softening",
+            "held-out rms",
+        ),
+        *("a warm-up", "+ backlash", "floor: nothing hidden", "(held-out blocks)", "staircase", "2.5 min"),
     ):
         assert part in text, part
     assert max(map(len, text.splitlines())) <= 100
