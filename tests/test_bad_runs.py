@@ -289,3 +289,17 @@ def test_compare_refuses_in_one_line_too(case, tmp_path, capsys):
     assert main(["compare", str(written(tmp_path, REFUSED[case][0], True)), "--json"]) == 2
     out, said = capsys.readouterr()
     assert out == "" and len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize("case", ["a camera that stops", "a load in kg", "another robot's name", "time in ms"])
+def test_compare_goes_on_and_says_what_a_diagnosis_would(case, tmp_path, capsys):
+    change, words = TOLERATED[case]
+    assert main(["compare", str(written(tmp_path, change, True)), "--json"]) == 0
+    out, said = capsys.readouterr()
+    assert json.loads(out)["frames"] == 300 and words in said
+
+
+def test_compare_says_that_points_are_mirrored(tmp_path, capsys):
+    change, words = REFUSED["mirrored"]
+    assert main(["compare", str(written(tmp_path, change, True)), "--json"]) == 0
+    assert words in capsys.readouterr().err

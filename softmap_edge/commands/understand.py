@@ -39,6 +39,7 @@ def compare(args: argparse.Namespace) -> int:
     run, models = _run(args.run), [open_model(path) for path in args.bundle or [None]]
     _warn("compare", models[0], run)
     found = [measure(model, run) for model in models]
+    _doubt("compare", models[0], run)
     if args.json:
         documents = [c.to_dict() for c in found]
         print(json.dumps(documents[0] if len(documents) == 1 else documents, indent=1))
@@ -221,6 +222,18 @@ def _warn(verb: str, model: Any, run: Any) -> None:
     """Tell on stderr, beside any document, where a run leaves the commands or the frame of the model."""
     for note in [*model.beyond(run), *model.elsewhere(run)]:
         print(f"softmap {verb}: {note}", file=sys.stderr)
+
+
+def _doubt(verb: str, model: Any, run: Any) -> None:
+    """Tell on stderr what a diagnosis would set aside of a run, or refuse: a comparison takes it as it is."""
+    from softmap_edge.diagnosis.sound import sound
+
+    try:
+        remarks: tuple[str, ...] = tuple(sound(model, run).remarks)
+    except SoftmapError as fault:
+        remarks = (str(fault),)
+    for remark in remarks:
+        print(f"softmap {verb}: a diagnosis would say: {remark}", file=sys.stderr)
 
 
 def _names(text: str) -> list[str]:
