@@ -9,6 +9,7 @@ those that change a number of the prior, on an elastic rod of the same length.
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,14 +41,15 @@ one that is moved first: `coupling.factor[0,1]`. A *whole* number is tried, not 
 is `command → transmission → material → shape → sensing`; a chain is always composed in this order. Each picture shows
 one recording, without the effect and with it.
 
-Loads move a finger by its fields, which are linear and taken at constant tension of its tendons; the tendons then
-answer by falling slack or taut, a complementarity problem solved at every frame (`rust/cables.rs`). On the built-in
-finger this misses the simulator by (RMS over vertices and eleven commands, of what the load moves them by):
+Loads move a finger by its fields, which are taken at constant tension of its tendons; the tendons then answer by
+falling slack or taut, a complementarity problem solved at every frame (`rust/cables.rs`). What large loads do beyond
+that comes from second derivatives (`rust/second.rs`). On the built-in finger, with them and without, this misses the
+simulator by (RMS over vertices and eleven commands, of what the load moves them by):
 
 @LOADS@
 
 A rod's fields answer loads by one nominal compliance. An elastic rod answers with its tendons, and has the fields of
-its modulus along the body and of a curvature at rest as well.
+its modulus along the body, of a curvature at rest and of the sides of its tendons as well. Both are linear.
 """
 
 
@@ -57,31 +59,42 @@ LOADS = {  # what the page calls it: gravity in the base frame, grams at the tip
     "25 g at the tip, hanging": ((0.0, 0.0, 1.0), 25.0),
     "25 g at the tip, leaning by 35°": (LEANING, 25.0),
     "60 g at the tip, leaning by 35°": (LEANING, 60.0),
+    "60 g at the tip, horizontal": ((0.0, -1.0, 0.0), 60.0),
+    "60 g at the tip, pointing upwards by 54°": ((0.5, -0.3, -0.8124), 60.0),
 }
 NEWTON_PER_GRAM = 9.80665e-3
 
 
-def load_errors() -> dict[str, tuple[float, float]]:
-    """Return for each load how far its fields miss the simulator, and how far it moves the hanging finger: mm RMS."""
+def load_errors() -> dict[str, tuple[float, float, float]]:
+    """Return for each load how far the model misses the simulator, how far without a second level, and how far the load
+    moves the hanging finger: mm RMS.
+    """
     model, simulator = builtin_model(), Simulator(Finger.builtin())
     u = np.vstack([np.zeros((1, 2)), np.random.default_rng(3).uniform(-14.0, 14.0, (10, 2))])
     t = np.arange(len(u), dtype=float)
-    bare, unloaded = simulator.path(u), model.predict(Run(t=t, command=u, t_seen=t))
-    found = {}
-    for name, (gravity, grams) in LOADS.items():
-        force = NEWTON_PER_GRAM * grams * np.array(gravity)
-        truth = simulator.path(u, gravity=gravity, load=force) - bare
-        loaded = Run(t=t, command=u, t_seen=t, gravity=np.array(gravity), load=np.full(len(u), grams))
-        moved = model.predict(loaded) - unloaded
-        miss, size = (float(np.sqrt(np.mean(np.sum(d**2, axis=-1)))) for d in (moved - truth, truth))
-        found[name] = (miss, size)
+    bare, found = simulator.path(u), {}
+    for name, (direction, grams) in LOADS.items():
+        gravity = np.array(direction) / np.linalg.norm(direction)
+        truth = simulator.path(u, gravity=gravity, load=NEWTON_PER_GRAM * grams * gravity) - bare
+        loaded = Run(t=t, command=u, t_seen=t, gravity=gravity, load=np.full(len(u), grams))
+        misses = []
+        for told in (model, replace(model, second=None)):
+            moved = told.predict(loaded) - told.predict(Run(t=t, command=u, t_seen=t))
+            misses.append(_rms(moved - truth))
+        found[name] = (misses[0], misses[1], _rms(truth))
     return found
 
 
-def load_table(errors: dict[str, tuple[float, float]]) -> str:
+def _rms(moved: Floats) -> float:
+    return float(np.sqrt(np.mean(np.sum(moved**2, axis=-1))))
+
+
+def load_table(errors: dict[str, tuple[float, float, float]]) -> str:
     """Return the table of `load_errors`."""
-    rows = [f"| {name} | {miss:.2f} mm | {size:.1f} mm |" for name, (miss, size) in errors.items()]
-    return "\n".join(["| load | error | of |", "|---|---|---|", *rows])
+    rows = [
+        f"| {name} | {miss:.2f} mm | {linear:.2f} mm | {of:.1f} mm |" for name, (miss, linear, of) in errors.items()
+    ]
+    return "\n".join(["| load | error | linear | of |", "|---|---|---|---|", *rows])
 
 
 # --- pictures --------------------------------------------------------------------------------------------------------

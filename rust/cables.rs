@@ -9,7 +9,8 @@
 //! what a cable gives beyond the model's 1/k. It is a linear complementarity problem with the matrix 1/k + s − C, positive definite because a pulled cable gets shorter
 //! (`complementarity.rs`). The body
 //! then moves by its fields at constant tension for c and for T' − T. Without this, fields are wrong by half their size near
-//! home, where tendons change between slack and taut. Limit: L, C and the fields are those of the unloaded equilibrium.
+//! home, where tendons change between slack and taut. Limit: L, C and the fields are those of the unloaded equilibrium;
+//! what loads do beyond is `second.rs`.
 
 use crate::complementarity;
 use crate::error::{Result, invalid};
@@ -99,10 +100,12 @@ impl Cables {
         self.stretch.eval(u, stretch);
     }
 
-    /// Change of each tension (n,) N under the loads, at a place that `at` wrote.
-    pub fn answer(&self, place: &[f64], loads: &Coefficients, change: &mut [f64]) {
-        let (matrix, right, before) = self.problem(place, loads);
-        let start = before.iter().map(|t| *t > 0.0).collect();
+    /// Change of each tension (n,) N under the loads, at a place that `at` wrote; `beyond` (n,) mm is what else stretches them
+    /// (empty: nothing). What `change` holds before says which of them are taken to pull at first.
+    pub fn answer(&self, place: &[f64], loads: &Coefficients, beyond: &[f64], change: &mut [f64]) {
+        let (matrix, right, before) = self.problem(place, loads, beyond);
+        let sum = before.iter().zip(change.iter());
+        let start = sum.map(|(t, c)| t + c > 0.0).collect();
         let after = complementarity::solve(&matrix, &right, start);
         for ((out, a), b) in change.iter_mut().zip(&after).zip(&before) {
             *out = a - b;
@@ -111,7 +114,12 @@ impl Cables {
 
     /// The problem whose answer are the tensions: 1/k + s − C (n, n), the stretch (n,) mm without any tension, and the
     /// tensions (n,) N without loads.
-    pub fn problem(&self, place: &[f64], loads: &Coefficients) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
+    pub fn problem(
+        &self,
+        place: &[f64],
+        loads: &Coefficients,
+        beyond: &[f64],
+    ) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
         let n = self.count();
         let pull = &place[..n];
         let before: Vec<f64> = pull.iter().map(|p| p.max(0.0)).collect();
@@ -122,7 +130,9 @@ impl Cables {
             matrix.extend((0..n).map(|j| f64::from(i == j) * gives - by_tension[j]));
             // What the tensions of the unloaded place take away is −C T.
             right.push(
-                pull[i] / self.stiffness[i] + dot(by_loads, &loads[..LOADS])
+                pull[i] / self.stiffness[i]
+                    + beyond.get(i).unwrap_or(&0.0)
+                    + dot(by_loads, &loads[..LOADS])
                     - dot(by_tension, &before),
             );
         }
@@ -180,7 +190,7 @@ mod tests {
         cables.at(&[], &mut place);
         let (mut loads, mut change) = ([0.0; CONTACT + 8], [0.0; 2]);
         (loads[0], loads[TENDON]) = (load, gives);
-        cables.answer(&place, &loads, &mut change);
+        cables.answer(&place, &loads, &[], &mut change);
         change
     }
 

@@ -25,28 +25,36 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 /// Solve for those taken as positive until they are and the others have w ≥ 0.
 fn active_set(matrix: &[f64], right: &[f64], mut positive: Vec<bool>) -> Option<Vec<f64>> {
     let n = right.len();
+    let (mut set, mut rows, mut z) = (Vec::with_capacity(n), vec![], vec![0.0; n]);
     for _ in 0..2 * n + 8 {
-        let set: Vec<usize> = (0..n).filter(|i| positive[*i]).collect();
-        let block = set
-            .iter()
-            .map(|&i| set.iter().map(|&j| row(matrix, i, n)[j]).collect())
-            .collect();
-        let found = dense::solve(block, set.iter().map(|&i| right[i]).collect())?;
-        let mut z = vec![0.0; n];
-        set.iter().zip(&found).for_each(|(&i, &v)| z[i] = v);
-        let next: Vec<bool> = (0..n)
-            .map(|i| {
-                if positive[i] {
-                    z[i] > 0.0
-                } else {
-                    right[i] > dot(row(matrix, i, n), &z)
-                }
-            })
-            .collect();
-        if next == positive {
+        set.clear();
+        set.extend((0..n).filter(|i| positive[*i]));
+        rows.clear();
+        for &i in &set {
+            let own = row(matrix, i, n);
+            rows.extend(set.iter().map(|&j| own[j]).chain([right[i]]));
+        }
+        if !dense::eliminate(&mut rows, set.len()) {
+            return None;
+        }
+        z.fill(0.0);
+        let found = rows.chunks_exact(set.len() + 1);
+        set.iter()
+            .zip(found)
+            .for_each(|(&i, row)| z[i] = row[set.len()]);
+        let mut settled = true;
+        for i in 0..n {
+            let next = if positive[i] {
+                z[i] > 0.0
+            } else {
+                right[i] > dot(row(matrix, i, n), &z)
+            };
+            settled &= next == positive[i];
+            positive[i] = next;
+        }
+        if settled {
             return z.iter().all(|v| v.is_finite()).then_some(z);
         }
-        positive = next;
     }
     None
 }

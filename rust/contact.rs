@@ -13,6 +13,7 @@ use crate::cables::Cables;
 use crate::complementarity;
 use crate::error::{Result, invalid};
 use crate::loads::{CONTACT, Coefficients, FIELDS, PUSH, STATIONS, TIP_FORCE};
+use crate::second::Second;
 use crate::shape::Shape;
 use crate::vector::{Vec3, add, dot, norm, scaled, sub};
 use std::sync::Arc;
@@ -20,7 +21,7 @@ use std::sync::Arc;
 /// The stations of a body.
 pub struct Contact {
     places: Arc<dyn Shape>,
-    /// Displacements of the stations by the fields of the prior, then of its cables.
+    /// Displacements of the stations by the fields of the prior, then of its cables and of large loads.
     fields: Vec<Option<Arc<dyn Shape>>>,
     radii: Vec<f64>,
 }
@@ -40,6 +41,7 @@ impl Contact {
         places: Arc<dyn Shape>,
         named: Vec<(String, Arc<dyn Shape>)>,
         cables: Option<&Cables>,
+        second: Option<&Second>,
         radii: Vec<f64>,
     ) -> Result<Contact> {
         let count = STATIONS.len();
@@ -56,7 +58,8 @@ impl Contact {
         }
         fields.extend(cables.into_iter().flat_map(Cables::fields).map(Some));
         let wrong = |s: &Arc<dyn Shape>| s.size() != 3 * count || s.channels() != places.channels();
-        if wrong(&places) || fields.iter().flatten().any(wrong) {
+        let other = second.is_some_and(|second| second.outputs() != 3 * count);
+        if other || wrong(&places) || fields.iter().flatten().any(wrong) {
             return Err(invalid(format!(
                 "stations of a body: places and fields must give {} numbers at the same commands",
                 3 * count
@@ -69,6 +72,9 @@ impl Contact {
                 FIELDS[missing]
             )));
         }
+        if let Some(second) = second {
+            fields.extend(second.fields()?.into_iter().map(Some));
+        }
         Ok(Contact {
             places,
             fields,
@@ -77,12 +83,13 @@ impl Contact {
     }
 
     /// Let the obstacle of `loads` stop the body at the command `u`: `weights` (fields, then changes of tension) come in
-    /// as they are without it, and go out with what it pushes. `cables` with what `Cables::at` wrote.
+    /// as they are without it, and go out with what it pushes. `cables` with what `Cables::at` wrote and what else stretches
+    /// them.
     pub fn stop(
         &self,
         u: &[f64],
         loads: &Coefficients,
-        cables: Option<(&Cables, &[f64])>,
+        cables: Option<(&Cables, &[f64], &[f64])>,
         weights: &mut [f64],
     ) {
         let stations = self.radii.len();
@@ -122,12 +129,12 @@ impl Contact {
                 sum
             })
             .collect();
-        let problem = cables.map(|(cables, place)| cables.problem(place, loads));
+        let problem = cables.map(|(cables, place, beyond)| cables.problem(place, loads, beyond));
         let (matrix, right, before) = problem.unwrap_or_default();
         let n = before.len();
         let pulled: Vec<Vec<f64>> = (0..n).map(|j| moves(FIELDS.len() + j)).collect();
         let (size, mut all) = (n + stations, vec![]);
-        if let Some((cables, place)) = cables {
+        if let Some((cables, place, _)) = cables {
             for i in 0..n {
                 all.extend_from_slice(&matrix[i * n..(i + 1) * n]);
                 all.extend((0..stations).map(|k| {

@@ -25,6 +25,33 @@ pub(crate) fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
     Some(b)
 }
 
+/// Solve A x = b by elimination with pivoting, in place of `rows` (n, n + 1) [A | b]: x ends in their last column. False when A
+/// is singular.
+pub(crate) fn eliminate(rows: &mut [f64], n: usize) -> bool {
+    let width = n + 1;
+    for c in 0..n {
+        let size = |r: usize| rows[r * width + c].abs();
+        let pivot = (c + 1..n).fold(c, |best, r| if size(r) > size(best) { r } else { best });
+        let value = rows[pivot * width + c];
+        if value == 0.0 || !value.is_finite() {
+            return false;
+        }
+        if pivot != c {
+            (c..width).for_each(|k| rows.swap(c * width + k, pivot * width + k));
+        }
+        for r in (0..n).filter(|r| *r != c) {
+            let f = rows[r * width + c] / value;
+            for k in c..width {
+                rows[r * width + k] -= f * rows[c * width + k];
+            }
+        }
+    }
+    for c in 0..n {
+        rows[c * width + n] /= rows[c * width + c];
+    }
+    true
+}
+
 /// The Cholesky factor of a positive definite system, for as many right sides as one likes.
 #[derive(Debug, Clone)]
 pub(crate) struct Factor {

@@ -1,7 +1,8 @@
 //! The fields of a prior: how far each load and each cable's tension moves the body, and their weighted sum at a command.
 //!
 //! Fields of one sweep share their grid and their modes. Their mode weights are blended together, Σ_f w_f·a_fm(u), and the
-//! modes expanded once: a sum of seven fields then costs as much as one or two. Other fields (a rod's) are added one by one.
+//! modes expanded once: a sum of seven fields then costs as much as one or two. Other fields (a rod's, those of large loads) are
+//! added one by one.
 
 use crate::shape::Shape;
 use crate::table::{Table, TableSum};
@@ -10,22 +11,33 @@ use std::sync::Arc;
 /// Fields in a fixed order; some may be absent.
 pub struct Fields {
     members: Vec<Option<Arc<dyn Shape>>>,
-    /// Those that are there side by side, if all of them are tables that share grid and modes; and which they are.
+    /// Tables that share grid and modes with the first that is there, side by side, and which they are; then all others.
     together: Option<TableSum>,
-    there: Vec<usize>,
+    alike: Vec<usize>,
+    others: Vec<usize>,
 }
 
 impl Fields {
     /// Take fields in order.
     pub fn new(members: Vec<Option<Arc<dyn Shape>>>) -> Fields {
-        let there: Vec<usize> = (0..members.len())
-            .filter(|f| members[*f].is_some())
+        let there = |f: &usize| members[*f].is_some();
+        let there: Vec<usize> = (0..members.len()).filter(there).collect();
+        let table = |f: usize| members[f].as_ref().and_then(|field| field.table());
+        let first = there.first().and_then(|f| table(*f));
+        let alike: Vec<(usize, &Table)> = there
+            .iter()
+            .filter_map(|f| Some((*f, table(*f)?)))
+            .filter(|(_, table)| first.is_some_and(|first| first.shares(table)))
             .collect();
-        let together = Fields::together(&members);
+        let together = TableSum::new(&alike.iter().map(|(_, t)| *t).collect::<Vec<_>>());
+        let alike: Vec<usize> = alike.iter().map(|(f, _)| *f).collect();
+        let apart = |f: &usize| together.is_none() || !alike.contains(f);
+        let others = there.iter().copied().filter(apart).collect();
         Fields {
-            members,
+            alike,
+            others,
             together,
-            there,
+            members,
         }
     }
 
@@ -55,27 +67,18 @@ impl Fields {
             return;
         }
         if let Some(sum) = &self.together {
-            let own: Vec<f64> = self.there.iter().map(|f| weights[*f]).collect();
-            return sum.add(u, &own, frame);
+            let own: Vec<f64> = self.alike.iter().map(|f| weights[*f]).collect();
+            sum.add(u, &own, frame);
         }
-        for (field, weight) in self.members.iter().zip(weights) {
-            if let (Some(field), true) = (field, *weight != 0.0) {
+        for f in &self.others {
+            if let (Some(field), true) = (&self.members[*f], weights[*f] != 0.0) {
                 field.eval(u, scratch);
                 frame
                     .iter_mut()
                     .zip(scratch.iter())
-                    .for_each(|(sum, value)| *sum += weight * value);
+                    .for_each(|(sum, value)| *sum += weights[*f] * value);
             }
         }
-    }
-
-    fn together(members: &[Option<Arc<dyn Shape>>]) -> Option<TableSum> {
-        let tables: Option<Vec<&Table>> = members
-            .iter()
-            .flatten()
-            .map(|field| field.table())
-            .collect();
-        TableSum::new(&tables?)
     }
 }
 
@@ -103,9 +106,11 @@ mod tests {
         let together = Fields::new(vec![Some(one.clone()), Some(two.clone())]);
         let mut apart = Fields::new(vec![Some(one.clone()), None, Some(two)]);
         assert!(together.together.is_some() && apart.together.is_some());
-        assert!(Fields::new(vec![Some(one), Some(other)]).together.is_none());
+        assert_eq!(Fields::new(vec![Some(one), Some(other)]).others, [1]);
         for summed in [true, false] {
-            apart.together = apart.together.filter(|_| summed);
+            if !summed {
+                (apart.together, apart.others) = (None, apart.alike.clone());
+            }
             for weights in [[0.0, 0.0], [2.0, 0.0], [0.3, -1.5]] {
                 let (a, b) = (
                     sum(&together, &weights),

@@ -6,15 +6,19 @@
 //! effects add, loads and changes of design alike; a prior whose stiffness is not known leaves the known physics out, and the effects find it. ΔT(t) is how the cables' tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
 //!
 //! Parameter sets that agree in all channel effects share their shapes: in a Jacobian, steps in shape and sensing parameters
-//! cost next to nothing. Limits: bodies answer linearly (see `effects/gravity.rs`, `effects/payload.rs`).
+//! cost next to nothing. What loads do beyond their fields comes from `second.rs`, where the prior has it. Limits: changes of design
+//! are answered linearly.
 
 use crate::cables::Cables;
 use crate::contact::Contact;
 use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
 use crate::fields::Fields;
-use crate::loads::{self, CONTACT, Coefficients, FIELDS, GRAVITY, PUSH, TENDON, TIP_FORCE, weight};
+use crate::loads::{
+    self, CONTACT, Coefficients, FIELDS, GRAVITY, LOADS, PUSH, TENDON, TIP_FORCE, weight,
+};
 use crate::room::zeros;
+use crate::second::Second;
 use crate::shape::Shape;
 use job::{Body, Job};
 use rayon::prelude::*;
@@ -27,6 +31,7 @@ const NEGLIGIBLE: f64 = 1e-6;
 pub struct Predictor {
     body: Body,
     cables: Option<Cables>,
+    second: Option<Second>,
     contact: Option<Contact>,
     positions: Vec<bool>,
     reference: [f64; 3],
@@ -40,6 +45,7 @@ impl Predictor {
         prior: Arc<dyn Shape>,
         fields: Vec<(String, Arc<dyn Shape>)>,
         cables: Option<Cables>,
+        second: Option<Second>,
         positions: Vec<bool>,
         reference: [f64; 3],
     ) -> Result<Predictor> {
@@ -81,12 +87,29 @@ impl Predictor {
                 )));
             }
         }
+        if let Some(second) = &second {
+            let tendons = cables.as_ref().map_or(0, Cables::count);
+            let found = (second.channels(), second.outputs(), second.tendons());
+            if found != (prior.channels(), prior.size(), tendons) {
+                return Err(invalid(format!(
+                    "the second level of loads has {} commands, {} outputs and {} tendons, the prior {}, {} and {tendons}; \
+                     they must agree",
+                    found.0,
+                    found.1,
+                    found.2,
+                    prior.channels(),
+                    prior.size()
+                )));
+            }
+            known.extend(second.fields()?.into_iter().map(Some));
+        }
         Ok(Predictor {
             body: Body {
                 prior,
                 fields: Arc::new(Fields::new(known)),
             },
             cables,
+            second,
             contact: None,
             positions,
             reference,
@@ -254,14 +277,30 @@ impl Predictor {
 
     fn scratch(&self) -> Scratch {
         Scratch {
-            place: vec![0.0; self.cables.as_ref().map_or(0, Cables::size)],
+            place: vec![0.0; self.place_size()],
             weights: vec![0.0; self.body.fields.count()],
             field: vec![0.0; self.body.prior.size()],
         }
     }
 
-    /// Weights of the fields at a command: the loads, and the changes of tension with which the cables answer them.
-    /// `place` is what the cables are like there, if that is known.
+    fn place_size(&self) -> usize {
+        let cables = self.cables.as_ref().map_or(0, Cables::size);
+        cables + self.second.as_ref().map_or(0, Second::size)
+    }
+
+    /// What the cables are like at a command, then what loads that are `there` do beyond their fields.
+    fn place_at(&self, u: &[f64], there: &[bool; LOADS], out: &mut [f64]) {
+        let (cables, second) = out.split_at_mut(self.cables.as_ref().map_or(0, Cables::size));
+        if let Some(known) = &self.cables {
+            known.at(u, cables);
+        }
+        if let Some(known) = &self.second {
+            known.at(u, there, second);
+        }
+    }
+
+    /// Weights of the fields at a command: the loads, the changes of tension with which the cables answer them, and what they
+    /// do beyond. `place` is what `place_at` says there, if that is known.
     fn weigh(&self, loads: &Coefficients, u: &[f64], place: Option<&[f64]>, scratch: &mut Scratch) {
         let (count, weights) = (FIELDS.len(), &mut scratch.weights);
         weights.fill(0.0);
@@ -269,17 +308,32 @@ impl Predictor {
             return;
         }
         weights[..count].copy_from_slice(&loads[..count]);
-        let cables = self.cables.as_ref().map(|cables| {
-            let place = place.unwrap_or_else(|| {
-                cables.at(u, &mut scratch.place);
-                &scratch.place
-            });
-            (cables, place)
+        let place = place.unwrap_or_else(|| {
+            let there = std::array::from_fn(|f| loads[f] != 0.0);
+            self.place_at(u, &there, &mut scratch.place);
+            &scratch.place
         });
-        if let Some((cables, place)) = cables {
-            cables.answer(place, loads, &mut weights[count..]);
+        let (at, second) = place.split_at(self.cables.as_ref().map_or(0, Cables::size));
+        let cables = self.cables.as_ref().map(|cables| (cables, at));
+        let tendons = self.cables.as_ref().map_or(0, Cables::count);
+        let (change, modes) = weights[count..].split_at_mut(tendons);
+        let mut beyond = vec![];
+        let large = loads[..LOADS].iter().chain([&loads[TENDON]]);
+        if let (Some(known), true) = (&self.second, large.into_iter().any(|c| *c != 0.0)) {
+            let mut alone = *loads;
+            alone[LOADS..TENDON].fill(0.0);
+            if let Some((cables, at)) = cables {
+                cables.answer(at, &alone, &[], change);
+            }
+            let amount = [&loads[..LOADS], change].concat();
+            beyond = known.beyond(second, &amount, modes);
+        }
+        let acts = loads[..CONTACT].iter().any(|c| *c != 0.0);
+        if let (Some((cables, at)), true) = (cables, acts) {
+            cables.answer(at, loads, &beyond, change);
         }
         if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {
+            let cables = cables.map(|(cables, at)| (cables, at, &beyond[..]));
             contact.stop(u, loads, cables, weights);
         }
     }
@@ -319,11 +373,13 @@ impl Predictor {
                     ))
                 })
                 .collect(),
-            places: match &self.cables {
-                Some(cables) if wanted[group].contains(&true) => {
-                    job.each(group, cables.size(), |u, out| cables.at(u, out))
-                }
-                _ => vec![],
+            places: if wanted[group].contains(&true) {
+                let there = std::array::from_fn(|f| wanted[group][f]);
+                job.each(group, self.place_size(), |u, out| {
+                    self.place_at(u, &there, out)
+                })
+            } else {
+                vec![]
             },
             frames: job.frames,
         };
@@ -336,13 +392,13 @@ impl Predictor {
 
 /// Numbers of one frame that are in work.
 struct Scratch {
-    /// What the cables are like.
+    /// What `place_at` says.
     place: Vec<f64>,
     weights: Vec<f64>,
     field: Vec<f64>,
 }
 
-/// Prior and fields (K, 3V) of one group, and what the cables are like (K, n), if anything loads them.
+/// Prior and fields (K, 3V) of one group, and what `place_at` says (K, n), if anything loads it.
 struct Shapes {
     prior: Vec<f64>,
     fields: Vec<(usize, Vec<f64>)>,

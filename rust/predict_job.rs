@@ -12,7 +12,7 @@ use std::sync::Arc;
 #[derive(Clone)]
 pub struct Body {
     pub prior: Arc<dyn Shape>,
-    /// Fields of the dead loads, then of the cables.
+    /// Fields of the dead loads, of the cables, and of what large loads do beyond.
     pub fields: Arc<Fields>,
 }
 

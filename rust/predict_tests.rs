@@ -18,6 +18,7 @@ fn predictor(fields: &[&str]) -> Predictor {
         plane([1.0, 0.0, 2.0]),
         fields,
         None,
+        None,
         vec![true],
         [0.0, 0.0, 1.0],
     )

@@ -5,19 +5,17 @@
 //! linearly from the border in each axis. Limits: at most three channels; kinks of the tabulated family are rounded over one
 //! cell. Pinned by the tests at the foot.
 
-use crate::cubic::{Axis, NO_AXIS, Stencil};
 use crate::error::{Result, invalid};
+use crate::grid::{Grid, Stencils};
 use crate::modes::{Modes, STACK_MODES, accumulate, wide};
-use crate::room::room;
 use crate::shape::Shape;
 
-/// The most channels a tensor grid can have; beyond, the number of nodes explodes.
-pub const MAX_CHANNELS: usize = 3;
+pub use crate::grid::MAX_CHANNELS;
 
 /// Modes on a tensor grid of commands.
 #[derive(Debug, Clone)]
 pub struct Table {
-    axes: Vec<Axis>,
+    grid: Grid,
     coefficients: Vec<f64>,
     modes: Modes,
 }
@@ -31,43 +29,23 @@ impl Table {
         mean: Vec<f64>,
         modes: Vec<f64>,
     ) -> Result<Table> {
-        if axes.len() > MAX_CHANNELS {
-            return Err(invalid(format!(
-                "a table has at most {MAX_CHANNELS} axes, got {}; use another kind of prior for more channels",
-                axes.len()
-            )));
-        }
-        for (c, axis) in axes.iter().enumerate() {
-            if axis.len() < 2 || axis.windows(2).any(|w| w[1] <= w[0]) {
-                return Err(invalid(format!(
-                    "axis {c} of a table must rise strictly over at least 2 nodes, got {} nodes",
-                    axis.len()
-                )));
-            }
+        let grid = Grid::new(axes)?;
+        let everything = coefficients.iter().chain(&mean).chain(&modes);
+        if everything.into_iter().any(|value| !value.is_finite()) {
+            return Err(invalid(
+                "a table holds a number that is not finite; rebuild it from a clean sweep",
+            ));
         }
         let modes = Modes::new(mean, modes)?;
-        let count = modes.count();
-        let lengths: Vec<usize> = axes.iter().map(Vec::len).chain([1]).collect();
-        let nodes = room("a grid", &lengths)?;
+        let (nodes, count) = (grid.nodes(), modes.count());
         if Some(coefficients.len()) != nodes.checked_mul(count) {
             return Err(invalid(format!(
                 "coefficients must be ({nodes} grid nodes, {count} modes), got {} numbers",
                 coefficients.len()
             )));
         }
-        let everything = axes
-            .iter()
-            .flatten()
-            .chain(&coefficients)
-            .chain(modes.mean())
-            .chain(modes.rows());
-        if everything.into_iter().any(|value| !value.is_finite()) {
-            return Err(invalid(
-                "a table holds a number that is not finite; rebuild it from a clean sweep",
-            ));
-        }
         Ok(Table {
-            axes: axes.into_iter().map(Axis::new).collect(),
+            grid,
             coefficients,
             modes,
         })
@@ -75,7 +53,7 @@ impl Table {
 
     /// The grid nodes of each channel, mm.
     pub fn axes(&self) -> impl Iterator<Item = &[f64]> {
-        self.axes.iter().map(Axis::nodes)
+        self.grid.axes()
     }
 
     /// Mode weights (n_1·…·n_C, m) at the nodes.
@@ -93,6 +71,12 @@ impl Table {
         self.modes.rows()
     }
 
+    /// Whether another has this grid and these modes, and neither a mean.
+    pub fn shares(&self, other: &Table) -> bool {
+        let alike = self.grid == other.grid && self.modes == other.modes;
+        alike && self.mean().iter().all(|m| *m == 0.0)
+    }
+
     /// Number of modes m.
     pub fn count(&self) -> usize {
         self.modes.count()
@@ -106,36 +90,13 @@ impl Table {
         })
     }
 
-    /// Call `add(node, share)` for the nodes of one stencil per axis.
-    #[inline(always)]
-    fn visit(&self, stencils: &[Stencil; MAX_CHANNELS], mut add: impl FnMut(usize, f64)) {
-        let length = |c: usize| self.axes.get(c).map_or(1, |axis| axis.nodes().len());
-        let [a, b, c] = stencils;
-        for i in 0..a.count {
-            for j in 0..b.count {
-                let row = ((a.first + i) * length(1) + b.first + j) * length(2) + c.first;
-                for k in 0..c.count {
-                    add(row + k, a.weights[i] * b.weights[j] * c.weights[k]);
-                }
-            }
-        }
-    }
-
     /// Add `times` the interpolated mode weights, with one stencil per axis.
     #[inline(always)]
-    fn blend(&self, stencils: &[Stencil; MAX_CHANNELS], times: f64, weights: &mut [f64]) {
-        self.visit(stencils, |node, share| {
+    fn blend(&self, stencils: &Stencils, times: f64, weights: &mut [f64]) {
+        self.grid.visit(stencils, |node, share| {
             let row = &self.coefficients[node * weights.len()..(node + 1) * weights.len()];
             accumulate(weights, row, times * share);
         });
-    }
-
-    fn stencils(&self, u: &[f64], derivative: Option<usize>) -> [Stencil; MAX_CHANNELS] {
-        let mut stencils = [NO_AXIS; MAX_CHANNELS];
-        for (c, axis) in self.axes.iter().enumerate() {
-            stencils[c] = axis.stencil(u[c], derivative == Some(c));
-        }
-        stencils
     }
 }
 
@@ -149,9 +110,7 @@ impl TableSum {
     /// Put `tables` side by side; None if their grids or modes differ, or if they have a mean.
     pub fn new(tables: &[&Table]) -> Option<TableSum> {
         let first = *tables.first()?;
-        let alike = tables.iter().all(|t| {
-            t.axes == first.axes && t.modes == first.modes && t.mean().iter().all(|m| *m == 0.0)
-        });
+        let alike = tables.iter().all(|t| first.shares(t));
         let count = first.count();
         (alike && count > 0 && count <= STACK_MODES).then(|| TableSum {
             tables: tables.iter().copied().cloned().collect(),
@@ -161,7 +120,7 @@ impl TableSum {
     /// Add Σ_t w_t·table_t(u) to `out` (M,).
     pub fn add(&self, u: &[f64], weights: &[f64], out: &mut [f64]) {
         let shared = &self.tables[0];
-        let stencils = shared.stencils(u, None);
+        let stencils = shared.grid.stencils(u, None);
         let mut sum = [0.0; STACK_MODES];
         let sum = &mut sum[..shared.count()];
         wide(|| {
@@ -181,7 +140,7 @@ impl Shape for Table {
     }
 
     fn channels(&self) -> usize {
-        self.axes.len()
+        self.grid.channels()
     }
 
     fn size(&self) -> usize {
@@ -189,7 +148,7 @@ impl Shape for Table {
     }
 
     fn eval(&self, u: &[f64], out: &mut [f64]) {
-        let stencils = self.stencils(u, None);
+        let stencils = self.grid.stencils(u, None);
         wide(|| {
             self.modes
                 .eval(out, |weights| self.blend(&stencils, 1.0, weights))
@@ -198,7 +157,7 @@ impl Shape for Table {
 
     fn jacobian(&self, u: &[f64], out: &mut [f64]) {
         self.modes.jacobian(self.channels(), out, |c, weights| {
-            self.blend(&self.stencils(u, Some(c)), 1.0, weights);
+            self.blend(&self.grid.stencils(u, Some(c)), 1.0, weights);
         });
     }
 }

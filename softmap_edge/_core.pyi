@@ -26,6 +26,7 @@ __all__ = [
     "RodField",
     "STANDARD_GRAVITY",
     "Scattered",
+    "Second",
     "Shape",
     "Solid",
     "Sum",
@@ -199,6 +200,11 @@ class Cables:
     def project(self, weights: _Floats, offset: _Floats) -> Cables: ...
 
 @final
+class Second:
+    def __new__(cls, axes: Sequence[_Floats], numbers: _Floats, tendons: int, modes: _Floats) -> Self: ...
+    def project(self, weights: _Floats) -> Second: ...
+
+@final
 class Predictor:
     def __new__(
         cls,
@@ -208,7 +214,8 @@ class Predictor:
         gravity_reference: _Floats,
         cables: Cables | None = None,
         declared_loads: bool = True,
-        contact: tuple[Shape, dict[str, Shape], Cables | None, Sequence[float]] | None = None,
+        contact: tuple[Shape, dict[str, Shape], Cables | None, Second | None, Sequence[float]] | None = None,
+        second: Second | None = None,
     ) -> Self: ...
     def predict(
         self,
@@ -307,6 +314,13 @@ class Solid:
         load: tuple[float, float, float],
         progress: Callable[[float], None] | None = None,
     ) -> _Floats: ...
+    def bends(
+        self,
+        commands: _Floats,
+        gravity: tuple[float, float, float],
+        load: tuple[float, float, float],
+        progress: Callable[[float], None] | None = None,
+    ) -> tuple[_Floats, _Floats, _Floats]: ...
     def fields(
         self,
         commands: _Floats,

@@ -4,7 +4,8 @@ manifest.json   schema version, kind of prior, units, hashes, own held-out error
 prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes, scale, power and
                 the rest as a table), or a rod
 template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh
-fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands
+fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands; `second_…`
+                what loads do beyond
 effects.json    the chain: names and parameters
 residual.npz    what was learned on top of the prior (`softmap adapt`), if anything: as a scattered family
 NAME_step       beside an array of whole numbers NAME in an archive: NAME counts these steps
@@ -268,11 +269,12 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         prior: Any = family_from(arrays["prior"])
         fields = fields_from(arrays["fields"])
         cables = cables_from(arrays["prior"], arrays["fields"])
+        second = second_from(arrays["fields"])
     else:
         from softmap_edge.rod.learn import rod_from_arrays
 
         prior, fields = rod_from_arrays(arrays["prior"])
-        cables = None
+        cables = second = None
     rest = np.asarray(template["rest"], float)
     if rest.ndim != 2 or rest.shape[1] != 3 or prior.size != rest.size:
         raise BundleError(f"{folder.name}: template {rest.shape} and prior of {prior.size} numbers do not fit together")
@@ -292,6 +294,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         prior=prior,
         fields=fields,
         cables=cables,
+        second=second,
         rest=rest,
         triangles=triangles,
         form_error=np.asarray(template["form_error_mm"], float),
@@ -397,6 +400,25 @@ def _stretch(fields: Mapping[str, NDArray[np.generic]]) -> NDArray[np.float64]:
         if f"stretch_{name}" in fields:
             full[..., f] = fields[f"stretch_{name}"]
     return full.reshape(len(full), -1)
+
+
+def second_from(fields: Mapping[str, NDArray[np.generic]]) -> _core.Second | None:
+    """Return what loads do beyond their fields, stored as `second_…`: weights (S, P, m), stretch (S, P, T) and growth
+    (S, L + T) over its own axes, modes (m, M) made of the `modes` of the fields; None for a bundle without it.
+    """
+    if "second_weights" not in fields:
+        return None
+    whole = unpacked(fields)
+    numbers = {
+        name.removeprefix("second_"): np.asarray(array, np.float64)
+        for name, array in whole.items()
+        if name.startswith("second_")
+    }
+    modes = numbers["modes"] @ np.asarray(whole["modes"], np.float64)
+    axes = [numbers[f"axis{c}"] for c in range(sum(name.startswith("axis") for name in numbers))]
+    pairs = np.concatenate([numbers["weights"], numbers["stretch"]], axis=2).reshape(len(numbers["growth"]), -1)
+    both = np.concatenate([pairs, numbers["growth"]], axis=1)
+    return _core.Second(axes, both, numbers["stretch"].shape[2], modes)
 
 
 def plain_table(arrays: Mapping[str, NDArray[np.generic]], name: str) -> _core.Table:

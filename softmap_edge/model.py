@@ -76,6 +76,7 @@ class Model:
     made_from: Mapping[str, Any] = field(default_factory=dict)
     error_per_g_mm: float = 0.0  # by which its own error grows for each g away from the reference
     cables: _core.Cables | None = None  # how tendons answer loads; a rod has none
+    second: _core.Second | None = None  # what loads do beyond their fields
     body: Body | None = None
     stiffness_known: bool = True
     arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
@@ -388,7 +389,7 @@ class Model:
     def _points(self) -> _core.Predictor:
         everywhere = np.ones(len(self.rest), bool)
         prior = self.prior if self.residual is None else _core.Sum(self.prior, self.residual)
-        return self._predictor(prior, dict(self.fields), everywhere, self.cables)
+        return self._predictor(prior, dict(self.fields), everywhere, self.cables, self.second)
 
     def _body_seen(self, matrix: Floats, offset: Floats) -> Shape:
         """Return prior and residual together, seen through a linear map."""
@@ -409,18 +410,25 @@ class Model:
         matrix, zero = mapping.matrix(), np.zeros(3 * len(mapping.weights))
         fields = {name: shape.project(matrix, zero) for name, shape in self.fields.items()}
         cables = None if self.cables is None else self.cables.project(matrix, zero)
+        second = None if self.second is None else self.second.project(matrix)
         prior = self._body_seen(matrix, zero)
-        return self._predictor(prior, fields, mapping.positions, cables)
+        return self._predictor(prior, fields, mapping.positions, cables, second)
 
     def _predictor(
-        self, prior: Shape, fields: dict[str, Shape], positions: NDArray[np.bool_], cables: _core.Cables | None
+        self,
+        prior: Shape,
+        fields: dict[str, Shape],
+        positions: NDArray[np.bool_],
+        cables: _core.Cables | None,
+        second: _core.Second | None,
     ) -> _core.Predictor:
-        return _core.Predictor(
-            prior, fields, positions, self.gravity_reference, cables, self.stiffness_known, self._contact
-        )
+        known = self.stiffness_known
+        return _core.Predictor(prior, fields, positions, self.gravity_reference, cables, known, self._contact, second)
 
     @cached_property
-    def _contact(self) -> tuple[Shape, dict[str, Shape], _core.Cables | None, list[float]] | None:
+    def _contact(
+        self,
+    ) -> tuple[Shape, dict[str, Shape], _core.Cables | None, _core.Second | None, list[float]] | None:
         """Where an obstacle can stop the body: middles of its stations, how fields move them, and their radii mm."""
         if not {name for name in _core.FIELDS if name.startswith("push")} <= set(self.fields) or self.markers:
             return None
@@ -436,7 +444,8 @@ class Model:
         reach = [float(np.quantile(np.linalg.norm(a[n][:, :2], axis=1), _OUTSIDE)) for a, n in zip(aside, near)]
         moved = {name: shape.project(matrix, zero) for name, shape in self.fields.items()}
         cables = None if self.cables is None else self.cables.project(matrix, zero)
-        return self._body_seen(matrix, zero), moved, cables, reach
+        second = None if self.second is None else self.second.project(matrix)
+        return self._body_seen(matrix, zero), moved, cables, second, reach
 
 
 def tip_of(vertices: Floats) -> NDArray[np.int64]:

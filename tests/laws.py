@@ -178,7 +178,7 @@ def stations():
     for k, section in enumerate(STATIONS):
         matrix[3 * section : 3 * section + 3, 3 * k : 3 * k + 3] = np.eye(3)
     moved = {name: tabulated(values).project(matrix, zero) for name, values in FIELD_VALUES.items()}
-    return tabulated(finger).project(matrix, zero), moved, cables().project(matrix, zero), [GIRTH] * 4
+    return tabulated(finger).project(matrix, zero), moved, cables().project(matrix, zero), None, [GIRTH] * 4
 
 
 def stopped(row, frames, u):

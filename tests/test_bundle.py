@@ -36,7 +36,8 @@ def test_round_trip_is_the_same_model_and_the_same_bytes(finger, tmp_path):
 
 
 def test_built_in_bundle_is_small_and_has_548_vertices(finger):
-    assert sum(file.stat().st_size for file in finger.iterdir()) <= 300_000
+    sizes = {file.name: file.stat().st_size for file in finger.iterdir()}
+    assert sizes["prior.npz"] <= 100_000 and sum(sizes.values()) <= 320_000
     model = load_bundle(finger)
     assert len(model.rest) == 548
     assert len(model.tip_indices) == 27  # 5 % of 548
@@ -48,7 +49,7 @@ LEANING = (np.sin(np.radians(35.0)), 0.0, np.cos(np.radians(35.0)))
 
 @pytest.mark.parametrize(
     ("gravity", "grams", "limit"),
-    [((1.0, 0.0, 0.0), 0.0, 0.07), ((0.0, 0.0, 1.0), 25.0, 0.13), (LEANING, 25.0, 0.11), (LEANING, 60.0, 0.23)],
+    [((1.0, 0.0, 0.0), 0.0, 0.03), ((0.0, 0.0, 1.0), 25.0, 0.06), (LEANING, 25.0, 0.03), (LEANING, 60.0, 0.05)],
 )
 def test_loads_move_the_built_in_finger_as_the_simulator_says(finger, gravity, grams, limit):
     """The limits that docs/effects.md states: shares of what the load moves, RMS over vertices and eleven commands."""
@@ -64,7 +65,9 @@ def test_loads_move_the_built_in_finger_as_the_simulator_says(finger, gravity, g
 
     model = load_bundle(finger)
     assert error(model) < limit
-    assert error(replace(model, cables=None)) > 2.0 * limit  # tendons that keep their tension answer otherwise
+    assert (
+        error(replace(model, cables=None, second=None)) > 2.0 * limit
+    )  # tendons that keep their tension answer otherwise
 
 
 def test_effects_travel_with_the_bundle(finger, tmp_path):

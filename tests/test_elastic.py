@@ -13,8 +13,10 @@ from softmap_edge import save_bundle as save
 from softmap_edge.cli import main
 from softmap_edge.errors import RobotError, RunError, SoftmapError
 from softmap_edge.folds import folds
-from softmap_edge.rod.elastic import ElasticParameters
+from softmap_edge.model import Model
+from softmap_edge.rod.elastic import ROUTING, ElasticParameters, Layout
 from softmap_edge.rod.learn import learn, learned_model
+from softmap_edge.run import Run
 
 ROOT = Path(__file__).parents[1]
 
@@ -278,7 +280,7 @@ def test_play_in_its_drives_is_named_and_added(run, learned, tmp_path, capsys):
 
 @pytest.mark.parametrize("slack", [0.0, 0.4, 1.0])
 def test_fields_of_a_changed_body_are_those_of_a_rod_with_other_numbers(slack):
-    """As central differences of the rod itself, in its bending stiffness and in its curvature at rest."""
+    """As central differences of the rod itself: in stiffness, curvature at rest and the sides of its tendons."""
     robot = arm().with_slack(slack)
     places, lengths = robot.layout.places(), np.array([70.0, 50.0])
     fields = ElasticParameters(robot.layout, robot.start, 1.0).fields()
@@ -304,12 +306,57 @@ def test_fields_of_a_changed_body_are_those_of_a_rod_with_other_numbers(slack):
         by[:, axis] = 1e-5 * 2 * lengths / 120.0**2
         wanted = (changed("rest", by.ravel()) - changed("rest", -by.ravel())) / 2e-5
         np.testing.assert_allclose(fields[f"curve_{'xy'[axis]}"].evaluate(u), wanted, atol=1e-5)
+    channel = np.array(robot.layout.channel)
+    for command, name in enumerate(ROUTING):
+        by = np.where(channel == command, np.radians(1e-3), 0.0)
+        wanted = (changed("angle", by) - changed("angle", -by)) / 2e-3
+        got = _core.ElasticField(robot.layout.compiled(robot.start), name, 1.0).evaluate(u)
+        np.testing.assert_allclose(got, wanted, atol=1e-6)
+        assert np.abs(got).max() > 0.05
     straight = robot.start.copy()
     straight[places["tilt"]] = straight[places["pretension"]] = 0.0
     moved = ElasticParameters(robot.layout, straight, 1.0).fields()["curve_x"].evaluate(np.zeros((1, 6)))
     np.testing.assert_allclose(moved[0, -3:], [1.0, 0.0, 0.0], atol=1e-9)
+    one = _core.ElasticRod(1, 1, [0], [0], [1.0], [1.0], np.array([0, 0, 5, 0, 8, 50, *np.zeros(7)], float))
+    with pytest.raises(SoftmapError, match="routing_1 turns the tendons of a command that the rod has not: it has 1"):
+        _core.ElasticField(one, "routing_1", 1.0)
     with pytest.raises(SoftmapError, match="twist"):
         _core.ElasticField(robot.layout.compiled(robot.start), "twist", 1.0)
+
+
+def test_tendons_that_run_elsewhere_are_found_on_a_rod():
+    """Two pairs of cables, one of them turned by 8 degrees; a rod of more than three commands has no such fields."""
+    numbers = [[0.0], 0.5 * np.pi * np.arange(4), [6.0] * 4, [0.5] * 4, [30.0] * 2, [55.0] * 2, np.zeros(9)]
+    layout = Layout(2, 2, (1,) * 4, (0, 1, 0, 1), (1.0, 1.0, -1.0, -1.0), (0.5, 1.0, 1.5, 2.0))
+    rod = ElasticParameters(layout, np.concatenate(numbers), 1.0)
+    aside = rod.numbers.copy()
+    aside[[1, 3]] += np.radians(8.0)
+    model = Model(
+        kind="rod",
+        prior=rod.compiled(),
+        fields=dict(rod.fields()),
+        rest=rod.compiled().evaluate(np.zeros((1, 2))).reshape(4, 3),
+        triangles=np.zeros((0, 3), np.int32),
+        form_error=np.full((4, 3), 0.05),
+        vertex_error_mm=0.1,
+        tip_indices=np.array([3]),
+        gravity_reference=np.array([0.0, 0.0, 1.0]),
+        command_range=np.array([[-5.0, 5.0]] * 2),
+        robot="two pairs",
+        made_from={},
+        stiffness_known=False,
+    )
+    t = np.arange(0.0, 60.0, 0.2)
+    u = 5.0 * np.stack([np.sin(0.4 * t), np.sin(0.7 * t)], axis=1)
+    points = layout.compiled(aside).evaluate(u).reshape(len(t), 4, 3)
+    seen = points + 0.1 * np.random.default_rng(2).normal(size=points.shape)
+    run = Run(t=t, command=u, t_seen=t, markers=seen)
+    found = diagnose(model, run, effects=["routing", "offset", "gain", "backlash"])
+    assert [effect["name"] for effect in found.effects] == ["routing"], found.sentence
+    phase = [found.effects[0]["params"][f"routing.phase[{c}]"]["value"] for c in range(2)]
+    assert phase == pytest.approx([8.0, 0.0], abs=0.8)  # linear in the angle
+    assert found.error["ladder"][-1]["value"] < 0.3 * found.error["model"]
+    assert not set(ROUTING) & set(ElasticParameters(arm().layout, arm().start, 1.0).fields())
 
 
 def test_a_gradient_of_stiffness_is_found_on_a_rod_that_was_taken_for_even():

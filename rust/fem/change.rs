@@ -134,7 +134,6 @@ impl Changed {
         Ok(Changed { elements, cables })
     }
 
-    /// Add `share` × its forces on the places `x` to `force`, and × the stretch of its cables to `stretch`.
     fn add(
         &self,
         x: &[Vec3],
@@ -143,19 +142,32 @@ impl Changed {
         force: &mut [Vec3],
         stretch: &mut [f64],
     ) {
-        let mut own = [[0.0; 3]; MOST_NODES];
-        for element in &self.elements {
-            own.fill([0.0; 3]);
-            element.force(x, &mut own);
-            for (&n, f) in element.nodes().iter().zip(own) {
-                force[n] = axpy(force[n], share, f);
-            }
+        let parts = (&self.elements[..], &self.cables[..]);
+        add_parts(parts, x, tension, share, force, stretch);
+    }
+}
+
+/// Add `share` × the forces of elements and cables on the places `x` to `force`, and × the stretch of the cables to `stretch`.
+pub(super) fn add_parts(
+    (elements, cables): (&[Box<dyn Element>], &[Cable]),
+    x: &[Vec3],
+    tension: &[f64],
+    share: f64,
+    force: &mut [Vec3],
+    stretch: &mut [f64],
+) {
+    let mut own = [[0.0; 3]; MOST_NODES];
+    for element in elements {
+        own.fill([0.0; 3]);
+        element.force(x, &mut own);
+        for (&n, f) in element.nodes().iter().zip(own) {
+            force[n] = axpy(force[n], share, f);
         }
-        for ((cable, tension), stretch) in self.cables.iter().zip(tension).zip(stretch) {
-            *stretch += share * (cable.length(x) - cable.rest_length);
-            if *tension > 0.0 {
-                cable.slope(x, |n, b| force[n] = axpy(force[n], share * tension, b));
-            }
+    }
+    for ((cable, tension), stretch) in cables.iter().zip(tension).zip(stretch) {
+        *stretch += share * (cable.length(x) - cable.rest_length);
+        if *tension != 0.0 {
+            cable.slope(x, |n, b| force[n] = axpy(force[n], share * tension, b));
         }
     }
 }

@@ -259,17 +259,27 @@ impl Simulation {
         let fields = if design { FIELDS.len() } else { LOADS } + self.solid.cables.len();
         self.room("the fields", &[commands.len()], fields)?;
         let changes = design.then(|| Changes::new(&self.solid, &self.drive));
+        self.toured(commands, gravity, tip, progress, |solver, state| {
+            self.compliance(solver, state, changes.as_ref())
+        })
+    }
+
+    /// What `keep` finds at the equilibrium of each command, solved in an order of short ways.
+    pub(super) fn toured<T: Send>(
+        &self,
+        commands: &[Vec<f64>],
+        gravity: Vec3,
+        tip: Vec3,
+        progress: &Progress,
+        keep: impl Fn(&mut Solver, &State) -> Result<T> + Sync,
+    ) -> Result<Vec<T>> {
         let order = short_tour(commands, &progress.stop)?;
         let sorted: Vec<Vec<f64>> = order.iter().map(|&i| commands[i].clone()).collect();
         let gravities = vec![gravity; sorted.len()];
-        let found = self.follow(&sorted, &gravities, tip, progress, |solver, state| {
-            self.compliance(solver, state, changes.as_ref())
-        })?;
-        let mut answer = vec![Compliance::default(); found.len()];
-        for (i, field) in order.into_iter().zip(found) {
-            answer[i] = field;
-        }
-        Ok(answer)
+        let found = self.follow(&sorted, &gravities, tip, progress, keep)?;
+        let mut placed: Vec<(usize, T)> = order.into_iter().zip(found).collect();
+        placed.sort_by_key(|(i, _)| *i);
+        Ok(placed.into_iter().map(|(_, found)| found).collect())
     }
 
     fn follow<T: Send>(
@@ -310,7 +320,7 @@ impl Simulation {
     }
 
     /// Refuse an answer of several vectors a point that is too large to keep.
-    fn room(&self, what: &str, commands: &[usize], vectors: usize) -> Result<()> {
+    pub(super) fn room(&self, what: &str, commands: &[usize], vectors: usize) -> Result<()> {
         let a_command = [3 * vectors, self.points.weights.len()];
         room(
             &format!("{what} (commands, coordinates, points)"),

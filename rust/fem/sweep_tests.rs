@@ -100,7 +100,7 @@ fn answered(s: &Simulation, command: &[f64], loads: &Coefficients) -> Vec<Vec3> 
     let mut place = vec![0.0; cables.size()];
     cables.at(&[], &mut place);
     let mut change = vec![0.0; n];
-    cables.answer(&place, loads, &mut change);
+    cables.answer(&place, loads, &[], &mut change);
     let weights: Vec<f64> = loads[..TENDON].iter().copied().chain(change).collect();
     (0..start[0].places.len())
         .map(|p| {

@@ -1,8 +1,9 @@
-//! Binding of the cables of a prior.
+//! Bindings of the cables of a prior and of its second level of loads.
 
 use super::arrays::floats;
 use super::table::PyTable;
 use crate::cables::Cables;
+use crate::second::Second;
 use pyo3::prelude::*;
 
 /// How the tensions of n cables answer loads: `stiffness` (n,) N/mm, `pull` → (n,) N, `stretch` → (n·(F + n),) mm per unit
@@ -40,5 +41,41 @@ impl PyCables {
         let weights = floats("weights", weights, &axes)?.data;
         let inner = py.detach(|| self.inner.project(&weights, &offset))?;
         Ok(PyCables { inner })
+    }
+}
+
+/// What loads do beyond their fields: `numbers` (nodes, P·(m + n) + 6 + n) over the grid of `axes`: mode weights and stretches (mm)
+/// of each pair of loads and tensions, row by row, then the growth of each; for n `tendons` that answer, and `modes` (m, M).
+#[pyclass(name = "Second", module = "softmap_edge._core", frozen)]
+pub struct PySecond {
+    pub inner: Second,
+}
+
+#[pymethods]
+impl PySecond {
+    #[new]
+    fn new(
+        axes: Vec<Bound<'_, PyAny>>,
+        numbers: &Bound<'_, PyAny>,
+        tendons: usize,
+        modes: &Bound<'_, PyAny>,
+    ) -> PyResult<PySecond> {
+        let axes = axes
+            .iter()
+            .enumerate()
+            .map(|(c, axis)| Ok(floats(&format!("axes[{c}]"), axis, &[("n", None)])?.data))
+            .collect::<PyResult<Vec<_>>>()?;
+        let numbers = floats("numbers", numbers, &[("nodes", None), ("numbers", None)])?.data;
+        let modes = floats("modes", modes, &[("m", None), ("M", None)])?;
+        let inner = Second::new(axes, numbers, tendons, modes.data, modes.shape[1])?;
+        Ok(PySecond { inner })
+    }
+
+    /// The same seen through a linear map: `weights` (M, M2).
+    fn project(&self, py: Python<'_>, weights: &Bound<'_, PyAny>) -> PyResult<PySecond> {
+        let axes = [("M", Some(self.inner.outputs())), ("M2", None)];
+        let weights = floats("weights", weights, &axes)?;
+        let inner = py.detach(|| self.inner.project(&weights.data, weights.shape[1]))?;
+        Ok(PySecond { inner })
     }
 }

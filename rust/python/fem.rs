@@ -15,11 +15,16 @@ use crate::fem::solid::{Design, Solid as FemSolid};
 use crate::fem::sweep::{Configuration, Simulation};
 use crate::fem::tetrahedra::tetrahedra;
 use crate::loads::{FIELDS, LOADS, PUSH};
-use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 type Bent<'py> = (Bound<'py, PyArray3<f64>>, Bound<'py, PyArray2<f64>>);
+type Bends<'py> = (
+    Bound<'py, PyArray4<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray2<f64>>,
+);
 type Pairs = Vec<(f64, f64)>;
 
 /// A solid's cells at rest.
@@ -300,6 +305,43 @@ impl Solid {
                 .path_from(&other.simulation, &commands, gravity, load, p)
         })?;
         Ok(self.bent(py, shapes)?.0)
+    }
+
+    /// At the equilibria of commands (S, C): second derivatives (S, P, N, 3) of the vertices and (S, P, T) of the stretch of
+    /// the cables, for each pair of `LOADS` and the tensions, row by row; growth (S, L + T) of the answers for each of them.
+    #[pyo3(signature = (commands, gravity, load, progress=None))]
+    fn bends<'py>(
+        &self,
+        py: Python<'py>,
+        commands: PyReadonlyArray2<f64>,
+        gravity: Vec3,
+        load: Vec3,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Bends<'py>> {
+        let commands = rows(&commands);
+        let found = watched(py, commands.len(), progress, |p| {
+            self.simulation.bends(&commands, gravity, load, p)
+        })?;
+        let (samples, points) = (found.len(), self.simulation.points.weights.len());
+        let cables = self.simulation.solid.cables.len();
+        let causes = LOADS + cables;
+        let pairs = causes * (causes + 1) / 2;
+        let moved: Vec<f64> = found
+            .iter()
+            .flat_map(|s| s.fields.iter().flatten().flatten().copied())
+            .collect();
+        let growth = found
+            .iter()
+            .flat_map(|s| s.growth.iter().copied())
+            .collect();
+        let stretch = found.iter().flat_map(|s| {
+            (0..pairs).flat_map(move |p| (0..cables).map(move |c| s.stretch[c * pairs + p]))
+        });
+        Ok((
+            PyArray1::from_vec(py, moved).reshape([samples, pairs, points, 3])?,
+            PyArray1::from_vec(py, stretch.collect()).reshape([samples, pairs, cables])?,
+            PyArray1::from_vec(py, growth).reshape([samples, causes])?,
+        ))
     }
 
     /// At the equilibria of commands (S, C), all tensions as they are: displacement (S, N, 3) per unit of each field, by

@@ -35,7 +35,7 @@ impl From<Error> for PyErr {
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::cables::PyCables;
+    use super::cables::{PyCables, PySecond};
     #[pymodule_export]
     use super::effects::{PyChain, effects};
     #[pymodule_export]

@@ -1,7 +1,7 @@
 //! Binding of the predictor.
 
 use super::arrays::floats;
-use super::cables::PyCables;
+use super::cables::{PyCables, PySecond};
 use super::effects::{Maybe, PyChain, Value, vector};
 use super::shape::PyShape;
 use crate::Result;
@@ -14,11 +14,12 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
 
-/// Places, fields and cables of the stations that an obstacle can stop, and their radii.
+/// Places, fields, cables and second level of the stations that an obstacle can stop, and their radii.
 type Stations<'py> = (
     PyRef<'py, PyShape>,
     Bound<'py, PyDict>,
     Option<PyRef<'py, PyCables>>,
+    Option<PyRef<'py, PySecond>>,
     Vec<f64>,
 );
 
@@ -31,10 +32,10 @@ pub struct PyPredictor {
 #[pymethods]
 impl PyPredictor {
     /// `positions` (V,) is true for places and false for directions; `gravity_reference` (3,) is what the prior was solved with.
-    /// `contact` makes it possible to stop the body: a shape of the places of its stations, fields and cables seen at them,
-    /// and their radii. Without `declared_loads` the gravity and load of a run are not applied: the scale of the fields is not known.
+    /// `second` is what loads do beyond their fields. `contact` makes it possible to stop the body: a shape of the places of its
+    /// stations, fields, cables and second level seen at them, and their radii. Without `declared_loads` the gravity and load of a run are not applied: the scale of the fields is not known.
     #[new]
-    #[pyo3(signature = (prior, fields, positions, gravity_reference, cables=None, declared_loads=true, contact=None))]
+    #[pyo3(signature = (prior, fields, positions, gravity_reference, cables=None, declared_loads=true, contact=None, second=None))]
     fn new(
         prior: PyRef<'_, PyShape>,
         fields: &Bound<'_, PyDict>,
@@ -43,22 +44,33 @@ impl PyPredictor {
         cables: Option<PyRef<'_, PyCables>>,
         declared_loads: bool,
         contact: Option<Stations<'_>>,
+        second: Option<PyRef<'_, PySecond>>,
     ) -> PyResult<PyPredictor> {
         let shapes = named(fields)?;
         let reference = vector("gravity_reference", gravity_reference)?;
         let cables = cables.map(|c| c.inner.clone());
-        let contact = contact.map(|(places, moved, cables, radii)| -> PyResult<Contact> {
-            let cables = cables.as_ref().map(|c| &c.inner);
-            Ok(Contact::new(
-                places.inner.clone(),
-                named(&moved)?,
-                cables,
-                radii,
-            )?)
-        });
+        let contact = contact.map(
+            |(places, moved, cables, second, radii)| -> PyResult<Contact> {
+                let cables = cables.as_ref().map(|c| &c.inner);
+                Ok(Contact::new(
+                    places.inner.clone(),
+                    named(&moved)?,
+                    cables,
+                    second.as_ref().map(|s| &s.inner),
+                    radii,
+                )?)
+            },
+        );
         let contact = contact.transpose()?;
-        let predictor: Result<_> =
-            Predictor::new(prior.inner.clone(), shapes, cables, positions, reference);
+        let second = second.map(|s| s.inner.clone());
+        let predictor: Result<_> = Predictor::new(
+            prior.inner.clone(),
+            shapes,
+            cables,
+            second,
+            positions,
+            reference,
+        );
         let mut predictor = predictor?;
         if let Some(contact) = contact {
             predictor = predictor.with_contact(contact);

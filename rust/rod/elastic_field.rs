@@ -7,13 +7,13 @@
 //! 1 N is spread evenly along the segments (three Gauss points each). k (N/mm) is not known from shapes: 1/k is one nominal
 //! number, and amounts of load are only meaningful as displacement. A modulus larger by the factor 1 + a(s) adds −ā·κ·φ to
 //! that balance, ā the mean of a over a segment: no stiffness need be known. An even curvature at rest adds to θ⁰, which no
-//! tendon feels; it is 1 mm at the end of a straight rod. Limits: tendons that pull are those of the unloaded pose; arcs have
-//! no sides and no twist.
+//! tendon feels; it is 1 mm at the end of a straight rod. Tendons turned about the axis pull elsewhere: the slopes of
+//! `elastic_slopes.rs` by their angles. Limits: tendons that pull are those of the unloaded pose; arcs have no sides and no twist.
 
 use super::elastic::{ElasticRod, along};
 use super::field::Load;
 use crate::error::{Result, invalid};
-use crate::loads::{ACROSS, CURVE, FIELDS, STIFF, TWIST, covered, width};
+use crate::loads::{ACROSS, CURVE, FIELDS, PUSH, ROUTING, STIFF, TWIST, covered, width};
 use crate::shape::Shape;
 use crate::vector::Vec3;
 use std::sync::Arc;
@@ -34,6 +34,8 @@ enum Cause {
     Stretch(usize),
     /// An even curvature at rest towards x or y.
     Curve(usize),
+    /// The tendons of a command turned about the axis by 1°.
+    Routing(usize),
 }
 
 impl Cause {
@@ -41,6 +43,7 @@ impl Cause {
         match FIELDS.iter().position(|known| *known == name) {
             Some(field) if (STIFF..ACROSS).contains(&field) => Ok(Cause::Stretch(field - STIFF)),
             Some(field) if (CURVE..TWIST).contains(&field) => Ok(Cause::Curve(field - CURVE)),
+            Some(field) if (ROUTING..PUSH).contains(&field) => Ok(Cause::Routing(field - ROUTING)),
             _ => Load::of(name).map(|(load, axis)| Cause::Load(load, axis)),
         }
     }
@@ -55,9 +58,15 @@ pub struct ElasticField {
 }
 
 impl ElasticField {
-    /// `name` is `gravity_x|y|z`, `tip_force_x|y|z`, `stiff_0…6` or `curve_x|y`; `flexibility` is 1/k in mm/N.
+    /// `name` is `gravity_x|y|z`, `tip_force_x|y|z`, `stiff_0…6`, `curve_x|y` or `routing_c`; `flexibility` is 1/k in mm/N.
     pub fn new(rod: ElasticRod, name: &str, flexibility: f64) -> Result<Self> {
         let cause = Cause::of(name)?;
+        if matches!(cause, Cause::Routing(command) if command >= rod.layout.channels) {
+            return Err(invalid(format!(
+                "the field {name} turns the tendons of a command that the rod has not: it has {}",
+                rod.layout.channels
+            )));
+        }
         if !(flexibility.is_finite() && flexibility > 0.0) {
             return Err(invalid(format!(
                 "a rod's flexibility is {flexibility} mm per N; it must be positive"
@@ -134,6 +143,12 @@ impl Shape for ElasticField {
                     }
                     start += length;
                 }
+                equilibrium.hessian.solve(&mut turn);
+            }
+            Cause::Routing(command) => {
+                let degree = 1f64.to_radians();
+                turn = self.rod.turning(&equilibrium, command);
+                turn.iter_mut().for_each(|t| *t *= degree);
                 equilibrium.hessian.solve(&mut turn);
             }
             Cause::Curve(axis) => {

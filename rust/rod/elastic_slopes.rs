@@ -52,25 +52,13 @@ impl ElasticRod {
     fn turns(&self, equilibrium: &Equilibrium) -> Vec<Vec<f64>> {
         let first = self.layout.first;
         let mut turns = vec![vec![0.0; 2 * self.layout.segments]; first.length];
-        for (j, tendon) in self.layout.tendons.iter().enumerate() {
+        for j in 0..self.layout.tendons.len() {
             let (stretch, row) = (equilibrium.stretch[j], self.row(j));
             let weight = self.weight(stretch);
             let radius = self.numbers[first.radius + j];
             let (sin, cos) = self.numbers[first.angle + j].sin_cos();
-            let (mut x, mut y) = (0.0, 0.0); // Σ φ of the segments that it passes
-            for bend in equilibrium.bent[..2 * (tendon.end + 1)].chunks_exact(2) {
-                x += bend[0];
-                y += bend[1];
-            }
-            for (at, turned) in [
-                (first.angle + j, [-radius * sin, radius * cos]),
-                (first.radius + j, [cos, sin]),
-            ] {
-                let less = turned[0] * x + turned[1] * y;
-                for i in 0..2 * (tendon.end + 1) {
-                    turns[at][i] = weight * (stretch * turned[i % 2] - less * row[i]);
-                }
-            }
+            turns[first.angle + j] = self.moved(equilibrium, j, [-radius * sin, radius * cos]);
+            turns[first.radius + j] = self.moved(equilibrium, j, [cos, sin]);
             for (i, reach) in row.iter().enumerate() {
                 turns[first.pretension + j][i] = weight * reach;
                 turns[0][i] += stretch.min(0.0) * reach;
@@ -83,5 +71,32 @@ impl ElasticRod {
             equilibrium.hessian.solve(turn);
         }
         turns
+    }
+    /// −∂(gradient) (2S,) per unit by which the place of tendon `j` beside the axis moves along `aside` (mm).
+    fn moved(&self, equilibrium: &Equilibrium, j: usize, aside: [f64; 2]) -> Vec<f64> {
+        let (stretch, row) = (equilibrium.stretch[j], self.row(j));
+        let passed = 2 * (self.layout.tendons[j].end + 1);
+        let less: f64 = (0..passed)
+            .map(|i| aside[i % 2] * equilibrium.bent[i])
+            .sum();
+        let weight = self.weight(stretch);
+        let force = |i: usize| weight * (stretch * aside[i % 2] - less * row[i]);
+        (0..row.len())
+            .map(|i| if i < passed { force(i) } else { 0.0 })
+            .collect()
+    }
+
+    /// −∂(gradient) (2S,) per rad by which the tendons of a command are turned about the axis.
+    pub(super) fn turning(&self, equilibrium: &Equilibrium, channel: usize) -> Vec<f64> {
+        let first = self.layout.first;
+        let mut force = vec![0.0; 2 * self.layout.segments];
+        let mine = self.layout.tendons.iter().enumerate();
+        for (j, _) in mine.filter(|(_, tendon)| tendon.channel == channel) {
+            let (sin, cos) = self.numbers[first.angle + j].sin_cos();
+            let radius = self.numbers[first.radius + j];
+            let one = self.moved(equilibrium, j, [-radius * sin, radius * cos]);
+            force.iter_mut().zip(one).for_each(|(sum, f)| *sum += f);
+        }
+        force
     }
 }

@@ -22,6 +22,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 # Loads, its modulus along the body, its curvature at rest; arcs have neither sides nor a twist.
 FIELDS = (*_core.LOADS, *(f"stiff_{k}" for k in range(7)), "curve_x", "curve_y")
+ROUTING = tuple(name for name in _core.FIELDS if name.startswith("routing_"))
 MOST_NUMBERS = 4096  # of any array of a rod's file
 
 
@@ -98,7 +99,9 @@ class ElasticParameters:
     def fields(self) -> dict[str, _core.ElasticField]:
         """Return its fields by name (`_core.FIELDS`): mm per N of tip force, mm per g for a nominal weight of 1 N."""
         rod = self.compiled()
-        return {name: _core.ElasticField(rod, name, self.flexibility) for name in FIELDS}
+        channels = self.layout.channels
+        names = (*FIELDS, *(ROUTING[:channels] if channels <= len(ROUTING) else ()))
+        return {name: _core.ElasticField(rod, name, self.flexibility) for name in names}
 
     def to_arrays(self) -> Arrays:
         """Return the arrays of `prior.npz`."""

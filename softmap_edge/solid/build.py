@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.bundle import cables_from, fields_from, plain_table, table_from
+from softmap_edge.bundle import cables_from, fields_from, plain_table, second_from, table_from
 from softmap_edge.errors import SoftmapError
 from softmap_edge.features import SECTIONS
 from softmap_edge.model import Arrays, Model, tip_of
@@ -23,7 +23,7 @@ from softmap_edge.npz import packed, unpacked
 from softmap_edge.run import Run
 from softmap_edge.solid.bodies import Meshed
 from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Compliance, Simulator, Sweep, tensor_grid
+from softmap_edge.solid.simulator import Bend, Compliance, Simulator, Sweep, tensor_grid
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -34,6 +34,8 @@ FIELD_PART = 3e-3  # of a field's size: to this its numbers are kept
 PULL_STEP = 1e-3  # N
 FIELD_STEPS = 11  # a field is smooth: a grid of 11 a channel,
 COARSE_FIELD_STEPS = 7  # of 7 where there are three, or where a mesh made elsewhere takes its time
+SECOND_STEPS, COARSE_SECOND_STEPS = 7, 5  # the same of second derivatives, a tenth to a third of what loads do:
+SECOND_MODES, SECOND_PART = 8, 0.1  # fewer modes, and numbers to this part of their size
 FORM_COMMANDS = 24
 MESHED_COMMANDS = 8
 REFINED_COMMANDS = 3  # a factor of the refined mesh takes seconds, not milliseconds
@@ -95,12 +97,18 @@ def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progr
     fields = field_arrays(simulator.fields(grid, design=True), field_axes, pull, stiffness)
     if finger.tendons and stiffness:
         fields["stiffness"] = np.full(len(finger.tendons), stiffness)
+    seconds = COARSE_SECOND_STEPS if many else SECOND_STEPS
+    second_axes = [_axis(axis[0], axis[-1], seconds, len(axis) < EVEN_STEPS) for axis in sweep.axes]
+    report("fields", 0.6)
+    basis = np.asarray(unpacked(fields)["modes"], float)
+    fields |= second_arrays(simulator.bends(tensor_grid(second_axes)), second_axes, bool(stiffness), basis)
     report("fields", 1.0)
     model = Model(
         kind="table",
         prior=table_from(prior),
         fields=fields_from(fields),
         cables=cables_from(prior, fields),
+        second=second_from(fields),
         rest=np.asarray(np.float32(rest), float),
         triangles=np.asarray(triangles, np.int32),
         form_error=np.zeros((3 * SECTIONS, 3)),
@@ -212,6 +220,36 @@ def field_arrays(compliance: Compliance, axes: list[Floats], pull: Floats, stiff
         if f >= loads and name in flat and stretch.shape[1]:
             arrays |= packed(f"stretch_{name}", stretch[..., f], 0.0, np.int16)
     return arrays
+
+
+def second_arrays(bend: Bend, axes: list[Floats], answers: bool, modes: Floats) -> Arrays:
+    """Compress what loads do beyond their fields: `second_weights` (S, P, m) of the few `second_modes` (m, M), made of
+    the `modes` (M, 3N) of the fields, then `second_stretch` and `second_growth`, on the grid of `axes`.
+
+    Those of tensions only if they `answers`.
+    """
+    loads, causes = len(_core.LOADS), bend.growth.shape[1]
+    first, other = np.triu_indices(causes)
+    kept = np.full(len(first), True) if answers else other < loads
+    # Each pair counts as for amounts of gravity, of a force and of tensions that bend the body alike.
+    kind = np.repeat([0, 1, 2], [3, loads - 3, causes - loads])
+    size = np.sqrt(np.mean(bend.fields**2, axis=(0, 2, 3)))
+    alike = [np.sqrt(np.mean(size[(kind[first] == k) & (kind[other] == k)] ** 2)) for k in sorted(set(kind))]
+    usual = 1.0 / np.sqrt(np.maximum(alike, 1e-9))
+    amount = (usual[kind[first]] * usual[kind[other]])[kept, None]
+    fields = bend.fields[:, kept].reshape(len(bend.fields), kept.sum(), -1) @ np.linalg.pinv(modes)
+    basis = leading((fields * amount).reshape(-1, fields.shape[2]), SECOND_MODES).astype(np.float32)
+    weights = fields @ basis.T.astype(np.float64)
+    arrays: Arrays = {f"second_axis{c}": axis for c, axis in enumerate(axes)} | {"second_modes": basis}
+    arrays |= packed("second_weights", weights, SECOND_PART * _rms(weights * amount) / amount[None], np.int16)
+    stretch = bend.stretch[:, kept] if answers else np.zeros((len(fields), kept.sum(), 0))
+    arrays |= packed("second_stretch", stretch, SECOND_PART * _rms(stretch * amount) / amount[None], np.int16)
+    count = causes if answers else loads
+    return arrays | packed("second_growth", bend.growth[:, :count], 1e-3, np.int16)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 def _sizes(compliance: Compliance, flat: dict[str, Floats], pull: Floats, stiffness: float) -> dict[str, float]:

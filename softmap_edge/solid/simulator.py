@@ -53,6 +53,20 @@ class Compliance:
 
 
 @dataclass(frozen=True)
+class Bend:
+    """How the answers of S equilibria to loads and tensions bend: second derivatives for each of the P pairs of
+    `_core.LOADS` and the T tensions, row by row.
+
+    fields: (S, P, N, 3) mm per unit of both · stretch: (S, P, T) mm of each tendon · growth: (S, L + T), by what share
+    the answers grow for a unit of each load and tension.
+    """
+
+    fields: Floats
+    stretch: Floats
+    growth: Floats
+
+
+@dataclass(frozen=True)
 class Sweep:
     """Shapes over a grid, and of what: one array a command, command (S, C) mm (N by tension), vertices (S, N, 3) mm,
     pull (S, T) N of the tendons (below zero: how slack), triangles (F, 3) int32 of the vertices; the finger, its
@@ -272,6 +286,16 @@ class Simulator:
         with _told():
             found = self.solid.fields(u, self._gravity(gravity), _vector("load", load), design, progress)
         return Compliance(found, found.pop("stretch"))
+
+    def bends(self, commands: ArrayLike, progress: Progress | None = None) -> Bend:
+        """Return how the answers to loads and tensions bend, at the equilibria of commands (S, C) mm under the finger's
+        own gravity.
+
+        Raises SimulationError.
+        """
+        u = _array("commands", commands, (None, len(self.finger.pairs)))
+        with _told():
+            return Bend(*self.solid.bends(u, self._gravity(None), (0.0, 0.0, 0.0), progress))
 
     def _gravity(self, gravity: ArrayLike | None) -> tuple[float, float, float]:
         return _vector("gravity", self.finger.gravity if gravity is None else gravity)

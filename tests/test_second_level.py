@@ -1,0 +1,130 @@
+"""Large loads: the built-in model beside the finger solved under them, what bends, bundles without a second level."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softmap_edge import _core
+from softmap_edge.bundle import builtin_model, load_bundle, save_bundle, second_from
+from softmap_edge.errors import BundleError, SoftmapError
+from softmap_edge.run import Run
+from softmap_edge.solid.build import build_model
+from softmap_edge.solid.finger import Finger
+from softmap_edge.solid.simulator import Simulator
+
+NEWTON = 9.80665e-3  # a gram
+COMMANDS = np.vstack([np.zeros((1, 2)), np.random.default_rng(3).uniform(-14.0, 14.0, (4, 2))])
+UP = np.array([0.5, -0.3, -0.81])
+LEANING = np.array([np.sin(np.radians(35.0)), 0.0, np.cos(np.radians(35.0))])
+# gravity, grams, allowed share of error, what is missed without a second level at least
+CASES = {
+    "25 g leaning": (LEANING, 25.0, 0.05, 0.08),
+    "60 g leaning": (LEANING, 60.0, 0.08, 0.16),
+    "60 g horizontal": (np.array([0.0, -1.0, 0.0]), 60.0, 0.08, 0.10),
+    "60 g upwards": (UP / np.linalg.norm(UP), 60.0, 0.08, 0.20),
+}
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return Simulator(Finger.builtin())
+
+
+@pytest.fixture(scope="module")
+def bare(simulator):
+    return simulator.path(COMMANDS)
+
+
+def rms(moved):
+    return float(np.sqrt(np.mean(np.sum(moved**2, axis=-1))))
+
+
+def moved(model, gravity, grams):
+    """What a declared gravity and load do to the vertices of a model."""
+    t = np.arange(float(len(COMMANDS)))
+    bare = Run(t=t, command=COMMANDS, t_seen=t)
+    loaded = replace(bare, gravity=gravity, load=np.full(len(t), float(grams)))
+    return model.predict(loaded) - model.predict(bare)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_large_load_moves_the_finger_as_the_simulator_says(name, simulator, bare):
+    gravity, grams, allowed, linear = CASES[name]
+    truth = simulator.path(COMMANDS, gravity=gravity, load=NEWTON * grams * gravity) - bare
+    model = builtin_model()
+    first, second = (rms(moved(m, gravity, grams) - truth) for m in (replace(model, second=None), model))
+    assert second < allowed * rms(truth), f"{second:.2f} of {rms(truth):.2f} mm"
+    assert first > linear * rms(truth), f"{first:.2f} of {rms(truth):.2f} mm: nothing to improve"
+
+
+def test_a_small_load_is_answered_by_its_fields_and_none_not_at_all():
+    """What the second level adds falls with the square of the load."""
+    model = builtin_model()
+    linear = replace(model, second=None)
+    hanging = np.array([0.0, 0.0, 1.0])
+    added = [rms(moved(model, hanging, g) - moved(linear, hanging, g)) for g in (0.0, 0.5, 1.0)]
+    assert added[0] == 0.0 and 3.6 < added[2] / added[1] < 4.0
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    return Finger.builtin().replace(core=1, layers=10)
+
+
+def test_bends_are_the_differences_of_fields(coarse):
+    """Of the same finger driven by tension, at the equilibrium of a command, one load or tension up and down."""
+    simulator, command = Simulator(coarse), np.array([[6.0, -4.0]])
+    bend = simulator.bends(command)
+    by_tension = coarse.replace(command_unit="N", pairs=tuple((i,) for i in range(4)), command_range=((0.0, 10.0),) * 4)
+    twin = Simulator(by_tension)
+    tension = np.maximum(simulator.solid.path(command, np.array([[0.0, 0.0, 1.0]]), (0.0, 0.0, 0.0))[1], 0.0)
+    names = [*_core.LOADS, *(f"tension_{t}" for t in range(4))]
+    columns = [*range(6), *(len(_core.FIELDS) + t for t in range(4))]
+    row = {pair: p for p, pair in enumerate(zip(*np.triu_indices(10)))}
+    taut = int(np.argmax(tension))
+    for l, by in ((0, 0.02), (5, 0.02), (6 + taut, 0.02)):
+        sides = []
+        for sign in (1.0, -1.0):
+            step = np.zeros(10)
+            step[l] = sign * by
+            found = twin.fields(tension + step[6:], gravity=[0.0, 0.0, 1.0] + step[:3], load=step[3:6])
+            sides.append((np.stack([found.fields[n][0] for n in names]), found.stretch[0][:, columns].T))
+        for both, got in zip(zip(*sides), (bend.fields[0], bend.stretch[0])):
+            wanted = (both[0] - both[1]) / (2 * by)
+            mine = np.stack([got[row[min(k, l), max(k, l)]] for k in range(10)])
+            # The third derivative over a step of 0.02, and round-off of equilibria that are settled to 2e-4 mm.
+            assert np.abs(mine - wanted).max() < 0.01 * np.abs(wanted).max()
+
+
+def test_a_finger_driven_by_tension_or_without_tendons_has_one_too(coarse):
+    pulled = coarse.replace(command_unit="N", command_range=((0.0, 4.0), (0.0, 4.0)), pairs=((0,), (1,)))
+    pulled = pulled.replace(tendons=pulled.tendons[:2])
+    free = coarse.replace(tendons=(), pairs=(), command_range=())
+    for finger in (pulled.replace(core=2), free.replace(core=2)):
+        model, simulator = build_model(finger, steps=5), Simulator(finger)
+        command = np.zeros((2, model.channels))
+        t = np.arange(2.0)
+        bare = Run(t=t, command=command, command_unit=model.command_unit, t_seen=t)
+        # Without tendons that hold, 20 g along the axis and gravity aside bend it together.
+        loaded = replace(bare, gravity=LEANING, load=np.full(2, 20.0))
+        truth = simulator.path(command, gravity=LEANING, load=NEWTON * 20.0 * LEANING) - simulator.path(command)
+        first, second = (rms(m.predict(loaded) - m.predict(bare) - truth) for m in (replace(model, second=None), model))
+        assert second < 0.5 * first, f"{second:.2f} against {first:.2f} of {rms(truth):.2f} mm"
+
+
+def test_a_bundle_without_a_second_level_is_read_and_a_spoiled_one_refused(tmp_path):
+    model = builtin_model()
+    fields = model.arrays["fields"]
+    kept = {name: array for name, array in fields.items() if not name.startswith("second_")}
+    old = load_bundle(save_bundle(replace(model, arrays={**model.arrays, "fields": kept}), tmp_path / "old"))
+    assert old.second is None and second_from(kept) is None
+    linear = moved(replace(model, second=None), LEANING, 60.0)
+    np.testing.assert_array_equal(moved(old, LEANING, 60.0), linear)
+    for name in ("second_growth", "second_modes", "second_axis1", "second_stretch"):
+        short = {**fields, name: fields[name][:-1]}
+        folder = save_bundle(replace(model, arrays={**model.arrays, "fields": short}), tmp_path / name)
+        with pytest.raises(BundleError):
+            load_bundle(folder)
+    with pytest.raises(SoftmapError, match="numbers a node"):
+        _core.Second([np.array([0.0, 1.0])], np.zeros((2, 5)), 1, np.ones((1, 3)))
