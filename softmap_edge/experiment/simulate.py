@@ -21,6 +21,7 @@ from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.noise import FLOOR, Noise
 from softmap_edge.diagnosis.record import Record, record_of
 from softmap_edge.diagnosis.search import VISIBLE_MM, Search
+from softmap_edge.diagnosis.sound import sound
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, Block, Setting, plan
 from softmap_edge.protocol import Limits, Protocol
@@ -54,11 +55,13 @@ class World:
     """What a diagnosis left open, and what each answer would look like in a block that is not recorded yet."""
 
     def __init__(self, model: Model, diagnosis: Diagnosis, runs: list[Run], library: Any) -> None:
+        sound_only = library is None
         if library is None:
             from softmap_edge import _core as library
-        self.model, self.runs, self.library = model, runs, library
+        self.model, self.library = model, library
         self.registry: dict[str, dict[str, Any]] = {e["name"]: e for e in library.effects()}
         _check(model, diagnosis, runs, self.registry)
+        self.runs = runs = [sound(model, run).run for run in runs] if sound_only else runs
         known = [e["name"] for e in [*diagnosis.effects, *diagnosis.faults]]
         self.found = tuple(name for name in self.registry if name in known)
         self.questions = _questions(diagnosis, self.found, tuple(model.chain_names))
