@@ -147,7 +147,9 @@ def _in_order(model: Model, rest: Floats, seen: Floats, visible: Mask) -> None:
     both = visible[:, ones] & visible[:, others]
     if not both.any() or not np.isfinite(usual).all():
         return
-    ratio = np.linalg.norm(seen[:, ones] - seen[:, others], axis=2)[both] / np.broadcast_to(usual, both.shape)[both]
+    count = both.sum(axis=0)
+    step = np.where(both[..., None], seen[:, ones] - seen[:, others], 0.0).sum(axis=0)[count > 0]
+    ratio = np.linalg.norm(step / count[count > 0][:, None], axis=1) / usual[count > 0]  # the mean: noise averages out
     median = float(np.median(np.maximum(ratio, 1.0 / np.maximum(ratio, 1e-9))))
     if median > SPACING:
         raise RunError(
