@@ -126,7 +126,7 @@ def _answers(line: Centreline, points: Floats, force: Floats, spread: bool) -> t
     mean = np.sum(inside, axis=1) / np.sum(length, axis=1)[:, None]
     even = np.einsum("kjab,kb->kja", frames, mean)
     held = [even - tangent * np.sum(even * tangent, axis=2, keepdims=True)] * len(_SIMPSON)
-    return _moved(line, points, stations, length, bending), _moved(line, points, stations, length, held)
+    return moved(line, points, stations, length, bending), moved(line, points, stations, length, held)
 
 
 def _moment(stations: Floats, chord: Floats, length: Floats, share: float, force: Floats, spread: bool) -> Floats:
@@ -142,7 +142,7 @@ def _moment(stations: Floats, chord: Floats, length: Floats, share: float, force
     return np.cross(arm / np.sum(length, axis=1)[:, None, None], force[:, None])
 
 
-def _moved(line: Centreline, points: Floats, stations: Floats, length: Floats, bending: list[Floats]) -> Floats:
+def moved(line: Centreline, points: Floats, stations: Floats, length: Floats, bending: list[Floats]) -> Floats:
     """Carry the points (n, N, 3) by the bending (n, J, 3) at the nodes of each chord."""
     count = stations.shape[1]
     turn, shift = np.zeros_like(stations), np.zeros_like(stations)

@@ -24,6 +24,7 @@ from softmap_edge.bundle import family_from, fields_from
 from softmap_edge.elsewhere.bending import Stiffness, fields, weigh
 from softmap_edge.elsewhere.centreline import Centreline, farthest, find_centreline
 from softmap_edge.elsewhere.scattered import fit_scattered
+from softmap_edge.elsewhere.stretches import stretch_fields
 from softmap_edge.elsewhere.sweep_file import ShapeSweep, is_own_sweep, is_shape_sweep
 from softmap_edge.errors import SweepError, brief
 from softmap_edge.model import NOMINAL, Arrays, Model, tip_of
@@ -253,7 +254,9 @@ def _fields(sweep: ShapeSweep, line: Centreline, shape: Any, stiffness: Stiffnes
         commands = sweep.command[farthest(scaled, min(FIELD_NODES, FIELD_NUMBERS // points))]
         arrays = {}
     shapes = shape.evaluate(np.ascontiguousarray(commands)).reshape(len(commands), -1, 3)
-    found = {name: field.reshape(len(commands), -1) for name, field in fields(line, shapes, stiffness).items()}
+    rest = np.asarray(_home(shape, sweep.command), float)
+    both = fields(line, shapes, stiffness) | stretch_fields(line, shapes, rest, stiffness.lock)
+    found = {name: field.reshape(len(commands), -1) for name, field in both.items()}
     basis = leading(np.concatenate(list(found.values())), min(FIELD_MODES, 3 * points))
     arrays["modes"] = basis.astype(np.float32)
     values = {name: field @ np.linalg.pinv(arrays["modes"].astype(float)) for name, field in found.items()}
