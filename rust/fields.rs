@@ -8,6 +8,9 @@ use crate::shape::Shape;
 use crate::table::{Table, TableSum};
 use std::sync::Arc;
 
+/// How many fields, evaluated one by one, take as long as one weighted sum of fields that share grid and modes.
+const SUMS: usize = 2;
+
 /// Fields in a fixed order; some may be absent.
 pub struct Fields {
     members: Vec<Option<Arc<dyn Shape>>>,
@@ -59,6 +62,13 @@ impl Fields {
     /// One field, if it is there.
     pub fn get(&self, field: usize) -> Option<&dyn Shape> {
         self.members[field].as_deref()
+    }
+
+    /// The `wanted` fields, if it pays to evaluate each by itself for `uses` weighted sums at one command.
+    pub fn apart(&self, wanted: &[bool], uses: usize) -> Option<Vec<(usize, &dyn Shape)>> {
+        let one = |f: usize| self.get(f).filter(|_| wanted[f]).map(|field| (f, field));
+        let fields: Vec<_> = (0..wanted.len()).filter_map(one).collect();
+        (self.together.is_none() || fields.len() <= SUMS * uses).then_some(fields)
     }
 
     /// Add Σ w_f·field_f(u) to `frame` (M,); `scratch` (M,) is overwritten.

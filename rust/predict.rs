@@ -17,6 +17,7 @@ use crate::fields::Fields;
 use crate::loads::{
     self, CONTACT, Coefficients, FIELDS, GRAVITY, LOADS, PUSH, TENDON, TIP_FORCE, weight,
 };
+use crate::modes::accumulate;
 use crate::room::zeros;
 use crate::second::Second;
 use crate::shape::Shape;
@@ -204,9 +205,14 @@ impl Predictor {
                         scratch,
                     );
                     match shapes {
-                        Some(shapes) => shapes.combine(k, size, &scratch.weights, frame),
+                        Some(shapes) => {
+                            frame.copy_from_slice(&shapes.prior[k * size..(k + 1) * size])
+                        }
+                        None => job.bodies[group].prior.eval(u, frame),
+                    }
+                    match shapes.and_then(|s| s.fields.as_ref()) {
+                        Some(fields) => add(fields, k, &scratch.weights, frame),
                         None => {
-                            job.bodies[group].prior.eval(u, frame);
                             let fields = &job.bodies[group].fields;
                             fields.add(u, &scratch.weights, &mut scratch.field, frame);
                         }
@@ -341,9 +347,9 @@ impl Predictor {
     /// For each group with several members, its shapes at all frames, evaluated once.
     fn shared_shapes(&self, job: &Job) -> Result<Vec<Option<Shapes>>> {
         let (count, width) = (FIELDS.len(), self.body.fields.count());
-        let mut wanted = vec![vec![false; width]; job.shared.len()];
+        let mut wanted = vec![vec![false; width]; job.members.len()];
         for (b, group) in job.group.iter().enumerate() {
-            if !job.shared[*group] {
+            if job.members[*group] == 1 {
                 continue;
             }
             let wanted = &mut wanted[*group];
@@ -363,16 +369,18 @@ impl Predictor {
             prior: job.each(group, self.body.prior.size(), |u, out| {
                 job.bodies[group].prior.eval(u, out)
             }),
-            fields: (0..width)
-                .filter(|f| wanted[group][*f])
-                .filter_map(|f| {
-                    let field = job.bodies[group].fields.get(f)?;
-                    Some((
-                        f,
-                        job.each(group, field.size(), |u, out| field.eval(u, out)),
-                    ))
-                })
-                .collect(),
+            fields: job.bodies[group]
+                .fields
+                .apart(&wanted[group], job.members[group])
+                .map(|fields| {
+                    let each = |(f, field): (usize, &dyn Shape)| {
+                        (
+                            f,
+                            job.each(group, field.size(), |u, out| field.eval(u, out)),
+                        )
+                    };
+                    fields.into_iter().map(each).collect()
+                }),
             places: if wanted[group].contains(&true) {
                 let there = std::array::from_fn(|f| wanted[group][f]);
                 job.each(group, self.place_size(), |u, out| {
@@ -383,9 +391,9 @@ impl Predictor {
             },
             frames: job.frames,
         };
-        let groups = job.shared.iter().enumerate();
+        let groups = job.members.iter().enumerate();
         Ok(groups
-            .map(|(group, shared)| shared.then(|| shapes(group)))
+            .map(|(group, members)| (*members > 1).then(|| shapes(group)))
             .collect())
     }
 }
@@ -398,10 +406,14 @@ struct Scratch {
     field: Vec<f64>,
 }
 
-/// Prior and fields (K, 3V) of one group, and what `place_at` says (K, n), if anything loads it.
+/// A field (K, 3V) at all frames, and which it is.
+type Apart = (usize, Vec<f64>);
+
+/// What the members of a group share: the prior (K, 3V); the fields, if it pays to have each by itself; and what
+/// `place_at` says (K, n), if anything loads it.
 struct Shapes {
     prior: Vec<f64>,
-    fields: Vec<(usize, Vec<f64>)>,
+    fields: Option<Vec<Apart>>,
     places: Vec<f64>,
     frames: usize,
 }
@@ -411,17 +423,13 @@ impl Shapes {
         let size = self.places.len() / self.frames;
         &self.places[k * size..(k + 1) * size]
     }
+}
 
-    fn combine(&self, k: usize, size: usize, weights: &[f64], frame: &mut [f64]) {
-        let row = k * size..(k + 1) * size;
-        frame.copy_from_slice(&self.prior[row.clone()]);
-        for (f, values) in &self.fields {
-            let weight = weights[*f];
-            frame
-                .iter_mut()
-                .zip(&values[row.clone()])
-                .for_each(|(sum, value)| *sum += weight * value);
-        }
+/// Add the weighted fields at a frame.
+fn add(fields: &[Apart], k: usize, weights: &[f64], frame: &mut [f64]) {
+    let row = k * frame.len()..(k + 1) * frame.len();
+    for (f, values) in fields {
+        accumulate(frame, &values[row.clone()], weights[*f]);
     }
 }
 

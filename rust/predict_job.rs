@@ -27,10 +27,10 @@ pub struct Job<'a> {
     pub cameras: Vec<Camera>,
     /// Clock of each group.
     pub clock: Vec<usize>,
-    /// Group (sets with equal channel parameters, clock and numbers of the prior) of each set, whether others share it,
-    /// and what bends in it.
+    /// Group (sets with equal channel parameters, clock and numbers of the prior) of each set, how many sets are in
+    /// it, and what bends in it.
     pub group: Vec<usize>,
-    pub shared: Vec<bool>,
+    pub members: Vec<usize>,
     pub bodies: Vec<Body>,
     /// u_eff (groups, K, C) at the seen times.
     pub acting: Vec<f64>,
@@ -49,7 +49,7 @@ impl<'a> Job<'a> {
     ) -> Result<Job<'a>> {
         let (width, channels) = (chain.width(), chain.channels());
         let mut numbers: HashMap<Vec<u64>, usize> = HashMap::new();
-        let (mut group, mut shared, mut chosen) = (vec![], vec![], vec![]);
+        let (mut group, mut members, mut chosen) = (vec![], vec![], vec![]);
         let (mut clock, mut shifts, mut bodies) = (vec![], vec![], vec![]);
         for b in 0..sets {
             let set = &params[b * width..(b + 1) * width];
@@ -60,9 +60,9 @@ impl<'a> Job<'a> {
                 .chain(factors.iter().map(|(_, factor)| factor))
                 .map(|value| value.to_bits())
                 .collect();
-            let number = *numbers.entry(key).or_insert(shared.len());
-            if number == shared.len() {
-                shared.push(false);
+            let number = *numbers.entry(key).or_insert(members.len());
+            if number == members.len() {
+                members.push(0);
                 chosen.extend_from_slice(set);
                 bodies.push(body.changed(&factors)?);
                 let known = shifts.iter().position(|shift| *shift == late);
@@ -70,9 +70,8 @@ impl<'a> Job<'a> {
                 if known.is_none() {
                     shifts.push(late);
                 }
-            } else {
-                shared[number] = true;
             }
+            members[number] += 1;
             group.push(number);
         }
         let read = |late: &f64| {
@@ -103,7 +102,7 @@ impl<'a> Job<'a> {
             cameras: conditions.cameras().to_vec(),
             clock,
             group,
-            shared,
+            members,
             bodies,
             acting,
         })

@@ -72,7 +72,7 @@ impl Predictor {
             cameras: job.cameras,
             clock: vec![0; sides],
             group: (0..sides).collect(),
-            shared: vec![false; sides],
+            members: vec![1; sides],
             bodies: vec![job.bodies[0].clone(); sides],
             acting,
         };

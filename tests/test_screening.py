@@ -15,7 +15,7 @@ NAMES = [e["name"] for e in LIBRARY.effects()]
 
 
 def screening_of(problem, library):
-    return Screening(problem, {e["name"]: e["role"] for e in library.effects()})
+    return Screening(problem, library.effects())
 
 
 @pytest.mark.parametrize(
@@ -33,6 +33,27 @@ def test_the_hidden_effect_promises_most(hidden):
     assert null.cost - promised > 0.8 * (null.cost - kept)
     modes = problem.at(problem.space((name,)), points[0][None])[1]
     assert promised == pytest.approx(float(problem.costs(modes, points[0][None])[0][0]))
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [("backlash.gap", "creep.strength"), ("payload.mass", "latency.delay"), ("gain.factor[0]", "mount.x"),
+     ("creep.strength", "payload.mass")],
+)  # fmt: skip
+def test_behind_a_fit_the_other_hidden_effect_promises_most(first, second):
+    """What was seen of it on the model alone ranks it high enough to be looked at again."""
+    hidden = {"backlash.gap": 2.0, "creep.strength": 0.12, "payload.mass": 40.0, "latency.delay": 0.25,
+              "gain.factor[0]": 0.15, "mount.x": 2.0}  # fmt: skip
+    run = record_run({label: hidden[label] for label in (first, second)}, noise=0.05, warp=0.0)
+    problem = _problem(Record(Arm(), run, LIBRARY), NAMES)
+    screening, null = screening_of(problem, LIBRARY), problem.null()
+    one, other = (label.split(".")[0] for label in (first, second))
+    points = next(points for _, name, points in screening.best(null, NAMES, len(NAMES)) if name == one)
+    parent = problem.fit((one,), points[:1])
+    others = [name for name in NAMES if name != one]
+    assert other in screening._promising(parent, others, 3, 0.0)[:3]
+    assert screening.best(parent, others, 1)[0][1] == other
+    assert not set(screening._promising(parent, others, 3, 1.1 * parent.cost)) & {other}  # more than there is to win
 
 
 def test_every_wiring_is_looked_at():

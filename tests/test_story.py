@@ -11,6 +11,7 @@ import pytest
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.cli import main
 from softmap_edge.experiment.blocks import chosen, plan
+from softmap_edge.experiment.choose import SETTLED
 from softmap_edge.experiment.command_file import read_commands
 from softmap_edge.protocol import Limits
 from softmap_edge.truth import Secret, Truth
@@ -39,7 +40,7 @@ def test_one_orientation_cannot_tell_and_the_next_experiment_does(hidden, tmp_pa
     assert main([*argv, "--out", str(tmp_path / "c.csv"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["next"][0]["block"] == "another orientation" == told["blocks"][0]
-    assert set(told["next"][0]["settles"]) >= {"gravity", "payload"} and told["next"][0]["separation"] > 50
+    assert set(told["next"][0]["settles"]) >= {"gravity", "payload"} and told["next"][0]["separation"] > 2 * SETTLED
 
     new = truth.measure(read_commands(tmp_path / "c.csv")[0], seed=1)
     settled = diagnose(MODEL, [run, new])

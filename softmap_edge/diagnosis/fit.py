@@ -4,8 +4,9 @@
 
 x are scaled parameters: (θ - null) / range, or ln(θ / start) / half the log range where it is searched on a log
 scale; the last term is the weak prior at the plausible range. Bounds are kept by clipping and an active set.
-A Jacobian is one batched call (forward differences, 0.4 % of the range: play and stops are not smooth below that); so
-are the three damping factors tried at a step. Limit: blocked cross-validation refits each fold by one Gauss-Newton
+A Jacobian is one batched call (forward differences, 0.4 % of the range: play and stops are not smooth below that). While
+steps win what the slopes promise it is carried on by secants (Broyden 1965, doi:10.1090/S0025-5718-1965-0198670-6); a
+fit ends with a new one. Limit: blocked cross-validation refits each fold by one Gauss-Newton
 step from the full fit, of at most half a range. Pinned by tests/test_fit.py.
 """
 
@@ -27,7 +28,10 @@ from softmap_edge.folds import run_folds
 Floats = NDArray[np.float64]
 
 STEP = 4e-3  # of the range of a parameter
-ITERATIONS = 14
+ITERATIONS = 20
+DAMPINGS = ((1.0,), (0.05, 20.0, 400.0), (8e3, 1.6e5))  # factors tried with new slopes; the next lot if none is better
+SECANTS = 3  # parameters from which slopes are carried on by secants
+LINEAR = 0.5  # of what its slopes promised a step must win for them to be carried on by one secant and not taken anew
 
 
 class Space:
@@ -161,16 +165,12 @@ class Problem:
         chi2 = np.sum(self.white(modes) ** 2, axis=-1)
         return chi2 + np.sum(x**2, axis=-1), chi2
 
-    def slopes(self, space: Space, x: Floats, modes: Floats, which: Sequence[int] | None = None) -> Floats:
-        """Return d modes / d x (P, K, M) at x (P,), one batched call; `which` restricts the parameters."""
-        which = range(len(x)) if which is None else which
-        step = np.where(x + STEP > space.high, -STEP, STEP)
-        batch = np.tile(x, (len(which), 1))
-        for row, i in enumerate(which):
-            batch[row, i] += step[i]
-        if not len(batch):
+    def slopes(self, space: Space, x: Floats, modes: Floats) -> Floats:
+        """Return d modes / d x (P, K, M) at x (P,), one batched call."""
+        if not len(x):
             return np.zeros((0, *modes.shape))
-        return np.asarray((self.at(space, batch)[1] - modes) / step[list(which), None, None])
+        step = np.where(x + STEP > space.high, -STEP, STEP)
+        return np.asarray((self.at(space, x + np.diag(step))[1] - modes) / step[:, None, None])
 
     def fit(self, effects: Sequence[str], starts: Sequence[Floats], free: Sequence[str] = ()) -> Fit:
         """Fit a set of effects from each start (P,) in scaled coordinates and keep the best."""
@@ -190,31 +190,33 @@ class Problem:
                 f"the model predicts numbers that are not finite with {', '.join(effects) or 'no effect'}"
             )
         cost, chi2 = (float(a[0]) for a in self.costs(modes[None], x[None]))
-        damping, slopes = 1e-2, np.zeros((0, *modes.shape))
-        for iteration in range(ITERATIONS):
-            slopes = self.slopes(space, x, modes)
-            if not len(x) or iteration == ITERATIONS - 1:
-                break
+        damping, slopes, fresh = 1e-3, self.slopes(space, x, modes), True
+        for _ in range(ITERATIONS if len(x) else 0):
             jacobian, residual = self.white(slopes), self.white(modes)
-            for _ in range(3):
-                tries = np.stack([newton_step(space, x, jacobian, residual, damping * f) for f in (0.05, 1.0, 20.0)])
+            for factors in DAMPINGS if fresh else DAMPINGS[:1]:
+                tries = np.stack([newton_step(space, x, jacobian, residual, damping * f) for f in factors])
                 ahead, ahead_modes = self.at(space, tries)
                 costs, chis = self.costs(ahead_modes, tries)
                 best = int(np.argmin(costs))
                 if costs[best] < cost:
                     break
-                damping *= 400.0
-            if not costs[best] < cost:
+            if not costs[best] < cost and fresh:
                 break
-            fall = cost - float(costs[best])
-            damping = float(np.clip(damping * (0.05, 1.0, 20.0)[best], 1e-6, 1e6))
-            moved = float(np.max(np.abs(tries[best] - x)))
-            x, predicted, modes = tries[best], ahead[best], ahead_modes[best]
-            cost, chi2 = float(costs[best]), float(chis[best])
-            if fall < 0.05 + 1e-4 * cost and moved < 0.02:
-                slopes = self.slopes(space, x, modes)
-                break
-        return Fit(effects, space, x, cost, chi2, predicted, modes, slopes)
+            step, fall = tries[best] - x, cost - float(costs[best])
+            promised = cost - float(np.sum((residual + step @ jacobian) ** 2) + np.sum(tries[best] ** 2))
+            small = fall < 0.05 + 1e-4 * cost and float(np.max(np.abs(step))) < 0.02
+            if costs[best] < cost:
+                missed = ahead_modes[best] - modes - np.tensordot(step, slopes, 1)
+                x, predicted, modes = tries[best], ahead[best], ahead_modes[best]
+                cost, chi2 = float(costs[best]), float(chis[best])
+                damping = float(np.clip(damping * (0.2 if factors[best] == 1.0 else factors[best]), 1e-6, 1e6))
+                if small and fresh:
+                    break
+            if small or len(x) < SECANTS or not LINEAR < fall / max(promised, 1e-300) < 1.0 / LINEAR:
+                slopes, fresh = self.slopes(space, x, modes), True
+            else:
+                slopes, fresh = slopes + step[:, None, None] * (missed / (step @ step)), False
+        return Fit(effects, space, x, cost, chi2, predicted, modes, slopes if fresh else self.slopes(space, x, modes))
 
     def uncertainty(self, fit: Fit, dispersion: float) -> Floats:
         """Return one standard deviation of each free parameter in user units, widened by the over-dispersion."""

@@ -1,15 +1,18 @@
 """Screens candidates on top of a fit: one Gauss-Newton step from a few starts of each, before any is fitted in full.
 
-Effects on the command are followed by the slopes of the features over what acts, all else is predicted. The best by
-slopes are then predicted. Limit: an effect that shows only far from every start is not seen. Pinned by
-tests/test_screening.py.
+On top of the model alone all are looked at. What each of them does there is kept, and on top of a fit it says which are
+worth a look again. Effects on the command are followed by the slopes of the features over what acts; all else is
+predicted where the fit's own parameters are, and follows these by its slopes. The best by slopes are then predicted.
+Limit: an effect that shows only far from every start is not seen. Pinned by tests/test_screening.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 from math import log
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,26 +21,48 @@ from softmap_edge.diagnosis.fit import Fit, Problem, Space, newton_step
 
 Floats = NDArray[np.float64]
 
+LOOKED = 2  # candidates that are looked at again on top of a fit, for each one that is predicted
 PREDICTED = 2  # candidates that are predicted and not only looked at by slopes, for each one that is fitted
+KEPT = 2  # starts of each whose signature is kept
+FRAMES = 400  # on which signatures are kept
 NEAR = 0.25  # of the commands' range: farther, a screening step is predicted and not taken along the slopes
+
+
+@dataclass(frozen=True, eq=False)
+class Signature:
+    """What an effect does to the model alone at one start (P,): whitened shift (n,) and slopes (P, n)."""
+
+    start: Floats
+    shift: Floats
+    slopes: Floats
 
 
 class Screening:
     """What each candidate promises on top of each fit; kept, so that nothing is looked at twice."""
 
-    def __init__(self, problem: Problem, roles: Mapping[str, str]) -> None:
-        """Screen on `problem`; `roles` of the effects by name."""
-        self.problem, self.roles = problem, roles
+    def __init__(self, problem: Problem, registry: Sequence[Mapping[str, Any]]) -> None:
+        """Screen on `problem` the effects of a `registry`."""
+        self.problem = problem
+        self.roles: dict[str, str] = {e["name"]: e["role"] for e in registry}
+        self.families: dict[str, str] = {e["name"]: e["family"] for e in registry}
         self._glances: dict[tuple[frozenset[str], str], float] = {}
         self._points: dict[tuple[frozenset[str], str], list[Floats]] = {}
         self._slopes: dict[frozenset[str], tuple[Floats, Floats]] = {}
+        self._signatures: dict[str, list[Signature]] = {}
+        self._some = slice(None, None, max(1, -(-len(problem.record) // FRAMES)))
 
-    def best(self, parent: Fit, effects: Sequence[str], count: int) -> list[tuple[float, str, list[Floats]]]:
+    def best(
+        self, parent: Fit, effects: Sequence[str], count: int, least: float = 0.0
+    ) -> list[tuple[float, str, list[Floats]]]:
         """Return the `count` most promising of `effects` on top of `parent`: (objective, effect, joint points).
 
-        All are looked at by slopes; the objectives of the best PREDICTED times as many are then predicted. Parameters
-        have their price.
+        They are looked at by slopes; the objectives of the best PREDICTED times as many are then predicted. Parameters
+        have their price. One that promises to win less than `least` need not be among them.
         """
+        looked = LOOKED * PREDICTED * count
+        known = parent.effects and all(effect in self._signatures for effect in effects)
+        if known and (len(effects) > looked or least > 0.0):
+            effects = self._promising(parent, effects, looked, least)
         glances = sorted((self._screened(parent, effect), effect) for effect in effects)
         found, counts = [], {}
         for _, effect in glances[: PREDICTED * count]:
@@ -78,7 +103,7 @@ class Screening:
                 moved[i] += -4e-3 if x[i] + 4e-3 > space.high[i] else 4e-3
                 batch.append(moved)
         modes = self._glance(parent, space, effect, np.stack(batch))
-        ahead = []
+        ahead, rates = [], []
         for s, x in enumerate(joint):
             here = modes[s * width]
             slopes = np.zeros((len(labels), *here.shape))
@@ -86,27 +111,73 @@ class Screening:
                 slopes[labels.index(label)] = parent.slopes[j]
             for j, i in enumerate(new):
                 slopes[i] = (modes[s * width + 1 + j] - here) / (batch[s * width + 1 + j][i] - x[i])
+            rates.append(slopes)
             ahead.append(newton_step(space.pinned(x), x, problem.white(slopes), problem.white(here), 1e-3))
         points = np.concatenate([np.stack(joint), np.stack(ahead)])
         after = self._glance(parent, space, effect, np.stack(ahead))
         costs = problem.costs(np.concatenate([modes[::width], after]), points)[0]
+        if not parent.effects:
+            kept = sorted(range(len(joint)), key=lambda s: float(min(costs[s], costs[len(joint) + s])))[:KEPT]
+            self._signatures[effect] = [
+                Signature(joint[s][new], self._white(modes[s * width] - parent.modes), self._white(rates[s][new]))
+                for s in kept
+            ]
         order = np.argsort(costs, kind="stable")
         return float(costs[order[0]]), [points[i] for i in order]
 
+    def _promising(self, parent: Fit, effects: Sequence[str], count: int, least: float) -> list[str]:
+        """Return the `count` of `effects` that would win most on top of `parent`, were they there what they are alone.
+
+        Those of a family with one that is fitted come along: what they do changes most behind it.
+        """
+        residual, slopes = self._white(parent.modes), self._white(parent.slopes)
+        now = float(residual @ residual + parent.x @ parent.x)
+        most = now * (1.0 - least / max(parent.cost, 1e-300)) if least > 0.0 else np.inf
+        promises = []
+        for effect in effects:
+            space = self.problem.space((*parent.effects, effect))
+            labels = space.free_labels()
+            old = [labels.index(label) for label in parent.space.free_labels()]
+            new = [i for i in range(len(labels)) if i not in old]
+            for signature in self._signatures[effect]:
+                x, jacobian = np.zeros(len(labels)), np.zeros((len(labels), residual.size))
+                x[old], x[new] = parent.x, signature.start
+                jacobian[old], jacobian[new] = slopes, signature.slopes
+                here = residual + signature.shift
+                ahead = newton_step(space.pinned(x), x, jacobian, here, 1e-3)
+                points = np.stack([x, ahead])
+                left = here + (points - x) @ jacobian
+                promises.append((float(np.min(np.sum(left**2, axis=1) + np.sum(points**2, axis=1))), effect))
+        best = list(dict.fromkeys(effect for cost, effect in sorted(promises) if cost <= most))[:count]
+        fitted = {self.families[effect] for effect in parent.effects}
+        return best + [effect for effect in effects if effect not in best and self.families[effect] in fitted]
+
+    def _white(self, modes: Floats) -> Floats:
+        """Return the whitened numbers (..., n) of modes (..., K, M) on some of the frames."""
+        some = self.problem.whitener.shrink(modes)[..., self._some, :]
+        return some.reshape(*some.shape[:-2], -1)
+
     def _glance(self, parent: Fit, space: Space, effect: str, points: Floats) -> Floats:
-        """Return residual modes (B, K, M) of joint points (B, P): for a channel effect by the slopes about `parent`."""
-        problem = self.problem
-        if self.roles[effect] != "channel":
-            return problem.at(space, points)[1]
-        acting, slopes = self._about(parent)
-        shift = problem.record.acting(space.names, space.params(points)) - acting
-        if np.abs(shift).max(initial=0.0) > NEAR * problem.record.spread.max(initial=0.0):
-            return problem.at(space, points)[1]
-        modes = np.asarray(parent.modes + np.einsum("bkc,ckm->bkm", shift, slopes))
-        labels = space.free_labels()
+        """Return residual modes (B, K, M) of joint points (B, P), linear in the parent's own parameters.
+
+        For a channel effect by the slopes about what acts in the parent, unless it is moved too far.
+        """
+        problem, labels = self.problem, space.free_labels()
+        channel = self.roles[effect] == "channel"
+        if channel:
+            acting, slopes = self._about(parent)
+            shift = problem.record.acting(space.names, space.params(points)) - acting
+            if np.abs(shift).max(initial=0.0) > NEAR * problem.record.spread.max(initial=0.0):
+                return problem.at(space, points)[1]
+            modes = np.asarray(parent.modes + np.einsum("bkc,ckm->bkm", shift, slopes))
+        else:
+            old = [labels.index(label) for label in parent.space.free_labels()]
+            still = points.copy()
+            still[:, old] = parent.x
+            modes = problem.at(space, still)[1]
         for label, x, slope in zip(parent.space.free_labels(), parent.x, parent.slopes):
-            if self.roles[label.split(".")[0]] != "channel":
-                modes += (points[:, labels.index(label)] - x)[:, None, None] * slope
+            if not (channel and self.roles[label.split(".")[0]] == "channel"):
+                modes = modes + (points[:, labels.index(label)] - x)[:, None, None] * slope
         return modes
 
     def _about(self, parent: Fit) -> tuple[Floats, Floats]:

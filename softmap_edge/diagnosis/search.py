@@ -63,7 +63,7 @@ class Search:
         self._fits: dict[frozenset[str], Fit] = {frozenset(): self.null}
         self._cv: dict[frozenset[str], tuple[Floats, Floats, Floats]] = {}
         registry = problem.record.library.effects()
-        self.screening = Screening(problem, {e["name"]: e["role"] for e in registry})
+        self.screening = Screening(problem, registry)
         self.stages = {e["name"]: e["stage"] for e in registry}
         self.faults = {e["name"] for e in registry if e["kind"] == "fault"}
         self._shifts: dict[tuple[frozenset[str], str], Floats] = {}
@@ -272,10 +272,12 @@ class Search:
         return [found for key, found in self._fits.items() if mine < key and len(key) == len(mine) + 1]
 
     def alternatives(self, fit: Fit, member: str, count: int) -> list[Fit]:
-        """Return the best `count` sets with `member` exchanged for another candidate."""
+        """Return the best `count` sets with `member` exchanged for another candidate that may do what it does."""
         rest = self.get(frozenset(fit.effects) - {member})
         others = [other for other in self.candidates if other not in fit.effects]
-        return [self.grow(rest, other, points) for _, other, points in self.screening.best(rest, others, count)]
+        least = HOPEFUL * RIVAL_SHARE * (rest.cost - fit.cost)
+        best = self.screening.best(rest, others, count, 0.5 * least)
+        return [self.grow(rest, other, points) for cost, other, points in best if rest.cost - cost >= least]
 
     def rivals(self, fit: Fit) -> list[tuple[str, Fit, str]]:
         """Return (member, rival set, why) for sets within two standard errors in blocked cross-validation."""
