@@ -4,6 +4,7 @@
 //! modes expanded once: a sum of seven fields then costs as much as one or two. Other fields (a rod's, those of large loads) are
 //! added one by one.
 
+use crate::modes::{Modes, wide};
 use crate::shape::Shape;
 use crate::table::{Table, TableSum};
 use std::sync::Arc;
@@ -14,9 +15,12 @@ const SUMS: usize = 2;
 /// Fields in a fixed order; some may be absent.
 pub struct Fields {
     members: Vec<Option<Arc<dyn Shape>>>,
-    /// Tables that share grid and modes with the first that is there, side by side, and which they are; then all others.
+    /// Tables that share grid and modes with the first that is there, side by side, and which they are; those that are the
+    /// same at all commands, as modes; then all others.
     together: Option<TableSum>,
     alike: Vec<usize>,
+    constant: Option<Modes>,
+    still: Vec<usize>,
     others: Vec<usize>,
 }
 
@@ -26,18 +30,34 @@ impl Fields {
         let there = |f: &usize| members[*f].is_some();
         let there: Vec<usize> = (0..members.len()).filter(there).collect();
         let table = |f: usize| members[f].as_ref().and_then(|field| field.table());
-        let first = there.first().and_then(|f| table(*f));
-        let alike: Vec<(usize, &Table)> = there
-            .iter()
+        let (mut still, mut rows) = (vec![], vec![]);
+        for (f, table) in there.iter().filter_map(|f| Some((*f, table(*f)?))) {
+            if table.channels() == 0 {
+                let mut row = vec![0.0; table.size()];
+                table.eval(&[], &mut row);
+                rows.extend(row);
+                still.push(f);
+            }
+        }
+        let size = still
+            .first()
+            .and_then(|f| members[*f].as_ref())
+            .map(|field| field.size());
+        let constant = size.and_then(|size| Modes::new(vec![0.0; size], rows).ok());
+        let moving = || there.iter().filter(|f| !still.contains(*f));
+        let first = moving().next().and_then(|f| table(*f));
+        let alike: Vec<(usize, &Table)> = moving()
             .filter_map(|f| Some((*f, table(*f)?)))
             .filter(|(_, table)| first.is_some_and(|first| first.shares(table)))
             .collect();
         let together = TableSum::new(&alike.iter().map(|(_, t)| *t).collect::<Vec<_>>());
         let alike: Vec<usize> = alike.iter().map(|(f, _)| *f).collect();
-        let apart = |f: &usize| together.is_none() || !alike.contains(f);
+        let apart = |f: &usize| !still.contains(f) && (together.is_none() || !alike.contains(f));
         let others = there.iter().copied().filter(apart).collect();
         Fields {
             alike,
+            constant,
+            still,
             others,
             together,
             members,
@@ -64,9 +84,11 @@ impl Fields {
         self.members[field].as_deref()
     }
 
-    /// The `wanted` fields, if it pays to evaluate each by itself for `uses` weighted sums at one command.
+    /// The `wanted` fields but those of `add_still`, if it pays to evaluate each by itself for `uses` weighted sums at one
+    /// command.
     pub fn apart(&self, wanted: &[bool], uses: usize) -> Option<Vec<(usize, &dyn Shape)>> {
-        let one = |f: usize| self.get(f).filter(|_| wanted[f]).map(|field| (f, field));
+        let moving = |f: usize| wanted[f] && !self.still.contains(&f);
+        let one = |f: usize| self.get(f).filter(|_| moving(f)).map(|field| (f, field));
         let fields: Vec<_> = (0..wanted.len()).filter_map(one).collect();
         (self.together.is_none() || fields.len() <= SUMS * uses).then_some(fields)
     }
@@ -80,6 +102,7 @@ impl Fields {
             let own: Vec<f64> = self.alike.iter().map(|f| weights[*f]).collect();
             sum.add(u, &own, frame);
         }
+        self.add_still(weights, frame);
         for f in &self.others {
             if let (Some(field), true) = (&self.members[*f], weights[*f] != 0.0) {
                 field.eval(u, scratch);
@@ -88,6 +111,14 @@ impl Fields {
                     .zip(scratch.iter())
                     .for_each(|(sum, value)| *sum += weights[*f] * value);
             }
+        }
+    }
+
+    /// Add Σ w_f·field_f to `frame` (M,), of the fields that are the same at all commands.
+    pub fn add_still(&self, weights: &[f64], frame: &mut [f64]) {
+        if let Some(modes) = &self.constant {
+            let own = self.still.iter().map(|f| weights[*f]);
+            wide(|| modes.expand(&own.collect::<Vec<_>>(), frame));
         }
     }
 }
@@ -117,6 +148,11 @@ mod tests {
         let mut apart = Fields::new(vec![Some(one.clone()), None, Some(two)]);
         assert!(together.together.is_some() && apart.together.is_some());
         assert_eq!(Fields::new(vec![Some(one), Some(other)]).others, [1]);
+        let steady = |v: f64| -> Arc<dyn Shape> {
+            Arc::new(Table::new(vec![], vec![v], vec![0.0; 3], vec![1.0, 0.5, -2.0]).unwrap())
+        };
+        let alone = Fields::new(vec![Some(steady(1.0)), Some(steady(3.0))]);
+        assert_eq!(sum(&alone, &[2.0, 1.0]), [10.0, 7.5, -5.0]);
         for summed in [true, false] {
             if !summed {
                 (apart.together, apart.others) = (None, apart.alike.clone());

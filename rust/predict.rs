@@ -210,12 +210,13 @@ impl Predictor {
                         }
                         None => job.bodies[group].prior.eval(u, frame),
                     }
+                    let fields = &job.bodies[group].fields;
                     match shapes.and_then(|s| s.fields.as_ref()) {
-                        Some(fields) => add(fields, k, &scratch.weights, frame),
-                        None => {
-                            let fields = &job.bodies[group].fields;
-                            fields.add(u, &scratch.weights, &mut scratch.field, frame);
+                        Some(apart) => {
+                            fields.add_still(&scratch.weights, frame);
+                            add(apart, k, &scratch.weights, frame)
                         }
+                        None => fields.add(u, &scratch.weights, &mut scratch.field, frame),
                     }
                     job.chain.sense(
                         &job.params[b * width..(b + 1) * width],

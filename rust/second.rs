@@ -16,6 +16,7 @@ use crate::loads::LOADS;
 use crate::modes::{Modes, accumulate, wide};
 use crate::shape::Shape;
 use crate::table::Table;
+use std::ops::Range;
 use std::sync::Arc;
 
 const MOST_TENDONS: usize = 64;
@@ -134,17 +135,20 @@ impl Second {
         let (block, size, causes) = (self.block(), self.size(), self.causes());
         out.fill(0.0);
         let acts = |cause: usize| cause >= LOADS || there[cause];
-        let wanted: Vec<usize> = pairs(causes)
-            .enumerate()
-            .filter(|(_, (k, l))| acts(*k) && acts(*l))
-            .map(|(p, _)| p * block)
-            .collect();
+        let mut wanted: Vec<Range<usize>> = vec![];
+        for (p, (k, l)) in pairs(causes).enumerate() {
+            match wanted.last_mut() {
+                _ if !(acts(k) && acts(l)) => {}
+                Some(range) if range.end == p * block => range.end += block,
+                _ => wanted.push(p * block..(p + 1) * block),
+            }
+        }
         let stencils = self.grid.stencils(u, None);
         wide(|| {
             self.grid.visit(&stencils, |node, share| {
                 let row = &self.numbers[node * size..(node + 1) * size];
-                for &p in &wanted {
-                    accumulate(&mut out[p..p + block], &row[p..p + block], share);
+                for range in &wanted {
+                    accumulate(&mut out[range.clone()], &row[range.clone()], share);
                 }
                 accumulate(&mut out[size - causes..], &row[size - causes..], share);
             });

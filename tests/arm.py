@@ -71,7 +71,7 @@ class Chain:
         for key in ("null", "start", "low", "high"):
             setattr(self, key, np.array([float(p[key]) for _, p in rows]))
         self.log = np.array([p["log"] for _, p in rows], bool)
-        self.integer = np.zeros(len(rows), bool)
+        self.integer = self.instant = np.zeros(len(rows), bool)
 
 
 LIBRARY = SimpleNamespace(effects=lambda: EFFECTS, Chain=Chain)

@@ -190,9 +190,9 @@ def test_sets_claims_and_what_the_library_lacks():
 def test_shares_have_wilsons_interval_and_probabilities_their_calibration():
     assert judge.wilson(0, 300) == pytest.approx((0.0, 0.01264), abs=1e-4)
     assert judge.wilson(9, 10) == pytest.approx((0.5958, 0.9821), abs=1e-4)
-    sure = [{"probability": 0.95, "true": k < 9} for k in range(10)]
+    sure = [{"probability": 0.95, "itself": k < 9} for k in range(10)]
     assert judge.calibration_error(sure) == pytest.approx(0.05)
-    assert judge.calibration_error([{"probability": 0.5, "true": True}] * 4) == pytest.approx(0.5)
+    assert judge.calibration_error([{"probability": 0.5, "itself": True}] * 4) == pytest.approx(0.5)
 
 
 # --- the runner -----------------------------------------------------------------------------------

@@ -245,7 +245,8 @@ def test_what_no_effect_explains_is_no_effect(name):
     assert whole.verdict == "identified" and named(whole) == {name}
     rest = [e["name"] for e in _core.effects() if e["name"] != name]
     found = diagnose(builtin_model(), run, effects=rest)
-    assert found.verdict in ("partly_explained", "ambiguous")  # never identified: thirty others stand in its place
+    assert found.verdict == "ambiguous" and found.rivals  # never identified: thirty others stand in its place
+    assert "the true value lies beyond, or another effect acts" in found.sentence
     values = [found.error["model"]] + [step["value"] for step in found.error["ladder"]]
     assert values[-1] == min(values)
 
@@ -275,7 +276,8 @@ def test_large_error_is_not_nothing():
     points = run.vertices.copy()
     points[50:60] += 30.0  # the camera lost the finger
     found = diagnose(builtin_model(), replace(run, vertices=points))
-    assert found.verdict == "partly_explained" and not named(found)
+    assert found.verdict == "measurement_fault" and not named(found)
+    assert "does not follow the commands" in found.sentence
 
 
 def test_finger_that_is_partly_seen():

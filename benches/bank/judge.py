@@ -57,7 +57,10 @@ def judged(hidden: Sequence[str], document: Mapping[str, Any], one_pose: bool = 
         "first": alone,
         "exact": len(named) == len(hidden) and _matched(named, like),
         "inside": any(len(s) == len(hidden) and _matched(s, like) for s in [set(named), *rivals]),
-        "claims": [{"name": e["name"], "probability": e["probability"], "true": ok} for e, ok in zip(entries, right)],
+        "claims": [
+            {"name": e["name"], "probability": e["probability"], "true": ok, "itself": e["name"] in hidden}
+            for e, ok in zip(entries, right)
+        ],
         "flagged": document["verdict"] == "partly_explained",
         "cannot": honest and all(like[n] & settles for n in hidden),
     }
@@ -83,11 +86,14 @@ def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:
 
 
 def calibration_error(claims: Sequence[Row], bins: int = 10) -> float:
-    """Return the expected calibration error of claims `{probability, true}`: Σ share |mean p − share true| by bin."""
+    """Return the expected calibration error of claims `{probability, itself}`: Σ share |mean p − share true| by bin.
+
+    A probability is that of one effect: where a structural equivalent acts, it does not.
+    """
     if not claims:
         return 0.0
     p = np.array([c["probability"] for c in claims])
-    true = np.array([c["true"] for c in claims], float)
+    true = np.array([c["itself"] for c in claims], float)
     which = np.minimum((p * bins).astype(int), bins - 1)
     return float(sum(abs(p[which == b].sum() - true[which == b].sum()) for b in range(bins)) / len(p))
 

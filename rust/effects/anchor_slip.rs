@@ -39,8 +39,9 @@ pub static EFFECT: Effect = Effect {
                 30.0,
                 1.0,
                 3600.0,
-                "time of the slip after the first sample",
-            ),
+                "time of the slip after the first sample, in a fit within the run",
+            )
+            .instant(),
             Parameter::new(
                 "width",
                 "1",

@@ -55,6 +55,8 @@ pub struct Parameter {
     pub each: Each,
     /// A whole number: no slope leads to it, so fits try each from low to high as a start and leave it there.
     pub integer: bool,
+    /// A time within the run: it lies so far from its ends that both sides of it are seen.
+    pub instant: bool,
     /// For a whole number that counts something of the channels: the highest that means anything.
     pub most: Option<fn(usize) -> usize>,
 }
@@ -104,6 +106,7 @@ impl Parameter {
             doc,
             each: Each::Robot,
             integer: false,
+            instant: false,
             most: None,
         }
     }
@@ -123,6 +126,12 @@ impl Parameter {
     /// A whole number.
     pub const fn integer(mut self) -> Parameter {
         self.integer = true;
+        self
+    }
+
+    /// A time within the run.
+    pub const fn instant(mut self) -> Parameter {
+        self.instant = true;
         self
     }
 

@@ -66,6 +66,7 @@ fn parameter<'py>(py: Python<'py>, p: &Parameter) -> PyResult<Bound<'py, PyDict>
     entry.set_item("per_channel", p.each == Each::Channel)?;
     entry.set_item("per_pair", p.each == Each::Pair)?;
     entry.set_item("integer", p.integer)?;
+    entry.set_item("instant", p.instant)?;
     entry.set_item("doc", p.doc)?;
     entry.set_item("log", p.log())?;
     Ok(entry)
@@ -148,6 +149,11 @@ impl PyChain {
     #[getter]
     fn integer<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
         self.column(py, |p| p.integer)
+    }
+
+    #[getter]
+    fn instant<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        self.column(py, |p| p.instant)
     }
 
     /// What acts (B, T, C) mm for params (B, P) on u (T, C) mm at t (T,) s; channel effects only.

@@ -272,7 +272,7 @@ def _held(model: Model, run: Run, left: Floats, visible: Mask, length: float) ->
         return []
     return [
         f"commands are logged at exactly {', '.join(found)} in {int(frames.sum())} of {len(at)} frames, in which the "
-        f"body moves on by {most:.2g} mm RMS: the log may be clipped there; log what is sent"
+        f"body moves by {most:.2g} mm RMS that they do not explain: the log may be clipped there; log what is sent"
     ]
 
 

@@ -31,6 +31,7 @@ CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
 SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
 APART = 60.0  # s between the runs of a `Records`: none is within a gap of another
 REACH_MM = 16.0  # of the finger whose commands the declared bounds in mm were chosen for
+ENDS = 0.05  # of a run: what happens nearer to its ends is seen from one side only
 PER_RUN = ("mount", "camera_drift", "clock_shift")
 
 
@@ -170,6 +171,10 @@ class Record:
             columns.append(column)
         factor = _per_mm(self.model, self.library, labels[:count], chain.units)
         start, low, high = ((factor * np.asarray(x, float))[source] for x in (chain.start, chain.low, chain.high))
+        within, seconds = np.asarray(chain.instant, bool)[source], self._within
+        if np.any(within) and seconds[0] < seconds[1]:
+            low, high = np.where(within, seconds[0], low), np.where(within, seconds[1], high)
+            start = np.clip(start, low, high)
         null = np.asarray(chain.null, float)[source]
         integer = np.asarray(chain.integer, bool)[source]
         log, units = np.asarray(chain.log, bool)[source], [chain.units[i] for i in source]
@@ -180,6 +185,12 @@ class Record:
         low, high = np.r_[low, [c.low for c in changes]], np.r_[high, [c.high for c in changes]]
         log, integer = np.r_[log, [c.factor for c in changes]] > 0, np.r_[integer, np.zeros(len(changes), bool)]
         return Layout(tuple(names), labels, units, null, start, low, high, log, integer, columns, declared)
+
+    @property
+    def _within(self) -> tuple[float, float]:
+        """The seconds since the first command between which an instant has enough of the run on both sides."""
+        begin, end = (float(self.t_seen[i] - self.run.t[0]) for i in (0, -1)) if self.frames else (0.0, 0.0)
+        return begin + ENDS * (end - begin), end - ENDS * (end - begin)
 
     def _changes(self, names: Sequence[str]) -> list[Any]:
         """Return the numbers of the prior that are open with a chain of `names`; most priors have none."""
@@ -327,6 +338,12 @@ class Records(Record):
     def layout(self, names: Sequence[str]) -> Layout:
         """Return the parameters of a chain, with numbers of its own for each run where they belong to a session."""
         return self._layout(names, len(self.parts))
+
+    @property
+    def _within(self) -> tuple[float, float]:
+        """The seconds since the first command between which an instant has enough of every run on both sides."""
+        begins, ends = zip(*(part._within for part in self.parts))
+        return max(begins), min(ends)
 
     def _each(self, names: Sequence[str], params: Floats) -> list[tuple[Record, Floats]]:
         return [(part, params[..., column]) for part, column in zip(self.parts, self.layout(names).columns)]
