@@ -49,7 +49,8 @@ def run_case(task: Task) -> dict[str, Any]:
     return {
         "slice": slice_, "level": level, "kind": kind, "number": number, "seeds": seeds, **mine.to_dict(), **verdict,
         "hidden": list(mine.hidden), "error_mm": error, "fall": fall,
-        "frames": int(run.t_seen.size), "sentence": first.sentence, "ladder": first.error, "unexplained": first.unexplained,
+        "frames": int(run.t_seen.size), "sentence": first.sentence,
+        "ladder": first.error, "unexplained": first.unexplained,
         "truth_seconds": round(made - started, 2), "seconds": round(finished - made, 2),
     }  # fmt: skip
 

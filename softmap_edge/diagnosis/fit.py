@@ -4,10 +4,11 @@
 
 x are scaled parameters: (θ - null) / range, or ln(θ / start) / half the log range where it is searched on a log
 scale; the last term is the weak prior at the plausible range. Bounds are kept by clipping and an active set.
-A Jacobian is one batched call (forward differences, 0.4 % of the range: play and stops are not smooth below that). While
-steps win what the slopes promise it is carried on by secants (Broyden 1965, doi:10.1090/S0025-5718-1965-0198670-6); a
-fit ends with a new one. Limit: blocked cross-validation refits each fold by one Gauss-Newton
-step from the full fit, of at most half a range. Pinned by tests/test_fit.py.
+A Jacobian is one batched call (forward differences, 0.4 % of the range: play and stops are not smooth below that).
+While steps win what the slopes promise it is carried on by secants (Broyden 1965,
+doi:10.1090/S0025-5718-1965-0198670-6); a fit ends with a new one.
+Limit: blocked cross-validation refits each fold by one Gauss-Newton step from the full fit, of at most half a range.
+Pinned by tests/test_fit.py.
 """
 
 from __future__ import annotations
