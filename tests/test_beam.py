@@ -17,6 +17,7 @@ from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
 
 PAGE = (ROOT / "docs/beam.md").read_text(encoding="utf-8")
+SHAPES, RINGING = PAGE.split("## 5. ")
 LINES = {"gravity_V2_a": "own weight, fitted", "gravity_V2_b": "own weight, again"}
 LINES |= {"load52_V2_a": "52 g", "load101_V2_a": "101 g"}
 
@@ -66,11 +67,26 @@ def test_a_modulus_of_the_tensile_test_would_not_do(folder):
 
 def test_the_numbers_of_the_page_come_from_the_recordings(table):
     for name, row in table.items():
-        found = re.search(rf"^\| {LINES[name]} \|(.*)\|$", PAGE, re.MULTILINE)
+        found = re.search(rf"^\| {LINES[name]} \|(.*)\|$", SHAPES, re.MULTILINE)
         drop, predicted, off, rotation, turned = (cell.strip(" %") for cell in found[1].split("|"))
         assert [float(drop), float(predicted)] == pytest.approx([row.drop, row.drop_predicted], abs=0.03)
         assert float(off.replace("−", "-")) == pytest.approx(100 * row.off, abs=0.3)
         assert [float(rotation), float(turned)] == pytest.approx([row.rotation, row.rotation_predicted], abs=0.1)
+
+
+def test_the_ringing_tells_a_weight_at_the_tip_from_a_softer_or_heavier_body(folder):
+    runs = beam.read(folder)
+    rung = {ring.run: ring for ring in beam.rings(beam.fitted(runs), runs, beam.read(folder, whole=True))}
+    for name, ring in rung.items():
+        line = re.search(rf"^\| {LINES[name].removesuffix(', fitted')} \|(.*)\|$", RINGING, re.MULTILINE)
+        cells = line[1].split("|")
+        assert float(cells[0]) == pytest.approx(ring.frequency_hz, abs=0.01)
+        if name != beam.FITTED:
+            assert float(cells[1]) == pytest.approx(ring.alike_hz, abs=0.02)
+            assert [float(v) for v in cells[2].split("±")] == pytest.approx([ring.grams, ring.sigma_g], abs=0.15)
+        assert abs(ring.grams - beam.LOADS_G[name]) <= max(2.0 * ring.sigma_g, 0.5)
+    for name in ("load52_V2_a", "load101_V2_a"):  # 20 standard deviations of the frequency, and more
+        assert rung[name].frequency_hz < 0.93 * rung[name].alike_hz
 
 
 @pytest.mark.parametrize(("name", "grams"), [("load52", 52.0), ("load101", 101.0)])
