@@ -25,6 +25,11 @@ FREE, LOADED = "observations_controlled_1.csv", "observations_controlled_1_100g.
 HOLD_OUT = (103.0, 151.0)  # s, kept from the rod: the later part and the two seconds before it
 FITTED, LATER = 90.0, 105.0  # s: effects are fitted before the first, judged after the second
 BLOCKS, GAP_S = 5, 2.0
+# Of the unloaded run: seconds kept from the rod, diagnosed, and kept from both.
+HALVES = {
+    "second half": ((73.0, 151.0), (75.0, 135.0), (137.0, 151.0)),
+    "first half": ((-1.0, 77.0), (0.0, 60.0), (62.0, 75.0)),
+}
 OTHER_DRIVE = (0.175, 0.05)  # s, delay and lag that the page names as the rival of a pure delay
 SETS: tuple[tuple[str, ...], ...] = (
     (),
@@ -103,6 +108,14 @@ def diagnosed(model: Model, loaded: Run, reference: Run | None = None) -> Diagno
     return diagnose(model, loaded.at(loaded.t_seen < FITTED), reference=reference)
 
 
+def without_load(free: Run) -> Iterator[tuple[str, Diagnosis]]:
+    """Yield what is claimed on either half of the unloaded run, with a rod that was learned from the other half."""
+    for name, (kept_from_rod, seen, judge) in HALVES.items():
+        model = learn_model(free, hold_out=[kept_from_rod])
+        part, later = (free.at((free.t_seen >= low) & (free.t_seen < high)) for low, high in (seen, judge))
+        yield name, diagnose(model, part, held_out=later)
+
+
 def report(folder: Path) -> Iterator[str]:
     """Yield the numbers of the page as lines."""
     free, loaded = read(folder, FREE), read(folder, LOADED)
@@ -118,3 +131,5 @@ def report(folder: Path) -> Iterator[str]:
     yield from (f"{name:<52} {value:8.3f}" for name, value in numbers.items())
     for one in found.values():
         yield from ["", *str(one).splitlines()]
+    for name, half in without_load(free):
+        yield from ["", f"no load, {name}:", *str(half).splitlines()]

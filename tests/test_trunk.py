@@ -148,3 +148,33 @@ def test_the_proposal_differs_from_the_example_in_what_the_page_says(page):
     for name in ("t", "command", "present", "t_seen", "block"):
         assert np.array_equal(getattr(ours, name), getattr(right, name)), name
     assert ours.gravity is None and np.array_equal(right.gravity, [0, 0, 1])
+
+
+def test_what_is_claimed_without_a_load_is_listed_on_the_page(folder):
+    """Play in both halves, and what no seconds confirm that nobody used."""
+    table = PAGE.split("## 7. ")[1].split("## 8. ")[0]
+    rows = re.findall(r"^\| ([\d to]+ s) \|(.*)\|(.*)\|$", table, re.MULTILINE)
+    halves = list(trunk_load.without_load(trunk_load.read(folder, trunk_load.FREE)))
+    assert len(rows) == len(halves) == 2
+    for (_, names, errors), (half, found) in zip(rows, halves):
+        document = found.to_dict()
+        ladder = [document["error"]["model"], *(step["value"] for step in document["error"]["ladder"])]
+        added = [step["added"] for step in document["error"]["ladder"]]
+        assert document["verdict"] == "ambiguous" and [name.split()[0] for name in names.split(",")] == added, half
+        assert [float(value) for value in errors.split(",")] == pytest.approx(ladder, abs=0.03), half
+        gap = next(e for e in document["effects"] if e["name"] == "backlash")["params"]["backlash.gap"]["value"]
+        assert float(re.search(r"backlash ([\d.]+) deg", names)[1]) == pytest.approx(gap, abs=0.1), half
+        before = ladder[added.index("backlash")]
+        assert ladder[added.index("backlash") + 1] < 0.98 * before, half
+        assert all(a > 0.99 * b for a, b, name in zip(ladder[1:], ladder, added) if name != "backlash"), half
+
+
+def test_the_encoders_tell_the_drive_apart(page):
+    told = page[1]["found"].to_dict()["servo"]
+    assert [servo["channel"] for servo in told] == list(range(6))
+    for servo in told:
+        (effect,) = servo["effects"]
+        name, wanted = ("lag.tau", 0.27) if servo["channel"] == 2 else ("latency.delay", 0.21)
+        assert effect["params"][name]["value"] == pytest.approx(wanted, abs=0.01)
+        assert 5.5 < servo["error"]["model"] < 15.5 and 0.8 < servo["error"]["value"] < 1.25
+    assert "0.21 s between command and encoder on five motors, on the third a lag of 0.27 s" in PAGE
