@@ -1,6 +1,7 @@
 //! What every chain keeps: a record may be split, answers stay bounded, a batch is its members.
 
 use super::*;
+use crate::effects::Conditions;
 use proptest::prelude::*;
 
 fn chain(channels: usize) -> Chain {

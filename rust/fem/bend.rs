@@ -9,7 +9,7 @@
 use super::change::add_parts;
 use super::newton::{Solver, State};
 use super::progress::Progress;
-use super::solid::{Load, Solid};
+use super::solid::Solid;
 use super::sweep::Simulation;
 use super::work::inner;
 use super::{Vec3, sub};
@@ -62,16 +62,7 @@ impl Simulation {
         let slopes: Vec<Vec<f64>> = (0..tension.len())
             .map(|c| work.slope(c, &state.x))
             .collect();
-        let dead = (0..LOADS).map(|f| {
-            let mut unit = Load::default();
-            let part = if f < TIP_FORCE {
-                &mut unit.gravity
-            } else {
-                &mut unit.tip
-            };
-            part[f % 3] = 1.0;
-            (self.solid.dead_vector(&unit), None)
-        });
+        let dead = self.dead().map(|force| (force, None));
         let pulls = slopes.iter().enumerate();
         let pulls = pulls.map(|(c, b)| (b.iter().map(|b| -b).collect(), Some(c)));
         let causes: Vec<Cause> = dead

@@ -336,6 +336,20 @@ impl Simulation {
         }
     }
 
+    /// Nodal forces of the dead loads, each for one unit.
+    pub(super) fn dead(&self) -> impl Iterator<Item = Vec<f64>> + '_ {
+        (0..LOADS).map(|f| {
+            let mut unit = Load::default();
+            let part = if f < TIP_FORCE {
+                &mut unit.gravity
+            } else {
+                &mut unit.tip
+            };
+            part[f % 3] = 1.0;
+            self.solid.dead_vector(&unit)
+        })
+    }
+
     fn compliance(
         &self,
         solver: &mut Solver,
@@ -349,16 +363,8 @@ impl Simulation {
             .map(|c| work.slope(c, &state.x))
             .collect();
         let still = vec![0.0; cables.len()];
-        let loads = (0..LOADS).map(|f| {
-            let mut unit = Load::default();
-            let part = if f < TIP_FORCE {
-                &mut unit.gravity
-            } else {
-                &mut unit.tip
-            };
-            part[f % 3] = 1.0;
-            (f, self.solid.dead_vector(&unit), still.clone())
-        });
+        let loads = self.dead().enumerate();
+        let loads = loads.map(|(f, force)| (f, force, still.clone()));
         let pushes = (PUSH..FIELDS.len()).filter(|_| changes.is_some()).map(|f| {
             let force = self.solid.push_vector((f - PUSH) / 3, (f - PUSH) % 3);
             (f, force, still.clone())
