@@ -8,7 +8,7 @@ import pytest
 from arm import LIBRARY, Arm, record_run
 from test_diagnosis import finger_run
 
-from softmap_edge import builtin_model, diagnose
+from softmap_edge import builtin_model, diagnose, next_experiment
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.record import Record, Records
 from softmap_edge.errors import SoftmapError
@@ -115,6 +115,56 @@ def test_what_is_no_replay_is_refused_with_numbers():
         diagnose(MODEL, markers, reference=replace(markers, marker_rest=rest + 2.0))
 
 
+def test_the_judge_is_relative_to_a_reference_of_its_own_commands():
+    """A static error of 0.6 mm buries the weight in the raw run of other commands too; relative, it goes away."""
+    alike = dict(warp=0.6, noise=0.05)
+    reference, run = record_run({}, seed=4, **alike), record_run(PAYLOAD, seed=4, **alike)
+    free, loaded = (record_run(hidden, seed=4, other=True, **alike) for hidden in ({}, PAYLOAD))
+    loaded = replace_noise(loaded, 9)
+    found = diagnose(Arm(), run, loaded, library=LIBRARY, reference=[reference, free])
+    error = found.error
+    assert names(found) == ["payload"] and error["held_out_on"] == "an independent run, relative to the reference"
+    assert error["model"] > 1.0 and error["ladder"][-1]["value"] < 0.15  # 0.05 a coordinate
+    raw = diagnose(Arm(), run, loaded, library=LIBRARY).error
+    assert raw["ladder"][-1]["value"] > 0.3
+    with pytest.raises(SoftmapError, match=r"the held-out run is judged .* channel . differs by .*--held-out out"):
+        diagnose(Arm(), run, loaded, library=LIBRARY, reference=reference)
+    with pytest.raises(SoftmapError, match="none of the 2 reference runs stands for this run"):
+        diagnose(Arm(), run, library=LIBRARY, reference=[free, free])
+
+
+def test_what_was_found_relative_to_a_reference_is_not_expected_of_it_again():
+    alike = dict(warp=0.3, noise=0.05, seed=4)
+    reference, run = record_run({}, **alike), record_run(PAYLOAD, **alike)
+    heavy = Arm().with_effects(("payload",), PAYLOAD)
+    again = diagnose(heavy, run, library=LIBRARY, reference=reference)
+    assert again.verdict == "nothing" and again.made_from["reference"]["absent"] == ("payload",)
+    assert "the model's own payload is taken as absent there" in again.sentence
+    # In both runs it is expected of both.
+    both = diagnose(heavy, replace_noise(record_run(PAYLOAD, **alike), 9), library=LIBRARY, reference=run)
+    assert both.verdict == "nothing" and both.made_from["reference"]["absent"] == ()
+
+
+def test_the_next_experiment_is_chosen_for_a_difference():
+    run, free = finger_run(["payload"], {"payload.mass": 9.0}), finger_run()
+    found = diagnose(MODEL, run, effects=["payload", "gravity", "offset"], reference=free)
+    assert any("recorded twice" in remark for remark in found.remarks)
+    open_one = [{"effects": ["gravity"], "why": "for the test"}]
+    found = replace(found, rivals=open_one, not_testable=[])
+    paired = next_experiment(MODEL, found, [run], references=[free])[0]
+    assert paired.block == "another orientation" and set(paired.settles) == {"payload", "gravity"}
+    told = found.made_from
+    raw = next_experiment(MODEL, replace(found, made_from=told | {"reference": None}), [run])[0]
+    # The noise of a difference is twice that of a run, the form error a fifth: it is another number.
+    assert abs(paired.separation / raw.separation - 1.0) > 0.05
+    with pytest.raises(SoftmapError, match="relative to a reference run; give that run too, with --reference"):
+        next_experiment(MODEL, found, [run])
+    with pytest.raises(SoftmapError, match=r"relative to 1 other reference run\(s\) than the 1 given"):
+        next_experiment(MODEL, found, [run], references=[run])
+    with pytest.raises(SoftmapError, match="not relative to a reference run"):
+        next_experiment(MODEL, replace(found, made_from=told | {"reference": None}), [run], references=[free])
+
+
 def test_the_verb_takes_a_reference(tmp_path, capsys):
     finger_run(["payload"], {"payload.mass": 15.0}).save(tmp_path / "b.npz")
     finger_run().save(tmp_path / "a.npz")
@@ -124,3 +174,16 @@ def test_the_verb_takes_a_reference(tmp_path, capsys):
     document = json.loads((tmp_path / "d.json").read_text())
     assert document["effects"][0]["name"] == "payload" and document["made_from"]["reference"]["share"] == 0.0
     assert main([*argv[:3], str(tmp_path / "none.npz")]) == 2
+    capsys.readouterr()
+    # What was added says what it is relative to, and what comes next is recorded twice.
+    assert main(["add", "payload", "--from", str(tmp_path / "d.json"), "--out", str(tmp_path / "with")]) == 0
+    assert "relative to a reference run" in capsys.readouterr().out
+    document["not_testable"] = [{"name": "hysteresis", "why": "for the test", "experiment": ""}]
+    (tmp_path / "d.json").write_text(json.dumps(document))
+    argv = ["next", str(tmp_path / "d.json"), "--run", str(tmp_path / "b.npz"), "--reference", str(tmp_path / "a.npz")]
+    assert main(argv) == 0
+    told = capsys.readouterr().out
+    assert "play it twice" in told and "--reference NEW_REFERENCE" in told
+    assert main([*argv, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["times"] == 2
+    assert main(argv[:4]) == 2 and "give that run too, with --reference" in capsys.readouterr().err

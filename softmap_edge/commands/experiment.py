@@ -14,6 +14,11 @@ from softmap_edge.commands.understand import _run
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.own_effect import check_hashes
 
+BOTH = (
+    "  play it twice ({:.1f} minutes in all): as the run was, and as the reference run was; then\n"
+    "  `softmap diagnose RUN NEW --reference REFERENCE --reference NEW_REFERENCE`"
+)
+
 
 def next_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap next`."""
@@ -23,6 +28,10 @@ def next_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--run", action="append", default=[], metavar="RUN",
         help="a run that the diagnosis was made from (give each); without it blocks are judged less well",
+    )  # fmt: skip
+    parser.add_argument(
+        "--reference", action="append", default=[], metavar="RUN",
+        help="the reference run of a diagnosis that was made with one (give each)",
     )  # fmt: skip
     parser.add_argument("--out", metavar="CSV", help="write the commands, for `softmap record`")
     parser.add_argument("--standard", action="store_true", help="the standard protocol for this robot, no diagnosis")
@@ -49,7 +58,7 @@ def next(args: argparse.Namespace) -> int:
         raise SoftmapError(f"--seed {args.seed} is negative; give 0 or more")
     load_own(args)
     model = open_model(args.bundle)
-    made, found, lines = _standard(args, model) if args.diagnosis is None else _answered(args, model)
+    made, found, lines, times = (*_standard(args, model), 1) if args.diagnosis is None else _answered(args, model)
     names = [] if made is None else made.name.split(" + ")
     settles = list(dict.fromkeys(name for e in found if e.block in names for name in e.settles))
     if made is not None and args.out:
@@ -60,6 +69,7 @@ def next(args: argparse.Namespace) -> int:
         "blocks": names,
         "settles": settles,
         "minutes": None if made is None else round(made.minutes, 2),
+        "times": times,
         "frames": None if made is None else made.frames,
         "commands": args.out if made is not None else None,
         "by_hand": [] if made is None else [{"t_s": round(t, 2), "do": text} for t, text in made.notes],
@@ -76,6 +86,7 @@ def next(args: argparse.Namespace) -> int:
         told = f", to settle {', '.join(settles)}" if settles else ""
         lines += [f"{made.name}: {made.minutes:.1f} minutes, {made.frames} frames{told}"]
         lines += [f"  at {step}" for step in steps(made.notes)]
+        lines += [BOTH.format(times * made.minutes)] if times > 1 else []
     if made is not None and args.out:
         lines += [f"written to {args.out}; on the simulated finger: `softmap record {args.out} --sim --out new.npz`"]
     print("\n".join(lines))
@@ -96,8 +107,8 @@ def _standard(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     return standard_protocol(seed=args.seed, limits=_limits(args, model), back=True, orientations=both), [], []
 
 
-def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], list[str]]:
-    """Return the commands for what a diagnosis left open, the blocks that were weighed, and what is open."""
+def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], list[str], int]:
+    """Return the commands for what a diagnosis left open, the blocks weighed, what is open, and how often to play."""
     from softmap_edge.diagnosis.diagnose import Diagnosis
     from softmap_edge.experiment.blocks import Setting, chosen, plan
     from softmap_edge.experiment.choose import next_experiment, program
@@ -109,12 +120,16 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     asked = {name for e in [*diagnosis.effects, *diagnosis.rivals] for name in e.get("effects", [e.get("name")])}
     check_hashes([*asked], diagnosis.made_from.get("python_effects"))
     runs, limits = [_run(path) for path in args.run], _limits(args, model)
+    references = [_run(path) for path in args.reference]
     with Bar(args.json) as bar:
-        found = next_experiment(model, diagnosis, runs, limits, progress=lambda share: bar("simulating", share))
+        found = next_experiment(
+            model, diagnosis, runs, limits, None, lambda share: bar("simulating", share), references
+        )
     names = args.block or [e.block for e in program(found, args.minutes)]
     setting = Setting.after(runs, model.gravity_reference)
     made = plan(chosen(names), limits, setting, args.seed) if names else None
-    return made, found, progress_lines(before or None, diagnosis.to_dict())
+    times = 1 if diagnosis.made_from.get("reference") is None else 2
+    return made, found, progress_lines(before or None, diagnosis.to_dict()), times
 
 
 def _limits(args: argparse.Namespace, model: Any) -> Any:

@@ -58,8 +58,9 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
     parser.add_argument("--held-out", metavar="RUN", help="an independent run that is never fitted")
     parser.add_argument(
-        "--reference", metavar="RUN", help="a run of the same commands that stands for the model's own error"
-    )
+        "--reference", action="append", metavar="RUN",
+        help="a run of the same commands that stands for the model's own error; several: each run takes its own",
+    )  # fmt: skip
     effects_argument(parser, "; NAME,NAME: look for these only, and for those of the files")
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
     parser.add_argument("--out", metavar="FILE", help="write the diagnosis as JSON, for `softmap add --from`")
@@ -81,10 +82,10 @@ def diagnose(args: argparse.Namespace) -> int:
     own = load_own(args)
     wanted = [*dict.fromkeys([*names, *own])] if names else None
     model, runs = open_model(args.bundle), [_run(path) for path in args.runs]
-    held_out, reference = (_run(path) if path else None for path in (args.held_out, args.reference))
-    for run in [*runs, *([reference] if reference else [])]:
+    held_out, references = args.held_out and _run(args.held_out), [_run(path) for path in args.reference or []]
+    for run in [*runs, *references]:
         _warn("diagnose", model, run)
-    found = find(model, runs, held_out, wanted, args.seed, _progress(args), reference=reference)
+    found = find(model, runs, held_out, wanted, args.seed, _progress(args), reference=references or None)
     if args.out:
         _write_json(args.out, found.to_dict())
     print(json.dumps(found.to_dict(), indent=1) if args.json else found)
@@ -117,7 +118,9 @@ def add(args: argparse.Namespace) -> int:
     twice = [n for n in names if n in model.chain_names]
     if twice:
         raise SoftmapError(f"the model has '{twice[0]}' already; `softmap refit` fits it again")
-    return _write(args, diagnosis.added(model, names), {"added": names} | _dropped(model))
+    replay = diagnosis.made_from.get("reference")
+    relative = {} if replay is None else {"relative_to": replay.get("run") if isinstance(replay, dict) else replay}
+    return _write(args, diagnosis.added(model, names), {"added": names} | relative | _dropped(model))
 
 
 def remove_arguments(parser: argparse.ArgumentParser) -> None:
@@ -276,6 +279,8 @@ def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
         print(f"  {label:<24} {value:.6g}")
     if model.residual is not None:
         print(f"  residual of {report['size_mm']:.2f} mm RMS over the command, learned from {report['frames']} frames")
+    if "relative_to" in report:
+        print("what was added is relative to a reference run: what the model misses on that run it misses still")
     if "residual" in report:
         print("the residual was learned without this and is dropped; `softmap adapt` learns it again")
     if "before_rms_mm" in report:

@@ -42,6 +42,10 @@ SCHEMA = "softmap.diagnosis/1"
 UNSAID = 0.05  # share of the frames that may lie outside what a model was made from
 OWN_FALL = 0.7  # fall of the held-out error by a refit from which the model's own numbers are in doubt
 ALIKE = 0.95  # cosine between two whitened signatures from which they cannot be told apart by their form
+TWICE = (
+    "it is diagnosed relative to a reference run: what is recorded next has to be recorded twice, as this run was and "
+    "as the reference was, and the second given with --reference"
+)
 SIGNATURE_FRAMES = 1500  # frames on which the span of the signatures is found
 
 
@@ -153,7 +157,7 @@ def diagnose(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
     library: Any = None,
-    reference: Run | None = None,
+    reference: Run | Sequence[Run] | None = None,
 ) -> Diagnosis:
     """Find out which effect a model lacks.
 
@@ -167,7 +171,8 @@ def diagnose(
         progress: hears one line per stage.
         library: where effects come from; the compiled core by default.
         reference: a run of the same commands that stands for the model's own error (paired replay): what acts alike
-            in both cancels out, and every error but that on `held_out` is relative to it.
+            in both cancels out, and every error is relative to it. Several, where runs (or `held_out`) play other
+            commands: each takes the one whose commands agree.
 
     Returns:
         Diagnosis: verdict, effects with parameters and sigma, rivals, what cannot be told, the held-out error ladder.
@@ -184,7 +189,7 @@ def diagnose(
     if model.kind == "rod":
         fit = search.simplest(fit)
     fit = search.earliest(fit, lambda name: equivalents(record, name, registry))
-    other = None if held_out is None else sound_record(model, held_out, library)[0]
+    other = None if held_out is None else _judge(model, held_out, library, reference)
     demoted: list[str] = []
     if other is not None:
         fit, demoted = _demote(search, fit, lambda f: _error_on(f, other), 0.995)
@@ -199,6 +204,7 @@ def diagnose(
     document["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
     if gone is not None:
         document |= {"verdict": "measurement_fault", "sentence": gone, "rivals": []}
+    remarks += [] if record.replay is None else [TWICE]
     remarks += [] if library is not None else asked(record.whole, len(record), problem.noise.source)
     told = servos(record.whole[0], [*candidates, *record.model.chain_names]) if library is None else []
     return Diagnosis(**document, servo=told, remarks=remarks, model=_with_error(found, document["effects"]))
@@ -308,6 +314,18 @@ def _whole(digits: str) -> int | float:
 
 
 # --- preparation --------------------------------------------------------------------------------
+
+
+def _judge(model: Model, held_out: Run, library: Any, reference: Run | Sequence[Run] | None) -> Record:
+    """Return the run that nothing is fitted to, relative to a reference if the others are."""
+    try:
+        return sound_record(model, held_out, library, reference)[0]
+    except SoftmapError as fault:
+        if reference is None:
+            raise
+        raise SoftmapError(
+            f"the held-out run is judged relative to a reference too: {fault}; or leave --held-out out"
+        ) from None
 
 
 def _candidates(

@@ -4,7 +4,11 @@
 
 What the model misses on the reference at the same place of the replay (same command, same past) is taken off what is
 seen, so that its own error cancels out, and so does every effect that acts alike in both runs. The reference is read
-linearly between frames; s is the shift in time at which the commands agree. What is left to doubt:
+linearly between frames; s is the shift in time at which the commands agree.
+Of several references a run meets the one whose commands it plays best. What the model has been given that the reference
+lacks (a weight that was found relative to it) is left out of model(reference): an effect that makes the reference worse
+and the run better.
+What is left to doubt:
 - the camera: the noise of a difference, twice that of one run where frames meet, comes out of the replicates as it is;
 - a table: KEPT of its form error. Where an effect moves the acting command by 1-2 of 32 mm, an error that varies over
   0.4 of the range changes by about a sixth; and what another gravity or load adds to it;
@@ -16,6 +20,7 @@ Units: those of the commands, mm, s. Limits: an effect in both runs is never see
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -36,31 +41,35 @@ LEAST_OVERLAP = 0.5  # of the frames of a run, which the reference must have see
 GRID = 200_000  # rows at most that are looked at for the shift in time
 FLOOR = 0.01  # mm: no robot repeats itself better than this
 LEAST_FRAMES = 8
+ABSENT = 0.9  # of the reference's error that must be left at most without an effect that only the run has
 
 
 @dataclass(frozen=True)
 class Replay:
     """How a reference run meets a run: by what its time is shifted, and how far the commands differ (RMS)."""
 
-    run: str  # hash of the reference
+    run: str | list[str]  # hash of the reference, or of each where several runs met different ones
     shift_s: float
     differ: float
     share: float
     unit: str
     frames: int
+    absent: tuple[str, ...] = ()  # effects of the model that the reference lacks
 
     def __str__(self) -> str:
+        own = " and ".join(self.absent)
         return (
             f"All of this is relative to the reference run, whose commands agree within {self.differ:.2g} {self.unit} "
             f"RMS ({100 * self.share:.2g} % of their range): what acts alike in both runs cancels out and is not seen"
+            + (f"; the model's own {own} is taken as absent there, where it raises the error" if own else "")
         )
 
 
-def pair(record: Record, reference: Record) -> tuple[Replay, Floats, Floats]:
-    """Bring a run and its reference together.
+def pair(record: Record, references: Sequence[Record]) -> tuple[Replay, Floats, Floats]:
+    """Bring a run and its reference together: of several, the one whose commands agree best.
 
     Args:
-        record: the run, K frames of F features. reference: the run that stands for the model, seen in the same way.
+        record: the run, K frames of F features. references: runs that may stand for the model, seen in the same way.
 
     Returns:
         tuple: how they meet; what the model misses on the reference at the run's frames (K, F) mm, NaN where the
@@ -69,6 +78,21 @@ def pair(record: Record, reference: Record) -> tuple[Replay, Floats, Floats]:
     Raises:
         SoftmapError: points of another kind or place, commands that differ, too little in common.
     """
+    found, refused = [], []
+    for reference in references:
+        try:
+            found.append(_meet(record, reference))
+        except SoftmapError as fault:
+            refused.append(str(fault))
+    if found:
+        return min(found, key=lambda met: met[0].share)
+    if len(refused) > 1:
+        raise SoftmapError(f"none of the {len(refused)} reference runs stands for this run; of the last, {refused[-1]}")
+    raise SoftmapError(refused[0])
+
+
+def _meet(record: Record, reference: Record) -> tuple[Replay, Floats, Floats]:
+    """Bring a run and one reference together."""
     _check_points(record, reference)
     played = all(r.run.command is not None for r in (record, reference))  # else what encoders say of it
     ours, theirs = (np.asarray(r.run.command if played else r.u, float) for r in (record, reference))
@@ -83,12 +107,33 @@ def pair(record: Record, reference: Record) -> tuple[Replay, Floats, Floats]:
             f"{max(LEAST_FRAMES, int(LEAST_OVERLAP * len(record)))} are needed; record both for as long, with the "
             "camera on, or diagnose without --reference"
         )
-    base = reference.predict(reference.model.chain_names, reference.own()[None])[0]
+    absent = _absent(record, reference)
+    base = _without(reference, absent)
     missed = _read(at, reference.t_seen, reference.seen - base)
     replay = Replay(
-        reference.whole[0].hash(), shift, differ, share, getattr(record.model, "command_unit", "mm"), int(met.sum())
-    )
+        reference.whole[0].hash(), shift, differ, share, getattr(record.model, "command_unit", "mm"), int(met.sum()),
+        absent,
+    )  # fmt: skip
     return replay, missed, _form_left(record, reference, missed)
+
+
+def _absent(record: Record, reference: Record) -> tuple[str, ...]:
+    """Return which of the model's own effects only the run has: each makes the reference worse and the run better."""
+    absent: tuple[str, ...] = ()
+    for name in record.model.chain_names:
+        ours, theirs = ([r.rms_mm(r.seen - _without(r, out)) for out in (absent, (*absent, name))]
+                        for r in (record, reference))  # fmt: skip
+        if theirs[1] < ABSENT * theirs[0] and ours[1] > ours[0]:
+            absent = (*absent, name)
+    return absent
+
+
+def _without(record: Record, absent: Sequence[str]) -> Floats:
+    """Return what the model predicts for a run (K, F) mm, some of its own effects left out."""
+    own = tuple(record.model.chain_names)
+    names = tuple(name for name in own if name not in absent)
+    params = dict(zip(record.layout(own).labels, map(float, record.own())))
+    return np.asarray(record.predict(names, record.layout(names).values(params)[None])[0])
 
 
 def _check_points(record: Record, reference: Record) -> None:
@@ -130,7 +175,8 @@ def _differ(
         raise SoftmapError(
             f"the reference run does not play the commands of this run: channel {worst} differs by "
             f"{apart[worst]:.3g} {unit} RMS, {100 * share[worst]:.2g} % of its range, allowed are {100 * AGREE:g} %; "
-            "record both from one command file (`softmap next` writes one), or diagnose without --reference"
+            "record both from one command file (`softmap next` writes one), give a reference that plays these commands "
+            "(--reference takes several), or diagnose without --reference"
         )
     return float(apart[worst]), float(share[worst])
 

@@ -11,7 +11,7 @@ Pinned by tests/test_fit.py and tests/test_several_runs.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -70,10 +70,11 @@ class Record:
     _leaning: Floats  # (K, d)
     static: Floats | None = None  # (K, F) mm, what the model's residual is here: it is taken out, `model` is without it
 
-    def __init__(self, model: Any, run: Run, library: Any = None, reference: Run | None = None) -> None:
+    def __init__(self, model: Any, run: Run, library: Any = None, reference: Run | Sequence[Run] | None = None) -> None:
         """Bind a model to a run; `library` has `Chain(names, channels)` and `effects()` (the compiled core).
 
-        With a `reference` that plays the same commands, what the model misses there is taken off what is seen.
+        With a `reference` that plays the same commands (one of several), what the model misses there is taken off what
+        is seen.
         """
         if library is None:
             from softmap_edge import _core as library
@@ -83,7 +84,8 @@ class Record:
         self.replay: Replay | None = None
         self._bind(run)
         if reference is not None:
-            self.replay, missed, form = pair(self, Record(model, reference, library))
+            several = reference if isinstance(reference, Sequence) else [reference]
+            self.replay, missed, form = pair(self, [Record(model, one, library) for one in several])
             met = np.isfinite(missed).any(axis=1)
             if not met.all():
                 self._bind(self.run.at(met))
@@ -265,8 +267,10 @@ class Record:
 class Records(Record):
     """Several runs of one robot, one after the other."""
 
-    def __init__(self, model: Any, runs: Sequence[Run], library: Any = None, reference: Run | None = None) -> None:
-        """Bind a model to several runs, each of which plays the commands of the `reference` if there is one.
+    def __init__(
+        self, model: Any, runs: Sequence[Run], library: Any = None, reference: Run | Sequence[Run] | None = None
+    ) -> None:
+        """Bind a model to several runs, each of which plays the commands of a `reference` if there is any.
 
         Raises:
             SoftmapError: the runs are not seen in the same way.
@@ -279,7 +283,11 @@ class Records(Record):
                 "together must be seen in the same way, so diagnose them apart"
             )
         self.parts, self.model, self.library = parts, model, parts[0].library
-        self.replay = max((p.replay for p in parts if p.replay is not None), key=lambda r: r.share, default=None)
+        replays = [p.replay for p in parts if p.replay is not None]
+        self.replay = max(replays, key=lambda r: r.share, default=None)
+        met = list(dict.fromkeys(str(r.run) for r in replays))
+        if self.replay is not None and len(met) > 1:
+            self.replay = replace(self.replay, run=met)
         self.whole = tuple(runs)
         self.frames, self.features = sum(part.frames for part in parts), parts[0].features
         self.seen = np.concatenate([part.seen for part in parts])
@@ -361,7 +369,9 @@ class Records(Record):
         return np.concatenate([part.slopes(names, own) for part, own in self._each(names, params)], axis=1)
 
 
-def record_of(model: Any, run: Run | Sequence[Run], library: Any = None, reference: Run | None = None) -> Record:
+def record_of(
+    model: Any, run: Run | Sequence[Run], library: Any = None, reference: Run | Sequence[Run] | None = None
+) -> Record:
     """Return one run, or several, as a fit sees them; relative to a `reference` if one is given.
 
     Raises:

@@ -104,7 +104,7 @@ def sound(model: Model, run: Run) -> Sound:
 
 
 def sound_record(
-    model: Model, run: Run | Sequence[Run], library: Any = None, reference: Run | None = None
+    model: Model, run: Run | Sequence[Run], library: Any = None, reference: Run | Sequence[Run] | None = None
 ) -> tuple[Record, list[str]]:
     """Bind a model to what is sound of one run or several, which stay `whole` in the record; return it with remarks.
 
@@ -118,7 +118,8 @@ def sound_record(
     if library is not None:
         return record_of(model, given, library, reference), []
     parts = [sound(model, one) for one in given]
-    record = record_of(model, [p.run for p in parts], None, None if reference is None else sound(model, reference).run)
+    several = reference if isinstance(reference, Sequence) else [] if reference is None else [reference]
+    record = record_of(model, [p.run for p in parts], None, [sound(model, one).run for one in several] or None)
     record.whole = tuple(given)
     told = [(f"run {i}: " if len(parts) > 1 else "") + text for i, p in enumerate(parts, 1) for text in p.remarks]
     return record, told

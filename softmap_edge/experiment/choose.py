@@ -81,6 +81,7 @@ def next_experiment(
     limits: Limits | None = None,
     library: Any = None,
     progress: Callable[[float], None] | None = None,
+    references: Sequence[Run] = (),
 ) -> list[Experiment]:
     """Rank blocks of commands by how well a minute of each settles what a diagnosis left open.
 
@@ -91,6 +92,7 @@ def next_experiment(
         limits: of the robot; three quarters of the model's range by default.
         library: where effects come from; the compiled core by default.
         progress: hears the share that is done.
+        references: the runs that the diagnosis is relative to, if it is; then a block counts as played in both states.
 
     Returns:
         list: experiments, best first; last what no block settles, with what the library says of it. Empty where
@@ -102,7 +104,7 @@ def next_experiment(
     if model.channels == 0:
         raise SoftmapError("the model takes no commands, so no block of commands can settle anything")
     limits = limits or Limits.of(model.command_range, model.command_unit)
-    world = World(model, diagnosis, list(runs), library)
+    world = World(model, diagnosis, list(runs), library, references)
     if not world.questions:
         return []
     found = []

@@ -54,14 +54,18 @@ class Question:
 class World:
     """What a diagnosis left open, and what each answer would look like in a block that is not recorded yet."""
 
-    def __init__(self, model: Model, diagnosis: Diagnosis, runs: list[Run], library: Any) -> None:
+    def __init__(
+        self, model: Model, diagnosis: Diagnosis, runs: list[Run], library: Any, references: Sequence[Run] = ()
+    ) -> None:
         sound_only = library is None
         if library is None:
             from softmap_edge import _core as library
         self.model, self.library = model, library
         self.registry: dict[str, dict[str, Any]] = {e["name"]: e for e in library.effects()}
-        _check(model, diagnosis, runs, self.registry)
+        _check(model, diagnosis, runs, self.registry, references)
+        self.paired = diagnosis.made_from.get("reference") is not None
         self.runs = runs = [sound(model, run).run for run in runs] if sound_only else runs
+        self.references = [sound(model, run).run for run in references] if sound_only else [*references]
         known = [e["name"] for e in [*diagnosis.effects, *diagnosis.faults]]
         self.found = tuple(name for name in self.registry if name in known)
         self.questions = _questions(diagnosis, self.found, tuple(model.chain_names))
@@ -69,12 +73,13 @@ class World:
         self.hidden = [q.hidden for q in self.questions if q.hidden is not None]
         self.setting = Setting.after(runs, model.gravity_reference)
         self.bare = _blank_record(model, self.setting, library)
-        self.old = record_of(model, _thinned(runs), library) if runs else None
+        self.old = record_of(model, _thinned(runs), library, self.references or None) if runs else None
         asked = [n for n in self.registry if any(n in s for s in sets) or n in self.hidden]
         self.names = [n for n in asked if not model.lacking(n)]  # what the model has no field for is not simulated
         self.params: dict[tuple[str, ...], dict[str, float]] = {}
         if runs:
-            problem = _problem(record_of(model, runs, library), [n for n in self.names if self.declared(n)])
+            whole = record_of(model, runs, library, self.references or None)
+            problem = _problem(whole, [n for n in self.names if self.declared(n)])
             search = Search(problem, [n for n in self.names if self.declared(n)])
             fits = {key: search.get(key) for key in sets}
             self.noise, self.dispersion = problem.noise, search.dispersion(fits[self.found])
@@ -98,9 +103,10 @@ class World:
     def answers(self, made: Protocol, changes: str) -> list[tuple[Question, float]]:
         """Return the separation of each question in a block that `changes` a condition."""
         run = _blank(self.model, made, self.runs[0] if self.runs else None, self.setting)
-        new = Record(self.model, run, self.library)
+        own = [run] if self.paired else []  # the block is played in the state of the reference too
+        new = Record(self.model, run, self.library, own or None)
         parts = [] if self.old is None else [self.old]
-        joint = record_of(self.model, [*_thinned(self.runs), run], self.library)
+        joint = record_of(self.model, [*_thinned(self.runs), run], self.library, [*self.references, *own] or None)
         problem = _problem(joint, [n for n in self.names if self._predicted(n, [*parts, new])], self.noise)
         alone = _Linear(
             self, _problem(new, [n for n in self.names if not new.missing(self.needs(n))], self.noise), [new]
@@ -279,7 +285,9 @@ def _questions(diagnosis: Diagnosis, found: tuple[str, ...], own: tuple[str, ...
     return list(dict.fromkeys(asked))
 
 
-def _check(model: Model, diagnosis: Diagnosis, runs: Sequence[Run], registry: Mapping[str, Any]) -> None:
+def _check(
+    model: Model, diagnosis: Diagnosis, runs: Sequence[Run], registry: Mapping[str, Any], references: Sequence[Run]
+) -> None:
     made = diagnosis.made_from
     own = made.get("own_effects")
     if isinstance(own, list) and own != list(model.chain_names):
@@ -293,12 +301,29 @@ def _check(model: Model, diagnosis: Diagnosis, runs: Sequence[Run], registry: Ma
         raise SoftmapError(
             f"the diagnosis was made from other runs than the {len(runs)} given; give those, or diagnose these again"
         )
+    _check_references(made.get("reference"), bool(runs), [run.hash() for run in references])
     named = [e["name"] for e in [*diagnosis.effects, *diagnosis.faults]]
     named += [str(e) for rival in diagnosis.rivals for e in rival.get("effects") or ()]
     named += [str(row.get("name")) for row in diagnosis.not_testable]
     unknown = [name for name in named if name not in registry]
     if unknown:
         raise SoftmapError(f"the diagnosis names '{unknown[0]}', which this library lacks; diagnose again")
+
+
+def _check_references(told: Any, runs: bool, given: list[str]) -> None:
+    """Refuse other references than those that a diagnosis is relative to; those of its held-out run may come along."""
+    if told is None and given:
+        raise SoftmapError("the diagnosis is not relative to a reference run; leave --reference out")
+    hashes = told.get("run") if isinstance(told, Mapping) else None
+    wanted = hashes if isinstance(hashes, list) else [hashes]
+    if told is None or not (runs or given):
+        return
+    if not given:
+        raise SoftmapError("the diagnosis is relative to a reference run; give that run too, with --reference")
+    if not {str(h) for h in wanted} <= set(given):
+        raise SoftmapError(
+            f"the diagnosis is relative to {len(wanted)} other reference run(s) than the {len(given)} given; give those"
+        )
 
 
 def _declared_noise(model: Model, diagnosis: Diagnosis) -> Noise:
