@@ -141,7 +141,8 @@ class Model:
     def with_effects(self, names: Sequence[str], params: Floats | Mapping[str, float]) -> Model:
         """Return a model whose chain holds exactly `names` with `params` (in chain order, or by label).
 
-        By label, `params` may hold changes of the prior's numbers as well (`changes`).
+        By label, `params` may hold changes of the prior's numbers as well (`changes`). Without an effect that changes
+        its law the prior has the numbers that it had before one was added.
         """
         chain = _core.Chain(list(names), self.channels)
         if isinstance(params, Mapping):
@@ -160,7 +161,8 @@ class Model:
         if not np.isfinite(params).all():
             wrong = chain.labels[int(np.argmin(np.isfinite(params)))]
             raise SoftmapError(f"{wrong} is not a finite number; give each parameter one")
-        return replace(self.with_residual(None), chain_names=tuple(names), chain_params=params)
+        model = self if chain.numbers else self._before_laws()
+        return replace(model.with_residual(None), chain_names=tuple(names), chain_params=params)
 
     def with_residual(self, arrays: Arrays | None) -> Model:
         """Return the model with the residual that a shape family's `arrays` hold, in place of its own, or with none.
@@ -192,7 +194,31 @@ class Model:
         if self._elastic is None:
             raise SoftmapError(f"the model of '{self.robot}' has no rod whose numbers could change")
         rod = self._elastic.changed({label.split(".", 1)[1]: value for label, value in values.items()})
-        arrays = {**self.arrays, "prior": rod.to_arrays()}
+        before = {"numbers_before": self._elastic.numbers, "error_before_mm": self.form_error}
+        kept = {name: self.arrays["prior"].get(name, array) for name, array in before.items()}
+        return self._with_rod(rod, kept)
+
+    @property
+    def restorable(self) -> bool:
+        """Whether the prior's numbers were changed along with an effect and are known as they were before."""
+        return {"numbers_before", "error_before_mm"} <= set(self.arrays.get("prior", {}))
+
+    def _before_laws(self) -> Model:
+        """Return the model with the numbers of its rod, and its error, as they were before any of them was changed."""
+        if not self.restorable or self._elastic is None:
+            return self
+        numbers, error = (np.asarray(self.arrays["prior"][n], float) for n in ("numbers_before", "error_before_mm"))
+        if numbers.shape != self._elastic.numbers.shape or error.shape != self.form_error.shape or np.any(error < 0):
+            raise SoftmapError(
+                f"elastic rod: {numbers.shape} numbers and an error {error.shape} of before, the rod has "
+                f"{self._elastic.numbers.shape} and {self.form_error.shape}; learn the bundle again"
+            )
+        model = self._with_rod(replace(self._elastic, numbers=numbers), {})
+        overall = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+        return replace(model, form_error=error, vertex_error_mm=overall)
+
+    def _with_rod(self, rod: ElasticParameters, kept: Arrays) -> Model:
+        arrays = {**self.arrays, "prior": rod.to_arrays() | kept}
         return replace(self, prior=rod.compiled(), fields=dict(rod.fields()), arrays=arrays)
 
     @cached_property

@@ -15,6 +15,12 @@ from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.own_effect import check_hashes
 
+NUMBERS = {
+    "restored": "the rod's own numbers are again what they were before the effect was added",
+    "kept": "the rod's own numbers stay as they were fitted with the effect, since this bundle does not hold those of "
+    "before; `softmap learn` fits them again",
+}
+
 
 def compare_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap compare`."""
@@ -142,7 +148,9 @@ def remove(args: argparse.Namespace) -> int:
             raise SoftmapError(f"the model has no effect '{name}'; it has {held}")
     rest = tuple(n for n in model.chain_names if n not in names)
     params = {label: v for label, v in model.params.items() if label.split(".")[0] in rest}
-    return _write(args, model.with_effects(rest, params), {"removed": names} | _dropped(model))
+    law = model.changes(names) and not model.changes(rest)
+    numbers = {"numbers": "restored" if model.restorable else "kept"} if law else {}
+    return _write(args, model.with_effects(rest, params), {"removed": names} | numbers | _dropped(model))
 
 
 def refit_arguments(parser: argparse.ArgumentParser) -> None:
@@ -279,6 +287,8 @@ def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
         print(f"  {label:<24} {value:.6g}")
     if model.residual is not None:
         print(f"  residual of {report['size_mm']:.2f} mm RMS over the command, learned from {report['frames']} frames")
+    if "numbers" in report:
+        print(NUMBERS[report["numbers"]])
     if "relative_to" in report:
         print("what was added is relative to a reference run: what the model misses on that run it misses still")
     if "residual" in report:
