@@ -5,17 +5,20 @@ be claimed, and one with play, which has to be found wherever the run still show
 """
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from test_diagnosis import finger_run
 
-from softmap_edge import builtin_model
+from softmap_edge import builtin_model, diagnose
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.sound import sound
 from softmap_edge.npz import write_npz
 from softmap_edge.protocol import standard_protocol
 from softmap_edge.run import Run
+from softmap_edge.truth import hide
 
 CANDIDATES = "backlash,saturation,gain,payload,mount,servo_swap"
 PLAY = {"backlash.gap": 2.0}
@@ -265,6 +268,33 @@ def test_a_clipped_log_of_commands_is_said(tmp_path, capsys):
 def test_gravity_upside_down_is_refused(tmp_path, capsys):
     code, _, said = diagnosed(written(tmp_path, scaled("gravity", -1.0), False), capsys)
     assert code == 2 and "declared upside down" in said
+
+
+SIGNS = {"upside down": [-1.0, -1.0, -1.0], "with the wrong sign of its z": [1.0, 1.0, -1.0]}
+
+
+@pytest.mark.parametrize("words", SIGNS)
+def test_gravity_of_a_wrong_sign_beside_a_weight_is_a_fault_of_the_declaration(words, tmp_path, capsys):
+    """The weight hides the sign from a first look; what gravity would have to be, and the search, tell."""
+    run = finger_run(["payload"], {"payload.mass": 20.0})
+    replace(run, gravity=run.gravity * SIGNS[words]).save(tmp_path / "run.npz")
+    argv = ["--effects", "offset,gravity,payload,mount", "--json"]
+    assert main(["diagnose", str(tmp_path / "run.npz"), *argv]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["verdict"] == "measurement_fault" and document["effects"] == [] and document["rivals"] == []
+    assert f"`gravity` is declared {words}" in document["sentence"] and "both held out" in document["sentence"]
+    run.save(tmp_path / "run.npz")
+    assert main(["diagnose", str(tmp_path / "run.npz"), *argv]) == 0
+    assert [entry["name"] for entry in json.loads(capsys.readouterr().out)["effects"]] == ["payload"]
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("names", [["payload"], ["hysteresis"], ["payload", "creep"], ["gravity"]], ids="+".join)
+def test_gravity_upside_down_beside_what_is_hidden(names):
+    whole = standard_protocol(2)
+    run = hide(names, 1).measure(replace(whole, t_seen=whole.t_seen[::2], block=whole.block[::2]))
+    found = diagnose(builtin_model(), replace(run, gravity=-run.gravity))
+    assert found.verdict == "measurement_fault" and "`gravity` is declared upside down" in found.sentence
 
 
 def test_the_report_tells_the_remarks(tmp_path, capsys):

@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.advice import asked
 from softmap_edge.diagnosis.conclusion import OwnMisfit, conclude, parameters
+from softmap_edge.diagnosis.declared import strange, wrong_sign
 from softmap_edge.diagnosis.evidence import Untestable, equivalents, experiment, orientations, shown, unseen
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.masked import masked
 from softmap_edge.diagnosis.noise import Noise, command_kernel, estimate_noise, form_covariance, rod_noise, whitener
-from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.record import Record, record_of
 from softmap_edge.diagnosis.search import Search
 from softmap_edge.diagnosis.servo import servos
 from softmap_edge.diagnosis.sound import sound_record, stray
@@ -202,6 +203,11 @@ def diagnose(
     hidden = masked(search, fit)
     document = conclude(search, fit, other, demoted, impossible, own, seed, hidden)
     document["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
+    if gone is None and strange(document):
+        gone = wrong_sign(record, search.held_out_mm(fit), lambda runs: _again(model, runs, candidates, library))
+        if gone is not None:
+            fit, found = search.null, model
+            document = conclude(search, fit, other, demoted, impossible, own, seed, hidden)
     if gone is not None:
         document |= {"verdict": "measurement_fault", "sentence": gone, "rivals": []}
     remarks += [] if record.replay is None else [TWICE]
@@ -314,6 +320,12 @@ def _whole(digits: str) -> int | float:
 
 
 # --- preparation --------------------------------------------------------------------------------
+
+
+def _again(model: Model, runs: Sequence[Run], candidates: Sequence[str], library: Any) -> float:
+    """Return the held-out error mm that a search leaves on other runs."""
+    search = Search(_problem(record_of(model, runs, library), candidates), candidates)
+    return search.held_out_mm(search.run())
 
 
 def _judge(model: Model, held_out: Run, library: Any, reference: Run | Sequence[Run] | None) -> Record:

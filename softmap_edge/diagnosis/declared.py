@@ -1,0 +1,93 @@
+"""Whether what a run declares as gravity has a wrong sign: asked where a diagnosis cannot make sense of gravity.
+
+Beside another effect a wrong sign does not stand out before a fit (`belongs.py` asks that): a weight or a play hides
+it, and the effect `gravity` then ends at the bounds of what it may be. So that a search decides, the run is diagnosed
+again under the signs that look best with a free weight at the tip,
+
+    min over m >= 0 of |seen - predicted(signs * g) - m d(signs * g)|      d what one weight does,
+
+and the declaration is at fault where its held-out error is WORSE of the other's or less. Units: mm RMS, held out.
+Limit: axes that were exchanged are not tried, nor runs relative to a reference. Pinned by tests/test_bad_runs.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from softmap_edge.diagnosis.record import Record, record_of
+
+if TYPE_CHECKING:
+    from softmap_edge.run import Run
+
+FRAMES = 100  # looked at where signs are compared before the search
+CLOSE = 1.3  # times what the best signs leave: a body that hangs tells one sign of its axis hardly from the other
+POOR, MUCH = 0.5, 10.0  # of the held-out error, and chi² per number, that no true dead load leaves
+WORSE = 0.8  # of the held-out error that other signs must leave at most
+SIGNS = tuple(signs for signs in product((1.0, -1.0), repeat=3) if min(signs) < 0)
+
+
+def strange(document: Mapping[str, Any]) -> bool:
+    """Return whether gravity makes no sense in a diagnosis.
+
+    Its numbers end at their bounds, what is left goes by orientation, or a dead load leaves most of the error.
+    """
+    at_bound = any(
+        entry["name"] == "gravity" and any(p["at_bound"] for p in entry["params"].values())
+        for entry in document["effects"]
+    )
+    left = document["verdict"] == "partly_explained" and "orientation" in str(document["unexplained"]["predicted_by"])
+    weights = {"gravity", "payload"} & {*(e["name"] for e in document["effects"]), *document["made_from"]["demoted"]}
+    error = document["error"]
+    after = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
+    poor = bool(weights) and after > POOR * error["model"] and document["unexplained"]["chi2_per_n"] > MUCH
+    return at_bound or left or poor
+
+
+def wrong_sign(record: Record, error: float, again: Callable[[Sequence[Run]], float]) -> str | None:
+    """Say so where gravity of other signs leaves a smaller held-out error than the one that is declared.
+
+    Args:
+        record: what was diagnosed. error: what it leaves, mm RMS held out. again: what a search leaves on other runs.
+    """
+    runs = [part.run for part in getattr(record, "parts", [record])]
+    if record.replay is not None or any(run.gravity is None for run in runs):
+        return None
+    first = {s: _left(record, [_turned(_thin(run), s) for run in runs]) for s in SIGNS}
+    close = sorted((s for s in SIGNS if first[s] <= CLOSE * min(first.values())), key=lambda s: first[s])[:2]
+    found = {s: again([_turned(run, s) for run in runs]) for s in close}
+    signs, other = min(found.items(), key=lambda pair: pair[1])
+    if not other < WORSE * error:
+        return None
+    axes = [name for name, sign in zip("xyz", signs) if sign < 0]
+    which = "upside down" if len(axes) == 3 else f"with the wrong sign of its {' and '.join(axes)}"
+    return (
+        f"The measurement is at fault: `gravity` is declared {which}. So turned, what would be found leaves "
+        f"{other:.2f} mm RMS instead of {error:.2f} mm (both held out). No effect is named: give the direction in "
+        "which things fall, in the base frame, and diagnose again."
+    )
+
+
+def _turned(run: Run, signs: Sequence[float]) -> Run:
+    return replace(run, gravity=np.asarray(run.gravity, float) * np.array(signs))
+
+
+def _thin(run: Run) -> Run:
+    return run.at(np.unique(np.linspace(0, run.frames - 1, min(run.frames, FRAMES)).astype(int)))
+
+
+def _left(record: Record, runs: list[Run]) -> float:
+    """Return what a model leaves of runs, mm RMS, with whatever weight at the tip."""
+    other = record_of(record.model, runs, record.library)
+    own, names = record.model.chain_names, tuple(dict.fromkeys((*record.model.chain_names, "payload")))
+    off = other.seen - other.predict(own, other.own()[None])[0]
+    layout = other.layout(names)
+    params = dict(zip(layout.labels, layout.start)) | dict(zip(other.layout(own).labels, map(float, other.own())))
+    moved = other.seen - other.predict(names, layout.values(params)[None])[0]
+    shift = np.nan_to_num(off - moved)
+    share = max(0.0, float(np.sum(np.nan_to_num(off) * shift)) / max(float(np.sum(shift**2)), 1e-12))
+    return other.rms_mm(off - share * (off - moved))
