@@ -239,13 +239,13 @@ LAWS = {
 
 @pytest.mark.parametrize("name", LAWS)
 def test_what_no_effect_explains_is_no_effect(name):
-    """A static law is named where the library has it; without it, what takes its place must win in mm, or go."""
+    """A static law is named where the library has it; without it, what takes its place wins in mm, and not for sure."""
     run = finger_run(acting=LAWS[name])
     whole = diagnose(builtin_model(), run)
     assert whole.verdict == "identified" and named(whole) == {name}
     rest = [e["name"] for e in _core.effects() if e["name"] != name]
     found = diagnose(builtin_model(), run, effects=rest)
-    assert found.verdict == "ambiguous" and found.rivals  # never identified: thirty others stand in its place
+    assert found.verdict in ("ambiguous", "partly_explained") and found.rivals  # thirty others stand in its place
     assert "the true value lies beyond, or another effect acts" in found.sentence
     values = [found.error["model"]] + [step["value"] for step in found.error["ladder"]]
     assert values[-1] == min(values)

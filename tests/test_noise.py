@@ -35,6 +35,17 @@ def test_replicates_give_the_noise_and_not_the_drift():
     assert noise.inflation == 1.0
 
 
+def test_what_is_hidden_at_times_is_no_noise():
+    """A model that is 5 mm wrong at a marker has no noise of 5 mm where the marker is hidden now and then."""
+    rng = np.random.default_rng(5)
+    residual, t, visit = dwells(rng, np.full(F, 0.2), drift=0.0)
+    residual += 5.0
+    residual[rng.random(residual.shape) < 0.1] = np.nan
+    for still in (visit, np.full(len(visit), -1)):
+        found = np.sqrt(np.mean(np.diag(estimate_noise(residual, t, still).covariance)))
+        assert found == pytest.approx(0.2, rel=0.15)
+
+
 def test_correlation_in_time_inflates():
     rng = np.random.default_rng(2)
     white = rng.normal(size=(400, F)) * 0.1

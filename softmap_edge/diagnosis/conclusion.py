@@ -36,7 +36,9 @@ from softmap_edge.own_effect import hashes
 
 Floats = NDArray[np.float64]
 
-TEMPERATURE = 4.0  # of the probabilities: forms of the library are never exact; not yet fitted on a bank
+# Of the probabilities, fitted on development seeds of the bank (docs/bank.md): where forms are not exact one of so many
+# whitened numbers speaks for itself; odds of an open rival against what is named.
+TEMPERATURE, RIVAL = 200.0, 0.5
 UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "cannot tell"
 
 
@@ -144,11 +146,13 @@ def _entries(
     if larger is not None:  # where another may act too, numbers are no surer than what it would make of them
         mine, theirs = fit.space.values(fit.x), larger.params
         sigma = np.hypot(sigma, mine - [theirs[label] for label in fit.space.free_labels()])
-    probability = search.probabilities(fit, TEMPERATURE)
+    weights_of_sets = search.weights(fit, TEMPERATURE)
     entries = []
     for name in order:
         total = sum(weights[e] for e in order if (e in search.faults) == (name in search.faults))
-        open_rivals = sum(1 for r in rivals if r["member"] == name)
+        open_rivals = [r for r in rivals if r["member"] == name]
+        place = {name}.union(*(set(r["effects"]) - set(fit.effects) for r in open_rivals))  # who may stand there
+        there = min(1.0, sum(weight for effects, weight in weights_of_sets.items() if effects & place))
         held = None
         if other is not None:
             held = other.rms_mm(_shift_on(fit, other, name))
@@ -157,7 +161,7 @@ def _entries(
                 "name": name,
                 "family": registry[name]["family"],
                 "stage": registry[name]["stage"],
-                "probability": min(probability[name], 1.0 / (1 + open_rivals)),
+                "probability": there / (1.0 + RIVAL * len(open_rivals)),
                 "share": weights[name] / max(total, 1e-300),
                 "displacement_mm": {"fitted": record.rms_mm(search.displacement(fit, name)), "held_out": held},
                 "params": parameters(record, fit, sigma, (name,)),

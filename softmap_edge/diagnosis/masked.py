@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.evidence import LEFT_FORM, Untestable, experiment
+from softmap_edge.diagnosis.evidence import Untestable, experiment
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.noise import form_covariance
 from softmap_edge.diagnosis.record import Record
@@ -27,6 +27,7 @@ from softmap_edge.diagnosis.search import VISIBLE_MM, Search
 
 Floats = NDArray[np.float64]
 
+OWN = 1.5  # times the model's own error that a residual must be to hide anything
 HIDES = 0.6  # of the residual's mean square: an effect that explains less is another
 LOOKED_AT = 8  # effects that are fitted to the residual, of those that screening finds best
 AGAINST = 9.0  # of the objective over the over-dispersion: three standard deviations
@@ -82,7 +83,7 @@ def masked(search: Search, fit: Fit) -> Masked | None:
     left = min((record.static, record.static - shift), key=record.rms_mm)
     size, without = record.rms_mm(record.static), record.rms_mm(record.seen - search.null.predicted)
     with_mm = record.rms_mm(record.seen - search.null.predicted - record.static)
-    own = max(VISIBLE_MM, LEFT_FORM * record.form_mm)  # whatever the noise of this run: it was learned from another
+    own = max(VISIBLE_MM, OWN * record.form_mm)  # whatever the noise of this run: it was learned from another
     may_be = _may_be(search, fit, left) if record.rms_mm(left) > own and with_mm < without else []
     return Masked(size, record.rms_mm(left), with_mm, without, tuple(may_be), own)
 

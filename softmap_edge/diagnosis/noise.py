@@ -59,17 +59,18 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
     Returns:
         Noise: from replicates where they give at least 15 degrees of freedom, else from second differences in time.
     """
-    clean = np.where(np.isfinite(residual), residual, 0.0)
     blocks = [np.flatnonzero(visit == v) for v in np.unique(visit) if v >= 0]
-    scatter, degrees, lag = np.zeros((clean.shape[1],) * 2), 0, [0.0, 0.0]
+    scatter, degrees, lag = np.zeros((residual.shape[1],) * 2), 0, [0.0, 0.0]
+    shown = np.maximum(np.isfinite(residual[visit >= 0]).mean(axis=0), 1e-3) if np.any(visit >= 0) else np.ones(0)
     for frames in blocks:
         if len(frames) < 4:
             continue
+        here = _filled(residual[frames])
         # Quadratic in time: creep within a dwell is not noise.
         tau = np.linspace(-1.0, 1.0, len(frames))
         order = 2 if len(frames) >= 6 else 1
         basis, _ = np.linalg.qr(np.vander(tau, order + 1))
-        rest = clean[frames] - basis @ (basis.T @ clean[frames])
+        rest = np.where(np.isfinite(residual[frames]), here - basis @ (basis.T @ here), 0.0)
         scatter += rest.T @ rest
         degrees += len(frames) - order - 1
         lag[0] += float(np.sum(rest[1:] * rest[:-1])) + float(np.sum(rest**2)) * (order + 1) / len(frames)
@@ -77,8 +78,21 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
     if degrees >= ENOUGH:
         rho = float(np.clip(lag[0] / max(lag[1], 1e-300), 0.0, 0.95))
         inflation = (1 + rho) / (1 - rho) if rho > 0.15 else 1.0
+        scatter = scatter / np.sqrt(np.outer(shown, shown))
         return Noise(_shrunk(scatter / degrees, degrees), f"replicates ({degrees} degrees of freedom)", inflation)
-    return Noise(_high_frequency(clean, t_seen), "high-frequency part of the run (no replicates)", 1.0)
+    return Noise(_high_frequency(_filled(residual), t_seen), "high-frequency part of the run (no replicates)", 1.0)
+
+
+def _filled(residual: Floats) -> Floats:
+    """Return residuals (K, F) with what was not seen between what was seen before and after: no jump.
+
+    A marker that is hidden now and then would else be as noisy as the model is wrong there.
+    """
+    out, frames = np.zeros_like(residual), np.arange(len(residual))
+    for column, filled in zip(residual.T, out.T):
+        seen = np.isfinite(column)
+        filled[:] = np.interp(frames, frames[seen], column[seen]) if seen.any() else 0.0
+    return out
 
 
 def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats) -> Noise:

@@ -27,13 +27,14 @@ RIVALS = 5  # other candidates that are fitted in the place of a member
 STAGES = ("command", "transmission", "material", "shape", "sensing")
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
 VISIBLE_MM = 0.12  # least RMS displacement of the centreline
-SHARE = 0.03  # least share of the explained misfit: forms off by a sixth leave so much, and that is nobody's effect
+SHARE = 0.045  # least share of the explained misfit: forms off by a fifth leave so much, and that is nobody's effect
 PROMISING = 0.03  # least share of the misfit that a larger set must win for the search to go on without a valid one
 WIDE = 4.0  # times what the best set leaves: one that leaves more is not grown
 HOPEFUL = 0.5  # of what a further member must carry: what is predicted to win less than this is not fitted
 FORM_TOLERANCE = 0.2  # of what the strongest other member moves: no form of the library is truer than that
 EQUAL = 6.0  # difference of EBIC (odds of 20) below which two sets of the same size count as equally good
 ALIKE = 1.02  # of the held-out error: effects of one form differ by less
+SIMPLER = 0.9  # of the held-out error in mm: fewer effects that reach it stand for more that the objective likes better
 RIVAL_SE, RIVAL_SHARE = 2.0, 0.6  # standard errors within which a rival stands; least share of the rivalled fall
 RIVAL_WORSE = 1.0  # a rival whose held-out error in mm is twice as large is none, whatever its folds say
 
@@ -194,8 +195,10 @@ class Search:
         return self.get(frozenset(fit.effects) & self.faults)
 
     def valid(self, fit: Fit) -> bool:
-        """Whether every member of a set is accepted."""
-        return all(self.judge(fit, e).accepted for e in fit.effects)
+        """Whether every member of a set is accepted, and all of them together move the body as far as one must."""
+        shift = fit.predicted - self.null.predicted
+        together = not fit.effects or self.problem.record.rms_mm(shift) >= self._least_mm(shift)
+        return together and all(self.judge(fit, e).accepted for e in fit.effects)
 
     # --- search ---------------------------------------------------------------------------------
 
@@ -223,7 +226,21 @@ class Search:
                 break
             if frozenset(chosen.effects) not in {frozenset(b.effects) for b in beam}:
                 beam = [chosen, beam[0]]
-        return chosen
+        return self._undominated(chosen)
+
+    def _undominated(self, fit: Fit) -> Fit:
+        """Return the valid set of fewer effects that comes nearest on held-out blocks, if it comes nearer than `fit`.
+
+        The objective forgives static misfit that form error could be, and counts a wrong form of memory frame by frame:
+        two effects that leave twice as many mm can have the lower one. What is simpler and nearer is the better answer.
+        """
+        record, best = self.problem.record, SIMPLER * self.held_out_mm(fit)
+        fewer = [other for other in self._fits.values() if 0 < len(other.effects) < len(fit.effects)]
+        for other in fewer:
+            if record.rms_mm(record.seen - other.predicted) < best and self.valid(other):
+                mm = self.held_out_mm(other)
+                fit, best = (other, mm) if mm < best else (fit, best)
+        return fit
 
     def _beam(self, children: list[Fit]) -> list[Fit]:
         """Return the best of `children`; beside a valid first none that leaves WIDE times as much beyond noise."""
@@ -349,14 +366,13 @@ class Search:
     def _behind(self, other: Fit, mine: tuple[Floats, Floats, Floats]) -> float:
         return max(_standard_errors(self.cv(other)[i], mine[i]) for i in (0, 1))
 
-    def probabilities(self, fit: Fit, temperature: float) -> dict[str, float]:
-        """Return the probability of each candidate: softmax of -½ΔJ/(φT) over the sets that were tried."""
+    def weights(self, fit: Fit, temperature: float) -> dict[frozenset[str], float]:
+        """Return how probable the sets are that were tried, none larger than `fit`: softmax of -½ΔJ/(φT)."""
+        rivals = {key: f for key, f in self._fits.items() if len(key) <= len(fit.effects)}
         dispersion = self.dispersion(fit) * temperature
-        keys = list(self._fits)
-        scores = np.array([self._fits[k].cost / dispersion + self.penalty(self._fits[k]) / temperature for k in keys])
+        scores = np.array([f.cost / dispersion + self.penalty(f) / temperature for f in rivals.values()])
         weight = np.exp(-0.5 * (scores - scores.min()))
-        weight /= weight.sum()
-        return {e: float(sum(w for k, w in zip(keys, weight) if e in k)) for e in self.candidates}
+        return dict(zip(rivals, map(float, weight / weight.sum())))
 
 
 def _standard_errors(theirs: Floats, mine: Floats) -> float:

@@ -1,0 +1,79 @@
+"""What a finished search is worth: which set stands, what may be left of it, how sure a name is."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from softmap_edge.bundle import builtin_model
+from softmap_edge.diagnosis.conclusion import RIVAL, TEMPERATURE
+from softmap_edge.diagnosis.diagnose import _problem, diagnose
+from softmap_edge.diagnosis.evidence import FORMS, LEFT, allowed, leftover
+from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.search import SHARE, SIMPLER, Search
+from softmap_edge.protocol import standard_protocol
+from softmap_edge.run import Run
+
+FEW = ["gain", "latency", "clock_shift", "backlash", "creep", "mount"]
+
+
+def searched(acting, effects=FEW, noise=0.25):
+    """A search, not yet run, on a run of the built-in finger on which another command acts."""
+    shown, model = standard_protocol(2), builtin_model()
+    rest = np.broadcast_to(model.rest, (shown.frames, *model.rest.shape))
+    run = Run(shown.t, shown.command, shown.t_seen, vertices=rest, gravity=shown.gravity, robot=model.robot)
+    points = model.predict(Run(shown.t, acting(shown.command), shown.t_seen, vertices=rest, gravity=shown.gravity))
+    points = points + noise * np.random.default_rng(0).normal(size=points.shape)
+    run = Run(shown.t, shown.command, shown.t_seen, vertices=points, gravity=shown.gravity, robot=model.robot)
+    return Search(_problem(Record(model, run), effects), effects), run
+
+
+def test_what_is_left_is_measured_against_the_form_of_what_is_found():
+    """The same leftover is a claim beside nothing, and none beside an effect that explains ten times as much."""
+    search, _ = searched(lambda u: 1.12 * u + 0.25 * np.sin(1.7 * u))
+    found = search.get(("gain",))
+    assert allowed(search, search.null) == pytest.approx(search.problem.record.form_mm)
+    moved = search.problem.record.rms_mm(search.displacement(found, "gain"))
+    expected = np.hypot(search.problem.record.form_mm, FORMS["channel"] * moved)
+    assert allowed(search, found) == pytest.approx(expected, rel=0.02)
+    left = leftover(search, found)
+    assert not left.claim and left.rms_mm > LEFT * search.problem.record.form_mm
+    assert leftover(search, search.null).claim
+
+
+def test_what_nobody_explains_is_claimed():
+    search, _ = searched(lambda u: u + 1.2 * np.sin(1.5 * u[:, ::-1]), ["gain", "backlash"])
+    assert leftover(search, search.run()).claim
+
+
+def test_fewer_effects_that_come_nearer_stand_for_more():
+    """The objective may like two effects better that leave more mm than one alone; nobody else would."""
+
+    def fit(*effects, left):
+        return SimpleNamespace(effects=effects, predicted=np.full((4, 3), left))
+
+    search = object.__new__(Search)
+    record = SimpleNamespace(seen=np.zeros((4, 3)), rms_mm=lambda d: float(np.abs(d).mean()))
+    search.problem = SimpleNamespace(record=record)
+    search.held_out_mm = lambda f: float(np.abs(f.predicted).mean())
+    search.valid = lambda f: f.effects != ("creep",)
+    pair, one = fit("mount", "gravity", left=0.6), fit("offset", left=0.3)
+    others = [fit(left=0.9), fit("creep", left=0.1), fit("gain", left=0.59), fit("mount", "offset", left=0.2)]
+    search._fits = {frozenset(f.effects): f for f in [pair, one, *others]}
+    assert search._undominated(pair) is one  # nothing invalid, nothing as large, and never nothing at all
+    assert search._undominated(one) is one
+    del search._fits[frozenset(("offset",))]
+    assert SIMPLER * 0.6 < 0.59 and search._undominated(pair) is pair  # hardly nearer is no reason
+
+
+def test_a_name_is_as_sure_as_what_could_stand_in_its_place():
+    """A delay of the command and a late camera are one answer to one question, whichever fits better."""
+    late = lambda u: np.concatenate([np.tile(u[:1], (8, 1)), u])[: len(u)]  # noqa: E731
+    found = diagnose(builtin_model(), searched(late)[1], effects=FEW)
+    assert [e["name"] for e in found.effects] == ["latency"] and found.rivals[0]["effects"] == ["clock_shift"]
+    assert found.effects[0]["probability"] == pytest.approx(1 / (1 + RIVAL), abs=0.02)
+    assert found.made_from["temperature"] == TEMPERATURE
+
+
+def test_a_form_that_is_off_by_a_fifth_needs_no_second_effect():
+    assert 0.2**2 < SHARE < 0.25**2
