@@ -15,8 +15,9 @@ from test_diagnosis import finger_run
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.sound import sound
+from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.npz import write_npz
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.protocol import Limits, standard_protocol
 from softmap_edge.run import Run
 from softmap_edge.truth import hide
 
@@ -115,6 +116,11 @@ REFUSED = {
     "gravity in m/s²": (scaled("gravity", 9.81), "divide it by its length"),
     "points in another order": (shuffled(1), "the points are in another order"),
     "mirrored": (scaled("vertices", [-1.0, 1.0, 1.0]), "the points are mirrored"),
+    "a frame 12 mm away": (lambda f: f | {"vertices": f["vertices"] + [0, 0, 12.0]}, "frame of reference is 12 mm off"),
+    "a frame 30 mm aside": (
+        lambda f: f | {"vertices": f["vertices"] + [30.0, 0, 0]},
+        "frame of reference is 30 mm off",
+    ),
     "in the frame of a camera": (lambda f: f | {"vertices": f["vertices"] + [0, 0, 900.0]}, "`softmap align`"),
     "clouds": (
         lambda f: (
@@ -260,9 +266,29 @@ def test_a_swapped_servo_is_still_a_fault_that_is_found(tmp_path, capsys):
     assert document["verdict"] == "measurement_fault" and [f["name"] for f in document["faults"]] == ["servo_swap"]
 
 
-def test_a_clipped_log_of_commands_is_said(tmp_path, capsys):
-    _, document, _ = diagnosed(written(tmp_path, command(lambda u: np.clip(u, -6, 6)), False), capsys)
+@pytest.mark.parametrize("end", [6.0, 8.4])
+def test_a_clipped_log_of_commands_is_a_doubt_about_what_is_named(end, tmp_path, capsys):
+    _, document, _ = diagnosed(written(tmp_path, command(lambda u: np.clip(u, -end, end)), False), capsys)
     assert any("the log may be clipped there" in remark for remark in document["remarks"])
+    assert f"commands are logged at exactly {-end:g} mm" in document["sentence"]
+    assert document["verdict"] != "identified"
+
+
+HELD_LONG = ["levels of both signs", "staircase with long dwells", "a long dwell"]
+SLOW = {"creep": {"creep.strength": 0.4, "creep.tau": 8.0}, "lag": {"lag.tau": 1.0}, "hysteresis": {
+    "hysteresis.strength": 0.4, "hysteresis.reach": 6.0}, "gain": {"gain.factor[0]": 0.3}}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SLOW)
+def test_a_command_that_is_really_held_at_its_extreme_is_not_called_clipped(name):
+    model = builtin_model()
+    made = plan(chosen(HELD_LONG), Limits.of(model.command_range))
+    run = Run(t=made.t, command=made.command, t_seen=made.t_seen, gravity=made.gravity, command_unit="mm",
+              vertices=np.repeat(model.rest[None], made.frames, axis=0))  # fmt: skip
+    seen = model.with_effects((name,), SLOW[name]).predict(run)
+    ends = np.abs(made.command) >= np.abs(made.command).max(axis=0) - 1e-9
+    assert np.mean(ends[np.searchsorted(run.t, run.t_seen) - 1].any(axis=1)) > 0.1
+    assert sound(model, replace(run, vertices=seen)).doubts == ()
 
 
 def test_gravity_upside_down_is_refused(tmp_path, capsys):

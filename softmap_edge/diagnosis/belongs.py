@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge import _core
 from softmap_edge.alignment.rigid import kabsch, rotation_vector
+from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.errors import RunError
 from softmap_edge.logs.plausible import doubts_of_time
 
@@ -34,6 +36,8 @@ NO_LOAD = 0.5  # g: a heaviest load below this was meant in kg
 OUT_OF_REACH = 3.0  # lengths of the body that no prediction may leave the base by
 SPACING = 2.0  # by which neighbouring points may come closer or part: silicone does not stretch so far
 TURNED, SHIFTED = 60.0, 0.5  # deg and body lengths: a heavy load turns the markers of a soft body by half as much
+CLAMPED = 0.15  # of the body's length from its base: there only the frame of reference moves points
+FAR, STEADY = 1.5, 3.0  # times what is fitted as a mount, and the scatter over frames, by which such a frame is off
 BETTER = 0.5  # of the distance between seen and predicted that such a move must leave at most
 LARGER = 4.0  # times as far as the commands say, or as little: no gain is that wrong
 ALIKE = 0.8  # share of the motion that is followed where a cause is named
@@ -42,7 +46,10 @@ FOLLOWED = 0.6  # share of the motion below which a run is not one of these comm
 MENDED = 0.3  # of the error that gravity the other way round must leave at most
 LATE = 2.0  # s: a delay up to here is asked of the effects
 TIMES = 1000  # at which a shift of the clocks is tried
-HELD = 0.05  # of the frames at an extreme command before it is asked whether the log was clipped there
+HELD, END, LEAST_HELD = 0.05, 0.02, 4  # of the frames at extreme commands, and at one of them, that may be clipped
+STEP = 0.02  # of the range of a command over which slopes are taken
+GOES_ON = 0.05  # of the range, standard deviation, by which a clipped command goes on
+AS_FAST = 0.4  # of that variance that is left at most where a command goes on as fast as it came
 
 
 def declared(model: Model, run: Run) -> list[str]:
@@ -71,7 +78,7 @@ def declared(model: Model, run: Run) -> list[str]:
 
 
 def belongs(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floats) -> list[str]:
-    """Refuse a run that cannot be one of this robot under these commands; return remarks on one that may be.
+    """Refuse a run that cannot be one of this robot under these commands; return doubts about one that may be.
 
     Args:
         model, run: as for `sound`. seen, predicted: points (K, N, 3) mm. visible: (K, N).
@@ -101,7 +108,7 @@ def belongs(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floa
         )
     if follows(s - p, s, v) < FOLLOWED:
         _other_cause(model, run, s, v)
-    return _held(model, run, seen - predicted, visible, length)
+    return _held(model, run, seen - predicted, visible)
 
 
 def follows(left: Floats, seen: Floats, visible: Mask) -> float:
@@ -178,6 +185,7 @@ def _in_place(model: Model, rest: Floats, seen: Floats, visible: Mask, predicted
                 f"{100 * turned:.0f} % of its size, a mirror does to {100 * mirrored:.0f} %; the axes of their frame "
                 "are left-handed, so turn one axis round in the mapping"
             )
+    _at_the_clamp(model, rest, seen, visible, predicted)
     flat = (seen[visible], predicted[visible])
     pose = kabsch(flat[1], flat[0], np.ones(len(flat[0])))
     before, after = (float(np.sqrt(np.mean(np.sum((q - flat[0]) ** 2, axis=1)))) for q in (flat[1], pose(flat[1])))
@@ -186,6 +194,26 @@ def _in_place(model: Model, rest: Floats, seen: Floats, visible: Mask, predicted
         raise RunError(
             f"the points are turned by {angle:.3g}° and shifted by {shift:.4g} mm against the base of '{model.robot}', "
             f"which takes their distance from {before:.3g} to {after:.3g} mm RMS; bring them to the base with "
+            "`softmap align`"
+        )
+
+
+def _at_the_clamp(model: Model, rest: Floats, seen: Floats, visible: Mask, predicted: Floats) -> None:
+    """Where the body is held nothing moves it: points that stand elsewhere there are in another frame of reference."""
+    length = float(np.linalg.norm(model.rest, axis=1).max())
+    there = visible & (np.linalg.norm(rest, axis=1) <= CLAMPED * length)
+    frames = there.any(axis=1)
+    if not frames.any():
+        return
+    off = np.where(there[..., None], seen - predicted, 0.0).sum(axis=1)[frames] / there.sum(axis=1)[frames][:, None]
+    shift, noise = float(np.linalg.norm(off.mean(axis=0))), float(np.linalg.norm(off.std(axis=0)))
+    mount = next(e for e in _core.effects() if e["name"] == "mount")
+    fitted = max(p["high"] for p in mount["parameters"] if p["unit"] == "mm")
+    if shift > max(FAR * fitted, CLAMPED / 2 * length) and shift > STEADY * noise:
+        where = ", ".join(f"{x:.3g}" for x in off.mean(axis=0))
+        raise RunError(
+            f"this run's frame of reference is {shift:.3g} mm off: where '{model.robot}' is held its points stand at "
+            f"({where}) mm from their place; up to {fitted:g} mm is fitted as `mount`, so bring them to the base with "
             "`softmap align`"
         )
 
@@ -251,29 +279,62 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
     return best
 
 
-def _held(model: Model, run: Run, left: Floats, visible: Mask, length: float) -> list[str]:
-    """Say where a command is logged at its extreme while the body goes on moving: the log may be clipped."""
+def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
+    """Say where a command is logged at its extreme while the body goes on as if it were not: the log may be clipped.
+
+    What is left there, along the slope of the points over this command, is by how much the command went on. An effect
+    leaves the same whenever a command is held, or goes with the time that it is held for. A clipped one goes on by more
+    or less each time, or as far as it gets at the speed at which it came and went.
+    """
     u = model.commands(run)
+    dwell = conditions(run, u).dwell
     at = np.stack([np.interp(run.t_seen, run.t, row) for row in u.T], axis=1)
-    ends = np.stack([u.min(axis=0), u.max(axis=0)], axis=1)  # (C, 2)
-    held = np.abs(at[:, :, None] - ends) <= 1e-9 * np.maximum(np.ptp(u, axis=0), 1e-12)[:, None]  # (K, C, 2)
-    free = ~held.any(axis=(1, 2))
-    if not free.any():
-        return []
-    limit = max(1.5 * spread(left[free], visible[free]), 0.5 * MOTION * length)
-    found, frames, most = [], np.zeros(len(at), bool), 0.0
-    for c, end in np.ndindex(ends.shape):
-        rows = held[:, c, end]
-        moved = spread(left[rows], visible[rows])
-        if rows.sum() >= HELD * len(at) and moved > limit:
-            found.append(f"{ends[c, end]:.4g} {model.command_unit} on channel {c}")
-            frames, most = frames | rows, max(most, moved)
-    if not found:
+    span = np.ptp(u, axis=0)
+    found, frames, furthest = [], np.zeros(len(at), bool), 0.0
+    for c, sign in [(int(c), sign) for c in np.flatnonzero(span > 0) for sign in (-1.0, 1.0)]:
+        end, near = float(np.max(sign * u[:, c])), 1e-9 * span[c]
+        rows = np.flatnonzero(np.abs(sign * at[:, c] - end) <= near)
+        if len(rows) < max(LEAST_HELD, END * len(at)):
+            continue
+        on = _goes_on(model, run.at(rows), left[rows], visible[rows], c, sign * STEP * span[c]) * STEP
+        late = np.stack([np.ones(len(rows)), np.log1p(dwell[rows])], axis=1)
+        varied = np.std(on - late @ np.linalg.lstsq(late, on, rcond=None)[0])
+        free = np.abs(sign * u[:, c] - end) > near
+        wave = np.minimum(_further(run.t, sign * u[:, c], free, run.t_seen[rows]) / span[c], on.max())
+        if varied > GOES_ON or (np.std(on) > GOES_ON / 2 and np.var(on - wave) < AS_FAST * np.var(on)):
+            found.append(f"{sign * end:.4g} {model.command_unit} on channel {c}")
+            frames[rows], furthest = True, max(furthest, float(on.max() * span[c]))
+    count = int(frames.sum())
+    if count < HELD * len(at):
         return []
     return [
-        f"commands are logged at exactly {', '.join(found)} in {int(frames.sum())} of {len(at)} frames, in which the "
-        f"body moves by {most:.2g} mm RMS that they do not explain: the log may be clipped there; log what is sent"
+        f"commands are logged at exactly {', '.join(found)} in {count} of {len(at)} frames, in which the body moves as "
+        f"if they went on by up to {furthest:.2g} {model.command_unit}: the log may be clipped there; log what is sent"
     ]
+
+
+def _further(t: Floats, u: Floats, free: Mask, seen: Floats) -> Floats:
+    """Return how far a command (T,) gets beyond the end at which it is held, at the times `seen` (K,).
+
+    At the speed at which it came early in the hold, at that at which it left late in it; where it turned is not known.
+    """
+    speed = np.abs(np.gradient(u, t))
+    ones = np.flatnonzero(free)
+    after = np.searchsorted(t[ones], seen)
+    came, left = ones[np.maximum(after - 1, 0)], ones[np.minimum(after, len(ones) - 1)]
+    early = speed[np.maximum(came - 1, 0)] * np.abs(seen - t[came])
+    late = speed[np.minimum(left + 1, len(t) - 1)] * np.abs(t[left] - seen)
+    return np.asarray(np.minimum(early, late))
+
+
+def _goes_on(model: Model, run: Run, left: Floats, visible: Mask, channel: int, step: float) -> Floats:
+    """Return by how many steps (K,) a command must have gone on for what is `left` (K, N, 3) mm."""
+    moved = np.zeros(model.channels)
+    moved[channel] = step
+    back = {n: getattr(run, n) - moved for n in ("command", "present") if getattr(run, n) is not None}
+    slope = np.where(visible[..., None], model.predict(run) - model.predict(replace(run, **back)), 0.0)
+    along = np.sum(slope * np.where(visible[..., None], left, 0.0), axis=(1, 2))
+    return np.asarray(along / np.maximum(np.sum(slope**2, axis=(1, 2)), 1e-12))
 
 
 def spread(left: Floats, visible: Mask) -> float:

@@ -102,7 +102,7 @@ def conclude(
     faults = [e for e in entries if registry[e["name"]]["kind"] == "fault"]
     physics = [e for e in entries if registry[e["name"]]["kind"] != "fault"]
     error = _error(search, order, other)
-    doubts = [*([str(own)] if own else []), *([shared[1]] if shared else []), *_at_bounds(entries)]
+    doubts = [*([str(own)] if own else []), *([shared[1]] if shared else []), *_at_bounds(entries), *record.doubts]
     unsure = any(registry[e]["kind"] != "fault" for r in rivals for e in r["effects"])  # a fault that may be physics
     count = len(search.candidates) + len(impossible)
     unknown = left.claim and (shared is None or leftover(search, shared[0]).claim)

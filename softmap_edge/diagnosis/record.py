@@ -68,6 +68,7 @@ class Record:
     seen: Floats  # (K, F) mm
     form_error: Floats  # (V, 3) mm
     _leaning: Floats  # (K, d)
+    doubts: tuple[str, ...] = ()  # about the runs, sentences without a stop, which go with any verdict
     static: Floats | None = None  # (K, F) mm, what the model's residual is here: it is taken out, `model` is without it
 
     def __init__(self, model: Any, run: Run, library: Any = None, reference: Run | Sequence[Run] | None = None) -> None:

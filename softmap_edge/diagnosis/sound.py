@@ -55,6 +55,7 @@ class Sound:
 
     run: Run
     remarks: tuple[str, ...]
+    doubts: tuple[str, ...] = ()  # those of the remarks without which no effect can be believed
 
 
 def sound(model: Model, run: Run) -> Sound:
@@ -88,7 +89,8 @@ def sound(model: Model, run: Run) -> Sound:
     part = run if keep.all() else run.at(keep)
     seen, visible = seen[keep], visible[keep]
     predicted = np.asarray(model.predict(part), float)
-    remarks += belongs(model, part, seen, visible, predicted)
+    doubts = belongs(model, part, seen, visible, predicted)
+    remarks += doubts
     shown = visible.copy()
     length = float(np.linalg.norm(model.rest, axis=1).max())
     for points, text in _points(seen, visible, predicted, length):
@@ -100,7 +102,9 @@ def sound(model: Model, run: Run) -> Sound:
             f"{never} of {visible.shape[1]} points are never seen: what acts there only is not tested; "
             "turn a camera to them, or add one"
         )
-    return Sound(part if bool((shown == visible).all()) else replace(part, visible=shown), tuple(remarks))
+    return Sound(
+        part if bool((shown == visible).all()) else replace(part, visible=shown), tuple(remarks), tuple(doubts)
+    )
 
 
 def sound_record(
@@ -121,6 +125,7 @@ def sound_record(
     several = reference if isinstance(reference, Sequence) else [] if reference is None else [reference]
     record = record_of(model, [p.run for p in parts], None, [sound(model, one).run for one in several] or None)
     record.whole = tuple(given)
+    record.doubts = tuple(dict.fromkeys(text for p in parts for text in p.doubts))
     told = [(f"run {i}: " if len(parts) > 1 else "") + text for i, p in enumerate(parts, 1) for text in p.remarks]
     return record, told
 
