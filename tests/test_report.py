@@ -13,11 +13,13 @@ import pytest
 from test_compare import lean, triangle
 
 from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.diagnosis.conclusion import OwnMisfit, _sentence
+from softmap_edge.diagnosis.evidence import Leftover
 from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import ReportError
 from softmap_edge.report.html import write_html
 from softmap_edge.report.numbers import bar, fall, tamed
-from softmap_edge.report.text import diagnosis_text, pair_text, parameter
+from softmap_edge.report.text import VERDICTS, diagnosis_text, pair_text, parameter
 
 DIAGNOSIS = {
     "schema": "softmap.diagnosis/1",
@@ -138,7 +140,7 @@ def test_diagnosis_says_everything_it_knows():
 
 def test_what_is_not_known_is_not_printed():
     text = diagnosis_text(DIAGNOSIS | {"error": DIAGNOSIS["error"] | {"noise_floor": None}})
-    assert "moves the body by 1.82 mm RMS (fitted)\n" in text and "–" not in text
+    assert "moves the body by 1.82 mm RMS (fitted) backlash" in " ".join(text.split()) and "–" not in text
     assert "noise floor" not in text and "own held-out error 0.190 mm" in text
     moved = copy.deepcopy(DIAGNOSIS)
     moved["effects"][0]["displacement_mm"]["held_out"] = 1.5
@@ -359,3 +361,21 @@ def test_sheet_draws_poses_and_commands(pair, channels):
     picture = sheet(drawn)
     assert picture.startswith(b"\x89PNG") and picture == sheet(drawn)
     assert picture != sheet(replace(drawn, before=drawn.before * 1.5))
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+@pytest.mark.parametrize("named", [True, False])
+def test_every_error_in_a_sentence_says_rms_and_fitted_or_held_out(verdict, named):
+    physics = [{"name": "backlash"}] if named else []
+    error = {"model": 3.18, "ladder": [{"value": 0.38}], "held_out_on": "blocks of this run"}
+    left = Leftover(rms_mm=0.4, chi2_per_n=1.9, blocked_r2=0.5, predicted_by="speed", claim=True)
+    told = _sentence(verdict, physics, [], [], left, [], error, []) + f" {OwnMisfit(('gain',), 2.0, 1.0)}."
+    assert not re.findall(r"\d mm(?! RMS)", told)
+    assert all("fitted" in part or "held" in part for part in re.split(r"[;:.] ", told) if "mm RMS" in part), told
+
+
+def test_every_error_of_a_report_says_rms_and_fitted_or_held_out():
+    lines = diagnosis_text(DIAGNOSIS | {"sentence": ""}).splitlines()
+    named = [line for line in lines if re.search(r"\d mm", line) and "±" not in line]
+    assert len(named) >= 3 and all("RMS" in line for line in named), named
+    assert "probability 97 % (fitted)" in diagnosis_text(DIAGNOSIS)

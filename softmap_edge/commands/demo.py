@@ -90,7 +90,8 @@ def trial(model: Model, truth: Truth, say: Callable[[str], None] = lambda text: 
     run = truth.measure(protocol)
     fitted = compare(model, run)
     say(
-        f"  The model is off by {fitted.error['rms_mm']:.2f} mm RMS, at the tip by {fitted.error['tip_rms_mm']:.2f} mm."
+        f"  The model is off by {fitted.error['rms_mm']:.2f} mm RMS (nothing fitted), at the tip by "
+        f"{fitted.error['tip_rms_mm']:.2f} mm RMS."
     )
     say("Looking for what the model lacks …")
     diagnosis = diagnose(model, run, progress=lambda line: say(f"  {line}"))

@@ -59,7 +59,7 @@ def build(args: argparse.Namespace) -> int:
     }
     text = (
         f"{args.out}: {model.kind} of {model.robot}, {len(model.rest)} vertices, {commands} commands, "
-        f"own held-out error {model.vertex_error_mm:.2f} mm ({how}), {size / 1000:.0f} kB"
+        f"own held-out error {model.vertex_error_mm:.2f} mm RMS ({how}), {size / 1000:.0f} kB"
     )
     notes = [] if args.json else model.made_from.get("notes", [])
     print(json.dumps(result) if args.json else "\n".join([text, *(f"  {note}" for note in notes)]))
@@ -109,7 +109,7 @@ def learn(args: argparse.Namespace) -> int:
     }
     lines = [
         f"{args.out}: rod model of '{model.robot}', {model.channels} channels, {len(model.rest)} markers, "
-        f"own blocked cross-validation error {model.vertex_error_mm:.2f} mm"
+        f"own blocked cross-validation error {model.vertex_error_mm:.2f} mm RMS (held out)"
     ]
     lines += [f"  {number}" for number in learned.numbers]
     print(json.dumps(result) if args.json else "\n".join(lines))

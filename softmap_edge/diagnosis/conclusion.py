@@ -53,7 +53,8 @@ class OwnMisfit:
     def __str__(self) -> str:
         return (
             f"the model's own {' + '.join(self.names)} does not fit this run: "
-            f"`softmap refit` alone takes {self.before_mm:.2f} mm to {self.after_mm:.2f} mm"
+            f"`softmap refit` alone takes its {self.before_mm:.2f} mm RMS (nothing fitted) to "
+            f"{self.after_mm:.2f} mm RMS (held out)"
         )
 
 
@@ -273,12 +274,12 @@ def _sentence(
 ) -> str:
     names = " + ".join(e["name"] for e in [*physics, *faults])
     after = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
-    fall = f"the held-out error falls from {error['model']:.2f} to {after:.2f} mm"
+    fall = f"the held-out error falls from {error['model']:.2f} to {after:.2f} mm RMS"
     judge = error["held_out_on"]
     lost = f" Dropped, because the error on {judge} did not fall: {', '.join(demoted)}." if demoted else ""
     cannot = f" These data cannot show {', '.join(h.name for h in hidden)}." if hidden else ""
     by = left.predicted_by if left.blocked_r2 >= LEFT_R2 else "none of its conditions"
-    unknown = f"{left.rms_mm:.2f} mm RMS are left that {by} predicts"
+    unknown = f"{left.rms_mm:.2f} mm RMS (fitted) are left that {by} predicts"
     if verdict == "identified":
         return f"The model lacks {names}; {fall}.{lost}"
     if verdict == "ambiguous":
@@ -295,7 +296,8 @@ def _sentence(
         return (
             f"Nothing above the floor is seen, and these data could not show {', '.join(h.name for h in hidden)}.{lost}"
         )
-    return f"Nothing above the floor: no candidate explains the {error['model']:.2f} mm that are left.{cannot}{lost}"
+    stays = f"{error['model']:.2f} mm RMS (held out)"
+    return f"Nothing above the floor: no candidate explains the {stays} that are left.{cannot}{lost}"
 
 
 def _error(search: Search, order: list[str], other: Record | None) -> dict[str, Any]:

@@ -183,8 +183,8 @@ def not_alone(search: Search, fit: Fit, left: Leftover) -> tuple[Fit, str] | Non
         return None
     extra = next(iter(set(best.effects) - set(fit.effects)))
     return best, (
-        f"with {extra} as well {after:.2f} mm are left of {before:.2f}, held out: both may act, and the numbers of "
-        f"{' + '.join(fit.effects)} are those of one alone"
+        f"with {extra} as well {after:.2f} of {before:.2f} mm RMS are left (held out): both may act, and the numbers "
+        f"of {' + '.join(fit.effects)} are those of one alone"
     )
 
 

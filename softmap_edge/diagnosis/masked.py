@@ -51,7 +51,7 @@ class Masked:
         return [
             Untestable(
                 name,
-                f"the model's residual of {self.size_mm:.2f} mm may be it: it explains {100 * share:.0f} % of that",
+                f"the model's residual of {self.size_mm:.2f} mm RMS may be it: it explains {100 * share:.0f} % of that",
                 *_other_conditions(registry, name),
             )
             for name, share in self.may_be
@@ -60,7 +60,7 @@ class Masked:
     def __str__(self) -> str:
         told = (
             f"The model's residual of {self.size_mm:.2f} mm RMS was taken out (error on this run "
-            f"{self.with_mm:.2f} mm with it, {self.without_mm:.2f} mm without)"
+            f"{self.with_mm:.2f} mm RMS with it, {self.without_mm:.2f} mm RMS without, nothing fitted)"
         )
         if self.may_be:
             which = ", ".join(f"{name} ({100 * share:.0f} % of it)" for name, share in self.may_be)
@@ -69,9 +69,10 @@ class Masked:
             return f"{told}; it is not of this run"
         if self.left_mm <= self.own_mm:
             return (
-                f"{told}; {self.left_mm:.2f} mm of it are unexplained, up to {self.own_mm:.2f} mm may be its own error"
+                f"{told}; {self.left_mm:.2f} mm RMS of it are unexplained (fitted), up to {self.own_mm:.2f} mm RMS may "
+                "be its own error"
             )
-        return f"{told}; {self.left_mm:.2f} mm of it are left that no effect explains alone"
+        return f"{told}; {self.left_mm:.2f} mm RMS of it (fitted) are left that no effect explains alone"
 
 
 def masked(search: Search, fit: Fit) -> Masked | None:

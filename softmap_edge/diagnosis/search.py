@@ -313,7 +313,7 @@ class Search:
                 if share >= RIVAL_SHARE and (behind <= RIVAL_SE or level):
                     why = (
                         f"explains {100 * share:.0f} % of what {member} explains on held-out blocks, "
-                        f"{max(behind, 0.0):.1f} standard errors behind, {100 * worse:+.1f} % in mm"
+                        f"{max(behind, 0.0):.1f} standard errors behind, {100 * worse:+.1f} % in mm RMS held out"
                     )
                     found.append((member, other, why))
         return found

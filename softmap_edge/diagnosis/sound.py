@@ -149,7 +149,7 @@ def stray(record: Record, fit: Fit) -> str | None:
     why = f"{named} in this log" if still else "commands and frames are not of one recording"
     return (
         f"What is seen does not follow the commands: the points move by {moved:.3g} mm RMS, and with whatever effect "
-        f"the model explains {100 * max(share, 0.0):.0f} % of that. Either {why}, or something else than they "
+        f"the model explains {100 * max(share, 0.0):.0f} % of that (fitted). Either {why}, or something else than they "
         "moves the robot; no effect is named. Look at the order and the clock of the frames, at the columns of the "
         "commands and their signs, and whether it is this robot."
     )

@@ -69,7 +69,7 @@ class Experiment:
         return [q for q, _ in sorted(found, key=lambda pair: (pair[0].hidden is not None, -pair[1]))]
 
     def __str__(self) -> str:
-        apart = "not simulated" if self.separation is None else f"separation {float(f'{self.separation:.3g}'):g}"
+        apart = "not simulated" if self.separation is None else f"separation {float(f'{self.separation:.3g}'):g} (chi²)"
         settles = ", ".join(self.settles) or "nothing"
         return f"{self.block} ({self.minutes:.1f} min): settles {settles}; {apart}{self.alone}"
 

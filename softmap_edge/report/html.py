@@ -178,14 +178,16 @@ def _sentence(story: Story) -> str:
     if story.before is None:
         return VERDICTS.get(str((story.diagnosis or {}).get("verdict")), "")
     old = story.before.error["rms_mm"]
+    kind = story.series.kind if story.series else ""
+    told = {"held out": "a run that was not fitted", "fitted": "the run that was fitted"}.get(kind, "nothing is fitted")
     if story.after is None:
-        text = f"The model is off by {mm(old)} mm RMS over {story.before.frames} frames"
+        text = f"The model is off by {mm(old)} mm RMS over {story.before.frames} frames ({told})"
         floor = story.before.noise_floor_mm
         return text + (f"; the camera's noise is {mm(floor)} mm." if floor is not None else ".")
     new = story.after.error["rms_mm"]
     if new > old:
-        return f"The error rises from {mm(old)} to {mm(new)} mm RMS: the second model is worse on this run."
-    return f"The error falls from {mm(old)} to {mm(new)} mm RMS."
+        return f"The error rises from {mm(old)} to {mm(new)} mm RMS ({told}): the second model is worse on this run."
+    return f"The error falls from {mm(old)} to {mm(new)} mm RMS ({told})."
 
 
 def _cards(story: Story) -> list[tuple[str, str, str, str]]:
@@ -270,7 +272,7 @@ def _ladder(story: Story, figures: ModuleType) -> str:
     note = f"{_text(error.get('kind', 'held-out rms'))}{_text(f' on {on}' if on else '')}, {_text(unit)}. "
     note += f"Floor: {_text(error.get('floor_kind', 'origin not stated'))}. "
     known = [("Noise floor", error.get("noise_floor")), ("Model's own held-out error", error.get("model_floor"))]
-    note += "".join(f"{name}: {mm(value)} {_text(unit)}. " for name, value in known if number(value) is not None)
+    note += "".join(f"{name}: {mm(value)} {_text(unit)} RMS. " for name, value in known if number(value) is not None)
     note += LADDER_NOTE
     return _section(
         "What each effect removes", _picture(figures.ladder_bars(error), "Error ladder down to the floor"), note
@@ -285,7 +287,7 @@ def _effects(story: Story) -> str:
             judged = any((row.get("displacement_mm") or {}).get("held_out") is not None for row in rows)
             moves = "moves the body, mm RMS<br>fitted" + (" / held out" if judged else "")
             values = "parameters, fitted ± 1σ<br>ratios have no unit"
-            columns = ("effect", values, "probability", "share of what is explained<br>fitted", moves)
+            columns = ("effect", values, "probability<br>fitted", "share of what is explained<br>fitted", moves)
             head = "".join(f"<th>{name}</th>" for name in columns)
             body = "".join(_effect_row(row, judged) for row in rows)
             parts.append(_section(title, f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"))
@@ -357,7 +359,7 @@ def _minutes(row: Mapping[str, Any]) -> str:
 def _settles(row: Mapping[str, Any]) -> str:
     settles, apart = row.get("settles"), number(row.get("separation"))
     named = ", ".join(map(str, settles)) if isinstance(settles, (list, tuple)) else str(settles or "")
-    return f"settles {named}" + ("" if apart is None else f"; expected separation {apart:.3g}")
+    return f"settles {named}" + ("" if apart is None else f"; expected separation {apart:.3g} (chi², simulated)")
 
 
 def _definitions(title: str, rows: Sequence[tuple[Any, Any]]) -> str:

@@ -99,7 +99,8 @@ def pair_text(before: Comparison, after: Comparison) -> str:
     gone = [name for name in before.bundle.get("effects", []) if name not in after.bundle.get("effects", [])]
     change = "; ".join(f"{word}: {', '.join(names)}" for word, names in (("added", added), ("removed", gone)) if names)
     lines = [
-        f"Two models of '{before.bundle.get('robot', '?')}' on one run, {before.frames} frames seen"
+        f"Two models of '{before.bundle.get('robot', '?')}' on one run, {before.frames} frames seen, nothing "
+        + "is fitted here"
         + (f" ({change})" if change else ""),
         "",
         *_folded(_pair_sentence(old, new, floor), 0),
@@ -284,7 +285,7 @@ def _effect_lines(row: Mapping[str, Any]) -> list[str]:
     head = f"  {row.get('name', '?')}  ({row.get('family', '?')}, stage {row.get('stage', '?')})"
     held = shift.get("held_out")
     facts = [
-        f"probability {percent(row.get('probability'))}",
+        f"probability {percent(row.get('probability'))} (fitted)",
         f"{percent(row.get('share'))} of what is explained (fitted)",
         f"moves the body by {mm(shift.get('fitted'))} mm RMS (fitted)"
         + ("" if held is None else f", {mm(held)} mm RMS (held out)"),
@@ -346,7 +347,7 @@ def _ladder_lines(error: Mapping[str, Any]) -> list[str]:
         lines += _folded(f"floor: {error.get('floor_kind', 'origin not stated')}", 2)
     lines += _folded(LADDER_NOTE, 2)
     known = [("noise floor", error.get("noise_floor")), ("model's own held-out error", error.get("model_floor"))]
-    told = [f"{name} {mm(value)} {unit}" for name, value in known if number(value) is not None]
+    told = [f"{name} {mm(value)} {unit} RMS" for name, value in known if number(value) is not None]
     return [*lines, *([f"  {' · '.join(told)}"] if told else [])]
 
 
@@ -382,7 +383,7 @@ def _untestable(row: tuple[str, str, str]) -> str:
 def _next(row: Mapping[str, Any]) -> str:
     minutes, separation = row.get("minutes"), row.get("separation")
     took = f" ({minutes:g} min)" if isinstance(minutes, (int, float)) else ""
-    apart = f", expected separation {separation:.3g}" if isinstance(separation, (int, float)) else ""
+    apart = f", expected separation {separation:.3g} (chi², simulated)" if isinstance(separation, (int, float)) else ""
     settles = row.get("settles")
     named = ", ".join(map(str, settles)) if isinstance(settles, (list, tuple)) else str(settles or "")
     return f"{row.get('block', '?')}{took}{': settles ' + named if named else ''}{apart}"
