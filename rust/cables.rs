@@ -12,14 +12,13 @@
 //! home, where tendons change between slack and taut. Limit: L, C and the fields are those of the unloaded equilibrium;
 //! what loads do beyond is `second.rs`.
 
-use crate::complementarity;
+use crate::complementarity::Problem;
 use crate::error::{Result, invalid};
-use crate::loads::{Coefficients, FIELDS, TENDON};
+use crate::loads::FIELDS;
 use crate::shape::Shape;
 use crate::table::Table;
 use std::sync::Arc;
 
-const LOADS: usize = FIELDS.len();
 /// The cables of a prior.
 #[derive(Clone)]
 pub struct Cables {
@@ -27,6 +26,8 @@ pub struct Cables {
     pull: Arc<Table>,
     stretch: Arc<Table>,
     fields: Vec<Arc<Table>>,
+    /// Number of loads that stretch them.
+    loads: usize,
 }
 
 impl Cables {
@@ -38,16 +39,16 @@ impl Cables {
         stretch: Arc<Table>,
         fields: Vec<Arc<Table>>,
     ) -> Result<Cables> {
-        let n = stiffness.len();
+        let (n, loads) = (stiffness.len(), FIELDS.len());
         if n == 0 || stiffness.iter().any(|k| !(k.is_finite() && *k > 0.0)) {
             return Err(invalid(format!(
                 "cable stiffnesses {stiffness:?} N/mm: give each cable one number above 0"
             )));
         }
-        if pull.size() != n || stretch.size() != n * (LOADS + n) || fields.len() != n {
+        if pull.size() != n || stretch.size() != n * (loads + n) || fields.len() != n {
             return Err(invalid(format!(
                 "{n} cables want {n} pulls, {} stretches and {n} fields, got {}, {} and {}",
-                n * (LOADS + n),
+                n * (loads + n),
                 pull.size(),
                 stretch.size(),
                 fields.len()
@@ -64,6 +65,25 @@ impl Cables {
             pull,
             stretch,
             fields,
+            loads,
+        })
+    }
+
+    /// The same cables with few loads, each of which is so much (loads,) of theirs.
+    pub fn under(&self, amounts: &[&[f64]]) -> Result<Cables> {
+        let (n, width, few) = (self.count(), self.loads + self.count(), amounts.len());
+        let stretch = self.stretch.mapped(n * (few + n), |rows, out| {
+            for (row, out) in rows.chunks_exact(width).zip(out.chunks_exact_mut(few + n)) {
+                let (by_loads, by_tension) = row.split_at(self.loads);
+                let sums = amounts.iter().map(|amount| dot(by_loads, amount));
+                out.iter_mut().zip(sums).for_each(|(out, sum)| *out = sum);
+                out[few..].copy_from_slice(by_tension);
+            }
+        })?;
+        Ok(Cables {
+            stretch: Arc::new(stretch),
+            loads: few,
+            ..self.clone()
         })
     }
 
@@ -100,43 +120,56 @@ impl Cables {
         self.stretch.eval(u, stretch);
     }
 
-    /// Change of each tension (n,) N under the loads, at a place that `at` wrote; `beyond` (n,) mm is what else stretches them
-    /// (empty: nothing). What `change` holds before says which of them are taken to pull at first.
-    pub fn answer(&self, place: &[f64], loads: &Coefficients, beyond: &[f64], change: &mut [f64]) {
-        let (matrix, right, before) = self.problem(place, loads, beyond);
-        let sum = before.iter().zip(change.iter());
-        let start = sum.map(|(t, c)| t + c > 0.0).collect();
-        let after = complementarity::solve(&matrix, &right, start);
-        for ((out, a), b) in change.iter_mut().zip(&after).zip(&before) {
+    /// Change of each tension (n,) N under the loads, at a place that `at` wrote; `gives` (mm/N) is what each cable has beside
+    /// the model's, `beyond` (n,) mm what else stretches them (empty: nothing). What `change` holds before says which of them
+    /// are taken to pull at first.
+    pub fn answer(
+        &self,
+        place: &[f64],
+        loads: &[f64],
+        gives: f64,
+        beyond: &[f64],
+        change: &mut [f64],
+        problem: &mut Problem,
+    ) {
+        self.pose(place, loads, gives, beyond, problem);
+        let before = self.before(place);
+        let sums = before.clone().zip(change.iter()).map(|(t, c)| t + c > 0.0);
+        problem.positive.extend(sums);
+        let after = problem.solve();
+        for ((out, a), b) in change.iter_mut().zip(after).zip(before) {
             *out = a - b;
         }
     }
 
-    /// The problem whose answer are the tensions: 1/k + s − C (n, n), the stretch (n,) mm without any tension, and the
-    /// tensions (n,) N without loads.
-    pub fn problem(
+    /// Tensions (n,) N without loads, at a place that `at` wrote.
+    pub fn before<'a>(&self, place: &'a [f64]) -> impl Iterator<Item = f64> + Clone + 'a {
+        place[..self.count()].iter().map(|pull| pull.max(0.0))
+    }
+
+    /// Pose the problem whose answer are the tensions: 1/k + s − C (n, n), and the stretch (n,) mm without any tension.
+    pub fn pose(
         &self,
         place: &[f64],
-        loads: &Coefficients,
+        loads: &[f64],
+        gives: f64,
         beyond: &[f64],
-    ) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
-        let n = self.count();
-        let pull = &place[..n];
-        let before: Vec<f64> = pull.iter().map(|p| p.max(0.0)).collect();
-        let (mut matrix, mut right) = (Vec::with_capacity(n * n), Vec::with_capacity(n));
-        for i in 0..n {
-            let (by_loads, by_tension) = self.row(place, i).split_at(LOADS);
-            let gives = 1.0 / self.stiffness[i] + loads[TENDON];
-            matrix.extend((0..n).map(|j| f64::from(i == j) * gives - by_tension[j]));
+        problem: &mut Problem,
+    ) {
+        problem.clear();
+        for i in 0..self.count() {
+            let (by_loads, by_tension) = self.row(place, i).split_at(self.loads);
+            let gives = 1.0 / self.stiffness[i] + gives;
+            let row = by_tension.iter().enumerate();
+            let row = row.map(|(j, c)| f64::from(i == j) * gives - c);
+            problem.matrix.extend(row);
             // What the tensions of the unloaded place take away is −C T.
-            right.push(
-                pull[i] / self.stiffness[i]
-                    + beyond.get(i).unwrap_or(&0.0)
-                    + dot(by_loads, &loads[..LOADS])
-                    - dot(by_tension, &before),
+            let tensions = by_tension.iter().zip(self.before(place));
+            problem.right.push(
+                place[i] / self.stiffness[i] + beyond.get(i).unwrap_or(&0.0) + dot(by_loads, loads)
+                    - tensions.map(|(c, t)| c * t).sum::<f64>(),
             );
         }
-        (matrix, right, before)
     }
 
     /// Stretch of a cable per unit of a field, at a place that `at` wrote.
@@ -146,7 +179,7 @@ impl Cables {
 
     /// What a cable stretches by: L (loads), then C (n,).
     fn row<'a>(&self, place: &'a [f64], i: usize) -> &'a [f64] {
-        let (n, width) = (self.count(), LOADS + self.count());
+        let (n, width) = (self.count(), self.loads + self.count());
         &place[n + i * width..n + (i + 1) * width]
     }
 }
@@ -158,7 +191,6 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::loads::CONTACT;
 
     fn constant(values: Vec<f64>) -> Arc<Table> {
         Arc::new(Table::new(vec![], vec![], values, vec![]).unwrap())
@@ -167,7 +199,7 @@ mod tests {
     /// Two antagonists on one bending joint: a lateral load θ per N stretches one and relieves the other.
     fn pair(pull: [f64; 2]) -> Cables {
         let load = |side: f64| {
-            let mut row = [0.0; LOADS];
+            let mut row = [0.0; FIELDS.len()];
             row[0] = side;
             row
         };
@@ -188,9 +220,18 @@ mod tests {
     fn answer(cables: &Cables, load: f64, gives: f64) -> [f64; 2] {
         let mut place = vec![0.0; cables.size()];
         cables.at(&[], &mut place);
-        let (mut loads, mut change) = ([0.0; CONTACT + 8], [0.0; 2]);
-        (loads[0], loads[TENDON]) = (load, gives);
-        cables.answer(&place, &loads, &[], &mut change);
+        let (mut loads, mut change) = ([0.0; FIELDS.len()], [0.0; 2]);
+        loads[0] = load;
+        let mut problem = Problem::default();
+        cables.answer(&place, &loads, gives, &[], &mut change, &mut problem);
+        let (one, mut again) = (cables.under(&[&loads, &loads]).unwrap(), [0.0; 2]);
+        let mut place = vec![0.0; one.size()];
+        one.at(&[], &mut place);
+        one.answer(&place, &[0.25, 0.75], gives, &[], &mut again, &mut problem);
+        assert!(
+            (0..2).all(|i| (change[i] - again[i]).abs() < 1e-12),
+            "as one load"
+        );
         change
     }
 

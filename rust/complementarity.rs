@@ -9,9 +9,80 @@ use crate::dense;
 const ROUNDS: usize = 400;
 const SETTLED: f64 = 1e-9;
 
-/// Solve for z (n,) with `matrix` (n, n) row by row and `right` q (n,), starting from those that are taken to be positive.
-pub fn solve(matrix: &[f64], right: &[f64], start: Vec<bool>) -> Vec<f64> {
-    active_set(matrix, right, start).unwrap_or_else(|| gauss_seidel(matrix, right))
+/// A problem and its answer, in room that is used again.
+#[derive(Debug, Clone, Default)]
+pub struct Problem {
+    /// M (n, n) row by row, and q (n,).
+    pub matrix: Vec<f64>,
+    pub right: Vec<f64>,
+    /// Which z are taken to be positive at first.
+    pub positive: Vec<bool>,
+    answer: Vec<f64>,
+    set: Vec<usize>,
+    rows: Vec<f64>,
+}
+
+impl Problem {
+    /// Forget everything but the room.
+    pub fn clear(&mut self) {
+        self.matrix.clear();
+        self.right.clear();
+        self.positive.clear();
+    }
+
+    /// Solve for z (n,).
+    pub fn solve(&mut self) -> &[f64] {
+        if !self.active_set() {
+            self.answer = gauss_seidel(&self.matrix, &self.right);
+        }
+        &self.answer
+    }
+
+    /// Solve for those taken as positive until they are and the others have w ≥ 0.
+    fn active_set(&mut self) -> bool {
+        let Problem {
+            matrix,
+            right,
+            positive,
+            answer: z,
+            set,
+            rows,
+        } = self;
+        let n = right.len();
+        z.clear();
+        z.resize(n, 0.0);
+        for _ in 0..2 * n + 8 {
+            set.clear();
+            set.extend((0..n).filter(|i| positive[*i]));
+            rows.clear();
+            for &i in set.iter() {
+                let own = row(matrix, i, n);
+                rows.extend(set.iter().map(|&j| own[j]).chain([right[i]]));
+            }
+            if !dense::eliminate(rows, set.len()) {
+                return false;
+            }
+            z.fill(0.0);
+            let found = rows.chunks_exact(set.len() + 1);
+            set.iter()
+                .zip(found)
+                .for_each(|(&i, row)| z[i] = row[set.len()]);
+            let mut settled = true;
+            for i in 0..n {
+                let next = if positive[i] {
+                    z[i] > 0.0
+                } else {
+                    right[i] > dot(row(matrix, i, n), z)
+                };
+                settled &= next == positive[i];
+                positive[i] = next;
+            }
+            if settled {
+                return z.iter().all(|v| v.is_finite());
+            }
+        }
+        false
+    }
 }
 
 fn row(matrix: &[f64], i: usize, n: usize) -> &[f64] {
@@ -20,43 +91,6 @@ fn row(matrix: &[f64], i: usize, n: usize) -> &[f64] {
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// Solve for those taken as positive until they are and the others have w ≥ 0.
-fn active_set(matrix: &[f64], right: &[f64], mut positive: Vec<bool>) -> Option<Vec<f64>> {
-    let n = right.len();
-    let (mut set, mut rows, mut z) = (Vec::with_capacity(n), vec![], vec![0.0; n]);
-    for _ in 0..2 * n + 8 {
-        set.clear();
-        set.extend((0..n).filter(|i| positive[*i]));
-        rows.clear();
-        for &i in &set {
-            let own = row(matrix, i, n);
-            rows.extend(set.iter().map(|&j| own[j]).chain([right[i]]));
-        }
-        if !dense::eliminate(&mut rows, set.len()) {
-            return None;
-        }
-        z.fill(0.0);
-        let found = rows.chunks_exact(set.len() + 1);
-        set.iter()
-            .zip(found)
-            .for_each(|(&i, row)| z[i] = row[set.len()]);
-        let mut settled = true;
-        for i in 0..n {
-            let next = if positive[i] {
-                z[i] > 0.0
-            } else {
-                right[i] > dot(row(matrix, i, n), &z)
-            };
-            settled &= next == positive[i];
-            positive[i] = next;
-        }
-        if settled {
-            return z.iter().all(|v| v.is_finite()).then_some(z);
-        }
-    }
-    None
 }
 
 fn gauss_seidel(matrix: &[f64], right: &[f64]) -> Vec<f64> {
@@ -84,12 +118,17 @@ mod tests {
     #[test]
     fn both_ways_find_what_is_complementary() {
         let matrix = [2.0, -0.5, 0.3, -0.5, 1.5, 0.4, 0.3, 0.4, 1.0];
+        let mut problem = Problem::default();
         for k in 0..60 {
             let right: Vec<f64> = (0..3)
                 .map(|i| 3.0 * ((7 * k + 3 * i) as f64).sin())
                 .collect();
-            let start = (0..3).map(|i| (k >> i) % 2 == 1).collect();
-            let z = active_set(&matrix, &right, start).unwrap();
+            problem.clear();
+            problem.matrix.extend(matrix);
+            problem.right.extend(&right);
+            problem.positive.extend((0..3).map(|i| (k >> i) % 2 == 1));
+            assert!(problem.active_set());
+            let z = problem.answer.clone();
             let other = gauss_seidel(&matrix, &right);
             for i in 0..3 {
                 let w = dot(row(&matrix, i, 3), &z) - right[i];
@@ -97,6 +136,7 @@ mod tests {
                 assert!((z[i] - other[i]).abs() < 1e-7);
             }
         }
-        assert!(solve(&[], &[], vec![]).is_empty());
+        problem.clear();
+        assert!(problem.solve().is_empty());
     }
 }

@@ -10,9 +10,9 @@
 //! answered too far; nothing between stations touches.
 
 use crate::cables::Cables;
-use crate::complementarity;
+use crate::complementarity::Problem;
 use crate::error::{Result, invalid};
-use crate::loads::{CONTACT, Coefficients, FIELDS, PUSH, STATIONS, TIP_FORCE};
+use crate::loads::{CONTACT, Coefficients, FIELDS, PUSH, STATIONS, TENDON, TIP_FORCE};
 use crate::second::Second;
 use crate::shape::Shape;
 use crate::vector::{Vec3, add, dot, norm, scaled, sub};
@@ -129,11 +129,15 @@ impl Contact {
                 sum
             })
             .collect();
-        let problem = cables.map(|(cables, place, beyond)| cables.problem(place, loads, beyond));
-        let (matrix, right, before) = problem.unwrap_or_default();
-        let n = before.len();
+        let (mut problem, mut before) = (Problem::default(), vec![]);
+        if let Some((cables, place, beyond)) = cables {
+            let (fields, gives) = (&loads[..FIELDS.len()], loads[TENDON]);
+            cables.pose(place, fields, gives, beyond, &mut problem);
+            before.extend(cables.before(place));
+        }
+        let (n, matrix) = (before.len(), std::mem::take(&mut problem.matrix));
         let pulled: Vec<Vec<f64>> = (0..n).map(|j| moves(FIELDS.len() + j)).collect();
-        let (size, mut all) = (n + stations, vec![]);
+        let (size, all) = (n + stations, &mut problem.matrix);
         if let Some((cables, place, _)) = cables {
             for i in 0..n {
                 all.extend_from_slice(&matrix[i * n..(i + 1) * n]);
@@ -143,13 +147,12 @@ impl Contact {
                 }));
             }
         }
-        let mut wanted = right;
         for (k, (gap, normal)) in free.iter().enumerate() {
             let towards = |moved: &Vec<f64>| dot(*normal, at(moved, k));
             all.extend(pulled.iter().chain(&pushed).map(towards));
             // The gap is that of the tensions without the obstacle; the problem asks for the one without any.
             let tension = |j: usize| before[j] + weights[FIELDS.len() + j];
-            wanted.push(
+            problem.right.push(
                 -gap + (0..n)
                     .map(|j| towards(&pulled[j]) * tension(j))
                     .sum::<f64>(),
@@ -162,7 +165,8 @@ impl Contact {
                 free[i - n].0 < 0.0
             }
         });
-        let found = complementarity::solve(&all, &wanted, start.collect());
+        problem.positive.extend(start);
+        let found = problem.solve();
         for j in 0..n {
             weights[FIELDS.len() + j] = found[j] - before[j];
         }

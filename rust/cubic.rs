@@ -39,11 +39,25 @@ impl Axis {
         &self.nodes
     }
 
+    /// The cell that holds `u`, the border's beyond the ends; where nodes are even, it is the first one looked at.
+    fn cell(&self, u: f64) -> usize {
+        let (axis, last) = (&self.nodes, self.nodes.len() - 2);
+        let share = (u - axis[0]) / (axis[last + 1] - axis[0]);
+        let mut cell = ((share * (last + 1) as f64) as usize).min(last);
+        while cell > 0 && axis[cell] > u {
+            cell -= 1;
+        }
+        while cell < last && axis[cell + 1] <= u {
+            cell += 1;
+        }
+        cell
+    }
+
     /// Weights of the (at most four) nodes that carry the value at `u`, or its derivative.
     pub fn stencil(&self, u: f64, derivative: bool) -> Stencil {
         let axis = &self.nodes;
         let last = axis.len() - 1;
-        let cell = axis.partition_point(|node| *node <= u).clamp(1, last) - 1;
+        let cell = self.cell(u);
         let width = axis[cell + 1] - axis[cell];
         let inside = u.clamp(axis[0], axis[last]);
         let s = (inside - axis[cell]) / width;

@@ -74,6 +74,27 @@ impl Fields {
         Fields::new(members.map(|field| field.as_ref().map(changed)).collect())
     }
 
+    /// Few fields, each a sum of the first ones with such weights, then the others; None if one of them stands outside the
+    /// grid that fields share.
+    pub fn under(&self, loads: &[&[f64]]) -> Option<Fields> {
+        let sum = |loads: &&[f64]| {
+            let outside = |f: usize| loads[f] != 0.0 && !self.alike.contains(&f);
+            if (0..loads.len()).any(outside) {
+                return None;
+            }
+            let weight = |f: &usize| loads.get(*f).copied().unwrap_or(0.0);
+            let weights: Vec<f64> = self.alike.iter().map(weight).collect();
+            Some(Arc::new(self.together.as_ref()?.sum(&weights)) as Arc<dyn Shape>)
+        };
+        let mut members: Vec<_> = loads
+            .iter()
+            .map(|one| sum(one).map(Some))
+            .collect::<Option<_>>()?;
+        let many = loads.first().map_or(0, |one| one.len());
+        members.extend(self.members[many..].iter().cloned());
+        Some(Fields::new(members))
+    }
+
     /// Number of fields, absent ones included.
     pub fn count(&self) -> usize {
         self.members.len()
@@ -118,7 +139,10 @@ impl Fields {
     pub fn add_still(&self, weights: &[f64], frame: &mut [f64]) {
         if let Some(modes) = &self.constant {
             let own = self.still.iter().map(|f| weights[*f]);
-            wide(|| modes.expand(&own.collect::<Vec<_>>(), frame));
+            wide(
+                #[inline(always)]
+                || modes.expand(&own.collect::<Vec<_>>(), frame),
+            );
         }
     }
 }

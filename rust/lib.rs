@@ -2,7 +2,8 @@
 //!
 //! Nothing here knows Python except the `python` module, which only converts and forwards.
 
-pub mod cables;
+pub mod answer;
+mod cables;
 pub mod complementarity;
 pub mod contact;
 mod cubic;

@@ -4,6 +4,7 @@
 //! expanded to the M numbers, and the whole is seen through linear maps (vertices → features).
 
 use crate::error::{Result, invalid};
+use std::sync::Arc;
 
 /// Modes up to this number are blended on the stack.
 pub const STACK_MODES: usize = 64;
@@ -13,8 +14,8 @@ const BLOCK: usize = 16;
 /// A mean (M,) and modes (m, M), row-major.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Modes {
-    mean: Vec<f64>,
-    rows: Vec<f64>,
+    mean: Arc<[f64]>,
+    rows: Arc<[f64]>,
     count: usize,
     /// Whether mode m is the number m itself, so that nothing is left to expand.
     plain: bool,
@@ -34,11 +35,17 @@ impl Modes {
         let unit = |i: usize| f64::from(i / size == i % size);
         let plain = count == size && rows.iter().enumerate().all(|(i, v)| *v == unit(i));
         Ok(Modes {
-            mean,
-            rows,
+            mean: mean.into(),
+            rows: rows.into(),
             count,
             plain,
         })
+    }
+
+    /// Whether another set has the same numbers.
+    pub fn are(&self, other: &Modes) -> bool {
+        Arc::ptr_eq(&self.rows, &other.rows) && Arc::ptr_eq(&self.mean, &other.mean)
+            || self == other
     }
 
     /// The mean (M,).
@@ -159,7 +166,8 @@ impl Modes {
     }
 }
 
-/// Work with the widest vectors that this processor has; each number comes out the same as without.
+/// Work with the widest vectors that this processor has; each number comes out the same as without. Closures on the way must
+/// be `#[inline(always)]`, else they are compiled for narrow ones.
 #[inline(always)]
 pub(crate) fn wide<R>(work: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(work)

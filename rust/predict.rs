@@ -9,20 +9,19 @@
 //! cost next to nothing. What loads do beyond their fields comes from `second.rs`, where the prior has it. Limits: changes of design
 //! are answered linearly.
 
+use crate::answer::{self, Answer};
 use crate::cables::Cables;
 use crate::contact::Contact;
 use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
 use crate::fields::Fields;
-use crate::loads::{
-    self, CONTACT, Coefficients, FIELDS, GRAVITY, LOADS, TENDON, TIP_FORCE, weight,
-};
+use crate::loads::{CONTACT, FIELDS, LOADS, TENDON, name};
 use crate::room::zeros;
 use crate::second::Second;
 use crate::shape::Shape;
 use job::{Body, Job};
+use loads::{Acting, Poses};
 use rayon::prelude::*;
-use shared::add;
 use std::sync::Arc;
 
 /// Coefficients smaller than this (g, N) ask for no field: 1e-6 g moves no finger by a micrometre.
@@ -31,13 +30,13 @@ const NEGLIGIBLE: f64 = 1e-6;
 /// A prior, its fields and what the outputs are.
 pub struct Predictor {
     body: Body,
-    cables: Option<Cables>,
-    second: Option<Second>,
+    answer: Answer,
     contact: Option<Contact>,
     positions: Vec<bool>,
     reference: [f64; 3],
     /// Whether the loads that a run declares are applied.
     declared: bool,
+    poses: Arc<Poses>,
 }
 
 impl Predictor {
@@ -109,12 +108,12 @@ impl Predictor {
                 prior,
                 fields: Arc::new(Fields::new(known)),
             },
-            cables,
-            second,
+            answer: Answer::new(cables, second),
             contact: None,
             positions,
             reference,
             declared: true,
+            poses: Arc::default(),
         })
     }
 
@@ -187,7 +186,8 @@ impl Predictor {
         if size == 0 {
             return Ok(out);
         }
-        let shared = self.shared_shapes(job)?;
+        let acting = self.loads(job, sets)?;
+        let shared = self.shared_shapes(job, &acting);
         let width = job.chain.width();
         out.par_chunks_exact_mut(size)
             .enumerate()
@@ -196,27 +196,12 @@ impl Predictor {
                 |scratch, (i, frame)| {
                     let (b, k) = (i / frames, i % frames);
                     let group = job.group[b];
-                    let shapes = shared[group].as_ref();
-                    let u = job.at(group, k);
-                    self.weigh(
-                        &self.coefficients(job, b, k)?,
-                        u,
-                        shapes.map(|s| s.place(k)),
-                        scratch,
-                    );
-                    match shapes {
-                        Some(shapes) => {
-                            frame.copy_from_slice(&shapes.prior[k * size..(k + 1) * size])
+                    match &shared[group] {
+                        Some(shapes) => shapes.frame(self, job, (b, k), &acting, scratch, frame),
+                        None => {
+                            job.bodies[group].prior.eval(job.at(group, k), frame);
+                            self.load(job, (b, k), &acting, scratch, frame);
                         }
-                        None => job.bodies[group].prior.eval(u, frame),
-                    }
-                    let fields = &job.bodies[group].fields;
-                    match shapes.and_then(|s| s.fields.as_ref()) {
-                        Some(apart) => {
-                            fields.add_still(&scratch.weights, frame);
-                            add(apart, k, &scratch.weights, frame)
-                        }
-                        None => fields.add(u, &scratch.weights, &mut scratch.field, frame),
                     }
                     job.chain.sense(
                         &job.params[b * width..(b + 1) * width],
@@ -231,34 +216,43 @@ impl Predictor {
         Ok(out)
     }
 
-    /// Coefficients of the fields for a set at a frame; a field that is wanted but absent is an error.
-    fn coefficients(&self, job: &Job, b: usize, k: usize) -> Result<Coefficients> {
-        let (width, context) = (job.chain.width(), job.context(b, k));
-        let set = &job.params[b * width..(b + 1) * width];
-        let mut sum = job
-            .chain
-            .coefficients(set, job.at(job.group[b], k), context);
-        if self.declared {
-            let force = weight(context.load, context.gravity);
-            for i in 0..3 {
-                sum[GRAVITY + i] += context.gravity[i] - self.reference[i];
-                sum[TIP_FORCE + i] += force[i];
+    /// Add to `out` what loads a set at a frame.
+    fn load(
+        &self,
+        job: &Job,
+        (b, k): (usize, usize),
+        acting: &Acting,
+        scratch: &mut Scratch,
+        out: &mut [f64],
+    ) {
+        let (group, (loads, pose)) = (job.group[b], acting.get(acting.of(b, k)));
+        let (u, fields) = (job.at(group, k), &job.bodies[group].fields);
+        if let Some(pose) = pose.filter(|_| Arc::ptr_eq(fields, &self.body.fields)) {
+            pose.add(u, scratch, out);
+        } else if loads.iter().any(|c| *c != 0.0) {
+            let Scratch {
+                place,
+                weights,
+                field,
+                work,
+            } = scratch;
+            let there: [bool; LOADS] = std::array::from_fn(|f| loads[f] != 0.0);
+            self.answer.at(u, &there, place);
+            self.answer
+                .weigh(&loads[..TENDON], loads[TENDON], place, weights, work);
+            if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {
+                let cables = self.answer.cables_at(place);
+                let cables = cables.map(|(cables, at)| (cables, at, &work.beyond[..]));
+                contact.stop(u, loads, cables, weights);
             }
+            fields.add(u, weights, field, out);
         }
-        for (f, value) in sum.iter_mut().enumerate() {
-            if value.abs() <= NEGLIGIBLE {
-                *value = 0.0;
-            } else if !self.has(f) {
-                return Err(self.absent(job.chain, f, *value));
-            }
-        }
-        Ok(sum)
     }
 
     /// Whether a coefficient means something to this body: its field is there, or it is that of cables.
     fn has(&self, coefficient: usize) -> bool {
         match coefficient {
-            TENDON => self.cables.is_some(),
+            TENDON => self.answer.cables.is_some(),
             field if field < TENDON => self.body.fields.get(field).is_some(),
             _ => self.contact.is_some(),
         }
@@ -278,84 +272,32 @@ impl Predictor {
         invalid(format!(
             "{wants} asks for {value:.3e} of the field {}, which this model does not have; build the model with its \
              fields, or leave that effect out",
-            loads::name(field)
+            name(field)
         ))
     }
 
     fn scratch(&self) -> Scratch {
         Scratch {
-            place: vec![0.0; self.place_size()],
+            place: vec![0.0; self.answer.size()],
+            work: answer::Scratch::default(),
             weights: vec![0.0; self.body.fields.count()],
             field: vec![0.0; self.body.prior.size()],
-        }
-    }
-
-    fn place_size(&self) -> usize {
-        let cables = self.cables.as_ref().map_or(0, Cables::size);
-        cables + self.second.as_ref().map_or(0, Second::size)
-    }
-
-    /// What the cables are like at a command, then what loads that are `there` do beyond their fields.
-    fn place_at(&self, u: &[f64], there: &[bool; LOADS], out: &mut [f64]) {
-        let (cables, second) = out.split_at_mut(self.cables.as_ref().map_or(0, Cables::size));
-        if let Some(known) = &self.cables {
-            known.at(u, cables);
-        }
-        if let Some(known) = &self.second {
-            known.at(u, there, second);
-        }
-    }
-
-    /// Weights of the fields at a command: the loads, the changes of tension with which the cables answer them, and what they
-    /// do beyond. `place` is what `place_at` says there, if that is known.
-    fn weigh(&self, loads: &Coefficients, u: &[f64], place: Option<&[f64]>, scratch: &mut Scratch) {
-        let (count, weights) = (FIELDS.len(), &mut scratch.weights);
-        weights.fill(0.0);
-        if loads.iter().all(|c| *c == 0.0) {
-            return;
-        }
-        weights[..count].copy_from_slice(&loads[..count]);
-        let place = place.unwrap_or_else(|| {
-            let there = std::array::from_fn(|f| loads[f] != 0.0);
-            self.place_at(u, &there, &mut scratch.place);
-            &scratch.place
-        });
-        let (at, second) = place.split_at(self.cables.as_ref().map_or(0, Cables::size));
-        let cables = self.cables.as_ref().map(|cables| (cables, at));
-        let tendons = self.cables.as_ref().map_or(0, Cables::count);
-        let (change, modes) = weights[count..].split_at_mut(tendons);
-        let mut beyond = vec![];
-        let large = loads[..LOADS].iter().chain([&loads[TENDON]]);
-        if let (Some(known), true) = (&self.second, large.into_iter().any(|c| *c != 0.0)) {
-            let mut alone = *loads;
-            alone[LOADS..TENDON].fill(0.0);
-            if let Some((cables, at)) = cables {
-                cables.answer(at, &alone, &[], change);
-            }
-            let amount = [&loads[..LOADS], change].concat();
-            beyond = known.beyond(second, &amount, modes);
-        }
-        let acts = loads[..CONTACT].iter().any(|c| *c != 0.0);
-        if let (Some((cables, at)), true) = (cables, acts) {
-            cables.answer(at, loads, &beyond, change);
-        }
-        if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {
-            let cables = cables.map(|(cables, at)| (cables, at, &beyond[..]));
-            contact.stop(u, loads, cables, weights);
         }
     }
 }
 
 /// Numbers of one frame that are in work.
 struct Scratch {
-    /// What `place_at` says.
     place: Vec<f64>,
+    work: answer::Scratch,
     weights: Vec<f64>,
     field: Vec<f64>,
 }
 
 #[path = "predict_job.rs"]
 mod job;
+#[path = "predict_loads.rs"]
+mod loads;
 #[path = "predict_shared.rs"]
 mod shared;
 #[path = "predict_slopes.rs"]

@@ -4,7 +4,6 @@ use crate::effects::{Camera, Chain, Conditions, Context, bracket};
 use crate::error::{Result, invalid};
 use crate::fields::Fields;
 use crate::shape::Shape;
-use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -144,18 +143,5 @@ impl Job<'_> {
 
     pub fn context(&self, b: usize, k: usize) -> &Context {
         &self.world(b)[k]
-    }
-
-    /// What `eval` writes (K, `size`) at all frames of a group.
-    pub fn each(
-        &self,
-        group: usize,
-        size: usize,
-        eval: impl Fn(&[f64], &mut [f64]) + Sync,
-    ) -> Vec<f64> {
-        let mut values = vec![0.0; self.frames * size];
-        let rows = values.par_chunks_exact_mut(size.max(1)).enumerate();
-        rows.for_each(|(k, out)| eval(self.at(group, k), out));
-        values
     }
 }

@@ -19,7 +19,8 @@ use crate::table::Table;
 use std::ops::Range;
 use std::sync::Arc;
 
-const MOST_TENDONS: usize = 64;
+/// The most tendons that can answer.
+pub const MOST_TENDONS: usize = 64;
 /// Least and greatest of ½ Σ g_k λ_k: beyond, loads are not in the reach of a second order.
 const GROWTH: (f64, f64) = (-0.9, 0.3);
 
@@ -31,6 +32,8 @@ pub struct Second {
     numbers: Vec<f64>,
     tendons: usize,
     modes: Modes,
+    /// Number of loads that are causes.
+    loads: usize,
 }
 
 /// The pairs k ≤ l of `causes`, row by row.
@@ -64,6 +67,7 @@ impl Second {
             numbers,
             tendons,
             modes: Modes::new(vec![0.0; size], modes)?,
+            loads: LOADS,
         };
         let wanted = second.size().checked_mul(second.grid.nodes());
         if Some(second.numbers.len()) != wanted {
@@ -84,6 +88,40 @@ impl Second {
             modes: self.modes.project(weights, &vec![0.0; size])?,
             ..self.clone()
         })
+    }
+
+    /// The same under a single load, which is `amount` (loads,) of its own.
+    pub fn under(&self, amount: &[f64]) -> Second {
+        let (block, size) = (self.block(), self.size());
+        let mut one = Second {
+            loads: 1,
+            numbers: vec![],
+            ..self.clone()
+        };
+        let (width, causes) = (one.size(), one.causes());
+        // The cause that a cause of many becomes, and how much of it there is.
+        let becomes = |k: usize| match k.checked_sub(self.loads) {
+            Some(tendon) => (1 + tendon, 1.0),
+            None => (0, amount[k]),
+        };
+        let place = |k: usize, l: usize| k * causes - k * (k + 1) / 2 + l;
+        one.numbers = vec![0.0; self.grid.nodes() * width];
+        let rows = self.numbers.chunks_exact(size);
+        for (row, out) in rows.zip(one.numbers.chunks_exact_mut(width)) {
+            for ((k, l), pair) in pairs(self.causes()).zip(row.chunks_exact(block.max(1))) {
+                let ((a, x), (b, y)) = (becomes(k), becomes(l));
+                // Of two loads that become one, both orders count.
+                let orders = if a == b && k != l { 2.0 } else { 1.0 };
+                let start = place(a, b) * block;
+                accumulate(&mut out[start..start + block], pair, orders * x * y);
+            }
+            let growth = row[size - self.causes()..].iter().enumerate();
+            for (k, g) in growth {
+                let (a, x) = becomes(k);
+                out[width - causes + a] += g * x;
+            }
+        }
+        one
     }
 
     /// Number of commands.
@@ -117,7 +155,7 @@ impl Second {
     }
 
     fn causes(&self) -> usize {
-        LOADS + self.tendons
+        self.loads + self.tendons
     }
 
     fn block(&self) -> usize {
@@ -131,10 +169,10 @@ impl Second {
     }
 
     /// The numbers at a command, of those pairs only whose loads are `there`.
-    pub fn at(&self, u: &[f64], there: &[bool; LOADS], out: &mut [f64]) {
+    pub fn at(&self, u: &[f64], there: &[bool], out: &mut [f64]) {
         let (block, size, causes) = (self.block(), self.size(), self.causes());
         out.fill(0.0);
-        let acts = |cause: usize| cause >= LOADS || there[cause];
+        let acts = |cause: usize| cause >= self.loads || there[cause];
         let mut wanted: Vec<Range<usize>> = vec![];
         for (p, (k, l)) in pairs(causes).enumerate() {
             match wanted.last_mut() {
@@ -144,32 +182,37 @@ impl Second {
             }
         }
         let stencils = self.grid.stencils(u, None);
-        wide(|| {
-            self.grid.visit(&stencils, |node, share| {
-                let row = &self.numbers[node * size..(node + 1) * size];
-                for range in &wanted {
-                    accumulate(&mut out[range.clone()], &row[range.clone()], share);
-                }
-                accumulate(&mut out[size - causes..], &row[size - causes..], share);
-            });
-        });
+        wide(
+            #[inline(always)]
+            || {
+                self.grid.visit(
+                    &stencils,
+                    #[inline(always)]
+                    |node, share| {
+                        let row = &self.numbers[node * size..(node + 1) * size];
+                        for range in &wanted {
+                            accumulate(&mut out[range.clone()], &row[range.clone()], share);
+                        }
+                        accumulate(&mut out[size - causes..], &row[size - causes..], share);
+                    },
+                );
+            },
+        );
     }
 
     /// What λ (loads, then changes of tension) does beyond its fields, at what `at` wrote: the weights (m,) of the modes, and
-    /// how far (mm) each cable is stretched, which is returned.
-    pub fn beyond(&self, here: &[f64], amount: &[f64], weights: &mut [f64]) -> Vec<f64> {
+    /// how far (mm) each cable (n,) is stretched; both are added.
+    pub fn beyond(&self, here: &[f64], amount: &[f64], weights: &mut [f64], stretch: &mut [f64]) {
         let causes = self.causes();
         let factor = factor(&here[here.len() - causes..], amount);
-        let mut stretch = vec![0.0; self.tendons];
         for ((k, l), row) in pairs(causes).zip(here.chunks_exact(self.block().max(1))) {
             let share = factor * amount[k] * amount[l] * if k == l { 0.5 } else { 1.0 };
             if share != 0.0 {
                 let (moved, longer) = row.split_at(self.modes.count());
                 accumulate(weights, moved, share);
-                accumulate(&mut stretch, longer, share);
+                accumulate(stretch, longer, share);
             }
         }
-        stretch
     }
 }
 
@@ -198,7 +241,7 @@ mod tests {
     #[test]
     fn amounts_add_their_quadratic_form_times_what_follows_it() {
         let amount = [0.0, 0.5, 0.0, 0.0, 0.2, 0.0, -0.3];
-        let there = std::array::from_fn(|k| amount[k] != 0.0);
+        let there: [bool; LOADS] = std::array::from_fn(|k| amount[k] != 0.0);
         let form = |of: fn(usize, usize) -> f64| -> f64 {
             let all = (0..7).flat_map(|k| (0..7).map(move |l| (k, l)));
             all.map(|(k, l)| 0.5 * amount[k] * amount[l] * of(k, l))
@@ -209,11 +252,17 @@ mod tests {
             let second = second(growth);
             let (mut here, mut weights) = (vec![0.0; second.size()], [0.0]);
             second.at(&[0.5], &there, &mut here);
-            let stretch = second.beyond(&here, &amount, &mut weights);
+            let mut stretch = [0.0];
+            second.beyond(&here, &amount, &mut weights, &mut stretch);
             let moved = 1.5 * f * form(|k, l| (1 + k + l) as f64);
             let longer = 1.5 * f * form(|k, l| -((k * l) as f64));
             assert!((weights[0] - moved).abs() < 1e-12 && (stretch[0] - longer).abs() < 1e-12);
             assert!(moved.abs() > 0.01 && longer.abs() > 0.01);
+            let one = second.under(&amount[..LOADS]);
+            let (mut here, mut again, mut stretched) = (vec![0.0; one.size()], [0.0], [0.0]);
+            one.at(&[0.5], &[true], &mut here);
+            one.beyond(&here, &[1.0, amount[LOADS]], &mut again, &mut stretched);
+            assert!((again[0] - moved).abs() < 1e-12 && (stretched[0] - longer).abs() < 1e-12);
         }
     }
 

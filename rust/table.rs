@@ -9,6 +9,7 @@ use crate::error::{Result, invalid};
 use crate::grid::{Grid, Stencils};
 use crate::modes::{Modes, STACK_MODES, accumulate, wide};
 use crate::shape::Shape;
+use std::sync::Arc;
 
 pub use crate::grid::MAX_CHANNELS;
 
@@ -16,7 +17,7 @@ pub use crate::grid::MAX_CHANNELS;
 #[derive(Debug, Clone)]
 pub struct Table {
     grid: Grid,
-    coefficients: Vec<f64>,
+    coefficients: Arc<[f64]>,
     modes: Modes,
 }
 
@@ -46,7 +47,7 @@ impl Table {
         }
         Ok(Table {
             grid,
-            coefficients,
+            coefficients: coefficients.into(),
             modes,
         })
     }
@@ -73,7 +74,7 @@ impl Table {
 
     /// Whether another has this grid and these modes, and neither a mean.
     pub fn shares(&self, other: &Table) -> bool {
-        let alike = self.grid == other.grid && self.modes == other.modes;
+        let alike = self.grid == other.grid && self.modes.are(&other.modes);
         alike && self.mean().iter().all(|m| *m == 0.0)
     }
 
@@ -90,13 +91,35 @@ impl Table {
         })
     }
 
+    /// A table of what `map` makes (`size` numbers) of the shape at each node; a linear map of it makes the same between them.
+    pub fn mapped(&self, size: usize, map: impl Fn(&[f64], &mut [f64])) -> Result<Table> {
+        let (mut shape, mut values) = (vec![0.0; self.size()], vec![0.0; self.grid.nodes() * size]);
+        for (node, out) in values.chunks_exact_mut(size.max(1)).enumerate() {
+            let row = &self.coefficients[node * self.count()..(node + 1) * self.count()];
+            self.modes
+                .eval(&mut shape, |weights| accumulate(weights, row, 1.0));
+            map(&shape, out);
+        }
+        let unit = |i: usize| f64::from(i / size == i % size);
+        let modes = Modes::new(vec![0.0; size], (0..size * size).map(unit).collect())?;
+        Ok(Table {
+            grid: self.grid.clone(),
+            coefficients: values.into(),
+            modes,
+        })
+    }
+
     /// Add `times` the interpolated mode weights, with one stencil per axis.
     #[inline(always)]
     fn blend(&self, stencils: &Stencils, times: f64, weights: &mut [f64]) {
-        self.grid.visit(stencils, |node, share| {
-            let row = &self.coefficients[node * weights.len()..(node + 1) * weights.len()];
-            accumulate(weights, row, times * share);
-        });
+        self.grid.visit(
+            stencils,
+            #[inline(always)]
+            |node, share| {
+                let row = &self.coefficients[node * weights.len()..(node + 1) * weights.len()];
+                accumulate(weights, row, times * share);
+            },
+        );
     }
 }
 
@@ -117,20 +140,38 @@ impl TableSum {
         })
     }
 
+    /// Σ_t w_t·table_t as one table.
+    pub fn sum(&self, weights: &[f64]) -> Table {
+        let first = &self.tables[0];
+        let mut sum = vec![0.0; first.coefficients.len()];
+        for (table, weight) in self.tables.iter().zip(weights) {
+            if *weight != 0.0 {
+                accumulate(&mut sum, &table.coefficients, *weight);
+            }
+        }
+        Table {
+            coefficients: sum.into(),
+            ..first.clone()
+        }
+    }
+
     /// Add Σ_t w_t·table_t(u) to `out` (M,).
     pub fn add(&self, u: &[f64], weights: &[f64], out: &mut [f64]) {
         let shared = &self.tables[0];
         let stencils = shared.grid.stencils(u, None);
         let mut sum = [0.0; STACK_MODES];
         let sum = &mut sum[..shared.count()];
-        wide(|| {
-            for (table, weight) in self.tables.iter().zip(weights) {
-                if *weight != 0.0 {
-                    table.blend(&stencils, *weight, sum);
+        wide(
+            #[inline(always)]
+            || {
+                for (table, weight) in self.tables.iter().zip(weights) {
+                    if *weight != 0.0 {
+                        table.blend(&stencils, *weight, sum);
+                    }
                 }
-            }
-            shared.modes.expand(sum, out);
-        });
+                shared.modes.expand(sum, out);
+            },
+        );
     }
 }
 
@@ -149,10 +190,16 @@ impl Shape for Table {
 
     fn eval(&self, u: &[f64], out: &mut [f64]) {
         let stencils = self.grid.stencils(u, None);
-        wide(|| {
-            self.modes
-                .eval(out, |weights| self.blend(&stencils, 1.0, weights))
-        });
+        wide(
+            #[inline(always)]
+            || {
+                self.modes.eval(
+                    out,
+                    #[inline(always)]
+                    |weights| self.blend(&stencils, 1.0, weights),
+                )
+            },
+        );
     }
 
     fn jacobian(&self, u: &[f64], out: &mut [f64]) {

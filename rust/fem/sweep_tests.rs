@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::cables::Cables;
+use crate::complementarity::Problem;
 use crate::fem::axpy;
 use crate::fem::change::changed;
 use crate::fem::newton::tests::design;
@@ -100,7 +101,15 @@ fn answered(s: &Simulation, command: &[f64], loads: &Coefficients) -> Vec<Vec3> 
     let mut place = vec![0.0; cables.size()];
     cables.at(&[], &mut place);
     let mut change = vec![0.0; n];
-    cables.answer(&place, loads, &[], &mut change);
+    let (fields, gives) = (&loads[..FIELDS.len()], loads[TENDON]);
+    cables.answer(
+        &place,
+        fields,
+        gives,
+        &[],
+        &mut change,
+        &mut Problem::default(),
+    );
     let weights: Vec<f64> = loads[..TENDON].iter().copied().chain(change).collect();
     (0..start[0].places.len())
         .map(|p| {

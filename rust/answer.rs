@@ -1,0 +1,124 @@
+//! How a body answers loads at a command: the weights of its fields, the changes of tension of its cables, and what large
+//! loads do beyond.
+//!
+//! Loads (`loads.rs`) stretch the cables; the changes of tension that follow move the body as the loads do (`cables.rs`), and
+//! dead loads do more than their fields say (`second.rs`). What all three know of a command is read first (`at`): its *place*.
+//! Fields, stretches and second derivatives enter by sums, so that a body under the same loads at all commands is one with
+//! two loads, all dead ones and all changes of design (`under`): tens of numbers a place instead of hundreds.
+
+use crate::cables::Cables;
+use crate::complementarity::Problem;
+use crate::error::Result;
+use crate::loads::{FIELDS, LOADS};
+use crate::second::{MOST_TENDONS, Second};
+
+/// What a body has beside its fields.
+#[derive(Clone)]
+pub struct Answer {
+    pub cables: Option<Cables>,
+    pub second: Option<Second>,
+    /// Number of loads and changes of design, and how many of the first are dead loads.
+    loads: usize,
+    dead: usize,
+}
+
+/// What is in work at a place.
+#[derive(Default)]
+pub struct Scratch {
+    /// What loads beyond their fields stretch each cable by (n,) mm.
+    pub beyond: Vec<f64>,
+    problem: Problem,
+}
+
+impl Answer {
+    /// The answer to `loads.rs`' loads.
+    pub fn new(cables: Option<Cables>, second: Option<Second>) -> Answer {
+        Answer {
+            cables,
+            second,
+            loads: FIELDS.len(),
+            dead: LOADS,
+        }
+    }
+
+    /// The same with two loads, which are `loads` (FIELDS,) of its own: dead ones, changes of design.
+    pub fn under(&self, loads: &[&[f64]; 2]) -> Result<Answer> {
+        let cables = self.cables.as_ref().map(|cables| cables.under(loads));
+        let second = self.second.as_ref();
+        Ok(Answer {
+            cables: cables.transpose()?,
+            second: second.map(|second| second.under(&loads[0][..self.dead])),
+            loads: loads.len(),
+            dead: 1,
+        })
+    }
+
+    /// Number of cables that answer.
+    pub fn tendons(&self) -> usize {
+        self.cables.as_ref().map_or(0, Cables::count)
+    }
+
+    fn split(&self) -> usize {
+        self.cables.as_ref().map_or(0, Cables::size)
+    }
+
+    /// Numbers of a place.
+    pub fn size(&self) -> usize {
+        self.split() + self.second.as_ref().map_or(0, Second::size)
+    }
+
+    /// The place at a command: what the cables are like there, then what loads that are `there` do beyond their fields.
+    pub fn at(&self, u: &[f64], there: &[bool], out: &mut [f64]) {
+        let (cables, second) = out.split_at_mut(self.split());
+        if let Some(known) = &self.cables {
+            known.at(u, cables);
+        }
+        if let Some(known) = &self.second {
+            known.at(u, there, second);
+        }
+    }
+
+    /// The cables' part of a place.
+    pub fn cables_at<'a>(&self, place: &'a [f64]) -> Option<(&Cables, &'a [f64])> {
+        self.cables
+            .as_ref()
+            .map(|known| (known, &place[..self.split()]))
+    }
+
+    /// Write the weights of the fields to `weights`: the loads, the changes of tension (N), what they do beyond. `gives` (mm/N)
+    /// is what each cable has beside the model's compliance; `place` is what `at` says there.
+    pub fn weigh(
+        &self,
+        loads: &[f64],
+        gives: f64,
+        place: &[f64],
+        weights: &mut [f64],
+        work: &mut Scratch,
+    ) {
+        let Scratch { beyond, problem } = work;
+        let (own, rest) = weights.split_at_mut(self.loads);
+        own.copy_from_slice(loads);
+        rest.fill(0.0);
+        beyond.clear();
+        let acts = gives != 0.0 || loads.iter().any(|c| *c != 0.0);
+        let (change, modes) = rest.split_at_mut(self.tendons());
+        let cables = self.cables_at(place).filter(|_| acts);
+        let large = gives != 0.0 || loads[..self.dead].iter().any(|c| *c != 0.0);
+        if let (Some(known), true) = (&self.second, large) {
+            let mut amount = [0.0; LOADS + MOST_TENDONS];
+            let amount = &mut amount[..self.dead + change.len()];
+            amount[..self.dead].copy_from_slice(&loads[..self.dead]);
+            if let Some((cables, at)) = cables {
+                let mut alone = [0.0; FIELDS.len()];
+                alone[..self.dead].copy_from_slice(&loads[..self.dead]);
+                cables.answer(at, &alone[..self.loads], gives, &[], change, problem);
+                amount[self.dead..].copy_from_slice(change);
+            }
+            beyond.resize(known.tendons(), 0.0);
+            known.beyond(&place[self.split()..], amount, modes, beyond);
+        }
+        if let Some((cables, at)) = cables {
+            cables.answer(at, loads, gives, beyond, change, problem);
+        }
+    }
+}
