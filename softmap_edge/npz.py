@@ -6,7 +6,7 @@ import io
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,16 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-    """Write `arrays` to `path`, replacing it only when complete; the same content gives the same bytes."""
+    """Write `arrays` to `path`, replacing it only when complete; the same content gives the same bytes.
+
+    Tables of whole numbers go column after column: what `packed` made is smooth down a column and a fifth smaller so.
+    """
     partial = path.with_name(path.name + ".part")
     with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name in sorted(arrays):
             buffer = io.BytesIO()
-            array = np.asarray(arrays[name], order="C")  # ascontiguousarray would give a number an axis
+            order: Literal["F", "C"] = "F" if np.asarray(arrays[name]).dtype.kind == "i" else "C"
+            array = np.asarray(arrays[name], order=order)  # ascontiguousarray would give a number an axis
             np.lib.format.write_array(buffer, array, allow_pickle=False)
             archive.writestr(
                 zipfile.ZipInfo(f"{name}.npy", _EPOCH), buffer.getvalue(), zipfile.ZIP_DEFLATED, compresslevel=9
@@ -107,7 +111,7 @@ def _read_array(data: bytes, name: str, path: Path, error: type[SoftmapError]) -
         if expected != len(data) - stream.tell():
             raise ValueError(f"shape {shape} of {dtype} needs {expected} bytes, {len(data) - stream.tell()} are there")
         stream.seek(0)
-        array: NDArray[np.generic] = np.lib.format.read_array(stream, allow_pickle=False)
+        array: NDArray[np.generic] = np.asarray(np.lib.format.read_array(stream, allow_pickle=False), order="C")
         if dtype.kind == "U" and array.size and int(_code_points(array).max(initial=0)) > 0x10FFFF:
             raise ValueError("it holds text that is not Unicode")
         return array

@@ -37,7 +37,7 @@ def test_round_trip_is_the_same_model_and_the_same_bytes(finger, tmp_path):
 
 def test_built_in_bundle_is_small_and_has_548_vertices(finger):
     sizes = {file.name: file.stat().st_size for file in finger.iterdir()}
-    assert sizes["prior.npz"] <= 100_000 and sum(sizes.values()) <= 320_000
+    assert sizes["prior.npz"] <= 100_000 and sum(sizes.values()) <= 300_000
     model = load_bundle(finger)
     assert len(model.rest) == 548
     assert len(model.tip_indices) == 27  # 5 % of 548
