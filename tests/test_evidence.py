@@ -8,7 +8,7 @@ import pytest
 from softmap_edge.bundle import builtin_model
 from softmap_edge.diagnosis.conclusion import RIVAL, TEMPERATURE
 from softmap_edge.diagnosis.diagnose import _problem, diagnose
-from softmap_edge.diagnosis.evidence import FORMS, LEFT, allowed, leftover
+from softmap_edge.diagnosis.evidence import BEYOND, FORMS, LEFT, NOISE, allowed, leftover
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import SHARE, SIMPLER, Search
 from softmap_edge.protocol import standard_protocol
@@ -32,13 +32,24 @@ def test_what_is_left_is_measured_against_the_form_of_what_is_found():
     """The same leftover is a claim beside nothing, and none beside an effect that explains ten times as much."""
     search, _ = searched(lambda u: 1.12 * u + 0.25 * np.sin(1.7 * u))
     found = search.get(("gain",))
-    assert allowed(search, search.null) == pytest.approx(search.problem.record.form_mm)
-    moved = search.problem.record.rms_mm(search.displacement(found, "gain"))
-    expected = np.hypot(search.problem.record.form_mm, FORMS["channel"] * moved)
+    record = search.problem.record
+    own = np.hypot(record.form_mm, NOISE * search.problem.noise.rms_mm(record.positions))
+    assert allowed(search, search.null) == pytest.approx(own)
+    expected = np.hypot(own, FORMS["channel"] * record.rms_mm(search.displacement(found, "gain")))
     assert allowed(search, found) == pytest.approx(expected, rel=0.02)
     left = leftover(search, found)
-    assert not left.claim and left.rms_mm > LEFT * search.problem.record.form_mm
+    assert not left.claim and left.rms_mm > LEFT * own
     assert leftover(search, search.null).claim
+
+
+def test_beyond_a_bound_nobody_is_missing():
+    """A servo that is mounted 6.5 mm off: an offset at its bound of 4 mm leaves the rest itself."""
+    search, _ = searched(lambda u: u + [6.5, 0.0], ["offset", "gain"])
+    found = search.problem.fit(("offset",), [np.array([1.0, 0.0])])
+    left = leftover(search, found)
+    moved = search.problem.record.rms_mm(search.displacement(found, "offset"))
+    assert found.params["offset.shift[0]"] == pytest.approx(4.0) and left.rms_mm > 3 * FORMS["channel"] * moved
+    assert allowed(search, found) > BEYOND * moved and not left.claim
 
 
 def test_what_nobody_explains_is_claimed():
@@ -64,6 +75,37 @@ def test_fewer_effects_that_come_nearer_stand_for_more():
     assert search._undominated(one) is one
     del search._fits[frozenset(("offset",))]
     assert SIMPLER * 0.6 < 0.59 and search._undominated(pair) is pair  # hardly nearer is no reason
+
+
+def judged(other, share, moved=0.6):
+    """Whether a second effect counts beside `other`, which moves the body by 1.5 mm."""
+    search = object.__new__(Search)
+    families = {"kink": "body stiffness", "friction": "play", "payload": "dead load"}
+    search.faults, search.screening = set(), SimpleNamespace(families=families)
+    search.get, search.dispersion, search.penalty = (
+        (lambda _: SimpleNamespace(cost=100.0)),
+        (lambda _: 1.0),
+        (lambda _: 0.0),
+    )
+    search._cv_fall, search._least_mm, search.share = (lambda *_: (0.1, 1.0)), (lambda _: 0.12), (lambda *_: share)
+    search.displacement = lambda _, effect: 1.5 if effect == other else moved
+    search.problem = SimpleNamespace(record=SimpleNamespace(rms_mm=float))
+    return search.judge(SimpleNamespace(effects=(other, "gravity"), cost=50.0), "gravity").accepted
+
+
+def test_beside_a_linear_field_a_second_effect_carries_more():
+    """Fields of stiffness are linear: where they are strong, a tenth of the misfit may be their own."""
+    assert judged("friction", 0.06) and not judged("kink", 0.06) and judged("kink", 0.12)
+    assert judged("friction", 0.12, 0.4) and judged("payload", 0.06, 0.4) and not judged("kink", 0.12, 0.4)
+
+
+def test_effects_that_undo_each_other_explain_nothing():
+    search = object.__new__(Search)
+    search.null = SimpleNamespace(predicted=np.zeros(3))
+    search.problem = SimpleNamespace(record=SimpleNamespace(rms_mm=lambda d: float(np.abs(d).max())))
+    search._least_mm, search.judge = (lambda _: 0.2), (lambda *_: SimpleNamespace(accepted=True))
+    assert search.valid(SimpleNamespace(effects=("offset", "gravity"), predicted=np.full(3, 0.3)))
+    assert not search.valid(SimpleNamespace(effects=("offset", "gravity"), predicted=np.full(3, 0.1)))
 
 
 def test_a_name_is_as_sure_as_what_could_stand_in_its_place():

@@ -65,3 +65,18 @@ def test_every_wiring_is_looked_at():
     space = problem.space(("servo_swap",))
     ways = {int(space.values(start)[0]) for start in screening.starts("servo_swap")}
     assert ways == {1, 2, 3}  # a sign of either channel, and the two exchanged
+
+
+def test_a_limit_that_is_hardly_reached_is_found():
+    """From the declared start of 8 mm every step is worse than nothing; nearer to no limit at all one is not."""
+    protocol, model = standard_protocol(), builtin_model()
+    rest = np.broadcast_to(model.rest, (protocol.frames, *model.rest.shape))
+    most = 0.93 * np.abs(protocol.command).max()
+    acting = Run(protocol.t, np.clip(protocol.command, -most, most), protocol.t_seen, vertices=rest)
+    points = model.predict(acting) + 0.2 * np.random.default_rng(0).normal(size=rest.shape)
+    run = Run(protocol.t, protocol.command, protocol.t_seen, vertices=points)
+    names = ["saturation", "gain", "mullins", "friction"]
+    problem = _problem(Record(model, run), names)
+    promised, name, starts = screening_of(problem, _core).best(problem.null(), names, 4)[0]
+    assert name == "saturation" and promised < 0.5 * problem.null().cost
+    assert problem.space((name,)).values(starts[0]) == pytest.approx(most, rel=0.1)

@@ -19,6 +19,7 @@ from softmap_edge.diagnosis.evidence import (
     LEFT_R2,
     Leftover,
     Untestable,
+    at_bound,
     equivalents,
     experiment,
     ladder,
@@ -38,7 +39,7 @@ Floats = NDArray[np.float64]
 
 # Of the probabilities, fitted on development seeds of the bank (docs/bank.md): where forms are not exact one of so many
 # whitened numbers speaks for itself; odds of an open rival against what is named.
-TEMPERATURE, RIVAL = 200.0, 0.5
+TEMPERATURE, RIVAL = 400.0, 1 / 3
 UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "cannot tell"
 
 
@@ -207,9 +208,8 @@ def parameters(
     """Return the fitted parameters of the effects `names` by label: value, sigma, unit, and whether at a bound.
 
     Those that the effects declare, or the numbers of the prior that were open with them.
-    A bound where the effect ends (no payload, one creep time) is none, nor is the last of whole numbers.
     """
-    values, null = fit.space.values(fit.x), fit.space.scaled(fit.space.null)
+    values, bound = fit.space.values(fit.x), at_bound(fit)
     in_commands = {e["name"] for e in record.library.effects() if e["role"] == "channel"}
     found = {}
     for j, i in enumerate(fit.space.free):
@@ -220,9 +220,7 @@ def parameters(
             unit = "of the model's own load scale"  # grams would be a claim without ground
         if unit == "mm" and label.split(".")[0] in in_commands:
             unit = getattr(record.model, "command_unit", "mm")
-        bounds = [x for x in (fit.space.low[j], fit.space.high[j]) if abs(x - null[j]) > 1e-6]
-        at_bound = not fit.space.integer[j] and any(abs(fit.x[j] - x) <= 1e-6 for x in bounds)
-        found[label] = {"value": float(values[j]), "sigma": float(sigma[j]), "unit": unit, "at_bound": at_bound}
+        found[label] = {"value": float(values[j]), "sigma": float(sigma[j]), "unit": unit, "at_bound": bool(bound[j])}
     return found
 
 

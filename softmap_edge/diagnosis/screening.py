@@ -25,6 +25,7 @@ LOOKED = 2  # candidates that are looked at again on top of a fit, for each one 
 PREDICTED = 2  # candidates that are predicted and not only looked at by slopes, for each one that is fitted
 KEPT = 2  # starts of each whose signature is kept
 FRAMES = 400  # on which signatures are kept
+FAINTER = (0.05, 0.1, 0.2, 0.4)  # of the way from a start that is worse than nothing to the ends of its scale
 NEAR = 0.25  # of the commands' range: farther, a screening step is predicted and not taken along the slopes
 
 
@@ -49,6 +50,7 @@ class Screening:
         self._points: dict[tuple[frozenset[str], str], list[Floats]] = {}
         self._slopes: dict[frozenset[str], tuple[Floats, Floats]] = {}
         self._signatures: dict[str, list[Signature]] = {}
+        self._starts: dict[str, list[Floats]] = {}  # of effects whose own starts lead nowhere
         self._some = slice(None, None, max(1, -(-len(problem.record) // FRAMES)))
 
     def best(
@@ -80,18 +82,33 @@ class Screening:
         """Return the objective by slopes after one step of `effect` on top of `parent`; its points are kept."""
         key = (frozenset(parent.effects), effect)
         if key not in self._glances:
-            self._glances[key], self._points[key] = self._step(parent, effect)
+            found = self._step(parent, effect, self._starts.get(effect) or self.starts(effect))
+            if not parent.effects and found[0] >= parent.cost:  # worse than nothing: no start is near
+                self._starts[effect] = self._fainter(parent, effect)
+                found = min(found, self._step(parent, effect, self._starts[effect]), key=lambda step: step[0])
+            self._glances[key], self._points[key] = found
         return self._glances[key]
 
-    def _step(self, parent: Fit, effect: str) -> tuple[float, list[Floats]]:
-        """Take one step of `effect` from each of its starts; the joint points come best first."""
+    def _fainter(self, parent: Fit, effect: str) -> list[Floats]:
+        """Return the two best points on the way from the start of an effect to either end of its log scales.
+
+        A limit is absent at its high end and acts all at once below what is commanded: no slope leads there from afar.
+        """
+        space = self.problem.space((effect,), free=(effect,))
+        ends = [np.where(space.log & space.declared, end, space.start) for end in (space.low, space.high)]
+        points = np.stack([space.start + share * (end - space.start) for end in ends for share in FAINTER])
+        modes = self._glance(parent, self.problem.space((effect,)), effect, points)
+        return list(points[np.argsort(self.problem.costs(modes, points)[0], kind="stable")[:2]])
+
+    def _step(self, parent: Fit, effect: str, starts: Sequence[Floats]) -> tuple[float, list[Floats]]:
+        """Take one step of `effect` from each of `starts`; the joint points come best first."""
         problem = self.problem
         space = problem.space((*parent.effects, effect))
         labels = space.free_labels()
         new = [i for i, label in enumerate(labels) if label.split(".")[0] == effect]
         old = dict(zip(parent.space.free_labels(), range(len(parent.x))))
         joint = []
-        for start in self.starts(effect):
+        for start in starts:
             x = np.array([parent.x[old[label]] if label in old else 0.0 for label in labels])
             x[new] = start
             joint.append(np.clip(x, space.low, space.high))
