@@ -21,7 +21,7 @@ import json
 import math
 import re
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,8 @@ from softmap_edge import __version__, _core, own_effect
 from softmap_edge.errors import BundleError, SoftmapError, brief
 from softmap_edge.features import SECTIONS, Body
 from softmap_edge.model import Arrays, Model
-from softmap_edge.npz import read_npz, unpacked, write_npz
+from softmap_edge.npz import read_npz, write_npz
+from softmap_edge.shape_arrays import cables_from, family_from, fields_from, second_from
 
 # 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a residual; else 1
 SCHEMA = 4
@@ -40,8 +41,6 @@ _MAX_BYTES = 256 << 20
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
 _KINDS = ("table", "scattered", "rod")
 Trust = Callable[[Path, str], bool]
-_SHARED = ("modes", "nodes", "scale", "power")  # what the fields of one bundle have in common beside their axes
-_TENSION = "tension_"  # what the field of a tendon is called, before its number
 _LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
 _MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
 
@@ -217,28 +216,6 @@ def _allow(file: Path, name: str, digest: str, trust: Trust | None) -> None:
         )
 
 
-def family_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table | _core.Scattered:
-    """Return the compiled shape family of `coefficients`, `mean` and `modes` over `axis0…`, or over scattered
-    `nodes`.
-    """
-    arrays = unpacked(arrays)
-    mean, modes, coefficients = (np.asarray(arrays[name], np.float64) for name in ("mean", "modes", "coefficients"))
-    if "nodes" in arrays:
-        nodes, scale = (np.asarray(arrays[name], np.float64) for name in ("nodes", "scale"))
-        return _core.Scattered(nodes, scale, int(arrays["power"].item()), coefficients, mean, modes)
-    axes: list[NDArray[np.float64]] = []
-    while f"axis{len(axes)}" in arrays:
-        axes.append(np.asarray(arrays[f"axis{len(axes)}"], np.float64))
-    return _core.Table(axes, coefficients, mean, modes)
-
-
-def table_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table:
-    """Return the compiled table stored in `arrays` as `axis0…`, `coefficients`, `mean`, `modes`."""
-    family = family_from({name: array for name, array in arrays.items() if name != "nodes"})
-    assert isinstance(family, _core.Table)
-    return family
-
-
 def _residual(manifest: dict[str, Any]) -> list[str]:
     """Return the file of the residual that the manifest names, if it does."""
     return ["residual.npz"] if "residual.npz" in manifest["sha256"] else []
@@ -351,82 +328,6 @@ def load_chain(path: str | Path) -> tuple[list[str], dict[str, float]]:
 
 def _own_hashes(manifest: dict[str, Any]) -> dict[str, str]:
     return {f"{name}.py": digest for name, digest in manifest.get("own_effects", {}).items()}
-
-
-def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, Any]:
-    """Return the compiled fields stored as `coefficients_NAME` over shared `axis0…` or `nodes`, and `modes`."""
-    arrays = unpacked(arrays)
-    shared = {key: value for key, value in arrays.items() if key.startswith("axis") or key in _SHARED}
-    names = [key.removeprefix("coefficients_") for key in arrays if key.startswith("coefficients_")]
-    size = shared["modes"].shape[1] if names else 0
-    return {
-        name: family_from({**shared, "coefficients": arrays[f"coefficients_{name}"], "mean": np.zeros(size)})
-        for name in sorted(names)
-        if not name.startswith(_TENSION)
-    }
-
-
-def cables_from(
-    prior: Mapping[str, NDArray[np.generic]], fields: Mapping[str, NDArray[np.generic]]
-) -> _core.Cables | None:
-    """Return the cables stored as `pull` beside the prior, and as `stiffness`, `stretch` and tension fields.
-
-    None for a prior without them: its fields answer loads alone.
-    """
-    if "stiffness" not in fields:
-        return None
-    prior, fields = unpacked(prior), unpacked(fields)
-    shared = {key: value for key, value in fields.items() if key.startswith("axis") or key == "modes"}
-    still = np.zeros(shared["modes"].shape[1])
-    names = [f"coefficients_{_TENSION}{i}" for i in range(fields["stiffness"].size)]
-    return _core.Cables(
-        np.asarray(fields["stiffness"], np.float64),
-        plain_table(prior, "pull"),
-        plain_table({**fields, "stretch": _stretch(fields)}, "stretch"),
-        [table_from({**shared, "coefficients": fields[name], "mean": still}) for name in names],
-    )
-
-
-def _stretch(fields: Mapping[str, NDArray[np.generic]]) -> NDArray[np.float64]:
-    """Return the stretch (S, T·(F + T)) of every tendon for each of `_core.FIELDS` and each tension.
-
-    Zero where a bundle has no such field.
-    """
-    tendons, loads = fields["stiffness"].size, len(_core.LOADS)
-    stored = np.asarray(fields["stretch"], np.float64).reshape(len(fields["stretch"]), tendons, loads + tendons)
-    full = np.zeros((len(stored), tendons, len(_core.FIELDS) + tendons))
-    full[..., :loads], full[..., len(_core.FIELDS) :] = stored[..., :loads], stored[..., loads:]
-    for f, name in enumerate(_core.FIELDS):
-        if f"stretch_{name}" in fields:
-            full[..., f] = fields[f"stretch_{name}"]
-    return full.reshape(len(full), -1)
-
-
-def second_from(fields: Mapping[str, NDArray[np.generic]]) -> _core.Second | None:
-    """Return what loads do beyond their fields, stored as `second_…`: weights (S, P, m), stretch (S, P, T) and growth
-    (S, L + T) over its own axes, modes (m, M) made of the `modes` of the fields; None for a bundle without it.
-    """
-    if "second_weights" not in fields:
-        return None
-    whole = unpacked(fields)
-    numbers = {
-        name.removeprefix("second_"): np.asarray(array, np.float64)
-        for name, array in whole.items()
-        if name.startswith("second_")
-    }
-    modes = numbers["modes"] @ np.asarray(whole["modes"], np.float64)
-    axes = [numbers[f"axis{c}"] for c in range(sum(name.startswith("axis") for name in numbers))]
-    pairs = np.concatenate([numbers["weights"], numbers["stretch"]], axis=2).reshape(len(numbers["growth"]), -1)
-    both = np.concatenate([pairs, numbers["growth"]], axis=1)
-    return _core.Second(axes, both, numbers["stretch"].shape[2], modes)
-
-
-def plain_table(arrays: Mapping[str, NDArray[np.generic]], name: str) -> _core.Table:
-    """Return the table of the numbers (S, n) called `name` over `axis0…`, each its own mode."""
-    arrays = unpacked(arrays)
-    axes = {key: value for key, value in arrays.items() if key.startswith("axis")}
-    width = arrays[name].shape[1]
-    return table_from({**axes, "coefficients": arrays[name], "mean": np.zeros(width), "modes": np.eye(width)})
 
 
 def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from softmap_edge.features import (
     seen_residual,
     upright,
 )
+from softmap_edge.shape_arrays import family_from
 
 if TYPE_CHECKING:
     from softmap_edge.rod.elastic import Change, ElasticParameters
@@ -173,8 +174,6 @@ class Model:
         kept = {name: group for name, group in self.arrays.items() if name != "residual"}
         if arrays is None:
             return self if self.residual is None else replace(self, arrays=kept, residual=None)
-        from softmap_edge.bundle import family_from
-
         residual = family_from(arrays)
         _core.Sum(self.prior, residual)  # agrees, or says so
         return replace(self, arrays=kept | {"residual": dict(arrays)}, residual=residual)

@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.bundle import family_from
 from softmap_edge.elsewhere.scattered import fit_scattered
 from softmap_edge.errors import SoftmapError
 from softmap_edge.folds import Folds, run_folds
 from softmap_edge.run import known
+from softmap_edge.shape_arrays import family_from
 
 if TYPE_CHECKING:
     from softmap_edge.model import Arrays, Model

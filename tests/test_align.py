@@ -9,7 +9,8 @@ import pytest
 from logs import published
 
 from softmap_edge import Run, builtin_model, compare, diagnose, save_bundle
-from softmap_edge.alignment.align import align_base, align_home, clamped_places, in_frame
+from softmap_edge.alignment.align import align_base, align_home, clamped_places
+from softmap_edge.alignment.result import in_frame
 from softmap_edge.alignment.rigid import Pose, kabsch, robust, rotation, rotation_vector
 from softmap_edge.cli import main
 from softmap_edge.commands.align import without

@@ -180,14 +180,14 @@ def elastic_sample(folder):
     from softmap_edge.rod.robot import Robot
     from softmap_edge.run import Run
 
-    robot = Robot.load(robot_sample(folder))
+    robot = Robot.load(robot_sample(folder)).with_slack(1.0)
     (folder / "robot.toml").unlink()
     t = np.arange(0.0, 40.0, 0.5)
     command = 4.0 * np.sin((0.3 + 0.1 * np.arange(9)) * t[:, None])
     markers = robot.layout.compiled(robot.start).evaluate(command).reshape(-1, 1, 3)
-    return save_bundle(
-        learn_model(Run(t=t, command=command, t_seen=t, markers=markers), robot=robot), folder / "bundle"
-    )
+    model = learn_model(Run(t=t, command=command, t_seen=t, markers=markers), robot=robot)
+    changed = {change.label: change.null + 0.01 for change in model.changes(["slack"])[:2]}
+    return save_bundle(model.with_effects(["slack"], {"slack.ratio": 0.5} | changed), folder / "bundle")
 
 
 # --- use: load, and what everybody does next -----------------------------------------------
@@ -275,6 +275,8 @@ def use_bundle(path):
     run = Run(t=[0.0, 1.0], command=np.ones((2, model.channels)), t_seen=[0.5], gravity=[1.0, 0, 0], load=5.0)
     model.predict(run)
     model.features(run)
+    if model.restorable:
+        model.with_effects((), {}).predict(run)
 
 
 def use_own_effect(path):

@@ -43,8 +43,8 @@ Change = Callable[[Design, Loads, float], tuple[Design, Loads]]
 @lru_cache(maxsize=1)
 def model() -> Model:
     """Return the model of the clean rod. Grams are allowed: a known weight was hung on."""
-    from softmap_edge.bundle import family_from, fields_from
     from softmap_edge.elsewhere.build import model_from_file
+    from softmap_edge.shape_arrays import family_from, fields_from
 
     made = model_from_file(stored("rod-sweep", (sources(), SWEEP, KNOWN), _sweep))
     names = [name for name in _core.FIELDS if name in changes()]

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.alignment.align import align_base, align_home, base_markers, clamped_places, in_frame
+from softmap_edge.alignment.align import align_base, align_home, clamped_places
+from softmap_edge.alignment.result import base_markers, in_frame
 from softmap_edge.alignment.rigid import Pose
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import effects_argument, load_own, open_model

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.bundle import family_from, fields_from
 from softmap_edge.elsewhere.bending import Stiffness, fields, weigh
 from softmap_edge.elsewhere.centreline import Centreline, farthest, find_centreline
 from softmap_edge.elsewhere.scattered import fit_scattered
@@ -28,6 +27,7 @@ from softmap_edge.elsewhere.stretches import stretch_fields
 from softmap_edge.elsewhere.sweep_file import ShapeSweep, is_own_sweep, is_shape_sweep
 from softmap_edge.errors import SweepError, brief
 from softmap_edge.model import NOMINAL, Arrays, Model, tip_of
+from softmap_edge.shape_arrays import family_from, fields_from
 from softmap_edge.solid.build import FIELD_STEPS, Progress, from_sweep, leading
 from softmap_edge.solid.simulator import Simulator, Sweep, tensor_grid
 

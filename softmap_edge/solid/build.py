@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.bundle import cables_from, fields_from, plain_table, second_from, table_from
 from softmap_edge.errors import SoftmapError
 from softmap_edge.features import SECTIONS
 from softmap_edge.model import Arrays, Model, tip_of
 from softmap_edge.npz import packed, unpacked
 from softmap_edge.run import Run
+from softmap_edge.shape_arrays import cables_from, fields_from, plain_table, second_from, table_from
 from softmap_edge.solid.bodies import Meshed
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Bend, Compliance, Simulator, Sweep, tensor_grid

@@ -1,0 +1,125 @@
+"""An alignment that was found, as a person and a document read it, and a run taken into its frame.
+
+Turns and shifts are small, about the axes and the origin of the base frame, as those of the effect `mount`; deg, mm.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.alignment.groups import Moved
+from softmap_edge.alignment.rigid import Pose, rotation_vector
+from softmap_edge.errors import AlignError
+from softmap_edge.run import BASE_MARKERS, Run
+
+Floats = NDArray[np.float64]
+
+SCHEMA = "softmap.align/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """A transform found, p_base = rotation · p_seen + shift; prints itself, and `to_dict()` is softmap.align/1.
+
+    `sigma` (6,): standard deviations of turns about x, y, z of the base frame (deg), then of shifts (mm).
+    `moved`: how the base or home moved within the run, None where it did not. `frames`: a pose for each frame of the
+    run, where it was asked for.
+    """
+
+    pose: Pose
+    sigma: Floats
+    method: str
+    groups: int
+    used_frames: int
+    points: int
+    wrong_points: list[int]
+    residual_mm: float
+    noise_mm: float
+    scale: float
+    moved: Moved | None
+    notes: list[str] = field(default_factory=list)
+    frames: Pose | None = None
+
+    def apply(self, run: Run) -> Run:
+        """Return the run in the base frame, with the transform and its sigma as `frame` and `frame_sigma`."""
+        return in_frame(run, self.pose, self.sigma, self.frames)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.align/1."""
+        turn = np.degrees(rotation_vector(self.pose.rotation))
+        return {
+            "schema": SCHEMA,
+            "method": self.method,
+            "groups": self.groups,
+            "frames": self.used_frames,
+            "points": self.points,
+            "wrong_points": self.wrong_points,
+            "transform": {
+                "rotation": self.pose.rotation.tolist(),
+                "turn_deg": turn.tolist(),
+                "shift_mm": self.pose.shift.tolist(),
+            },
+            "sigma": {"turn_deg": self.sigma[:3].tolist(), "shift_mm": self.sigma[3:].tolist()},
+            "residual_mm": self.residual_mm,
+            "noise_mm": self.noise_mm,
+            "scale": self.scale,
+            "moved": None if self.moved is None else self.moved.to_dict(),
+            "removed_by_frame": self.frames is not None,
+            "notes": self.notes,
+        }
+
+    def __str__(self) -> str:
+        turn, s = np.degrees(rotation_vector(self.pose.rotation)), self.sigma
+        wrong = f"; left aside as wrong: {len(self.wrong_points)}" if self.wrong_points else ""
+        lines = [
+            f"Aligned by {self.method}: {self.used_frames} frames in {self.groups} groups, {self.points} points{wrong}",
+            f"  {'':<8}{'x':>18}{'y':>18}{'z':>18}",
+            "  turned  " + "".join(f"{a:10.3f} ± {b:<5.2g}" for a, b in zip(turn, s[:3])) + " deg, rotation vector",
+            "  shifted " + "".join(f"{a:10.3f} ± {b:<5.2g}" for a, b in zip(self.pose.shift, s[3:])) + " mm",
+            f"  left between points and places {self.residual_mm:.3f} mm RMS; noise of a frame {self.noise_mm:.3f} mm",
+        ]
+        if self.moved is not None:
+            lines.append(f"  {self.moved}")
+        return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
+
+
+def in_frame(run: Run, pose: Pose, sigma: Floats, frames: Pose | None = None) -> Run:
+    """Return the run with all that was seen, and what stood on the base, taken by a pose; `frame` says so.
+
+    Args:
+        sigma: (6,) of the pose, deg and mm. frames: a pose for each frame, which takes what is seen in it instead.
+    """
+    change: dict[str, Any] = {}
+    for name in ("vertices", "markers", "points"):
+        seen = getattr(run, name)
+        if seen is not None:
+            change[name] = (frames or pose)(seen) if seen.ndim == 3 else pose(seen)
+    base = base_markers(run)
+    if base.shape[1]:
+        change["extra"] = run.extra | {BASE_MARKERS: (frames or pose)(base)}
+    if run.cameras is not None:  # they look from where they stood, at points that have other numbers now
+        looking = Pose(run.cameras[:, :, :3], run.cameras[:, :, 3]).after(pose.inverse())
+        change["cameras"] = np.concatenate([looking.rotation, looking.shift[:, :, None]], axis=2)
+    before = Pose(np.eye(3), np.zeros(3)) if run.frame is None else Pose(run.frame[:, :3], run.frame[:, 3])
+    whole = pose.after(before)
+    change |= {"frame": np.column_stack([whole.rotation, whole.shift]), "frame_sigma": sigma}
+    return dataclasses.replace(run, **change)
+
+
+def base_markers(run: Run) -> Floats:
+    """Return the markers on the base (K, B, 3) mm that an import keeps beside those of the robot; B = 0 without any.
+
+    Raises:
+        AlignError: the field has another shape.
+    """
+    base = run.extra.get(BASE_MARKERS)
+    if base is None:
+        return np.zeros((run.frames, 0, 3))
+    if base.ndim != 3 or base.shape[0] != run.frames or base.shape[2] != 3 or base.dtype.kind != "f":
+        raise AlignError(f"{BASE_MARKERS}: {base.dtype} of shape {base.shape}, expected ({run.frames}, B, 3) mm")
+    return np.asarray(base, float)
