@@ -143,7 +143,7 @@ class Problem:
     def white(self, modes: Floats) -> Floats:
         """Return flattened whitened numbers (..., K*M) of modes."""
         shrunk = self.whitener.shrink(modes)
-        return shrunk.reshape(*shrunk.shape[:-2], -1)
+        return shrunk.reshape(*shrunk.shape[:-2], shrunk.shape[-2] * shrunk.shape[-1])
 
     def space(self, effects: Sequence[str], free: Sequence[str] = ()) -> Space:
         """Return the coordinates of a set of effects."""
@@ -194,8 +194,9 @@ class Problem:
         damping, slopes, fresh = 1e-3, self.slopes(space, x, modes), True
         for _ in range(ITERATIONS if len(x) else 0):
             jacobian, residual = self.white(slopes), self.white(modes)
+            gradient, hessian = normal(x, jacobian, residual)
             for factors in DAMPINGS if fresh else DAMPINGS[:1]:
-                tries = np.stack([newton_step(space, x, jacobian, residual, damping * f) for f in factors])
+                tries = np.stack([normal_step(space, x, gradient, hessian, damping * f) for f in factors])
                 ahead, ahead_modes = self.at(space, tries)
                 costs, chis = self.costs(ahead_modes, tries)
                 best = int(np.argmin(costs))
@@ -254,16 +255,25 @@ class Problem:
 
 def newton_step(space: Space, x: Floats, jacobian: Floats, residual: Floats, damping: float) -> Floats:
     """Return x after one damped Gauss-Newton step within the bounds; jacobian (P, n), residual (n,)."""
-    gradient = jacobian @ residual + x
-    hessian = jacobian @ jacobian.T + np.eye(len(x))
+    return normal_step(space, x, *normal(x, jacobian, residual), damping)
+
+
+def normal(x: Floats, jacobian: Floats, residual: Floats) -> tuple[Floats, Floats]:
+    """Return gradient (P,) and Hessian (P, P) of half the objective at x, the prior included."""
+    return np.asarray(jacobian @ residual + x), np.asarray(jacobian @ jacobian.T + np.eye(len(x)))
+
+
+def normal_step(space: Space, x: Floats, gradient: Floats, hessian: Floats, damping: float) -> Floats:
+    """Return x after one damped step within the bounds, from gradient (P,) and Hessian (P, P) of half the objective."""
     free = ~(((x <= space.low + 1e-9) & (gradient > 0)) | ((x >= space.high - 1e-9) & (gradient < 0)))
     ahead = x.copy()
     for _ in range(3):  # parameters that hit a bound are fixed there and the others solved again
         if not free.any():
             break
-        inner = hessian[free][:, free]
+        inner = hessian[np.ix_(free, free)]
+        inner[np.diag_indices(len(inner))] *= 1.0 + damping
         pull = gradient[free] + hessian[free][:, ~free] @ (ahead - x)[~free]
-        ahead[free] = x[free] - np.linalg.solve(inner + damping * np.diag(np.diag(inner)), pull)
+        ahead[free] = x[free] - np.linalg.solve(inner, pull)
         outside = free & ((ahead < space.low) | (ahead > space.high))
         ahead = np.clip(ahead, space.low, space.high)
         if not outside.any():

@@ -107,6 +107,7 @@ class Record:
             )
         if not some.all():
             run, seen = run.at(some), seen[some]
+        self._layouts: dict[tuple[tuple[str, ...], int], Layout] = {}
         self.run = run
         self.frames, self.features = seen.shape[0], seen.shape[1] * 3
         self.seen = seen.reshape(self.frames, self.features)
@@ -160,7 +161,13 @@ class Record:
         return self._layout(names, 1)
 
     def _layout(self, names: Sequence[str], runs: int) -> Layout:
-        """Return the parameters of a chain, those of the effects in PER_RUN once for each run."""
+        """Return the parameters of a chain, those of the effects in PER_RUN once for each run; made once."""
+        key = (tuple(names), runs)
+        if key not in self._layouts:
+            self._layouts[key] = self._new_layout(names, runs)
+        return self._layouts[key]
+
+    def _new_layout(self, names: Sequence[str], runs: int) -> Layout:
         chain, changes = self.library.Chain(list(names), self.model.channels), self._changes(names)
         count = len(chain.labels)
         own = [i for i, label in enumerate(chain.labels) if label.split(".")[0] in PER_RUN]
@@ -276,6 +283,7 @@ class Records(Record):
         Raises:
             SoftmapError: the runs are not seen in the same way.
         """
+        self._layouts = {}
         parts = [Record(model, run, library, reference) for run in runs]
         kinds = [(part.features, len(part.positions)) for part in parts]
         if len(set(kinds)) > 1:

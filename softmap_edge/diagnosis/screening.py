@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from math import log
 from typing import Any
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.fit import Fit, Problem, Space, newton_step
+from softmap_edge.diagnosis.fit import Fit, Problem, Space, normal, normal_step
 
 Floats = NDArray[np.float64]
 
@@ -31,11 +32,15 @@ NEAR = 0.25  # of the commands' range: farther, a screening step is predicted an
 
 @dataclass(frozen=True, eq=False)
 class Signature:
-    """What an effect does to the model alone at one start (P,): whitened shift (n,) and slopes (P, n)."""
+    """What an effect does to the model alone at a start (P,): whitened slopes, then the shift, as `rows` (P + 1, n)."""
 
     start: Floats
-    shift: Floats
-    slopes: Floats
+    rows: Floats
+
+    @cached_property
+    def gram(self) -> Floats:
+        """Products (P + 1, P + 1) of the rows."""
+        return np.asarray(self.rows @ self.rows.T)
 
 
 class Screening:
@@ -51,6 +56,7 @@ class Screening:
         self._slopes: dict[frozenset[str], tuple[Floats, Floats]] = {}
         self._signatures: dict[str, list[Signature]] = {}
         self._starts: dict[str, list[Floats]] = {}  # of effects whose own starts lead nowhere
+        self._white: dict[frozenset[str], Floats] = {}
         self._some = slice(None, None, max(1, -(-len(problem.record) // FRAMES)))
 
     def best(
@@ -120,24 +126,25 @@ class Screening:
                 moved[i] += -4e-3 if x[i] + 4e-3 > space.high[i] else 4e-3
                 batch.append(moved)
         modes = self._glance(parent, space, effect, np.stack(batch))
-        ahead, rates = [], []
-        for s, x in enumerate(joint):
-            here = modes[s * width]
-            slopes = np.zeros((len(labels), *here.shape))
-            for label, j in old.items():
-                slopes[labels.index(label)] = parent.slopes[j]
-            for j, i in enumerate(new):
-                slopes[i] = (modes[s * width + 1 + j] - here) / (batch[s * width + 1 + j][i] - x[i])
-            rates.append(slopes)
-            ahead.append(newton_step(space.pinned(x), x, problem.white(slopes), problem.white(here), 1e-3))
-        points = np.concatenate([np.stack(joint), np.stack(ahead)])
+        modes = modes.reshape(len(joint), width, *modes.shape[1:])
+        points = np.stack(batch).reshape(len(joint), width, -1)
+        moved = np.array([points[:, 1 + j, i] - points[:, 0, i] for j, i in enumerate(new)])
+        rates = (modes[:, 1:] - modes[:, :1]) / moved.T[..., None, None]
+        own, here = problem.white(rates), problem.white(modes[:, 0])
+        at = [labels.index(label) for label in old]
+        ahead = []
+        for x, slopes, residual in zip(joint, own, here):
+            jacobian = np.empty((len(labels), len(residual)))
+            jacobian[at], jacobian[new] = self._parent(parent), slopes
+            ahead.append(normal_step(space.pinned(x), x, *normal(x, jacobian, residual), 1e-3))
         after = self._glance(parent, space, effect, np.stack(ahead))
-        costs = problem.costs(np.concatenate([modes[::width], after]), points)[0]
+        points = np.concatenate([np.stack(joint), np.stack(ahead)])
+        costs = problem.costs(np.concatenate([modes[:, 0], after]), points)[0]
         if not parent.effects:
             kept = sorted(range(len(joint)), key=lambda s: float(min(costs[s], costs[len(joint) + s])))[:KEPT]
+            shifts = [modes[s, :1] - parent.modes for s in kept]
             self._signatures[effect] = [
-                Signature(joint[s][new], self._white(modes[s * width] - parent.modes), self._white(rates[s][new]))
-                for s in kept
+                Signature(joint[s][new], self._few(np.concatenate([rates[s], shift]))) for s, shift in zip(kept, shifts)
             ]
         order = np.argsort(costs, kind="stable")
         return float(costs[order[0]]), [points[i] for i in order]
@@ -147,8 +154,9 @@ class Screening:
 
         Those of a family with one that is fitted come along: what they do changes most behind it.
         """
-        residual, slopes = self._white(parent.modes), self._white(parent.slopes)
-        now = float(residual @ residual + parent.x @ parent.x)
+        rows = self._few(np.concatenate([parent.slopes, parent.modes[None]]))
+        gram = rows @ rows.T
+        now = float(gram[-1, -1] + parent.x @ parent.x)
         most = now * (1.0 - least / max(parent.cost, 1e-300)) if least > 0.0 else np.inf
         promises = []
         for effect in effects:
@@ -156,23 +164,34 @@ class Screening:
             labels = space.free_labels()
             old = [labels.index(label) for label in parent.space.free_labels()]
             new = [i for i in range(len(labels)) if i not in old]
+            order = [*old, *new]
             for signature in self._signatures[effect]:
-                x, jacobian = np.zeros(len(labels)), np.zeros((len(labels), residual.size))
-                x[old], x[new] = parent.x, signature.start
-                jacobian[old], jacobian[new] = slopes, signature.slopes
-                here = residual + signature.shift
-                ahead = newton_step(space.pinned(x), x, jacobian, here, 1e-3)
-                points = np.stack([x, ahead])
-                left = here + (points - x) @ jacobian
-                promises.append((float(np.min(np.sum(left**2, axis=1) + np.sum(points**2, axis=1))), effect))
+                across = rows @ signature.rows.T
+                product = np.block([[gram[:-1, :-1], across[:-1, :-1]], [across[:-1, :-1].T, signature.gram[:-1, :-1]]])
+                towards = np.r_[gram[:-1, -1] + across[:-1, -1], across[-1, :-1] + signature.gram[:-1, -1]]
+                here = float(gram[-1, -1] + 2.0 * across[-1, -1] + signature.gram[-1, -1])
+                x, slope, curve = np.zeros(len(labels)), np.zeros(len(labels)), np.eye(len(labels))
+                x[old], x[new], slope[order] = parent.x, signature.start, towards
+                curve[np.ix_(order, order)] += product
+                ahead = normal_step(space.pinned(x), x, slope + x, curve, 1e-3)
+                step = ahead - x
+                there = here + 2.0 * float(step @ slope) + float(step @ (curve @ step) - step @ step)
+                promises.append((min(here + float(x @ x), there + float(ahead @ ahead)), effect))
         best = list(dict.fromkeys(effect for cost, effect in sorted(promises) if cost <= most))[:count]
         fitted = {self.families[effect] for effect in parent.effects}
         return best + [effect for effect in effects if effect not in best and self.families[effect] in fitted]
 
-    def _white(self, modes: Floats) -> Floats:
+    def _few(self, modes: Floats) -> Floats:
         """Return the whitened numbers (..., n) of modes (..., K, M) on some of the frames."""
         some = self.problem.whitener.shrink(modes)[..., self._some, :]
-        return some.reshape(*some.shape[:-2], -1)
+        return some.reshape(*some.shape[:-2], some.shape[-2] * some.shape[-1])
+
+    def _parent(self, parent: Fit) -> Floats:
+        """Return the whitened slopes (P, n) of a fit."""
+        key = frozenset(parent.effects)
+        if key not in self._white:
+            self._white[key] = self.problem.white(parent.slopes)
+        return self._white[key]
 
     def _glance(self, parent: Fit, space: Space, effect: str, points: Floats) -> Floats:
         """Return residual modes (B, K, M) of joint points (B, P), linear in the parent's own parameters.
