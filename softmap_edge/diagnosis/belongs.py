@@ -49,6 +49,8 @@ TIMES = 1000  # at which a shift of the clocks is tried
 HELD, END, LEAST_HELD = 0.05, 0.02, 4  # of the frames at extreme commands, and at one of them, that may be clipped
 STEP = 0.02  # of the range of a command over which slopes are taken
 GOES_ON = 0.05  # of the range, standard deviation, by which a clipped command goes on
+MORE = 1.2  # times the scatter while it is not held, beside what is linear in the command: else the model is that wrong
+SEEN = 0.3  # of what a step of the command usually moves, below which a frame says nothing about the command
 AS_FAST = 0.4  # of that variance that is left at most where a command goes on as fast as it came
 
 
@@ -291,17 +293,26 @@ def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
     at = np.stack([np.interp(run.t_seen, run.t, row) for row in u.T], axis=1)
     span = np.ptp(u, axis=0)
     found, frames, furthest = [], np.zeros(len(at), bool), 0.0
+    ends = np.minimum(np.abs(at - u.min(axis=0)), np.abs(at - u.max(axis=0))) <= 1e-9 * np.maximum(span, 1e-12)
+    few = ends[:, span > 0].sum(axis=1) <= max(1, model.channels // 2)  # most of them at their ends is meant so: slack
     for c, sign in [(int(c), sign) for c in np.flatnonzero(span > 0) for sign in (-1.0, 1.0)]:
         end, near = float(np.max(sign * u[:, c])), 1e-9 * span[c]
-        rows = np.flatnonzero(np.abs(sign * at[:, c] - end) <= near)
+        rows = np.flatnonzero((np.abs(sign * at[:, c] - end) <= near) & few)
         if len(rows) < max(LEAST_HELD, END * len(at)):
             continue
-        on = _goes_on(model, run.at(rows), left[rows], visible[rows], c, sign * STEP * span[c]) * STEP
+        step, free = sign * STEP * span[c], np.abs(sign * u[:, c] - end) > near
+        on = STEP * _goes_on(model, run, left, visible, rows, c, step)[0]
         late = np.stack([np.ones(len(rows)), np.log1p(dwell[rows])], axis=1)
-        varied = np.std(on - late @ np.linalg.lstsq(late, on, rcond=None)[0])
-        free = np.abs(sign * u[:, c] - end) > near
         wave = np.minimum(_further(run.t, sign * u[:, c], free, run.t_seen[rows]) / span[c], on.max())
-        if varied > GOES_ON or (np.std(on) > GOES_ON / 2 and np.var(on - wave) < AS_FAST * np.var(on)):
+        as_fast = np.std(on) > GOES_ON / 2 and np.var(on - wave) < AS_FAST * np.var(on)
+        if not as_fast and not np.std(_beside(late, on)) > GOES_ON:
+            continue
+        others = np.flatnonzero(np.abs(at - at[rows[0]])[:, c] > near)
+        others = others[np.unique(np.linspace(0, len(others) - 1, min(len(others), FRAMES)).astype(int))]
+        usual, strength = _goes_on(model, run, left, visible, others, c, step)
+        some = strength > SEEN * np.median(strength)  # a command that hardly moves anything would be off by anything
+        usual = STEP * _beside(np.stack([np.ones(len(others)), at[others, c]], axis=1)[some], usual[some])
+        if np.std(on) > MORE * np.std(usual):
             found.append(f"{sign * end:.4g} {model.command_unit} on channel {c}")
             frames[rows], furthest = True, max(furthest, float(on.max() * span[c]))
     count = int(frames.sum())
@@ -327,14 +338,22 @@ def _further(t: Floats, u: Floats, free: Mask, seen: Floats) -> Floats:
     return np.asarray(np.minimum(early, late))
 
 
-def _goes_on(model: Model, run: Run, left: Floats, visible: Mask, channel: int, step: float) -> Floats:
-    """Return by how many steps (K,) a command must have gone on for what is `left` (K, N, 3) mm."""
-    moved = np.zeros(model.channels)
+def _goes_on(
+    model: Model, run: Run, left: Floats, visible: Mask, rows: NDArray[np.intp], channel: int, step: float
+) -> tuple[Floats, Floats]:
+    """Return by how many steps a command must have gone on in frames for what is `left`, and what a step moves."""
+    part, moved, shown = run.at(rows), np.zeros(model.channels), visible[rows][..., None]
     moved[channel] = step
-    back = {n: getattr(run, n) - moved for n in ("command", "present") if getattr(run, n) is not None}
-    slope = np.where(visible[..., None], model.predict(run) - model.predict(replace(run, **back)), 0.0)
-    along = np.sum(slope * np.where(visible[..., None], left, 0.0), axis=(1, 2))
-    return np.asarray(along / np.maximum(np.sum(slope**2, axis=(1, 2)), 1e-12))
+    back = {n: getattr(part, n) - moved for n in ("command", "present") if getattr(part, n) is not None}
+    slope = np.where(shown, model.predict(part) - model.predict(replace(part, **back)), 0.0)
+    square = np.sum(slope**2, axis=(1, 2))
+    along = np.sum(slope * np.where(shown, left[rows], 0.0), axis=(1, 2))
+    return np.asarray(along / np.maximum(square, 1e-12)), np.asarray(np.sqrt(square))
+
+
+def _beside(columns: Floats, values: Floats) -> Floats:
+    """Return what columns (n, m) leave of values (n,)."""
+    return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0])
 
 
 def spread(left: Floats, visible: Mask) -> float:
