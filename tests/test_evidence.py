@@ -10,7 +10,7 @@ from softmap_edge.diagnosis.conclusion import RIVAL, TEMPERATURE
 from softmap_edge.diagnosis.diagnose import _problem, diagnose
 from softmap_edge.diagnosis.evidence import BEYOND, FORMS, LEFT, NOISE, allowed, leftover
 from softmap_edge.diagnosis.record import Record
-from softmap_edge.diagnosis.search import SHARE, SIMPLER, Search
+from softmap_edge.diagnosis.search import CV_FALL, CV_FOLDS, SHARE, SIMPLER, Search
 from softmap_edge.protocol import standard_protocol
 from softmap_edge.run import Run
 
@@ -99,6 +99,22 @@ def test_beside_a_linear_field_a_second_effect_carries_more():
     assert judged("friction", 0.12, 0.4) and judged("payload", 0.06, 0.4) and not judged("kink", 0.12, 0.4)
 
 
+def test_a_block_that_does_not_show_an_effect_speaks_for_neither_side():
+    """Four blocks of one channel alone, in which nothing is coupled, do not outvote four that need the coupling."""
+
+    def accepted(*after):
+        search = object.__new__(Search)
+        losses = {"rest": np.full(8, 100.0), "fit": np.array(after)}
+        search.cv = lambda fit: (losses[fit], losses[fit], None)
+        fall, folds = search._cv_fall("rest", "fit")
+        return fall >= CV_FALL and folds >= CV_FOLDS
+
+    assert accepted(103.0, 59.0, 35.0, 102.0, 101.0, 48.0, 35.0, 100.0)
+    assert not accepted(109.0, 59.0, 35.0, 108.0, 107.0, 48.0, 35.0, 106.0)  # it does harm there
+    assert not accepted(103.0, 59.0, 100.0, 102.0, 101.0, 99.5, 100.0, 100.0)  # one block is no evidence
+    assert accepted(98.0, 98.0, 98.0, 98.0, 98.0, 100.0, 100.0, 100.0)
+
+
 def test_effects_that_undo_each_other_explain_nothing():
     search = object.__new__(Search)
     search.null = SimpleNamespace(predicted=np.zeros(3))
@@ -115,6 +131,13 @@ def test_a_name_is_as_sure_as_what_could_stand_in_its_place():
     assert [e["name"] for e in found.effects] == ["latency"] and found.rivals[0]["effects"] == ["clock_shift"]
     assert found.effects[0]["probability"] == pytest.approx(1 / (1 + RIVAL), abs=0.02)
     assert found.made_from["temperature"] == TEMPERATURE
+
+
+def test_what_is_alike_by_form_is_no_rival_where_it_leaves_twice_as_much():
+    """Coupled channels and turned tendons are declared alike; shear in one direction only is no turn."""
+    sheared = lambda u: u + 0.2 * np.stack([u[:, 1], 0.0 * u[:, 0]], axis=1)  # noqa: E731
+    found = diagnose(builtin_model(), searched(sheared)[1], effects=["coupling", "routing", "gain", "mount"])
+    assert [e["name"] for e in found.effects] == ["coupling"] and found.verdict == "identified" and not found.rivals
 
 
 def test_a_form_that_is_off_by_a_fifth_needs_no_second_effect():

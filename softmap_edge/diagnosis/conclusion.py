@@ -31,7 +31,7 @@ from softmap_edge.diagnosis.evidence import (
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.masked import Masked
 from softmap_edge.diagnosis.record import Record
-from softmap_edge.diagnosis.search import RIVAL_SHARE, Search
+from softmap_edge.diagnosis.search import RIVAL_SHARE, RIVAL_WORSE, Search
 from softmap_edge.folds import labelled
 from softmap_edge.own_effect import hashes
 
@@ -243,6 +243,10 @@ def _rivals(
             swapped = [twin if e == member else e for e in fit.effects]
             if twin in fit.effects or any(set(swapped) == set(r["effects"]) for r in rivals):
                 continue
+            if twin in search.candidates:  # alike by form: but one that leaves twice as much is told apart after all
+                worse = search.held_out_mm(search.get(frozenset(swapped))) / max(search.held_out_mm(fit), 1e-9) - 1.0
+                if worse > RIVAL_WORSE:
+                    continue
             why = f"{twin} and {member} look alike under the conditions of this run"
             rivals.append({"member": member, "effects": swapped, "why": why})
     return rivals

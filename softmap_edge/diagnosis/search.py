@@ -27,6 +27,7 @@ BEAM, REFITS, LARGEST = 2, 5, 4
 RIVALS = 5  # other candidates that are fitted in the place of a member
 STAGES = ("command", "transmission", "material", "shape", "sensing")
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
+CV_RISE = 0.05  # a fold whose loss hardly falls, and rises by less than this, counts half: it does not show the member
 VISIBLE_MM = 0.12  # least RMS displacement of the centreline
 SHARE = 0.045  # least share of the explained misfit: forms off by a fifth leave so much, and that is nobody's effect
 PROMISING = 0.03  # least share of the misfit that a larger set must win for the search to go on without a valid one
@@ -47,7 +48,7 @@ class Acceptance:
     accepted: bool
     fall: float  # of the objective over the over-dispersion
     cv_fall: float  # relative fall of the blocked loss
-    cv_folds: float  # share of the folds where it falls
+    cv_folds: float  # share of the folds where it falls, with half of those that hardly change
     displacement_mm: float
     why: str
 
@@ -182,7 +183,8 @@ class Search:
         for i in (0, 1):
             before, after = self.cv(rest)[i], self.cv(fit)[i]
             fall = float((before.sum() - after.sum()) / max(before.sum(), 1e-300))
-            found.append((fall, float(np.mean(after < before))))
+            falls, still = after < (1.0 - CV_FALL) * before, after < (1.0 + CV_RISE) * before
+            found.append((fall, float(np.mean(0.5 * falls + 0.5 * still))))
         return max(found, key=lambda f: (f[0] >= CV_FALL and f[1] >= CV_FOLDS, f[0]))
 
     def share(self, fit: Fit, member: str) -> float:
