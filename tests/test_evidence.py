@@ -30,7 +30,7 @@ def searched(acting, effects=FEW, noise=0.25):
 
 def test_what_is_left_is_measured_against_the_form_of_what_is_found():
     """The same leftover is a claim beside nothing, and none beside an effect that explains ten times as much."""
-    search, _ = searched(lambda u: 1.12 * u + 0.25 * np.sin(1.7 * u))
+    search, _ = searched(lambda u: 1.12 * u + 0.2 * np.sin(1.7 * u))
     found = search.get(("gain",))
     record = search.problem.record
     own = np.hypot(record.form_mm, NOISE * search.problem.noise.rms_mm(record.positions))

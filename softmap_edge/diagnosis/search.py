@@ -32,7 +32,7 @@ VISIBLE_MM = 0.12  # least RMS displacement of the centreline
 SHARE = 0.045  # least share of the explained misfit: forms off by a fifth leave so much, and that is nobody's effect
 PROMISING = 0.03  # least share of the misfit that a larger set must win for the search to go on without a valid one
 WIDE = 4.0  # times what the best set leaves: one that leaves more is not grown
-HOPEFUL = 0.5  # of what a further member must carry: what is predicted to win less than this is not fitted
+HOPEFUL = 0.5  # of what is promising, or of what a rival must carry: what is predicted to win less is not fitted
 FORM_TOLERANCE, FIELD_TOLERANCE = 0.2, 0.3  # of what another member moves: no form is truer; linear fields of stiffness
 EQUAL = 6.0  # difference of EBIC (odds of 20) below which two sets of the same size count as equally good
 ALIKE = 1.02  # of the held-out error: effects of one form differ by less
@@ -258,17 +258,17 @@ class Search:
         return [child for child in children[:BEAM] if child.cost <= least]
 
     def _done(self, fit: Fit) -> bool:
-        """Whether a valid set leaves less than a further member would have to carry."""
+        """Whether a valid set leaves less than what a further member would have to win to be looked for."""
         base = self._measured(fit)
         before, after = (float(self.cv(f)[0].sum()) for f in (base, fit))
         pairs = [(base.cost, fit.cost), (before, after)]
-        return all(left < SHARE * (first - left) for first, left in pairs)
+        return all(left < PROMISING * (first - left) for first, left in pairs)
 
     def _children(self, beam: list[Fit], refits: int) -> list[Fit]:
         found: dict[frozenset[str], Fit] = {}
         for parent in beam:
             others = [effect for effect in self.candidates if effect not in parent.effects]
-            least = HOPEFUL * SHARE * (self._measured(parent).cost - parent.cost)
+            least = HOPEFUL * PROMISING * (self._measured(parent).cost - parent.cost)
             for rank, (cost, effect, points) in enumerate(self.screening.best(parent, others, refits)):
                 if rank and parent.cost - cost < least:
                     break
