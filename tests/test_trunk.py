@@ -91,7 +91,7 @@ def test_the_unloaded_run_as_the_model_gives_the_same_answer_with_more_power(pag
     names = page[1]
     alone, paired = names["found"], names["paired"]
     mine, other = ({e["name"]: e for e in d.effects} for d in (alone, paired))
-    assert set(mine) == set(other) and {"payload", "offset"} <= set(other)
+    assert set(other) == {"payload", "offset"} <= set(mine)
     said = set(other) | {name for rival in paired.rivals for name in rival["effects"]}
     assert "gain" in said and paired.made_from["reference"]["share"] == 0.0
     before, after = zip(*((d.error["model"], d.error["ladder"][-1]["value"]) for d in (alone, paired)))

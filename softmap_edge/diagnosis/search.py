@@ -258,11 +258,11 @@ class Search:
         return [child for child in children[:BEAM] if child.cost <= least]
 
     def _done(self, fit: Fit) -> bool:
-        """Whether a valid set leaves less than what a further member would have to win to be looked for."""
+        """Whether a valid set leaves less than a further member would have to carry."""
         base = self._measured(fit)
         before, after = (float(self.cv(f)[0].sum()) for f in (base, fit))
         pairs = [(base.cost, fit.cost), (before, after)]
-        return all(left < PROMISING * (first - left) for first, left in pairs)
+        return all(left < SHARE * (first - left) for first, left in pairs)
 
     def _children(self, beam: list[Fit], refits: int) -> list[Fit]:
         found: dict[frozenset[str], Fit] = {}
