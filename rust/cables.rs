@@ -108,7 +108,7 @@ impl Cables {
         self.fields.iter().map(|f| f.clone() as Arc<dyn Shape>)
     }
 
-    /// Numbers that `place` writes.
+    /// Numbers that `at` writes.
     pub fn size(&self) -> usize {
         self.pull.size() + self.stretch.size()
     }

@@ -9,9 +9,6 @@ use crate::shape::Shape;
 use crate::table::{Table, TableSum};
 use std::sync::Arc;
 
-/// How many fields, evaluated one by one, take as long as one weighted sum of fields that share grid and modes.
-const SUMS: usize = 2;
-
 /// Fields in a fixed order; some may be absent.
 pub struct Fields {
     members: Vec<Option<Arc<dyn Shape>>>,
@@ -105,15 +102,6 @@ impl Fields {
         self.members[field].as_deref()
     }
 
-    /// The `wanted` fields but those of `add_still`, if it pays to evaluate each by itself for `uses` weighted sums at one
-    /// command.
-    pub fn apart(&self, wanted: &[bool], uses: usize) -> Option<Vec<(usize, &dyn Shape)>> {
-        let moving = |f: usize| wanted[f] && !self.still.contains(&f);
-        let one = |f: usize| self.get(f).filter(|_| moving(f)).map(|field| (f, field));
-        let fields: Vec<_> = (0..wanted.len()).filter_map(one).collect();
-        (self.together.is_none() || fields.len() <= SUMS * uses).then_some(fields)
-    }
-
     /// Add Σ w_f·field_f(u) to `frame` (M,); `scratch` (M,) is overwritten.
     pub fn add(&self, u: &[f64], weights: &[f64], scratch: &mut [f64], frame: &mut [f64]) {
         if weights.iter().all(|w| *w == 0.0) {
@@ -136,7 +124,7 @@ impl Fields {
     }
 
     /// Add Σ w_f·field_f to `frame` (M,), of the fields that are the same at all commands.
-    pub fn add_still(&self, weights: &[f64], frame: &mut [f64]) {
+    fn add_still(&self, weights: &[f64], frame: &mut [f64]) {
         if let Some(modes) = &self.constant {
             let own = self.still.iter().map(|f| weights[*f]);
             wide(

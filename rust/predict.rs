@@ -20,7 +20,7 @@ use crate::room::zeros;
 use crate::second::Second;
 use crate::shape::Shape;
 use job::{Body, Job};
-use loads::{Acting, Poses};
+use loads::{Acting, Kept, Load};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ pub struct Predictor {
     reference: [f64; 3],
     /// Whether the loads that a run declares are applied.
     declared: bool,
-    poses: Arc<Poses>,
+    kept: Kept,
 }
 
 impl Predictor {
@@ -113,7 +113,7 @@ impl Predictor {
             positions,
             reference,
             declared: true,
-            poses: Arc::default(),
+            kept: Kept::default(),
         })
     }
 
@@ -187,7 +187,7 @@ impl Predictor {
             return Ok(out);
         }
         let acting = self.loads(job, sets)?;
-        let shared = self.shared_shapes(job, &acting);
+        let shared = self.shared_shapes(job, &acting)?;
         let width = job.chain.width();
         out.par_chunks_exact_mut(size)
             .enumerate()
@@ -197,10 +197,10 @@ impl Predictor {
                     let (b, k) = (i / frames, i % frames);
                     let group = job.group[b];
                     match &shared[group] {
-                        Some(shapes) => shapes.frame(self, job, (b, k), &acting, scratch, frame),
+                        Some(shapes) => shapes.frame(self, job, (b, k), &acting, scratch, frame)?,
                         None => {
                             job.bodies[group].prior.eval(job.at(group, k), frame);
-                            self.load(job, (b, k), &acting, scratch, frame);
+                            self.load(job, (b, k), &acting, scratch, frame)?;
                         }
                     }
                     job.chain.sense(
@@ -224,29 +224,33 @@ impl Predictor {
         acting: &Acting,
         scratch: &mut Scratch,
         out: &mut [f64],
-    ) {
-        let (group, (loads, pose)) = (job.group[b], acting.get(acting.of(b, k)));
+    ) -> Result<()> {
+        let group = job.group[b];
         let (u, fields) = (job.at(group, k), &job.bodies[group].fields);
-        if let Some(pose) = pose.filter(|_| Arc::ptr_eq(fields, &self.body.fields)) {
-            pose.add(u, scratch, out);
-        } else if loads.iter().any(|c| *c != 0.0) {
-            let Scratch {
-                place,
-                weights,
-                field,
-                work,
-            } = scratch;
-            let there: [bool; LOADS] = std::array::from_fn(|f| loads[f] != 0.0);
-            self.answer.at(u, &there, place);
-            self.answer
-                .weigh(&loads[..TENDON], loads[TENDON], place, weights, work);
-            if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {
-                let cables = self.answer.cables_at(place);
-                let cables = cables.map(|(cables, at)| (cables, at, &work.beyond[..]));
-                contact.stop(u, loads, cables, weights);
+        match acting.of(b, k) {
+            Load::Nothing => {}
+            Load::Recurs(number) => acting.body(number).add(u, scratch, out),
+            Load::Other => {
+                let loads = self.coefficients(job, b, k)?;
+                let Scratch {
+                    place,
+                    weights,
+                    field,
+                    work,
+                } = scratch;
+                let there: [bool; LOADS] = std::array::from_fn(|f| loads[f] != 0.0);
+                self.answer.at(u, &there, place);
+                self.answer
+                    .weigh(&loads[..TENDON], loads[TENDON], place, weights, work);
+                if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {
+                    let cables = self.answer.cables_at(place);
+                    let cables = cables.map(|(cables, at)| (cables, at, &work.beyond[..]));
+                    contact.stop(u, &loads, cables, weights);
+                }
+                fields.add(u, weights, field, out);
             }
-            fields.add(u, weights, field, out);
         }
+        Ok(())
     }
 
     /// Whether a coefficient means something to this body: its field is there, or it is that of cables.

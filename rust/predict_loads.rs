@@ -1,19 +1,20 @@
-//! What loads the body in one call: the distinct loads of all sets and frames, and bodies of their own for those that recur.
+//! What loads the body in one call, and bodies of their own for loads that recur.
 //!
 //! A run declares few directions of gravity and few weights, and most shape effects add the same at every frame: hundreds of
-//! frames share their coefficients. Under loads that recur the body answers as one with two loads, all dead ones and all
-//! changes of design (`answer.rs`), at a third of the price and with the same answer.
+//! frames of a set share their coefficients. Under loads that recur the body answers as one with two loads, all dead ones and
+//! all changes of design (`answer.rs`), at a third of the price and with the same answer but for round-off. Which frames do
+//! is each set's own affair, so that a set's numbers do not depend on what is asked with it.
 
 use super::job::Job;
 use super::{NEGLIGIBLE, Predictor, Scratch};
 use crate::answer::Answer;
 use crate::error::Result;
 use crate::fields::Fields;
-use crate::loads::{CONTACT, Coefficients, FIELDS, GRAVITY, LOADS, TIP_FORCE, weight};
+use crate::loads::{CONTACT, Coefficients, FIELDS, GRAVITY, LOADS, TENDON, TIP_FORCE, weight};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
-/// Frames that must share their loads for a body of their own to pay, and the most such bodies that are kept.
+/// Frames of a set that must share their loads for a body of their own to pay, and the most such bodies that are kept.
 const MANY: usize = 32;
 const KEPT: usize = 64;
 
@@ -25,14 +26,14 @@ fn key(loads: &Coefficients) -> Key {
 }
 
 /// The body under certain loads: the dead ones are its first load, changes of design its second.
-pub struct Pose {
+pub struct Loaded {
     fields: Fields,
     answer: Answer,
     amount: [f64; 2],
     gives: f64,
 }
 
-impl Pose {
+impl Loaded {
     /// Add to `out` what its loads do at a command.
     pub fn add(&self, u: &[f64], scratch: &mut Scratch, out: &mut [f64]) {
         let place = &mut scratch.place[..self.answer.size()];
@@ -45,73 +46,92 @@ impl Pose {
 }
 
 /// Bodies that were made.
-pub type Poses = Mutex<HashMap<Key, Arc<Pose>>>;
+pub type Kept = Mutex<HashMap<Key, Arc<Loaded>>>;
 
-/// Distinct loads of a call.
+/// What loads a set at a frame: nothing, loads that recur by the number of their body, or others.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Load {
+    Nothing,
+    Recurs(u32),
+    Other,
+}
+
+/// What acts in a call.
 pub struct Acting {
-    /// Which of the distinct ones acts, (B, K).
-    of: Vec<u32>,
-    distinct: Vec<Coefficients>,
-    poses: Vec<Option<Arc<Pose>>>,
+    /// (B, K)
+    of: Vec<Load>,
+    bodies: Vec<Arc<Loaded>>,
     frames: usize,
 }
 
 impl Acting {
-    /// Which loads act on a set at a frame.
-    pub fn of(&self, b: usize, k: usize) -> usize {
-        self.of[b * self.frames + k] as usize
+    /// What loads a set at a frame.
+    pub fn of(&self, b: usize, k: usize) -> Load {
+        self.of[b * self.frames + k]
     }
 
-    /// The loads, and the body that is theirs.
-    pub fn get(&self, which: usize) -> (&Coefficients, Option<&Pose>) {
-        (&self.distinct[which], self.poses[which].as_deref())
+    /// The body under loads that recur.
+    pub fn body(&self, number: u32) -> &Loaded {
+        &self.bodies[number as usize]
     }
 }
 
 impl Predictor {
     /// What acts on all sets at all frames.
     pub(super) fn loads(&self, job: &Job, sets: usize) -> Result<Acting> {
-        let (mut of, mut count) = (Vec::with_capacity(sets * job.frames), vec![]);
-        let mut distinct: Vec<Coefficients> = vec![];
-        let mut known: HashMap<Key, usize> = HashMap::new();
-        let mut last = None;
+        let (mut of, mut bodies) = (Vec::with_capacity(sets * job.frames), vec![]);
+        let mut numbers: HashMap<Key, Load> = HashMap::new();
         for b in 0..sets {
+            let own = Arc::ptr_eq(&job.bodies[job.group[b]].fields, &self.body.fields);
+            let mut distinct: Vec<(Coefficients, usize)> = vec![];
+            let mut known: HashMap<Key, usize> = HashMap::new();
+            let mut rows: Vec<usize> = Vec::with_capacity(job.frames);
             for k in 0..job.frames {
                 let loads = self.coefficients(job, b, k)?;
-                let which = match last {
-                    Some(which) if distinct[which] == loads => which,
+                let which = match rows.last() {
+                    Some(&which) if distinct[which].0 == loads => which,
                     _ => *known.entry(key(&loads)).or_insert(distinct.len()),
                 };
                 if which == distinct.len() {
-                    distinct.push(loads);
-                    count.push(0);
+                    distinct.push((loads, 0));
                 }
-                count[which] += 1;
-                last = Some(which);
-                of.push(which as u32);
+                distinct[which].1 += 1;
+                rows.push(which);
             }
+            let mut found = Vec::with_capacity(distinct.len());
+            for (loads, count) in &distinct {
+                found.push(if loads.iter().all(|c| *c == 0.0) {
+                    Load::Nothing
+                } else if *count < MANY || loads[CONTACT] != 0.0 || !own {
+                    Load::Other
+                } else if let Some(load) = numbers.get(&key(loads)) {
+                    *load
+                } else {
+                    let load = self.loaded(loads)?.map_or(Load::Other, |body| {
+                        bodies.push(body);
+                        Load::Recurs(bodies.len() as u32 - 1)
+                    });
+                    numbers.insert(key(loads), load);
+                    load
+                });
+            }
+            of.extend(rows.into_iter().map(|which| found[which]));
         }
-        let pose = |(loads, count): (&Coefficients, usize)| {
-            let recur = count >= MANY && loads.iter().any(|c| *c != 0.0) && loads[CONTACT] == 0.0;
-            if recur { self.pose(loads) } else { Ok(None) }
-        };
-        let poses = distinct.iter().zip(count).map(pose);
         Ok(Acting {
-            poses: poses.collect::<Result<_>>()?,
             of,
-            distinct,
+            bodies,
             frames: job.frames,
         })
     }
 
-    fn pose(&self, loads: &Coefficients) -> Result<Option<Arc<Pose>>> {
+    fn loaded(&self, loads: &Coefficients) -> Result<Option<Arc<Loaded>>> {
         let kept = || {
-            self.poses
+            self.kept
                 .lock()
                 .unwrap_or_else(|broken| broken.into_inner())
         };
-        if let Some(pose) = kept().get(&key(loads)) {
-            return Ok(Some(pose.clone()));
+        if let Some(body) = kept().get(&key(loads)) {
+            return Ok(Some(body.clone()));
         }
         let (mut dead, mut design) = ([0.0; FIELDS.len()], [0.0; FIELDS.len()]);
         dead[..LOADS].copy_from_slice(&loads[..LOADS]);
@@ -121,23 +141,23 @@ impl Predictor {
             return Ok(None);
         };
         let there = |loads: &[f64]| f64::from(loads.iter().any(|c| *c != 0.0));
-        let pose = Arc::new(Pose {
+        let body = Arc::new(Loaded {
             fields,
             answer: self.answer.under(&both)?,
             amount: both.map(there),
-            gives: loads[crate::loads::TENDON],
+            gives: loads[TENDON],
         });
         let mut kept = kept();
         if kept.len() >= KEPT {
             kept.clear();
         }
-        kept.insert(key(loads), pose.clone());
-        Ok(Some(pose))
+        kept.insert(key(loads), body.clone());
+        Ok(Some(body))
     }
 
     /// Coefficients of the fields for a set at a frame, what the run declares among them; a field that is wanted but absent is
     /// an error.
-    fn coefficients(&self, job: &Job, b: usize, k: usize) -> Result<Coefficients> {
+    pub(super) fn coefficients(&self, job: &Job, b: usize, k: usize) -> Result<Coefficients> {
         let (width, context) = (job.chain.width(), job.context(b, k));
         let set = &job.params[b * width..(b + 1) * width];
         let u = job.at(job.group[b], k);

@@ -1,8 +1,9 @@
 //! What parameter sets with the same commands share: shapes at all frames, evaluated once.
 
 use super::job::Job;
-use super::loads::Acting;
+use super::loads::{Acting, Load};
 use super::{Predictor, Scratch};
+use crate::error::Result;
 use rayon::prelude::*;
 
 /// What the members of a group share at all frames: the prior (K, 3V), by itself and under the loads of the first of them.
@@ -22,41 +23,58 @@ impl Shapes {
         acting: &Acting,
         scratch: &mut Scratch,
         out: &mut [f64],
-    ) {
+    ) -> Result<()> {
         let row = k * out.len()..(k + 1) * out.len();
-        if acting.of(b, k) == acting.of(self.first, k) {
-            return out.copy_from_slice(&self.loaded[row]);
+        let both = (acting.of(b, k), acting.of(self.first, k));
+        let alike = match both {
+            (Load::Other, Load::Other) => {
+                let first = predictor.coefficients(job, self.first, k)?;
+                predictor.coefficients(job, b, k)? == first
+            }
+            (own, first) => own == first,
+        };
+        if alike {
+            out.copy_from_slice(&self.loaded[row]);
+            return Ok(());
         }
         out.copy_from_slice(&self.prior[row]);
-        predictor.load(job, (b, k), acting, scratch, out);
+        predictor.load(job, (b, k), acting, scratch, out)
     }
 }
 
 impl Predictor {
     /// For each group with several members, its shapes at all frames, evaluated once.
-    pub(super) fn shared_shapes(&self, job: &Job, acting: &Acting) -> Vec<Option<Shapes>> {
+    pub(super) fn shared_shapes(&self, job: &Job, acting: &Acting) -> Result<Vec<Option<Shapes>>> {
         let size = self.body.prior.size();
         let shapes = |group: usize| {
-            let first = job.group.iter().position(|g| *g == group)?;
+            let Some(first) = job.group.iter().position(|g| *g == group) else {
+                return Ok(None);
+            };
             let body = &job.bodies[group];
             let mut prior = vec![0.0; job.frames * size];
             let rows = prior.par_chunks_exact_mut(size).enumerate();
             rows.for_each(|(k, out)| body.prior.eval(job.at(group, k), out));
             let mut loaded = prior.clone();
             let rows = loaded.par_chunks_exact_mut(size).enumerate();
-            rows.for_each_init(
+            rows.try_for_each_init(
                 || self.scratch(),
                 |scratch, (k, out)| self.load(job, (first, k), acting, scratch, out),
-            );
-            Some(Shapes {
+            )?;
+            Ok(Some(Shapes {
                 prior,
                 loaded,
                 first,
-            })
+            }))
         };
         let groups = job.members.iter().enumerate();
         groups
-            .map(|(group, members)| if *members > 1 { shapes(group) } else { None })
+            .map(|(group, members)| {
+                if *members > 1 {
+                    shapes(group)
+                } else {
+                    Ok(None)
+                }
+            })
             .collect()
     }
 }

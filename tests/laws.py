@@ -353,8 +353,13 @@ def broken_in(p, u, t):
 
 
 def slipped(p, u, t):
+    """The cable that got longer is the one that +u pulls where the slip is negative."""
     half = 0.5 * p["width"] * p["at"]
-    return u + np.interp(t - t[0], [p["at"] - half, p["at"] + half], [0.0, 1.0])[:, None] * p["slip"]
+    gone = np.interp(t - t[0], [p["at"] - half, p["at"] + half], [0.0, 1.0])[:, None] * np.abs(p["slip"])
+    side = np.where(p["slip"] < 0, 1.0, -1.0)
+    pull, taut = side * u, p["taut"]
+    loose = np.where(pull > 0, taut * (pull - gone), pull - taut * gone)
+    return side * np.where(pull >= gone, pull - gone, loose)
 
 
 def turn(axis, degrees):

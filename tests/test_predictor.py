@@ -115,6 +115,21 @@ def test_a_batch_equals_its_members_whatever_they_share(body):
         np.testing.assert_array_equal(body.predict(chain, params[None], u, t, t[::3], turning(200))[0], frames)
 
 
+@pytest.mark.parametrize("frames", [20, 40])  # loads that recur this often in a set have a body of their own, or not
+def test_a_batch_equals_its_members_where_loads_recur(body, frames):
+    chain = _core.Chain(["backlash", "payload", "stiff_section", "mount"], 2)
+    t, u = record(2, samples=frames)
+    leaning = np.tile([0.5, -0.3, 0.81], (frames, 1))
+    sets = np.tile(values(chain, "start"), (12, 1))
+    sets[1:9] += 0.1 * np.eye(sets.shape[1])[:8]
+    batch = body.predict(chain, sets, u, t, t, leaning)
+    for params, one in zip(sets, batch):
+        np.testing.assert_array_equal(body.predict(chain, params[None], u, t, t, leaning)[0], one)
+    # Loads that never recur are answered in full: the same within round-off and the 1e-9 g by which they differ.
+    shaken = leaning + 1e-9 * np.random.default_rng(0).normal(size=leaning.shape)
+    np.testing.assert_allclose(body.predict(chain, sets, u, t, t, shaken), batch, rtol=0, atol=1e-6)
+
+
 def test_the_table_meets_its_nodes_and_its_slopes():
     table = tabulated(finger)
     axis = np.linspace(-20.0, 20.0, 21)

@@ -1,9 +1,12 @@
-//! Anchor slip: at some instant a knot or a clamp gives way, and from then on all is shifted.
+//! Anchor slip: at some instant a knot or a clamp gives way, and from then on one cable of the pair is longer.
 //!
-//! `x = u + slip·s(t)`, `s` a ramp from 0 to 1 that is half done `at` seconds after the first sample and lasts
-//! `width·at`. An instant has no slope to follow, and how long a record is is not known to an effect; so the ramp
-//! begins as wide as a share of its time, at any scale of time, and the fit narrows it as it closes in. mm, slip per
-//! channel. Limit: one slip; several are several ramps that one of them averages.
+//! `s(t) = slip·r(t)`, `r` a ramp from 0 to 1 that is half done `at` seconds after the first sample and lasts
+//! `width·at`. With a the command in the direction in which the longer cable pulls (−u·sign s):
+//!   a > |s|: it pulls |s| less, x = u + s;   a < 0: the other cable pulls, x = u + taut·s;   between: linear,
+//! `taut` 0 for cables that only pull and hang loose at home, 1 for a pair that is held taut or takes compression, where
+//! the whole channel is shifted. An instant has no slope to follow, and how long a record is is not known to an effect; so
+//! the ramp begins as wide as a share of its time, at any scale of time, and the fit narrows it as it closes in. mm, slip
+//! per channel. Limit: one slip; several are several ramps that one of them averages.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -14,9 +17,9 @@ pub static EFFECT: Effect = Effect {
         family: "slow drift",
         stage: Stage::Transmission,
         kind: Kind::Effect,
-        formula: "x = u + slip · min(max((t − t₀ − at) / (width · at) + ½, 0), 1)",
-        doc: "A knot, a clamp or a crimp gives way under load once: the tendon is longer ever after.",
-        signature: "All is well up to one instant; after it everything is shifted by a constant, at home too.",
+        formula: "x = u + s  where the longer cable pulls, u + taut · s  where the other does, s = slip · min(max((t − t₀ − at) / (width · at) + ½, 0), 1)",
+        doc: "A knot, a clamp or a crimp gives way under load once: that tendon is longer ever after.",
+        signature: "All is well up to one instant; after it one side is shifted by a constant; home and the other side as far as the pair is taut.",
         reference: "Ramp of a share of its own time, our choice; a step in the limit.",
         experiment: ("home at the start, in between and at the end", 0.5),
         alike: &[],
@@ -29,7 +32,7 @@ pub static EFFECT: Effect = Effect {
                 0.5,
                 -4.0,
                 4.0,
-                "shortening added to the channel after the slip",
+                "shortening that the slip adds to the channel; its sign tells which cable",
             )
             .per_channel(),
             Parameter::new(
@@ -50,6 +53,15 @@ pub static EFFECT: Effect = Effect {
                 0.01,
                 1.0,
                 "how long the slip lasts, as a share of its time",
+            ),
+            Parameter::new(
+                "taut",
+                "1",
+                0.5,
+                0.5,
+                0.0,
+                1.0,
+                "share of the slip that shows while the other cable pulls",
             ),
         ],
     },
@@ -75,11 +87,21 @@ impl ChannelEffect for AnchorSlip {
         if state[0] == 0.0 {
             state.copy_from_slice(&[1.0, context.t]);
         }
-        let (slip, times) = params.split_at(x.len());
-        let late = context.t - state[1] - times[0];
-        let done = (late / (times[0] * times[1]).max(INSTANT) + 0.5).clamp(0.0, 1.0);
-        x.iter_mut()
-            .zip(slip)
-            .for_each(|(x, slip)| *x += slip * done);
+        let (slip, numbers) = params.split_at(x.len());
+        let late = context.t - state[1] - numbers[0];
+        let done = (late / (numbers[0] * numbers[1]).max(INSTANT) + 0.5).clamp(0.0, 1.0);
+        for (x, slip) in x.iter_mut().zip(slip) {
+            *x += moved(*x, slip * done, numbers[2]);
+        }
+    }
+}
+
+/// What a slip `s` adds to a command `u`.
+fn moved(u: f64, s: f64, taut: f64) -> f64 {
+    let pulled = -u * s.signum();
+    if pulled >= s.abs() {
+        s
+    } else {
+        s * taut + (1.0 - taut) * pulled.max(0.0) * s.signum()
     }
 }

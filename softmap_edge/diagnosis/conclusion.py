@@ -243,7 +243,8 @@ def _rivals(
             swapped = [twin if e == member else e for e in fit.effects]
             if twin in fit.effects or any(set(swapped) == set(r["effects"]) for r in rivals):
                 continue
-            if twin in search.candidates:  # alike by form: but one that leaves twice as much is told apart after all
+            always = "never" in (registry[member]["alike"].get(twin), registry[twin]["alike"].get(member))
+            if always and twin in search.candidates:  # alike by form: one that leaves twice as much is told apart after all
                 worse = search.held_out_mm(search.get(frozenset(swapped))) / max(search.held_out_mm(fit), 1e-9) - 1.0
                 if worse > RIVAL_WORSE:
                     continue

@@ -195,8 +195,9 @@ class Search:
         rest = self.get(frozenset(fit.effects) - {member})
         base = self.null if member in self.faults else self._measured(fit)
         plain = [float(self.cv(f)[0].sum()) for f in (base, rest, fit)]
-        held = (plain[1] - plain[2]) / max(plain[0] - plain[2], 1e-300)
-        return max(held, (rest.cost - fit.cost) / max(base.cost - fit.cost, 1e-300))
+        held, whole = plain[1] - plain[2], plain[0] - plain[2]
+        part, all_of_it = rest.cost - fit.cost, base.cost - fit.cost
+        return max(share / total if total > 0.0 else 0.0 for share, total in ((held, whole), (part, all_of_it)))
 
     def _measured(self, fit: Fit) -> Fit:
         """Return the faults of a set without its physics."""
@@ -258,11 +259,11 @@ class Search:
         return [child for child in children[:BEAM] if child.cost <= least]
 
     def _done(self, fit: Fit) -> bool:
-        """Whether a valid set leaves less than a further member would have to carry."""
+        """Whether a valid set leaves less than what a further member would have to win to be looked for."""
         base = self._measured(fit)
         before, after = (float(self.cv(f)[0].sum()) for f in (base, fit))
         pairs = [(base.cost, fit.cost), (before, after)]
-        return all(left < SHARE * (first - left) for first, left in pairs)
+        return all(left < PROMISING * (first - left) for first, left in pairs)
 
     def _children(self, beam: list[Fit], refits: int) -> list[Fit]:
         found: dict[frozenset[str], Fit] = {}
