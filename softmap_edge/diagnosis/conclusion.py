@@ -244,7 +244,7 @@ def _rivals(
             if twin in fit.effects or any(set(swapped) == set(r["effects"]) for r in rivals):
                 continue
             always = "never" in (registry[member]["alike"].get(twin), registry[twin]["alike"].get(member))
-            if always and twin in search.candidates:  # alike by form: one that leaves twice as much is told apart after all
+            if always and twin in search.candidates:  # by form: one that leaves twice as much is told apart after all
                 worse = search.held_out_mm(search.get(frozenset(swapped))) / max(search.held_out_mm(fit), 1e-9) - 1.0
                 if worse > RIVAL_WORSE:
                     continue
