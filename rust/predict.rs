@@ -196,12 +196,15 @@ impl Predictor {
                 |scratch, (i, frame)| {
                     let (b, k) = (i / frames, i % frames);
                     let group = job.group[b];
-                    match &shared[group] {
-                        Some(shapes) => shapes.frame(self, job, (b, k), &acting, scratch, frame)?,
+                    let whole = match &shared[group] {
+                        Some(shapes) => shapes.copy(self, job, (b, k), &acting, frame)?,
                         None => {
                             job.bodies[group].prior.eval(job.at(group, k), frame);
-                            self.load(job, (b, k), &acting, scratch, frame)?;
+                            false
                         }
+                    };
+                    if !whole {
+                        self.load(job, (b, k), &acting, scratch, frame)?;
                     }
                     job.chain.sense(
                         &job.params[b * width..(b + 1) * width],

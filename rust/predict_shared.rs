@@ -1,8 +1,8 @@
 //! What parameter sets with the same commands share: shapes at all frames, evaluated once.
 
+use super::Predictor;
 use super::job::Job;
 use super::loads::{Acting, Load};
-use super::{Predictor, Scratch};
 use crate::error::Result;
 use rayon::prelude::*;
 
@@ -14,16 +14,15 @@ pub struct Shapes {
 }
 
 impl Shapes {
-    /// Write the shape of a member at a frame to `out` (3V,).
-    pub fn frame(
+    /// Write what is known of a member's shape at a frame to `out` (3V,); true if that is the whole, loads included.
+    pub fn copy(
         &self,
         predictor: &Predictor,
         job: &Job,
         (b, k): (usize, usize),
         acting: &Acting,
-        scratch: &mut Scratch,
         out: &mut [f64],
-    ) -> Result<()> {
+    ) -> Result<bool> {
         let row = k * out.len()..(k + 1) * out.len();
         let both = (acting.of(b, k), acting.of(self.first, k));
         let alike = match both {
@@ -33,12 +32,9 @@ impl Shapes {
             }
             (own, first) => own == first,
         };
-        if alike {
-            out.copy_from_slice(&self.loaded[row]);
-            return Ok(());
-        }
-        out.copy_from_slice(&self.prior[row]);
-        predictor.load(job, (b, k), acting, scratch, out)
+        let known = if alike { &self.loaded } else { &self.prior };
+        out.copy_from_slice(&known[row]);
+        Ok(alike)
     }
 }
 

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from softmap_edge._core import effects
     from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
     from softmap_edge.diagnosis.comparison import Comparison, compare
-    from softmap_edge.diagnosis.diagnose import Diagnosis, diagnose, refit
+    from softmap_edge.diagnosis.diagnose import diagnose, refit
+    from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.diagnosis.series import series
     from softmap_edge.experiment.choose import Experiment, next_experiment
     from softmap_edge.logs.guess import guess_mapping
@@ -70,7 +71,8 @@ _HOMES = {
     "bundle": ["builtin_model", "load_bundle", "save_bundle"],
     "diagnosis.comparison": ["Comparison", "compare"],
     "diagnosis.series": ["series"],
-    "diagnosis.diagnose": ["Diagnosis", "diagnose", "refit"],
+    "diagnosis.diagnose": ["diagnose", "refit"],
+    "diagnosis.document": ["Diagnosis"],
     "experiment.choose": ["Experiment", "next_experiment"],
     "solid.finger": ["Finger"],
     "logs.guess": ["guess_mapping"],

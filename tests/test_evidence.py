@@ -7,8 +7,9 @@ import pytest
 
 from softmap_edge.bundle import builtin_model
 from softmap_edge.diagnosis.conclusion import RIVAL, TEMPERATURE
-from softmap_edge.diagnosis.diagnose import _problem, diagnose
+from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.evidence import BEYOND, FORMS, LEFT, NOISE, allowed, leftover
+from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import CV_FALL, CV_FOLDS, SHARE, SIMPLER, Search
 from softmap_edge.protocol import standard_protocol
@@ -25,7 +26,7 @@ def searched(acting, effects=FEW, noise=0.25):
     points = model.predict(Run(shown.t, acting(shown.command), shown.t_seen, vertices=rest, gravity=shown.gravity))
     points = points + noise * np.random.default_rng(0).normal(size=points.shape)
     run = Run(shown.t, shown.command, shown.t_seen, vertices=points, gravity=shown.gravity, robot=model.robot)
-    return Search(_problem(Record(model, run), effects), effects), run
+    return Search(problem_of(Record(model, run), effects), effects), run
 
 
 def test_what_is_left_is_measured_against_the_form_of_what_is_found():
@@ -90,7 +91,7 @@ def judged(other, share, moved=0.6):
     search._cv_fall, search._least_mm, search.share = (lambda *_: (0.1, 1.0)), (lambda _: 0.12), (lambda *_: share)
     search.displacement = lambda _, effect: 1.5 if effect == other else moved
     search.problem = SimpleNamespace(record=SimpleNamespace(rms_mm=float))
-    return search.judge(SimpleNamespace(effects=(other, "gravity"), cost=50.0), "gravity").accepted
+    return search.accepts(SimpleNamespace(effects=(other, "gravity"), cost=50.0), "gravity")
 
 
 def test_beside_a_linear_field_a_second_effect_carries_more():
@@ -119,7 +120,7 @@ def test_effects_that_undo_each_other_explain_nothing():
     search = object.__new__(Search)
     search.null = SimpleNamespace(predicted=np.zeros(3))
     search.problem = SimpleNamespace(record=SimpleNamespace(rms_mm=lambda d: float(np.abs(d).max())))
-    search._least_mm, search.judge = (lambda _: 0.2), (lambda *_: SimpleNamespace(accepted=True))
+    search._least_mm, search.accepts = (lambda _: 0.2), (lambda *_: True)
     assert search.valid(SimpleNamespace(effects=("offset", "gravity"), predicted=np.full(3, 0.3)))
     assert not search.valid(SimpleNamespace(effects=("offset", "gravity"), predicted=np.full(3, 0.1)))
 

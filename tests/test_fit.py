@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from arm import LIBRARY, Arm, record_run
 
-from softmap_edge.diagnosis.diagnose import _problem, diagnose
+from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.fit import Problem, Record, newton_step
+from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.errors import SoftmapError
 from softmap_edge.folds import FOLDS, run_folds
 from softmap_edge.protocol import standard_protocol
@@ -13,9 +14,9 @@ from softmap_edge.protocol import standard_protocol
 NAMES = [e["name"] for e in LIBRARY.effects()]
 
 
-def problem_of(hidden, **settings) -> Problem:
+def problem_with(hidden, **settings) -> Problem:
     record = Record(Arm(), record_run(hidden, **settings), LIBRARY)
-    return _problem(record, NAMES)
+    return problem_of(record, NAMES)
 
 
 @pytest.mark.parametrize(
@@ -28,7 +29,7 @@ def problem_of(hidden, **settings) -> Problem:
     ],
 )
 def test_recovers_what_was_hidden(hidden):
-    problem = problem_of(hidden, noise=0.02, warp=0.0)
+    problem = problem_with(hidden, noise=0.02, warp=0.0)
     name = next(iter(hidden)).split(".")[0]
     space = problem.space((name,))
     fit = problem.fit((name,), [space.start])
@@ -39,7 +40,7 @@ def test_recovers_what_was_hidden(hidden):
 
 
 def test_bounds_hold_and_are_reached():
-    problem = problem_of({"latency.delay": 0.9}, noise=0.05, warp=0.0)  # beyond the high end of 0.6 s
+    problem = problem_with({"latency.delay": 0.9}, noise=0.05, warp=0.0)  # beyond the high end of 0.6 s
     fit = problem.fit(("latency",), [problem.space(("latency",)).start])
     assert fit.params["latency.delay"] == pytest.approx(0.6, abs=1e-9)
 
@@ -47,7 +48,7 @@ def test_bounds_hold_and_are_reached():
 def test_deviations_are_honest():
     found = []
     for seed in range(12):
-        problem = problem_of({"gain.factor[0]": 0.06, "gain.factor[1]": 0.06}, seed=seed, noise=0.3, warp=0.0)
+        problem = problem_with({"gain.factor[0]": 0.06, "gain.factor[1]": 0.06}, seed=seed, noise=0.3, warp=0.0)
         fit = problem.fit(("gain",), [problem.space(("gain",)).start])
         sigma = problem.uncertainty(fit, 1.0)
         found += list((fit.space.values(fit.x) - 0.06) / sigma)
@@ -57,7 +58,7 @@ def test_deviations_are_honest():
 
 
 def test_prediction_batches_are_one_by_one():
-    problem = problem_of({})
+    problem = problem_with({})
     space = problem.space(("backlash", "gain"))
     rng = np.random.default_rng(0)
     x = np.clip(rng.normal(size=(5, len(space.start))), space.low, space.high)
@@ -67,7 +68,7 @@ def test_prediction_batches_are_one_by_one():
 
 
 def test_space_scales_forth_and_back():
-    space = problem_of({}).space(("creep", "gain", "latency"))
+    space = problem_with({}).space(("creep", "gain", "latency"))
     x = np.random.default_rng(1).uniform(space.low, space.high)
     assert np.allclose(space.scaled(space.values(x)), x)
     assert np.all(space.values(space.low) <= space.values(space.high))
@@ -75,7 +76,7 @@ def test_space_scales_forth_and_back():
 
 
 def test_newton_step_stays_inside():
-    space = problem_of({}).space(("gain",))
+    space = problem_with({}).space(("gain",))
     jacobian = np.eye(2)
     ahead = newton_step(space, np.zeros(2), jacobian, np.array([100.0, -0.1]), 0.0)
     assert ahead[0] == space.low[0]
@@ -135,7 +136,7 @@ def test_a_diagnosis_judges_by_labels_and_says_so():
 
 def test_held_out_loss_knows_overfitting():
     """Useless parameters lower the fitted error and not the held-out one."""
-    problem = problem_of({}, noise=0.3, warp=0.0)
+    problem = problem_with({}, noise=0.3, warp=0.0)
     null = problem.null()
     held = problem.fold_losses(problem.fold_predictions(null))[0].sum()
     fit = problem.fit(

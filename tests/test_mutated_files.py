@@ -234,7 +234,7 @@ def use_robot(path):
 
 def use_diagnosis(path):
     from softmap_edge.bundle import builtin_model
-    from softmap_edge.diagnosis.diagnose import Diagnosis
+    from softmap_edge.diagnosis.document import Diagnosis
 
     found = Diagnosis.load(path)
     str(found)

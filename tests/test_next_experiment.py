@@ -13,7 +13,7 @@ import pytest
 
 from softmap_edge import Run, _core, builtin_model, diagnose, next_experiment
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.diagnose import Diagnosis
+from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.choose import SETTLED, program

@@ -13,9 +13,9 @@ import pytest
 from test_compare import lean, triangle
 
 from softmap_edge.diagnosis.comparison import compare
-from softmap_edge.diagnosis.conclusion import OwnMisfit, _sentence
 from softmap_edge.diagnosis.evidence import Leftover
 from softmap_edge.diagnosis.series import series
+from softmap_edge.diagnosis.wording import OwnMisfit, sentence_of
 from softmap_edge.errors import ReportError
 from softmap_edge.report.html import write_html
 from softmap_edge.report.numbers import bar, fall, tamed
@@ -369,7 +369,7 @@ def test_every_error_in_a_sentence_says_rms_and_fitted_or_held_out(verdict, name
     physics = [{"name": "backlash"}] if named else []
     error = {"model": 3.18, "ladder": [{"value": 0.38}], "held_out_on": "blocks of this run"}
     left = Leftover(rms_mm=0.4, chi2_per_n=1.9, blocked_r2=0.5, predicted_by="speed", claim=True)
-    told = _sentence(verdict, physics, [], [], left, [], error, []) + f" {OwnMisfit(('gain',), 2.0, 1.0)}."
+    told = sentence_of(verdict, physics, [], [], left, [], error, []) + f" {OwnMisfit(('gain',), 2.0, 1.0)}."
     assert not re.findall(r"\d mm(?! RMS)", told)
     assert all("fitted" in part or "held" in part for part in re.split(r"[;:.] ", told) if "mm RMS" in part), told
 

@@ -5,7 +5,7 @@ import pytest
 from arm import LIBRARY, Arm, record_run
 
 from softmap_edge import _core, builtin_model
-from softmap_edge.diagnosis.diagnose import _problem
+from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.screening import Screening
 from softmap_edge.protocol import standard_protocol
@@ -25,7 +25,7 @@ def screening_of(problem, library):
     ids=lambda hidden: next(iter(hidden)).split(".")[0],
 )  # fmt: skip
 def test_the_hidden_effect_promises_most(hidden):
-    problem = _problem(Record(Arm(), record_run(hidden, noise=0.05, warp=0.0), LIBRARY), NAMES)
+    problem = problem_of(Record(Arm(), record_run(hidden, noise=0.05, warp=0.0), LIBRARY), NAMES)
     null = problem.null()
     (promised, name, points), *_ = screening_of(problem, LIBRARY).best(null, NAMES, 3)
     assert name == next(iter(hidden)).split(".")[0]
@@ -45,7 +45,7 @@ def test_behind_a_fit_the_other_hidden_effect_promises_most(first, second):
     hidden = {"backlash.gap": 2.0, "creep.strength": 0.12, "payload.mass": 40.0, "latency.delay": 0.25,
               "gain.factor[0]": 0.15, "mount.x": 2.0}  # fmt: skip
     run = record_run({label: hidden[label] for label in (first, second)}, noise=0.05, warp=0.0)
-    problem = _problem(Record(Arm(), run, LIBRARY), NAMES)
+    problem = problem_of(Record(Arm(), run, LIBRARY), NAMES)
     screening, null = screening_of(problem, LIBRARY), problem.null()
     one, other = (label.split(".")[0] for label in (first, second))
     points = next(points for _, name, points in screening.best(null, NAMES, len(NAMES)) if name == one)
@@ -60,7 +60,7 @@ def test_every_wiring_is_looked_at():
     protocol, model = standard_protocol(), builtin_model()
     blank = np.repeat(model.rest[None], protocol.frames, axis=0)
     run = Run(protocol.t, protocol.command, protocol.t_seen, vertices=blank, gravity=protocol.gravity)
-    problem = _problem(Record(model, run), ["servo_swap"])
+    problem = problem_of(Record(model, run), ["servo_swap"])
     screening = screening_of(problem, _core)
     space = problem.space(("servo_swap",))
     ways = {int(space.values(start)[0]) for start in screening.starts("servo_swap")}
@@ -76,7 +76,7 @@ def test_a_limit_that_is_hardly_reached_is_found():
     points = model.predict(acting) + 0.2 * np.random.default_rng(0).normal(size=rest.shape)
     run = Run(protocol.t, protocol.command, protocol.t_seen, vertices=points)
     names = ["saturation", "gain", "mullins", "friction"]
-    problem = _problem(Record(model, run), names)
+    problem = problem_of(Record(model, run), names)
     promised, name, starts = screening_of(problem, _core).best(problem.null(), names, 4)[0]
     assert name == "saturation" and promised < 0.5 * problem.null().cost
     assert problem.space((name,)).values(starts[0]) == pytest.approx(most, rel=0.1)

@@ -4,8 +4,9 @@
 //! length L₀, the shortening d (mm) and the stiffness kc of cable and drive together (N/mm). Driven by tension: energy
 //! T (L − L₀) with T = ⟨command⟩₊ in N, whatever the length. Frictionless.
 
-use super::guide::{Averaging, Route, Weights, guides};
+use super::guide::{Averaging, Weights, guides};
 use super::mesh::Mesh;
+use super::route::Route;
 use super::{Vec3, axpy, norm, sub};
 use crate::error::{Result, invalid};
 

@@ -1,4 +1,4 @@
-//! Where a tendon runs, and the nodes that carry its guides.
+//! The nodes that carry the guides of a tendon.
 //!
 //! A guide is not a point: a point load cuts into a mesh like a wire and its depth depends on the mesh. In a mesh with
 //! layers each guide is the average over a ring (the anchor over a disc) of moving-least-squares interpolants of one layer's
@@ -10,6 +10,7 @@
 
 use super::embed::Finder;
 use super::mesh::{Mesh, Section, radius_at};
+use super::route::Route;
 use super::{Vec3, axpy, dot, norm, sub};
 use crate::dense;
 use crate::error::{Result, invalid};
@@ -27,8 +28,6 @@ const REACH_RINGS: f64 = 4.0;
 const OUTSIDE_RINGS: f64 = 2.0;
 /// There the weights take in this many nodes at least.
 const FEWEST: usize = 12;
-/// There the guides of a formula are this far apart at most, as a part of the height.
-const SPACING: f64 = 0.04;
 /// Weights that sum to 1 but are larger than this together come from nodes on one side.
 const MOST_WEIGHT: f64 = 6.0;
 
@@ -40,89 +39,6 @@ pub type Weights = Vec<(usize, f64)>;
 pub struct Averaging {
     pub ring: f64,
     pub disc: f64,
-}
-
-/// Where a tendon runs, from where it leaves the base to its anchor.
-#[derive(Debug, Clone)]
-pub enum Route {
-    /// `(z, radius)` pairs, z ascending, at an angle about z that turns evenly with z by `turn` on the whole way.
-    Formula {
-        angle: f64,
-        turn: f64,
-        path: Vec<[f64; 2]>,
-    },
-    /// Guides in order.
-    Points(Vec<Vec3>),
-}
-
-impl Route {
-    /// The same route turned about z by an angle, rad.
-    pub fn turned(&self, by: f64) -> Route {
-        match self {
-            Route::Formula { angle, turn, path } => Route::Formula {
-                angle: angle + by,
-                turn: *turn,
-                path: path.clone(),
-            },
-            Route::Points(points) => {
-                let (s, c) = by.sin_cos();
-                let turn = |p: &Vec3| [c * p[0] - s * p[1], s * p[0] + c * p[1], p[2]];
-                Route::Points(points.iter().map(turn).collect())
-            }
-        }
-    }
-
-    /// Heights of the first guide and the anchor.
-    pub fn ends(&self) -> Option<(f64, f64)> {
-        match self {
-            Route::Formula { path, .. } => Some((path.first()?[0], path.last()?[0])),
-            Route::Points(points) => Some((points.first()?[2], points.last()?[2])),
-        }
-    }
-
-    fn heights(&self) -> Vec<f64> {
-        match self {
-            Route::Formula { path, .. } => path.iter().map(|p| p[0]).collect(),
-            Route::Points(points) => points.iter().map(|p| p[2]).collect(),
-        }
-    }
-
-    fn ascends(&self) -> bool {
-        let z = self.heights();
-        z.len() >= 2 && z.windows(2).all(|w| w[1] > w[0])
-    }
-
-    /// The place at a height of a route that ascends.
-    fn at(&self, z: f64) -> [f64; 2] {
-        match self {
-            Route::Formula { angle, turn, path } => {
-                let (r, first, last) = (radius_at(path, z), path[0][0], path[path.len() - 1][0]);
-                let angle = angle + turn * (z - first) / (last - first);
-                [r * angle.cos(), r * angle.sin()]
-            }
-            Route::Points(points) => {
-                let along = |i: usize| points.iter().map(|p| [p[2], p[i]]).collect::<Vec<_>>();
-                [radius_at(&along(0), z), radius_at(&along(1), z)]
-            }
-        }
-    }
-
-    /// The guides' own places in a mesh of this height.
-    fn places(&self, height: f64) -> Vec<Vec3> {
-        match self {
-            Route::Points(points) => points.clone(),
-            Route::Formula { path, .. } => {
-                let (first, last) = (path[0][0], path[path.len() - 1][0]);
-                let count = ((last - first) / (SPACING * height)).ceil().clamp(1.0, 1e3) as usize;
-                let z = |k: usize| first + (last - first) * k as f64 / count as f64;
-                let place = |k: usize| {
-                    let [x, y] = self.at(z(k));
-                    [x, y, z(k)]
-                };
-                (0..=count).map(place).collect()
-            }
-        }
-    }
 }
 
 /// The guides of a route on a mesh; refused where one would leave the solid.

@@ -10,6 +10,7 @@
 mod bend;
 pub mod cable;
 pub mod change;
+mod compliance;
 pub mod element;
 pub mod embed;
 pub mod guide;
@@ -18,6 +19,7 @@ pub mod mesh;
 pub mod natural;
 pub mod newton;
 pub mod progress;
+pub mod route;
 pub mod solid;
 pub mod sparse;
 pub mod sweep;

@@ -1,9 +1,10 @@
 //! Equilibria against what is known of them: patch test, beam theory, symmetry, work of the cables, refinement.
 
 use super::*;
-use crate::fem::guide::{Averaging, Route};
+use crate::fem::guide::Averaging;
 use crate::fem::material::Body;
 use crate::fem::mesh::{self, Resolution};
+use crate::fem::route::Route;
 use crate::fem::solid::Design;
 use crate::fem::tetrahedra::{tests::cut_block, tetrahedra};
 use crate::fem::{axpy, norm, sub};

@@ -6,9 +6,10 @@
 use super::cable::{Cable, Drive};
 use super::change::{self, Change};
 use super::element::{Element, elements};
-use super::guide::{Averaging, Route};
+use super::guide::Averaging;
 use super::material::Body;
 use super::mesh::Mesh;
+use super::route::Route;
 use super::sparse::Pattern;
 use super::{Vec3, axpy, dot, norm, sub};
 use crate::dense;

@@ -1,18 +1,15 @@
-//! Many equilibria: sweeps over a tensor grid, paths, and the linear fields at given commands.
+//! Many equilibria: sweeps over a tensor grid, paths, and whatever is asked of the equilibria of given commands.
 //!
 //! Neighbours start from each other. A sweep goes from home along the first axis, then from each of those states along the
 //! next axis, both ways, in parallel. A path is cut into chunks of fixed length, so that the answer does not depend on the
-//! number of cores. A field is the displacement per unit load by back-substitution at the equilibrium's tangent.
+//! number of cores. What loads do there: `compliance.rs`, `bend.rs`.
 
-use super::change::Changes;
+use super::Vec3;
 use super::embed::Points;
 use super::newton::{Solver, State};
 use super::progress::Progress;
 use super::solid::{Load, Solid};
-use super::work::inner;
-use super::{Vec3, sub};
 use crate::error::{Error, Result, invalid};
-use crate::loads::{FIELDS, LOADS, PUSH, TIP_FORCE};
 use crate::room::room;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -31,16 +28,6 @@ const FACETS: f64 = 2.5;
 pub struct Configuration {
     pub places: Vec<Vec3>,
     pub pull: Vec<f64>,
-}
-
-/// How an equilibrium answers small loads, changes of design and tensions while all other tensions stay as they are.
-#[derive(Debug, Clone, Default)]
-pub struct Compliance {
-    /// Displacements of the points per unit of each of `FIELDS`, then per 1 N in each cable; empty where there is no such
-    /// field.
-    pub fields: Vec<Vec<Vec3>>,
-    /// Stretch of each cable under the same, mm: rows (cables, fields).
-    pub stretch: Vec<f64>,
 }
 
 /// A solid with the points that are reported and the map from commands to cables.
@@ -247,23 +234,6 @@ impl Simulation {
             .collect()
     }
 
-    /// The compliance at the equilibrium of each command, to changes of `design` and to pushes too if asked.
-    pub fn fields(
-        &self,
-        commands: &[Vec<f64>],
-        gravity: Vec3,
-        tip: Vec3,
-        design: bool,
-        progress: &Progress,
-    ) -> Result<Vec<Compliance>> {
-        let fields = if design { FIELDS.len() } else { LOADS } + self.solid.cables.len();
-        self.room("the fields", &[commands.len()], fields)?;
-        let changes = design.then(|| Changes::new(&self.solid, &self.drive));
-        self.toured(commands, gravity, tip, progress, |solver, state| {
-            self.compliance(solver, state, changes.as_ref())
-        })
-    }
-
     /// What `keep` finds at the equilibrium of each command, solved in an order of short ways.
     pub(super) fn toured<T: Send>(
         &self,
@@ -334,65 +304,6 @@ impl Simulation {
             places: self.points.place(&state.x),
             pull: solver.pulls(state),
         }
-    }
-
-    /// Nodal forces of the dead loads, each for one unit.
-    pub(super) fn dead(&self) -> impl Iterator<Item = Vec<f64>> + '_ {
-        (0..LOADS).map(|f| {
-            let mut unit = Load::default();
-            let part = if f < TIP_FORCE {
-                &mut unit.gravity
-            } else {
-                &mut unit.tip
-            };
-            part[f % 3] = 1.0;
-            self.solid.dead_vector(&unit)
-        })
-    }
-
-    fn compliance(
-        &self,
-        solver: &mut Solver,
-        state: &State,
-        changes: Option<&Changes>,
-    ) -> Result<Compliance> {
-        solver.linearise(state)?;
-        let tension: Vec<f64> = solver.pulls(state).iter().map(|p| p.max(0.0)).collect();
-        let work = &mut solver.work;
-        let cables: Vec<Vec<f64>> = (0..tension.len())
-            .map(|c| work.slope(c, &state.x))
-            .collect();
-        let still = vec![0.0; cables.len()];
-        let loads = self.dead().enumerate();
-        let loads = loads.map(|(f, force)| (f, force, still.clone()));
-        let pushes = (PUSH..FIELDS.len()).filter(|_| changes.is_some()).map(|f| {
-            let force = self.solid.push_vector((f - PUSH) / 3, (f - PUSH) % 3);
-            (f, force, still.clone())
-        });
-        let pulls = cables.iter().enumerate().map(|(c, b)| {
-            let force = b.iter().map(|b| -b).collect();
-            (FIELDS.len() + c, force, still.clone())
-        });
-        let designs = changes
-            .into_iter()
-            .flat_map(|c| c.at(&self.solid, &state.x, &tension));
-        let at = self.points.place(&state.x);
-        let count = FIELDS.len() + cables.len();
-        let mut answer = Compliance {
-            fields: vec![Vec::new(); count],
-            stretch: vec![0.0; cables.len() * count],
-        };
-        for (field, force, own) in loads.chain(designs).chain(pushes).chain(pulls) {
-            let step = work.solve_slack(force);
-            let moved = self
-                .points
-                .place(&self.solid.displace(&state.x, &step, 1.0));
-            answer.fields[field] = moved.iter().zip(&at).map(|(p, q)| sub(*p, *q)).collect();
-            for (c, b) in cables.iter().enumerate() {
-                answer.stretch[c * count + field] = own[c] + inner(b, &step);
-            }
-        }
-        Ok(answer)
     }
 }
 

@@ -8,8 +8,11 @@ use crate::fem::change::changed;
 use crate::fem::newton::tests::design;
 use crate::fem::norm;
 use crate::fem::solid::Design;
-use crate::loads::{ACROSS, CONTACT, CURVE, Coefficients, ROUTING, STIFF, TENDON, TWIST};
+use crate::loads::{
+    ACROSS, CONTACT, CURVE, Coefficients, FIELDS, LOADS, ROUTING, STIFF, TENDON, TWIST,
+};
 use crate::table::Table;
+use crate::vector::sub;
 use std::sync::Arc;
 
 fn small(core: usize, layers: usize, points: Option<&[Vec3]>) -> Simulation {

@@ -1,13 +1,11 @@
-//! Bindings of the effect registry and the chain.
+//! Bindings of the chain.
 
 use super::arrays::{Floats, floats};
 use crate::Error;
-use crate::effects::{Chain, Conditions, Context, Each, Kind, Law, Parameter, registry};
+use crate::effects::{Chain, Conditions, Context, Parameter};
 use crate::loads::{self, Coefficients};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList};
-use std::collections::HashMap;
 
 pub(super) type Value<'a, 'py> = &'a Bound<'py, PyAny>;
 pub(super) type Maybe<'py> = Option<Bound<'py, PyAny>>;
@@ -20,57 +18,6 @@ const WIDTH: usize = size_of::<Coefficients>() / size_of::<f64>();
 
 /// Gravity of a hanging finger, for calls in which nothing depends on it.
 const HANGING: [f64; 3] = [0.0, 0.0, 1.0];
-
-/// The registry in stage order, one dictionary an effect.
-#[pyfunction]
-pub fn effects<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
-    let list = PyList::empty(py);
-    for effect in registry() {
-        let (d, entry) = (&effect.declaration, PyDict::new(py));
-        entry.set_item("name", d.name)?;
-        entry.set_item("family", d.family)?;
-        entry.set_item("stage", d.stage.name())?;
-        entry.set_item("role", effect.law.role())?;
-        let kind = if d.kind == Kind::Fault {
-            "fault"
-        } else {
-            "effect"
-        };
-        entry.set_item("kind", kind)?;
-        entry.set_item("own", matches!(effect.law, Law::Record(_)))?;
-        entry.set_item("formula", d.formula)?;
-        entry.set_item("doc", d.doc)?;
-        entry.set_item("signature", d.signature)?;
-        entry.set_item("reference", d.reference)?;
-        entry.set_item("experiment", d.experiment)?;
-        entry.set_item("alike", d.alike.iter().copied().collect::<HashMap<_, _>>())?;
-        entry.set_item("needs", d.needs.to_vec())?;
-        let parameters = PyList::empty(py);
-        for p in d.parameters {
-            parameters.append(parameter(py, p)?)?;
-        }
-        entry.set_item("parameters", parameters)?;
-        list.append(entry)?;
-    }
-    Ok(list)
-}
-
-fn parameter<'py>(py: Python<'py>, p: &Parameter) -> PyResult<Bound<'py, PyDict>> {
-    let entry = PyDict::new(py);
-    entry.set_item("name", p.name)?;
-    entry.set_item("unit", p.unit)?;
-    entry.set_item("null", p.null)?;
-    entry.set_item("start", p.start)?;
-    entry.set_item("low", p.low)?;
-    entry.set_item("high", p.high)?;
-    entry.set_item("per_channel", p.each == Each::Channel)?;
-    entry.set_item("per_pair", p.each == Each::Pair)?;
-    entry.set_item("integer", p.integer)?;
-    entry.set_item("instant", p.instant)?;
-    entry.set_item("doc", p.doc)?;
-    entry.set_item("log", p.log())?;
-    Ok(entry)
-}
 
 /// Effects composed in stage order for C channels; parameters and state are arrays that the caller keeps.
 #[pyclass(name = "Chain", module = "softmap_edge._core", frozen)]

@@ -1,19 +1,18 @@
-//! Binding of the simulator: meshes, and one class that holds a solid, its reported points and its drive.
+//! Binding of the simulator: one class that holds a solid, its reported points and its drive.
 
+use super::mesh::{Mesh, Pairs, matrix, paired, vectors};
 use super::watch::watched;
-use crate::Result;
 use crate::error::invalid;
 use crate::fem::Vec3;
 use crate::fem::cable::Drive;
 use crate::fem::change::{self, Change};
 use crate::fem::embed::Points;
-use crate::fem::guide::{Averaging, Route};
+use crate::fem::guide::Averaging;
 use crate::fem::material::{Body, Region};
-use crate::fem::mesh::{self, Resolution};
 use crate::fem::newton::newton_step;
+use crate::fem::route::Route;
 use crate::fem::solid::{Design, Solid as FemSolid};
 use crate::fem::sweep::{Configuration, Simulation};
-use crate::fem::tetrahedra::tetrahedra;
 use crate::loads::{FIELDS, LOADS, PUSH};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -25,94 +24,6 @@ type Bends<'py> = (
     Bound<'py, PyArray3<f64>>,
     Bound<'py, PyArray2<f64>>,
 );
-type Pairs = Vec<(f64, f64)>;
-
-/// A solid's cells at rest.
-#[pyclass(frozen, module = "softmap_edge._core")]
-pub struct Mesh {
-    mesh: mesh::Mesh,
-}
-
-#[pymethods]
-impl Mesh {
-    /// The round finger of a profile of (z, radius) mm; `breaks` are heights that must be layers.
-    #[staticmethod]
-    fn finger(
-        profile: Pairs,
-        breaks: Vec<f64>,
-        core: usize,
-        rings: usize,
-        layers: usize,
-    ) -> PyResult<Mesh> {
-        let resolution = Resolution {
-            core,
-            rings,
-            layers,
-        };
-        Ok(Mesh {
-            mesh: mesh::finger(&paired(profile), &breaks, resolution)?,
-        })
-    }
-
-    /// The block of `size` mm in `cells` bricks.
-    #[staticmethod]
-    fn block(size: Vec3, cells: [usize; 3]) -> PyResult<Mesh> {
-        Ok(Mesh {
-            mesh: mesh::block(cells, size)?,
-        })
-    }
-
-    /// Tetrahedra (E, 4) or (E, 10) of nodes (n, 3) mm, each split into eight `refine` times.
-    #[staticmethod]
-    fn tetrahedra(
-        py: Python<'_>,
-        nodes: PyReadonlyArray2<f64>,
-        cells: PyReadonlyArray2<i64>,
-        refine: usize,
-    ) -> PyResult<Mesh> {
-        let nodes = vectors(&nodes, "nodes")?;
-        // A negative number is no node; as an unsigned one it is beyond all.
-        let numbers =
-            |row: numpy::ndarray::ArrayView1<i64>| row.iter().map(|&n| n as usize).collect();
-        let cells: Vec<Vec<usize>> = cells.as_array().rows().into_iter().map(numbers).collect();
-        Ok(Mesh {
-            mesh: py.detach(|| tetrahedra(nodes, &cells, refine))?,
-        })
-    }
-
-    /// Nodes at rest (n, 3) mm.
-    #[getter]
-    fn nodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        matrix(py, &self.mesh.nodes)
-    }
-
-    /// Nodes of the cells (E, 8) of bricks or (E, 10) of tetrahedra.
-    #[getter]
-    fn cells<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i64>>> {
-        let width = self.mesh.kind.nodes();
-        PyArray1::from_vec(py, self.mesh.cells.iter().map(|&n| n as i64).collect())
-            .reshape([self.mesh.cells.len() / width, width])
-    }
-
-    /// Numbers of the clamped nodes.
-    #[getter]
-    fn fixed<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        let clamped = &self.mesh.clamped;
-        PyArray1::from_vec(
-            py,
-            (0..clamped.len())
-                .filter(|&n| clamped[n])
-                .map(|n| n as i64)
-                .collect(),
-        )
-    }
-
-    /// From the clamped base to the tip, mm.
-    #[getter]
-    fn height(&self) -> f64 {
-        self.mesh.height
-    }
-}
 
 /// A region of another modulus: box (low, high) mm, the angle its side faces (rad) or None, modulus MPa.
 type Boxed = (Vec3, Vec3, Option<f64>, f64);
@@ -410,30 +321,7 @@ impl Solid {
     }
 }
 
-fn matrix<'py>(py: Python<'py>, points: &[Vec3]) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    PyArray1::from_vec(py, points.iter().flatten().copied().collect()).reshape([points.len(), 3])
-}
-
 fn rows(array: &PyReadonlyArray2<f64>) -> Vec<Vec<f64>> {
     let view = array.as_array();
     (0..view.nrows()).map(|i| view.row(i).to_vec()).collect()
-}
-
-fn paired(pairs: Pairs) -> Vec<[f64; 2]> {
-    pairs.into_iter().map(|(a, b)| [a, b]).collect()
-}
-
-fn vectors(array: &PyReadonlyArray2<f64>, name: &str) -> Result<Vec<Vec3>> {
-    let view = array.as_array();
-    if view.ncols() != 3 {
-        return Err(invalid(format!(
-            "{name}: expected shape (n, 3), got {:?}",
-            view.shape()
-        )));
-    }
-    Ok(view
-        .rows()
-        .into_iter()
-        .map(|r| [r[0], r[1], r[2]])
-        .collect())
 }

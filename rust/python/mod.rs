@@ -5,8 +5,10 @@ mod cables;
 mod effects;
 mod elastic;
 mod fem;
+mod mesh;
 mod own;
 mod predict;
+mod registry;
 mod rod;
 mod scattered;
 mod shape;
@@ -37,15 +39,19 @@ mod _core {
     #[pymodule_export]
     use super::cables::{PyCables, PySecond};
     #[pymodule_export]
-    use super::effects::{PyChain, effects};
+    use super::effects::PyChain;
     #[pymodule_export]
     use super::elastic::{PyElasticField, PyElasticRod};
     #[pymodule_export]
-    use super::fem::{Mesh, Solid};
+    use super::fem::Solid;
+    #[pymodule_export]
+    use super::mesh::Mesh;
     #[pymodule_export]
     use super::own::{forget, register};
     #[pymodule_export]
     use super::predict::PyPredictor;
+    #[pymodule_export]
+    use super::registry::effects;
     #[pymodule_export]
     use super::rod::{PyRod, PyRodField, monomial_degrees, monomials};
     #[pymodule_export]

@@ -109,7 +109,7 @@ def _standard(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
 
 def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], list[str], int]:
     """Return the commands for what a diagnosis left open, the blocks weighed, what is open, and how often to play."""
-    from softmap_edge.diagnosis.diagnose import Diagnosis
+    from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.experiment.blocks import Setting, chosen, plan
     from softmap_edge.experiment.choose import next_experiment, program
     from softmap_edge.report.progress import progress_lines

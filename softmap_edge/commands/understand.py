@@ -76,8 +76,8 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
 
 def diagnose(args: argparse.Namespace) -> int:
     """Name the effect that a model lacks; 0 whatever the verdict, since silence and doubt are answers."""
-    from softmap_edge.diagnosis.diagnose import Diagnosis
     from softmap_edge.diagnosis.diagnose import diagnose as find
+    from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.report.progress import progress_lines
 
     check_file("--html", args.html)
@@ -114,7 +114,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add(args: argparse.Namespace) -> int:
     """Write a bundle with effects of a diagnosis added, with their fitted numbers."""
-    from softmap_edge.diagnosis.diagnose import Diagnosis
+    from softmap_edge.diagnosis.document import Diagnosis
 
     check_bundle(args.out, args.force)
     load_own(args)

@@ -1,4 +1,4 @@
-"""From a finished search to what a diagnosis says: verdict, sentence, effects with parameters, rivals, what is open.
+"""From a finished search to what a diagnosis says: effects with parameters, rivals, and what is open.
 
 Nothing is searched here, and nothing is decided that `search.py` (which effects are accepted) or `evidence.py` (what
 the run can show) has not measured. Every entry is plain data, ready for JSON. Units: mm. Pinned by
@@ -8,7 +8,7 @@ tests/test_diagnosis.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.conditions import cells
 from softmap_edge.diagnosis.evidence import (
-    LEFT_R2,
-    Leftover,
     Untestable,
     at_bound,
     equivalents,
@@ -32,6 +30,7 @@ from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.masked import Masked
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import RIVAL_SHARE, RIVAL_WORSE, Search
+from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, verdict_of
 from softmap_edge.folds import labelled
 from softmap_edge.own_effect import hashes
 
@@ -40,23 +39,6 @@ Floats = NDArray[np.float64]
 # Of the probabilities, fitted on development seeds of the bank (docs/bank.md): where forms are not exact one of so many
 # whitened numbers speaks for itself; odds of an open rival against what is named.
 TEMPERATURE, RIVAL = 400.0, 1 / 3
-UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "cannot tell"
-
-
-@dataclass(frozen=True)
-class OwnMisfit:
-    """Effects that the model has already, which fit the run much better with other numbers: mm RMS, after held out."""
-
-    names: tuple[str, ...]
-    before_mm: float
-    after_mm: float
-
-    def __str__(self) -> str:
-        return (
-            f"the model's own {' + '.join(self.names)} does not fit this run: "
-            f"`softmap refit` alone takes its {self.before_mm:.2f} mm RMS (nothing fitted) to "
-            f"{self.after_mm:.2f} mm RMS (held out)"
-        )
 
 
 def conclude(
@@ -104,16 +86,16 @@ def conclude(
     faults = [e for e in entries if registry[e["name"]]["kind"] == "fault"]
     physics = [e for e in entries if registry[e["name"]]["kind"] != "fault"]
     error = _error(search, order, other)
-    doubts = [*([str(own)] if own else []), *([shared[1]] if shared else []), *_at_bounds(entries), *record.doubts]
+    doubts = [*([str(own)] if own else []), *([shared[1]] if shared else []), *at_bounds(entries), *record.doubts]
     unsure = any(registry[e]["kind"] != "fault" for r in rivals for e in r["effects"])  # a fault that may be physics
     count = len(search.candidates) + len(impossible)
     unknown = left.claim and (shared is None or leftover(search, shared[0]).claim)
-    verdict = _verdict(physics or (unsure and faults), faults, [*rivals, *doubts], unknown, hidden, count)
+    verdict = verdict_of(physics or (unsure and faults), faults, [*rivals, *doubts], unknown, hidden, count)
     if verdict == "nothing" and behind:
         verdict, hidden = "cannot_tell", behind
     return {
         "verdict": verdict,
-        "sentence": _sentence(verdict, physics, faults, rivals, left, hidden, error, demoted)
+        "sentence": sentence_of(verdict, physics, faults, rivals, left, hidden, error, demoted)
         + "".join(f" But {doubt}." for doubt in doubts)
         + ("" if masked is None else f" {masked}."),
         "effects": physics,
@@ -224,16 +206,6 @@ def parameters(
     return found
 
 
-def _at_bounds(entries: list[dict[str, Any]]) -> list[str]:
-    return [
-        f"{label} is at its bound of {p['value']:.3g}{'' if p['unit'] == '1' else ' ' + p['unit']}: "
-        "the true value lies beyond, or another effect acts"
-        for entry in entries
-        for label, p in entry["params"].items()
-        if p["at_bound"]
-    ]
-
-
 def _rivals(
     search: Search, fit: Fit, found: list[tuple[str, Fit, str]], registry: dict[str, dict[str, Any]]
 ) -> list[dict[str, Any]]:
@@ -251,56 +223,6 @@ def _rivals(
             why = f"{twin} and {member} look alike under the conditions of this run"
             rivals.append({"member": member, "effects": swapped, "why": why})
     return rivals
-
-
-def _verdict(
-    physics: Any, faults: list[Any], doubts: list[Any], unknown: bool, hidden: list[Untestable], count: int
-) -> str:
-    if unknown:
-        return "partly_explained"
-    if physics:
-        return "ambiguous" if doubts else "identified"
-    if faults:
-        return "measurement_fault"
-    return "cannot_tell" if len(hidden) >= UNTESTABLE_SHARE * count else "nothing"
-
-
-def _sentence(
-    verdict: str,
-    physics: list[dict[str, Any]],
-    faults: list[dict[str, Any]],
-    rivals: list[dict[str, Any]],
-    left: Leftover,
-    hidden: list[Untestable],
-    error: dict[str, Any],
-    demoted: Sequence[str],
-) -> str:
-    names = " + ".join(e["name"] for e in [*physics, *faults])
-    after = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
-    fall = f"the held-out error falls from {error['model']:.2f} to {after:.2f} mm RMS"
-    judge = error["held_out_on"]
-    lost = f" Dropped, because the error on {judge} did not fall: {', '.join(demoted)}." if demoted else ""
-    cannot = f" These data cannot show {', '.join(h.name for h in hidden)}." if hidden else ""
-    by = left.predicted_by if left.blocked_r2 >= LEFT_R2 else "none of its conditions"
-    unknown = f"{left.rms_mm:.2f} mm RMS (fitted) are left that {by} predicts"
-    if verdict == "identified":
-        return f"The model lacks {names}; {fall}.{lost}"
-    if verdict == "ambiguous":
-        also = "; ".join(dict.fromkeys(" + ".join(r["effects"]) for r in rivals))
-        other = f"a rival that these data do not rule out ({also})" if rivals else "something that looks like it"
-        return f"The model lacks {names} or {other}; {fall}.{lost}"
-    if verdict == "partly_explained" and names:
-        return f"The model lacks {names}, and something that is not among the candidates: {unknown}; {fall}.{lost}"
-    if verdict == "partly_explained":
-        return f"Something that is not among the candidates is missing: {unknown}.{lost}"
-    if verdict == "measurement_fault":
-        return f"The measurement is at fault, not the model: {names}; {fall}.{lost}"
-    if verdict == "cannot_tell":
-        return (
-            f"Nothing above the floor is seen, and these data could not show {', '.join(h.name for h in hidden)}.{lost}"
-        )
-    stays = f"{error['model']:.2f} mm RMS (held out)"
-    return f"Nothing above the floor: no candidate explains the {stays} that are left.{cannot}{lost}"
 
 
 def _error(search: Search, order: list[str], other: Record | None) -> dict[str, Any]:

@@ -238,6 +238,12 @@ class Problem:
             points.append(np.clip(fit.x + np.clip(step, -0.5, 0.5), fit.space.low, fit.space.high))
         return self.record.predict(fit.space.names, fit.space.params(np.stack(points)))
 
+    def held_out_mm(self, predictions: Floats) -> float:
+        """Return the RMS distance in mm of each fold's own prediction (folds, K, F) on its test frames."""
+        folds = zip(predictions, self.folds)
+        squares = [self.record.squares(self.record.seen[test] - p[test]).ravel() for p, (_, test) in folds]
+        return float(np.sqrt(np.nanmean(np.concatenate(squares))))
+
     def fold_losses(self, predictions: Floats) -> tuple[Floats, Floats]:
         """Return held-out losses (folds,) of each fold's own prediction on its test frames: plain and whitened.
 

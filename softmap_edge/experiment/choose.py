@@ -21,7 +21,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from softmap_edge.diagnosis.diagnose import Diagnosis
+from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.evidence import DETECTABLE, experiment
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, Block, plan

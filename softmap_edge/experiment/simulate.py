@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.diagnose import Diagnosis, _problem
+from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.noise import FLOOR, Noise
+from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record, record_of
 from softmap_edge.diagnosis.search import VISIBLE_MM, Search
 from softmap_edge.diagnosis.sound import sound
@@ -79,7 +80,7 @@ class World:
         self.params: dict[tuple[str, ...], dict[str, float]] = {}
         if runs:
             whole = record_of(model, runs, library, self.references or None)
-            problem = _problem(whole, [n for n in self.names if self.declared(n)])
+            problem = problem_of(whole, [n for n in self.names if self.declared(n)])
             search = Search(problem, [n for n in self.names if self.declared(n)])
             fits = {key: search.get(key) for key in sets}
             self.noise, self.dispersion = problem.noise, search.dispersion(fits[self.found])
@@ -107,9 +108,9 @@ class World:
         new = Record(self.model, run, self.library, own or None)
         parts = [] if self.old is None else [self.old]
         joint = record_of(self.model, [*_thinned(self.runs), run], self.library, [*self.references, *own] or None)
-        problem = _problem(joint, [n for n in self.names if self._predicted(n, [*parts, new])], self.noise)
+        problem = problem_of(joint, [n for n in self.names if self._predicted(n, [*parts, new])], self.noise)
         alone = _Linear(
-            self, _problem(new, [n for n in self.names if not new.missing(self.needs(n))], self.noise), [new]
+            self, problem_of(new, [n for n in self.names if not new.missing(self.needs(n))], self.noise), [new]
         )
         both = _Linear(self, problem, [*parts, new])
         found = []
@@ -174,7 +175,7 @@ class World:
     def _old_problem(self) -> Problem | None:
         if self.old is None:
             return None
-        return _problem(self.old, [n for n in self.names if self.declared(n)], self.noise)
+        return problem_of(self.old, [n for n in self.names if self.declared(n)], self.noise)
 
     @cached_property
     def _old_linear(self) -> _Linear | None:

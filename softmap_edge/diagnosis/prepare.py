@@ -1,0 +1,107 @@
+"""What a search needs before it begins: which effects are candidates, and a run with its noise and form error.
+
+Pinned by tests/test_diagnosis.py and tests/test_fit.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.evidence import Untestable, experiment, orientations
+from softmap_edge.diagnosis.fit import Problem
+from softmap_edge.diagnosis.noise import Noise, command_kernel, estimate_noise, form_covariance, rod_noise, whitener
+from softmap_edge.diagnosis.record import Record
+from softmap_edge.errors import SoftmapError
+
+Floats = NDArray[np.float64]
+
+SIGNATURE_FRAMES = 1500  # frames on which the span of the signatures is found
+
+
+def candidates_of(
+    record: Record, registry: dict[str, dict[str, Any]], wanted: Sequence[str] | None
+) -> tuple[list[str], list[Untestable]]:
+    """Return the effects of a registry, or those `wanted`, that can be looked for in a run, and why the others cannot.
+
+    Raises:
+        SoftmapError: an unknown effect, or none that is left.
+    """
+    unknown = [name for name in wanted or () if name not in registry]
+    if unknown:
+        raise SoftmapError(f"no effect '{unknown[0]}'; there are {', '.join(registry)}")
+    names = [n for n in registry if (wanted is None or n in wanted) and n not in record.model.chain_names]
+    if not names:
+        raise SoftmapError("no effect is left to look for: the model already has every candidate")
+    lawless = [n for n in names if registry[n]["role"] == "prior" and record.model.lacking(n)]
+    if wanted is None:  # a law that the prior does not have is no question, unless it is asked
+        names = [n for n in names if n not in lawless]
+    impossible = []
+    for name in names:
+        missing = record.missing(registry[name].get("needs", []))
+        if record.model.channels == 0 and (registry[name]["role"] == "channel" or not record.layout((name,)).labels):
+            impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
+        elif name in lawless:
+            why = "the tendons of this model do not push, or it knows none: there is no such law to change"
+            impossible.append(Untestable(name, why, "a model learned with a robot.toml whose tendons push", 1.0))
+        elif lacking := record.model.lacking(name):
+            why = f"this model has no field {lacking[0]}"
+            impossible.append(Untestable(name, why, "a model built from a finger.toml by this version", 1.0))
+        elif missing:
+            block, minutes = experiment(registry, name)
+            absent = ", ".join(missing)
+            impossible.append(
+                Untestable(name, f"the run does not declare {absent}", f"{block}; {absent} declared", minutes)
+            )
+    if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record.gravity) == 1:
+        # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than
+        # its form error, and a tilt of gravity is an offset. The simpler member stands for the family.
+        block, minutes = experiment(registry, "gravity")
+        impossible.append(Untestable("gravity", "in one orientation a rod cannot tell it from payload", block, minutes))
+    out = {h.name for h in impossible}
+    return [n for n in names if n not in out], impossible
+
+
+def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = None) -> Problem:
+    """Measure the noise (if none is given), set up the form error and look along the candidates' signatures.
+
+    Raises:
+        SoftmapError: fewer than 8 frames.
+    """
+    base = record.predict(record.model.chain_names, record.own()[None])[0]
+    if len(record) < 8:
+        raise SoftmapError(f"{len(record)} seen frames are too few to diagnose; record at least 8, better 60")
+    thin = np.unique(np.linspace(0, len(record) - 1, min(len(record), SIGNATURE_FRAMES)).astype(int))
+    signatures = [s for name in candidates for s in _signatures(record, name, base, thin)]
+    stack = np.stack(signatures) if signatures else np.zeros((1, len(thin), record.features))
+    kernel = command_kernel(record.command, record.spread, record.leaning)
+    if record.model.kind == "rod":
+        noise = noise or rod_noise(record.seen - base, record.t_seen, record.form_error)
+        form = np.zeros((record.features, record.features))
+    else:
+        noise = noise or estimate_noise(record.seen - base, record.t_seen, record.state.visit)
+        form = form_covariance(record.form_error, record.positions, record.section)
+        if record.static is not None:  # a residual may be the model's own error or an effect: both are allowed for
+            form = form + record.static.T @ record.static / len(record)
+    return Problem(record, noise, whitener(noise, form, stack, kernel))
+
+
+def _signatures(record: Record, name: str, base: Floats, frames: NDArray[Any]) -> list[Floats]:
+    """Return what an effect does at its start values, all at once and each parameter alone."""
+    names = tuple(record.model.chain_names) + (() if name in record.model.chain_names else (name,))
+    layout, present = record.layout(names), record.layout(record.model.chain_names)
+    own = dict(zip(present.labels, map(float, record.own())))
+    null = np.array([own.get(label, n) for label, n in zip(layout.labels, layout.null)])
+    mine = [i for i, label in enumerate(layout.labels) if label.split(".")[0] == name]
+    every = null.copy()
+    every[mine] = layout.start[mine]
+    rows = [every]
+    for i in mine:
+        alone = null.copy()
+        alone[i] = layout.start[i]
+        rows.append(alone)
+    shifts = record.predict(names, np.stack(rows)) - base
+    return [s[frames] for s in shifts if np.any(np.abs(s) > 1e-9)]

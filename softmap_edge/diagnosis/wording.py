@@ -1,0 +1,90 @@
+"""The words of a diagnosis: its verdict, its sentence, and doubts about what it names.
+
+Every error says mm RMS, and fitted or held out. Pinned by tests/test_report.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from softmap_edge.diagnosis.evidence import LEFT_R2, Leftover, Untestable
+
+UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "cannot tell"
+
+
+@dataclass(frozen=True)
+class OwnMisfit:
+    """Effects that the model has already, which fit the run much better with other numbers: mm RMS, after held out."""
+
+    names: tuple[str, ...]
+    before_mm: float
+    after_mm: float
+
+    def __str__(self) -> str:
+        return (
+            f"the model's own {' + '.join(self.names)} does not fit this run: "
+            f"`softmap refit` alone takes its {self.before_mm:.2f} mm RMS (nothing fitted) to "
+            f"{self.after_mm:.2f} mm RMS (held out)"
+        )
+
+
+def verdict_of(
+    physics: Any, faults: list[Any], doubts: list[Any], unknown: bool, hidden: list[Untestable], count: int
+) -> str:
+    if unknown:
+        return "partly_explained"
+    if physics:
+        return "ambiguous" if doubts else "identified"
+    if faults:
+        return "measurement_fault"
+    return "cannot_tell" if len(hidden) >= UNTESTABLE_SHARE * count else "nothing"
+
+
+def sentence_of(
+    verdict: str,
+    physics: list[dict[str, Any]],
+    faults: list[dict[str, Any]],
+    rivals: list[dict[str, Any]],
+    left: Leftover,
+    hidden: list[Untestable],
+    error: dict[str, Any],
+    demoted: Sequence[str],
+) -> str:
+    names = " + ".join(e["name"] for e in [*physics, *faults])
+    after = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
+    fall = f"the held-out error falls from {error['model']:.2f} to {after:.2f} mm RMS"
+    judge = error["held_out_on"]
+    lost = f" Dropped, because the error on {judge} did not fall: {', '.join(demoted)}." if demoted else ""
+    cannot = f" These data cannot show {', '.join(h.name for h in hidden)}." if hidden else ""
+    by = left.predicted_by if left.blocked_r2 >= LEFT_R2 else "none of its conditions"
+    unknown = f"{left.rms_mm:.2f} mm RMS (fitted) are left that {by} predicts"
+    if verdict == "identified":
+        return f"The model lacks {names}; {fall}.{lost}"
+    if verdict == "ambiguous":
+        also = "; ".join(dict.fromkeys(" + ".join(r["effects"]) for r in rivals))
+        other = f"a rival that these data do not rule out ({also})" if rivals else "something that looks like it"
+        return f"The model lacks {names} or {other}; {fall}.{lost}"
+    if verdict == "partly_explained" and names:
+        return f"The model lacks {names}, and something that is not among the candidates: {unknown}; {fall}.{lost}"
+    if verdict == "partly_explained":
+        return f"Something that is not among the candidates is missing: {unknown}.{lost}"
+    if verdict == "measurement_fault":
+        return f"The measurement is at fault, not the model: {names}; {fall}.{lost}"
+    if verdict == "cannot_tell":
+        return (
+            f"Nothing above the floor is seen, and these data could not show {', '.join(h.name for h in hidden)}.{lost}"
+        )
+    stays = f"{error['model']:.2f} mm RMS (held out)"
+    return f"Nothing above the floor: no candidate explains the {stays} that are left.{cannot}{lost}"
+
+
+def at_bounds(entries: list[dict[str, Any]]) -> list[str]:
+    return [
+        f"{label} is at its bound of {p['value']:.3g}{'' if p['unit'] == '1' else ' ' + p['unit']}: "
+        "the true value lies beyond, or another effect acts"
+        for entry in entries
+        for label, p in entry["params"].items()
+        if p["at_bound"]
+    ]
