@@ -9,6 +9,7 @@
 use crate::cables::Cables;
 use crate::complementarity::Problem;
 use crate::error::Result;
+use crate::grid::Nodes;
 use crate::loads::{FIELDS, LOADS};
 use crate::second::{MOST_TENDONS, Second};
 
@@ -68,13 +69,13 @@ impl Answer {
     }
 
     /// The place at a command: what the cables are like there, then what loads that are `there` do beyond their fields.
-    pub fn at(&self, u: &[f64], there: &[bool], out: &mut [f64]) {
+    pub fn at(&self, u: &[f64], nodes: &mut Nodes, there: &[bool], out: &mut [f64]) {
         let (cables, second) = out.split_at_mut(self.split());
         if let Some(known) = &self.cables {
-            known.at(u, cables);
+            known.at(u, nodes, cables);
         }
         if let Some(known) = &self.second {
-            known.at(u, there, second);
+            known.at(u, nodes, there, second);
         }
     }
 

@@ -14,6 +14,7 @@
 
 use crate::complementarity::Problem;
 use crate::error::{Result, invalid};
+use crate::grid::Nodes;
 use crate::loads::FIELDS;
 use crate::shape::Shape;
 use crate::table::Table;
@@ -63,7 +64,7 @@ impl Cables {
         Ok(Cables {
             stiffness,
             pull,
-            stretch,
+            stretch: Arc::new(stretch.plain()?), // bodies under loads are made from it again and again
             fields,
             loads,
         })
@@ -72,11 +73,17 @@ impl Cables {
     /// The same cables with few loads, each of which is so much (loads,) of theirs.
     pub fn under(&self, amounts: &[&[f64]]) -> Result<Cables> {
         let (n, width, few) = (self.count(), self.loads + self.count(), amounts.len());
+        let there = |amount: &&[f64]| -> Vec<(usize, f64)> {
+            let all = amount.iter().copied().enumerate();
+            all.filter(|(_, c)| *c != 0.0).collect()
+        };
+        let there: Vec<_> = amounts.iter().map(there).collect();
         let stretch = self.stretch.mapped(n * (few + n), |rows, out| {
             for (row, out) in rows.chunks_exact(width).zip(out.chunks_exact_mut(few + n)) {
                 let (by_loads, by_tension) = row.split_at(self.loads);
-                let sums = amounts.iter().map(|amount| dot(by_loads, amount));
-                out.iter_mut().zip(sums).for_each(|(out, sum)| *out = sum);
+                for (out, amount) in out.iter_mut().zip(&there) {
+                    *out = amount.iter().map(|(f, c)| by_loads[*f] * c).sum();
+                }
                 out[few..].copy_from_slice(by_tension);
             }
         })?;
@@ -114,10 +121,11 @@ impl Cables {
     }
 
     /// Pulls and stretches at a command, one after the other.
-    pub fn at(&self, u: &[f64], out: &mut [f64]) {
+    pub fn at(&self, u: &[f64], nodes: &mut Nodes, out: &mut [f64]) {
         let (pull, stretch) = out.split_at_mut(self.pull.size());
-        self.pull.eval(u, pull);
-        self.stretch.eval(u, stretch);
+        self.pull.eval_at(nodes.of(self.pull.grid(), u), pull);
+        self.stretch
+            .eval_at(nodes.of(self.stretch.grid(), u), stretch);
     }
 
     /// Change of each tension (n,) N under the loads, at a place that `at` wrote; `gives` (mm/N) is what each cable has beside
@@ -219,14 +227,14 @@ mod tests {
 
     fn answer(cables: &Cables, load: f64, gives: f64) -> [f64; 2] {
         let mut place = vec![0.0; cables.size()];
-        cables.at(&[], &mut place);
+        cables.at(&[], &mut Nodes::default(), &mut place);
         let (mut loads, mut change) = ([0.0; FIELDS.len()], [0.0; 2]);
         loads[0] = load;
         let mut problem = Problem::default();
         cables.answer(&place, &loads, gives, &[], &mut change, &mut problem);
         let (one, mut again) = (cables.under(&[&loads, &loads]).unwrap(), [0.0; 2]);
         let mut place = vec![0.0; one.size()];
-        one.at(&[], &mut place);
+        one.at(&[], &mut Nodes::default(), &mut place);
         one.answer(&place, &[0.25, 0.75], gives, &[], &mut again, &mut problem);
         assert!(
             (0..2).all(|i| (change[i] - again[i]).abs() < 1e-12),

@@ -25,13 +25,72 @@ pub const NO_AXIS: Stencil = Stencil {
 pub struct Axis {
     nodes: Vec<f64>,
     slopes: Vec<(usize, [f64; 3])>,
+    /// Cells for a mm of command, were they even.
+    density: f64,
+    pieces: Vec<Piece>,
+}
+
+/// One cell: the nodes that carry it, and their weights as cubics of the share of its width.
+#[derive(Debug, Clone, PartialEq)]
+struct Piece {
+    first: usize,
+    count: usize,
+    start: f64,
+    inverse: f64,
+    powers: [[f64; 4]; 4],
 }
 
 impl Axis {
     /// Take at least two rising nodes.
     pub fn new(nodes: Vec<f64>) -> Axis {
         let slopes = (0..nodes.len()).map(|i| node_slope(&nodes, i)).collect();
-        Axis { nodes, slopes }
+        let last = nodes.len() - 1;
+        let mut axis = Axis {
+            density: last as f64 / (nodes[last] - nodes[0]),
+            pieces: vec![],
+            nodes,
+            slopes,
+        };
+        axis.pieces = (0..last).map(|cell| axis.piece(cell)).collect();
+        axis
+    }
+
+    /// The cubics of a cell: Hermite's, with the slopes at its ends as sums of nodes.
+    fn piece(&self, cell: usize) -> Piece {
+        let axis = &self.nodes;
+        let width = axis[cell + 1] - axis[cell];
+        let first = cell.saturating_sub(1);
+        let mut powers = [[0.0; 4]; 4];
+        for (power, hermite) in powers.iter_mut().zip([
+            [1.0, 0.0, 0.0, 0.0],
+            [0.0, 0.0, width, 0.0],
+            [-3.0, 3.0, -2.0 * width, -width],
+            [2.0, -2.0, width, width],
+        ]) {
+            *power = self.spread(cell, hermite);
+        }
+        Piece {
+            first,
+            count: (cell + 3).min(axis.len()) - first,
+            start: axis[cell],
+            inverse: 1.0 / width,
+            powers,
+        }
+    }
+
+    /// Weights of the nodes of a cell for weights of the values at its ends and of the slopes there.
+    fn spread(&self, cell: usize, hermite: [f64; 4]) -> [f64; 4] {
+        let first = cell.saturating_sub(1);
+        let mut weights = [0.0; 4];
+        weights[cell - first] += hermite[0];
+        weights[cell + 1 - first] += hermite[1];
+        for (node, weight) in [(cell, hermite[2]), (cell + 1, hermite[3])] {
+            let (start, slopes) = &self.slopes[node];
+            for (i, value) in slopes.iter().enumerate().take(self.nodes.len().min(3)) {
+                weights[start + i - first] += weight * value;
+            }
+        }
+        weights
     }
 
     /// The nodes.
@@ -42,8 +101,7 @@ impl Axis {
     /// The cell that holds `u`, the border's beyond the ends; where nodes are even, it is the first one looked at.
     fn cell(&self, u: f64) -> usize {
         let (axis, last) = (&self.nodes, self.nodes.len() - 2);
-        let share = (u - axis[0]) / (axis[last + 1] - axis[0]);
-        let mut cell = ((share * (last + 1) as f64) as usize).min(last);
+        let mut cell = (((u - axis[0]) * self.density) as usize).min(last);
         while cell > 0 && axis[cell] > u {
             cell -= 1;
         }
@@ -58,6 +116,16 @@ impl Axis {
         let axis = &self.nodes;
         let last = axis.len() - 1;
         let cell = self.cell(u);
+        let piece = &self.pieces[cell];
+        if !derivative && (axis[0]..=axis[last]).contains(&u) {
+            let s = (u - piece.start) * piece.inverse;
+            let [a, b, c, d] = &piece.powers;
+            return Stencil {
+                first: piece.first,
+                count: piece.count,
+                weights: std::array::from_fn(|i| a[i] + s * (b[i] + s * (c[i] + s * d[i]))),
+            };
+        }
         let width = axis[cell + 1] - axis[cell];
         let inside = u.clamp(axis[0], axis[last]);
         let s = (inside - axis[cell]) / width;
@@ -82,21 +150,10 @@ impl Axis {
                 .zip(slope())
                 .for_each(|(value, slope)| *value += slope * (u - inside));
         }
-        let first = cell.saturating_sub(1);
-        let count = (cell + 3).min(last + 1) - first;
-        let mut weights = [0.0; 4];
-        weights[cell - first] += hermite[0];
-        weights[cell + 1 - first] += hermite[1];
-        for (node, weight) in [(cell, hermite[2]), (cell + 1, hermite[3])] {
-            let (start, slopes) = &self.slopes[node];
-            for (i, value) in slopes.iter().enumerate().take(axis.len().min(3)) {
-                weights[start + i - first] += weight * value;
-            }
-        }
         Stencil {
-            first,
-            count,
-            weights,
+            first: piece.first,
+            count: piece.count,
+            weights: self.spread(cell, hermite),
         }
     }
 }

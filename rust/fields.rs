@@ -4,7 +4,8 @@
 //! modes expanded once: a sum of seven fields then costs as much as one or two. Other fields (a rod's, those of large loads) are
 //! added one by one.
 
-use crate::modes::{Modes, wide};
+use crate::grid::Nodes;
+use crate::modes::{Modes, STACK_MODES, wide};
 use crate::shape::Shape;
 use crate::table::{Table, TableSum};
 use std::sync::Arc;
@@ -97,19 +98,31 @@ impl Fields {
         self.members.len()
     }
 
+    /// All of them in order.
+    pub fn members(&self) -> &[Option<Arc<dyn Shape>>] {
+        &self.members
+    }
+
     /// One field, if it is there.
     pub fn get(&self, field: usize) -> Option<&dyn Shape> {
         self.members[field].as_deref()
     }
 
     /// Add Σ w_f·field_f(u) to `frame` (M,); `scratch` (M,) is overwritten.
-    pub fn add(&self, u: &[f64], weights: &[f64], scratch: &mut [f64], frame: &mut [f64]) {
+    pub fn add(
+        &self,
+        u: &[f64],
+        nodes: &mut Nodes,
+        weights: &[f64],
+        scratch: &mut [f64],
+        frame: &mut [f64],
+    ) {
         if weights.iter().all(|w| *w == 0.0) {
             return;
         }
         if let Some(sum) = &self.together {
-            let own: Vec<f64> = self.alike.iter().map(|f| weights[*f]).collect();
-            sum.add(u, &own, frame);
+            let own = self.alike.iter().map(|f| weights[*f]);
+            sum.add(nodes.of(sum.grid(), u), own, frame);
         }
         self.add_still(weights, frame);
         for f in &self.others {
@@ -126,10 +139,21 @@ impl Fields {
     /// Add Σ w_f·field_f to `frame` (M,), of the fields that are the same at all commands.
     fn add_still(&self, weights: &[f64], frame: &mut [f64]) {
         if let Some(modes) = &self.constant {
-            let own = self.still.iter().map(|f| weights[*f]);
+            let (mut few, mut many) = ([0.0; STACK_MODES], vec![]);
+            let own = if self.still.len() <= STACK_MODES {
+                &mut few[..self.still.len()]
+            } else {
+                many.resize(self.still.len(), 0.0);
+                &mut many[..]
+            };
+            let pairs = own.iter_mut().zip(&self.still);
+            pairs.for_each(|(own, f)| *own = weights[*f]);
+            if own.iter().all(|weight| *weight == 0.0) {
+                return;
+            }
             wide(
                 #[inline(always)]
-                || modes.expand(&own.collect::<Vec<_>>(), frame),
+                || modes.expand(own, frame),
             );
         }
     }
@@ -147,7 +171,8 @@ mod tests {
 
     fn sum(fields: &Fields, weights: &[f64]) -> Vec<f64> {
         let (mut scratch, mut frame) = (vec![0.0; 3], vec![5.0; 3]);
-        fields.add(&[0.7], weights, &mut scratch, &mut frame);
+        let nodes = &mut Nodes::default();
+        fields.add(&[0.7], nodes, weights, &mut scratch, &mut frame);
         frame
     }
 

@@ -4,7 +4,10 @@
 
 use crate::cubic::{Axis, NO_AXIS, Stencil};
 use crate::error::{Result, invalid};
+use crate::modes::accumulate;
 use crate::room::room;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::Arc;
 
 /// The most channels a tensor grid can have; beyond, the number of nodes explodes.
 pub const MAX_CHANNELS: usize = 3;
@@ -13,9 +16,50 @@ pub const MAX_CHANNELS: usize = 3;
 pub type Stencils = [Stencil; MAX_CHANNELS];
 
 /// Rising axes.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Grid {
-    axes: Vec<Axis>,
+    axes: Arc<[Axis]>,
+    /// What stands for the axes where grids are compared: those with other nodes have another (SipHash, 64 bits).
+    mark: u64,
+}
+
+/// Grids that are kept at a command.
+const KEPT: usize = 4;
+
+impl PartialEq for Grid {
+    fn eq(&self, other: &Grid) -> bool {
+        self.mark == other.mark
+    }
+}
+
+/// Which nodes of several grids carry one command; those of a grid are found once.
+#[derive(Default)]
+pub struct Nodes {
+    marks: [u64; KEPT],
+    carry: [Carry; KEPT],
+    known: usize,
+}
+
+impl Nodes {
+    /// Forget the command.
+    pub fn clear(&mut self) {
+        self.known = 0;
+    }
+
+    /// What carries the command `u`, which is the same until `clear`, on a grid.
+    pub fn of(&mut self, grid: &Grid, u: &[f64]) -> &Carry {
+        let known = self.marks[..self.known]
+            .iter()
+            .position(|m| *m == grid.mark);
+        if let Some(place) = known {
+            return &self.carry[place];
+        }
+        let place = self.known.min(KEPT - 1);
+        self.marks[place] = grid.mark;
+        self.carry[place].find(grid, &grid.stencils(u, None));
+        self.known = place + 1;
+        &self.carry[place]
+    }
 }
 
 impl Grid {
@@ -40,8 +84,15 @@ impl Grid {
         }
         let lengths: Vec<usize> = axes.iter().map(Vec::len).chain([1]).collect();
         room("a grid", &lengths)?;
+        let mut hasher = DefaultHasher::new();
+        for axis in &axes {
+            axis.len().hash(&mut hasher);
+            axis.iter()
+                .for_each(|node| node.to_bits().hash(&mut hasher));
+        }
         Ok(Grid {
             axes: axes.into_iter().map(Axis::new).collect(),
+            mark: hasher.finish(),
         })
     }
 
@@ -81,6 +132,73 @@ impl Grid {
                     add(row + k, a.weights[i] * b.weights[j] * c.weights[k]);
                 }
             }
+        }
+    }
+}
+
+/// The most nodes that carry a command, and how many numbers of theirs are summed at a time: as many as stay in registers.
+const MOST_NODES: usize = 64;
+const AT_ONCE: usize = 8;
+
+/// The nodes that carry a command, and the share of each.
+pub struct Carry {
+    nodes: [(usize, f64); MOST_NODES],
+    count: usize,
+}
+
+impl Default for Carry {
+    fn default() -> Carry {
+        Carry {
+            nodes: [(0, 0.0); MOST_NODES],
+            count: 0,
+        }
+    }
+}
+
+impl Carry {
+    /// Those of one stencil per axis.
+    #[inline(always)]
+    pub fn new(grid: &Grid, stencils: &Stencils) -> Carry {
+        let mut carry = Carry::default();
+        carry.find(grid, stencils);
+        carry
+    }
+
+    #[inline(always)]
+    fn find(&mut self, grid: &Grid, stencils: &Stencils) {
+        self.count = 0;
+        grid.visit(
+            stencils,
+            #[inline(always)]
+            |node, share| {
+                self.nodes[self.count] = (node, share);
+                self.count += 1;
+            },
+        );
+    }
+
+    /// Each node with its share.
+    pub fn nodes(&self) -> &[(usize, f64)] {
+        &self.nodes[..self.count]
+    }
+
+    /// Add `times` the nodes' rows of `numbers` by their shares to `sum`.
+    #[inline(always)]
+    pub fn blend(&self, numbers: &[f64], times: f64, sum: &mut [f64]) {
+        let width = sum.len();
+        let whole = width - width % AT_ONCE;
+        for first in (0..whole).step_by(AT_ONCE) {
+            let mut part = [0.0; AT_ONCE];
+            part.copy_from_slice(&sum[first..first + AT_ONCE]);
+            for (node, share) in self.nodes() {
+                let start = node * width + first;
+                accumulate(&mut part, &numbers[start..start + AT_ONCE], times * share);
+            }
+            sum[first..first + AT_ONCE].copy_from_slice(&part);
+        }
+        for (node, share) in self.nodes() {
+            let row = &numbers[node * width + whole..(node + 1) * width];
+            accumulate(&mut sum[whole..], row, times * share);
         }
     }
 }

@@ -42,10 +42,28 @@ impl Modes {
         })
     }
 
+    /// No mean, and mode m is the number m itself.
+    pub fn plain(size: usize) -> Result<Modes> {
+        let unit = |i: usize| f64::from(i / size == i % size);
+        Modes::new(vec![0.0; size], (0..size * size).map(unit).collect())
+    }
+
+    /// Whether mode m is the number m itself.
+    pub fn is_plain(&self) -> bool {
+        self.plain
+    }
+
+    /// Whether the weights are the numbers: plain, without a mean.
+    pub fn is_bare(&self) -> bool {
+        self.plain && self.mean.iter().all(|m| *m == 0.0)
+    }
+
     /// Whether another set has the same numbers.
     pub fn are(&self, other: &Modes) -> bool {
         Arc::ptr_eq(&self.rows, &other.rows) && Arc::ptr_eq(&self.mean, &other.mean)
-            || self == other
+            || self.plain == other.plain
+                && self.mean == other.mean
+                && (self.plain || self.rows == other.rows)
     }
 
     /// The mean (M,).

@@ -15,6 +15,7 @@ use crate::contact::Contact;
 use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
 use crate::fields::Fields;
+use crate::grid::Nodes;
 use crate::loads::{CONTACT, FIELDS, LOADS, TENDON, name};
 use crate::room::zeros;
 use crate::second::Second;
@@ -31,8 +32,10 @@ const NEGLIGIBLE: f64 = 1e-6;
 pub struct Predictor {
     body: Body,
     answer: Answer,
-    contact: Option<Contact>,
+    contact: Option<Arc<Contact>>,
     positions: Vec<bool>,
+    /// Whether the outputs are vectors; else they are linear forms of such, which nothing can sense.
+    vectors: bool,
     reference: [f64; 3],
     /// Whether the loads that a run declares are applied.
     declared: bool,
@@ -111,6 +114,7 @@ impl Predictor {
             answer: Answer::new(cables, second),
             contact: None,
             positions,
+            vectors: true,
             reference,
             declared: true,
             kept: Kept::default(),
@@ -120,7 +124,7 @@ impl Predictor {
     /// The same with stations that an obstacle can stop.
     pub fn with_contact(self, contact: Contact) -> Predictor {
         Predictor {
-            contact: Some(contact),
+            contact: Some(Arc::new(contact)),
             ..self
         }
     }
@@ -132,6 +136,47 @@ impl Predictor {
             declared: false,
             ..self
         }
+    }
+
+    /// The same with linear forms of the outputs in their place: `weights` (3V, M). M must be a multiple of 3; forms of zeros fill
+    /// up. Tables alone are seen so, as plain ones; None where the prior or a field is something else.
+    pub fn through(&self, weights: &[f64], forms: usize) -> Result<Option<Predictor>> {
+        let zero = vec![0.0; forms];
+        let plain = |shape: &Arc<dyn Shape>| -> Result<Option<Arc<dyn Shape>>> {
+            let Some(table) = shape.table() else {
+                return Ok(None);
+            };
+            let seen = table.project(weights, &zero)?;
+            Ok(Some(if seen.channels() > 0 {
+                Arc::new(seen.plain()?)
+            } else {
+                Arc::new(seen)
+            }))
+        };
+        let Some(prior) = plain(&self.body.prior)? else {
+            return Ok(None);
+        };
+        let mut fields = vec![];
+        for member in self.body.fields.members() {
+            let seen = member.as_ref().map(plain).transpose()?;
+            if matches!(seen, Some(None)) {
+                return Ok(None);
+            }
+            fields.push(seen.flatten());
+        }
+        Ok(Some(Predictor {
+            body: Body {
+                prior,
+                fields: Arc::new(Fields::new(fields)),
+            },
+            answer: self.answer.clone(),
+            contact: self.contact.clone(),
+            positions: vec![true; forms / 3],
+            vectors: false,
+            reference: self.reference,
+            declared: self.declared,
+            kept: Kept::default(),
+        }))
     }
 
     /// The gravity that the prior was solved with.
@@ -168,6 +213,11 @@ impl Predictor {
                 self.body.prior.channels()
             )));
         }
+        if !self.vectors && chain.senses() {
+            return Err(invalid(
+                "the chain changes what is seen, which linear forms of it do not know; predict with it, and form then",
+            ));
+        }
         if conditions.is_empty() && chain.channels() > 0 && !t_seen.is_empty() {
             return Err(invalid(
                 "nothing was commanded (T = 0), so nothing can be predicted; give at least one sample",
@@ -197,9 +247,12 @@ impl Predictor {
                     let (b, k) = (i / frames, i % frames);
                     let group = job.group[b];
                     let whole = match &shared[group] {
-                        Some(shapes) => shapes.copy(self, job, (b, k), &acting, frame)?,
+                        Some(shapes) => {
+                            scratch.nodes.clear();
+                            shapes.copy(self, job, (b, k), &acting, frame)?
+                        }
                         None => {
-                            job.bodies[group].prior.eval(job.at(group, k), frame);
+                            self.bend(job, (group, k), scratch, frame);
                             false
                         }
                     };
@@ -219,6 +272,16 @@ impl Predictor {
         Ok(out)
     }
 
+    /// Write the prior of a group at a frame to `out`; the nodes that carry its command are kept for what follows.
+    fn bend(&self, job: &Job, (group, k): (usize, usize), scratch: &mut Scratch, out: &mut [f64]) {
+        let (u, prior) = (job.at(group, k), &job.bodies[group].prior);
+        scratch.nodes.clear();
+        match prior.table() {
+            Some(table) => table.eval_at(scratch.nodes.of(table.grid(), u), out),
+            None => prior.eval(u, out),
+        }
+    }
+
     /// Add to `out` what loads a set at a frame.
     fn load(
         &self,
@@ -236,13 +299,14 @@ impl Predictor {
             Load::Other => {
                 let loads = self.coefficients(job, b, k)?;
                 let Scratch {
+                    nodes,
                     place,
                     weights,
                     field,
                     work,
                 } = scratch;
                 let there: [bool; LOADS] = std::array::from_fn(|f| loads[f] != 0.0);
-                self.answer.at(u, &there, place);
+                self.answer.at(u, nodes, &there, place);
                 self.answer
                     .weigh(&loads[..TENDON], loads[TENDON], place, weights, work);
                 if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {
@@ -250,7 +314,7 @@ impl Predictor {
                     let cables = cables.map(|(cables, at)| (cables, at, &work.beyond[..]));
                     contact.stop(u, &loads, cables, weights);
                 }
-                fields.add(u, weights, field, out);
+                fields.add(u, nodes, weights, field, out);
             }
         }
         Ok(())
@@ -285,6 +349,7 @@ impl Predictor {
 
     fn scratch(&self) -> Scratch {
         Scratch {
+            nodes: Nodes::default(),
             place: vec![0.0; self.answer.size()],
             work: answer::Scratch::default(),
             weights: vec![0.0; self.body.fields.count()],
@@ -295,6 +360,8 @@ impl Predictor {
 
 /// Numbers of one frame that are in work.
 struct Scratch {
+    /// Which nodes carry its command.
+    nodes: Nodes,
     place: Vec<f64>,
     work: answer::Scratch,
     weights: Vec<f64>,

@@ -38,10 +38,11 @@ impl Loaded {
     pub fn add(&self, u: &[f64], scratch: &mut Scratch, out: &mut [f64]) {
         let place = &mut scratch.place[..self.answer.size()];
         let weights = &mut scratch.weights[..self.fields.count()];
-        self.answer.at(u, &[true], place);
+        let nodes = &mut scratch.nodes;
+        self.answer.at(u, nodes, &[true], place);
         self.answer
             .weigh(&self.amount, self.gives, place, weights, &mut scratch.work);
-        self.fields.add(u, weights, &mut scratch.field, out);
+        self.fields.add(u, nodes, weights, &mut scratch.field, out);
     }
 }
 

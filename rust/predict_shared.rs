@@ -46,15 +46,17 @@ impl Predictor {
             let Some(first) = job.group.iter().position(|g| *g == group) else {
                 return Ok(None);
             };
-            let body = &job.bodies[group];
             let mut prior = vec![0.0; job.frames * size];
-            let rows = prior.par_chunks_exact_mut(size).enumerate();
-            rows.for_each(|(k, out)| body.prior.eval(job.at(group, k), out));
             let mut loaded = prior.clone();
-            let rows = loaded.par_chunks_exact_mut(size).enumerate();
+            let rows = prior.par_chunks_exact_mut(size);
+            let rows = rows.zip(loaded.par_chunks_exact_mut(size)).enumerate();
             rows.try_for_each_init(
                 || self.scratch(),
-                |scratch, (k, out)| self.load(job, (first, k), acting, scratch, out),
+                |scratch, (k, (alone, out))| {
+                    self.bend(job, (group, k), scratch, alone);
+                    out.copy_from_slice(alone);
+                    self.load(job, (first, k), acting, scratch, out)
+                },
             )?;
             Ok(Some(Shapes {
                 prior,

@@ -11,7 +11,7 @@
 //! Limits: changes of design, and pushes, stay linear beside it.
 
 use crate::error::{Result, invalid};
-use crate::grid::Grid;
+use crate::grid::{Grid, Nodes};
 use crate::loads::LOADS;
 use crate::modes::{Modes, accumulate, wide};
 use crate::shape::Shape;
@@ -112,8 +112,10 @@ impl Second {
                 let ((a, x), (b, y)) = (becomes(k), becomes(l));
                 // Of two loads that become one, both orders count.
                 let orders = if a == b && k != l { 2.0 } else { 1.0 };
-                let start = place(a, b) * block;
-                accumulate(&mut out[start..start + block], pair, orders * x * y);
+                if x * y != 0.0 {
+                    let start = place(a, b) * block;
+                    accumulate(&mut out[start..start + block], pair, orders * x * y);
+                }
             }
             let growth = row[size - self.causes()..].iter().enumerate();
             for (k, g) in growth {
@@ -169,10 +171,18 @@ impl Second {
     }
 
     /// The numbers at a command, of those pairs only whose loads are `there`.
-    pub fn at(&self, u: &[f64], there: &[bool], out: &mut [f64]) {
+    pub fn at(&self, u: &[f64], nodes: &mut Nodes, there: &[bool], out: &mut [f64]) {
         let (block, size, causes) = (self.block(), self.size(), self.causes());
-        out.fill(0.0);
+        let carry = nodes.of(&self.grid, u);
         let acts = |cause: usize| cause >= self.loads || there[cause];
+        if (0..causes).all(acts) {
+            out.fill(0.0);
+            return wide(
+                #[inline(always)]
+                || carry.blend(&self.numbers, 1.0, out),
+            );
+        }
+        out.fill(0.0);
         let mut wanted: Vec<Range<usize>> = vec![];
         for (p, (k, l)) in pairs(causes).enumerate() {
             match wanted.last_mut() {
@@ -181,21 +191,16 @@ impl Second {
                 _ => wanted.push(p * block..(p + 1) * block),
             }
         }
-        let stencils = self.grid.stencils(u, None);
         wide(
             #[inline(always)]
             || {
-                self.grid.visit(
-                    &stencils,
-                    #[inline(always)]
-                    |node, share| {
-                        let row = &self.numbers[node * size..(node + 1) * size];
-                        for range in &wanted {
-                            accumulate(&mut out[range.clone()], &row[range.clone()], share);
-                        }
-                        accumulate(&mut out[size - causes..], &row[size - causes..], share);
-                    },
-                );
+                for (node, share) in carry.nodes() {
+                    let row = &self.numbers[node * size..(node + 1) * size];
+                    for range in &wanted {
+                        accumulate(&mut out[range.clone()], &row[range.clone()], *share);
+                    }
+                    accumulate(&mut out[size - causes..], &row[size - causes..], *share);
+                }
             },
         );
     }
@@ -251,7 +256,7 @@ mod tests {
         for (growth, f) in [(0.0, 1.0), (0.8, 1.0 / 0.84)] {
             let second = second(growth);
             let (mut here, mut weights) = (vec![0.0; second.size()], [0.0]);
-            second.at(&[0.5], &there, &mut here);
+            second.at(&[0.5], &mut Nodes::default(), &there, &mut here);
             let mut stretch = [0.0];
             second.beyond(&here, &amount, &mut weights, &mut stretch);
             let moved = 1.5 * f * form(|k, l| (1 + k + l) as f64);
@@ -260,7 +265,7 @@ mod tests {
             assert!(moved.abs() > 0.01 && longer.abs() > 0.01);
             let one = second.under(&amount[..LOADS]);
             let (mut here, mut again, mut stretched) = (vec![0.0; one.size()], [0.0], [0.0]);
-            one.at(&[0.5], &[true], &mut here);
+            one.at(&[0.5], &mut Nodes::default(), &[true], &mut here);
             one.beyond(&here, &[1.0, amount[LOADS]], &mut again, &mut stretched);
             assert!((again[0] - moved).abs() < 1e-12 && (stretched[0] - longer).abs() < 1e-12);
         }

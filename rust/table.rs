@@ -6,8 +6,9 @@
 //! cell. Pinned by the tests at the foot.
 
 use crate::error::{Result, invalid};
-use crate::grid::{Grid, Stencils};
+use crate::grid::{Carry, Grid};
 use crate::modes::{Modes, STACK_MODES, accumulate, wide};
+use crate::room::zeros;
 use crate::shape::Shape;
 use std::sync::Arc;
 
@@ -78,6 +79,25 @@ impl Table {
         alike && self.mean().iter().all(|m| *m == 0.0)
     }
 
+    /// The grid.
+    pub fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// The outputs (M,) where the command is carried so.
+    pub fn eval_at(&self, carry: &Carry, out: &mut [f64]) {
+        wide(
+            #[inline(always)]
+            || {
+                self.modes.eval(
+                    out,
+                    #[inline(always)]
+                    |weights| carry.blend(&self.coefficients, 1.0, weights),
+                )
+            },
+        );
+    }
+
     /// Number of modes m.
     pub fn count(&self) -> usize {
         self.modes.count()
@@ -91,35 +111,45 @@ impl Table {
         })
     }
 
+    /// The same family with its outputs themselves in the place of modes: cheaper where they are fewer.
+    pub fn plain(&self) -> Result<Table> {
+        let (size, count) = (self.size(), self.count());
+        let mut values = zeros("a table (nodes, outputs)", &[self.grid.nodes(), size])?;
+        let rows = self.coefficients.chunks_exact(count.max(1));
+        wide(
+            #[inline(always)]
+            || {
+                for (out, row) in values.chunks_exact_mut(size).zip(rows) {
+                    out.copy_from_slice(self.modes.mean());
+                    self.modes.expand(row, out);
+                }
+            },
+        );
+        Ok(Table {
+            grid: self.grid.clone(),
+            coefficients: values.into(),
+            modes: Modes::plain(size)?,
+        })
+    }
+
     /// A table of what `map` makes (`size` numbers) of the shape at each node; a linear map of it makes the same between them.
     pub fn mapped(&self, size: usize, map: impl Fn(&[f64], &mut [f64])) -> Result<Table> {
         let (mut shape, mut values) = (vec![0.0; self.size()], vec![0.0; self.grid.nodes() * size]);
         for (node, out) in values.chunks_exact_mut(size.max(1)).enumerate() {
             let row = &self.coefficients[node * self.count()..(node + 1) * self.count()];
-            self.modes
-                .eval(&mut shape, |weights| accumulate(weights, row, 1.0));
-            map(&shape, out);
+            if self.modes.is_bare() {
+                map(row, out);
+            } else {
+                self.modes
+                    .eval(&mut shape, |weights| accumulate(weights, row, 1.0));
+                map(&shape, out);
+            }
         }
-        let unit = |i: usize| f64::from(i / size == i % size);
-        let modes = Modes::new(vec![0.0; size], (0..size * size).map(unit).collect())?;
         Ok(Table {
             grid: self.grid.clone(),
             coefficients: values.into(),
-            modes,
+            modes: Modes::plain(size)?,
         })
-    }
-
-    /// Add `times` the interpolated mode weights, with one stencil per axis.
-    #[inline(always)]
-    fn blend(&self, stencils: &Stencils, times: f64, weights: &mut [f64]) {
-        self.grid.visit(
-            stencils,
-            #[inline(always)]
-            |node, share| {
-                let row = &self.coefficients[node * weights.len()..(node + 1) * weights.len()];
-                accumulate(weights, row, times * share);
-            },
-        );
     }
 }
 
@@ -155,21 +185,29 @@ impl TableSum {
         }
     }
 
-    /// Add Σ_t w_t·table_t(u) to `out` (M,).
-    pub fn add(&self, u: &[f64], weights: &[f64], out: &mut [f64]) {
+    /// The grid of all.
+    pub fn grid(&self) -> &Grid {
+        &self.tables[0].grid
+    }
+
+    /// Add Σ_t w_t·table_t to `out` (M,) where the command is carried so, w in the order of the tables.
+    pub fn add(&self, carry: &Carry, weights: impl Iterator<Item = f64>, out: &mut [f64]) {
         let shared = &self.tables[0];
-        let stencils = shared.grid.stencils(u, None);
         let mut sum = [0.0; STACK_MODES];
-        let sum = &mut sum[..shared.count()];
+        let (sum, plain) = (&mut sum[..shared.count()], shared.modes.is_plain());
         wide(
             #[inline(always)]
             || {
+                // Plain loops: the closures of iterators would be compiled for narrow vectors.
                 for (table, weight) in self.tables.iter().zip(weights) {
-                    if *weight != 0.0 {
-                        table.blend(&stencils, *weight, sum);
+                    if weight != 0.0 {
+                        let sum = if plain { &mut *out } else { &mut *sum };
+                        carry.blend(&table.coefficients, weight, sum);
                     }
                 }
-                shared.modes.expand(sum, out);
+                if !plain {
+                    shared.modes.expand(sum, out);
+                }
             },
         );
     }
@@ -190,21 +228,13 @@ impl Shape for Table {
 
     fn eval(&self, u: &[f64], out: &mut [f64]) {
         let stencils = self.grid.stencils(u, None);
-        wide(
-            #[inline(always)]
-            || {
-                self.modes.eval(
-                    out,
-                    #[inline(always)]
-                    |weights| self.blend(&stencils, 1.0, weights),
-                )
-            },
-        );
+        self.eval_at(&Carry::new(&self.grid, &stencils), out);
     }
 
     fn jacobian(&self, u: &[f64], out: &mut [f64]) {
         self.modes.jacobian(self.channels(), out, |c, weights| {
-            self.blend(&self.grid.stencils(u, Some(c)), 1.0, weights);
+            let carry = Carry::new(&self.grid, &self.grid.stencils(u, Some(c)));
+            carry.blend(&self.coefficients, 1.0, weights);
         });
     }
 }

@@ -219,6 +219,7 @@ class Predictor:
         contact: tuple[Shape, dict[str, Shape], Cables | None, Second | None, Sequence[float]] | None = None,
         second: Second | None = None,
     ) -> Self: ...
+    def through(self, weights: _Floats) -> Predictor | None: ...
     def predict(
         self,
         chain: Chain,

@@ -283,6 +283,20 @@ class Model:
         chain = self.chain if tuple(names) == self.chain_names else _core.Chain(list(names), self.channels)
         return self._ask(predictor.predict, chain, params, run)
 
+    def through(self, weights: Floats, run: Run) -> _core.Predictor | None:
+        """Return the predictor of linear forms of the features, `weights` (3V, M); None where shapes are no tables.
+
+        Outputs are three to a vector: forms of zeros fill up. Nothing that senses can be asked with it.
+        """
+        filled = np.zeros((len(weights), -(-weights.shape[1] // 3) * 3))
+        filled[:, : weights.shape[1]] = weights
+        return self._feature_predictor(run).through(filled)
+
+    def predict_forms(self, forms: _core.Predictor, names: Sequence[str], params: Floats, run: Run) -> Floats:
+        """Return the forms (B, K, M) of a predictor from `through`, for B parameter sets (B, P) of a chain."""
+        found = self._ask(forms.predict, _core.Chain(list(names), self.channels), params, run)
+        return found.reshape(*found.shape[:2], -1)
+
     def acting(self, names: Sequence[str], params: Floats, run: Run) -> Floats:
         """Return what a chain of `names` makes of the commands, (B, K, C) at the seen times, for sets (B, P)."""
         return self._ask(self._feature_predictor(run).acting, _core.Chain(list(names), self.channels), params, run)
@@ -396,7 +410,7 @@ class Model:
 
     def _ask(self, ask: Callable[..., Floats], chain: _core.Chain, params: Floats, run: Run, *more: Floats) -> Floats:
         """Ask a predictor's method with the commands and conditions of a run."""
-        gravity = None if run.gravity is None else np.broadcast_to(run.gravity, (len(run.t), 3)).astype(float)
+        gravity = None if run.gravity is None else np.broadcast_to(run.gravity, (len(run.t), 3))
         return ask(
             chain,
             np.ascontiguousarray(params, float),
@@ -404,7 +418,7 @@ class Model:
             np.asarray(run.t, float),
             np.asarray(run.t_seen, float),
             *more,
-            gravity=None if gravity is None else np.ascontiguousarray(gravity),
+            gravity=None if gravity is None else np.ascontiguousarray(gravity, float),
             load=None if run.load is None else np.ascontiguousarray(run.load, float),
             temperature=None if run.temperature is None else np.ascontiguousarray(run.temperature, float),
             cameras=None if run.cameras is None else np.ascontiguousarray(run.cameras, float),

@@ -62,9 +62,9 @@ def test_prediction_batches_are_one_by_one():
     space = problem.space(("backlash", "gain"))
     rng = np.random.default_rng(0)
     x = np.clip(rng.normal(size=(5, len(space.start))), space.low, space.high)
-    batch = problem.at(space, x)[0]
+    batch = problem.at(space, x)
     for row, one in zip(x, batch):
-        assert np.array_equal(problem.at(space, row[None])[0][0], one)
+        assert np.array_equal(problem.at(space, row[None])[0], one)
 
 
 def test_space_scales_forth_and_back():

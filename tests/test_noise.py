@@ -5,6 +5,7 @@ import pytest
 
 from softmap_edge.diagnosis.noise import (
     Noise,
+    Whitener,
     command_kernel,
     estimate_noise,
     form_covariance,
@@ -113,6 +114,15 @@ def test_whitened_form_error_and_noise_have_unit_variance():
     # 300 x 18 x 20 numbers: one standard deviation of their mean square is 0.5 %.
     assert np.mean(values) == pytest.approx(1.0, abs=0.03)
     assert np.mean(blind) > 5.0  # without the form error the same numbers are far from white
+
+
+def test_squares_are_those_of_the_shrunk_modes():
+    rng = np.random.default_rng(3)
+    kernel = command_kernel(rng.uniform(-8, 8, (90, 2)), np.array([16.0, 16.0]))
+    for form in (np.array([40.0, 3.0, 0.0]), np.zeros(3)):
+        found = Whitener(np.eye(3), form, kernel)
+        modes = rng.normal(size=(4, 90, 3))
+        np.testing.assert_allclose(found.squares(modes), np.sum(found.shrink(modes) ** 2, axis=(1, 2)), rtol=1e-12)
 
 
 def test_rod_noise_counts_correlated_frames_once():

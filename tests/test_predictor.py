@@ -26,6 +26,7 @@ from laws import (
 )
 
 from softmap_edge import _core
+from softmap_edge.errors import CoreError
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +129,24 @@ def test_a_batch_equals_its_members_where_loads_recur(body, frames):
     # Loads that never recur are answered in full: the same within round-off and the 1e-9 g by which they differ.
     shaken = leaning + 1e-9 * np.random.default_rng(0).normal(size=leaning.shape)
     np.testing.assert_allclose(body.predict(chain, sets, u, t, t, shaken), batch, rtol=0, atol=1e-6)
+
+
+def test_linear_forms_come_at_once_as_they_are_formed_of_frames_and_nothing_senses_them(body):
+    chain = _core.Chain(["backlash", "payload", "stiff_section"], 2)
+    t, u = record(2, samples=80)
+    weights = np.random.default_rng(0).normal(size=(3 * 9, 6))
+    sets = np.stack([values(chain, "start"), values(chain, "middle")])
+    for gravity in (turning(80), np.tile([0.5, -0.3, 0.81], (80, 1))):
+        frames = body.predict(chain, sets, u, t, t, gravity).reshape(2, 80, -1)
+        forms = body.through(weights).predict(chain, sets, u, t, t, gravity).reshape(2, 80, -1)
+        np.testing.assert_allclose(forms, frames @ weights, rtol=0, atol=1e-9)
+    senses = _core.Chain(["mount"], 2)
+    with pytest.raises(CoreError, match="changes what is seen"):
+        body.through(weights).predict(senses, values(senses, "start")[None], u, t, t)
+    with pytest.raises(CoreError, match="multiple of 3"):
+        body.through(weights[:, :5])
+    rod = rod_body()
+    assert rod.through(np.ones((3 * rod.predict(_core.Chain([], 2), np.zeros((1, 0)), u, t, t).shape[2], 3))) is None
 
 
 def test_the_table_meets_its_nodes_and_its_slopes():

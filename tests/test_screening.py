@@ -31,7 +31,7 @@ def test_the_hidden_effect_promises_most(hidden):
     assert name == next(iter(hidden)).split(".")[0]
     kept = problem.fit((name,), points[:1]).cost
     assert null.cost - promised > 0.8 * (null.cost - kept)
-    modes = problem.at(problem.space((name,)), points[0][None])[1]
+    modes = problem.at(problem.space((name,)), points[0][None])
     assert promised == pytest.approx(float(problem.costs(modes, points[0][None])[0][0]))
 
 

@@ -262,6 +262,12 @@ impl Chain {
         self.links.iter().filter_map(number).collect()
     }
 
+    /// Whether a sensing effect is in the chain.
+    pub fn senses(&self) -> bool {
+        let mut links = self.links.iter();
+        links.any(|link| matches!(link.effect.law, Law::Sensing(_)))
+    }
+
     /// How much later (s) frames are stamped than what they show.
     pub fn late(&self, params: &[f64]) -> f64 {
         let late = |link: &Link| match link.effect.law {

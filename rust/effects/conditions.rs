@@ -96,6 +96,11 @@ impl Conditions {
         &self.t
     }
 
+    /// Times since the sample before, s.
+    pub fn dt(&self) -> &[f64] {
+        &self.dt
+    }
+
     /// Continue a record that ended at `before`: the first sample comes that much later.
     pub fn after(&mut self, before: f64) -> Result<()> {
         let Some(first) = self.t.first() else {

@@ -7,9 +7,9 @@
 //! ones among them, they leave 3 to 9 % of the slow part, where one term leaves 14 to 32 %, so there is no third. Pinned by
 //! tests/test_effects.py.
 
-use super::conditions::Context;
+use super::conditions::{Conditions, Context};
 use super::declaration::*;
-use super::lag::low_pass;
+use super::lag::{TOGETHER, low_pass, low_passes};
 
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
@@ -72,19 +72,50 @@ impl ChannelEffect for Creep {
         x.iter_mut().for_each(|x| *x += params[0] * *x);
     }
 
-    #[inline]
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
-        let [strength, tau, spread] = [params[0], params[1], params[2]];
-        let (slow, rest) = state.split_at_mut(x.len());
-        let (quick, before) = rest.split_at_mut(x.len());
-        let [a, b, c] = low_pass(tau * spread, context.dt);
-        let [d, e, f] = low_pass(tau / spread, context.dt);
-        for (((x, slow), quick), before) in x.iter_mut().zip(slow).zip(quick).zip(before) {
-            let u = *x;
-            *slow = a * *slow + b * *before + c * u;
-            *quick = d * *quick + e * *before + f * u;
-            *before = u;
-            *x = u + 0.5 * strength * (*slow + *quick);
+        let slow = low_pass(params[1] * params[2], context.dt);
+        let quick = low_pass(params[1] / params[2], context.dt);
+        advance(params[0], slow, quick, x, state);
+    }
+
+    /// As by steps; the weights of many samples are found together.
+    fn rollout(
+        &self,
+        params: &[f64],
+        samples: &mut [f64],
+        channels: usize,
+        state: &mut [f64],
+        conditions: &Conditions,
+    ) {
+        let (mut slow, mut quick) = ([[0.0; 3]; TOGETHER], [[0.0; 3]; TOGETHER]);
+        let parts = samples.chunks_mut(TOGETHER * channels);
+        for (part, dts) in parts.zip(conditions.dt().chunks(TOGETHER)) {
+            low_passes(params[1] * params[2], dts, &mut slow);
+            low_passes(params[1] / params[2], dts, &mut quick);
+            let weights = slow.iter().zip(&quick);
+            for (x, (slow, quick)) in part.chunks_exact_mut(channels).zip(weights) {
+                advance(params[0], *slow, *quick, x, state);
+            }
         }
+    }
+}
+
+/// Advance one sample of every channel.
+#[inline]
+fn advance(
+    strength: f64,
+    [a, b, c]: [f64; 3],
+    [d, e, f]: [f64; 3],
+    x: &mut [f64],
+    state: &mut [f64],
+) {
+    let (slow, rest) = state.split_at_mut(x.len());
+    let (quick, before) = rest.split_at_mut(x.len());
+    for (((x, slow), quick), before) in x.iter_mut().zip(slow).zip(quick).zip(before) {
+        let u = *x;
+        *slow = a * *slow + (b * *before + c * u);
+        *quick = d * *quick + (e * *before + f * u);
+        *before = u;
+        *x = u + 0.5 * strength * (*slow + *quick);
     }
 }

@@ -70,7 +70,7 @@ impl ChannelEffect for Friction {
         for (x, elements) in x.iter_mut().zip(state.chunks_exact_mut(ELEMENTS)) {
             let (width, mut lag) = (mu * (x.abs() + preload), 0.0);
             for (j, y) in elements.iter_mut().enumerate() {
-                let half = width * (j as f64 + 0.5) / ELEMENTS as f64;
+                let half = width * ((j as f64 + 0.5) / ELEMENTS as f64);
                 *y = y.max(*x - half).min(*x + half);
                 lag += *x - *y;
             }

@@ -4,8 +4,9 @@
 //! `h = dt/tau`, `a = e^(−h)`, `p = (1 − a)/h`: `x⁺ = a·x + (p − a)·u_before + (1 − p)·u`. The plain recursion
 //! `x += (1 − a)(u − x)` acts half a period early; this one has no error at any period. Units s. tau ≤ 0 is no lag.
 
-use super::conditions::Context;
+use super::conditions::{Conditions, Context};
 use super::declaration::*;
+use crate::modes::wide;
 
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
@@ -62,7 +63,7 @@ pub(super) fn low_pass(tau: f64, dt: f64) -> [f64; 3] {
 const SHORT: f64 = 0.1;
 
 /// `(1 − e^(−h))/h` by its series.
-#[inline]
+#[inline(always)]
 fn mean_of_fall(h: f64) -> f64 {
     const INVERSE: [f64; 8] = [
         1.0 / 2.0,
@@ -80,6 +81,29 @@ fn mean_of_fall(h: f64) -> f64 {
         .fold(1.0, |sum, inverse| 1.0 - h * inverse * sum)
 }
 
+/// Samples whose weights are found together.
+pub(super) const TOGETHER: usize = 128;
+
+/// `low_pass` at up to [`TOGETHER`] samples, written to `out`; the same numbers, several at a time.
+pub(super) fn low_passes(tau: f64, dts: &[f64], out: &mut [[f64; 3]; TOGETHER]) {
+    if tau <= 0.0 || dts.iter().any(|dt| *dt <= 0.0 || *dt / tau >= SHORT) {
+        let pairs = out.iter_mut().zip(dts);
+        pairs.for_each(|(weights, dt)| *weights = low_pass(tau, *dt));
+        return;
+    }
+    wide(
+        #[inline(always)]
+        || {
+            for (weights, dt) in out.iter_mut().zip(dts) {
+                let h = dt / tau;
+                let p = mean_of_fall(h);
+                let fall = p * h;
+                *weights = [1.0 - fall, p - 1.0 + fall, 1.0 - p];
+            }
+        },
+    );
+}
+
 impl ChannelEffect for Lag {
     fn state_size(&self, channels: usize) -> usize {
         2 * channels
@@ -91,22 +115,56 @@ impl ChannelEffect for Lag {
         before.copy_from_slice(x);
     }
 
-    #[inline]
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
-        let (low, before) = state.split_at_mut(x.len());
-        let [a, b, c] = low_pass(params[0], context.dt);
-        for ((x, low), before) in x.iter_mut().zip(low).zip(before) {
-            let u = *x;
-            *low = a * *low + b * *before + c * u;
-            *before = u;
-            *x = if params[0] > 0.0 { *low } else { u };
+        advance(params[0], low_pass(params[0], context.dt), x, state);
+    }
+
+    /// As by steps; the weights of many samples are found together.
+    fn rollout(
+        &self,
+        params: &[f64],
+        samples: &mut [f64],
+        channels: usize,
+        state: &mut [f64],
+        conditions: &Conditions,
+    ) {
+        let mut weights = [[0.0; 3]; TOGETHER];
+        let parts = samples.chunks_mut(TOGETHER * channels);
+        for (part, dts) in parts.zip(conditions.dt().chunks(TOGETHER)) {
+            low_passes(params[0], dts, &mut weights);
+            for (x, weights) in part.chunks_exact_mut(channels).zip(&weights) {
+                advance(params[0], *weights, x, state);
+            }
         }
+    }
+}
+
+/// Advance one sample of every channel.
+#[inline]
+fn advance(tau: f64, [a, b, c]: [f64; 3], x: &mut [f64], state: &mut [f64]) {
+    let (low, before) = state.split_at_mut(x.len());
+    for ((x, low), before) in x.iter_mut().zip(low).zip(before) {
+        let u = *x;
+        *low = a * *low + (b * *before + c * u);
+        *before = u;
+        *x = if tau > 0.0 { *low } else { u };
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{SHORT, low_pass, mean_of_fall};
+    use super::{SHORT, TOGETHER, low_pass, low_passes, mean_of_fall};
+
+    #[test]
+    fn weights_of_many_samples_are_those_of_each() {
+        let dts: Vec<f64> = (0..70).map(|k| 1e-4 + 1e-3 * f64::from(k % 13)).collect();
+        for tau in [0.0, 0.05, 3.0] {
+            let mut found = [[0.0; 3]; TOGETHER];
+            low_passes(tau, &dts, &mut found);
+            let alike = |(weights, dt): (&[f64; 3], &f64)| *weights == low_pass(tau, *dt);
+            assert!(found.iter().zip(&dts).all(alike), "tau {tau}");
+        }
+    }
 
     #[test]
     fn the_series_meets_the_exponential() {

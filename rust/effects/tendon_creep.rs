@@ -5,9 +5,9 @@
 //! samples, as in `lag.rs`. Memory starts in equilibrium, z = x. Units 1 and s. Limit: one relaxation time, and all
 //! that is lost comes back.
 
-use super::conditions::Context;
+use super::conditions::{Conditions, Context};
 use super::declaration::*;
-use super::lag::low_pass;
+use super::lag::{TOGETHER, low_pass, low_passes};
 
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
@@ -63,14 +63,37 @@ impl ChannelEffect for TendonCreep {
         x.iter_mut().for_each(|x| *x -= params[0] * *x);
     }
 
-    #[inline]
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
-        let (slow, before) = state.split_at_mut(x.len());
-        let [a, b, c] = low_pass(params[1], context.dt);
-        for ((x, slow), before) in x.iter_mut().zip(slow).zip(before) {
-            *slow = a * *slow + b * *before + c * *x;
-            *before = *x;
-            *x -= params[0] * *slow;
+        advance(params[0], low_pass(params[1], context.dt), x, state);
+    }
+
+    /// As by steps; the weights of many samples are found together.
+    fn rollout(
+        &self,
+        params: &[f64],
+        samples: &mut [f64],
+        channels: usize,
+        state: &mut [f64],
+        conditions: &Conditions,
+    ) {
+        let mut weights = [[0.0; 3]; TOGETHER];
+        let parts = samples.chunks_mut(TOGETHER * channels);
+        for (part, dts) in parts.zip(conditions.dt().chunks(TOGETHER)) {
+            low_passes(params[1], dts, &mut weights);
+            for (x, weights) in part.chunks_exact_mut(channels).zip(&weights) {
+                advance(params[0], *weights, x, state);
+            }
         }
+    }
+}
+
+/// Advance one sample of every channel.
+#[inline]
+fn advance(strength: f64, [a, b, c]: [f64; 3], x: &mut [f64], state: &mut [f64]) {
+    let (slow, before) = state.split_at_mut(x.len());
+    for ((x, slow), before) in x.iter_mut().zip(slow).zip(before) {
+        *slow = a * *slow + (b * *before + c * *x);
+        *before = *x;
+        *x -= strength * *slow;
     }
 }

@@ -8,6 +8,7 @@ use crate::fem::change::changed;
 use crate::fem::newton::tests::design;
 use crate::fem::norm;
 use crate::fem::solid::Design;
+use crate::grid::Nodes;
 use crate::loads::{
     ACROSS, CONTACT, CURVE, Coefficients, FIELDS, LOADS, ROUTING, STIFF, TENDON, TWIST,
 };
@@ -102,7 +103,7 @@ fn answered(s: &Simulation, command: &[f64], loads: &Coefficients) -> Vec<Vec3> 
     )
     .unwrap();
     let mut place = vec![0.0; cables.size()];
-    cables.at(&[], &mut place);
+    cables.at(&[], &mut Nodes::default(), &mut place);
     let mut change = vec![0.0; n];
     let (fields, gives) = (&loads[..FIELDS.len()], loads[TENDON]);
     cables.answer(

@@ -4,11 +4,11 @@ use super::arrays::floats;
 use super::cables::{PyCables, PySecond};
 use super::effects::{Maybe, PyChain, Value, vector};
 use super::shape::PyShape;
-use crate::Result;
 use crate::contact::Contact;
 use crate::effects::Conditions;
 use crate::predict::Predictor;
 use crate::shape::Shape;
+use crate::{Error, Result};
 use numpy::{IntoPyArray, PyArray3, PyArray4, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -82,6 +82,21 @@ impl PyPredictor {
                 predictor.without_declared_loads()
             },
         })
+    }
+
+    /// The predictor of linear forms of the outputs, `weights` (3V, M) with M a multiple of 3; None where a shape is no table.
+    fn through(&self, py: Python<'_>, weights: Value<'_, '_>) -> PyResult<Option<PyPredictor>> {
+        let size = Some(3 * self.predictor.vectors());
+        let weights = floats("weights", weights, &[("3V", size), ("M", None)])?;
+        let forms = weights.shape[1];
+        if forms == 0 || forms % 3 != 0 {
+            return Err(Error::Invalid(format!(
+                "{forms} linear forms; give a multiple of 3, forms of zeros fill up"
+            ))
+            .into());
+        }
+        let predictor = py.detach(|| self.predictor.through(&weights.data, forms))?;
+        Ok(predictor.map(|predictor| PyPredictor { predictor }))
     }
 
     /// Frames (B, K, V, 3) for params (B, P) on u (T, C) mm at t (T,) s, seen at t_seen (K,) s by `cameras` (A, 3, 4).

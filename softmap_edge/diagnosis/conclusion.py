@@ -129,7 +129,7 @@ def _entries(
     sigma = search.problem.uncertainty(fit, search.dispersion(fit)) if len(fit.x) else np.zeros(0)
     if larger is not None:  # where another may act too, numbers are no surer than what it would make of them
         mine, theirs = fit.space.values(fit.x), larger.params
-        sigma = np.hypot(sigma, mine - [theirs[label] for label in fit.space.free_labels()])
+        sigma = np.hypot(sigma, mine - [theirs[label] for label in fit.space.free_labels])
     weights_of_sets = search.weights(fit, TEMPERATURE)
     entries = []
     for name in order:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.noise import Kernel, Noise, Whitener, command_kernel
-from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.record import Forms, Record
 from softmap_edge.errors import SoftmapError
 from softmap_edge.folds import run_folds
 
@@ -94,23 +94,36 @@ class Space:
         """How many free parameters the effects have: what a criterion of information counts."""
         return int(self.declared.sum())
 
+    @cached_property
     def free_labels(self) -> list[str]:
-        """Return the labels of the free parameters."""
+        """The labels of the free parameters."""
         return [self.labels[i] for i in self.free]
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted set of effects: objective `cost`, `chi2` without the prior, and what cross-validation needs."""
+    """A fitted set of effects: objective `cost`, `chi2` without the prior, and what cross-validation needs.
 
+    Many sets are fitted and seldom looked at again: what they predict, and the slopes there, are found when asked for.
+    """
+
+    problem: Problem
     effects: tuple[str, ...]
     space: Space
     x: Floats
     cost: float
     chi2: float
-    predicted: Floats  # (K, F) mm
     modes: Floats  # (K, M) residual in units of noise, form error not yet removed
-    slopes: Floats  # (P, K, M) d modes / d x
+
+    @cached_property
+    def predicted(self) -> Floats:
+        """The features (K, F) mm that are predicted."""
+        return np.asarray(self.problem.record.predict(self.space.names, self.space.params(self.x[None]))[0])
+
+    @cached_property
+    def slopes(self) -> Floats:
+        """The slopes d modes / d x (P, K, M)."""
+        return self.problem.slopes(self.space, self.x, self.modes)
 
     @property
     def params(self) -> dict[str, float]:
@@ -135,6 +148,7 @@ class Problem:
         seen = np.isfinite(record.seen).any(axis=1)
         self.numbers = float(seen.sum() * len(whitener.form)) / noise.inflation
         self.folds = run_folds(record.t_seen, record.block)
+        self._spaces: dict[tuple[tuple[str, ...], tuple[str, ...]], Space] = {}
 
     def modes(self, predicted: Floats) -> Floats:
         """Return the residual modes (..., K, M) of predictions (..., K, F)."""
@@ -146,8 +160,11 @@ class Problem:
         return shrunk.reshape(*shrunk.shape[:-2], shrunk.shape[-2] * shrunk.shape[-1])
 
     def space(self, effects: Sequence[str], free: Sequence[str] = ()) -> Space:
-        """Return the coordinates of a set of effects."""
-        return Space(self.record, effects, self.base, free)
+        """Return the coordinates of a set of effects; made once."""
+        key = (tuple(effects), tuple(free))
+        if key not in self._spaces:
+            self._spaces[key] = Space(self.record, effects, self.base, free)
+        return self._spaces[key]
 
     @cached_property
     def fold_kernels(self) -> list[tuple[Kernel, Kernel]]:
@@ -156,14 +173,24 @@ class Problem:
         parts = [(command_kernel(command[i], spread, leaning[i]) for i in fold) for fold in self.folds]
         return [(train, test) for train, test in parts]
 
-    def at(self, space: Space, x: Floats) -> tuple[Floats, Floats]:
-        """Return predictions (B, K, F) and residual modes (B, K, M) at x (B, P)."""
-        predicted = self.record.predict(space.names, space.params(x))
-        return predicted, self.modes(predicted)
+    @cached_property
+    def _forms(self) -> tuple[Forms, Floats] | None:
+        """What predicts modes without features, and the modes (K, M) of what is seen; None where some is not seen."""
+        if not np.isfinite(self.record.seen).all():
+            return None
+        weights = np.ascontiguousarray(self.gain * self.whitener.project.T)
+        return self.record.forms(weights), self.record.seen @ weights
+
+    def at(self, space: Space, x: Floats) -> Floats:
+        """Return residual modes (B, K, M) at x (B, P)."""
+        if self._forms is None:
+            return self.modes(self.record.predict(space.names, space.params(x)))
+        forms, seen = self._forms
+        return np.asarray(seen - forms(space.names, space.params(x)))
 
     def costs(self, modes: Floats, x: Floats) -> tuple[Floats, Floats]:
         """Return objective and chi² (B,) of modes (B, K, M) at x (B, P)."""
-        chi2 = np.sum(self.white(modes) ** 2, axis=-1)
+        chi2 = self.whitener.squares(modes)
         return chi2 + np.sum(x**2, axis=-1), chi2
 
     def slopes(self, space: Space, x: Floats, modes: Floats) -> Floats:
@@ -171,7 +198,7 @@ class Problem:
         if not len(x):
             return np.zeros((0, *modes.shape))
         step = np.where(x + STEP > space.high, -STEP, STEP)
-        return np.asarray((self.at(space, x + np.diag(step))[1] - modes) / step[:, None, None])
+        return np.asarray((self.at(space, x + np.diag(step)) - modes) / step[:, None, None])
 
     def fit(self, effects: Sequence[str], starts: Sequence[Floats], free: Sequence[str] = ()) -> Fit:
         """Fit a set of effects from each start (P,) in scaled coordinates and keep the best."""
@@ -185,8 +212,8 @@ class Problem:
         return self.fit((), [np.zeros(0)])
 
     def _descend(self, effects: tuple[str, ...], space: Space, x: Floats) -> Fit:
-        predicted, modes = (a[0] for a in self.at(space, x[None]))
-        if not np.all(np.isfinite(predicted)):
+        modes = self.at(space, x[None])[0]
+        if not np.all(np.isfinite(modes)):
             raise SoftmapError(
                 f"the model predicts numbers that are not finite with {', '.join(effects) or 'no effect'}"
             )
@@ -197,8 +224,8 @@ class Problem:
             gradient, hessian = normal(x, jacobian, residual)
             for factors in DAMPINGS if fresh else DAMPINGS[:1]:
                 tries = np.stack([normal_step(space, x, gradient, hessian, damping * f) for f in factors])
-                ahead, ahead_modes = self.at(space, tries)
-                costs, chis = self.costs(ahead_modes, tries)
+                ahead = self.at(space, tries)
+                costs, chis = self.costs(ahead, tries)
                 best = int(np.argmin(costs))
                 if costs[best] < cost:
                     break
@@ -208,8 +235,8 @@ class Problem:
             promised = cost - float(np.sum((residual + step @ jacobian) ** 2) + np.sum(tries[best] ** 2))
             small = fall < 0.05 + 1e-4 * cost and float(np.max(np.abs(step))) < 0.02
             if costs[best] < cost:
-                missed = ahead_modes[best] - modes - np.tensordot(step, slopes, 1)
-                x, predicted, modes = tries[best], ahead[best], ahead_modes[best]
+                missed = ahead[best] - modes - np.tensordot(step, slopes, 1)
+                x, modes = tries[best], ahead[best]
                 cost, chi2 = float(costs[best]), float(chis[best])
                 damping = float(np.clip(damping * (0.2 if factors[best] == 1.0 else factors[best]), 1e-6, 1e6))
                 if small and fresh:
@@ -218,7 +245,10 @@ class Problem:
                 slopes, fresh = self.slopes(space, x, modes), True
             else:
                 slopes, fresh = slopes + step[:, None, None] * (missed / (step @ step)), False
-        return Fit(effects, space, x, cost, chi2, predicted, modes, slopes if fresh else self.slopes(space, x, modes))
+        found = Fit(self, effects, space, x, cost, chi2, modes)
+        if fresh:
+            found.__dict__["slopes"] = slopes  # known already
+        return found
 
     def uncertainty(self, fit: Fit, dispersion: float) -> Floats:
         """Return one standard deviation of each free parameter in user units, widened by the over-dispersion."""
@@ -276,13 +306,16 @@ def normal_step(space: Space, x: Floats, gradient: Floats, hessian: Floats, damp
     for _ in range(3):  # parameters that hit a bound are fixed there and the others solved again
         if not free.any():
             break
-        inner = hessian[np.ix_(free, free)]
+        if free.all():
+            inner, pull = hessian.copy(), gradient
+        else:
+            rows = hessian[free]
+            inner, pull = rows[:, free], gradient[free] + rows[:, ~free] @ (ahead - x)[~free]
         inner[np.diag_indices(len(inner))] *= 1.0 + damping
-        pull = gradient[free] + hessian[free][:, ~free] @ (ahead - x)[~free]
         ahead[free] = x[free] - np.linalg.solve(inner, pull)
         outside = free & ((ahead < space.low) | (ahead > space.high))
-        ahead = np.clip(ahead, space.low, space.high)
         if not outside.any():
             break
+        ahead = np.minimum(np.maximum(ahead, space.low), space.high)
         free &= ~outside
     return ahead

@@ -123,8 +123,8 @@ def _against(search: Search, fit: Fit, alone: Fit, effect: str) -> bool:
     params = np.array([[(fit.params | alone.params)[label] for label in space.labels]])
     params[0, space.free] = np.clip(params[0, space.free], *(space.values(x) for x in (space.low, space.high)))
     x = space.scaled(params[0, space.free])
-    predicted, modes = problem.at(space, x[None])
-    cost = float(problem.costs(modes, x[None])[0][0])
+    predicted = record.predict(space.names, space.params(x[None]))
+    cost = float(problem.costs(problem.modes(predicted), x[None])[0][0])
     worse = (cost - fit.cost) / search.dispersion(fit) > AGAINST
     return bool(worse or record.rms_mm(record.seen - predicted[0]) >= record.rms_mm(record.seen - fit.predicted))
 

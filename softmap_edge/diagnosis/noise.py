@@ -197,6 +197,19 @@ class Whitener:
         factor = 1.0 / np.sqrt(1.0 + kernel.strength[:, None] * self.form[None, :]) - 1.0
         return np.asarray(modes + kernel.basis @ (factor * inside))
 
+    def squares(self, modes: Floats) -> Floats:
+        """Return the sum of squares (...) of the shrunk `modes` (..., K, M), which are not needed for it.
+
+        The kernel's basis is orthonormal: what lies along it is scaled, all else stays.
+        """
+        flat = modes.reshape(*modes.shape[:-2], -1)
+        whole = np.einsum("...n,...n->...", flat, flat)
+        if not len(self.kernel.strength) or not np.any(self.form > 0):
+            return np.asarray(whole)
+        inside = self.kernel.basis.T @ modes
+        forgiven = 1.0 - 1.0 / (1.0 + self.kernel.strength[:, None] * self.form[None, :])
+        return np.asarray(whole - np.einsum("...rm,...rm,rm->...", inside, inside, forgiven))
+
     def __call__(self, difference: Floats) -> Floats:
         """Return the whitened difference (..., K, M)."""
         return self.shrink(self.modes(difference))
@@ -220,11 +233,10 @@ def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel) -> 
     root = np.linalg.cholesky(noise.covariance)
     inverse = np.linalg.inv(root)
     white = np.where(np.isfinite(signatures), signatures, 0.0) @ inverse.T  # (S, K, F)
-    gram = np.zeros((features, features))
-    for signature in white:
-        power = float(np.sum(signature**2))
-        if power > 0:
-            gram += signature.T @ signature / power
+    power = np.einsum("skf,skf->s", white, white)
+    white /= np.sqrt(np.where(power > 0, power, np.inf))[:, None, None]
+    rows = white.reshape(-1, features)
+    gram = rows.T @ rows
     values, vectors = np.linalg.eigh(gram)
     order = np.argsort(-values)[: min(MODES, features)]
     total = max(float(values.sum()), 1e-300)

@@ -10,7 +10,7 @@ Pinned by tests/test_fit.py and tests/test_several_runs.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
+Forms = Callable[[Sequence[str], Floats], Floats]
 
 CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
 SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
@@ -184,6 +185,27 @@ class Record:
                 out[rows[i : i + chunk]] = np.reshape(part, (-1, self.frames, self.features))
         return out
 
+    def forms(self, weights: Floats) -> Forms:
+        """Return what predicts linear forms (B, K, M) of the features, `weights` (F, M), as `predict` does these.
+
+        Tables give the forms at once, at a fraction of the price. What senses moves points, and knows no forms.
+        """
+        through = getattr(self.model, "through", None)
+        forms = None if through is None else through(weights, self.run)
+        senses = {e["name"] for e in self.library.effects() if e["role"] == "sensing"}
+
+        def predict(names: Sequence[str], params: Floats) -> Floats:
+            if forms is None or self._changes(names) or not senses.isdisjoint(names):
+                return np.asarray(self.predict(names, params) @ weights)
+            sets, chunk = np.ascontiguousarray(params), max(1, CHUNK // max(1, self.frames * weights.shape[1]))
+            parts = [
+                self.model.predict_forms(forms, names, sets[i : i + chunk], self.run)
+                for i in range(0, len(sets), chunk)
+            ]
+            return (parts[0] if len(parts) == 1 else np.concatenate(parts))[..., : weights.shape[1]]
+
+        return predict
+
     def acting(self, names: Sequence[str], params: Floats) -> Floats:
         """Return what acts on the shape, (B, K, C), for parameter sets (B, P)."""
         chain = np.ascontiguousarray(params[:, : params.shape[1] - len(self._changes(names))])
@@ -313,6 +335,16 @@ class Records(Record):
     def predict(self, names: Sequence[str], params: Floats) -> Floats:
         """Return predicted features (B, ΣK, F) mm for parameter sets (B, P) of the layout of `names`."""
         return np.concatenate([part.predict(names, own) for part, own in self._each(names, params)], axis=1)
+
+    def forms(self, weights: Floats) -> Forms:
+        """Return what predicts linear forms (B, ΣK, M) of the features, `weights` (F, M), as `predict` does these."""
+        each = [part.forms(weights) for part in self.parts]
+
+        def predict(names: Sequence[str], params: Floats) -> Floats:
+            own = [params[..., column] for column in self.layout(names).columns]
+            return np.concatenate([forms(names, params) for forms, params in zip(each, own)], axis=1)
+
+        return predict
 
     def acting(self, names: Sequence[str], params: Floats) -> Floats:
         """Return what acts on the shape, (B, ΣK, C), for parameter sets (B, P)."""

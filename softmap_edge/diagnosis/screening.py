@@ -77,7 +77,7 @@ class Screening:
             points = self._points[frozenset(parent.effects), effect]
             space = self.problem.space((*parent.effects, effect))
             counts[effect] = space.count
-            costs = self.problem.costs(self.problem.at(space, np.stack(points[:2]))[1], np.stack(points[:2]))[0]
+            costs = self.problem.costs(self.problem.at(space, np.stack(points[:2])), np.stack(points[:2]))[0]
             order = [*np.argsort(costs, kind="stable"), *range(2, len(points))]
             found.append((float(costs.min()), effect, [points[i] for i in order]))
         dispersion = max([1.0, min(cost for cost, *_ in found) / max(1.0, self.problem.numbers)]) if found else 1.0
@@ -110,9 +110,9 @@ class Screening:
         """Take one step of `effect` from each of `starts`; the joint points come best first."""
         problem = self.problem
         space = problem.space((*parent.effects, effect))
-        labels = space.free_labels()
+        labels = space.free_labels
         new = [i for i, label in enumerate(labels) if label.split(".")[0] == effect]
-        old = dict(zip(parent.space.free_labels(), range(len(parent.x))))
+        old = dict(zip(parent.space.free_labels, range(len(parent.x))))
         joint = []
         for start in starts:
             x = np.array([parent.x[old[label]] if label in old else 0.0 for label in labels])
@@ -161,13 +161,15 @@ class Screening:
         promises = []
         for effect in effects:
             space = self.problem.space((*parent.effects, effect))
-            labels = space.free_labels()
-            old = [labels.index(label) for label in parent.space.free_labels()]
+            labels = space.free_labels
+            old = [labels.index(label) for label in parent.space.free_labels]
             new = [i for i in range(len(labels)) if i not in old]
             order = [*old, *new]
             for signature in self._signatures[effect]:
                 across = rows @ signature.rows.T
-                product = np.block([[gram[:-1, :-1], across[:-1, :-1]], [across[:-1, :-1].T, signature.gram[:-1, :-1]]])
+                product, p = np.empty((len(order), len(order))), len(old)
+                product[:p, :p], product[p:, p:] = gram[:-1, :-1], signature.gram[:-1, :-1]
+                product[:p, p:], product[p:, :p] = across[:-1, :-1], across[:-1, :-1].T
                 towards = np.r_[gram[:-1, -1] + across[:-1, -1], across[-1, :-1] + signature.gram[:-1, -1]]
                 here = float(gram[-1, -1] + 2.0 * across[-1, -1] + signature.gram[-1, -1])
                 x, slope, curve = np.zeros(len(labels)), np.zeros(len(labels)), np.eye(len(labels))
@@ -198,20 +200,20 @@ class Screening:
 
         For a channel effect by the slopes about what acts in the parent, unless it is moved too far.
         """
-        problem, labels = self.problem, space.free_labels()
+        problem, labels = self.problem, space.free_labels
         channel = self.roles[effect] == "channel"
         if channel:
             acting, slopes = self._about(parent)
             shift = problem.record.acting(space.names, space.params(points)) - acting
             if np.abs(shift).max(initial=0.0) > NEAR * problem.record.spread.max(initial=0.0):
-                return problem.at(space, points)[1]
+                return problem.at(space, points)
             modes = np.asarray(parent.modes + np.einsum("bkc,ckm->bkm", shift, slopes))
         else:
-            old = [labels.index(label) for label in parent.space.free_labels()]
+            old = [labels.index(label) for label in parent.space.free_labels]
             still = points.copy()
             still[:, old] = parent.x
-            modes = problem.at(space, still)[1]
-        for label, x, slope in zip(parent.space.free_labels(), parent.x, parent.slopes):
+            modes = problem.at(space, still)
+        for label, x, slope in zip(parent.space.free_labels, parent.x, parent.slopes):
             if not (channel and self.roles[label.split(".")[0]] == "channel"):
                 modes = modes + (points[:, labels.index(label)] - x)[:, None, None] * slope
         return modes

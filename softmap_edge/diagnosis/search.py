@@ -85,7 +85,7 @@ class Search:
             points = self.screening.best(parent, [effect], 1)[0][2]
         starts = points[:1]
         space = self.problem.space((*parent.effects, effect))
-        own = np.array([label.split(".")[0] == effect for label in space.free_labels()])
+        own = np.array([label.split(".")[0] == effect for label in space.free_labels])
         if np.any(space.log & own & space.declared):
             others = [p for p in points[1:] if np.max(np.abs(p - points[0])) > 0.5]
             starts += others[:1]

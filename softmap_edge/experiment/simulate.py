@@ -155,7 +155,7 @@ class World:
         problem.record.seen = np.where(seen, truth, np.nan)
         space = problem.space(tried)
         params = self.params[tried]
-        values = np.array([_of(params, label, self._middle(tried)) for label in space.free_labels()])
+        values = np.array([_of(params, label, self._middle(tried)) for label in space.free_labels])
         return float(problem.fit(tried, [space.scaled(values)]).chi2)
 
     def _before(self, true: tuple[str, ...], tried: tuple[str, ...]) -> float:
@@ -254,8 +254,8 @@ class _Linear:
         space = problem.space(world.found)
         kept, problem.record.seen = problem.record.seen, np.concatenate(self._base)
         rest = world._middle(world.found)
-        x = space.scaled(np.array([_of(world.params[world.found], label, rest) for label in space.free_labels()]))
-        modes = problem.at(space, x[None])[1][0]
+        x = space.scaled(np.array([_of(world.params[world.found], label, rest) for label in space.free_labels]))
+        modes = problem.at(space, x[None])[0]
         slopes = problem.slopes(space, x, modes)
         problem.record.seen = kept
         return problem.white(slopes)
