@@ -301,7 +301,8 @@ def normal(x: Floats, jacobian: Floats, residual: Floats) -> tuple[Floats, Float
 
 def normal_step(space: Space, x: Floats, gradient: Floats, hessian: Floats, damping: float) -> Floats:
     """Return x after one damped step within the bounds, from gradient (P,) and Hessian (P, P) of half the objective."""
-    free = ~(((x <= space.low + 1e-9) & (gradient > 0)) | ((x >= space.high - 1e-9) & (gradient < 0)))
+    low, high = space.low, space.high
+    free = ~(((x <= low + 1e-9) & (gradient > 0)) | ((x >= high - 1e-9) & (gradient < 0)))
     ahead = x.copy()
     for _ in range(3):  # parameters that hit a bound are fixed there and the others solved again
         if not free.any():
@@ -311,11 +312,11 @@ def normal_step(space: Space, x: Floats, gradient: Floats, hessian: Floats, damp
         else:
             rows = hessian[free]
             inner, pull = rows[:, free], gradient[free] + rows[:, ~free] @ (ahead - x)[~free]
-        inner[np.diag_indices(len(inner))] *= 1.0 + damping
+        inner.flat[:: len(inner) + 1] *= 1.0 + damping
         ahead[free] = x[free] - np.linalg.solve(inner, pull)
-        outside = free & ((ahead < space.low) | (ahead > space.high))
+        outside = free & ((ahead < low) | (ahead > high))
         if not outside.any():
             break
-        ahead = np.minimum(np.maximum(ahead, space.low), space.high)
+        ahead = np.minimum(np.maximum(ahead, low), high)
         free &= ~outside
     return ahead

@@ -164,17 +164,17 @@ class Screening:
             labels = space.free_labels
             old = [labels.index(label) for label in parent.space.free_labels]
             new = [i for i in range(len(labels)) if i not in old]
-            order = [*old, *new]
+            back = np.argsort([*old, *new])  # where each parameter stands among old ones first, new ones then
             for signature in self._signatures[effect]:
                 across = rows @ signature.rows.T
-                product, p = np.empty((len(order), len(order))), len(old)
+                product, p = np.empty((len(back), len(back))), len(old)
                 product[:p, :p], product[p:, p:] = gram[:-1, :-1], signature.gram[:-1, :-1]
                 product[:p, p:], product[p:, :p] = across[:-1, :-1], across[:-1, :-1].T
                 towards = np.r_[gram[:-1, -1] + across[:-1, -1], across[-1, :-1] + signature.gram[:-1, -1]]
                 here = float(gram[-1, -1] + 2.0 * across[-1, -1] + signature.gram[-1, -1])
-                x, slope, curve = np.zeros(len(labels)), np.zeros(len(labels)), np.eye(len(labels))
-                x[old], x[new], slope[order] = parent.x, signature.start, towards
-                curve[np.ix_(order, order)] += product
+                x, slope = np.concatenate([parent.x, signature.start])[back], towards[back]
+                curve = product[back[:, None], back]
+                curve.flat[:: len(back) + 1] += 1.0
                 ahead = normal_step(space.pinned(x), x, slope + x, curve, 1e-3)
                 step = ahead - x
                 there = here + 2.0 * float(step @ slope) + float(step @ (curve @ step) - step @ step)
