@@ -115,11 +115,11 @@ impl Table {
     pub fn plain(&self) -> Result<Table> {
         let (size, count) = (self.size(), self.count());
         let mut values = zeros("a table (nodes, outputs)", &[self.grid.nodes(), size])?;
-        let rows = self.coefficients.chunks_exact(count.max(1));
         wide(
             #[inline(always)]
             || {
-                for (out, row) in values.chunks_exact_mut(size).zip(rows) {
+                for (node, out) in values.chunks_exact_mut(size).enumerate() {
+                    let row = &self.coefficients[node * count..(node + 1) * count];
                     out.copy_from_slice(self.modes.mean());
                     self.modes.expand(row, out);
                 }

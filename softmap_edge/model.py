@@ -83,6 +83,7 @@ class Model:
     arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
     residual: Shape | None = None  # commands (n, C) to flattened points (n, 3N) mm
     _attached: dict[bytes, Floats] = field(default_factory=dict, init=False, repr=False)
+    _carried: dict[bytes, _core.Predictor] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def channels(self) -> int:
@@ -441,9 +442,13 @@ class Model:
 
     def _feature_predictor(self, run: Run) -> _core.Predictor:
         carry = self._carry(run)
-        if carry is None:
+        if carry is None or run.marker_rest is None:
             return self._points if self.markers else self._sections_predictor
-        return self._projected(FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry))))
+        key = run.marker_rest.tobytes()  # as in `_carry`: a fit asks thousands of times
+        if key not in self._carried:
+            self._carried.clear()
+            self._carried[key] = self._projected(FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry))))
+        return self._carried[key]
 
     def _projected(self, mapping: FeatureMap) -> _core.Predictor:
         matrix, zero = mapping.matrix(), np.zeros(3 * len(mapping.weights))

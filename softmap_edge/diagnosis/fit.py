@@ -148,6 +148,7 @@ class Problem:
         seen = np.isfinite(record.seen).any(axis=1)
         self.numbers = float(seen.sum() * len(whitener.form)) / noise.inflation
         self.folds = run_folds(record.t_seen, record.block)
+        self._seen: tuple[Floats, Floats | None] | None = None
         self._spaces: dict[tuple[tuple[str, ...], tuple[str, ...]], Space] = {}
 
     def modes(self, predicted: Floats) -> Floats:
@@ -174,19 +175,27 @@ class Problem:
         return [(train, test) for train, test in parts]
 
     @cached_property
-    def _forms(self) -> tuple[Forms, Floats] | None:
-        """What predicts modes without features, and the modes (K, M) of what is seen; None where some is not seen."""
-        if not np.isfinite(self.record.seen).all():
-            return None
-        weights = np.ascontiguousarray(self.gain * self.whitener.project.T)
-        return self.record.forms(weights), self.record.seen @ weights
+    def _weights(self) -> Floats:
+        return np.ascontiguousarray(self.gain * self.whitener.project.T)
+
+    @cached_property
+    def _forms(self) -> Forms:
+        """What predicts modes without features."""
+        return self.record.forms(self._weights)
+
+    def _told(self) -> Floats | None:
+        """Return the modes (K, M) of what is seen, found anew where that was exchanged; None where some is not seen."""
+        seen = self.record.seen
+        if self._seen is None or self._seen[0] is not seen:
+            self._seen = seen, seen @ self._weights if np.isfinite(seen).all() else None
+        return self._seen[1]
 
     def at(self, space: Space, x: Floats) -> Floats:
         """Return residual modes (B, K, M) at x (B, P)."""
-        if self._forms is None:
+        told = self._told()
+        if told is None:
             return self.modes(self.record.predict(space.names, space.params(x)))
-        forms, seen = self._forms
-        return np.asarray(seen - forms(space.names, space.params(x)))
+        return np.asarray(told - self._forms(space.names, space.params(x)))
 
     def costs(self, modes: Floats, x: Floats) -> tuple[Floats, Floats]:
         """Return objective and chi² (B,) of modes (B, K, M) at x (B, P)."""
