@@ -56,16 +56,16 @@ class Case:
         """Return the names of the hidden laws."""
         return names(self.laws)
 
-    def run(self, protocol: Protocol, laws: Sequence[Law] | None = None, warm: bool = True) -> Run:
+    def run(self, protocol: Protocol, laws: Sequence[Law] | None = None) -> Run:
         """Record a protocol; without `laws` as it is, with `()` the twin that hides nothing. Same noise for both."""
         rng = np.random.default_rng([self.seed, protocol.frames])
         acting = (*self.small, *(self.laws if laws is None else laws))
-        points = seen(self.body, acting, protocol, self.marked, warm)
+        points = seen(self.body, acting, protocol, self.marked)
         noisy, visible = looked(points, protocol.t_seen, self.level, rng)
         kind = {"markers": noisy, "marker_rest": self.body.rest(True)} if self.marked else {"vertices": noisy}
         return Run(
             t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen,
-            block=protocol.block, temperature=temperature(protocol.t, warm), robot=self.body.name,
+            block=protocol.block, temperature=temperature(protocol.t), robot=self.body.name,
             visible=None if visible.all() else visible, **kind,
         )  # fmt: skip
 
@@ -165,22 +165,20 @@ def judge_protocol(number: int) -> Protocol:
     return other_protocol(2, seed=number % 16)
 
 
-def temperature(t: Floats, warm: bool = True) -> Floats:
+def temperature(t: Floats) -> Floats:
     """Return what the run says of the room (T,) °C: it warms by 9 K, halts, and cools again by half, slowly."""
-    if not warm:
-        return np.full(t.size, 22.0)
     knots = np.array([0.0, 0.15, 0.4, 0.55, 0.75, 1.0]) * max(float(t[-1]), 1.0)
     return np.asarray(np.interp(t, knots, [22.0, 22.0, 31.0, 31.0, 25.0, 27.0]))
 
 
 def seen(
-    body: Body, laws: Sequence[Law], protocol: Protocol, marked: bool, warm: bool = True, every: int = 1,
+    body: Body, laws: Sequence[Law], protocol: Protocol, marked: bool, every: int = 1,
     rough: bool = False,
 ) -> Floats:  # fmt: skip
     """Return the true points (K, N, 3) mm of every `every`-th frame; `rough` ones are not settled."""
     order = list(LAWS) + list(UNKNOWN)
     laws = sorted(laws, key=lambda law: order.index(law.NAME))
-    record = Record(protocol.t, protocol.command, temperature(protocol.t, warm))
+    record = Record(protocol.t, protocol.command, temperature(protocol.t))
     u = protocol.command
     for law in laws:
         u = law.drive(record, u)

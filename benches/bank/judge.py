@@ -1,8 +1,9 @@
 """What a diagnosis of a case is worth, and the table of all cases: goal, measured, 95 % interval, n.
 
 A law counts as named if it has the largest share of what is claimed and stands alone: every rival set holds it, or
-holds in its place a structural equivalent under the conditions of the run (`twins`). A name that the library does not
-have, or that this model cannot express, is told as *not in the library*. Intervals are Wilson's:
+holds in its place a structural equivalent under the conditions of the run (`alike`: what the registry declares, not
+what a diagnosis says). A law that the library does not have, or that this model cannot express, is told as *not in the
+library*. Intervals are Wilson's:
 
     (p + z²/2n ± z √(p(1−p)/n + z²/4n²)) / (1 + z²/n),   z = 1.96
 
@@ -20,30 +21,37 @@ import numpy as np
 
 Row = Mapping[str, Any]
 
-ALWAYS = (("latency", "clock_shift"), ("dead_zone", "slack"), ("gain", "tendon_stretch"), ("offset", "pre_curve"))
-IN_ONE_POSE = (("gravity", "payload"),)
+
+def alike(registry: Sequence[Row], orientations: int) -> dict[str, set[str]]:
+    """Return what cannot be told from each effect where no load is declared, itself included."""
+    found = {effect["name"]: {effect["name"]} for effect in registry}
+    for effect in registry:
+        for other, resolved_by in effect["alike"].items():
+            if other in found and not (resolved_by == "orientation" and orientations > 1):
+                found[effect["name"]].add(other)
+                found[other].add(effect["name"])
+    return found
 
 
-def twins(name: str, one_pose: bool) -> set[str]:
-    """Return what cannot be told from an effect, itself included."""
-    pairs = ALWAYS + (IN_ONE_POSE if one_pose else ())
-    return {name}.union(*(pair for pair in pairs if name in pair))
+def judged(
+    hidden: Sequence[str], document: Mapping[str, Any], alike: Mapping[str, set[str]], expressible: set[str]
+) -> dict[str, Any]:
+    """Return what a diagnosis `document` says about a finger that hides `hidden`, and what of it is right.
 
-
-def judged(hidden: Sequence[str], document: Mapping[str, Any], one_pose: bool = False) -> dict[str, Any]:
-    """Return what a diagnosis `document` says about a finger that hides `hidden`, and what of it is right."""
-    entries = sorted([*document["effects"], *document["faults"]], key=lambda e: -e["share"])
+    `alike` are the structural equivalents of each effect, `expressible` what this model can have of the library.
+    """
+    groups = [sorted(document[kind], key=lambda e: -e["share"]) for kind in ("effects", "faults")]
+    entries = [e for group in groups[:: -1 if document["verdict"] == "measurement_fault" else 1] for e in group]
     named = [e["name"] for e in entries]
     rivals = [set(r["effects"]) for r in document["rivals"]]
-    candidates = set(document["made_from"]["candidates"])
-    known = {name: bool(twins(name, one_pose) & candidates) for name in hidden}
-    like = {name: twins(name, one_pose) for name in hidden}
+    like = {name: alike.get(name, {name}) for name in hidden}
     right = [any(e["name"] in like[name] for name in hidden) for e in entries]
     top = named[0] if named else None
     alone = bool(named) and any(top in like[n] and all(r & like[n] for r in rivals) for n in hidden)
     said = set(named).union(*rivals)
     open_ = {h["name"] for h in document["not_testable"]}
     settles = {name for block in document["next"] for name in block["settles"]}
+    asked = all(like[n] & settles for n in hidden)
     honest = document["verdict"] in ("ambiguous", "cannot_tell", "nothing") and all(
         like[n] & (open_ | settles | (said if rivals else set())) for n in hidden
     )
@@ -53,7 +61,7 @@ def judged(hidden: Sequence[str], document: Mapping[str, Any], one_pose: bool = 
         "rivals": [sorted(r) for r in rivals],
         "not_testable": sorted(open_),
         "next": [{"block": b["block"], "settles": b["settles"]} for b in document["next"]],
-        "in_library": all(known.values()),
+        "in_library": all(like[n] & expressible for n in hidden),
         "first": alone,
         "exact": len(named) == len(hidden) and _matched(named, like),
         "inside": any(len(s) == len(hidden) and _matched(s, like) for s in [set(named), *rivals]),
@@ -62,7 +70,8 @@ def judged(hidden: Sequence[str], document: Mapping[str, Any], one_pose: bool = 
             for e, ok in zip(entries, right)
         ],
         "flagged": document["verdict"] == "partly_explained",
-        "cannot": honest and all(like[n] & settles for n in hidden),
+        "asked": asked,
+        "cannot": honest and asked,
     }
 
 
@@ -126,13 +135,15 @@ SHARES: tuple[Measure, ...] = (
      _is("removed", known=None), lambda r: r["flagged"] or r["first"]),
     ("not in the library: flagged, or its equivalent named", "≥ 85 %",
      _is("single", "pair", known=False), lambda r: r["flagged"] or r["first"]),
-    ("says 'cannot tell', with the right experiment", "≥ 98 %", _is("untestable", known=None), lambda r: r["cannot"]),
-    ("rivals resolved after the suggested experiment", "≥ 97 %", _is("rivals"), lambda r: r["first"]),
+    ("not to be told: left open, with the right experiment", "≥ 98 %",
+     _is("untestable", known=None), lambda r: r["cannot"]),
+    ("rivals resolved after the suggested experiment", "≥ 97 %",
+     _is("rivals"), lambda r: r["at_first"]["asked"] and r["first"]),
 )  # fmt: skip
 
 
 def table(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return the measures of cases, one dict each: measure, goal, value, low, high, n, hits."""
+    """Return the measures of cases, one dict each: measure, goal, value, low, high, n."""
     done = [row for row in rows if "failed" not in row]
     found = []
     for what, goal, among, hit in SHARES:

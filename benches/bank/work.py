@@ -9,13 +9,15 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 Task = tuple[str, str, str, str, int]  # seeds, slice, level, kind, number
 
 
 def run_case(task: Task) -> dict[str, Any]:
     """Make one case, diagnose it, judge it."""
     from benches.bank.case import case, judge_protocol, protocol_of
-    from benches.bank.judge import judged
+    from benches.bank.judge import alike, judged
     from benches.bank.watch import rms
     from softmap_edge import _core
     from softmap_edge.diagnosis.diagnose import diagnose
@@ -29,15 +31,17 @@ def run_case(task: Task) -> dict[str, Any]:
     twin = mine.run(judge, ()) if mine.laws else other
     whole = mine.run(protocol_of("single", mine.hidden, number)) if kind == "rivals" else None
     made = time.process_time()
-    library = [e["name"] for e in _core.effects() if kind != "removed" or e["name"] not in mine.hidden]
+    registry = _core.effects()
+    library = [e["name"] for e in registry if kind != "removed" or e["name"] not in mine.hidden]
+    expressible = {e["name"] for e in registry if not model.lacking(e["name"])}
     first = diagnose(model, run, effects=library)
     finished = time.process_time()
-    verdict = judged(mine.hidden, first.to_dict(), one_pose=kind in ("untestable", "rivals"))
+    one, several = (alike(registry, orientations) for orientations in (1, 2))
+    turned = len(np.unique(run.gravity, axis=0)) > 1
+    verdict = judged(mine.hidden, first.to_dict(), several if turned else one, expressible)
     if whole is not None:
-        before, last = verdict, diagnose(model, whole, effects=library)
-        verdict = judged(mine.hidden, last.to_dict()) | {"at_first": before}
-    elif kind == "removed":
-        verdict["in_library"] = any(e["name"] in mine.hidden for e in _core.effects())
+        last = diagnose(model, [run, whole], effects=library)
+        verdict = judged(mine.hidden, last.to_dict(), several, expressible) | {"at_first": verdict}
 
     def off(predicted: Any, seen: Any) -> float:
         points = seen.vertices if seen.vertices is not None else seen.markers

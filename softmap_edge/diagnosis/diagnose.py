@@ -92,20 +92,19 @@ def diagnose(
         fit, demoted = _demote(search, fit, lambda f: _error_on(f, other), 0.995)
     else:  # form error can swallow what a static effect does wrong on unseen blocks; in mm it shows
         fit, demoted = _demote(search, fit, search.held_out_mm, 1.0)
-    gone = stray(record, fit)
-    fit = fit if gone is None else search.null
-    found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     own = _own_misfit(record) if record.replay is None else None  # wrong numbers of its own cancel out too
-    hidden = masked(search, fit)
-    document = conclude(search, fit, other, demoted, impossible, own, seed, hidden)
-    document["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
-    if gone is None and strange(document):
-        gone = wrong_sign(record, search.held_out_mm(fit), lambda runs: _again(model, runs, candidates, library))
-        if gone is not None:
-            fit, found = search.null, model
-            document = conclude(search, fit, other, demoted, impossible, own, seed, hidden)
+
+    gone = stray(record, fit)
+    if gone is None:
+        document = conclude(search, fit, other, demoted, impossible, own, seed, masked(search, fit))
+        if strange(document):
+            gone = wrong_sign(record, search.held_out_mm(fit), lambda runs: _again(model, runs, candidates, library))
     if gone is not None:
+        fit = search.null
+        document = conclude(search, fit, other, (), impossible, own, seed, masked(search, fit))
         document |= {"verdict": "measurement_fault", "sentence": gone, "rivals": []}
+    document["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
+    found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     remarks += [] if record.replay is None else [TWICE]
     remarks += [] if library is not None else asked(record.whole, len(record), problem.noise.source)
     told = servos(record.whole[0], [*candidates, *record.model.chain_names]) if library is None else []

@@ -4,7 +4,8 @@ Ladder: RMS distance in mm over the places (section centroids or markers), alway
 of time, or an independent run. A static residual is a ridge on a polynomial of the command; it is what a corrector
 without memory or physics could reach.
 Testability: whitened size of an effect's signature at mid-range (halfway from null to the high end) on this very run.
-Leftover: blocked R² of a ridge on velocity, direction, dwell, history, time, temperature, orientation and command.
+Leftover: RMS beyond noise, a claim where it is LEFT times what the model's own error, noise and untrue forms allow; the
+blocked R² of a ridge on velocity, direction, dwell, history, time, temperature, orientation and command says by what.
 Units: mm. Known limit: the ridge sees what is smooth in these conditions, not what happens once. Pinned by
 tests/test_diagnosis.py and tests/test_evidence.py.
 """
@@ -173,7 +174,8 @@ def allowed(search: Search, fit: Fit) -> float:
     static = 0.0 if record.static is None else record.rms_mm(record.static)  # a residual that was taken out
     explained = record.rms_mm(np.where(np.isfinite(record.seen), fit.predicted - search.null.predicted, np.nan))
     noise = NOISE * search.problem.noise.rms_mm(record.positions)
-    return float(np.linalg.norm([record.form_mm, static, noise, share * explained]))
+    own = 0.0 if record.model.kind == "rod" else record.form_mm  # a rod's error is its noise, taken off already
+    return float(np.linalg.norm([own, static, noise, share * explained]))
 
 
 def at_bound(fit: Fit) -> NDArray[np.bool_]:

@@ -145,7 +145,7 @@ class Problem:
         own = dict(zip(record.layout(record.model.chain_names).labels, map(float, record.own())))
         self.base = own if base is None else base
         self.gain = 1.0 / np.sqrt(noise.inflation)
-        seen = np.isfinite(record.seen).any(axis=1)
+        seen = np.isfinite(record.seen).mean(axis=1)  # a frame that shows a third of the body counts a third
         self.numbers = float(seen.sum() * len(whitener.form)) / noise.inflation
         self.folds = run_folds(record.t_seen, record.block)
         self._seen: tuple[Floats, Floats | None] | None = None

@@ -1,11 +1,11 @@
 """Searches the sets of effects that explain a run: forward selection with a beam, swaps, acceptance.
 
 Candidates are screened (`screening.py`); the best are fitted in full. A set counts only if each of its
-members is accepted: EBIC falls, blocked cross-validation falls by 1 % and in 60 % of the folds (one that hardly
-changes counts half), the member moves the
-centreline by more than 0.12 mm (or the noise of a section mean), and it moves and carries more than the form of the
-strongest other member may be off. Differences of objectives are divided by the over-dispersion (leftover chi²/n of the
-fit). Of sets that count, fewer effects that come nearer in mm stand for more.
+members is accepted: EBIC falls, blocked cross-validation falls by 1 % and in 60 % of the folds that show the member
+(CV_SHOWN of them at least), the member moves the centreline by more than 0.12 mm (or the noise of a section mean), and
+it moves and carries more than the form of the strongest other member may be off. Differences of objectives are divided
+by the over-dispersion (leftover chi²/n of the fit). Of sets that count, fewer effects that come nearer in mm stand for
+more.
 Known limit: sets are found by growing and swapping, not by trying all. Pinned by tests/test_diagnosis.py and
 tests/test_evidence.py.
 """
@@ -27,7 +27,7 @@ BEAM, REFITS, LARGEST = 2, 5, 4
 RIVALS = 5  # other candidates that are fitted in the place of a member
 STAGES = ("command", "transmission", "material", "shape", "sensing")
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
-CV_RISE = 0.05  # a fold whose loss hardly falls, and rises by less than this, counts half: it does not show the member
+CV_RISE, CV_SHOWN = 0.05, 2  # a fold whose loss hardly falls and rises by less does not show the member; how many must
 VISIBLE_MM = 0.12  # least RMS displacement of the centreline
 SHARE = 0.045  # least share of the explained misfit: forms off by a fifth leave so much, and that is nobody's effect
 PROMISING = 0.03  # least share of the misfit that a larger set must win for the search to go on without a valid one
@@ -45,9 +45,16 @@ class Search:
     """The sets of effects tried on one problem; fits and cross-validations are kept, so nothing is done twice."""
 
     def __init__(
-        self, problem: Problem, candidates: Sequence[str], progress: Callable[[str], None] | None = None
+        self,
+        problem: Problem,
+        candidates: Sequence[str],
+        progress: Callable[[str], None] | None = None,
+        visible: float = VISIBLE_MM,
     ) -> None:
-        """Prepare the search over `candidates`; `progress` hears a line per stage."""
+        """Prepare the search over `candidates`; `progress` hears a line per stage.
+
+        `visible` is the least RMS displacement that counts, mm (or the unit of what is seen).
+        """
         self.problem, self.candidates = problem, list(candidates)
         self.progress = progress or (lambda _: None)
         self.null = problem.null()
@@ -59,7 +66,7 @@ class Search:
         self.faults = {e["name"] for e in registry if e["kind"] == "fault"}
         self._shifts: dict[tuple[frozenset[str], str], Floats] = {}
         noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0)  # of one component of a section mean
-        self.visible_mm = max(VISIBLE_MM, noise if "replicates" in problem.noise.source else 0.0)
+        self.visible_mm = max(visible, noise if "replicates" in problem.noise.source else 0.0)
 
     # --- fits -----------------------------------------------------------------------------------
 
@@ -156,7 +163,7 @@ class Search:
         return max(self.visible_mm, record.form_mm)
 
     def _cv_fall(self, rest: Fit, fit: Fit) -> tuple[float, float]:
-        """Return the relative fall of the held-out loss and the share of folds where it falls; still ones count half.
+        """Return the relative fall of the held-out loss, and in which share of the folds that show the member it falls.
 
         Of the plain and the whitened loss the one that shows the member better: memory hides in the plain one behind
         static error, static effects hide in the whitened one behind what form error could be.
@@ -165,8 +172,8 @@ class Search:
         for i in (0, 1):
             before, after = self.cv(rest)[i], self.cv(fit)[i]
             fall = float((before.sum() - after.sum()) / max(before.sum(), 1e-300))
-            falls, still = after < (1.0 - CV_FALL) * before, after < (1.0 + CV_RISE) * before
-            found.append((fall, float(np.mean(0.5 * falls + 0.5 * still))))
+            falls, rises = after < (1.0 - CV_FALL) * before, after >= (1.0 + CV_RISE) * before
+            found.append((fall, float(falls.sum() / max(CV_SHOWN, falls.sum() + rises.sum()))))
         return max(found, key=lambda f: (f[0] >= CV_FALL and f[1] >= CV_FOLDS, f[0]))
 
     def share(self, fit: Fit, member: str) -> float:

@@ -27,6 +27,7 @@ from softmap_edge.run import Run
 Floats = NDArray[np.float64]
 
 THINNED = 1500
+VISIBLE = 0.006  # of the range of the commands: the least RMS that counts, if the encoder's step is finer
 
 
 @dataclass(frozen=True)
@@ -108,9 +109,11 @@ def servos(run: Run, effects: list[str]) -> list[dict[str, Any]]:
 def _servo(run: Run, channel: int, candidates: list[str]) -> dict[str, Any] | None:
     told = np.abs(np.diff(run.commands("present")[:, channel]))
     moves = told[told > 1e-9]
-    if not len(moves) or np.ptp(run.commands("goal")[:, channel]) < 1e-9:
+    span = float(np.ptp(run.commands("goal")[:, channel]))
+    if not len(moves) or span < 1e-9:
         return None
-    record = Record(Servo(channel, float(moves.min()), command_unit=run.command_unit), run)
+    step = float(moves.min())
+    record = Record(Servo(channel, step, command_unit=run.command_unit), run)
     base = record.predict((), np.zeros((1, 0)))[0]
     noise = estimate_noise(record.seen - base, record.t_seen, record.state.visit)
     form = form_covariance(record.form_error, record.positions, record.section)
@@ -118,7 +121,7 @@ def _servo(run: Run, channel: int, candidates: list[str]) -> dict[str, Any] | No
     signature = np.zeros((1, len(record), 3))
     signature[..., 0] = 1.0
     problem = Problem(record, noise, whitener(noise, form, signature, kernel))
-    search = Search(problem, candidates)
+    search = Search(problem, candidates, visible=max(step, VISIBLE * span))
     fit = search.simplest(search.run())
     sigma = problem.uncertainty(fit, search.dispersion(fit)) if len(fit.x) else np.zeros(0)
     return {
