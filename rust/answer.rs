@@ -69,10 +69,17 @@ impl Answer {
     }
 
     /// The place at a command: what the cables are like there, then what loads that are `there` do beyond their fields.
-    pub fn at(&self, u: &[f64], nodes: &mut Nodes, there: &[bool], out: &mut [f64]) {
+    pub fn at(
+        &self,
+        u: &[f64],
+        nodes: &mut Nodes,
+        there: &[bool],
+        out: &mut [f64],
+        work: &mut Scratch,
+    ) {
         let (cables, second) = out.split_at_mut(self.split());
         if let Some(known) = &self.cables {
-            known.at(u, nodes, cables);
+            known.at(u, nodes, cables, &mut work.problem);
         }
         if let Some(known) = &self.second {
             known.at(u, nodes, there, second);

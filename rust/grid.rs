@@ -111,6 +111,16 @@ impl Grid {
         self.axes().map(<[f64]>::len).product()
     }
 
+    /// The command of a node.
+    pub fn node(&self, number: usize) -> Vec<f64> {
+        let (mut u, mut rest) = (vec![0.0; self.channels()], number);
+        for (u, axis) in u.iter_mut().zip(self.axes.iter()).rev() {
+            *u = axis.nodes()[rest % axis.nodes().len()];
+            rest /= axis.nodes().len();
+        }
+        u
+    }
+
     /// The stencils at a command, or those of the slope by one of its channels.
     pub fn stencils(&self, u: &[f64], derivative: Option<usize>) -> Stencils {
         let mut stencils = [NO_AXIS; MAX_CHANNELS];

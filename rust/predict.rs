@@ -306,7 +306,7 @@ impl Predictor {
                     work,
                 } = scratch;
                 let there: [bool; LOADS] = std::array::from_fn(|f| loads[f] != 0.0);
-                self.answer.at(u, nodes, &there, place);
+                self.answer.at(u, nodes, &there, place, work);
                 self.answer
                     .weigh(&loads[..TENDON], loads[TENDON], place, weights, work);
                 if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {

@@ -39,7 +39,7 @@ impl Loaded {
         let place = &mut scratch.place[..self.answer.size()];
         let weights = &mut scratch.weights[..self.fields.count()];
         let nodes = &mut scratch.nodes;
-        self.answer.at(u, nodes, &[true], place);
+        self.answer.at(u, nodes, &[true], place, &mut scratch.work);
         self.answer
             .weigh(&self.amount, self.gives, place, weights, &mut scratch.work);
         self.fields.add(u, nodes, weights, &mut scratch.field, out);

@@ -132,17 +132,23 @@ impl Table {
         })
     }
 
-    /// A table of what `map` makes (`size` numbers) of the shape at each node; a linear map of it makes the same between them.
-    pub fn mapped(&self, size: usize, map: impl Fn(&[f64], &mut [f64])) -> Result<Table> {
+    /// A table of what `map` makes (`size` numbers) of each node's command and the shape there; a linear map of it makes the
+    /// same between them.
+    pub fn mapped(
+        &self,
+        size: usize,
+        mut map: impl FnMut(&[f64], &[f64], &mut [f64]),
+    ) -> Result<Table> {
         let (mut shape, mut values) = (vec![0.0; self.size()], vec![0.0; self.grid.nodes() * size]);
         for (node, out) in values.chunks_exact_mut(size.max(1)).enumerate() {
             let row = &self.coefficients[node * self.count()..(node + 1) * self.count()];
+            let u = self.grid.node(node);
             if self.modes.is_bare() {
-                map(row, out);
+                map(&u, row, out);
             } else {
                 self.modes
                     .eval(&mut shape, |weights| accumulate(weights, row, 1.0));
-                map(&shape, out);
+                map(&u, &shape, out);
             }
         }
         Ok(Table {

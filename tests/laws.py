@@ -144,14 +144,16 @@ FIELD_VALUES |= {f"push_{k}_{a}": pushing(a, at) for k, at in enumerate(_core.ST
 FIELD_VALUES |= {f"tip_force_{a}": pushing(a, 1.0) for a in "xyz"}
 FIELD_VALUES = {name: FIELD_VALUES[name] for name in _core.FIELDS if name in FIELD_VALUES}
 
-# Two pairs of tendons that pull 0.6 N for each mm and get 0.1 mm shorter for each N; no load changes their length.
-CABLE, SHORTER, PULL = 20.0, 0.1, 0.6
+# Two pairs of tendons that are told u, 0.09 mm for each mm, and get 0.1 mm shorter for each N; no load changes their
+# length.
+CABLE, SHORTER, TOLD = 20.0, 0.1, 0.09
 TENSION_VALUES = [field([*side, 0.0], 3.0) for side in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))]
 
 
 def pulls(u):
     """Pull (n, 4) N of the tendons, below zero how slack they are."""
-    return PULL * np.concatenate([u, -u], axis=1)
+    told = TOLD * np.concatenate([u, -u], axis=1)
+    return np.where(told > 0.0, told / (1.0 / CABLE + SHORTER), CABLE * told)
 
 
 def lost(compliance, u):

@@ -7,6 +7,7 @@ left out), force f and lengths L of the cables:
 
     displacement per unit of p at constant tension  −K⁻¹ ∂f/∂p,   per 1 N of a cable  −K⁻¹ ∂L/∂x,
     stretch of a cable                              ∂L/∂x · displacement + ∂L/∂p
+    and what large loads do beyond                  `second_rod.py`
 
 p are the fields that the library knows of those in `changes`. Units: mm, N, g. Pinned by tests/test_bank.py.
 """
@@ -24,13 +25,14 @@ from benches.bank.body_rod import HANGING, NAME, REACH, grid, guessed, hanging, 
 from benches.bank.law import Floats
 from benches.bank.rod import Loads, Poses, assembled, guides, newton_step, own_lengths, settle
 from benches.bank.rotations import turn
+from benches.bank.second_rod import NODES, bends, second_of
 from benches.bank.section import GRAVITY, Design, finger
 from softmap_edge import _core
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
 
-SWEEP = 25  # commands a channel of the shapes,
+SWEEP = 41  # commands a channel of the shapes, as `softmap build` takes them,
 FIELDS = 13  # and of the fields
 KNOWN = 30.0  # g, hung on for the calibration
 TIP = 1e-3  # mm and rad of a step to points
@@ -64,7 +66,10 @@ def model() -> Model:
         _numbers([axis] * 2, _whole(found["stretch"], names)),
         [family_from(shared | still | {"coefficients": rows[len(names) + c]}) for c in range(4)],
     )
-    whole = replace(made, fields=fields_from(arrays), cables=cables, arrays={**made.arrays, "fields": arrays})
+    second = second_of(kept("rod-second", (sources(), NODES), lambda: bends(answers, length_beyond)))
+    whole = replace(
+        made, fields=fields_from(arrays), cables=cables, second=second, arrays={**made.arrays, "fields": arrays}
+    )
     return replace(whole, error_per_g_mm=_leaning_error(whole))
 
 
@@ -145,9 +150,16 @@ def _answers(names: Sequence[str]) -> dict[str, Any]:
     """Return `fields` (names + 4, S, 3N), `stretch` (S, 4, names + 4) on the coarse grid, `pull` (SWEEP², 4) N."""
     design = finger(1)
     fine = hanging(grid(np.linspace(-REACH, REACH, SWEEP)))
-    pull = design.cable * _length(design, fine, settle(design, fine, guessed(fine.pull)))
+    pull = design.cable * length_beyond(design, fine, settle(design, fine, guessed(fine.pull)))
     loads = hanging(grid(np.linspace(-REACH, REACH, FIELDS)))
-    poses = settle(design, loads, guessed(loads.pull))
+    fields, stretch = answers(design, loads, settle(design, loads, guessed(loads.pull)), names)
+    return {"fields": fields, "stretch": stretch, "pull": pull}
+
+
+def answers(design: Design, loads: Loads, poses: Poses, names: Sequence[str] = _core.LOADS) -> tuple[Floats, Floats]:
+    """Return displacements of the seen points (names + 4, S, 3N) per unit of fields and per 1 N of a cable, and the
+    stretch of the cables (S, 4, names + 4) with them.
+    """
     _, blocks, lengths, _ = assembled(design, loads, poses.x, poses.frame)
     none = np.zeros(lengths.shape[:1] + (4,), bool)
     moved, fields, stretch = [], [], []
@@ -155,7 +167,7 @@ def _answers(names: Sequence[str]) -> dict[str, Any]:
         change, size = changes()[name]
         ends = [change(design, loads, half) for half in (size / 2, -size / 2)]
         force = [assembled(*end, poses.x, poses.frame)[0] for end in ends]
-        longer = [_length(*end, poses) for end in ends]
+        longer = [length_beyond(*end, poses) for end in ends]
         moved.append(newton_step(blocks, (force[0] - force[1]) / size, lengths, none, design.cable))
         stretch.append((longer[0] - longer[1]) / size)
     for c in range(4):
@@ -164,10 +176,10 @@ def _answers(names: Sequence[str]) -> dict[str, Any]:
     for way, direct in zip(moved, stretch):
         fields.append(_carried(design, poses, way))
         direct += np.einsum("bnkc,bnk->bc", lengths, way)
-    return {"fields": np.stack(fields), "stretch": np.stack(stretch, axis=2), "pull": pull}
+    return np.stack(fields), np.stack(stretch, axis=2)
 
 
-def _length(design: Design, loads: Loads, poses: Poses) -> Floats:
+def length_beyond(design: Design, loads: Loads, poses: Poses) -> Floats:
     """Return by how much (B, 4) mm the cables are stretched; below zero they hang."""
     span = np.linalg.norm(np.diff(guides(design, poses.x, poses.frame), axis=2), axis=3).sum(axis=2)
     return np.asarray(span - own_lengths(design) + loads.pull - design.slack)

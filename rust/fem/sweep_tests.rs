@@ -103,7 +103,8 @@ fn answered(s: &Simulation, command: &[f64], loads: &Coefficients) -> Vec<Vec3> 
     )
     .unwrap();
     let mut place = vec![0.0; cables.size()];
-    cables.at(&[], &mut Nodes::default(), &mut place);
+    let (mut nodes, mut problem) = (Nodes::default(), Problem::default());
+    cables.at(&[], &mut nodes, &mut place, &mut problem);
     let mut change = vec![0.0; n];
     let (fields, gives) = (&loads[..FIELDS.len()], loads[TENDON]);
     cables.answer(
