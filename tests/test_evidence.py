@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from softmap_edge import _core
 from softmap_edge.bundle import builtin_model
 from softmap_edge.diagnosis.conclusion import RIVAL, TEMPERATURE
 from softmap_edge.diagnosis.diagnose import diagnose
-from softmap_edge.diagnosis.evidence import BEYOND, FORMS, LEFT, NOISE, allowed, leftover
+from softmap_edge.diagnosis.evidence import BEYOND, FORMS, LEFT, NOISE, allowed, equivalents, leftover
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import CV_FALL, CV_FOLDS, SIMPLER, Search
@@ -140,3 +141,12 @@ def test_what_is_alike_by_form_is_no_rival_where_it_leaves_twice_as_much():
     sheared = lambda u: u + 0.2 * np.stack([u[:, 1], 0.0 * u[:, 0]], axis=1)  # noqa: E731
     found = diagnose(builtin_model(), searched(sheared)[1], effects=["coupling", "routing", "gain", "mount"])
     assert [e["name"] for e in found.effects] == ["coupling"] and found.verdict == "identified" and not found.rivals
+
+
+def test_an_orientation_that_no_frame_shows_is_none():
+    hanging, leaning = np.tile([0.0, 0.0, 1.0], (9, 1)), np.tile([0.6, 0.0, 0.8], (9, 1))
+    registry = {e["name"]: e for e in _core.effects()}
+    alone = SimpleNamespace(state=SimpleNamespace(gravity=hanging), gravity=np.vstack([hanging, leaning]), load=None)
+    assert "gravity" in equivalents(alone, "payload", registry)
+    both = SimpleNamespace(state=SimpleNamespace(gravity=np.vstack([hanging, leaning])), load=None)
+    assert "gravity" not in equivalents(both, "payload", registry)

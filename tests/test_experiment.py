@@ -186,7 +186,10 @@ def test_a_plan_is_played_on_the_simulated_finger(tmp_path, capsys):
     np.testing.assert_allclose(run.command, made.command, atol=1e-4)
     sag = run.vertices[-1] - run.vertices[0]
     assert 0.05 < np.abs(sag.mean(axis=0)).max() < 5.0
+    assert main(argv) == 2 and "a run stands there" in capsys.readouterr().err
+    (tmp_path / "run.npz").unlink()
     assert main(argv) == 0 and json.loads(capsys.readouterr().out)["hash"] == run.hash()
+    (tmp_path / "run.npz").unlink()
     assert main([*argv, "--noise-seed", "1"]) == 0 and json.loads(capsys.readouterr().out)["hash"] != run.hash()
 
 

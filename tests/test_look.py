@@ -12,6 +12,7 @@ from softmap_edge import _core
 from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.npz import read_npz
+from softmap_edge.run import Run
 
 
 def test_predict_takes_one_command_through_the_effects_of_the_bundle(tmp_path, capsys):
@@ -73,6 +74,23 @@ def test_command_may_begin_with_a_minus(capsys):
     assert json.loads(capsys.readouterr().out)["tip_mm"][0][0] < 0
 
 
+def test_a_run_is_not_replaced_by_what_is_no_run(tmp_path, capsys):
+    run = standing(tmp_path / "run.npz")
+    for verb in (["predict", "8,3"], ["sweep"]):
+        assert main([*verb, "--out", str(run)]) == 2
+        assert "a run stands there" in capsys.readouterr().err
+    assert Run.load(run).frames == 3
+    assert main(["predict", "8,3", "--out", str(tmp_path / "p.npz")]) == 0
+    assert main(["predict", "8,3", "--out", str(tmp_path / "p.npz")]) == 0
+
+
+def standing(path):
+    t = np.arange(3.0)
+    markers = 50.0 * np.random.default_rng(0).normal(size=(3, 4, 3))
+    Run(t=t, command=np.zeros((3, 2)), t_seen=t, markers=markers).save(path)
+    return path
+
+
 @pytest.mark.parametrize(
     ("verb", "option", "path", "what"),
     [
@@ -80,6 +98,8 @@ def test_command_may_begin_with_a_minus(capsys):
         (["sweep"], "--out", "s.txt", "saved as .npz"),
         (["sweep"], "--out", "none/s.npz", "make it first"),
         (["compare", "run.npz"], "--html", "none/r.html", "make it first"),
+        (["compare", "run.npz"], "--html", "run.npz", "saved as .html"),
+        (["diagnose", "run.npz"], "--out", "run.npz", "saved as .json"),
         (["diagnose", "run.npz"], "--html", "folder", "a folder"),
         (["diagnose", "run.npz"], "--out", "none/d.json", "make it first"),
         (["build"], "--out", "folder", "not a bundle"),

@@ -15,7 +15,7 @@ from test_compare import lean, triangle
 from softmap_edge.diagnosis.comparison import compare
 from softmap_edge.diagnosis.evidence import Leftover
 from softmap_edge.diagnosis.series import series
-from softmap_edge.diagnosis.wording import OwnMisfit, sentence_of
+from softmap_edge.diagnosis.wording import OwnMisfit, sentence_of, verdict_of
 from softmap_edge.errors import ReportError
 from softmap_edge.report.html import write_html
 from softmap_edge.report.numbers import bar, fall, tamed
@@ -379,3 +379,19 @@ def test_every_error_of_a_report_says_rms_and_fitted_or_held_out():
     named = [line for line in lines if re.search(r"\d mm", line) and "±" not in line]
     assert len(named) >= 3 and all("RMS" in line for line in named), named
     assert "probability 97 % (fitted)" in diagnosis_text(DIAGNOSIS)
+
+
+def test_a_fault_that_does_most_comes_first_and_is_the_verdict():
+    def entry(name, mm):
+        return {"name": name, "displacement_mm": {"fitted": mm}}
+
+    swap, hysteresis, mount = entry("servo_swap", 13.0), entry("hysteresis", 2.0), entry("mount", 1.0)
+    assert verdict_of([hysteresis], [swap], [], False, [], 30) == "measurement_fault"
+    assert verdict_of([hysteresis], [mount], [], False, [], 30) == "identified"
+    assert verdict_of([mount], [mount], ["a rival"], False, [], 30) == "ambiguous"
+    error = {"model": 13.2, "ladder": [{"value": 0.4}], "held_out_on": "blocks of this run"}
+    left = Leftover(0.1, 1.0, 0.0, None, False)
+    told = sentence_of("measurement_fault", [hysteresis], [swap], [], left, [], error, [])
+    assert told.startswith(
+        "The measurement is at fault (servo_swap), and the model lacks hysteresis; the held-out error"
+    )

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.understand import _run
@@ -164,6 +165,7 @@ def record(args: argparse.Namespace) -> int:
     if not args.sim:
         raise SoftmapError("a servo bus is not driven by this version; give --sim for the simulated finger")
     check_file("--out", args.out, ".npz")
+    check_no_run("--out", args.out)
     made, robot = read_commands(args.commands)
     load_own(args)
     model = open_model(args.bundle)
@@ -181,6 +183,8 @@ def record(args: argparse.Namespace) -> int:
         raise SoftmapError(f"--noise-seed {args.noise_seed} is negative; give 0 or more")
     names, seed = (args.hide, 1) if args.truth_from is None else _secrets(args.truth_from)
     seed = seed if args.seed is None else args.seed
+    if not args.json:
+        print(f"solving {len(made.t_seen)} frames one by one: minutes", file=sys.stderr)
     with Bar(args.json) as bar:
         before = WATCH.set(lambda share: bar("solving", share))
         try:

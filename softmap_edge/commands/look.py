@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from softmap_edge import _core
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
@@ -32,6 +32,7 @@ def predict_arguments(parser: argparse.ArgumentParser) -> None:
 def predict(args: argparse.Namespace) -> int:
     """Predict shapes for a run or one command."""
     check_file("--out", args.out, ".npz")
+    check_no_run("--out", args.out)
     load_own(args)
     model = open_model(args.bundle)
     run = Run.load(args.input) if Path(args.input).suffix == ".npz" else _held(args.input, model)

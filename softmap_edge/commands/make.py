@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.bundle import save_bundle
-from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
+from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_no_run
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.solid.finger import Finger
@@ -132,6 +132,7 @@ def sweep(args: argparse.Namespace) -> int:
 
     _check_steps(args.steps)
     check_file("--out", args.out, ".npz")
+    check_no_run("--out", args.out)
     finger = _finger(args.finger)
     axes = grid_axes(finger, args.steps)
     with Bar(args.json) as bar:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import zipfile
 from pathlib import Path
 
 from softmap_edge.bundle import check_folder
@@ -14,12 +15,22 @@ def check_file(option: str, path: str | None, suffix: str = "") -> None:
     if path is None:
         return
     file = Path(path)
-    if suffix and file.suffix != suffix:
-        raise SoftmapError(f"{option} {path}: it is saved as {suffix}; give a name that ends so")
     if file.is_dir():
         raise SoftmapError(f"{option} {path}: a folder; give the name of a file")
+    if suffix and file.suffix != suffix:
+        raise SoftmapError(f"{option} {path}: it is saved as {suffix}; give a name that ends so")
     if not file.parent.is_dir():
         raise SoftmapError(f"{option} {path}: there is no folder {file.parent}; make it first")
+
+
+def check_no_run(option: str, path: str | None) -> None:
+    """Raise SoftmapError when a run stands where `option` would write something else, or another recording."""
+    if path is None or not zipfile.is_zipfile(path):
+        return
+    with zipfile.ZipFile(path) as archive:
+        names = set(archive.namelist())
+    if "t.npy" in names and "t_seen.npy" in names:
+        raise SoftmapError(f"{option} {path}: a run stands there and would be lost; give another name or remove it")
 
 
 def check_kept(path: str, what: str, force: bool) -> None:

@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_kept
@@ -14,6 +13,7 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.own_effect import check_hashes
+from softmap_edge.whole_file import write_whole
 
 NUMBERS = {
     "restored": "the rod's own numbers are again what they were before the effect was added",
@@ -40,7 +40,7 @@ def compare(args: argparse.Namespace) -> int:
     from softmap_edge.diagnosis.comparison import compare as measure
     from softmap_edge.report.text import pair_text
 
-    check_file("--html", args.html)
+    check_file("--html", args.html, ".html")
     load_own(args)
     run, models = _run(args.run), [open_model(path) for path in args.bundle or [None]]
     _warn("compare", models[0], run)
@@ -80,8 +80,8 @@ def diagnose(args: argparse.Namespace) -> int:
     from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.report.progress import progress_lines
 
-    check_file("--html", args.html)
-    check_file("--out", args.out)
+    check_file("--html", args.html, ".html")
+    check_file("--out", args.out, ".json")
     before = None if args.since is None else Diagnosis.load(args.since).to_dict()
     names = [name for text in args.effects if not text.endswith(".py") for name in _names(text)]
     args.effects = [path for path in args.effects if path.endswith(".py")]
@@ -211,7 +211,7 @@ def _refit_finger(args: argparse.Namespace) -> int:
         raise SoftmapError(f"{len(args.runs)} runs; a finger's own numbers are fitted to one")
     with Bar(args.json) as bar:
         found = fit_finger(Finger.load(args.finger), _run(args.runs[0]), bar)
-    Path(args.out).write_text(found.finger.to_toml(), encoding="utf-8")
+    write_whole(args.out, found.finger.to_toml())
     if args.json:
         print(json.dumps({**found.to_dict(), "out": str(args.out)}, indent=1))
     else:
@@ -306,4 +306,4 @@ def _progress(args: argparse.Namespace) -> Callable[[str], None] | None:
 
 
 def _write_json(path: str, document: dict[str, Any]) -> None:
-    Path(path).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(document, indent=1) + "\n")

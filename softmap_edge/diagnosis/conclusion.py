@@ -90,7 +90,7 @@ def conclude(
     unsure = any(registry[e]["kind"] != "fault" for r in rivals for e in r["effects"])  # a fault that may be physics
     count = len(search.candidates) + len(impossible)
     unknown = left.claim and (shared is None or leftover(search, shared[0]).claim)
-    verdict = verdict_of(physics or (unsure and faults), faults, [*rivals, *doubts], unknown, hidden, count)
+    verdict = verdict_of(physics or (faults if unsure else []), faults, [*rivals, *doubts], unknown, hidden, count)
     if verdict == "nothing" and behind:
         verdict, hidden = "cannot_tell", behind
     return {

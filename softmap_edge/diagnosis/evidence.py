@@ -76,7 +76,7 @@ def orientations(gravity: Floats | None) -> int:
 def equivalents(record: Record, name: str, registry: Mapping[str, dict[str, Any]]) -> list[str]:
     """Return the candidates that this run cannot tell from `name` by their form."""
     resolved = {
-        "orientation": orientations(record.gravity) > 1,
+        "orientation": orientations(record.state.gravity) > 1,
         "load": record.load is not None and float(np.ptp(record.load)) > 0,
         "never": False,
     }

@@ -56,7 +56,7 @@ def candidates_of(
             impossible.append(
                 Untestable(name, f"the run does not declare {absent}", f"{block}; {absent} declared", minutes)
             )
-    if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record.gravity) == 1:
+    if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record.state.gravity) == 1:
         # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than
         # its form error, and a tilt of gravity is an offset. The simpler member stands for the family.
         block, minutes = experiment(registry, "gravity")

@@ -11,6 +11,7 @@ from typing import Any
 
 from softmap_edge.diagnosis.evidence import LEFT_R2, Leftover, Untestable
 
+GROSS = 2.0  # times as far as any physics that faults must move the body for them to be the verdict
 UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "cannot tell"
 
 
@@ -35,11 +36,17 @@ def verdict_of(
 ) -> str:
     if unknown:
         return "partly_explained"
+    if physics and faults and physics is not faults and _moved(faults) > GROSS * _moved(physics):
+        return "measurement_fault"
     if physics:
         return "ambiguous" if doubts else "identified"
     if faults:
         return "measurement_fault"
     return "cannot_tell" if len(hidden) >= UNTESTABLE_SHARE * count else "nothing"
+
+
+def _moved(entries: list[dict[str, Any]]) -> float:
+    return max(float(e["displacement_mm"]["fitted"]) for e in entries)
 
 
 def sentence_of(
@@ -52,7 +59,11 @@ def sentence_of(
     error: dict[str, Any],
     demoted: Sequence[str],
 ) -> str:
-    names = " + ".join(e["name"] for e in [*physics, *faults])
+    names = " + ".join(e["name"] for e in [*faults, *physics])
+    wrong = f"the measurement is at fault ({' + '.join(e['name'] for e in faults)})" if faults else ""
+    lacks = f"the model lacks {' + '.join(e['name'] for e in physics)}" if physics else ""
+    found = ", and ".join(filter(None, [wrong, lacks]))
+    found = found[:1].upper() + found[1:]
     after = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
     fall = f"the held-out error falls from {error['model']:.2f} to {after:.2f} mm RMS"
     judge = error["held_out_on"]
@@ -61,17 +72,17 @@ def sentence_of(
     by = left.predicted_by if left.blocked_r2 >= LEFT_R2 else "none of its conditions"
     unknown = f"{left.rms_mm:.2f} mm RMS (fitted) are left that {by} predicts"
     if verdict == "identified":
-        return f"The model lacks {names}; {fall}.{lost}"
+        return f"{found}; {fall}.{lost}"
     if verdict == "ambiguous":
         also = "; ".join(dict.fromkeys(" + ".join(r["effects"]) for r in rivals))
         other = f"a rival that these data do not rule out ({also})" if rivals else "something that looks like it"
-        return f"The model lacks {names} or {other}; {fall}.{lost}"
+        return f"{found} or {other}; {fall}.{lost}"
     if verdict == "partly_explained" and names:
-        return f"The model lacks {names}, and something that is not among the candidates: {unknown}; {fall}.{lost}"
+        return f"{found}, and something is missing that is not among the candidates: {unknown}; {fall}.{lost}"
     if verdict == "partly_explained":
         return f"Something that is not among the candidates is missing: {unknown}.{lost}"
     if verdict == "measurement_fault":
-        return f"The measurement is at fault, not the model: {names}; {fall}.{lost}"
+        return f"{found if physics else f'The measurement is at fault, not the model: {names}'}; {fall}.{lost}"
     if verdict == "cannot_tell":
         return (
             f"Nothing above the floor is seen, and these data could not show {', '.join(h.name for h in hidden)}.{lost}"

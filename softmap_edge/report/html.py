@@ -32,6 +32,7 @@ from softmap_edge.report.text import (
     servo_row,
     untestable_rows,
 )
+from softmap_edge.whole_file import write_whole
 
 INSTALL = "pip install 'softmap-edge[report]'"
 
@@ -95,7 +96,7 @@ def write_html(
     ]
     page = PAGE.replace("@TITLE@", _text(_title(story))).replace("@BODY@", "\n".join(s for s in sections if s))
     target = Path(path)
-    target.write_bytes(page.encode("utf-8", "replace"))
+    write_whole(target, page)
     return target
 
 
