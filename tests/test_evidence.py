@@ -1,5 +1,6 @@
 """What a finished search is worth: which set stands, what may be left of it, how sure a name is."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -51,7 +52,18 @@ def test_beyond_a_bound_nobody_is_missing():
     left = leftover(search, found)
     moved = search.problem.record.rms_mm(search.displacement(found, "offset"))
     assert found.params["offset.shift[0]"] == pytest.approx(4.0) and left.rms_mm > 3 * FORMS["channel"] * moved
-    assert allowed(search, found) > BEYOND * moved and not left.claim
+    assert left.rms_mm > LEFT * allowed(search, found) and not left.claim  # 6.5 mm leave nothing
+    search.problem.beyond = lambda fit, *_: fit
+    assert leftover(search, found).claim
+
+
+def test_a_field_at_its_bound_may_leave_much_of_what_it_moves():
+    search, _ = searched(lambda u: 1.3 * u, ["stiffness_gradient"])
+    found = search.problem.fit(("stiffness_gradient",), [np.array([1.0])])
+    moved = search.problem.record.rms_mm(search.displacement(found, "stiffness_gradient"))
+    within = replace(found, x=0.5 * found.x)
+    assert abs(found.x[0]) == 1.0 and allowed(search, found) > BEYOND * moved
+    assert allowed(search, within) < BEYOND * moved
 
 
 def test_what_nobody_explains_is_claimed():

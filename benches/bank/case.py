@@ -209,7 +209,7 @@ def _drawn(name: str, body: Body, level: Level, rng: np.random.Generator) -> tup
     for _ in range(TRIES):
         drawn = kind.draw(rng, body.channels)
         target = float(rng.uniform(low, high))
-        strength, reached = 1.0, 0.0
+        strength, tried = 1.0, [(0.0, 0.0)]  # strengths, and how far they move the sections
         plain = seen(body, (), protocol, False, every=EVERY, rough=not kind.SHAPE)
         for _ in range(1 if name in GROSS else 7):
             try:
@@ -219,12 +219,17 @@ def _drawn(name: str, body: Body, level: Level, rng: np.random.Generator) -> tup
                 continue
             moved = there - plain
             reached = max(rms(sections(moved, body.place)), rms(moved) if name == "twist" else 0.0)
+            tried.append((strength, reached))
             if abs(reached - target) < 0.04 * target or name in GROSS:
                 break
             step = np.clip(target / max(reached, 1e-6), 0.25, 4.0)
             if strength >= drawn.LIMIT and step > 1.0:
                 break
-            strength = float(min(strength * step, drawn.LIMIT))
+            ahead = float(min(strength * step, drawn.LIMIT))
+            below = max(s for s, r in tried if r < target)
+            above = min((s for s, r in tried if r >= target), default=np.inf)
+            strength = ahead if below < ahead < above else float((below + above) / 2)
+        strength, reached = min(tried[1:] or tried, key=lambda pair: abs(pair[1] - target))
         found = (drawn.scaled(strength), reached)
         if name in GROSS or low * 0.8 <= reached <= 1.2 * high:
             return found

@@ -24,8 +24,8 @@ pub static EFFECT: Effect = Effect {
             "1",
             1.0,
             1.05,
-            0.7,
-            1.3,
+            0.5,
+            1.6,
             "shortening that acts, over shortening commanded, of the channel",
         )
         .per_channel()],

@@ -35,6 +35,8 @@ LEFT_R2 = 0.12  # from which a condition is named as what predicts a leftover
 FORMS = {"channel": 0.15, "prior": 0.15, "shape": 0.25, "sensing": 0.2}
 FORMS |= {"dead_zone": 0.3, "friction": 0.3, "mullins": 0.3, "camera_drift": 0.4}
 BEYOND, NOISE, LEFT = 0.7, 0.4, 1.25
+FARTHER = 2.0  # times as far as its bound a strength is looked for before what is left is called unknown
+CLEAR = 1.5  # times what is visible that must be left: every finger has small faults of its own
 HALVED = 0.5  # of the held-out error: an effect that, added, leaves less was not left out for want of evidence
 MUCH = 3.0  # times the form error that must be left for a second effect to be asked for
 
@@ -152,25 +154,31 @@ def leftover(search: Search, fit: Fit) -> Leftover:
     alone = {name: _blocked_r2(problem, columns, white)[0] for name, columns in groups.items()}
     best = max(alone, key=lambda name: alone[name])
     r2 = max(total, alone[best])
-    noise = problem.noise.rms_mm(record.positions)
-    rms = float(np.sqrt(max(0.0, record.rms_mm(record.seen - fit.predicted) ** 2 - noise**2)))
-    claim = rms > max(search.visible_mm, LEFT * allowed(search, fit))
+    rms, most = _left_mm(problem, fit), max(CLEAR * search.visible_mm, LEFT * allowed(search, fit))
+    claim, at_bound = rms > most, _strengths_at_bound(fit)
+    if claim and at_bound.any():  # what may lie beyond the bound is not unknown
+        claim = _left_mm(problem, problem.beyond(fit, at_bound, FARTHER)) > most
     return Leftover(rms, chi2, r2, best if r2 > 0.02 else None, bool(claim))
+
+
+def _left_mm(problem: Problem, fit: Fit) -> float:
+    """Return what a fit leaves beyond the noise, mm RMS."""
+    record, noise = problem.record, problem.noise.rms_mm(problem.record.positions)
+    return float(np.sqrt(max(0.0, record.rms_mm(record.seen - fit.predicted) ** 2 - noise**2)))
 
 
 def allowed(search: Search, fit: Fit) -> float:
     """Return what may be left in mm RMS with nothing missing: of the model's own error, the noise and untrue forms.
 
-    Forms are off by FORMS of all that is explained, the mean square over the found effects by how far each moves. One
-    whose strength is at its bound may leave much of what it moves: nobody knows how much lies beyond.
+    Forms are off by FORMS of all that is explained, the mean square over the found effects by how far each moves. A
+    field whose strength is at its bound may leave much of what it moves: it is linear, and how much lies beyond is open.
     """
     record = search.problem.record
     moved = np.array([record.rms_mm(search.displacement(fit, e)) for e in fit.effects])
-    forms = {e: FORMS.get(e, FORMS[search.screening.roles[e]]) for e in fit.effects} | dict.fromkeys(
-        _beyond(fit), BEYOND
-    )
-    off = np.array([forms[e] for e in fit.effects])
-    share = float(np.linalg.norm(off * moved) / max(float(np.linalg.norm(moved)), 1e-300))
+    roles, space = search.screening.roles, fit.space
+    beyond = {space.labels[i].split(".")[0] for i in space.free[_strengths_at_bound(fit)]}
+    off = [BEYOND if roles[e] == "shape" and e in beyond else FORMS.get(e, FORMS[roles[e]]) for e in fit.effects]
+    share = float(np.linalg.norm(np.array(off) * moved) / max(float(np.linalg.norm(moved)), 1e-300))
     static = 0.0 if record.static is None else record.rms_mm(record.static)  # a residual that was taken out
     explained = record.rms_mm(np.where(np.isfinite(record.seen), fit.predicted - search.null.predicted, np.nan))
     noise = NOISE * search.problem.noise.rms_mm(record.positions)
@@ -188,11 +196,9 @@ def at_bound(fit: Fit) -> NDArray[np.bool_]:
     return np.asarray(~fit.space.integer & (ends[0] | ends[1]))
 
 
-def _beyond(fit: Fit) -> list[str]:
-    """Return the effects with a strength (neither a scale nor a time) at its bound."""
-    space = fit.space
-    strength = np.array([space.units[i] != "s" for i in space.free], bool) & ~space.log & space.declared
-    return [space.labels[i].split(".")[0] for i in space.free[at_bound(fit) & strength]]
+def _strengths_at_bound(fit: Fit) -> NDArray[np.bool_]:
+    """Return which free parameters (P,) are strengths (absent at zero, on no log scale) at a bound."""
+    return np.asarray(at_bound(fit) & (fit.space.null == 0.0) & ~fit.space.log & fit.space.declared)
 
 
 def not_alone(search: Search, fit: Fit, left: Leftover) -> tuple[Fit, str] | None:

@@ -89,6 +89,12 @@ class Space:
         held.low, held.high = np.where(self.integer, x, self.low), np.where(self.integer, x, self.high)
         return held
 
+    def beyond(self, which: NDArray[np.bool_], times: float) -> Space:
+        """Return the coordinates with the bounds of some parameters (P,) that are absent at 0 so many times as far."""
+        wider = copy(self)
+        wider.low, wider.high = (np.where(which, times * end, end) for end in (self.low, self.high))
+        return wider
+
     @property
     def count(self) -> int:
         """How many free parameters the effects have: what a criterion of information counts."""
@@ -215,6 +221,10 @@ class Problem:
         inside = [np.clip(start, space.low, space.high) for start in starts]
         fits = [self._descend(tuple(effects), space.pinned(x), x) for x in inside]
         return min(fits, key=lambda fit: fit.cost)
+
+    def beyond(self, fit: Fit, which: NDArray[np.bool_], times: float) -> Fit:
+        """Go on with a fit where some parameters (P,) may be so many times as far as their bounds."""
+        return self._descend(fit.effects, fit.space.beyond(which, times), fit.x)
 
     def null(self) -> Fit:
         """Return the model as it is, as a fit of nothing."""

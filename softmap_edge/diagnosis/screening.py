@@ -152,7 +152,8 @@ class Screening:
     def _promising(self, parent: Fit, effects: Sequence[str], count: int, least: float) -> list[str]:
         """Return the `count` of `effects` that would win most on top of `parent`, were they there what they are alone.
 
-        Those of a family with one that is fitted come along: what they do changes most behind it.
+        Those of a family with one that is fitted, or with one of these, come along: what a load or a stiffness
+        does changes with what acts in the parent.
         """
         rows = self._few(np.concatenate([parent.slopes, parent.modes[None]]))
         gram = rows @ rows.T
@@ -180,8 +181,8 @@ class Screening:
                 there = here + 2.0 * float(step @ slope) + float(step @ (curve @ step) - step @ step)
                 promises.append((min(here + float(x @ x), there + float(ahead @ ahead)), effect))
         best = list(dict.fromkeys(effect for cost, effect in sorted(promises) if cost <= most))[:count]
-        fitted = {self.families[effect] for effect in parent.effects}
-        return best + [effect for effect in effects if effect not in best and self.families[effect] in fitted]
+        beside = {self.families[effect] for effect in [*parent.effects, *best]}
+        return best + [effect for effect in effects if effect not in best and self.families[effect] in beside]
 
     def _few(self, modes: Floats) -> Floats:
         """Return the whitened numbers (..., n) of modes (..., K, M) on some of the frames."""
