@@ -35,6 +35,7 @@ GROSS = ("servo_swap",)  # as large as they are
 ONE_POSE, AT_REST = ("gravity", "payload"), ("latency", "lag", "rate_limit")
 EVERY = 4  # frames: every fourth tells how far a law moves the finger
 TRIES = 6  # characters drawn until one can move the finger as far as wanted
+PAIRS = 4  # pairs that are drawn until each law does something beside the other
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +86,10 @@ def case(seeds: str, slice_: str, level: str, kind: str, number: int) -> Case:
     rng = np.random.default_rng([seed, zlib.crc32(f"{slice_} {level} {kind}".encode())])
     body, hardness = body_of(slice_), LEVELS[level]
     small = background(hardness, rng, body.channels)
-    wanted = _wanted(kind, number, rng, body)
-    found = [_drawn(one, body, hardness, rng) for one in wanted]
+    for _ in range(PAIRS):
+        found = [_drawn(one, body, hardness, rng) for one in _wanted(kind, number, rng, body)]
+        if len(found) < 2 or _each_moves([law for law, _ in found], body, hardness):
+            break
     order = list(LAWS) + list(UNKNOWN)
     found.sort(key=lambda pair: order.index(pair[0].NAME))
     return Case(
@@ -195,6 +198,23 @@ def seen(
     for law in laws:
         points = law.seen(points, labelled)
     return points
+
+
+def _each_moves(laws: Sequence[Law], body: Body, level: Level) -> bool:
+    """Return whether each law still does something beside the others: half of the least that it does alone."""
+    protocol, rough = standard_protocol(2), not any(law.SHAPE for law in laws)
+
+    def points(acting: Sequence[Law]) -> Floats:
+        return seen(body, acting, protocol, False, every=EVERY, rough=rough)
+
+    try:
+        whole = points(laws)
+        moved = [whole - points([other for other in laws if other is not law]) for law in laws]
+    except ArithmeticError:  # together they buckle the body
+        return False
+    return all(
+        rms(sections(m, body.place)) >= 0.5 * level.moves_mm[0] or law.NAME == "twist" for m, law in zip(moved, laws)
+    )
 
 
 def _drawn(name: str, body: Body, level: Level, rng: np.random.Generator) -> tuple[Law, float]:

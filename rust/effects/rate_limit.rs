@@ -31,7 +31,7 @@ pub static EFFECT: Effect = Effect {
             0.0,
             6.0,
             0.5,
-            40.0,
+            80.0,
             "largest speed of a command; 0 for none",
         )],
     },

@@ -171,7 +171,7 @@ def allowed(search: Search, fit: Fit) -> float:
     """Return what may be left in mm RMS with nothing missing: of the model's own error, the noise and untrue forms.
 
     Forms are off by FORMS of all that is explained, the mean square over the found effects by how far each moves. A
-    field whose strength is at its bound may leave much of what it moves: it is linear, and how much lies beyond is open.
+    field whose strength is at its bound may leave much of what it moves: it is linear, and more of it may be there.
     """
     record = search.problem.record
     moved = np.array([record.rms_mm(search.displacement(fit, e)) for e in fit.effects])
