@@ -1,5 +1,7 @@
 """The family of errors that this package raises: what was wrong, what is allowed, what to do."""
 
+from collections.abc import Iterable
+
 
 class SoftmapError(Exception):
     """Base of every error a user can cause; its message is one complete line."""
@@ -51,6 +53,16 @@ class NoEquilibriumError(SimulationError):
 
 class CoreError(SoftmapError, ValueError):
     """The compiled core was asked for something impossible."""
+
+
+def no_effect(name: str, known: Iterable[str]) -> str:
+    """Return the line that refuses an effect which is not among the `known`, with the nearest of them."""
+    from difflib import get_close_matches
+
+    names = list(known)
+    near = get_close_matches(name, names, 1)
+    hint = f", perhaps {near[0]}" if near else ", a file is given by an --effects of its own" if ".py" in name else ""
+    return f"no effect '{name}'{hint}; there are {', '.join(names)}"
 
 
 def brief(fault: BaseException) -> str:

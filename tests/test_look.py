@@ -60,6 +60,16 @@ def test_effects_lists_the_registry_and_shows_one_in_full(capsys):
     assert main(["effects", "nosuch"]) == 2
 
 
+def test_an_effect_that_is_not_there_is_told_with_the_nearest(capsys):
+    for name, hint in (
+        ("backlsh", ", perhaps backlash;"),
+        ("mine.py,gain", "an --effects of its own"),
+        ("zzz", "'zzz'; there are"),
+    ):
+        assert main(["effects", name]) == 2
+        assert hint in capsys.readouterr().err
+
+
 def test_no_line_about_an_effect_is_wider_than_a_terminal(capsys):
     assert main(["effects"]) == 0
     for effect in _core.effects():

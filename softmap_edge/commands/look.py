@@ -13,7 +13,7 @@ import numpy as np
 from softmap_edge import _core
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import SoftmapError, no_effect
 from softmap_edge.model import Model
 from softmap_edge.npz import write_npz
 from softmap_edge.own_effect import template
@@ -71,7 +71,7 @@ def effects(args: argparse.Namespace) -> int:
     load_own(args)
     known = {effect["name"]: effect for effect in _core.effects()}
     if args.name and args.name not in known:
-        raise SoftmapError(f"no effect '{args.name}'; there are {', '.join(known)}")
+        raise SoftmapError(no_effect(args.name, known))
     chosen = [known[args.name]] if args.name else list(known.values())
     if args.json:
         print(json.dumps({"schema": "softmap.effects/1", "effects": chosen}, ensure_ascii=False))

@@ -15,7 +15,7 @@ from softmap_edge.diagnosis.evidence import Untestable, experiment, orientations
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.noise import Noise, command_kernel, estimate_noise, form_covariance, rod_noise, whitener
 from softmap_edge.diagnosis.record import Record
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import SoftmapError, no_effect
 
 Floats = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ def candidates_of(
     """
     unknown = [name for name in wanted or () if name not in registry]
     if unknown:
-        raise SoftmapError(f"no effect '{unknown[0]}'; there are {', '.join(registry)}")
+        raise SoftmapError(no_effect(unknown[0], registry))
     names = [n for n in registry if (wanted is None or n in wanted) and n not in record.model.chain_names]
     if not names:
         raise SoftmapError("no effect is left to look for: the model already has every candidate")
