@@ -355,6 +355,13 @@ def test_compare_goes_on_and_says_what_a_diagnosis_would(case, tmp_path, capsys)
     assert json.loads(out)["frames"] == 300 and words in said
 
 
+def test_compare_says_that_the_commands_never_change(tmp_path, capsys):
+    assert main(["compare", str(written(tmp_path, command(lambda u: 0.0 * u + 3.0), True)), "--json"]) == 0
+    assert "the commands never change" in capsys.readouterr().err
+    assert main(["compare", str(written(tmp_path, command(lambda u: u), True)), "--json"]) == 0
+    assert "never change" not in capsys.readouterr().err
+
+
 def test_compare_says_that_points_are_mirrored(tmp_path, capsys):
     change, words = REFUSED["mirrored"]
     assert main(["compare", str(written(tmp_path, change, True)), "--json"]) == 0

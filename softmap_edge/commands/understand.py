@@ -239,6 +239,11 @@ def _doubt(verb: str, model: Any, run: Any) -> None:
     """Tell on stderr what a diagnosis would set aside of a run, or refuse: a comparison takes it as it is."""
     from softmap_edge.diagnosis.sound import sound
 
+    commands = model.commands(run)
+    if (commands == commands[:1]).all():
+        print(
+            f"softmap {verb}: the commands never change in this run: it tells nothing of what they do", file=sys.stderr
+        )
     try:
         remarks: tuple[str, ...] = tuple(sound(model, run).remarks)
     except SoftmapError as fault:
