@@ -189,7 +189,7 @@ def test_it_stays_bounded_and_finite(name):
     u = rng.uniform(-20.0, 20.0, (600, 2))
     sets = np.stack([chain.low, chain.high, *(random_params(chain, s) for s in range(10))])
     out = chain.rollout(sets, u, t, temperature=warming(t))
-    # The strongest: gain 1.6, creep and Mullins softening 1.5 on 20 mm; offset adds 4 mm, hysteresis at most 0.7 · 6.25.
+    # The strongest: gain 1.6, creep and Mullins 1.5 on 20 mm; offset adds 4 mm, hysteresis at most 0.7 · 6.25 mm.
     assert np.isfinite(out).all() and np.abs(out).max() <= 32.0 + 1e-9
 
 
