@@ -6,8 +6,8 @@ use crate::cubic::{Axis, NO_AXIS, Stencil};
 use crate::error::{Result, invalid};
 use crate::modes::accumulate;
 use crate::room::room;
-use std::hash::{DefaultHasher, Hash, Hasher};
-use std::sync::Arc;
+use std::hash::{BuildHasher, Hash, Hasher, RandomState};
+use std::sync::{Arc, LazyLock};
 
 /// The most channels a tensor grid can have; beyond, the number of nodes explodes.
 pub const MAX_CHANNELS: usize = 3;
@@ -19,9 +19,13 @@ pub type Stencils = [Stencil; MAX_CHANNELS];
 #[derive(Debug, Clone)]
 pub struct Grid {
     axes: Arc<[Axis]>,
-    /// What stands for the axes where grids are compared: those with other nodes have another (SipHash, 64 bits).
+    /// What stands for the axes where grids are compared: those with other nodes have another (SipHash, 64 bits, with keys of
+    /// this process, so that no file can be made to meet another's).
     mark: u64,
 }
+
+/// The keys of `Grid::mark`.
+static KEYS: LazyLock<RandomState> = LazyLock::new(RandomState::new);
 
 /// Grids that are kept at a command.
 const KEPT: usize = 4;
@@ -84,7 +88,7 @@ impl Grid {
         }
         let lengths: Vec<usize> = axes.iter().map(Vec::len).chain([1]).collect();
         room("a grid", &lengths)?;
-        let mut hasher = DefaultHasher::new();
+        let mut hasher = KEYS.build_hasher();
         for axis in &axes {
             axis.len().hash(&mut hasher);
             axis.iter()

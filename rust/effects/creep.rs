@@ -9,7 +9,7 @@
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
-use super::lag::{TOGETHER, low_pass, low_passes};
+use super::low_pass::{low_pass, low_passed};
 
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
@@ -87,16 +87,10 @@ impl ChannelEffect for Creep {
         state: &mut [f64],
         conditions: &Conditions,
     ) {
-        let (mut slow, mut quick) = ([[0.0; 3]; TOGETHER], [[0.0; 3]; TOGETHER]);
-        let parts = samples.chunks_mut(TOGETHER * channels);
-        for (part, dts) in parts.zip(conditions.dt().chunks(TOGETHER)) {
-            low_passes(params[1] * params[2], dts, &mut slow);
-            low_passes(params[1] / params[2], dts, &mut quick);
-            let weights = slow.iter().zip(&quick);
-            for (x, (slow, quick)) in part.chunks_exact_mut(channels).zip(weights) {
-                advance(params[0], *slow, *quick, x, state);
-            }
-        }
+        let taus = [params[1] * params[2], params[1] / params[2]];
+        low_passed(taus, samples, channels, conditions, |[slow, quick], x| {
+            advance(params[0], slow, quick, x, state);
+        });
     }
 }
 

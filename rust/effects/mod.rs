@@ -6,6 +6,7 @@
 mod chain;
 mod conditions;
 mod declaration;
+mod low_pass;
 mod own;
 
 pub use chain::Chain;

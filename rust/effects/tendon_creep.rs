@@ -7,7 +7,7 @@
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
-use super::lag::{TOGETHER, low_pass, low_passes};
+use super::low_pass::{low_pass, low_passed};
 
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
@@ -76,14 +76,15 @@ impl ChannelEffect for TendonCreep {
         state: &mut [f64],
         conditions: &Conditions,
     ) {
-        let mut weights = [[0.0; 3]; TOGETHER];
-        let parts = samples.chunks_mut(TOGETHER * channels);
-        for (part, dts) in parts.zip(conditions.dt().chunks(TOGETHER)) {
-            low_passes(params[1], dts, &mut weights);
-            for (x, weights) in part.chunks_exact_mut(channels).zip(&weights) {
-                advance(params[0], *weights, x, state);
-            }
-        }
+        low_passed(
+            [params[1]],
+            samples,
+            channels,
+            conditions,
+            |[weights], x| {
+                advance(params[0], weights, x, state);
+            },
+        );
     }
 }
 
