@@ -179,11 +179,6 @@ impl Predictor {
         }))
     }
 
-    /// The gravity that the prior was solved with.
-    pub fn reference(&self) -> [f64; 3] {
-        self.reference
-    }
-
     /// Number of vectors V in a frame.
     pub fn vectors(&self) -> usize {
         self.positions.len()

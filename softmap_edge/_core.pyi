@@ -22,6 +22,7 @@ __all__ = [
     "STATIONS",
     "Mesh",
     "Predictor",
+    "Record",
     "Rod",
     "RodField",
     "STANDARD_GRAVITY",
@@ -220,10 +221,14 @@ class Predictor:
         second: Second | None = None,
     ) -> Self: ...
     def through(self, weights: _Floats) -> Predictor | None: ...
-    def predict(
-        self,
-        chain: Chain,
-        params: _Floats,
+    def predict(self, chain: Chain, params: _Floats, record: Record) -> _Floats: ...
+    def acting(self, chain: Chain, params: _Floats, record: Record) -> _Floats: ...
+    def slopes(self, chain: Chain, params: _Floats, record: Record, step: _Floats) -> _Floats: ...
+
+@final
+class Record:
+    def __new__(
+        cls,
         u: _Floats,
         t: _Floats,
         t_seen: _Floats,
@@ -231,32 +236,7 @@ class Predictor:
         load: _Floats | None = None,
         temperature: _Floats | None = None,
         cameras: _Floats | None = None,
-    ) -> _Floats: ...
-    def acting(
-        self,
-        chain: Chain,
-        params: _Floats,
-        u: _Floats,
-        t: _Floats,
-        t_seen: _Floats,
-        gravity: _Floats | None = None,
-        load: _Floats | None = None,
-        temperature: _Floats | None = None,
-        cameras: _Floats | None = None,
-    ) -> _Floats: ...
-    def slopes(
-        self,
-        chain: Chain,
-        params: _Floats,
-        u: _Floats,
-        t: _Floats,
-        t_seen: _Floats,
-        step: _Floats,
-        gravity: _Floats | None = None,
-        load: _Floats | None = None,
-        temperature: _Floats | None = None,
-        cameras: _Floats | None = None,
-    ) -> _Floats: ...
+    ) -> Self: ...
 
 @final
 class Mesh:

@@ -9,7 +9,7 @@ Parameters of effects live in one place, `chain_params`, in the order of `chain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -270,7 +270,7 @@ class Model:
 
     def predict(self, run: Run) -> Floats:
         """Return the points (K, N, 3) mm at the run's seen times; markers of the run if it has markers."""
-        vertices = self._ask(self._points.predict, self.chain, self.chain_params[None], run)[0]
+        vertices = self._points.predict(self.chain, self.chain_params[None], self.recorded(run))[0]
         carry = self._carry(run)
         return vertices if carry is None else np.asarray(np.einsum("mn,knc->kmc", carry, vertices))
 
@@ -278,11 +278,28 @@ class Model:
         """Return the predicted features (K, V, 3) mm at the run's seen times."""
         return np.asarray(self.predict_features(self.chain_names, self.chain_params[None], run)[0])
 
-    def predict_features(self, names: Sequence[str], params: Floats, run: Run) -> Floats:
-        """Return features (B, K, V, 3) mm for B parameter sets (B, P) of a chain of `names`, batched in the core."""
-        predictor = self._feature_predictor(run)
+    def recorded(self, run: Run) -> _core.Record:
+        """Return a run as the core takes it, for many predictions of one that stays as it is."""
+        gravity = self.gravity_reference if run.gravity is None else run.gravity
+        return _core.Record(
+            self.commands(run),
+            np.asarray(run.t, float),
+            np.asarray(run.t_seen, float),
+            gravity=np.broadcast_to(gravity, (len(run.t), 3)),
+            load=run.load,
+            temperature=run.temperature,
+            cameras=run.cameras,
+        )
+
+    def predict_features(
+        self, names: Sequence[str], params: Floats, run: Run, recorded: _core.Record | None = None
+    ) -> Floats:
+        """Return features (B, K, V, 3) mm for B parameter sets (B, P) of a chain of `names`, batched in the core.
+
+        What `recorded` makes of the run may be given, here and below, where it is asked again and again.
+        """
         chain = self.chain if tuple(names) == self.chain_names else _core.Chain(list(names), self.channels)
-        return self._ask(predictor.predict, chain, params, run)
+        return self._feature_predictor(run).predict(chain, params, recorded or self.recorded(run))
 
     def through(self, weights: Floats, run: Run) -> _core.Predictor | None:
         """Return the predictor of linear forms of the features, `weights` (3V, M); None where shapes are no tables.
@@ -293,19 +310,24 @@ class Model:
         filled[:, : weights.shape[1]] = weights
         return self._feature_predictor(run).through(filled)
 
-    def predict_forms(self, forms: _core.Predictor, names: Sequence[str], params: Floats, run: Run) -> Floats:
+    def predict_forms(
+        self, forms: _core.Predictor, names: Sequence[str], params: Floats, recorded: _core.Record
+    ) -> Floats:
         """Return the forms (B, K, M) of a predictor from `through`, for B parameter sets (B, P) of a chain."""
-        found = self._ask(forms.predict, _core.Chain(list(names), self.channels), params, run)
+        found = forms.predict(_core.Chain(list(names), self.channels), params, recorded)
         return found.reshape(*found.shape[:2], -1)
 
-    def acting(self, names: Sequence[str], params: Floats, run: Run) -> Floats:
+    def acting(self, names: Sequence[str], params: Floats, run: Run, recorded: _core.Record | None = None) -> Floats:
         """Return what a chain of `names` makes of the commands, (B, K, C) at the seen times, for sets (B, P)."""
-        return self._ask(self._feature_predictor(run).acting, _core.Chain(list(names), self.channels), params, run)
+        chain = _core.Chain(list(names), self.channels)
+        return self._feature_predictor(run).acting(chain, params, recorded or self.recorded(run))
 
-    def slopes(self, names: Sequence[str], params: Floats, step: Floats, run: Run) -> Floats:
+    def slopes(
+        self, names: Sequence[str], params: Floats, step: Floats, run: Run, recorded: _core.Record | None = None
+    ) -> Floats:
         """Return the slopes (C, K, V, 3) of the features over what acts, `step` (C,) to both sides of one set (P,)."""
-        chain, ask = _core.Chain(list(names), self.channels), self._feature_predictor(run).slopes
-        return self._ask(ask, chain, params[None], run, np.asarray(step, float))
+        chain, predictor = _core.Chain(list(names), self.channels), self._feature_predictor(run)
+        return predictor.slopes(chain, params[None], recorded or self.recorded(run), np.asarray(step, float))
 
     def seen_features(self, run: Run) -> Floats:
         """Return the measured features (K, V, 3) mm; NaN where too little was seen."""
@@ -408,22 +430,6 @@ class Model:
             self._attached.clear()
             self._attached[key] = attach(np.asarray(run.marker_rest, float), self.rest, run.marker_names)
         return self._attached[key]
-
-    def _ask(self, ask: Callable[..., Floats], chain: _core.Chain, params: Floats, run: Run, *more: Floats) -> Floats:
-        """Ask a predictor's method with the commands and conditions of a run."""
-        gravity = None if run.gravity is None else np.broadcast_to(run.gravity, (len(run.t), 3))
-        return ask(
-            chain,
-            np.ascontiguousarray(params, float),
-            self.commands(run),
-            np.asarray(run.t, float),
-            np.asarray(run.t_seen, float),
-            *more,
-            gravity=None if gravity is None else np.ascontiguousarray(gravity, float),
-            load=None if run.load is None else np.ascontiguousarray(run.load, float),
-            temperature=None if run.temperature is None else np.ascontiguousarray(run.temperature, float),
-            cameras=None if run.cameras is None else np.ascontiguousarray(run.cameras, float),
-        )
 
     @cached_property
     def _points(self) -> _core.Predictor:

@@ -280,14 +280,15 @@ impl PyChain {
     ) -> PyResult<(Records<'py>, Rows<'py>)> {
         let chain = &self.chain;
         let params = self.sets(params)?;
-        let (u, mut world) = self.record(u, t, HANGING, gravity, load, temperature)?;
+        let channels = Some(chain.channels());
+        let (u, mut world) = record(u, channels, t, gravity, load, temperature)?;
         let (sets, memory) = (params.shape[0], chain.state_size());
         let axes = [("B", Some(sets)), ("S", Some(memory))];
         let mut states = match state {
             Some(state) => floats("state", &state, &axes)?.data,
             None => vec![],
         };
-        let out = py.detach(|| chain.rollout(&params.data, &u, &mut world, &mut states))?;
+        let out = py.detach(|| chain.rollout(&params.data, &u.data, &mut world, &mut states))?;
         let shape = [sets, world.len(), chain.channels()];
         Ok((
             out.into_pyarray(py).reshape(shape)?,
@@ -324,33 +325,31 @@ impl PyChain {
         let u = floats("u", u, &[("C", Some(self.chain.channels()))])?.data;
         Ok((params, u))
     }
+}
 
-    /// Commands (T, C) and the world around them; what is absent is constant.
-    pub(super) fn record(
-        &self,
-        u: Value<'_, '_>,
-        t: Value<'_, '_>,
-        still: [f64; 3],
-        gravity: Maybe<'_>,
-        load: Maybe<'_>,
-        temperature: Maybe<'_>,
-    ) -> PyResult<(Vec<f64>, Conditions)> {
-        let t = floats("t", t, &[("T", None)])?.data;
-        let samples = t.len();
-        let axes = [("T", Some(samples)), ("C", Some(self.chain.channels()))];
-        let u = floats("u", u, &axes)?.data;
-        let gravity = match gravity {
-            None => vec![still],
-            Some(value) => triples(&floats(
-                "gravity",
-                &value,
-                &[("T", Some(samples)), ("xyz", Some(3))],
-            )?),
-        };
-        let load = column("load", load, samples, 0.0)?;
-        let temperature = column("temperature", temperature, samples, f64::NAN)?;
-        Ok((u, Conditions::new(t, gravity, load, temperature)?))
-    }
+/// Commands (T, C) and the world around them; what is absent is constant, gravity that of a hanging finger.
+pub(super) fn record(
+    u: Value<'_, '_>,
+    channels: Option<usize>,
+    t: Value<'_, '_>,
+    gravity: Maybe<'_>,
+    load: Maybe<'_>,
+    temperature: Maybe<'_>,
+) -> PyResult<(Floats, Conditions)> {
+    let t = floats("t", t, &[("T", None)])?.data;
+    let samples = t.len();
+    let u = floats("u", u, &[("T", Some(samples)), ("C", channels)])?;
+    let gravity = match gravity {
+        None => vec![HANGING],
+        Some(value) => triples(&floats(
+            "gravity",
+            &value,
+            &[("T", Some(samples)), ("xyz", Some(3))],
+        )?),
+    };
+    let load = column("load", load, samples, 0.0)?;
+    let temperature = column("temperature", temperature, samples, f64::NAN)?;
+    Ok((u, Conditions::new(t, gravity, load, temperature)?))
 }
 
 /// One number a sample, or a constant where there is none.

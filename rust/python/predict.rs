@@ -2,7 +2,7 @@
 
 use super::arrays::floats;
 use super::cables::{PyCables, PySecond};
-use super::effects::{Maybe, PyChain, Value, vector};
+use super::effects::{Maybe, PyChain, Value, record, vector};
 use super::shape::PyShape;
 use crate::contact::Contact;
 use crate::effects::Conditions;
@@ -99,151 +99,96 @@ impl PyPredictor {
         Ok(predictor.map(|predictor| PyPredictor { predictor }))
     }
 
-    /// Frames (B, K, V, 3) for params (B, P) on u (T, C) mm at t (T,) s, seen at t_seen (K,) s by `cameras` (A, 3, 4).
-    #[pyo3(signature = (chain, params, u, t, t_seen, gravity=None, load=None, temperature=None, cameras=None))]
+    /// Frames (B, K, V, 3) for params (B, P) on a record.
     fn predict<'py>(
         &self,
         py: Python<'py>,
         chain: PyRef<'py, PyChain>,
         params: Value<'_, 'py>,
-        u: Value<'_, 'py>,
-        t: Value<'_, 'py>,
-        t_seen: Value<'_, 'py>,
-        gravity: Maybe<'py>,
-        load: Maybe<'py>,
-        temperature: Maybe<'py>,
-        cameras: Maybe<'py>,
+        record: PyRef<'py, PyRecord>,
     ) -> PyResult<Bound<'py, PyArray4<f64>>> {
-        let asked = self.asked(
-            &chain,
-            params,
-            u,
-            t,
-            t_seen,
-            gravity,
-            load,
-            temperature,
-            cameras,
-        )?;
-        let Asked {
-            params,
-            sets,
-            u,
-            world,
-            t_seen,
-        } = asked;
-        let (body, inner) = (&self.predictor, &chain.chain);
-        let out = py.detach(|| body.predict(inner, &params, &u, &world, &t_seen))?;
-        let shape = [sets, t_seen.len(), body.vectors(), 3];
+        let (params, sets) = asked(&chain, params, &record)?;
+        let (body, inner, on) = (&self.predictor, &chain.chain, &*record);
+        let out = py.detach(|| body.predict(inner, &params, &on.u, &on.world, &on.t_seen))?;
+        let shape = [sets, on.t_seen.len(), body.vectors(), 3];
         out.into_pyarray(py).reshape(shape)
     }
 
-    /// What acts (B, K, C) at t_seen for params (B, P); the other arguments as in `predict`.
-    #[pyo3(signature = (chain, params, u, t, t_seen, gravity=None, load=None, temperature=None, cameras=None))]
+    /// What acts (B, K, C) at the seen times for params (B, P) on a record.
     fn acting<'py>(
         &self,
         py: Python<'py>,
         chain: PyRef<'py, PyChain>,
         params: Value<'_, 'py>,
-        u: Value<'_, 'py>,
-        t: Value<'_, 'py>,
-        t_seen: Value<'_, 'py>,
-        gravity: Maybe<'py>,
-        load: Maybe<'py>,
-        temperature: Maybe<'py>,
-        cameras: Maybe<'py>,
+        record: PyRef<'py, PyRecord>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let asked = self.asked(
-            &chain,
-            params,
-            u,
-            t,
-            t_seen,
-            gravity,
-            load,
-            temperature,
-            cameras,
-        )?;
-        let Asked {
-            params,
-            sets,
-            u,
-            world,
-            t_seen,
-        } = asked;
-        let (body, inner) = (&self.predictor, &chain.chain);
-        let out = py.detach(|| body.acting(inner, &params, &u, &world, &t_seen))?;
+        let (params, sets) = asked(&chain, params, &record)?;
+        let (body, inner, on) = (&self.predictor, &chain.chain, &*record);
+        let out = py.detach(|| body.acting(inner, &params, &on.u, &on.world, &on.t_seen))?;
         out.into_pyarray(py)
-            .reshape([sets, t_seen.len(), inner.channels()])
+            .reshape([sets, on.t_seen.len(), inner.channels()])
     }
 
-    /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, about params (1, P); else as `predict`.
-    #[pyo3(signature = (chain, params, u, t, t_seen, step, gravity=None, load=None, temperature=None, cameras=None))]
+    /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, about params (1, P) on a record.
     fn slopes<'py>(
         &self,
         py: Python<'py>,
         chain: PyRef<'py, PyChain>,
         params: Value<'_, 'py>,
-        u: Value<'_, 'py>,
-        t: Value<'_, 'py>,
-        t_seen: Value<'_, 'py>,
+        record: PyRef<'py, PyRecord>,
         step: Value<'_, 'py>,
-        gravity: Maybe<'py>,
-        load: Maybe<'py>,
-        temperature: Maybe<'py>,
-        cameras: Maybe<'py>,
     ) -> PyResult<Bound<'py, PyArray4<f64>>> {
-        let asked = self.asked(
-            &chain,
-            params,
-            u,
-            t,
-            t_seen,
-            gravity,
-            load,
-            temperature,
-            cameras,
-        )?;
-        let Asked {
-            params,
-            u,
-            world,
-            t_seen,
-            ..
-        } = asked;
-        let (body, inner) = (&self.predictor, &chain.chain);
+        let (params, _) = asked(&chain, params, &record)?;
+        let (body, inner, on) = (&self.predictor, &chain.chain, &*record);
         let step = floats("step", step, &[("C", None)])?.data;
-        let out = py.detach(|| body.slopes(inner, &params, &step, &u, &world, &t_seen))?;
+        let out = py.detach(|| body.slopes(inner, &params, &step, &on.u, &on.world, &on.t_seen))?;
         out.into_pyarray(py)
-            .reshape([inner.channels(), t_seen.len(), body.vectors(), 3])
+            .reshape([inner.channels(), on.t_seen.len(), body.vectors(), 3])
     }
 }
 
-/// The arguments of one call, checked and copied.
-struct Asked {
-    params: Vec<f64>,
-    sets: usize,
+/// Parameters (B, P) of a chain that takes the commands of a record, and B.
+fn asked(
+    chain: &PyChain,
+    params: Value<'_, '_>,
+    record: &PyRecord,
+) -> PyResult<(Vec<f64>, usize)> {
+    let (wanted, given) = (chain.chain.channels(), record.channels);
+    if wanted != given {
+        let message = format!(
+            "the record has {given} commands a sample, the chain takes {wanted}; make the chain for this record"
+        );
+        return Err(Error::Invalid(message).into());
+    }
+    let params = chain.sets(params)?;
+    Ok((params.data, params.shape[0]))
+}
+
+/// Commands and the world around them, and when they were looked at: checked and copied once, predicted many times.
+#[pyclass(name = "Record", module = "softmap_edge._core", frozen)]
+pub struct PyRecord {
+    channels: usize,
     u: Vec<f64>,
     world: Conditions,
     t_seen: Vec<f64>,
 }
 
-impl PyPredictor {
-    fn asked<'py>(
-        &self,
-        chain: &PyRef<'py, PyChain>,
-        params: Value<'_, 'py>,
-        u: Value<'_, 'py>,
-        t: Value<'_, 'py>,
-        t_seen: Value<'_, 'py>,
-        gravity: Maybe<'py>,
-        load: Maybe<'py>,
-        temperature: Maybe<'py>,
-        cameras: Maybe<'py>,
-    ) -> PyResult<Asked> {
-        let params = chain.sets(params)?;
-        let still = self.predictor.reference();
-        let (u, world) = chain.record(u, t, still, gravity, load, temperature)?;
+#[pymethods]
+impl PyRecord {
+    /// u (T, C) mm at t (T,) s, seen at t_seen (K,) s by `cameras` (A, 3, 4); gravity (T, 3), hanging if there is none, load
+    /// (T,) g, temperature (T,) °C.
+    #[new]
+    #[pyo3(signature = (u, t, t_seen, gravity=None, load=None, temperature=None, cameras=None))]
+    fn new(
+        u: Value<'_, '_>,
+        t: Value<'_, '_>,
+        t_seen: Value<'_, '_>,
+        gravity: Maybe<'_>,
+        load: Maybe<'_>,
+        temperature: Maybe<'_>,
+        cameras: Maybe<'_>,
+    ) -> PyResult<PyRecord> {
+        let (u, world) = record(u, None, t, gravity, load, temperature)?;
         let world = match cameras {
             None => world,
             Some(poses) => {
@@ -254,10 +199,9 @@ impl PyPredictor {
                 world.seen_by(poses.chunks_exact(12).map(pose).collect())
             }
         };
-        Ok(Asked {
-            sets: params.shape[0],
-            params: params.data,
-            u,
+        Ok(PyRecord {
+            channels: u.shape[1],
+            u: u.data,
             world,
             t_seen: floats("t_seen", t_seen, &[("K", None)])?.data,
         })

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -156,6 +156,12 @@ class Problem:
         self.folds = run_folds(record.t_seen, record.block)
         self._seen: tuple[Floats, Floats | None] | None = None
         self._spaces: dict[tuple[tuple[str, ...], tuple[str, ...]], Space] = {}
+
+    def some(self, rows: NDArray[np.intp]) -> Problem:
+        """Return the same on some of the frames, `rows` rising."""
+        record = self.record.some(rows)
+        kernel = command_kernel(record.command, self.record.spread, self.record.leaning[rows])
+        return Problem(record, self.noise, replace(self.whitener, kernel=kernel), self.base)
 
     def modes(self, predicted: Floats) -> Floats:
         """Return the residual modes (..., K, M) of predictions (..., K, F)."""

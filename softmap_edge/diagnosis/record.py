@@ -11,6 +11,7 @@ Pinned by tests/test_fit.py and tests/test_several_runs.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -70,6 +71,7 @@ class Record:
 
     def _bind(self, run: Run) -> None:
         """Take the frames of a run in which anything is seen: others hold nothing out, their loss speaks for nobody."""
+        self._forget()
         model = self.model
         seen = np.asarray(model.seen_features(run), float)
         some = np.isfinite(seen).any(axis=(1, 2))
@@ -95,6 +97,22 @@ class Record:
         self.form_error = np.asarray(model.run_form_error(run), float)
         self._leaning = np.asarray(model.run_leaning(run), float)
         self.block: NDArray[Any] | None = run.block
+
+    def _forget(self) -> None:
+        """Forget what was found out about other frames."""
+        for name in ("state", "leaning", "_recorded"):
+            self.__dict__.pop(name, None)
+
+    def some(self, rows: NDArray[np.intp]) -> Record:
+        """Return the same with some of its frames, `rows` rising: what they declare and their parameters are the same."""
+        few = copy(self)
+        few._forget()
+        few.run, few.frames = self.run.at(rows), len(rows)
+        few.seen, few.t_seen, few.command = self.seen[rows], self.t_seen[rows], self.command[rows]
+        few._leaning = self._leaning[rows]
+        few.block = None if self.block is None else np.asarray(self.block)[rows]
+        few.static = None if self.static is None else self.static[rows]
+        return few
 
     # --- what the run declares ------------------------------------------------------------------
 
@@ -175,13 +193,19 @@ class Record:
         unchanged = dict(zip(layout.labels, map(float, layout.null)))
         return layout.values(unchanged | dict(zip(chain.labels, map(float, self.model.chain_params))))
 
+    @cached_property
+    def _recorded(self) -> dict[str, Any]:
+        """The run as the model's core takes it, for models that have one."""
+        recorded = getattr(self.model, "recorded", None)
+        return {} if recorded is None else {"recorded": recorded(self.run)}
+
     def predict(self, names: Sequence[str], params: Floats) -> Floats:
         """Return predicted features (B, K, F) mm for parameter sets (B, P) of the layout of `names`."""
         chunk = max(1, CHUNK // max(1, self.frames * self.features))
         out = np.empty((len(params), self.frames, self.features))
         for model, rows, sets in self._models(names, params):
             for i in range(0, len(rows), chunk):
-                part = model.predict_features(tuple(names), sets[i : i + chunk], self.run)
+                part = model.predict_features(tuple(names), sets[i : i + chunk], self.run, **self._recorded)
                 out[rows[i : i + chunk]] = np.reshape(part, (-1, self.frames, self.features))
         return out
 
@@ -199,7 +223,7 @@ class Record:
                 return np.asarray(self.predict(names, params) @ weights)
             sets, chunk = np.ascontiguousarray(params), max(1, CHUNK // max(1, self.frames * weights.shape[1]))
             parts = [
-                self.model.predict_forms(forms, names, sets[i : i + chunk], self.run)
+                self.model.predict_forms(forms, names, sets[i : i + chunk], **self._recorded)
                 for i in range(0, len(sets), chunk)
             ]
             return (parts[0] if len(parts) == 1 else np.concatenate(parts))[..., : weights.shape[1]]
@@ -209,13 +233,13 @@ class Record:
     def acting(self, names: Sequence[str], params: Floats) -> Floats:
         """Return what acts on the shape, (B, K, C), for parameter sets (B, P)."""
         chain = np.ascontiguousarray(params[:, : params.shape[1] - len(self._changes(names))])
-        return np.asarray(self.model.acting(tuple(names), chain, self.run))
+        return np.asarray(self.model.acting(tuple(names), chain, self.run, **self._recorded))
 
     def slopes(self, names: Sequence[str], params: Floats) -> Floats:
         """Return the slopes (C, K, F) mm of the features over what acts, about one parameter set (P,)."""
         step = np.maximum(SLOPE * self.spread, 1e-3)
         model, _, sets = self._models(names, params[None])[0]
-        slopes = model.slopes(tuple(names), sets[0], step, self.run)
+        slopes = model.slopes(tuple(names), sets[0], step, self.run, **self._recorded)
         return np.asarray(slopes).reshape(len(slopes), self.frames, self.features)
 
     # --- measures -------------------------------------------------------------------------------
@@ -258,13 +282,18 @@ class Records(Record):
                 f"the runs show {', '.join(str(n) for _, n in kinds)} features a frame; runs that are diagnosed "
                 "together must be seen in the same way, so diagnose them apart"
             )
-        self.parts, self.model, self.library = parts, model, parts[0].library
+        self.model, self.library = model, parts[0].library
         replays = [p.replay for p in parts if p.replay is not None]
         self.replay = max(replays, key=lambda r: r.share, default=None)
         met = list(dict.fromkeys(str(r.run) for r in replays))
         if self.replay is not None and len(met) > 1:
             self.replay = replace(self.replay, run=met)
         self.whole = tuple(runs)
+        self._join(parts)
+
+    def _join(self, parts: list[Record]) -> None:
+        """Put the frames of runs one after the other."""
+        self.parts = parts
         self.frames, self.features = sum(part.frames for part in parts), parts[0].features
         self.seen = np.concatenate([part.seen for part in parts])
         self.command = np.concatenate([part.command for part in parts])
@@ -283,6 +312,16 @@ class Records(Record):
         self.t_seen = np.concatenate(begins)
         labels = [part.block for part in parts]
         self.block = None if any(b is None for b in labels) else np.concatenate([np.asarray(b) for b in labels])
+
+    def some(self, rows: NDArray[np.intp]) -> Record:
+        """Return the same with some of its frames, `rows` rising."""
+        few = copy(self)
+        few._forget()
+        own = np.split(rows, np.searchsorted(rows, self.ends[:-1]))
+        begins = self.ends - [part.frames for part in self.parts]
+        few._join([part.some(mine - begin) for part, mine, begin in zip(self.parts, own, begins)])
+        few.seen = self.seen[rows]
+        return few
 
     @cached_property
     def state(self) -> Conditions:

@@ -24,8 +24,8 @@ Floats = NDArray[np.float64]
 
 LOOKED = 2  # candidates that are looked at again on top of a fit, for each one that is predicted
 PREDICTED = 2  # candidates that are predicted and not only looked at by slopes, for each one that is fitted
-KEPT = 2  # starts of each whose signature is kept
-FRAMES = 400  # on which signatures are kept
+STEPPED = 2  # starts of each from which a step is taken: those that come nearest
+FRAMES = 200  # on which candidates are looked at by slopes
 FAINTER = (0.05, 0.1, 0.2, 0.4)  # of the way from a start that is worse than nothing to the ends of its scale
 NEAR = 0.25  # of the commands' range: farther, a screening step is predicted and not taken along the slopes
 
@@ -43,6 +43,16 @@ class Signature:
         return np.asarray(self.rows @ self.rows.T)
 
 
+@dataclass(frozen=True, eq=False)
+class Glimpse:
+    """A fit on the frames that are looked at: `modes` (K, M), `slopes` (P, K, M), whitened slopes (P, n), objective."""
+
+    modes: Floats
+    slopes: Floats
+    white: Floats
+    cost: float
+
+
 class Screening:
     """What each candidate promises on top of each fit; kept, so that nothing is looked at twice."""
 
@@ -56,8 +66,10 @@ class Screening:
         self._slopes: dict[frozenset[str], tuple[Floats, Floats]] = {}
         self._signatures: dict[str, list[Signature]] = {}
         self._starts: dict[str, list[Floats]] = {}  # of effects whose own starts lead nowhere
-        self._white: dict[frozenset[str], Floats] = {}
-        self._some = slice(None, None, max(1, -(-len(problem.record) // FRAMES)))
+        self._glimpses: dict[frozenset[str], Glimpse] = {}
+        frames = len(problem.record)
+        self._rows = np.unique(np.linspace(0, frames - 1, min(frames, FRAMES)).astype(int))
+        self.few = problem if frames <= FRAMES else problem.some(self._rows)
 
     def best(
         self, parent: Fit, effects: Sequence[str], count: int, least: float = 0.0
@@ -89,7 +101,7 @@ class Screening:
         key = (frozenset(parent.effects), effect)
         if key not in self._glances:
             found = self._step(parent, effect, self._starts.get(effect) or self.starts(effect))
-            if not parent.effects and found[0] >= parent.cost:  # worse than nothing: no start is near
+            if not parent.effects and found[0] >= self._glimpse(parent).cost:  # worse than nothing: no start is near
                 self._starts[effect] = self._fainter(parent, effect)
                 found = min(found, self._step(parent, effect, self._starts[effect]), key=lambda step: step[0])
             self._glances[key], self._points[key] = found
@@ -100,15 +112,15 @@ class Screening:
 
         A limit is absent at its high end and acts all at once below what is commanded: no slope leads there from afar.
         """
-        space = self.problem.space((effect,), free=(effect,))
+        space = self.few.space((effect,), free=(effect,))
         ends = [np.where(space.log & space.declared, end, space.start) for end in (space.low, space.high)]
         points = np.stack([space.start + share * (end - space.start) for end in ends for share in FAINTER])
-        modes = self._glance(parent, self.problem.space((effect,)), effect, points)
-        return list(points[np.argsort(self.problem.costs(modes, points)[0], kind="stable")[:2]])
+        modes = self._glance(parent, self.few.space((effect,)), effect, points)
+        return list(points[np.argsort(self.few.costs(modes, points)[0], kind="stable")[:2]])
 
     def _step(self, parent: Fit, effect: str, starts: Sequence[Floats]) -> tuple[float, list[Floats]]:
         """Take one step of `effect` from each of `starts`; the joint points come best first."""
-        problem = self.problem
+        problem = self.few
         space = problem.space((*parent.effects, effect))
         labels = space.free_labels
         new = [i for i, label in enumerate(labels) if label.split(".")[0] == effect]
@@ -118,6 +130,9 @@ class Screening:
             x = np.array([parent.x[old[label]] if label in old else 0.0 for label in labels])
             x[new] = start
             joint.append(np.clip(x, space.low, space.high))
+        if len(joint) > STEPPED:
+            costs = problem.costs(self._glance(parent, space, effect, np.stack(joint)), np.stack(joint))[0]
+            joint = [joint[i] for i in np.argsort(costs, kind="stable")[:STEPPED]]
         batch, width = [], len(new) + 1
         for x in joint:
             batch.append(x)
@@ -135,16 +150,16 @@ class Screening:
         ahead = []
         for x, slopes, residual in zip(joint, own, here):
             jacobian = np.empty((len(labels), len(residual)))
-            jacobian[at], jacobian[new] = self._parent(parent), slopes
+            jacobian[at], jacobian[new] = self._glimpse(parent).white, slopes
             ahead.append(normal_step(space.pinned(x), x, *normal(x, jacobian, residual), 1e-3))
         after = self._glance(parent, space, effect, np.stack(ahead))
         points = np.concatenate([np.stack(joint), np.stack(ahead)])
         costs = problem.costs(np.concatenate([modes[:, 0], after]), points)[0]
         if not parent.effects:
-            kept = sorted(range(len(joint)), key=lambda s: float(min(costs[s], costs[len(joint) + s])))[:KEPT]
-            shifts = [modes[s, :1] - parent.modes for s in kept]
+            shifts = modes[:, :1] - self._glimpse(parent).modes
             self._signatures[effect] = [
-                Signature(joint[s][new], self._few(np.concatenate([rates[s], shift]))) for s, shift in zip(kept, shifts)
+                Signature(x[new], self.few.white(np.concatenate([slopes, shift])))
+                for x, slopes, shift in zip(joint, rates, shifts)
             ]
         order = np.argsort(costs, kind="stable")
         return float(costs[order[0]]), [points[i] for i in order]
@@ -152,16 +167,16 @@ class Screening:
     def _promising(self, parent: Fit, effects: Sequence[str], count: int, least: float) -> list[str]:
         """Return the `count` of `effects` that would win most on top of `parent`, were they there what they are alone.
 
-        Those of a family with one that is fitted, or with one of these, come along: what a load or a stiffness
-        does changes with what acts in the parent.
+        Loads and changes of the body of a family with one that is fitted, or with one of these, come along: what they
+        do changes with what acts in the parent.
         """
-        rows = self._few(np.concatenate([parent.slopes, parent.modes[None]]))
+        glimpse = self._glimpse(parent)
+        rows = np.concatenate([glimpse.white, self.few.white(glimpse.modes[None])])
         gram = rows @ rows.T
-        now = float(gram[-1, -1] + parent.x @ parent.x)
-        most = now * (1.0 - least / max(parent.cost, 1e-300)) if least > 0.0 else np.inf
+        most = glimpse.cost * (1.0 - least / max(parent.cost, 1e-300)) if least > 0.0 else np.inf
         promises = []
         for effect in effects:
-            space = self.problem.space((*parent.effects, effect))
+            space = self.few.space((*parent.effects, effect))
             labels = space.free_labels
             old = [labels.index(label) for label in parent.space.free_labels]
             new = [i for i in range(len(labels)) if i not in old]
@@ -182,39 +197,39 @@ class Screening:
                 promises.append((min(here + float(x @ x), there + float(ahead @ ahead)), effect))
         best = list(dict.fromkeys(effect for cost, effect in sorted(promises) if cost <= most))[:count]
         beside = {self.families[effect] for effect in [*parent.effects, *best]}
-        return best + [effect for effect in effects if effect not in best and self.families[effect] in beside]
+        changed = [e for e in effects if self.roles[e] != "channel" and self.families[e] in beside]
+        return list(dict.fromkeys([*best, *changed]))
 
-    def _few(self, modes: Floats) -> Floats:
-        """Return the whitened numbers (..., n) of modes (..., K, M) on some of the frames."""
-        some = self.problem.whitener.shrink(modes)[..., self._some, :]
-        return some.reshape(*some.shape[:-2], some.shape[-2] * some.shape[-1])
-
-    def _parent(self, parent: Fit) -> Floats:
-        """Return the whitened slopes (P, n) of a fit."""
+    def _glimpse(self, parent: Fit) -> Glimpse:
+        """Return a fit on the frames that are looked at."""
         key = frozenset(parent.effects)
-        if key not in self._white:
-            self._white[key] = self.problem.white(parent.slopes)
-        return self._white[key]
+        if key not in self._glimpses:
+            modes, slopes = parent.modes, parent.slopes
+            if self.few is not self.problem:
+                modes, slopes = modes[self._rows], slopes[:, self._rows]
+            cost = float(self.few.costs(modes[None], parent.x[None])[0][0])
+            self._glimpses[key] = Glimpse(modes, slopes, self.few.white(slopes), cost)
+        return self._glimpses[key]
 
     def _glance(self, parent: Fit, space: Space, effect: str, points: Floats) -> Floats:
         """Return residual modes (B, K, M) of joint points (B, P), linear in the parent's own parameters.
 
         For a channel effect by the slopes about what acts in the parent, unless it is moved too far.
         """
-        problem, labels = self.problem, space.free_labels
+        problem, labels, glimpse = self.few, space.free_labels, self._glimpse(parent)
         channel = self.roles[effect] == "channel"
         if channel:
             acting, slopes = self._about(parent)
             shift = problem.record.acting(space.names, space.params(points)) - acting
             if np.abs(shift).max(initial=0.0) > NEAR * problem.record.spread.max(initial=0.0):
                 return problem.at(space, points)
-            modes = np.asarray(parent.modes + np.einsum("bkc,ckm->bkm", shift, slopes))
+            modes = np.asarray(glimpse.modes + np.einsum("bkc,ckm->bkm", shift, slopes))
         else:
             old = [labels.index(label) for label in parent.space.free_labels]
             still = points.copy()
             still[:, old] = parent.x
             modes = problem.at(space, still)
-        for label, x, slope in zip(parent.space.free_labels, parent.x, parent.slopes):
+        for label, x, slope in zip(parent.space.free_labels, parent.x, glimpse.slopes):
             if not (channel and self.roles[label.split(".")[0]] == "channel"):
                 modes = modes + (points[:, labels.index(label)] - x)[:, None, None] * slope
         return modes
@@ -223,10 +238,10 @@ class Screening:
         """Return what acts in a fit (K, C), and the slopes (C, K, M) of the residual modes over it."""
         key = frozenset(parent.effects)
         if key not in self._slopes:
-            record, params = self.problem.record, parent.space.params(parent.x[None])[0]
+            record, params = self.few.record, parent.space.params(parent.x[None])[0]
             slopes = np.where(np.isfinite(record.seen), record.slopes(parent.space.names, params), np.nan)
             acting = record.acting(parent.space.names, params[None])[0]
-            self._slopes[key] = acting, -self.problem.gain * self.problem.whitener.modes(slopes)
+            self._slopes[key] = acting, -self.few.gain * self.few.whitener.modes(slopes)
         return self._slopes[key]
 
     def starts(self, effect: str) -> list[Floats]:
@@ -235,7 +250,7 @@ class Screening:
         Tendons that fall slack put a kink at home, where the slope on one side says nothing about the other. Every
         combination of whole numbers is a start of its own.
         """
-        space = self.problem.space((effect,), free=(effect,))
+        space = self.few.space((effect,), free=(effect,))
         if space.integer.any():
             return _whole_starts(space)
         points = [space.start.copy()]
