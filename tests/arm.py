@@ -204,6 +204,11 @@ class Recording(SimpleNamespace):
 
     hash = Run.hash
 
+    def at(self, rows):
+        """Return the run with some of its frames."""
+        kept = {name: getattr(self, name) for name in ("t_seen", "block", "features")}
+        return Recording(**vars(self) | {name: a if a is None else np.asarray(a)[rows] for name, a in kept.items()})
+
     def arrays(self):
         return {name: np.asarray(value) for name, value in vars(self).items() if value is not None}
 

@@ -140,7 +140,9 @@ def test_an_effect_of_the_prior_s_own_law_reaches_the_prior_through_it():
     u = 4.0 * np.sin((0.3 + 0.1 * np.arange(9)) * t[:, None])
     chain = _core.Chain(["slack"], 9)
     both, alone = (
-        _core.Predictor(prior, {}, np.ones(size // 3, bool), np.zeros(3)).predict(chain, np.array([[0.3]]), u, t, t)[0]
+        _core.Predictor(prior, {}, np.ones(size // 3, bool), np.array([0.0, 0.0, 1.0])).predict(
+            chain, np.array([[0.3]]), _core.Record(u, t, t)
+        )[0]
         for prior in (_core.Sum(rod, field), rod)
     )
     np.testing.assert_allclose((both - alone).reshape(len(t), -1), field.evaluate(u), atol=1e-9)

@@ -148,11 +148,7 @@ impl PyPredictor {
 }
 
 /// Parameters (B, P) of a chain that takes the commands of a record, and B.
-fn asked(
-    chain: &PyChain,
-    params: Value<'_, '_>,
-    record: &PyRecord,
-) -> PyResult<(Vec<f64>, usize)> {
+fn asked(chain: &PyChain, params: Value<'_, '_>, record: &PyRecord) -> PyResult<(Vec<f64>, usize)> {
     let (wanted, given) = (chain.chain.channels(), record.channels);
     if wanted != given {
         let message = format!(

@@ -33,9 +33,9 @@ LEFT_R2 = 0.12  # from which a condition is named as what predicts a leftover
 # may be off; how many times what these and the model's own error leave is something else. From development seeds of the
 # bank (docs/bank.md).
 FORMS = {"channel": 0.15, "prior": 0.15, "shape": 0.25, "sensing": 0.2}
-FORMS |= {"dead_zone": 0.3, "friction": 0.3, "mullins": 0.3, "camera_drift": 0.4}
+FORMS |= {"dead_zone": 0.3, "friction": 0.3, "mullins": 0.3, "saturation": 0.3, "camera_drift": 0.4}
 BEYOND, NOISE, LEFT = 0.7, 0.4, 1.25
-FARTHER = 2.0  # times as far as its bound a strength is looked for before what is left is called unknown
+FARTHER = 2.0  # times as far as its bound a field is looked for before what is left is called unknown
 CLEAR = 1.5  # times what is visible that must be left: every finger has small faults of its own
 HALVED = 0.5  # of the held-out error: an effect that, added, leaves less was not left out for want of evidence
 MUCH = 3.0  # times the form error that must be left for a second effect to be asked for
@@ -155,9 +155,9 @@ def leftover(search: Search, fit: Fit) -> Leftover:
     best = max(alone, key=lambda name: alone[name])
     r2 = max(total, alone[best])
     rms, most = _left_mm(problem, fit), max(CLEAR * search.visible_mm, LEFT * allowed(search, fit))
-    claim, at_bound = rms > most, _strengths_at_bound(fit)
-    if claim and at_bound.any():  # what may lie beyond the bound is not unknown
-        claim = _left_mm(problem, problem.beyond(fit, at_bound, FARTHER)) > most
+    claim, fields = rms > most, _fields_at_bound(search, fit)
+    if claim and fields.any():  # what may lie beyond the bound is not unknown
+        claim = _left_mm(problem, problem.beyond(fit, fields, FARTHER)) > most
     return Leftover(rms, chi2, r2, best if r2 > 0.02 else None, bool(claim))
 
 
@@ -176,8 +176,8 @@ def allowed(search: Search, fit: Fit) -> float:
     record = search.problem.record
     moved = np.array([record.rms_mm(search.displacement(fit, e)) for e in fit.effects])
     roles, space = search.screening.roles, fit.space
-    beyond = {space.labels[i].split(".")[0] for i in space.free[_strengths_at_bound(fit)]}
-    off = [BEYOND if roles[e] == "shape" and e in beyond else FORMS.get(e, FORMS[roles[e]]) for e in fit.effects]
+    beyond = {space.labels[i].split(".")[0] for i in space.free[_fields_at_bound(search, fit)]}
+    off = [BEYOND if e in beyond else FORMS.get(e, FORMS[roles[e]]) for e in fit.effects]
     share = float(np.linalg.norm(np.array(off) * moved) / max(float(np.linalg.norm(moved)), 1e-300))
     static = 0.0 if record.static is None else record.rms_mm(record.static)  # a residual that was taken out
     explained = record.rms_mm(np.where(np.isfinite(record.seen), fit.predicted - search.null.predicted, np.nan))
@@ -196,9 +196,11 @@ def at_bound(fit: Fit) -> NDArray[np.bool_]:
     return np.asarray(~fit.space.integer & (ends[0] | ends[1]))
 
 
-def _strengths_at_bound(fit: Fit) -> NDArray[np.bool_]:
-    """Return which free parameters (P,) are strengths (absent at zero, on no log scale) at a bound."""
-    return np.asarray(at_bound(fit) & (fit.space.null == 0.0) & ~fit.space.log & fit.space.declared)
+def _fields_at_bound(search: Search, fit: Fit) -> NDArray[np.bool_]:
+    """Return which free parameters (P,) are amounts of a field (absent at zero, on no log scale) at a bound."""
+    space = fit.space
+    field = np.array([search.screening.roles[label.split(".")[0]] == "shape" for label in space.free_labels], bool)
+    return np.asarray(at_bound(fit) & field & (space.null == 0.0) & ~space.log & space.declared)
 
 
 def not_alone(search: Search, fit: Fit, left: Leftover) -> tuple[Fit, str] | None:

@@ -104,7 +104,7 @@ class Record:
             self.__dict__.pop(name, None)
 
     def some(self, rows: NDArray[np.intp]) -> Record:
-        """Return the same with some of its frames, `rows` rising: what they declare and their parameters are the same."""
+        """Return the same with some of its frames, `rows` rising; what it declares and its parameters stay."""
         few = copy(self)
         few._forget()
         few.run, few.frames = self.run.at(rows), len(rows)
