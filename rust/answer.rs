@@ -1,16 +1,16 @@
 //! How a body answers loads at a command: the weights of its fields, the changes of tension of its cables, and what large
-//! loads do beyond.
+//! ones do beyond.
 //!
 //! Loads (`loads.rs`) stretch the cables; the changes of tension that follow move the body as the loads do (`cables.rs`), and
-//! dead loads do more than their fields say (`second.rs`). What all three know of a command is read first (`at`): its *place*.
-//! Fields, stretches and second derivatives enter by sums, so that a body under the same loads at all commands is one with
-//! two loads, all dead ones and all changes of design (`under`): tens of numbers a place instead of hundreds.
+//! dead loads and changes of the modulus do more than their fields say (`second.rs`). What all three know of a command is read
+//! first (`at`): its *place*. Fields, stretches and second derivatives enter by sums, so that a body under the same loads at
+//! all commands is one with two or three loads (`under`): tens of numbers a place instead of hundreds.
 
 use crate::cables::Cables;
 use crate::complementarity::Problem;
 use crate::error::Result;
 use crate::grid::Nodes;
-use crate::loads::{FIELDS, LOADS};
+use crate::loads::{FIELDS, LOADS, MODULI};
 use crate::second::{MOST_TENDONS, Second};
 
 /// What a body has beside its fields.
@@ -18,9 +18,9 @@ use crate::second::{MOST_TENDONS, Second};
 pub struct Answer {
     pub cables: Option<Cables>,
     pub second: Option<Second>,
-    /// Number of loads and changes of design, and how many of the first are dead loads.
+    /// Number of loads and changes of design, and of how many of the first more is known than their fields.
     loads: usize,
-    dead: usize,
+    known: usize,
 }
 
 /// What is in work at a place.
@@ -35,22 +35,38 @@ impl Answer {
     /// The answer to `loads.rs`' loads.
     pub fn new(cables: Option<Cables>, second: Option<Second>) -> Answer {
         Answer {
+            loads: FIELDS.len(),
+            known: second.as_ref().map_or(LOADS, Second::known),
             cables,
             second,
-            loads: FIELDS.len(),
-            dead: LOADS,
         }
     }
 
-    /// The same with two loads, which are `loads` (FIELDS,) of its own: dead ones, changes of design.
-    pub fn under(&self, loads: &[&[f64]; 2]) -> Result<Answer> {
-        let cables = self.cables.as_ref().map(|cables| cables.under(loads));
+    /// The amounts (FIELDS,) that a body under `loads` (FIELDS,) takes for its few: the dead loads, the changes of the modulus
+    /// if there are any of which the second level knows, and the other changes of design.
+    pub fn few(&self, loads: &[f64]) -> Vec<Vec<f64>> {
+        let ends = [0, LOADS, self.known, FIELDS.len()];
+        let some = ends.windows(2).map(|w| {
+            let mut some = vec![0.0; FIELDS.len()];
+            some[w[0]..w[1]].copy_from_slice(&loads[w[0]..w[1]]);
+            some
+        });
+        let mut few: Vec<Vec<f64>> = some.collect();
+        if few[1].iter().all(|p| *p == 0.0) {
+            few.remove(1);
+        }
+        few
+    }
+
+    /// The same with few loads, which are `few(loads)` of its own.
+    pub fn under(&self, few: &[&[f64]], loads: &[f64]) -> Result<Answer> {
+        let cables = self.cables.as_ref().map(|cables| cables.under(few));
         let second = self.second.as_ref();
         Ok(Answer {
             cables: cables.transpose()?,
-            second: second.map(|second| second.under(&loads[0][..self.dead])),
-            loads: loads.len(),
-            dead: 1,
+            second: second.map(|second| second.under(&loads[..self.known])),
+            loads: few.len(),
+            known: few.len() - 1,
         })
     }
 
@@ -68,7 +84,7 @@ impl Answer {
         self.split() + self.second.as_ref().map_or(0, Second::size)
     }
 
-    /// The place at a command: what the cables are like there, then what loads that are `there` do beyond their fields.
+    /// The place at a command: what the cables are like there, then what loads and moduli that are `there` do beyond their fields.
     pub fn at(
         &self,
         u: &[f64],
@@ -111,16 +127,16 @@ impl Answer {
         let acts = gives != 0.0 || loads.iter().any(|c| *c != 0.0);
         let (change, modes) = rest.split_at_mut(self.tendons());
         let cables = self.cables_at(place).filter(|_| acts);
-        let large = gives != 0.0 || loads[..self.dead].iter().any(|c| *c != 0.0);
+        let large = gives != 0.0 || loads[..self.known].iter().any(|c| *c != 0.0);
         if let (Some(known), true) = (&self.second, large) {
-            let mut amount = [0.0; LOADS + MOST_TENDONS];
-            let amount = &mut amount[..self.dead + change.len()];
-            amount[..self.dead].copy_from_slice(&loads[..self.dead]);
+            let mut amount = [0.0; LOADS + MODULI + MOST_TENDONS];
+            let amount = &mut amount[..self.known + change.len()];
+            amount[..self.known].copy_from_slice(&loads[..self.known]);
             if let Some((cables, at)) = cables {
                 let mut alone = [0.0; FIELDS.len()];
-                alone[..self.dead].copy_from_slice(&loads[..self.dead]);
+                alone[..self.known].copy_from_slice(&loads[..self.known]);
                 cables.answer(at, &alone[..self.loads], gives, &[], change, problem);
-                amount[self.dead..].copy_from_slice(change);
+                amount[self.known..].copy_from_slice(change);
             }
             beyond.resize(known.tendons(), 0.0);
             known.beyond(&place[self.split()..], amount, modes, beyond);

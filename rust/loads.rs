@@ -58,6 +58,8 @@ pub const PUSH: usize = ROUTING + PHASES;
 pub const LOADS: usize = STIFF;
 /// Stretches of the body that have a modulus of their own.
 pub const HATS: usize = 7;
+/// Fields of the modulus, from [`STIFF`] on.
+pub const MODULI: usize = CURVE - STIFF;
 /// Commands whose tendons have a phase.
 pub const PHASES: usize = 3;
 /// Where along the body, as shares of its height, an obstacle can push it; on the last one by the force on the tip.

@@ -6,8 +6,8 @@
 //! effects add, loads and changes of design alike; a prior whose stiffness is not known leaves the known physics out, and the effects find it. ΔT(t) is how the cables' tensions answer those loads (`cables.rs`); a prior without cables, a rod, has none.
 //!
 //! Parameter sets that agree in all channel effects share their shapes: in a Jacobian, steps in shape and sensing parameters
-//! cost next to nothing. What loads do beyond their fields comes from `second.rs`, where the prior has it. Limits: changes of design
-//! are answered linearly.
+//! cost next to nothing. What loads and changes of the modulus do beyond their fields comes from `second.rs`, where the
+//! prior has it. Limits: other changes of design are answered linearly.
 
 use crate::answer::{self, Answer};
 use crate::cables::Cables;
@@ -16,7 +16,7 @@ use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
 use crate::fields::Fields;
 use crate::grid::Nodes;
-use crate::loads::{CONTACT, FIELDS, LOADS, TENDON, name};
+use crate::loads::{CONTACT, CURVE, FIELDS, TENDON, name};
 use crate::room::zeros;
 use crate::second::Second;
 use crate::shape::Shape;
@@ -300,7 +300,7 @@ impl Predictor {
                     field,
                     work,
                 } = scratch;
-                let there: [bool; LOADS] = std::array::from_fn(|f| loads[f] != 0.0);
+                let there: [bool; CURVE] = std::array::from_fn(|f| loads[f] != 0.0);
                 self.answer.at(u, nodes, &there, place, work);
                 self.answer
                     .weigh(&loads[..TENDON], loads[TENDON], place, weights, work);

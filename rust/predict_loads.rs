@@ -1,7 +1,7 @@
 //! What loads the body in one call, and bodies of their own for loads that recur.
 //!
 //! A run declares few directions of gravity and few weights, and most shape effects add the same at every frame: hundreds of
-//! frames of a set share their coefficients. Under loads that recur the body answers as one with two loads, all dead ones and
+//! frames of a set share their coefficients. Under loads that recur the body answers as one with few loads, all dead ones and
 //! all changes of design (`answer.rs`), at a third of the price and with the same answer but for round-off. Which frames do
 //! is each set's own affair, so that a set's numbers do not depend on what is asked with it.
 
@@ -10,7 +10,7 @@ use super::{NEGLIGIBLE, Predictor, Scratch};
 use crate::answer::Answer;
 use crate::error::Result;
 use crate::fields::Fields;
-use crate::loads::{CONTACT, Coefficients, FIELDS, GRAVITY, LOADS, TENDON, TIP_FORCE, weight};
+use crate::loads::{CONTACT, Coefficients, FIELDS, GRAVITY, TENDON, TIP_FORCE, weight};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -25,11 +25,12 @@ fn key(loads: &Coefficients) -> Key {
     loads.map(f64::to_bits)
 }
 
-/// The body under certain loads: the dead ones are its first load, changes of design its second.
+/// The body under certain loads, which are a few of its own: how much of each there is, all of it or none.
 pub struct Loaded {
     fields: Fields,
     answer: Answer,
-    amount: [f64; 2],
+    amount: Vec<f64>,
+    there: Vec<bool>,
     gives: f64,
 }
 
@@ -39,7 +40,8 @@ impl Loaded {
         let place = &mut scratch.place[..self.answer.size()];
         let weights = &mut scratch.weights[..self.fields.count()];
         let nodes = &mut scratch.nodes;
-        self.answer.at(u, nodes, &[true], place, &mut scratch.work);
+        self.answer
+            .at(u, nodes, &self.there, place, &mut scratch.work);
         self.answer
             .weigh(&self.amount, self.gives, place, weights, &mut scratch.work);
         self.fields.add(u, nodes, weights, &mut scratch.field, out);
@@ -134,18 +136,20 @@ impl Predictor {
         if let Some(body) = kept().get(&key(loads)) {
             return Ok(Some(body.clone()));
         }
-        let (mut dead, mut design) = ([0.0; FIELDS.len()], [0.0; FIELDS.len()]);
-        dead[..LOADS].copy_from_slice(&loads[..LOADS]);
-        design[LOADS..].copy_from_slice(&loads[LOADS..FIELDS.len()]);
-        let both = [&dead[..], &design[..]];
-        let Some(fields) = self.body.fields.under(&both) else {
+        let few = self.answer.few(&loads[..FIELDS.len()]);
+        let few: Vec<&[f64]> = few.iter().map(Vec::as_slice).collect();
+        let Some(fields) = self.body.fields.under(&few) else {
             return Ok(None);
         };
-        let there = |loads: &[f64]| f64::from(loads.iter().any(|c| *c != 0.0));
+        let there: Vec<bool> = few
+            .iter()
+            .map(|one| one.iter().any(|c| *c != 0.0))
+            .collect();
         let body = Arc::new(Loaded {
             fields,
-            answer: self.answer.under(&both)?,
-            amount: both.map(there),
+            answer: self.answer.under(&few, loads)?,
+            amount: there.iter().map(|there| f64::from(*there)).collect(),
+            there,
             gives: loads[TENDON],
         });
         let mut kept = kept();

@@ -1,18 +1,23 @@
-//! The second level of loads: what a large one does beyond its field, and beyond the stretch of the cables that goes with it.
+//! The second level: what large loads and large changes of the modulus do beyond their fields, and beyond the stretch of the
+//! cables that goes with them.
 //!
-//! Places x and cable lengths L are functions without kinks of λ, the dead loads c (g, N) and the changes ΔT of the tensions
-//! (N). With their second derivatives x_kl, L_kl (`fem/bend.rs`), beyond the fields come
+//! Places x and cable lengths L are functions without kinks of λ: the dead loads c (g, N), the changes p of the logarithm of
+//! the modulus (`stiff_0 … stiff_6`, `stiff_x|y`), and the changes ΔT of the tensions (N). With their second derivatives
+//! x_kl, L_kl (`fem/bend.rs`), beyond the fields come
 //!   δx = ½ f Σ λ_k λ_l x_kl,   δL = ½ f Σ λ_k λ_l L_kl,   f = 1/(1 − ½ Σ g_k λ_k),
-//! g_k the share by which the answers grow for a unit of λ_k: weight that hangs on a body stiffens it, and the terms of its
-//! series fall about as powers do, so that f stands for all that follow the second (Padé). λ takes for ΔT what the cables
-//! answer to c with the fields alone, which is right to second order; δL then joins their stretch (`cables.rs`), whatever
-//! else they answer. What x_kl makes of a body are a few modes, each a field of its own.
-//! On the built-in finger 60 g are right to 7 % of what they move, 12 to 26 % without (tests/test_second_level.py).
-//! Limits: changes of design, and pushes, stay linear beside it.
+//! g_k the share by which the answers to loads grow for a unit of λ_k: weight that hangs on a body stiffens it, and the terms
+//! of its series fall about as powers do, so that f stands for all that follow the second (Padé). λ takes for ΔT what the
+//! cables answer to c and p with the fields alone, which is right to second order; δL then joins their stretch (`cables.rs`),
+//! whatever else they answer. What x_kl makes of a body are a few modes, each a field of its own.
+//! Pairs among loads and tensions stand by themselves, those with a modulus in a table of their own, which costs nothing
+//! where the modulus is as it was; a body may lack it, and then answers changes of its modulus linearly.
+//! On the built-in finger 60 g are right to 7 % of what they move, 12 to 26 % without; a section half as stiff in a finger
+//! that leans to 5 %, 31 to 41 % without (tests/test_second_level.py).
+//! Limits: curvature at rest, twist and routing, and pushes, stay linear beside it.
 
 use crate::error::{Result, invalid};
-use crate::grid::{Grid, Nodes};
-use crate::loads::LOADS;
+use crate::grid::{Carry, Grid, Nodes};
+use crate::loads::{LOADS, MODULI};
 use crate::modes::{Modes, accumulate, wide};
 use crate::shape::Shape;
 use crate::table::Table;
@@ -24,29 +29,96 @@ pub const MOST_TENDONS: usize = 64;
 /// Least and greatest of ½ Σ g_k λ_k: beyond, loads are not in the reach of a second order.
 const GROWTH: (f64, f64) = (-0.9, 0.3);
 
-/// Second derivatives of a prior by loads and tensions, over a grid of commands.
+/// Second derivatives of a prior by loads, moduli and tensions, over a grid of commands.
 #[derive(Clone)]
 pub struct Second {
     grid: Grid,
-    /// For each node: of every pair its mode weights (m,), then its stretch (n,) mm; then g_k of every cause.
-    numbers: Vec<f64>,
+    /// Pairs of loads and tensions, then those with a modulus.
+    parts: [Part; 2],
     tendons: usize,
     modes: Modes,
-    /// Number of loads that are causes.
+    /// Number of loads and of moduli that are causes.
     loads: usize,
+    moduli: usize,
 }
 
-/// The pairs k ≤ l of `causes`, row by row.
-fn pairs(causes: usize) -> impl Iterator<Item = (usize, usize)> {
-    (0..causes).flat_map(move |k| (k..causes).map(move |l| (k, l)))
+/// Some of the pairs of causes.
+#[derive(Clone, Default)]
+struct Part {
+    /// For each node: of every pair its mode weights (m,), then its stretch (n,) mm; then g_k of its own causes.
+    numbers: Vec<f64>,
+    /// Pairs of causes, and whose growth it has: numbers among loads, then moduli, then tensions.
+    pairs: Vec<(usize, usize)>,
+    own: Vec<usize>,
+}
+
+impl Part {
+    /// The pairs of loads and tensions, and those with a modulus: of each with loads, tensions and moduli from itself on.
+    fn both(loads: usize, moduli: usize, tendons: usize) -> [Part; 2] {
+        let plain: Vec<usize> = (0..loads)
+            .chain(loads + moduli..loads + moduli + tendons)
+            .collect();
+        let rows = |own: &[usize], k: usize| own.iter().map(move |l| (k, *l)).collect::<Vec<_>>();
+        let among = (0..plain.len()).flat_map(|k| rows(&plain[k..], plain[k]));
+        let own: Vec<usize> = (loads..loads + moduli).collect();
+        let with =
+            (0..moduli).flat_map(|i| [rows(&plain, own[i]), rows(&own[i..], own[i])].concat());
+        let part = |pairs, own| Part {
+            numbers: vec![],
+            pairs,
+            own,
+        };
+        [
+            part(among.collect(), plain.clone()),
+            part(with.collect(), own.clone()),
+        ]
+    }
+
+    /// Numbers of a node, for blocks of so many a pair.
+    fn size(&self, block: usize) -> usize {
+        self.pairs.len() * block + self.own.len()
+    }
+
+    /// The numbers at a command, of those pairs only whose causes act.
+    fn at(&self, block: usize, carry: &Carry, acts: impl Fn(usize) -> bool, out: &mut [f64]) {
+        out.fill(0.0);
+        if self.pairs.iter().all(|(k, l)| acts(*k) && acts(*l)) {
+            return wide(
+                #[inline(always)]
+                || carry.blend(&self.numbers, 1.0, out),
+            );
+        }
+        let mut wanted: Vec<Range<usize>> = vec![];
+        for (p, (k, l)) in self.pairs.iter().enumerate() {
+            match wanted.last_mut() {
+                _ if !(acts(*k) && acts(*l)) => {}
+                Some(range) if range.end == p * block => range.end += block,
+                _ => wanted.push(p * block..(p + 1) * block),
+            }
+        }
+        let size = out.len();
+        wanted.push(self.pairs.len() * block..size);
+        wide(
+            #[inline(always)]
+            || {
+                for (node, share) in carry.nodes() {
+                    let row = &self.numbers[node * size..(node + 1) * size];
+                    for range in &wanted {
+                        accumulate(&mut out[range.clone()], &row[range.clone()], *share);
+                    }
+                }
+            },
+        );
+    }
 }
 
 impl Second {
-    /// `numbers` (nodes, P·(m + n) + LOADS + n) over the grid of `axes`, for `tendons` n that answer (0: none does), and
-    /// `modes` (m, M).
+    /// `numbers` (nodes, P·(m + n) + LOADS + n) over the grid of `axes`, for `tendons` n that answer (0: none does), `moduli`
+    /// (nodes, Q·(m + n) + MODULI) of the pairs with a modulus, or nothing, and `modes` (m, M).
     pub fn new(
         axes: Vec<Vec<f64>>,
         numbers: Vec<f64>,
+        moduli: Vec<f64>,
         tendons: usize,
         modes: Vec<f64>,
         size: usize,
@@ -57,27 +129,32 @@ impl Second {
                 "the second level of loads of {tendons} tendons; up to {MOST_TENDONS} are allowed"
             )));
         }
-        if numbers.iter().chain(&modes).any(|value| !value.is_finite()) {
+        let all = numbers.iter().chain(&moduli).chain(&modes);
+        if all.into_iter().any(|value| !value.is_finite()) {
             return Err(invalid(
                 "the second level of loads holds a number that is not finite; build the model again",
             ));
         }
-        let second = Second {
+        let count = if moduli.is_empty() { 0 } else { MODULI };
+        let mut second = Second {
             grid,
-            numbers,
+            parts: Part::both(LOADS, count, tendons),
             tendons,
             modes: Modes::new(vec![0.0; size], modes)?,
             loads: LOADS,
+            moduli: count,
         };
-        let wanted = second.size().checked_mul(second.grid.nodes());
-        if Some(second.numbers.len()) != wanted {
-            return Err(invalid(format!(
-                "the second level of loads of {} nodes, {tendons} tendons and {} modes needs {} numbers a node, got {} in all",
-                second.grid.nodes(),
-                second.modes.count(),
-                second.size(),
-                second.numbers.len()
-            )));
+        let (block, nodes) = (second.block(), second.grid.nodes());
+        for (part, numbers) in second.parts.iter_mut().zip([numbers, moduli]) {
+            let wanted = part.size(block);
+            if Some(numbers.len()) != wanted.checked_mul(nodes) {
+                return Err(invalid(format!(
+                    "the second level of loads of {nodes} nodes, {tendons} tendons and {} modes needs {wanted} numbers a node, got {} in all",
+                    block - tendons,
+                    numbers.len()
+                )));
+            }
+            part.numbers = numbers;
         }
         Ok(second)
     }
@@ -90,40 +167,78 @@ impl Second {
         })
     }
 
-    /// The same under a single load, which is `amount` (loads,) of its own.
+    /// Number of loads and moduli that it knows.
+    pub fn known(&self) -> usize {
+        self.loads + self.moduli
+    }
+
+    /// The same under a single load, which is `amount` (loads + moduli,) of its own, and a single change of the modulus likewise,
+    /// if there is any.
     pub fn under(&self, amount: &[f64]) -> Second {
-        let (block, size) = (self.block(), self.size());
-        let mut one = Second {
-            loads: 1,
-            numbers: vec![],
-            ..self.clone()
-        };
-        let (width, causes) = (one.size(), one.causes());
+        let moduli = usize::from(amount[self.loads..].iter().any(|p| *p != 0.0));
+        let mut parts = Part::both(1, moduli, self.tendons);
+        let (block, few) = (self.block(), 1 + moduli);
         // The cause that a cause of many becomes, and how much of it there is.
-        let becomes = |k: usize| match k.checked_sub(self.loads) {
-            Some(tendon) => (1 + tendon, 1.0),
-            None => (0, amount[k]),
+        let becomes = |k: usize| match k.checked_sub(self.known()) {
+            Some(tendon) => (few + tendon, 1.0),
+            None => (usize::from(k >= self.loads), amount[k]),
         };
-        let place = |k: usize, l: usize| k * causes - k * (k + 1) / 2 + l;
-        one.numbers = vec![0.0; self.grid.nodes() * width];
-        let rows = self.numbers.chunks_exact(size);
-        for (row, out) in rows.zip(one.numbers.chunks_exact_mut(width)) {
-            for ((k, l), pair) in pairs(self.causes()).zip(row.chunks_exact(block.max(1))) {
-                let ((a, x), (b, y)) = (becomes(k), becomes(l));
-                // Of two loads that become one, both orders count.
+        let sizes = parts.each_ref().map(|part| part.size(block));
+        for (part, size) in parts.iter_mut().zip(sizes) {
+            part.numbers = vec![0.0; self.grid.nodes() * size];
+        }
+        for part in &self.parts {
+            let many = part.size(block).max(1);
+            let mut add = |to: (usize, usize), from: usize, width: usize, times: f64| {
+                let (which, start) = to;
+                let rows = parts[which].numbers.chunks_exact_mut(sizes[which].max(1));
+                for (row, out) in part.numbers.chunks_exact(many).zip(rows) {
+                    accumulate(
+                        &mut out[start..start + width],
+                        &row[from..from + width],
+                        times,
+                    );
+                }
+            };
+            let plan = Part::both(1, moduli, self.tendons);
+            let place = |sought: (usize, usize)| {
+                let turned = (sought.1, sought.0);
+                let found =
+                    |part: &Part| part.pairs.iter().position(|p| *p == sought || *p == turned);
+                plan.iter()
+                    .map(found)
+                    .enumerate()
+                    .find_map(|(w, p)| Some((w, p? * block)))
+            };
+            for (p, (k, l)) in part.pairs.iter().enumerate() {
+                let ((a, x), (b, y)) = (becomes(*k), becomes(*l));
+                // Of two causes that become one, both orders count.
                 let orders = if a == b && k != l { 2.0 } else { 1.0 };
-                if x * y != 0.0 {
-                    let start = place(a, b) * block;
-                    accumulate(&mut out[start..start + block], pair, orders * x * y);
+                if let (Some(to), true) = (place((a, b)), x * y != 0.0) {
+                    add(to, p * block, block, orders * x * y);
                 }
             }
-            let growth = row[size - self.causes()..].iter().enumerate();
-            for (k, g) in growth {
-                let (a, x) = becomes(k);
-                out[width - causes + a] += g * x;
+            for (i, k) in part.own.iter().enumerate() {
+                let (a, x) = becomes(*k);
+                let found = |part: &Part| {
+                    Some(part.pairs.len() * block + part.own.iter().position(|o| *o == a)?)
+                };
+                let to = plan
+                    .iter()
+                    .map(found)
+                    .enumerate()
+                    .find_map(|(w, p)| Some((w, p?)));
+                if let (Some(to), true) = (to, x != 0.0) {
+                    add(to, part.pairs.len() * block + i, 1, x);
+                }
             }
         }
-        one
+        Second {
+            parts,
+            loads: 1,
+            moduli,
+            ..self.clone()
+        }
     }
 
     /// Number of commands.
@@ -156,74 +271,57 @@ impl Second {
         self.modes.rows().chunks_exact(size).map(constant).collect()
     }
 
-    fn causes(&self) -> usize {
-        self.loads + self.tendons
-    }
-
     fn block(&self) -> usize {
         self.modes.count() + self.tendons
     }
 
     /// Numbers that `at` writes.
     pub fn size(&self) -> usize {
-        let causes = self.causes();
-        causes * (causes + 1) / 2 * self.block() + causes
+        self.parts.iter().map(|part| part.size(self.block())).sum()
     }
 
-    /// The numbers at a command, of those pairs only whose loads are `there`.
+    /// The numbers at a command, of those pairs only whose loads and moduli are `there`; without a modulus the second part of
+    /// `out` is left as it is.
     pub fn at(&self, u: &[f64], nodes: &mut Nodes, there: &[bool], out: &mut [f64]) {
-        let (block, size, causes) = (self.block(), self.size(), self.causes());
         let carry = nodes.of(&self.grid, u);
-        let acts = |cause: usize| cause >= self.loads || there[cause];
-        if (0..causes).all(acts) {
-            out.fill(0.0);
-            return wide(
-                #[inline(always)]
-                || carry.blend(&self.numbers, 1.0, out),
-            );
+        let acts = |cause: usize| cause >= self.known() || there[cause];
+        let [plain, with] = &self.parts;
+        let (first, second) = out.split_at_mut(plain.size(self.block()));
+        plain.at(self.block(), carry, acts, first);
+        if there[self.loads..self.known()].contains(&true) {
+            with.at(self.block(), carry, acts, second);
         }
-        out.fill(0.0);
-        let mut wanted: Vec<Range<usize>> = vec![];
-        for (p, (k, l)) in pairs(causes).enumerate() {
-            match wanted.last_mut() {
-                _ if !(acts(k) && acts(l)) => {}
-                Some(range) if range.end == p * block => range.end += block,
-                _ => wanted.push(p * block..(p + 1) * block),
-            }
-        }
-        wide(
-            #[inline(always)]
-            || {
-                for (node, share) in carry.nodes() {
-                    let row = &self.numbers[node * size..(node + 1) * size];
-                    for range in &wanted {
-                        accumulate(&mut out[range.clone()], &row[range.clone()], *share);
-                    }
-                    accumulate(&mut out[size - causes..], &row[size - causes..], *share);
-                }
-            },
-        );
     }
 
-    /// What λ (loads, then changes of tension) does beyond its fields, at what `at` wrote: the weights (m,) of the modes, and
-    /// how far (mm) each cable (n,) is stretched; both are added.
+    /// What λ (loads, moduli, then changes of tension) does beyond its fields, at what `at` wrote: the weights (m,) of the modes,
+    /// and how far (mm) each cable (n,) is stretched; both are added.
     pub fn beyond(&self, here: &[f64], amount: &[f64], weights: &mut [f64], stretch: &mut [f64]) {
-        let causes = self.causes();
-        let factor = factor(&here[here.len() - causes..], amount);
-        for ((k, l), row) in pairs(causes).zip(here.chunks_exact(self.block().max(1))) {
-            let share = factor * amount[k] * amount[l] * if k == l { 0.5 } else { 1.0 };
-            if share != 0.0 {
-                let (moved, longer) = row.split_at(self.modes.count());
-                accumulate(weights, moved, share);
-                accumulate(stretch, longer, share);
+        let [plain, with] = &self.parts;
+        let (first, second) = here.split_at(plain.size(self.block()));
+        let acts = amount[self.loads..self.known()].iter().any(|p| *p != 0.0);
+        let parts = [(plain, first), (with, second)];
+        let parts = &parts[..if acts { 2 } else { 1 }];
+        let factor = factor(parts.iter().flat_map(|(part, here)| {
+            let growth = &here[here.len() - part.own.len()..];
+            growth.iter().zip(&part.own).map(|(g, k)| g * amount[*k])
+        }));
+        for (part, here) in parts {
+            let rows = here.chunks_exact(self.block().max(1));
+            for ((k, l), row) in part.pairs.iter().zip(rows) {
+                let share = factor * amount[*k] * amount[*l] * if k == l { 0.5 } else { 1.0 };
+                if share != 0.0 {
+                    let (moved, longer) = row.split_at(self.modes.count());
+                    accumulate(weights, moved, share);
+                    accumulate(stretch, longer, share);
+                }
             }
         }
     }
 }
 
-/// f
-fn factor(growth: &[f64], amount: &[f64]) -> f64 {
-    let sum: f64 = growth.iter().zip(amount).map(|(g, a)| g * a).sum();
+/// f, from all g_k λ_k.
+fn factor(grown: impl Iterator<Item = f64>) -> f64 {
+    let sum: f64 = grown.sum();
     1.0 / (1.0 - (0.5 * sum).clamp(GROWTH.0, GROWTH.1))
 }
 
@@ -231,31 +329,48 @@ fn factor(growth: &[f64], amount: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
+    /// Number of causes with one tendon.
+    const ALL: usize = LOADS + MODULI + 1;
+
     /// One tendon, one mode; x_kl = 1 + k + l, L_kl = −k·l, along one axis twice that at its far end.
-    fn second(growth: f64) -> Second {
-        let causes = LOADS + 1;
-        let node = |scale: f64| {
-            let both = pairs(causes)
-                .flat_map(move |(k, l)| [scale * (1 + k + l) as f64, -scale * (k * l) as f64]);
-            both.chain(vec![growth; causes]).collect::<Vec<_>>()
+    fn second(growth: f64, moduli: bool) -> Second {
+        let count = if moduli { MODULI } else { 0 };
+        let [plain, with] = Part::both(LOADS, count, 1);
+        let node = |part: &Part, scale: f64| {
+            let pairs = part.pairs.iter();
+            let both =
+                pairs.flat_map(move |(k, l)| [scale * (1 + k + l) as f64, -scale * (k * l) as f64]);
+            both.chain(vec![growth; part.own.len()]).collect::<Vec<_>>()
         };
-        let numbers = [node(1.0), node(2.0)].concat();
-        Second::new(vec![vec![0.0, 1.0]], numbers, 1, vec![1.0, -2.0], 2).unwrap()
+        let nodes = |part: &Part| [node(part, 1.0), node(part, 2.0)].concat();
+        let axes = vec![vec![0.0, 1.0]];
+        let further = if moduli { nodes(&with) } else { vec![] };
+        Second::new(axes, nodes(&plain), further, 1, vec![1.0, -2.0], 2).unwrap()
     }
 
     #[test]
     fn amounts_add_their_quadratic_form_times_what_follows_it() {
-        let amount = [0.0, 0.5, 0.0, 0.0, 0.2, 0.0, -0.3];
-        let there: [bool; LOADS] = std::array::from_fn(|k| amount[k] != 0.0);
-        let form = |of: fn(usize, usize) -> f64| -> f64 {
-            let all = (0..7).flat_map(|k| (0..7).map(move |l| (k, l)));
-            all.map(|(k, l)| 0.5 * amount[k] * amount[l] * of(k, l))
-                .sum()
-        };
+        let (mut loaded, mut softer) = ([0.0; ALL], [0.0; ALL]);
+        (loaded[1], loaded[4], loaded[ALL - 1]) = (0.5, 0.2, -0.3);
+        (softer[LOADS + 2], softer[LOADS + 3], softer[ALL - 1]) = (0.4, -0.1, 0.1);
+        let mut both = softer;
+        (both[1], both[4]) = (0.3, -0.3);
         // Growth 0.8 and amounts that sum to 0.4: f = 1/(1 − 0.16). At 0.5 all second derivatives are 1.5 times as large.
-        for (growth, f) in [(0.0, 1.0), (0.8, 1.0 / 0.84)] {
-            let second = second(growth);
-            let (mut here, mut weights) = (vec![0.0; second.size()], [0.0]);
+        for (amount, growth, f) in [
+            (loaded, 0.0, 1.0),
+            (loaded, 0.8, 1.0 / 0.84),
+            (softer, 0.0, 1.0),
+            (softer, 0.8, 1.0 / 0.84),
+            (both, 0.8, 1.0 / 0.84),
+        ] {
+            let form = |of: fn(usize, usize) -> f64| -> f64 {
+                let all = (0..ALL).flat_map(|k| (0..ALL).map(move |l| (k, l)));
+                all.map(|(k, l)| 0.5 * amount[k] * amount[l] * of(k, l))
+                    .sum()
+            };
+            let there: [bool; LOADS + MODULI] = std::array::from_fn(|k| amount[k] != 0.0);
+            let second = second(growth, true);
+            let (mut here, mut weights) = (vec![7.0; second.size()], [0.0]);
             second.at(&[0.5], &mut Nodes::default(), &there, &mut here);
             let mut stretch = [0.0];
             second.beyond(&here, &amount, &mut weights, &mut stretch);
@@ -263,30 +378,57 @@ mod tests {
             let longer = 1.5 * f * form(|k, l| -((k * l) as f64));
             assert!((weights[0] - moved).abs() < 1e-12 && (stretch[0] - longer).abs() < 1e-12);
             assert!(moved.abs() > 0.01 && longer.abs() > 0.01);
-            let one = second.under(&amount[..LOADS]);
+            let one = second.under(&amount[..LOADS + MODULI]);
             let (mut here, mut again, mut stretched) = (vec![0.0; one.size()], [0.0], [0.0]);
-            one.at(&[0.5], &mut Nodes::default(), &[true], &mut here);
-            one.beyond(&here, &[1.0, amount[LOADS]], &mut again, &mut stretched);
+            one.at(
+                &[0.5],
+                &mut Nodes::default(),
+                &[true; 2][..one.known()],
+                &mut here,
+            );
+            let few = [&[1.0; 2][..one.known()], &[amount[ALL - 1]]].concat();
+            one.beyond(&here, &few, &mut again, &mut stretched);
             assert!((again[0] - moved).abs() < 1e-12 && (stretched[0] - longer).abs() < 1e-12);
         }
     }
 
     #[test]
     fn modes_are_fields_seen_through_a_map_and_sizes_that_do_not_fit_are_refused() {
-        let seen = second(0.0)
+        let seen = second(0.0, false)
             .project(&[1.0, 0.0, 1.0, 0.5, 0.0, 1.0], 3)
             .unwrap();
         let mut out = [0.0; 3];
         seen.fields().unwrap()[0].eval(&[0.3], &mut out);
         assert_eq!(out, [0.0, 0.0, -1.0]);
-        let new = |numbers: usize, tendons: usize| {
-            let axes = vec![vec![0.0, 1.0]];
-            Second::new(axes, vec![0.0; numbers], tendons, vec![1.0, -2.0], 2)
-        };
-        assert!(new(2 * 63, 1).is_ok());
-        assert!(
-            new(2 * 63 - 1, 1).is_err() && new(2 * 63, 2).is_err() && new(2, usize::MAX).is_err()
+        assert_eq!(
+            (seen.known(), second(0.0, true).known()),
+            (LOADS, LOADS + MODULI)
         );
-        assert!(Second::new(vec![], vec![f64::NAN; 27], 0, vec![1.0], 1).is_err());
+        let new = |numbers: usize, moduli: usize, tendons: usize| {
+            let axes = vec![vec![0.0, 1.0]];
+            Second::new(
+                axes,
+                vec![0.0; numbers],
+                vec![0.0; moduli],
+                tendons,
+                vec![1.0, -2.0],
+                2,
+            )
+        };
+        // Seven causes and nine moduli, of which 28 and 63 + 45 pairs of two numbers each.
+        assert!(new(2 * 63, 0, 1).is_ok() && new(2 * 63, 2 * 225, 1).is_ok());
+        assert!(
+            new(2 * 63 - 1, 0, 1).is_err()
+                && new(2 * 63, 2 * 225 - 1, 1).is_err()
+                && new(2 * 63, 0, 2).is_err()
+                && new(2, 0, usize::MAX).is_err()
+        );
+        let one = |numbers: f64, moduli: f64| {
+            let moduli = vec![moduli; 99 + 9];
+            Second::new(vec![], vec![numbers; 27], moduli, 0, vec![1.0], 1)
+        };
+        assert!(
+            one(0.0, 0.0).is_ok() && one(f64::NAN, 0.0).is_err() && one(0.0, f64::NAN).is_err()
+        );
     }
 }

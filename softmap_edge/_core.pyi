@@ -19,6 +19,7 @@ __all__ = [
     "ElasticRod",
     "FIELDS",
     "LOADS",
+    "MODULI",
     "STATIONS",
     "Mesh",
     "Predictor",
@@ -107,6 +108,7 @@ class Sum(Shape):
 
 FIELDS: list[str]
 LOADS: list[str]
+MODULI: list[str]
 STATIONS: list[float]
 STANDARD_GRAVITY: float  # m/s², N/kg
 
@@ -204,7 +206,14 @@ class Cables:
 
 @final
 class Second:
-    def __new__(cls, axes: Sequence[_Floats], numbers: _Floats, tendons: int, modes: _Floats) -> Self: ...
+    def __new__(
+        cls,
+        axes: Sequence[_Floats],
+        numbers: _Floats,
+        tendons: int,
+        modes: _Floats,
+        moduli: _Floats | None = None,
+    ) -> Self: ...
     def project(self, weights: _Floats) -> Second: ...
 
 @final

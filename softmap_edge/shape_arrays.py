@@ -92,8 +92,9 @@ def _stretch(fields: Mapping[str, NDArray[np.generic]]) -> NDArray[np.float64]:
 
 
 def second_from(fields: Mapping[str, NDArray[np.generic]]) -> _core.Second | None:
-    """Return what loads do beyond their fields, stored as `second_…`: weights (S, P, m), stretch (S, P, T) and growth
-    (S, L + T) over its own axes, modes (m, M) made of the `modes` of the fields; None for a bundle without it.
+    """Return what loads and moduli do beyond their fields, stored as `second_…`: weights (S, P, m), stretch (S, P, T)
+    and growth (S, L + T) over its own axes, modes (m, M) made of the `modes` of the fields; None for a bundle without
+    it. Those of pairs with a modulus, `second_moduli_…`, may be absent.
     """
     if "second_weights" not in fields:
         return None
@@ -105,9 +106,26 @@ def second_from(fields: Mapping[str, NDArray[np.generic]]) -> _core.Second | Non
     }
     modes = numbers["modes"] @ np.asarray(whole["modes"], np.float64)
     axes = [numbers[f"axis{c}"] for c in range(sum(name.startswith("axis") for name in numbers))]
-    pairs = np.concatenate([numbers["weights"], numbers["stretch"]], axis=2).reshape(len(numbers["growth"]), -1)
-    both = np.concatenate([pairs, numbers["growth"]], axis=1)
-    return _core.Second(axes, both, numbers["stretch"].shape[2], modes)
+
+    def rows(of: str) -> NDArray[np.float64]:
+        weights, stretch, growth = (numbers[of + what] for what in ("weights", "stretch", "growth"))
+        pairs = np.concatenate([weights, stretch], axis=2).reshape(len(growth), -1)
+        return np.concatenate([pairs, growth], axis=1)
+
+    moduli = rows("moduli_") if "moduli_weights" in numbers else None
+    return _core.Second(axes, rows(""), numbers["stretch"].shape[2], modes, moduli)
+
+
+def pairs_of(loads: int, moduli: int, tensions: int) -> dict[str, tuple[list[tuple[int, int]], list[int]]]:
+    """Return the pairs of causes (loads, then moduli, then tensions) as `_core.Second` takes them, and whose growth
+    goes with them: pairs among loads and tensions, then of each modulus with all of these and moduli from itself on.
+    """
+    plain = [*range(loads), *range(loads + moduli, loads + moduli + tensions)]
+    own = list(range(loads, loads + moduli))
+    return {
+        "second": ([(k, l) for i, k in enumerate(plain) for l in plain[i:]], plain),
+        "second_moduli": ([(k, l) for i, k in enumerate(own) for l in plain + own[i:]], own),
+    }
 
 
 def plain_table(arrays: Mapping[str, NDArray[np.generic]], name: str) -> _core.Table:

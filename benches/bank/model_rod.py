@@ -25,7 +25,7 @@ from benches.bank.body_rod import HANGING, NAME, REACH, grid, guessed, hanging, 
 from benches.bank.law import Floats
 from benches.bank.rod import Loads, Poses, assembled, guides, newton_step, own_lengths, settle
 from benches.bank.rotations import turn
-from benches.bank.second_rod import NODES, bends, second_of
+from benches.bank.second_rod import CAUSES, NODES, bends, second_of
 from benches.bank.section import GRAVITY, Design, finger
 from softmap_edge import _core
 
@@ -66,11 +66,24 @@ def model() -> Model:
         _numbers([axis] * 2, _whole(found["stretch"], names)),
         [family_from(shared | still | {"coefficients": rows[len(names) + c]}) for c in range(4)],
     )
-    second = second_of(kept("rod-second", (sources(), NODES), lambda: bends(answers, length_beyond)))
+    bent = kept("rod-second", (sources(), NODES, CAUSES), _bends)
     whole = replace(
-        made, fields=fields_from(arrays), cables=cables, second=second, arrays={**made.arrays, "fields": arrays}
+        made,
+        fields=fields_from(arrays),
+        cables=cables,
+        second=second_of(bent),
+        arrays={**made.arrays, "fields": arrays},
     )
     return replace(whole, error_per_g_mm=_leaning_error(whole))
+
+
+def _bends() -> dict[str, Any]:
+    """Return what `second_rod.bends` finds."""
+
+    def stiffer(design: Design, name: str, by: float) -> Design:
+        return changes()[name][0](design, hanging(np.zeros((1, 2))), by)[0]
+
+    return dict(bends(lambda *at: answers(*at, CAUSES), length_beyond, stiffer))
 
 
 def _numbers(axes: list[Floats], values: Floats) -> Any:

@@ -1,12 +1,15 @@
-//! How the answer of an equilibrium to loads and tensions bends: its second derivatives, for loads that are not small.
+//! How the answer of an equilibrium to loads, moduli and tensions bends: its second derivatives, for causes that are not small.
 //!
-//! With the residual r(x, λ), λ the dead loads and the tensions, and x_k = dx/dλ_k at constant other tensions (`sweep.rs`),
+//! With the residual r(x, λ), λ the dead loads, the changes of the modulus and the tensions, and x_k = dx/dλ_k at constant
+//! other tensions (`sweep.rs`),
 //!   x_kl = −K⁻¹ D²r(k, l),   D²r(k, l) = ½ [q(k + l) − q(k) − q(l)],   q(d) = [r(+d) + r(−d) − 2 r(0)]/h²,
 //! where d moves the nodes along h·x_k and the tensions along h·e_k: dead loads are linear, so only elements and cables are
-//! assembled. A cable's length bends likewise, by the same difference of lengths plus b·x_kl. Steps are REACH mm long, the
+//! assembled. A modulus p_k adds ∂(∂r/∂p_k)/∂x·x_l, a central difference, for each l, and two of them ∂²r/∂p_k∂p_l
+//! (`moduli.rs`). A cable's length bends likewise, by the same difference of lengths plus b·x_kl. Steps are REACH mm long, the
 //! error is their square: 1e-4. Units: mm, N, g. Limit: as for fields, where K at constant tension is indefinite it is shifted.
 
 use super::change::add_parts;
+use super::moduli::Moduli;
 use super::newton::{Solver, State};
 use super::progress::Progress;
 use super::solid::Solid;
@@ -19,7 +22,7 @@ use crate::loads::{LOADS, TIP_FORCE};
 /// How far a difference moves the node that moves most, mm.
 const REACH: f64 = 0.1;
 
-/// Second derivatives at one equilibrium, for each pair (k ≤ l) of `loads::LOADS` and the tensions, row by row.
+/// Second derivatives at one equilibrium, for each pair (k ≤ l) of `loads::LOADS`, the moduli and the tensions, row by row.
 #[derive(Debug, Clone, Default)]
 pub struct Bend {
     /// Displacements of the points per unit of both.
@@ -31,9 +34,10 @@ pub struct Bend {
     pub growth: Vec<f64>,
 }
 
-/// One cause: what it moves per unit, in unknowns, and which tension it is.
+/// One cause: what it moves per unit, in unknowns, and which modulus or tension it is.
 struct Cause {
     step: Vec<f64>,
+    modulus: Option<usize>,
     cable: Option<usize>,
     /// Units that move the nodes by REACH.
     amount: f64,
@@ -48,31 +52,39 @@ impl Simulation {
         tip: Vec3,
         progress: &Progress,
     ) -> Result<Vec<Bend>> {
-        let causes = LOADS + self.solid.cables.len();
+        let moduli = Moduli::new(&self.solid)?;
+        let causes = LOADS + moduli.count() + self.solid.cables.len();
         self.room("the bends", &[commands.len()], causes * (causes + 1) / 2)?;
         self.toured(commands, gravity, tip, progress, |solver, state| {
-            self.bend(solver, state)
+            self.bend(solver, state, &moduli)
         })
     }
 
-    fn bend(&self, solver: &mut Solver, state: &State) -> Result<Bend> {
+    fn bend(&self, solver: &mut Solver, state: &State, moduli: &Moduli) -> Result<Bend> {
         solver.linearise(state)?;
         let tension: Vec<f64> = solver.pulls(state).iter().map(|p| p.max(0.0)).collect();
         let work = &mut solver.work;
         let slopes: Vec<Vec<f64>> = (0..tension.len())
             .map(|c| work.slope(c, &state.x))
             .collect();
-        let dead = self.dead().map(|force| (force, None));
+        let against = |force: &[f64]| force.iter().map(|f| -f).collect::<Vec<_>>();
+        let dead = self.dead().map(|force| (force, None, None));
+        let stiffer = (0..moduli.count()).map(|m| {
+            let force = moduli.first(&self.solid, m, &state.x);
+            (against(&force), Some(m), None)
+        });
         let pulls = slopes.iter().enumerate();
-        let pulls = pulls.map(|(c, b)| (b.iter().map(|b| -b).collect(), Some(c)));
+        let pulls = pulls.map(|(c, b)| (against(b), None, Some(c)));
         let causes: Vec<Cause> = dead
+            .chain(stiffer)
             .chain(pulls)
-            .map(|(force, cable)| {
+            .map(|(force, modulus, cable)| {
                 let step = work.solve_slack(force);
                 let longest = step.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
                 let amount = REACH / longest.max(1e-9);
                 Cause {
                     step,
+                    modulus,
                     cable,
                     amount,
                 }
@@ -95,7 +107,8 @@ impl Simulation {
                     mixed(sum, &alone[k], &alone[l])
                 };
                 let scale = 1.0 / (one.amount * other.amount);
-                let force = both.0.iter().map(|r| -scale * r).collect();
+                let mut force: Vec<f64> = both.0.iter().map(|r| -scale * r).collect();
+                still.subtract_moduli(moduli, one, other, &mut force);
                 let step = work.solve_slack(force);
                 answer.growth[k] += shares[l] * inner(&other.step, &step);
                 if k != l {
@@ -122,12 +135,15 @@ impl Simulation {
 
 /// What ⟨x_l, x_kl⟩ of each cause l counts in a growth.
 fn shares(causes: &[Cause]) -> Vec<f64> {
-    let ends = [0, TIP_FORCE, LOADS, causes.len()];
+    let stiffer = causes.iter().filter(|c| c.modulus.is_some()).count();
+    let ends = [0, TIP_FORCE, LOADS, LOADS + stiffer, causes.len()];
     let kinds: Vec<&[Cause]> = ends.windows(2).map(|w| &causes[w[0]..w[1]]).collect();
-    let there = kinds.iter().filter(|kind| !kind.is_empty()).count() as f64;
+    let counts = |kind: &&[Cause]| kind.iter().any(|c| c.modulus.is_none());
+    let there = kinds.iter().copied().filter(counts).count() as f64;
     let share = |kind: &&[Cause]| {
         let size: f64 = kind.iter().map(|c| inner(&c.step, &c.step)).sum();
-        vec![1.0 / (there * size.max(1e-12)); kind.len()]
+        let one = if counts(kind) { 1.0 } else { 0.0 };
+        vec![one / (there * size.max(1e-12)); kind.len()]
     };
     kinds.iter().flat_map(share).collect()
 }
@@ -170,11 +186,27 @@ impl<'a> Difference<'a> {
         let (mut force, mut stretch) = (vec![[0.0; 3]; x.len()], vec![0.0; tension.len()]);
         let parts = (&self.solid.elements[..], &self.solid.cables[..]);
         add_parts(parts, x, tension, 1.0, &mut force, &mut stretch);
-        let mut unknowns = vec![0.0; self.solid.unknowns()];
-        for (n, f) in force.into_iter().enumerate() {
-            self.solid.scatter(n, f, &mut unknowns);
+        (self.solid.gathered(force), stretch)
+    }
+
+    /// Take from `force` what moduli among two causes add to D²r, per unit of both.
+    fn subtract_moduli(&self, moduli: &Moduli, one: &Cause, other: &Cause, force: &mut [f64]) {
+        let mut subtract = |times: f64, derivative: Vec<f64>| {
+            let pairs = force.iter_mut().zip(derivative);
+            pairs.for_each(|(f, d)| *f -= times * d);
+        };
+        for (modulus, along) in [(one.modulus, other), (other.modulus, one)] {
+            for sign in [1.0, -1.0].into_iter().filter(|_| modulus.is_some()) {
+                let x = self
+                    .solid
+                    .displace(&self.state.x, &along.step, sign * along.amount);
+                let slope = modulus.map_or(vec![], |m| moduli.first(self.solid, m, &x));
+                subtract(sign / (2.0 * along.amount), slope);
+            }
         }
-        (unknowns, stretch)
+        if let (Some(i), Some(j)) = (one.modulus, other.modulus) {
+            subtract(1.0, moduli.second(self.solid, i, j, &self.state.x));
+        }
     }
 
     /// r(+d) + r(−d) − 2 r(0), and the same of the lengths, along REACH of some causes together.

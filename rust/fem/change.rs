@@ -42,22 +42,24 @@ pub fn changed(design: &Design, drive: &[Vec<f64>], field: usize, by: f64) -> Op
     Some(design)
 }
 
+/// What a change makes of the modulus of a design that was not moved yet.
+pub(super) fn modulation(design: &Design, change: &Change) -> Modulation {
+    let (nodes, change) = (&design.mesh.nodes, |field: usize| change[field - LOADS]);
+    let far = |m: f64, p: &Vec3| m.max(p[0].abs()).max(p[1].abs());
+    Modulation {
+        hats: std::array::from_fn(|k| change(STIFF + k)),
+        across: [change(ACROSS), change(ACROSS + 1)],
+        height: design.mesh.height,
+        reach: nodes.iter().fold(0.0, far),
+    }
+}
+
 /// Bind the cables and move the rest places of a design: what differs from its description is done here. The design's
 /// mesh and body end up changed.
 pub(super) fn bind(design: &mut Design) -> Result<Vec<Cable>> {
     let change = |field: usize| design.change[field - LOADS];
+    let modulation = modulation(design, &design.change);
     let height = design.mesh.height;
-    let reach = design
-        .mesh
-        .nodes
-        .iter()
-        .fold(0.0, |m: f64, p| m.max(p[0].abs()).max(p[1].abs()));
-    let modulation = Modulation {
-        hats: std::array::from_fn(|k| change(STIFF + k)),
-        across: [change(ACROSS), change(ACROSS + 1)],
-        height,
-        reach,
-    };
     let (twist, curve) = (
         change(TWIST).to_radians(),
         [change(CURVE), change(CURVE + 1)],
@@ -204,11 +206,11 @@ impl Changes {
             let (mut force, mut stretch) = (vec![[0.0; 3]; x.len()], vec![0.0; tension.len()]);
             up.add(x, tension, -0.5 / step, &mut force, &mut stretch);
             down.add(x, tension, 0.5 / step, &mut force, &mut stretch);
-            let mut unknowns = vec![0.0; solid.unknowns()];
-            for (n, f) in force.into_iter().enumerate() {
-                solid.scatter(n, f, &mut unknowns);
-            }
-            (*field, unknowns, stretch.iter().map(|s| -s).collect())
+            (
+                *field,
+                solid.gathered(force),
+                stretch.iter().map(|s| -s).collect(),
+            )
         })
     }
 }

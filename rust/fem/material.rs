@@ -66,11 +66,11 @@ pub struct Modulation {
 }
 
 impl Modulation {
-    fn factor(&self, p: Vec3) -> f64 {
+    fn logarithm(&self, p: Vec3) -> f64 {
         let along: f64 = (0..HATS)
             .map(|k| self.hats[k] * hat(k, p[2] / self.height))
             .sum();
-        (along + (self.across[0] * p[0] + self.across[1] * p[1]) / self.reach).exp()
+        along + (self.across[0] * p[0] + self.across[1] * p[1]) / self.reach
     }
 }
 
@@ -81,6 +81,7 @@ pub struct Body {
     base: Material,
     regions: Vec<(Region, Material)>,
     modulation: Option<Modulation>,
+    slopes: Vec<Modulation>,
 }
 
 impl Body {
@@ -100,6 +101,7 @@ impl Body {
             base: Material::new(young, poisson)?,
             regions,
             modulation: None,
+            slopes: vec![],
         })
     }
 
@@ -116,11 +118,19 @@ impl Body {
         }
     }
 
+    /// How its modulus answers `by`: ∂E/∂p, p the amount of it that there is.
+    pub fn slope(mut self, by: Modulation) -> Body {
+        self.slopes.push(by);
+        self
+    }
+
     /// The material at a place of the rest configuration.
     pub fn at(&self, p: Vec3) -> Material {
         let last = self.regions.iter().rev().find(|(r, _)| r.holds(p));
         let Material { mu, kappa } = last.map_or(self.base, |(_, material)| *material);
-        let factor = self.modulation.map_or(1.0, |m| m.factor(p));
+        let modulated = self.modulation.map_or(1.0, |m| m.logarithm(p).exp());
+        let slopes = self.slopes.iter().map(|m| m.logarithm(p));
+        let factor = modulated * slopes.product::<f64>();
         Material {
             mu: factor * mu,
             kappa: factor * kappa,

@@ -16,6 +16,7 @@ pub mod embed;
 pub mod guide;
 pub mod material;
 pub mod mesh;
+mod moduli;
 pub mod natural;
 pub mod newton;
 pub mod progress;

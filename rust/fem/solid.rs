@@ -255,6 +255,15 @@ impl Solid {
         f
     }
 
+    /// Forces of all nodes, on the unknowns.
+    pub(super) fn gathered(&self, force: Vec<Vec3>) -> Vec<f64> {
+        let mut unknowns = vec![0.0; self.unknowns()];
+        for (n, f) in force.into_iter().enumerate() {
+            self.scatter(n, f, &mut unknowns);
+        }
+        unknowns
+    }
+
     pub(super) fn scatter(&self, node: usize, v: Vec3, into: &mut [f64]) {
         let f = self.free[node];
         if f != HELD {

@@ -46,6 +46,8 @@ impl PyCables {
 
 /// What loads do beyond their fields: `numbers` (nodes, P·(m + n) + 6 + n) over the grid of `axes`: mode weights and stretches (mm)
 /// of each pair of loads and tensions, row by row, then the growth of each; for n `tendons` that answer, and `modes` (m, M).
+/// `moduli` (nodes, Q·(m + n) + 9), if there are any, are the same of the pairs with a modulus: of each with all loads, all
+/// tensions and the moduli from itself on.
 #[pyclass(name = "Second", module = "softmap_edge._core", frozen)]
 pub struct PySecond {
     pub inner: Second,
@@ -54,11 +56,13 @@ pub struct PySecond {
 #[pymethods]
 impl PySecond {
     #[new]
+    #[pyo3(signature = (axes, numbers, tendons, modes, moduli=None))]
     fn new(
         axes: Vec<Bound<'_, PyAny>>,
         numbers: &Bound<'_, PyAny>,
         tendons: usize,
         modes: &Bound<'_, PyAny>,
+        moduli: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<PySecond> {
         let axes = axes
             .iter()
@@ -67,7 +71,10 @@ impl PySecond {
             .collect::<PyResult<Vec<_>>>()?;
         let numbers = floats("numbers", numbers, &[("nodes", None), ("numbers", None)])?.data;
         let modes = floats("modes", modes, &[("m", None), ("M", None)])?;
-        let inner = Second::new(axes, numbers, tendons, modes.data, modes.shape[1])?;
+        let shape = [("nodes", None), ("numbers", None)];
+        let moduli = moduli.map(|moduli| floats("moduli", moduli, &shape));
+        let moduli = moduli.transpose()?.map_or(vec![], |found| found.data);
+        let inner = Second::new(axes, numbers, moduli, tendons, modes.data, modes.shape[1])?;
         Ok(PySecond { inner })
     }
 

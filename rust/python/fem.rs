@@ -13,7 +13,7 @@ use crate::fem::newton::newton_step;
 use crate::fem::route::Route;
 use crate::fem::solid::{Design, Solid as FemSolid};
 use crate::fem::sweep::{Configuration, Simulation};
-use crate::loads::{FIELDS, LOADS, PUSH};
+use crate::loads::{FIELDS, LOADS, MODULI, PUSH};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -219,7 +219,7 @@ impl Solid {
     }
 
     /// At the equilibria of commands (S, C): second derivatives (S, P, N, 3) of the vertices and (S, P, T) of the stretch of
-    /// the cables, for each pair of `LOADS` and the tensions, row by row; growth (S, L + T) of the answers for each of them.
+    /// the cables, for each pair of `LOADS`, `MODULI` and the tensions, row by row; growth of the answers for each of these.
     #[pyo3(signature = (commands, gravity, load, progress=None))]
     fn bends<'py>(
         &self,
@@ -235,7 +235,7 @@ impl Solid {
         })?;
         let (samples, points) = (found.len(), self.simulation.points.weights.len());
         let cables = self.simulation.solid.cables.len();
-        let causes = LOADS + cables;
+        let causes = LOADS + MODULI + cables;
         let pairs = causes * (causes + 1) / 2;
         let moved: Vec<f64> = found
             .iter()

@@ -62,13 +62,15 @@ mod _core {
     use super::table::PyTable;
 
     /// Adds the base of its errors; `FIELDS`, the names of the shape fields in the order of `Chain.coefficients`;
-    /// `LOADS`, those of them that are dead loads; `STATIONS`, shares of the height at which an obstacle can push; and
-    /// `STANDARD_GRAVITY`.
+    /// `LOADS`, those of them that are dead loads; `MODULI`, those of the modulus; `STATIONS`, shares of the height at which
+    /// an obstacle can push; and `STANDARD_GRAVITY`.
     #[pymodule_init]
     fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
         use pyo3::types::PyModuleMethods;
         module.add("CoreError", module.py().get_type::<super::CoreError>())?;
         module.add("LOADS", &crate::loads::FIELDS[..crate::loads::LOADS])?;
+        let moduli = crate::loads::STIFF..crate::loads::CURVE;
+        module.add("MODULI", &crate::loads::FIELDS[moduli])?;
         module.add("STATIONS", crate::loads::STATIONS)?;
         module.add("FIELDS", crate::loads::FIELDS)?;
         module.add("STANDARD_GRAVITY", crate::loads::STANDARD_GRAVITY)

@@ -20,7 +20,7 @@ from softmap_edge.features import SECTIONS
 from softmap_edge.model import Arrays, Model, tip_of
 from softmap_edge.npz import packed, unpacked
 from softmap_edge.run import Run
-from softmap_edge.shape_arrays import cables_from, fields_from, plain_table, second_from, table_from
+from softmap_edge.shape_arrays import cables_from, fields_from, pairs_of, plain_table, second_from, table_from
 from softmap_edge.solid.bodies import Meshed
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Bend, Compliance, Simulator, Sweep, tensor_grid
@@ -223,29 +223,35 @@ def field_arrays(compliance: Compliance, axes: list[Floats], pull: Floats, stiff
 
 
 def second_arrays(bend: Bend, axes: list[Floats], answers: bool, modes: Floats) -> Arrays:
-    """Compress what loads do beyond their fields: `second_weights` (S, P, m) of the few `second_modes` (m, M), made of
-    the `modes` (M, 3N) of the fields, then `second_stretch` and `second_growth`, on the grid of `axes`.
+    """Compress what loads and moduli do beyond their fields: `second_weights` (S, P, m) of the few `second_modes`
+    (m, M), made of the `modes` (M, 3N) of the fields, then `second_stretch` and `second_growth`, on the grid of `axes`;
+    those of pairs with a modulus as `second_moduli_weights`, `…_stretch` and `…_growth`.
 
     Those of tensions only if they `answers`.
     """
-    loads, causes = len(_core.LOADS), bend.growth.shape[1]
+    loads, moduli, causes = len(_core.LOADS), len(_core.MODULI), bend.growth.shape[1]
     first, other = np.triu_indices(causes)
-    kept = np.full(len(first), True) if answers else other < loads
-    # Each pair counts as for amounts of gravity, of a force and of tensions that bend the body alike.
-    kind = np.repeat([0, 1, 2], [3, loads - 3, causes - loads])
+    # Each pair counts as for amounts of gravity, of a force, of moduli and of tensions that bend the body alike.
+    kind = np.repeat([0, 1, 2, 3], [3, loads - 3, moduli, causes - loads - moduli])
     size = np.sqrt(np.mean(bend.fields**2, axis=(0, 2, 3)))
     alike = [np.sqrt(np.mean(size[(kind[first] == k) & (kind[other] == k)] ** 2)) for k in sorted(set(kind))]
     usual = 1.0 / np.sqrt(np.maximum(alike, 1e-9))
-    amount = (usual[kind[first]] * usual[kind[other]])[kept, None]
-    fields = bend.fields[:, kept].reshape(len(bend.fields), kept.sum(), -1) @ np.linalg.pinv(modes)
-    basis = leading((fields * amount).reshape(-1, fields.shape[2]), SECOND_MODES).astype(np.float32)
-    weights = fields @ basis.T.astype(np.float64)
+    amount = usual[kind[first]] * usual[kind[other]]
+    parts = pairs_of(loads, moduli, causes - loads - moduli if answers else 0)
+    row = {pair: p for p, pair in enumerate(zip(first.tolist(), other.tolist()))}
+    kept = [np.array([row[min(pair), max(pair)] for pair in pairs]) for pairs, _ in parts.values()]
+    fields = bend.fields.reshape(len(bend.fields), len(first), -1) @ np.linalg.pinv(modes)
+    every = np.concatenate(kept)
+    basis = leading((fields * amount[:, None])[:, every].reshape(-1, fields.shape[2]), SECOND_MODES).astype(np.float32)
     arrays: Arrays = {f"second_axis{c}": axis for c, axis in enumerate(axes)} | {"second_modes": basis}
-    arrays |= packed("second_weights", weights, SECOND_PART * _rms(weights * amount) / amount[None], np.int16)
-    stretch = bend.stretch[:, kept] if answers else np.zeros((len(fields), kept.sum(), 0))
-    arrays |= packed("second_stretch", stretch, SECOND_PART * _rms(stretch * amount) / amount[None], np.int16)
-    count = causes if answers else loads
-    return arrays | packed("second_growth", bend.growth[:, :count], 1e-3, np.int16)
+    for (name, (_, own)), pairs in zip(parts.items(), kept):
+        amounts = amount[pairs, None]
+        weights = fields[:, pairs] @ basis.T.astype(np.float64)
+        stretch = bend.stretch[:, pairs] if answers else np.zeros((len(fields), len(pairs), 0))
+        for what, values in (("weights", weights), ("stretch", stretch)):
+            arrays |= packed(f"{name}_{what}", values, SECOND_PART * _rms(values * amounts) / amounts[None], np.int16)
+        arrays |= packed(f"{name}_growth", bend.growth[:, own], 1e-3, np.int16)
+    return arrays
 
 
 def _rms(values: Floats) -> float:

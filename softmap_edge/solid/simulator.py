@@ -54,11 +54,11 @@ class Compliance:
 
 @dataclass(frozen=True)
 class Bend:
-    """How the answers of S equilibria to loads and tensions bend: second derivatives for each of the P pairs of
-    `_core.LOADS` and the T tensions, row by row.
+    """How the answers of S equilibria to loads, moduli and tensions bend: second derivatives for each of the P pairs of
+    `_core.LOADS`, `_core.MODULI` and the T tensions, row by row.
 
-    fields: (S, P, N, 3) mm per unit of both · stretch: (S, P, T) mm of each tendon · growth: (S, L + T), by what share
-    the answers grow for a unit of each load and tension.
+    fields: (S, P, N, 3) mm per unit of both · stretch: (S, P, T) mm of each tendon · growth: (S, L + M + T), by what
+    share the answers to loads and tensions grow for a unit of each.
     """
 
     fields: Floats
@@ -288,8 +288,8 @@ class Simulator:
         return Compliance(found, found.pop("stretch"))
 
     def bends(self, commands: ArrayLike, progress: Progress | None = None) -> Bend:
-        """Return how the answers to loads and tensions bend, at the equilibria of commands (S, C) mm under the finger's
-        own gravity.
+        """Return how the answers to loads, moduli and tensions bend, at the equilibria of commands (S, C) mm under the
+        finger's own gravity.
 
         Raises SimulationError.
         """
