@@ -42,9 +42,9 @@ is `command → transmission → material → shape → sensing`; a chain is alw
 one recording, without the effect and with it.
 
 Loads move a finger by its fields, which are taken at constant tension of its tendons; the tendons then answer by
-falling slack or taut, a complementarity problem solved at every frame (`rust/cables.rs`). What large loads do beyond
-that comes from second derivatives (`rust/second.rs`). On the built-in finger, with them and without, this misses the
-simulator by (RMS over vertices and eleven commands, of what the load moves them by):
+falling slack or taut, a complementarity problem solved at every frame (`rust/cables.rs`). What large loads, and changes
+of the modulus, do beyond that comes from second derivatives (`rust/second.rs`). On the built-in finger, with them and
+without, this misses the simulator by (RMS over vertices and eleven commands, of what the load moves them by):
 
 @LOADS@
 

@@ -11,8 +11,8 @@
 //! whatever else they answer. What x_kl makes of a body are a few modes, each a field of its own.
 //! Pairs among loads and tensions stand by themselves, those with a modulus in a table of their own, which costs nothing
 //! where the modulus is as it was; a body may lack it, and then answers changes of its modulus linearly.
-//! On the built-in finger 60 g are right to 7 % of what they move, 12 to 26 % without; a section half as stiff in a finger
-//! that leans to 5 %, 31 to 41 % without (tests/test_second_level.py).
+//! On the built-in finger 60 g are right to 7 % of what they move, 12 to 26 % without; a section half as stiff in a
+//! leaning finger to 8 to 19 %, of which its field misses 6 to 13 %, 34 to 47 % without (tests/test_second_level.py).
 //! Limits: curvature at rest, twist and routing, and pushes, stay linear beside it.
 
 use crate::error::{Result, invalid};

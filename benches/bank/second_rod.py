@@ -24,7 +24,8 @@ from softmap_edge.shape_arrays import pairs_of
 
 NODES = 7  # commands a channel
 SOFT = 1e-4  # N/mm
-REACHED = 0.3  # mm that a step moves the point that moves most
+REACHED = 0.3  # mm that a step moves the point that moves most,
+MODULUS = 0.1  # but no more of a logarithm of the modulus
 MODES = 12
 
 Answers = Callable[[Design, Loads, Poses], tuple[Floats, Floats]]  # fields (k, S, 3N) and stretch (S, 4, k)
@@ -48,6 +49,8 @@ def bends(answers: Answers, length: Length, stiffer: Stiffer) -> dict[str, Float
     fields, stretch = np.zeros((count, *first.shape)), np.zeros((count, len(told), 4, count))
     for l in range(count):
         size = REACHED / np.abs(first[l]).max()
+        if dead <= l < given:
+            size = min(size, MODULUS)
         held = tension.copy()
         if l >= given:
             held[:, l - given] = np.maximum(held[:, l - given], size)

@@ -3,7 +3,8 @@
 //! `ln E(s) = ln E₀ + gradient·(s − ½)`, s the share of the height: the coefficient of each field stiff_k (displacement per
 //! unit of the logarithm of the modulus in one of seven stretches) is gradient·(s_k − ½). Under tendons whose shortening is
 //! given a uniform modulus hardly shows, its change along the body does.
-//! Limit: linear; a field misses the simulator by 4 % at ±25 % in one stretch (rust/fem/sweep_tests.rs).
+//! Limit: second order (`second.rs`); a field alone misses the simulator by 4 % at ±25 % in one stretch
+//! (rust/fem/sweep_tests.rs).
 
 use super::conditions::Context;
 use super::declaration::*;
