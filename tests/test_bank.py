@@ -22,6 +22,7 @@ from benches.bank.law import Record
 from benches.bank.laws_body import BoucWen, OgdenRoxburgh, Prony
 from benches.bank.laws_drive import CableCreep, DahlElements, Gear, Loop, Motor, Stops
 from benches.bank.laws_unknown import UNKNOWN
+from benches.bank.model_rod import changes
 from benches.bank.rod import Loads, settle
 from benches.bank.section import finger
 from benches.bank.watch import LEVELS, looked, rms, sections
@@ -254,6 +255,28 @@ def test_the_model_of_the_rod_knows_what_large_loads_do():
         heavy, light = (each.with_effects(["payload"], {"payload.mass": g}).predict(run) for g in (30.0, 0.0))
         off.append(rms(heavy - light - moved) / rms(moved))
     assert off[0] < 0.08 < 0.12 < off[1], off
+
+
+def test_the_model_of_the_rod_knows_what_a_softer_section_does_when_it_leans():
+    u, model, t = np.random.default_rng(0).uniform(-9.0, 9.0, (12, 2)), body_of("A").model(), np.arange(12.0)
+    loads = replace(hanging(u), gravity=np.tile([np.sin(0.6), 0.0, np.cos(0.6)], (12, 1)))
+    design = finger(1)
+    without = settle(design, loads, guessed(loads.pull)).points(design, *template())
+    run = Run(t=t, command=u, t_seen=t, gravity=loads.gravity[0], vertices=without)
+    params = {"stiff_section.amount": -0.7, "stiff_section.centre": 2 / 6, "stiff_section.width": 1 / 3}
+    chain = _core.Chain(["stiff_section"], 2)
+    values = np.array([[params[label] for label in chain.labels]])
+    said = chain.coefficients(values, gravity=run.gravity[None], load=np.zeros(1), u=u[:1])[0, 0]
+    softer = design
+    for name, amount in zip(_core.FIELDS, said):
+        softer = changes()[name][0](softer, loads, amount)[0] if amount else softer
+    moved = settle(softer, loads, guessed(loads.pull)).points(softer, *template()) - without
+    off = []
+    for each in (model, replace(model, second=None)):
+        off.append(
+            rms(each.with_effects(["stiff_section"], params).predict(run) - each.predict(run) - moved) / rms(moved)
+        )
+    assert off[0] < 0.2 < 0.4 < off[1], off
 
 
 @pytest.mark.prove
