@@ -30,8 +30,8 @@ pub static EFFECT: Effect = Effect {
                 "mm",
                 0.0,
                 0.5,
-                -4.0,
-                4.0,
+                -6.0,
+                6.0,
                 "shortening that the slip adds to the channel; its sign tells which cable",
             )
             .per_channel(),

@@ -27,8 +27,8 @@ pub static EFFECT: Effect = Effect {
             "1",
             0.0,
             0.05,
-            -0.3,
-            0.3,
+            -0.5,
+            0.5,
             "shortening of the first channel of the pair per shortening commanded of the second",
         )
         .per_pair()],
