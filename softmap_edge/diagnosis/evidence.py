@@ -33,7 +33,8 @@ LEFT_R2 = 0.12  # from which a condition is named as what predicts a leftover
 # may be off; how many times what these and the model's own error leave is something else. From development seeds of the
 # bank (docs/bank.md).
 FORMS = {"channel": 0.15, "prior": 0.15, "shape": 0.25, "sensing": 0.2}
-FORMS |= {"dead_zone": 0.3, "friction": 0.3, "hysteresis": 0.35, "mullins": 0.3, "saturation": 0.3, "camera_drift": 0.4}
+FORMS |= {"dead_zone": 0.3, "friction": 0.3, "hysteresis": 0.35, "mullins": 0.3, "saturation": 0.3}
+FORMS |= {"thermal_softening": 0.25, "camera_drift": 0.4}
 BEYOND, NOISE, LEFT = 0.7, 0.4, 1.25
 FARTHER = 2.0  # times as far as its bound a field is looked for before what is left is called unknown
 CLEAR = 1.5  # times what is visible that must be left: every finger has small faults of its own
@@ -172,16 +173,17 @@ def allowed(search: Search, fit: Fit) -> float:
 
     Forms are off by FORMS of all that is explained, the mean square over the found effects by how far each moves. A
     field whose strength is at its bound may leave much of what it moves: more of it may be there. Any other effect
-    at its bound is taken for one whose form is well known: it may stand for something else.
+    with a number at its bound has no more than is usual: it may stand for something else.
     """
     record = search.problem.record
     moved = np.array([record.rms_mm(search.displacement(fit, e)) for e in fit.effects])
     roles, space = search.screening.roles, fit.space
-    beyond = {space.labels[i].split(".")[0] for i in space.free[_strengths_at_bound(fit)]}
-    off = [
-        (BEYOND if roles[e] == "shape" else FORMS[roles[e]]) if e in beyond else FORMS.get(e, FORMS[roles[e]])
-        for e in fit.effects
-    ]
+    beyond, strained = (
+        {space.labels[i].split(".")[0] for i in space.free[which]}
+        for which in (_fields_at_bound(search, fit), at_bound(fit))
+    )
+    forms = {e: FORMS[roles[e]] if e in strained else FORMS.get(e, FORMS[roles[e]]) for e in fit.effects}
+    off = [BEYOND if e in beyond else form for e, form in forms.items()]
     share = float(np.linalg.norm(np.array(off) * moved) / max(float(np.linalg.norm(moved)), 1e-300))
     static = 0.0 if record.static is None else record.rms_mm(record.static)  # a residual that was taken out
     explained = record.rms_mm(np.where(np.isfinite(record.seen), fit.predicted - search.null.predicted, np.nan))
@@ -200,15 +202,11 @@ def at_bound(fit: Fit) -> NDArray[np.bool_]:
     return np.asarray(~fit.space.integer & (ends[0] | ends[1]))
 
 
-def _strengths_at_bound(fit: Fit) -> NDArray[np.bool_]:
-    """Return which free parameters (P,) are strengths (absent at zero, on no log scale) at a bound."""
-    return np.asarray(at_bound(fit) & (fit.space.null == 0.0) & ~fit.space.log & fit.space.declared)
-
-
 def _fields_at_bound(search: Search, fit: Fit) -> NDArray[np.bool_]:
-    """Return which free parameters (P,) are amounts of a field at a bound."""
-    roles = [search.screening.roles[label.split(".")[0]] for label in fit.space.free_labels]
-    return np.asarray(_strengths_at_bound(fit) & np.array([role == "shape" for role in roles], bool))
+    """Return which free parameters (P,) are amounts of a field (absent at zero, on no log scale) at a bound."""
+    space = fit.space
+    fields = np.array([search.screening.roles[label.split(".")[0]] == "shape" for label in space.free_labels], bool)
+    return np.asarray(at_bound(fit) & fields & (space.null == 0.0) & ~space.log & space.declared)
 
 
 def not_alone(search: Search, fit: Fit, left: Leftover) -> tuple[Fit, str] | None:

@@ -2,7 +2,8 @@
 
 On top of the model alone all are looked at. What each of them does there is kept, and on top of a fit it says which are
 worth a look again. Effects on the command are followed by the slopes of the features over what acts; all else is
-predicted where the fit's own parameters are, and follows these by its slopes. The best by slopes are then predicted.
+predicted where the fit's own parameters are, and follows these by its slopes. All this on FRAMES of the frames, evenly
+spread; the best are then predicted on all of them.
 Limit: an effect that shows only far from every start is not seen. Pinned by tests/test_screening.py.
 """
 
