@@ -176,7 +176,8 @@ impl Second {
     /// if there is any.
     pub fn under(&self, amount: &[f64]) -> Second {
         let moduli = usize::from(amount[self.loads..].iter().any(|p| *p != 0.0));
-        let mut parts = Part::both(1, moduli, self.tendons);
+        let plan = Part::both(1, moduli, self.tendons);
+        let mut parts = plan.clone();
         let (block, few) = (self.block(), 1 + moduli);
         // The cause that a cause of many becomes, and how much of it there is.
         let becomes = |k: usize| match k.checked_sub(self.known()) {
@@ -200,7 +201,6 @@ impl Second {
                     );
                 }
             };
-            let plan = Part::both(1, moduli, self.tendons);
             let place = |sought: (usize, usize)| {
                 let turned = (sought.1, sought.0);
                 let found =

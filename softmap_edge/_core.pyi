@@ -22,8 +22,8 @@ __all__ = [
     "MODULI",
     "STATIONS",
     "Mesh",
+    "Inputs",
     "Predictor",
-    "Record",
     "Rod",
     "RodField",
     "STANDARD_GRAVITY",
@@ -230,12 +230,12 @@ class Predictor:
         second: Second | None = None,
     ) -> Self: ...
     def through(self, weights: _Floats) -> Predictor | None: ...
-    def predict(self, chain: Chain, params: _Floats, record: Record) -> _Floats: ...
-    def acting(self, chain: Chain, params: _Floats, record: Record) -> _Floats: ...
-    def slopes(self, chain: Chain, params: _Floats, record: Record, step: _Floats) -> _Floats: ...
+    def predict(self, chain: Chain, params: _Floats, inputs: Inputs) -> _Floats: ...
+    def acting(self, chain: Chain, params: _Floats, inputs: Inputs) -> _Floats: ...
+    def slopes(self, chain: Chain, params: _Floats, inputs: Inputs, step: _Floats) -> _Floats: ...
 
 @final
-class Record:
+class Inputs:
     def __new__(
         cls,
         u: _Floats,

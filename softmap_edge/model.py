@@ -43,6 +43,7 @@ _OUTSIDE = 0.75  # of a station's vertices lie within its radius: a domed tip ha
 _STATION_SHARE = 0.05  # of the length to each side of a station
 TIP_PER_NEWTON = 0.1  # where stiffness is not known: 1 N across the tip moves it by this share of the length
 NOMINAL = "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
+CARRIED = 4  # places of markers that are kept, as runs that are diagnosed together have them
 BEYOND = 0.05  # share of its range by which a command may leave it before a word is said
 
 
@@ -270,7 +271,7 @@ class Model:
 
     def predict(self, run: Run) -> Floats:
         """Return the points (K, N, 3) mm at the run's seen times; markers of the run if it has markers."""
-        vertices = self._points.predict(self.chain, self.chain_params[None], self.recorded(run))[0]
+        vertices = self._points.predict(self.chain, self.chain_params[None], self.inputs(run))[0]
         carry = self._carry(run)
         return vertices if carry is None else np.asarray(np.einsum("mn,knc->kmc", carry, vertices))
 
@@ -278,10 +279,10 @@ class Model:
         """Return the predicted features (K, V, 3) mm at the run's seen times."""
         return np.asarray(self.predict_features(self.chain_names, self.chain_params[None], run)[0])
 
-    def recorded(self, run: Run) -> _core.Record:
+    def inputs(self, run: Run) -> _core.Inputs:
         """Return a run as the core takes it, for many predictions of one that stays as it is."""
         gravity = self.gravity_reference if run.gravity is None else run.gravity
-        return _core.Record(
+        return _core.Inputs(
             self.commands(run),
             np.asarray(run.t, float),
             np.asarray(run.t_seen, float),
@@ -292,14 +293,14 @@ class Model:
         )
 
     def predict_features(
-        self, names: Sequence[str], params: Floats, run: Run, recorded: _core.Record | None = None
+        self, names: Sequence[str], params: Floats, run: Run, inputs: _core.Inputs | None = None
     ) -> Floats:
         """Return features (B, K, V, 3) mm for B parameter sets (B, P) of a chain of `names`, batched in the core.
 
-        What `recorded` makes of the run may be given, here and below, where it is asked again and again.
+        What `inputs` makes of the run may be given, here and below, where it is asked again and again.
         """
         chain = self.chain if tuple(names) == self.chain_names else _core.Chain(list(names), self.channels)
-        return self._feature_predictor(run).predict(chain, params, recorded or self.recorded(run))
+        return self._feature_predictor(run).predict(chain, params, inputs or self.inputs(run))
 
     def through(self, weights: Floats, run: Run) -> _core.Predictor | None:
         """Return the predictor of linear forms of the features, `weights` (3V, M); None where shapes are no tables.
@@ -311,23 +312,23 @@ class Model:
         return self._feature_predictor(run).through(filled)
 
     def predict_forms(
-        self, forms: _core.Predictor, names: Sequence[str], params: Floats, recorded: _core.Record
+        self, forms: _core.Predictor, names: Sequence[str], params: Floats, inputs: _core.Inputs
     ) -> Floats:
         """Return the forms (B, K, M) of a predictor from `through`, for B parameter sets (B, P) of a chain."""
-        found = forms.predict(_core.Chain(list(names), self.channels), params, recorded)
+        found = forms.predict(_core.Chain(list(names), self.channels), params, inputs)
         return found.reshape(*found.shape[:2], -1)
 
-    def acting(self, names: Sequence[str], params: Floats, run: Run, recorded: _core.Record | None = None) -> Floats:
+    def acting(self, names: Sequence[str], params: Floats, run: Run, inputs: _core.Inputs | None = None) -> Floats:
         """Return what a chain of `names` makes of the commands, (B, K, C) at the seen times, for sets (B, P)."""
         chain = _core.Chain(list(names), self.channels)
-        return self._feature_predictor(run).acting(chain, params, recorded or self.recorded(run))
+        return self._feature_predictor(run).acting(chain, params, inputs or self.inputs(run))
 
     def slopes(
-        self, names: Sequence[str], params: Floats, step: Floats, run: Run, recorded: _core.Record | None = None
+        self, names: Sequence[str], params: Floats, step: Floats, run: Run, inputs: _core.Inputs | None = None
     ) -> Floats:
         """Return the slopes (C, K, V, 3) of the features over what acts, `step` (C,) to both sides of one set (P,)."""
         chain, predictor = _core.Chain(list(names), self.channels), self._feature_predictor(run)
-        return predictor.slopes(chain, params[None], recorded or self.recorded(run), np.asarray(step, float))
+        return predictor.slopes(chain, params[None], inputs or self.inputs(run), np.asarray(step, float))
 
     def seen_features(self, run: Run) -> Floats:
         """Return the measured features (K, V, 3) mm; NaN where too little was seen."""
@@ -427,7 +428,8 @@ class Model:
             )
         key = run.marker_rest.tobytes()  # a fit asks for every prediction; frames of one run share their places
         if key not in self._attached:
-            self._attached.clear()
+            if len(self._attached) >= CARRIED:
+                self._attached.clear()
             self._attached[key] = attach(np.asarray(run.marker_rest, float), self.rest, run.marker_names)
         return self._attached[key]
 
@@ -452,7 +454,8 @@ class Model:
             return self._points if self.markers else self._sections_predictor
         key = run.marker_rest.tobytes()  # as in `_carry`: a fit asks thousands of times
         if key not in self._carried:
-            self._carried.clear()
+            if len(self._carried) >= CARRIED:
+                self._carried.clear()
             self._carried[key] = self._projected(FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry))))
         return self._carried[key]
 

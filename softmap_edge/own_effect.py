@@ -223,6 +223,8 @@ def _declaration(where: str, given: Any) -> dict[str, Any]:
         found[key] = _text(where, key, found[key])
     if found["stage"] not in STAGES:
         raise EffectError(f"{where}: the stage is '{found['stage']}'; {', '.join(STAGES)} are allowed")
+    if not isinstance(found["needs"], list | tuple):
+        raise EffectError(f"{where}: needs is {type(found['needs']).__name__}; give a list of {', '.join(FIELDS)}")
     found["needs"] = [str(field) for field in found["needs"]]
     wrong = [field for field in found["needs"] if field not in FIELDS]
     if wrong:

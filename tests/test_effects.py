@@ -94,9 +94,9 @@ def test_null_is_the_identity(name, channels, bodies):
         body = bodies[EFFECTS[name]["role"]]
         seen = np.linspace(t[0], t[-1], 40)
         none = _core.Chain([], 2)
-        plain = body.predict(none, none.null[None], _core.Record(u, t, seen))
+        plain = body.predict(none, none.null[None], _core.Inputs(u, t, seen))
         np.testing.assert_allclose(
-            body.predict(chain, chain.null[None], _core.Record(u, t, seen, cameras=CAMERAS)), plain, rtol=0, atol=1e-12
+            body.predict(chain, chain.null[None], _core.Inputs(u, t, seen, cameras=CAMERAS)), plain, rtol=0, atol=1e-12
         )
 
 
@@ -141,10 +141,10 @@ def test_sensing_effects_agree_with_the_oracle(name):
     body = finger_body(positions)
 
     def see(moments):
-        return body.predict(none, none.null[None], _core.Record(u, t, moments, gravity, load))[0]
+        return body.predict(none, none.null[None], _core.Inputs(u, t, moments, gravity, load))[0]
 
     sets = [values(chain, "middle"), 1e-7 * values(chain, "middle"), random_params(chain, 3), random_params(chain, 4)]
-    batch = body.predict(chain, np.stack(sets), _core.Record(u, t, t[::9], gravity, load, cameras=CAMERAS))
+    batch = body.predict(chain, np.stack(sets), _core.Inputs(u, t, t[::9], gravity, load, cameras=CAMERAS))
     for params, got in zip(sets, batch):
         wanted = ORACLES[name](named(name, params, 2), see, positions, t[::9])
         np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-11)
@@ -156,18 +156,18 @@ def test_prior_effects_agree_with_the_oracle(name):
     chain, rod = _core.Chain([name], 2), rod_body()
     t, u = record(2)
     sets = np.stack([values(chain, "middle"), chain.low, *(random_params(chain, s) for s in range(3))])
-    batch = rod.predict(chain, sets, _core.Record(u, t, t[::9]))
+    batch = rod.predict(chain, sets, _core.Inputs(u, t, t[::9]))
     for params, got in zip(sets, batch):
         wanted = ORACLES[name](named(name, params, 2), u[::9])
         np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-5)  # the oracle's sum along the arc
-    assert np.abs(batch[0] - rod.predict(chain, chain.null[None], _core.Record(u, t, t[::9]))[0]).max() > 0.5
+    assert np.abs(batch[0] - rod.predict(chain, chain.null[None], _core.Inputs(u, t, t[::9]))[0]).max() > 0.5
 
 
 @pytest.mark.parametrize("name", BY_ROLE["prior"])
 def test_a_body_without_the_number_refuses_it(name, body):
     chain, (t, u) = _core.Chain([name], 2), record(2)
     with pytest.raises(SoftmapError, match=f"'{chain.numbers[0]}'.*has none to change"):
-        body.predict(chain, values(chain, "middle")[None], _core.Record(u, t, t[::9]))
+        body.predict(chain, values(chain, "middle")[None], _core.Inputs(u, t, t[::9]))
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -177,7 +177,7 @@ def test_it_moves_the_sections_by_half_a_millimetre(name, bodies):
     t, u = protocol()
     sets = np.stack([chain.null, values(chain, "middle"), values(chain, "start")])
     frames = body.predict(
-        chain, sets, _core.Record(u, t, t[::5], turning(len(t)), temperature=warming(t), cameras=CAMERAS)
+        chain, sets, _core.Inputs(u, t, t[::5], turning(len(t)), temperature=warming(t), cameras=CAMERAS)
     )
     moved = np.sqrt(((frames[1:] - frames[0]) ** 2).sum(axis=-1).mean(axis=(1, 2))).max()
     assert moved >= 0.5, f"{moved:.2f} mm RMS"
@@ -275,7 +275,7 @@ def test_a_clock_that_is_late_is_no_latency_for_loads(body):
     delay = _core.Chain(["latency"], 2), np.array([[0.2]])
     seen = t[60::9]
     for gravity, same in ((still, True), (turning(len(t)), False)):
-        frames = [body.predict(*chain, _core.Record(u, t, seen, gravity))[0] for chain in (late, delay)]
+        frames = [body.predict(*chain, _core.Inputs(u, t, seen, gravity))[0] for chain in (late, delay)]
         assert (np.abs(frames[0] - frames[1]).max() < 1e-9) == same
 
 

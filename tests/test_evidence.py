@@ -10,7 +10,7 @@ from softmap_edge import _core
 from softmap_edge.bundle import builtin_model
 from softmap_edge.diagnosis.conclusion import RIVAL, TEMPERATURE
 from softmap_edge.diagnosis.diagnose import diagnose
-from softmap_edge.diagnosis.evidence import BEYOND, FORMS, LEFT, NOISE, allowed, equivalents, leftover
+from softmap_edge.diagnosis.evidence import BEYOND, FORMS, LEFT, NOISE, allowed, at_bound, equivalents, leftover
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import CV_FALL, CV_FOLDS, SIMPLER, Search
@@ -55,6 +55,26 @@ def test_beyond_a_bound_nobody_is_missing():
     assert left.rms_mm > LEFT * allowed(search, found) and not left.claim  # 6.5 mm leave nothing
     search.problem.beyond = lambda fit, *_: fit
     assert leftover(search, found).claim
+
+
+def test_a_sine_beyond_its_bound_is_no_pulley_any_more():
+    """A gain of a half without its name: a pulley four times as eccentric as may be would do, and is not believed."""
+    search, _ = searched(lambda u: 1.5 * u, ["eccentric_pulley"])
+    found = search.problem.fit(("eccentric_pulley",), search.screening.starts("eccentric_pulley"))
+    assert at_bound(found).any() and leftover(search, found).claim
+
+
+def test_ends_by_nature_are_no_bounds():
+    search, _ = searched(lambda u: u, ["anchor_slip"])
+    space = search.problem.space(("anchor_slip",))
+    taut = space.free_labels.index("anchor_slip.taut")
+    fit = search.problem.fit(("anchor_slip",), [space.start])
+    for end in (space.low, space.high):
+        x = space.start.copy()
+        x[taut] = end[taut]
+        assert not at_bound(replace(fit, x=x)).any()
+    x[0] = space.high[0]
+    assert at_bound(replace(fit, x=x))[0]
 
 
 def test_a_field_at_its_bound_may_leave_much_of_what_it_moves():

@@ -118,6 +118,13 @@ def test_what_no_block_settles_is_left_to_what_the_library_says():
     assert next_experiment(MODEL, document(), []) == []
 
 
+def test_a_rival_that_the_model_cannot_express_is_left_to_what_the_library_says():
+    poor = replace(MODEL, fields={n: f for n, f in MODEL.fields.items() if not n.startswith("curve")})
+    found = document(effects=[{"name": "offset", "params": {}}], rivals=[{"effects": ["pre_curve"], "why": ""}])
+    ranked = next_experiment(poor, found, [played(plan(chosen(UPRIGHT), LIMITS))])
+    assert ranked and all(e.plan is None for e in ranked) and {n for e in ranked for n in e.settles} >= {"pre_curve"}
+
+
 def test_every_effect_of_the_library_can_be_asked_for():
     """Also those that this model has no field for, and those that need what no block declares."""
     names = [e["name"] for e in _core.effects()]

@@ -108,6 +108,7 @@ def number(**changed):
         (effect("u", doc="two\nlines"), "printable line"),
         (effect("u", colour="red"), "'colour'"),
         (effect("u", needs=["wind"]), "gravity, load, temperature"),
+        (effect("u", needs=5), "needs is int"),
         (effect("u", experiment="now"), "experiment"),
         (effect("u", parameters=[]), "1 to 32"),
         (effect("u", **number(high=-2.0)), "start must lie between"),

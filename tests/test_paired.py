@@ -104,6 +104,8 @@ def test_what_is_no_replay_is_refused_with_numbers():
         diagnose(MODEL, run, reference=replace(run, command=run.command[:, ::-1]))
     with pytest.raises(SoftmapError, match="does not play the commands"):
         diagnose(MODEL, run, reference=replace(run, command=1.2 * run.command))
+    with pytest.raises(SoftmapError, match=r"seen at \d+ of the \d+ frames"):
+        diagnose(MODEL, run, reference=run.at([3]))
     few = run.at(np.arange(run.frames) < 30)
     with pytest.raises(SoftmapError, match=r"seen at 30 of the \d+ frames"):
         diagnose(MODEL, run, reference=few)

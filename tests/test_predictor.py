@@ -42,7 +42,7 @@ def test_all_together_agree_with_the_oracles_in_stage_order(body):
     gravity, load = turning(len(t)), np.linspace(0.0, 5.0, len(t))
     seen = np.linspace(t[0], t[-1], 61) + 0.004
     for params in (values(chain, "middle"), values(chain, "start")):
-        got = body.predict(chain, params[None], _core.Record(u, t, seen, gravity, load, warming(t), CAMERAS))[0]
+        got = body.predict(chain, params[None], _core.Inputs(u, t, seen, gravity, load, warming(t), CAMERAS))[0]
         own, at = {}, 0
         for name in chain.names:
             width = len(_core.Chain([name], 2).labels)
@@ -83,19 +83,19 @@ def test_a_changed_number_makes_another_prior_loads_and_slopes_included():
     sets = np.tile(base, (6, 1))
     sets[:, chain.labels.index("slack.ratio")] = [0.0, 0.25, 0.25, 1.0, 0.0, 0.25]
     sets[2:4, chain.labels.index("mount.turn_x")] += 1.0
-    got = rod_body().predict(chain, sets, _core.Record(u, t, seen, *world))
+    got = rod_body().predict(chain, sets, _core.Inputs(u, t, seen, *world))
     at = chain.labels.index("slack.ratio")
     without, step = np.delete(np.arange(len(base)), at), np.array([0.3, 0.3])
     for params, frames in zip(sets, got):
         made = rod_body(params[at])
-        wanted = made.predict(rest, params[None, without], _core.Record(u, t, seen, *world))[0]
+        wanted = made.predict(rest, params[None, without], _core.Inputs(u, t, seen, *world))[0]
         np.testing.assert_allclose(frames, wanted, rtol=0, atol=1e-9)
-        slopes = rod_body().slopes(chain, params[None], _core.Record(u, t, seen, *world), step)
-        wanted = made.slopes(rest, params[None, without], _core.Record(u, t, seen, *world), step)
+        slopes = rod_body().slopes(chain, params[None], _core.Inputs(u, t, seen, *world), step)
+        wanted = made.slopes(rest, params[None, without], _core.Inputs(u, t, seen, *world), step)
         np.testing.assert_allclose(slopes, wanted, rtol=0, atol=1e-9)
     halved = np.where(np.arange(len(base)) == at, 0.5, sets[1])  # multiplied, not set: half of a half
     np.testing.assert_allclose(
-        rod_body(0.5).predict(chain, halved[None], _core.Record(u, t, seen, *world))[0], got[1], atol=1e-9
+        rod_body(0.5).predict(chain, halved[None], _core.Inputs(u, t, seen, *world))[0], got[1], atol=1e-9
     )
     assert np.abs(got[0] - got[1]).max() > 0.5 and np.abs(got[1] - got[3]).max() > 0.5
 
@@ -113,10 +113,10 @@ def test_a_batch_equals_its_members_whatever_they_share(body):
     sets = np.tile(values(chain, "start"), (12, 1))
     sets[1:9] += 0.1 * np.eye(8)
     sets[9, 0] = 1.0
-    batch = body.predict(chain, sets, _core.Record(u, t, t[::3], turning(200)))
+    batch = body.predict(chain, sets, _core.Inputs(u, t, t[::3], turning(200)))
     for params, frames in zip(sets, batch):
         np.testing.assert_array_equal(
-            body.predict(chain, params[None], _core.Record(u, t, t[::3], turning(200)))[0], frames
+            body.predict(chain, params[None], _core.Inputs(u, t, t[::3], turning(200)))[0], frames
         )
 
 
@@ -127,12 +127,12 @@ def test_a_batch_equals_its_members_where_loads_recur(body, frames):
     leaning = np.tile([0.5, -0.3, 0.81], (frames, 1))
     sets = np.tile(values(chain, "start"), (12, 1))
     sets[1:9] += 0.1 * np.eye(sets.shape[1])[:8]
-    batch = body.predict(chain, sets, _core.Record(u, t, t, leaning))
+    batch = body.predict(chain, sets, _core.Inputs(u, t, t, leaning))
     for params, one in zip(sets, batch):
-        np.testing.assert_array_equal(body.predict(chain, params[None], _core.Record(u, t, t, leaning))[0], one)
+        np.testing.assert_array_equal(body.predict(chain, params[None], _core.Inputs(u, t, t, leaning))[0], one)
     # Loads that never recur are answered in full: the same within round-off and the 1e-9 g by which they differ.
     shaken = leaning + 1e-9 * np.random.default_rng(0).normal(size=leaning.shape)
-    np.testing.assert_allclose(body.predict(chain, sets, _core.Record(u, t, t, shaken)), batch, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(body.predict(chain, sets, _core.Inputs(u, t, t, shaken)), batch, rtol=0, atol=1e-6)
 
 
 def test_linear_forms_come_at_once_as_they_are_formed_of_frames_and_nothing_senses_them(body):
@@ -141,17 +141,17 @@ def test_linear_forms_come_at_once_as_they_are_formed_of_frames_and_nothing_sens
     weights = np.random.default_rng(0).normal(size=(3 * 9, 6))
     sets = np.stack([values(chain, "start"), values(chain, "middle")])
     for gravity in (turning(80), np.tile([0.5, -0.3, 0.81], (80, 1))):
-        frames = body.predict(chain, sets, _core.Record(u, t, t, gravity)).reshape(2, 80, -1)
-        forms = body.through(weights).predict(chain, sets, _core.Record(u, t, t, gravity)).reshape(2, 80, -1)
+        frames = body.predict(chain, sets, _core.Inputs(u, t, t, gravity)).reshape(2, 80, -1)
+        forms = body.through(weights).predict(chain, sets, _core.Inputs(u, t, t, gravity)).reshape(2, 80, -1)
         np.testing.assert_allclose(forms, frames @ weights, rtol=0, atol=1e-9)
     senses = _core.Chain(["mount"], 2)
     with pytest.raises(CoreError, match="changes what is seen"):
-        body.through(weights).predict(senses, values(senses, "start")[None], _core.Record(u, t, t))
+        body.through(weights).predict(senses, values(senses, "start")[None], _core.Inputs(u, t, t))
     with pytest.raises(CoreError, match="multiple of 3"):
         body.through(weights[:, :5])
     rod = rod_body()
     assert (
-        rod.through(np.ones((3 * rod.predict(_core.Chain([], 2), np.zeros((1, 0)), _core.Record(u, t, t)).shape[2], 3)))
+        rod.through(np.ones((3 * rod.predict(_core.Chain([], 2), np.zeros((1, 0)), _core.Inputs(u, t, t)).shape[2], 3)))
         is None
     )
 
@@ -190,7 +190,7 @@ def test_a_robot_without_commands_has_one_shape():
     chain = _core.Chain(["mount"], 0)
     body = _core.Predictor(table, {}, np.ones(1, bool), HOME)
     params = chain.null + np.array([0, 0, 90.0, 0, 0, 1.0])
-    seen = body.predict(chain, params[None], _core.Record(np.zeros((0, 0)), np.zeros(0), np.arange(3.0)))
+    seen = body.predict(chain, params[None], _core.Inputs(np.zeros((0, 0)), np.zeros(0), np.arange(3.0)))
     np.testing.assert_allclose(seen, np.tile([0.0, 7.0, 6.0], (1, 3, 1, 1)), rtol=0, atol=1e-12)
 
 
@@ -222,9 +222,9 @@ def wrong_calls():
         "a state from later": (lambda: chain.rollout(p, u, t, state=later), "backwards"),
         "negative dt": (lambda: chain.step(chain.null, still, u[0], -1.0, 0.0), "dt"),
         "a delay beyond the ring": (lambda: late.rollout([[3.0]], u, t), "latency.delay"),
-        "a field that is missing": (lambda: body.predict(chain, [[0.1, 5.0]], _core.Record(u, t, t)), "tip_force"),
+        "a field that is missing": (lambda: body.predict(chain, [[0.1, 5.0]], _core.Inputs(u, t, t)), "tip_force"),
         "another robot's chain": (
-            lambda: body.predict(_core.Chain([], 3), none.null[None], _core.Record(np.zeros((5, 3)), t, t)),
+            lambda: body.predict(_core.Chain([], 3), none.null[None], _core.Inputs(np.zeros((5, 3)), t, t)),
             "channels",
         ),
         "an unknown field": (lambda: _core.Predictor(table, {"wind": table}, np.ones(9, bool), HOME), "gravity_x"),

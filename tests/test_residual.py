@@ -141,7 +141,7 @@ def test_an_effect_of_the_prior_s_own_law_reaches_the_prior_through_it():
     chain = _core.Chain(["slack"], 9)
     both, alone = (
         _core.Predictor(prior, {}, np.ones(size // 3, bool), np.array([0.0, 0.0, 1.0])).predict(
-            chain, np.array([[0.3]]), _core.Record(u, t, t)
+            chain, np.array([[0.3]]), _core.Inputs(u, t, t)
         )[0]
         for prior in (_core.Sum(rod, field), rod)
     )

@@ -96,7 +96,7 @@ def test_the_batched_prediction_sees_the_same_shape():
     fields = {"tip_force_z": shape}
     body = _core.Predictor(shape, fields, np.ones(1, bool), np.array([0.0, 0.0, 1.0]))
     for factor in (1.0, 1.2):
-        seen = body.predict(chain, np.full((3, 2), factor), _core.Record(at, t, t, load=np.full(5, 10.0)))
+        seen = body.predict(chain, np.full((3, 2), factor), _core.Inputs(at, t, t, load=np.full(5, 10.0)))
         alone = shape.evaluate(factor * at) * (1.0 + 0.01 * 9.80665)
         np.testing.assert_allclose(seen, np.tile(alone[None, :, None], (3, 1, 1, 1)), rtol=1e-12)
     twice = shape.project(2 * np.eye(3), np.ones(3))

@@ -37,6 +37,18 @@ def test_several_runs_predict_as_each_alone():
     assert done == len(both) and np.all(np.diff(both.t_seen) > 0)
 
 
+def test_some_frames_of_runs_are_those_frames_of_all_of_them():
+    """Also where one of the runs is so short that evenly spread numbers would miss it."""
+    runs = [record_run(seed=s, frames=n) for s, n in ((0, 300), (1, 2), (2, 300))]
+    both, names = Records(Arm(), runs, LIBRARY), ("backlash", "mount")
+    rows = both.spread_rows(50)
+    few = both.some(rows)
+    assert [part.frames for part in few.parts] == [25, 2, 25] and few._within == both._within
+    params = np.random.default_rng(0).normal(size=(2, len(both.layout(names).labels))) * 0.1
+    np.testing.assert_allclose(few.predict(names, params), both.predict(names, params)[:, rows], atol=1e-12)
+    np.testing.assert_array_equal(few.seen, both.seen[rows])
+
+
 def test_shared_effect_and_a_camera_frame_for_each_run():
     """Two sessions of one finger: the same play, and a camera that was set up anew."""
     run = finger_run(["backlash"], {"backlash.gap": 1.0})

@@ -102,7 +102,7 @@ def test_gravity_and_load_move_the_finger_as_their_fields_say(simulator):
             record = np.array(command * 2), np.array([0.0, 1.0]), np.array([0.5])
             chain = _core.Chain([], 2)
             world = {"gravity": np.array([heavy] * 2), "load": np.full(2, load)}
-            return predictor.predict(chain, np.zeros((1, 0)), _core.Record(*record, **world))[0, 0] - vertices[0]
+            return predictor.predict(chain, np.zeros((1, 0)), _core.Inputs(*record, **world))[0, 0] - vertices[0]
 
         # Linear to a few per cent; if the tensions stayed as they are, the body would move about twice as far.
         assert np.linalg.norm(seen - said(cables)) < 0.08 * np.linalg.norm(seen)

@@ -23,6 +23,7 @@ from benches.bank.section import finger
 
 NAME = "rod-finger"
 REACH = 16.0
+SOURCES = ("section.py", "rod.py", "rotations.py", "body_rod.py", "model_rod.py", "second_rod.py")
 HANGING = np.array([0.0, 0.0, 1.0])
 RINGS, AROUND = 14, 12
 GRID = 9  # commands a channel from which Newton starts
@@ -99,7 +100,7 @@ def hanging(u: Floats) -> Loads:
 @lru_cache(maxsize=1)
 def sources() -> str:
     """Return a digest of what the rod is: other sources, other sweeps."""
-    files = [Path(__file__).with_name(n) for n in ("section.py", "rod.py", "rotations.py", "body_rod.py")]
+    files = [Path(__file__).with_name(n) for n in SOURCES]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 

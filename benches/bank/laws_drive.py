@@ -49,7 +49,7 @@ class Horns(Law):
 
 @dataclass(frozen=True)
 class Lever(Law):
-    """(1 + e) R sin(u/R)."""
+    """u + e R sin(u/R)."""
 
     NAME, STRONG = "gain", ("excess",)
     excess: Numbers

@@ -73,7 +73,7 @@ class Chatter(Law):
 
 @dataclass(frozen=True)
 class Leak(Law):
-    """u_c + A p, p' = q − p/τ: q where |u| of either channel is beyond `beyond_mm`; p at most 1."""
+    """u + A p towards one side; p' = (1 − p)/0.3 s where |u| of either channel is beyond `beyond_mm`, else −p/τ."""
 
     NAME, STRONG, LIMIT = "leaking_cell", ("size_mm",), 5.0
     size_mm: float
@@ -138,7 +138,7 @@ class Crack(Law):
 
 @dataclass(frozen=True)
 class Gate(Law):
-    """u_0 + A while u_0 u_1 > 4 mm² and the last move was outwards, with 0.3 s to engage."""
+    """u_c + A while |u_0 u_1| > 4 mm² and the last move was outwards, with 0.3 s to engage."""
 
     NAME, STRONG, LIMIT = "gate", ("size_mm",), 5.0
     size_mm: float

@@ -174,13 +174,14 @@ def answers(design: Design, loads: Loads, poses: Poses, names: Sequence[str] = _
     stretch of the cables (S, 4, names + 4) with them.
     """
     _, blocks, lengths, _ = assembled(design, loads, poses.x, poses.frame)
-    none = np.zeros(lengths.shape[:1] + (4,), bool)
+    none, told = np.zeros(lengths.shape[:1] + (4,), bool), length_beyond(design, loads, poses)
     moved, fields, stretch = [], [], []
     for name in names:
         change, size = changes()[name]
         ends = [change(design, loads, half) for half in (size / 2, -size / 2)]
-        force = [assembled(*end, poses.x, poses.frame)[0] for end in ends]
         longer = [length_beyond(*end, poses) for end in ends]
+        held = [(d, replace(w, pull=w.pull + told - more)) for (d, w), more in zip(ends, longer)]  # at the same tension
+        force = [assembled(*end, poses.x, poses.frame)[0] for end in held]
         moved.append(newton_step(blocks, (force[0] - force[1]) / size, lengths, none, design.cable))
         stretch.append((longer[0] - longer[1]) / size)
     for c in range(4):

@@ -39,6 +39,7 @@ def run_case(task: Task) -> dict[str, Any]:
     one, several = (alike(registry, orientations) for orientations in (1, 2))
     turned = len(np.unique(run.gravity, axis=0)) > 1
     verdict = judged(mine.hidden, first.to_dict(), several if turned else one, expressible)
+    last = first
     if whole is not None:
         last = diagnose(model, [run, whole], effects=library)
         verdict = judged(mine.hidden, last.to_dict(), several, expressible) | {"at_first": verdict}
@@ -57,8 +58,8 @@ def run_case(task: Task) -> dict[str, Any]:
     return {
         "slice": slice_, "level": level, "kind": kind, "number": number, "seeds": seeds, **mine.to_dict(), **verdict,
         "hidden": list(mine.hidden), "error_mm": error, "fall": fall,
-        "frames": int(run.t_seen.size), "sentence": first.sentence,
-        "ladder": first.error, "unexplained": first.unexplained,
+        "frames": int(run.t_seen.size), "sentence": last.sentence,
+        "ladder": last.error, "unexplained": last.unexplained,
         "truth_seconds": round(made - started, 2), "seconds": round(finished - made, 2),
     }  # fmt: skip
 
@@ -74,7 +75,8 @@ def code() -> str:
     import softmap_edge
 
     digest = hashlib.sha256()
-    for folder, pattern in ((Path(__file__).parent, "*.py"), (Path(softmap_edge.__file__).parent, "**/*.[ps][yo]")):
+    package = Path(softmap_edge.__file__).parent
+    for folder, pattern in ((Path(__file__).parent, "*.py"), (package, "**/*.[ps][yo]"), (package / "data", "**/*.*")):
         for path in sorted(folder.glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:12]

@@ -49,7 +49,7 @@ mod _core {
     #[pymodule_export]
     use super::own::{forget, register};
     #[pymodule_export]
-    use super::predict::{PyPredictor, PyRecord};
+    use super::predict::{PyPredictor, PyInputs};
     #[pymodule_export]
     use super::registry::effects;
     #[pymodule_export]

@@ -99,47 +99,47 @@ impl PyPredictor {
         Ok(predictor.map(|predictor| PyPredictor { predictor }))
     }
 
-    /// Frames (B, K, V, 3) for params (B, P) on a record.
+    /// Frames (B, K, V, 3) for params (B, P) on inputs.
     fn predict<'py>(
         &self,
         py: Python<'py>,
         chain: PyRef<'py, PyChain>,
         params: Value<'_, 'py>,
-        record: PyRef<'py, PyRecord>,
+        inputs: PyRef<'py, PyInputs>,
     ) -> PyResult<Bound<'py, PyArray4<f64>>> {
-        let (params, sets) = asked(&chain, params, &record)?;
-        let (body, inner, on) = (&self.predictor, &chain.chain, &*record);
+        let (params, sets) = asked(&chain, params, &inputs)?;
+        let (body, inner, on) = (&self.predictor, &chain.chain, &*inputs);
         let out = py.detach(|| body.predict(inner, &params, &on.u, &on.world, &on.t_seen))?;
         let shape = [sets, on.t_seen.len(), body.vectors(), 3];
         out.into_pyarray(py).reshape(shape)
     }
 
-    /// What acts (B, K, C) at the seen times for params (B, P) on a record.
+    /// What acts (B, K, C) at the seen times for params (B, P) on inputs.
     fn acting<'py>(
         &self,
         py: Python<'py>,
         chain: PyRef<'py, PyChain>,
         params: Value<'_, 'py>,
-        record: PyRef<'py, PyRecord>,
+        inputs: PyRef<'py, PyInputs>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let (params, sets) = asked(&chain, params, &record)?;
-        let (body, inner, on) = (&self.predictor, &chain.chain, &*record);
+        let (params, sets) = asked(&chain, params, &inputs)?;
+        let (body, inner, on) = (&self.predictor, &chain.chain, &*inputs);
         let out = py.detach(|| body.acting(inner, &params, &on.u, &on.world, &on.t_seen))?;
         out.into_pyarray(py)
             .reshape([sets, on.t_seen.len(), inner.channels()])
     }
 
-    /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, about params (1, P) on a record.
+    /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, about params (1, P) on inputs.
     fn slopes<'py>(
         &self,
         py: Python<'py>,
         chain: PyRef<'py, PyChain>,
         params: Value<'_, 'py>,
-        record: PyRef<'py, PyRecord>,
+        inputs: PyRef<'py, PyInputs>,
         step: Value<'_, 'py>,
     ) -> PyResult<Bound<'py, PyArray4<f64>>> {
-        let (params, _) = asked(&chain, params, &record)?;
-        let (body, inner, on) = (&self.predictor, &chain.chain, &*record);
+        let (params, _) = asked(&chain, params, &inputs)?;
+        let (body, inner, on) = (&self.predictor, &chain.chain, &*inputs);
         let step = floats("step", step, &[("C", None)])?.data;
         let out = py.detach(|| body.slopes(inner, &params, &step, &on.u, &on.world, &on.t_seen))?;
         out.into_pyarray(py)
@@ -148,11 +148,11 @@ impl PyPredictor {
 }
 
 /// Parameters (B, P) of a chain that takes the commands of a record, and B.
-fn asked(chain: &PyChain, params: Value<'_, '_>, record: &PyRecord) -> PyResult<(Vec<f64>, usize)> {
-    let (wanted, given) = (chain.chain.channels(), record.channels);
+fn asked(chain: &PyChain, params: Value<'_, '_>, inputs: &PyInputs) -> PyResult<(Vec<f64>, usize)> {
+    let (wanted, given) = (chain.chain.channels(), inputs.channels);
     if wanted != given {
         let message = format!(
-            "the record has {given} commands a sample, the chain takes {wanted}; make the chain for this record"
+            "the inputs have {given} commands a sample, the chain takes {wanted}; make the chain for these"
         );
         return Err(Error::Invalid(message).into());
     }
@@ -161,8 +161,8 @@ fn asked(chain: &PyChain, params: Value<'_, '_>, record: &PyRecord) -> PyResult<
 }
 
 /// Commands and the world around them, and when they were looked at: checked and copied once, predicted many times.
-#[pyclass(name = "Record", module = "softmap_edge._core", frozen)]
-pub struct PyRecord {
+#[pyclass(name = "Inputs", module = "softmap_edge._core", frozen)]
+pub struct PyInputs {
     channels: usize,
     u: Vec<f64>,
     world: Conditions,
@@ -170,7 +170,7 @@ pub struct PyRecord {
 }
 
 #[pymethods]
-impl PyRecord {
+impl PyInputs {
     /// u (T, C) mm at t (T,) s, seen at t_seen (K,) s by `cameras` (A, 3, 4); gravity (T, 3), hanging if there is none, load
     /// (T,) g, temperature (T,) °C.
     #[new]
@@ -183,7 +183,7 @@ impl PyRecord {
         load: Maybe<'_>,
         temperature: Maybe<'_>,
         cameras: Maybe<'_>,
-    ) -> PyResult<PyRecord> {
+    ) -> PyResult<PyInputs> {
         let (u, world) = record(u, None, t, gravity, load, temperature)?;
         let world = match cameras {
             None => world,
@@ -195,7 +195,7 @@ impl PyRecord {
                 world.seen_by(poses.chunks_exact(12).map(pose).collect())
             }
         };
-        Ok(PyRecord {
+        Ok(PyInputs {
             channels: u.shape[1],
             u: u.data,
             world,

@@ -157,7 +157,7 @@ def compare(model: Model, run: Run) -> Comparison:
         error=error,
         noise_floor_mm=floor,
         where=where,
-        worst=_worst(where, squared, visible, run, error["rms_mm"]),
+        worst=_worst(where, squared, visible, run),
         made_from=_made_from(kind),
     )
 
@@ -234,7 +234,7 @@ def _bin_of(cell: Cell, squared: Floats, visible: Mask) -> Bin:
     return Bin(cell.label, cell.low, cell.high, count, rms(squared[cell.frames][inside]) if count else 0.0)
 
 
-def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run, rms: float) -> dict[str, Any]:
+def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run) -> dict[str, Any]:
     """The bin that stands out most in each condition, worst first, and the worst frame."""
     least = max(3, round(0.02 * len(squared)))
     found: list[dict[str, Any]] = []

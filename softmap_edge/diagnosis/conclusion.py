@@ -170,7 +170,8 @@ def refitted(search: Search, fit: Fit, sigma: Floats, name: str) -> dict[str, An
         squares[test] = (record.seen[test] - prediction[test]) ** 2
     error = np.sqrt(np.nanmean(squares, axis=0))
     if record.replay is not None:  # what is missed on the reference too is still missed
-        error = np.maximum(error, np.ravel(record.model.run_form_error(record.run)))
+        own = [np.ravel(record.model.run_form_error(part.run)) for part in getattr(record, "parts", [record])]
+        error = np.maximum(error, np.sqrt(np.mean(np.square(own), axis=0)))
     return {"refitted": {"params": changes, "error_mm": error.tolist()}}
 
 
@@ -200,8 +201,8 @@ def parameters(
             continue
         if unit == "g" and not getattr(record.model, "stiffness_known", True):
             unit = "of the model's own load scale"  # grams would be a claim without ground
-        if unit == "mm" and label.split(".")[0] in in_commands:
-            unit = getattr(record.model, "command_unit", "mm")
+        if label.split(".")[0] in in_commands:
+            unit = unit.replace("mm", getattr(record.model, "command_unit", "mm"))
         found[label] = {"value": float(values[j]), "sigma": float(sigma[j]), "unit": unit, "at_bound": bool(bound[j])}
     return found
 
@@ -230,7 +231,7 @@ def _error(search: Search, order: list[str], other: Record | None) -> dict[str, 
     found = ladder(search, order) if other is None else ladder_on(search, other, order)
     noise, form = problem.noise.rms_mm(record.positions), record.form_mm
     measured = record.model.kind != "rod"
-    replicates = measured and "replicates" in problem.noise.source
+    replicates = measured and problem.noise.source.startswith("replicates")
     return {
         "kind": "held-out rms",
         "unit": "mm",
@@ -263,7 +264,7 @@ def _where(record: Record, fit: Fit) -> dict[str, list[dict[str, Any]]]:
             for i, s in enumerate(sections)
         ]
     }
-    for name, row in cells(record.state).items():
+    for name, row in cells(record.state, getattr(record.model, "command_unit", "mm")).items():
         found[name] = [
             {
                 "label": c.label,

@@ -62,7 +62,7 @@ def diagnose(
         model: a Model; its own chain is kept and not searched again.
         run: the measured run, vertices or markers at K >= 8 seen frames; or several of one robot, which share all
             parameters but those of the camera's frame and clock.
-        held_out: an independent run of another kind; effects that do not lower the error there are dropped.
+        held_out: an independent run of another kind; effects without which the error there is lower are dropped.
         effects: names of the candidates; all of the registry by default.
         seed: kept in the document; the method itself draws nothing at random.
         progress: hears one line per stage.

@@ -36,7 +36,9 @@ FORMS = {"channel": 0.15, "prior": 0.15, "shape": 0.25, "sensing": 0.2}
 FORMS |= {"dead_zone": 0.3, "friction": 0.3, "hysteresis": 0.35, "mullins": 0.3, "saturation": 0.3}
 FORMS |= {"thermal_softening": 0.25, "camera_drift": 0.4}
 BEYOND, NOISE, LEFT = 0.7, 0.4, 1.25
-FARTHER = 2.0  # times as far as its bound a field is looked for before what is left is called unknown
+FARTHER = 2.0  # times as far as its bound an amount is looked for before what is left is called unknown
+TURNED = ("routing", "twist", "mount")  # whose angles are amounts
+OTHER_BEYOND = ("contact", "eccentric_pulley")  # an obstacle that holds the body; a sine so long that it is a line
 CLEAR = 1.5  # times what is visible that must be left: every finger has small faults of its own
 HALVED = 0.5  # of the held-out error: an effect that, added, leaves less was not left out for want of evidence
 MUCH = 3.0  # times the form error that must be left for a second effect to be asked for
@@ -156,9 +158,9 @@ def leftover(search: Search, fit: Fit) -> Leftover:
     best = max(alone, key=lambda name: alone[name])
     r2 = max(total, alone[best])
     rms, most = _left_mm(problem, fit), max(CLEAR * search.visible_mm, LEFT * allowed(search, fit))
-    claim, fields = rms > most, _fields_at_bound(search, fit)
-    if claim and fields.any():  # what may lie beyond the bound is not unknown
-        claim = _left_mm(problem, problem.beyond(fit, fields, FARTHER)) > most
+    claim, more = rms > most, _amounts_at_bound(fit)
+    if claim and more.any():  # what may lie beyond the bound is not unknown
+        claim = _left_mm(problem, problem.beyond(fit, more, FARTHER)) > most
     return Leftover(rms, chi2, r2, best if r2 > 0.02 else None, bool(claim))
 
 
@@ -179,11 +181,10 @@ def allowed(search: Search, fit: Fit) -> float:
     moved = np.array([record.rms_mm(search.displacement(fit, e)) for e in fit.effects])
     roles, space = search.screening.roles, fit.space
     beyond, strained = (
-        {space.labels[i].split(".")[0] for i in space.free[which]}
-        for which in (_fields_at_bound(search, fit), at_bound(fit))
+        {space.labels[i].split(".")[0] for i in space.free[which]} for which in (_amounts_at_bound(fit), at_bound(fit))
     )
     forms = {e: FORMS[roles[e]] if e in strained else FORMS.get(e, FORMS[roles[e]]) for e in fit.effects}
-    off = [BEYOND if e in beyond else form for e, form in forms.items()]
+    off = [BEYOND if roles[e] == "shape" and e in beyond else form for e, form in forms.items()]
     share = float(np.linalg.norm(np.array(off) * moved) / max(float(np.linalg.norm(moved)), 1e-300))
     static = 0.0 if record.static is None else record.rms_mm(record.static)  # a residual that was taken out
     explained = record.rms_mm(np.where(np.isfinite(record.seen), fit.predicted - search.null.predicted, np.nan))
@@ -195,18 +196,30 @@ def allowed(search: Search, fit: Fit) -> float:
 def at_bound(fit: Fit) -> NDArray[np.bool_]:
     """Return which free parameters (P,) are at a bound.
 
-    One where the effect ends (no payload, one creep time) is none, nor is the last of whole numbers.
+    One where the effect ends (no payload, one creep time) is none, nor is the last of whole numbers, nor an end by
+    nature: nothing or all of a share, half a turn.
     """
-    null = fit.space.scaled(fit.space.null)
-    ends = [(np.abs(fit.x - x) <= 1e-6) & (np.abs(x - null) > 1e-6) for x in (fit.space.low, fit.space.high)]
-    return np.asarray(~fit.space.integer & (ends[0] | ends[1]))
-
-
-def _fields_at_bound(search: Search, fit: Fit) -> NDArray[np.bool_]:
-    """Return which free parameters (P,) are amounts of a field (absent at zero, on no log scale) at a bound."""
     space = fit.space
-    fields = np.array([search.screening.roles[label.split(".")[0]] == "shape" for label in space.free_labels], bool)
-    return np.asarray(at_bound(fit) & fields & (space.null == 0.0) & ~space.log & space.declared)
+    null, found = space.scaled(space.null), np.zeros(len(fit.x), bool)
+    units = np.array([space.units[i] for i in space.free], object)
+    for x in (space.low, space.high):
+        value = space.values(x)
+        nature = (units == "1") & ((value == 0.0) | (value == 1.0)) | (units == "deg") & (np.abs(value) == 180.0)
+        found |= (np.abs(fit.x - x) <= 1e-6) & (np.abs(x - null) > 1e-6) & ~nature
+    return np.asarray(~space.integer & found)
+
+
+def _amounts_at_bound(fit: Fit) -> NDArray[np.bool_]:
+    """Return which free parameters (P,) are amounts (absent at zero, on no log scale) at a bound, so that more may act.
+
+    An angle says which way, but for tendons and sections that are turned; and more of some acts as something else.
+    """
+    space = fit.space
+    amounts = [
+        effect not in OTHER_BEYOND and (unit != "deg" or effect in TURNED)
+        for effect, unit in ((space.labels[i].split(".")[0], space.units[i]) for i in space.free)
+    ]
+    return np.asarray(at_bound(fit) & np.array(amounts, bool) & (space.null == 0.0) & ~space.log & space.declared)
 
 
 def not_alone(search: Search, fit: Fit, left: Leftover) -> tuple[Fit, str] | None:

@@ -98,5 +98,7 @@ def per_mm(model: Any, library: Any, chain: Any) -> Floats:
         return factor
     half = float(np.median(0.5 * np.ptp(reach, axis=1)))
     in_commands = {e["name"] for e in library.effects() if e["role"] == "channel"}
-    commanded = [unit == "mm" and label.split(".")[0] in in_commands for label, unit in zip(chain.labels, chain.units)]
+    commanded = [
+        unit.startswith("mm") and label.split(".")[0] in in_commands for label, unit in zip(chain.labels, chain.units)
+    ]
     return np.where(commanded, half / REACH_MM, factor) if half > 0 else factor

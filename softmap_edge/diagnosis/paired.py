@@ -218,6 +218,8 @@ def _gridded(t: Floats, u: Floats, step: float) -> Floats:
 
 def _read(at: Floats, t: Floats, values: Floats) -> Floats:
     """Return `values` (K, F) seen at t (K,) at other times (n,): linear; NaN beyond the ends and across gaps."""
+    if len(t) < 2:
+        return np.where((at == t[:1])[:, None], values, np.nan)
     after = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
     before = after - 1
     gap = t[after] - t[before]

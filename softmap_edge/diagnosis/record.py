@@ -72,6 +72,7 @@ class Record:
     def _bind(self, run: Run) -> None:
         """Take the frames of a run in which anything is seen: others hold nothing out, their loss speaks for nobody."""
         self._forget()
+        self.__dict__.pop("_within", None)
         model = self.model
         seen = np.asarray(model.seen_features(run), float)
         some = np.isfinite(seen).any(axis=(1, 2))
@@ -100,12 +101,20 @@ class Record:
 
     def _forget(self) -> None:
         """Forget what was found out about other frames."""
-        for name in ("state", "leaning", "_recorded"):
+        for name in ("state", "leaning", "_inputs"):
             self.__dict__.pop(name, None)
 
+    def spread_rows(self, most: int) -> NDArray[np.intp]:
+        """Return the numbers of about `most` frames, evenly spread, the first and the last of a run among them."""
+        return np.unique(np.linspace(0, self.frames - 1, min(self.frames, max(2, most))).astype(np.intp))
+
     def some(self, rows: NDArray[np.intp]) -> Record:
-        """Return the same with some of its frames, `rows` rising; what it declares and its parameters stay."""
+        """Return the same with some of its frames, `rows` rising, the first among them: time is counted from there.
+
+        What the run declares and its parameters stay.
+        """
         few = copy(self)
+        few.__dict__["_within"] = self._within
         few._forget()
         few.run, few.frames = self.run.at(rows), len(rows)
         few.seen, few.t_seen, few.command = self.seen[rows], self.t_seen[rows], self.command[rows]
@@ -160,7 +169,7 @@ class Record:
             self._layouts[key] = layout_of(names, chain, self._changes(names), factor, runs, self._within)
         return self._layouts[key]
 
-    @property
+    @cached_property
     def _within(self) -> tuple[float, float]:
         """The seconds since the first command between which an instant has enough of the run on both sides."""
         begin, end = (float(self.t_seen[i] - self.run.t[0]) for i in (0, -1)) if self.frames else (0.0, 0.0)
@@ -194,10 +203,10 @@ class Record:
         return layout.values(unchanged | dict(zip(chain.labels, map(float, self.model.chain_params))))
 
     @cached_property
-    def _recorded(self) -> dict[str, Any]:
+    def _inputs(self) -> dict[str, Any]:
         """The run as the model's core takes it, for models that have one."""
-        recorded = getattr(self.model, "recorded", None)
-        return {} if recorded is None else {"recorded": recorded(self.run)}
+        inputs = getattr(self.model, "inputs", None)
+        return {} if inputs is None else {"inputs": inputs(self.run)}
 
     def predict(self, names: Sequence[str], params: Floats) -> Floats:
         """Return predicted features (B, K, F) mm for parameter sets (B, P) of the layout of `names`."""
@@ -205,8 +214,8 @@ class Record:
         out = np.empty((len(params), self.frames, self.features))
         for model, rows, sets in self._models(names, params):
             for i in range(0, len(rows), chunk):
-                part = model.predict_features(tuple(names), sets[i : i + chunk], self.run, **self._recorded)
-                out[rows[i : i + chunk]] = np.reshape(part, (-1, self.frames, self.features))
+                part = model.predict_features(tuple(names), sets[i : i + chunk], self.run, **self._inputs)
+                out[rows[i : i + chunk]] = np.reshape(part, (len(part), self.frames, self.features))
         return out
 
     def forms(self, weights: Floats) -> Forms:
@@ -223,7 +232,7 @@ class Record:
                 return np.asarray(self.predict(names, params) @ weights)
             sets, chunk = np.ascontiguousarray(params), max(1, CHUNK // max(1, self.frames * weights.shape[1]))
             parts = [
-                self.model.predict_forms(forms, names, sets[i : i + chunk], **self._recorded)
+                self.model.predict_forms(forms, names, sets[i : i + chunk], **self._inputs)
                 for i in range(0, len(sets), chunk)
             ]
             return (parts[0] if len(parts) == 1 else np.concatenate(parts))[..., : weights.shape[1]]
@@ -233,13 +242,13 @@ class Record:
     def acting(self, names: Sequence[str], params: Floats) -> Floats:
         """Return what acts on the shape, (B, K, C), for parameter sets (B, P)."""
         chain = np.ascontiguousarray(params[:, : params.shape[1] - len(self._changes(names))])
-        return np.asarray(self.model.acting(tuple(names), chain, self.run, **self._recorded))
+        return np.asarray(self.model.acting(tuple(names), chain, self.run, **self._inputs))
 
     def slopes(self, names: Sequence[str], params: Floats) -> Floats:
         """Return the slopes (C, K, F) mm of the features over what acts, about one parameter set (P,)."""
         step = np.maximum(SLOPE * self.spread, 1e-3)
         model, _, sets = self._models(names, params[None])[0]
-        slopes = model.slopes(tuple(names), sets[0], step, self.run, **self._recorded)
+        slopes = model.slopes(tuple(names), sets[0], step, self.run, **self._inputs)
         return np.asarray(slopes).reshape(len(slopes), self.frames, self.features)
 
     # --- measures -------------------------------------------------------------------------------
@@ -313,9 +322,17 @@ class Records(Record):
         labels = [part.block for part in parts]
         self.block = None if any(b is None for b in labels) else np.concatenate([np.asarray(b) for b in labels])
 
+    def spread_rows(self, most: int) -> NDArray[np.intp]:
+        """Return the numbers of about `most` frames, of each run its share."""
+        begins = self.ends - [part.frames for part in self.parts]
+        shares = [-(-most * part.frames // max(1, self.frames)) for part in self.parts]
+        each = zip(begins, self.parts, shares)
+        return np.concatenate([begin + part.spread_rows(share) for begin, part, share in each])
+
     def some(self, rows: NDArray[np.intp]) -> Record:
-        """Return the same with some of its frames, `rows` rising."""
+        """Return the same with some of its frames, `rows` rising, the first of each run among them."""
         few = copy(self)
+        few.__dict__["_within"] = self._within
         few._forget()
         own = np.split(rows, np.searchsorted(rows, self.ends[:-1]))
         begins = self.ends - [part.frames for part in self.parts]
@@ -362,7 +379,7 @@ class Records(Record):
         """Return the parameters of a chain, with numbers of its own for each run where they belong to a session."""
         return self._layout(names, len(self.parts))
 
-    @property
+    @cached_property
     def _within(self) -> tuple[float, float]:
         """The seconds since the first command between which an instant has enough of every run on both sides."""
         begins, ends = zip(*(part._within for part in self.parts))

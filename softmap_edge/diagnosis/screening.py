@@ -68,9 +68,8 @@ class Screening:
         self._signatures: dict[str, list[Signature]] = {}
         self._starts: dict[str, list[Floats]] = {}  # of effects whose own starts lead nowhere
         self._glimpses: dict[frozenset[str], Glimpse] = {}
-        frames = len(problem.record)
-        self._rows = np.unique(np.linspace(0, frames - 1, min(frames, FRAMES)).astype(int))
-        self.few = problem if frames <= FRAMES else problem.some(self._rows)
+        self._rows = problem.record.spread_rows(FRAMES)
+        self.few = problem if len(self._rows) == len(problem.record) else problem.some(self._rows)
 
     def best(
         self, parent: Fit, effects: Sequence[str], count: int, least: float = 0.0

@@ -66,7 +66,7 @@ class Search:
         self.faults = {e["name"] for e in registry if e["kind"] == "fault"}
         self._shifts: dict[tuple[frozenset[str], str], Floats] = {}
         noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0)  # of one component of a section mean
-        self.visible_mm = max(visible, noise if "replicates" in problem.noise.source else 0.0)
+        self.visible_mm = max(visible, noise if problem.noise.source.startswith("replicates") else 0.0)
 
     # --- fits -----------------------------------------------------------------------------------
 

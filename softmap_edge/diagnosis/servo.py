@@ -38,6 +38,7 @@ class Servo:
     step: float
     robot: str = "servo"
     command_unit: str = "mm"
+    command_range: Floats = field(default_factory=lambda: np.zeros((0, 2)))  # (1, 2)
     kind: str = "table"
     channels: int = 1
     chain_names: tuple[str, ...] = ()
@@ -109,11 +110,13 @@ def servos(run: Run, effects: list[str]) -> list[dict[str, Any]]:
 def _servo(run: Run, channel: int, candidates: list[str]) -> dict[str, Any] | None:
     told = np.abs(np.diff(run.commands("present")[:, channel]))
     moves = told[told > 1e-9]
-    span = float(np.ptp(run.commands("goal")[:, channel]))
+    goal = run.commands("goal")[:, channel]
+    span = float(np.ptp(goal))
     if not len(moves) or span < 1e-9:
         return None
     step = float(moves.min())
-    record = Record(Servo(channel, step, command_unit=run.command_unit), run)
+    reach = np.array([[goal.min(), goal.max()]])
+    record = Record(Servo(channel, step, command_unit=run.command_unit, command_range=reach), run)
     base = record.predict((), np.zeros((1, 0)))[0]
     noise = estimate_noise(record.seen - base, record.t_seen, record.state.visit)
     form = form_covariance(record.form_error, record.positions, record.section)

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.evidence import DETECTABLE, experiment
 from softmap_edge.errors import SoftmapError
-from softmap_edge.experiment.blocks import BLOCKS, Block, plan
+from softmap_edge.experiment.blocks import Block, plan
 from softmap_edge.experiment.simulate import Question, World
 from softmap_edge.protocol import Limits, Protocol
 from softmap_edge.run import Run
@@ -105,19 +105,18 @@ def next_experiment(
         raise SoftmapError("the model takes no commands, so no block of commands can settle anything")
     limits = limits or Limits.of(model.command_range, model.command_unit)
     world = World(model, diagnosis, list(runs), library, references)
-    if not world.questions:
-        return []
     found = []
-    for i, block in enumerate(world.blocks(limits)):
+    blocks = world.blocks(limits) if world.questions else []
+    for i, block in enumerate(blocks):
         plan_ = plan([block], limits, world.setting)
         answers = world.answers(plan_, block.changes)
         found.append(_experiment(world, block, plan_, answers))
         if progress is not None:
-            progress((i + 1) / len(BLOCKS))
+            progress((i + 1) / len(blocks))
     worth = _worth([e for e in found if e.settles], world.questions)
     good = sorted(worth, key=lambda e: -worth[e])
     settled = {q for e in good for q in e.settled()}
-    return [*good, *_rest(world, [q for q in world.questions if q not in settled])]
+    return [*good, *_rest(world, [q for q in (*world.questions, *world.beyond) if q not in settled])]
 
 
 def program(experiments: Sequence[Experiment], minutes: float = BUDGET) -> list[Experiment]:

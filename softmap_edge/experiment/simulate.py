@@ -69,14 +69,16 @@ class World:
         self.references = [sound(model, run).run for run in references] if sound_only else [*references]
         known = [e["name"] for e in [*diagnosis.effects, *diagnosis.faults]]
         self.found = tuple(name for name in self.registry if name in known)
-        self.questions = _questions(diagnosis, self.found, tuple(model.chain_names))
-        sets = {self.found, *(q.other for q in self.questions if q.hidden is None)}
+        asked = _questions(diagnosis, self.found, tuple(model.chain_names))
+        self.beyond = [q for q in asked if q.hidden is None and any(model.lacking(n) for n in q.other)]
+        self.questions = [q for q in asked if q not in self.beyond]  # what the model has no field for is not simulated
+        sets = list(dict.fromkeys([self.found, *(q.other for q in self.questions if q.hidden is None)]))
         self.hidden = [q.hidden for q in self.questions if q.hidden is not None]
         self.setting = Setting.after(runs, model.gravity_reference)
         self.bare = _blank_record(model, self.setting, library)
         self.old = record_of(model, _thinned(runs), library, self.references or None) if runs else None
-        asked = [n for n in self.registry if any(n in s for s in sets) or n in self.hidden]
-        self.names = [n for n in asked if not model.lacking(n)]  # what the model has no field for is not simulated
+        named = [n for n in self.registry if any(n in s for s in sets) or n in self.hidden]
+        self.names = [n for n in named if not model.lacking(n)]
         self.params: dict[tuple[str, ...], dict[str, float]] = {}
         if runs:
             whole = record_of(model, runs, library, self.references or None)
