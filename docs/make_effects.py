@@ -130,7 +130,7 @@ def pictured(effect: dict[str, Any]) -> bytes:
         else:
             sets = np.stack([chain.null, params])
             if effect["role"] == "prior":
-                frames = _rod().predict(chain, sets, u, t, t)
+                frames = _rod().predict(chain, sets, _core.Inputs(u, t, t))
             else:
                 frames = model.predict_features((effect["name"],), sets, run)[:, :, model.positions]
             _seen(figure, t, moments, frames[0], frames[1])

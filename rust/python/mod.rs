@@ -49,7 +49,7 @@ mod _core {
     #[pymodule_export]
     use super::own::{forget, register};
     #[pymodule_export]
-    use super::predict::{PyPredictor, PyInputs};
+    use super::predict::{PyInputs, PyPredictor};
     #[pymodule_export]
     use super::registry::effects;
     #[pymodule_export]
