@@ -364,6 +364,14 @@ def slipped(p, u, t):
     return side * np.where(pull >= gone, pull - gone, loose)
 
 
+def crept(p, u, t):
+    """Piece by piece: one cable pulls, the other does, or neither, where only a taut pair moves."""
+    ours, others = (p["loss"] * relaxed(np.maximum(pull, 0.0), t, p["tau"]) for pull in (u, -u))
+    one, other = u - ours + p["taut"] * others, u + others - p["taut"] * ours
+    neither = p["taut"] * (u - ours + others)
+    return np.where(u > ours, one, np.where(u < -others, other, neither))
+
+
 def turn(axis, degrees):
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     i, j = [(1, 2), (2, 0), (0, 1)][axis]
@@ -508,7 +516,7 @@ ORACLES = {
     "friction": rubbed,
     "coupling": lambda p, u, t: u @ (np.eye(u.shape[1]) + p["factor"]).T,
     "dead_zone": lambda p, u, t: np.sign(u) * np.maximum(np.abs(u) - p["slack"], 0.0),
-    "tendon_creep": lambda p, u, t: u - p["loss"] * relaxed(u, t, p["tau"]),
+    "tendon_creep": crept,
     "anchor_slip": slipped,
     "hysteresis": prandtl_ishlinskii,
     "creep": lambda p, u, t: (

@@ -1,15 +1,15 @@
 //! Anchor slip: at some instant a knot or a clamp gives way, and from then on one cable of the pair is longer.
 //!
 //! `s(t) = slip·r(t)`, `r` a ramp from 0 to 1 that is half done `at` seconds after the first sample and lasts
-//! `width·at`. With a the command in the direction in which the longer cable pulls (−u·sign s):
-//!   a > |s|: it pulls |s| less, x = u + s;   a < 0: the other cable pulls, x = u + taut·s;   between: linear,
-//! `taut` 0 for cables that only pull and hang loose at home, 1 for a pair that is held taut or takes compression, where
-//! the whole channel is shifted. An instant has no slope to follow, and how long a record is is not known to an effect; so
-//! the ramp begins as wide as a share of its time, at any scale of time, and the fit narrows it as it closes in. mm, slip
-//! per channel. Limit: one slip; several are several ramps that one of them averages.
+//! `width·at`. The cable that pulls against s is longer by |s|; what that does to the command is in `pair.rs`: `taut` 0 for
+//! cables that only pull and hang loose at home, 1 for a pair that is held taut or takes compression, where the whole
+//! channel is shifted. An instant has no slope to follow, and how long a record is is not known to an effect; so the ramp
+//! begins as wide as a share of its time, at any scale of time, and the fit narrows it as it closes in. mm, slip per
+//! channel. Limit: one slip; several are several ramps that one of them averages.
 
 use super::conditions::Context;
 use super::declaration::*;
+use super::pair::lengthened;
 
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
@@ -91,17 +91,8 @@ impl ChannelEffect for AnchorSlip {
         let late = context.t - state[1] - numbers[0];
         let done = (late / (numbers[0] * numbers[1]).max(INSTANT) + 0.5).clamp(0.0, 1.0);
         for (x, slip) in x.iter_mut().zip(slip) {
-            *x += moved(*x, slip * done, numbers[2]);
+            let s = slip * done;
+            *x = lengthened(*x, [(-s).max(0.0), s.max(0.0)], numbers[2]);
         }
-    }
-}
-
-/// What a slip `s` adds to a command `u`.
-fn moved(u: f64, s: f64, taut: f64) -> f64 {
-    let pulled = -u * s.signum();
-    if pulled >= s.abs() {
-        s
-    } else {
-        s * taut + (1.0 - taut) * pulled.max(0.0) * s.signum()
     }
 }

@@ -8,6 +8,7 @@ mod conditions;
 mod declaration;
 mod low_pass;
 mod own;
+mod pair;
 
 pub use chain::Chain;
 pub use conditions::{Camera, Conditions, Context, bracket};

@@ -1,13 +1,16 @@
 //! Tendon creep: a tendon under tension goes on stretching, and the bend is slowly lost.
 //!
-//! `y = x − loss·z`, `tau·z' = x − z`: after a step all of it comes at once and a share of it is lost with time, where
-//! creep of the body (`creep.rs`) goes on in the direction of the step. Advanced exactly for commands linear between
-//! samples, as in `lag.rs`. Memory starts in equilibrium, z = x. Units 1 and s. Limit: one relaxation time, and all
-//! that is lost comes back.
+//! Each cable of a pair by itself: `s± = loss·z±`, `tau·z±' = max(±x, 0) − z±` are by how much the cable that +x pulls and
+//! the one that −x pulls are longer; what that does to the command is in `pair.rs`: `taut` 0 for cables that only pull and
+//! hang loose when they are let go, 1 for a pair that is held taut or takes compression, where `y = x − s⁺ + s⁻`.
+//! After a step all of it comes at once and a share of it is lost with time, where creep of the body (`creep.rs`) goes on
+//! in the direction of the step. Advanced exactly for pulls linear between samples, as in `lag.rs`. Memory starts in
+//! equilibrium, z± = max(±x, 0). Units 1 and s. Limit: one relaxation time, and all that is lost comes back.
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
 use super::low_pass::{low_pass, low_passed};
+use super::pair::lengthened;
 
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
@@ -15,11 +18,11 @@ pub static EFFECT: Effect = Effect {
         family: "slow drift",
         stage: Stage::Transmission,
         kind: Kind::Effect,
-        formula: "y = x − loss · z,  tau · dz/dt = x − z",
+        formula: "y = taut · (x − a + b) + (1 − taut) · (x − min(max(x, −b), a)),  a = loss · z⁺, b = loss · z⁻,  tau · dz±/dt = max(±x, 0) − z±",
         doc: "The tendon creeps: under a lasting pull polymer fibres and knots give way, and recover when they are let \
-              go.",
-        signature: "Drift while a command is held, back towards home; after a long pull home itself is overshot, then comes \
-              back.",
+              go. Each cable of a pair by itself, while it pulls.",
+        signature: "Drift while a command is held, back towards home; after a long pull home and the other side are \
+              overshot as far as the pair is taut, then come back.",
         reference: "Linear viscoelastic creep: Findley, Lai and Onaran, Creep and Relaxation of Nonlinear Viscoelastic \
               Materials, 1976.",
         experiment: ("a dwell of 30 s or more at a large command, then home", 2.0),
@@ -33,7 +36,7 @@ pub static EFFECT: Effect = Effect {
                 0.05,
                 0.01,
                 0.3,
-                "share of the shortening that is lost when all has settled",
+                "share of a pull that is lost when all has settled",
             ),
             Parameter::new(
                 "tau",
@@ -44,6 +47,15 @@ pub static EFFECT: Effect = Effect {
                 500.0,
                 "relaxation time of the tendon",
             ),
+            Parameter::new(
+                "taut",
+                "1",
+                0.5,
+                0.5,
+                0.0,
+                1.0,
+                "share of what a cable has lost that shows while the other pulls",
+            ),
         ],
     },
     law: Law::Channel(&TendonCreep),
@@ -52,19 +64,20 @@ pub static EFFECT: Effect = Effect {
 struct TendonCreep;
 
 impl ChannelEffect for TendonCreep {
+    /// What each cable has followed, and the command before.
     fn state_size(&self, channels: usize) -> usize {
-        2 * channels
+        3 * channels
     }
 
     fn settle(&self, params: &[f64], x: &mut [f64], state: &mut [f64]) {
-        let (slow, before) = state.split_at_mut(x.len());
-        slow.copy_from_slice(x);
-        before.copy_from_slice(x);
-        x.iter_mut().for_each(|x| *x -= params[0] * *x);
+        for (x, state) in x.iter_mut().zip(state.chunks_exact_mut(3)) {
+            state.copy_from_slice(&[x.max(0.0), (-*x).max(0.0), *x]);
+            *x = shortened(params, *x, state);
+        }
     }
 
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
-        advance(params[0], low_pass(params[1], context.dt), x, state);
+        advance(params, low_pass(params[1], context.dt), x, state);
     }
 
     /// As by steps; the weights of many samples are found together.
@@ -82,7 +95,7 @@ impl ChannelEffect for TendonCreep {
             channels,
             conditions,
             |[weights], x| {
-                advance(params[0], weights, x, state);
+                advance(params, weights, x, state);
             },
         );
     }
@@ -90,11 +103,19 @@ impl ChannelEffect for TendonCreep {
 
 /// Advance one sample of every channel.
 #[inline]
-fn advance(strength: f64, [a, b, c]: [f64; 3], x: &mut [f64], state: &mut [f64]) {
-    let (slow, before) = state.split_at_mut(x.len());
-    for ((x, slow), before) in x.iter_mut().zip(slow).zip(before) {
-        *slow = a * *slow + (b * *before + c * *x);
-        *before = *x;
-        *x -= strength * *slow;
+fn advance(params: &[f64], [a, b, c]: [f64; 3], x: &mut [f64], state: &mut [f64]) {
+    for (x, state) in x.iter_mut().zip(state.chunks_exact_mut(3)) {
+        let (before, u) = (state[2], *x);
+        let follow = |z: f64, before: f64, u: f64| a * z + (b * before.max(0.0) + c * u.max(0.0));
+        state[0] = follow(state[0], before, u);
+        state[1] = follow(state[1], -before, -u);
+        state[2] = u;
+        *x = shortened(params, u, state);
     }
+}
+
+/// What reaches the body of a command.
+#[inline]
+fn shortened(params: &[f64], x: f64, state: &[f64]) -> f64 {
+    lengthened(x, [params[0] * state[0], params[0] * state[1]], params[2])
 }
