@@ -34,7 +34,7 @@ LEFT_R2 = 0.12  # from which a condition is named as what predicts a leftover
 # bank (docs/bank.md).
 FORMS = {"channel": 0.15, "prior": 0.15, "shape": 0.25, "sensing": 0.2}
 FORMS |= {"dead_zone": 0.3, "friction": 0.3, "hysteresis": 0.35, "mullins": 0.3, "saturation": 0.3}
-FORMS |= {"thermal_softening": 0.25, "camera_drift": 0.4}
+FORMS |= {"tendon_creep": 0.3, "thermal_softening": 0.25, "camera_drift": 0.4}
 BEYOND, NOISE, LEFT = 0.7, 0.4, 1.25
 FARTHER = 2.0  # times as far as its bound an amount is looked for before what is left is called unknown
 TURNED = ("routing", "twist", "mount")  # whose angles are amounts
