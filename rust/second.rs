@@ -11,18 +11,21 @@
 //! whatever else they answer. What x_kl makes of a body are a few modes, each a field of its own.
 //! Pairs among loads and tensions stand by themselves, those with a modulus in a table of their own, which costs nothing
 //! where the modulus is as it was; a body may lack it, and then answers changes of its modulus linearly.
-//! On the built-in finger 60 g are right to 7 % of what they move, 12 to 26 % without; a section half as stiff in a
-//! leaning finger to 8 to 19 %, of which its field misses 6 to 13 %, 34 to 47 % without (tests/test_second_level.py).
+//! On the built-in finger 60 g are right to 8 % of what they move, 10 to 20 % and more are missed without; a section half
+//! as stiff to 9 to 18 %, 25 to 60 % and more without (tests/test_second_level.py).
 //! Limits: curvature at rest, twist and routing, and pushes, stay linear beside it.
 
 use crate::error::{Result, invalid};
-use crate::grid::{Carry, Grid, Nodes};
+use crate::grid::{Grid, Nodes};
 use crate::loads::{LOADS, MODULI};
-use crate::modes::{Modes, accumulate, wide};
+use crate::modes::{Modes, accumulate};
 use crate::shape::Shape;
 use crate::table::Table;
-use std::ops::Range;
 use std::sync::Arc;
+
+#[path = "second_part.rs"]
+mod part;
+use part::Part;
 
 /// The most tendons that can answer.
 pub const MOST_TENDONS: usize = 64;
@@ -40,76 +43,6 @@ pub struct Second {
     /// Number of loads and of moduli that are causes.
     loads: usize,
     moduli: usize,
-}
-
-/// Some of the pairs of causes.
-#[derive(Clone, Default)]
-struct Part {
-    /// For each node: of every pair its mode weights (m,), then its stretch (n,) mm; then g_k of its own causes.
-    numbers: Vec<f64>,
-    /// Pairs of causes, and whose growth it has: numbers among loads, then moduli, then tensions.
-    pairs: Vec<(usize, usize)>,
-    own: Vec<usize>,
-}
-
-impl Part {
-    /// The pairs of loads and tensions, and those with a modulus: of each with loads, tensions and moduli from itself on.
-    fn both(loads: usize, moduli: usize, tendons: usize) -> [Part; 2] {
-        let plain: Vec<usize> = (0..loads)
-            .chain(loads + moduli..loads + moduli + tendons)
-            .collect();
-        let rows = |own: &[usize], k: usize| own.iter().map(move |l| (k, *l)).collect::<Vec<_>>();
-        let among = (0..plain.len()).flat_map(|k| rows(&plain[k..], plain[k]));
-        let own: Vec<usize> = (loads..loads + moduli).collect();
-        let with =
-            (0..moduli).flat_map(|i| [rows(&plain, own[i]), rows(&own[i..], own[i])].concat());
-        let part = |pairs, own| Part {
-            numbers: vec![],
-            pairs,
-            own,
-        };
-        [
-            part(among.collect(), plain.clone()),
-            part(with.collect(), own.clone()),
-        ]
-    }
-
-    /// Numbers of a node, for blocks of so many a pair.
-    fn size(&self, block: usize) -> usize {
-        self.pairs.len() * block + self.own.len()
-    }
-
-    /// The numbers at a command, of those pairs only whose causes act.
-    fn at(&self, block: usize, carry: &Carry, acts: impl Fn(usize) -> bool, out: &mut [f64]) {
-        out.fill(0.0);
-        if self.pairs.iter().all(|(k, l)| acts(*k) && acts(*l)) {
-            return wide(
-                #[inline(always)]
-                || carry.blend(&self.numbers, 1.0, out),
-            );
-        }
-        let mut wanted: Vec<Range<usize>> = vec![];
-        for (p, (k, l)) in self.pairs.iter().enumerate() {
-            match wanted.last_mut() {
-                _ if !(acts(*k) && acts(*l)) => {}
-                Some(range) if range.end == p * block => range.end += block,
-                _ => wanted.push(p * block..(p + 1) * block),
-            }
-        }
-        let size = out.len();
-        wanted.push(self.pairs.len() * block..size);
-        wide(
-            #[inline(always)]
-            || {
-                for (node, share) in carry.nodes() {
-                    let row = &self.numbers[node * size..(node + 1) * size];
-                    for range in &wanted {
-                        accumulate(&mut out[range.clone()], &row[range.clone()], *share);
-                    }
-                }
-            },
-        );
-    }
 }
 
 impl Second {

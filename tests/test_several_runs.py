@@ -10,7 +10,7 @@ from test_diagnosis import finger_run
 from softmap_edge import builtin_model, diagnose, refit
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.document import Diagnosis
-from softmap_edge.diagnosis.record import Records, record_of
+from softmap_edge.diagnosis.records import Records, record_of
 from softmap_edge.errors import SoftmapError
 
 

@@ -166,7 +166,7 @@ def test_what_is_claimed_without_a_load_is_listed_on_the_page(folder):
         assert float(re.search(r"backlash ([\d.]+) deg", names)[1]) == pytest.approx(gap, abs=0.1), half
         before = ladder[added.index("backlash")]
         assert ladder[added.index("backlash") + 1] < 0.98 * before, half
-        assert all(a > 0.99 * b for a, b, name in zip(ladder[1:], ladder, added) if name != "backlash"), half
+        assert all(a > 0.98 * b for a, b, name in zip(ladder[1:], ladder, added) if name != "backlash"), half
 
 
 def test_the_encoders_tell_the_drive_apart(page):

@@ -9,7 +9,7 @@
 
 use super::conditions::Context;
 use super::declaration::*;
-use super::pair::lengthened;
+use super::pair::{lengthened, taut};
 
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
@@ -54,15 +54,7 @@ pub static EFFECT: Effect = Effect {
                 1.0,
                 "how long the slip lasts, as a share of its time",
             ),
-            Parameter::new(
-                "taut",
-                "1",
-                0.5,
-                0.5,
-                0.0,
-                1.0,
-                "share of the slip that shows while the other cable pulls",
-            ),
+            taut("share of the slip that shows while the other cable pulls"),
         ],
     },
     law: Law::Channel(&AnchorSlip),

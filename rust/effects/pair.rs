@@ -5,6 +5,13 @@
 //!   held taut, or where cables take compression: x − a + b, the whole channel is shifted,
 //! and `taut` is the share of the latter. Continuous and monotone in x for `taut` from 0 to 1. mm.
 
+use super::declaration::Parameter;
+
+/// The number that says how taut a pair is; `doc` says what shows of it.
+pub(super) const fn taut(doc: &'static str) -> Parameter {
+    Parameter::new("taut", "1", 0.5, 0.5, 0.0, 1.0, doc)
+}
+
 /// What reaches the body of a command `x`.
 #[inline]
 pub(super) fn lengthened(x: f64, [a, b]: [f64; 2], taut: f64) -> f64 {

@@ -10,7 +10,7 @@
 use super::conditions::{Conditions, Context};
 use super::declaration::*;
 use super::low_pass::{low_pass, low_passed};
-use super::pair::lengthened;
+use super::pair::{lengthened, taut};
 
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
@@ -47,15 +47,7 @@ pub static EFFECT: Effect = Effect {
                 500.0,
                 "relaxation time of the tendon",
             ),
-            Parameter::new(
-                "taut",
-                "1",
-                0.5,
-                0.5,
-                0.0,
-                1.0,
-                "share of what a cable has lost that shows while the other pulls",
-            ),
+            taut("share of what a cable has lost that shows while the other pulls"),
         ],
     },
     law: Law::Channel(&TendonCreep),

@@ -271,13 +271,14 @@ def advice_lines(words: list[Word]) -> list[str]:
 def effect_lines(effects: list[dict[str, Any]]) -> list[str]:
     """Return for a terminal what `diagnosis.showing` found of each effect."""
     lines = ["", "Effects at mid-range: how far each would move the body, and how often that is the noise"]
+    wide = max((len(row["name"]) for row in effects), default=0)
     for row in effects:
         if row["shows"]:
             size = f"{row['moved_mm']:5.2f} mm {row['deviations']:7.0f} times"
             twins = f", but like {', '.join(row['alike'])}" if row["alike"] else ""
-            lines.append(f"  + {row['name']:<12}{size}   shows{twins}")
+            lines.append(f"  + {row['name']:<{wide}}{size}   shows{twins}")
         else:
-            lines += folded(f"- {row['name']:<12}does not show: {row['why']}", 2)
+            lines += folded(f"- {row['name']:<{wide}}  does not show: {row['why']}", 2)
         if not row["shows"] or row["alike"]:
             lines += folded(f"> {row['experiment']} ({row['minutes']:g} min)", 6)
     return lines

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from softmap_edge.diagnosis.record import Record, record_of
+from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.records import record_of
 
 if TYPE_CHECKING:
     from softmap_edge.run import Run

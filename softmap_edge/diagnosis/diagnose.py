@@ -23,7 +23,8 @@ from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unse
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.masked import masked
 from softmap_edge.diagnosis.prepare import candidates_of, problem_of
-from softmap_edge.diagnosis.record import Record, record_of
+from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.records import record_of
 from softmap_edge.diagnosis.search import Search
 from softmap_edge.diagnosis.servo import servos
 from softmap_edge.diagnosis.sound import sound_record, stray

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.belongs import FOLLOWED, MOTION, belongs, declared, follows, spread
 from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.diagnosis.floor import replicates
-from softmap_edge.diagnosis.record import Record, record_of
+from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.records import record_of
 from softmap_edge.errors import RunError
 from softmap_edge.run import known
 

@@ -20,7 +20,8 @@ from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.noise import FLOOR, Noise
 from softmap_edge.diagnosis.prepare import problem_of
-from softmap_edge.diagnosis.record import Record, record_of
+from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.records import record_of
 from softmap_edge.diagnosis.search import VISIBLE_MM, Search
 from softmap_edge.diagnosis.sound import sound
 from softmap_edge.errors import SoftmapError

@@ -1,0 +1,185 @@
+"""Several runs of one robot as a fit sees them: frame after frame, under shared parameters.
+
+Memory starts in equilibrium in each run, and what belongs to a session rather than to the robot (PER_RUN: where the
+base stood in the camera's frame, how it drifted, how far the clocks were apart) has numbers of its own for each,
+labelled `mount.turn_x@2` from the second run on. Units: mm, s, g. Limit: the runs must be seen in the same way
+(vertices, or the same number of markers). Pinned by tests/test_several_runs.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.conditions import Conditions
+from softmap_edge.diagnosis.layout import Layout
+from softmap_edge.diagnosis.record import Forms, Record
+from softmap_edge.errors import SoftmapError
+
+if TYPE_CHECKING:
+    from softmap_edge.run import Run
+
+Floats = NDArray[np.float64]
+
+APART = 60.0  # s between the runs: none is within a gap of another
+
+
+class Records(Record):
+    """Several runs of one robot, one after the other."""
+
+    def __init__(
+        self, model: Any, runs: Sequence[Run], library: Any = None, reference: Run | Sequence[Run] | None = None
+    ) -> None:
+        """Bind a model to several runs, each of which plays the commands of a `reference` if there is any.
+
+        Raises:
+            SoftmapError: the runs are not seen in the same way.
+        """
+        self._layouts = {}
+        parts = [Record(model, run, library, reference) for run in runs]
+        kinds = [(part.features, len(part.positions)) for part in parts]
+        if len(set(kinds)) > 1:
+            raise SoftmapError(
+                f"the runs show {', '.join(str(n) for _, n in kinds)} features a frame; runs that are diagnosed "
+                "together must be seen in the same way, so diagnose them apart"
+            )
+        self.model, self.library = model, parts[0].library
+        replays = [p.replay for p in parts if p.replay is not None]
+        self.replay = max(replays, key=lambda r: r.share, default=None)
+        met = list(dict.fromkeys(str(r.run) for r in replays))
+        if self.replay is not None and len(met) > 1:
+            self.replay = replace(self.replay, run=met)
+        self.whole = tuple(runs)
+        self._join(parts)
+
+    def _join(self, parts: list[Record]) -> None:
+        """Put the frames of runs one after the other."""
+        self.parts = parts
+        self.frames, self.features = sum(part.frames for part in parts), parts[0].features
+        self.seen = np.concatenate([part.seen for part in parts])
+        self.command = np.concatenate([part.command for part in parts])
+        self.positions, self.section = parts[0].positions, parts[0].section
+        if parts[0].static is not None:
+            self.static = np.concatenate([part.static for part in parts])
+        weight = [part.frames / max(1, self.frames) for part in parts]
+        self.form_error = np.sqrt(sum(w * part.form_error**2 for w, part in zip(weight, parts)))
+        self._leaning = np.concatenate([part._leaning for part in parts])
+        self.ends = np.cumsum([part.frames for part in parts])
+        begins, end = [], 0.0
+        for part in parts:
+            first = float(part.t_seen[0]) if part.frames else 0.0
+            begins.append(part.t_seen - first + end)
+            end = (float(begins[-1][-1]) if part.frames else end) + APART
+        self.t_seen = np.concatenate(begins)
+        labels = [part.block for part in parts]
+        self.block = None if any(b is None for b in labels) else np.concatenate([np.asarray(b) for b in labels])
+
+    def spread_rows(self, most: int) -> NDArray[np.intp]:
+        """Return the numbers of about `most` frames, of each run its share."""
+        begins = self.ends - [part.frames for part in self.parts]
+        shares = [-(-most * part.frames // max(1, self.frames)) for part in self.parts]
+        each = zip(begins, self.parts, shares)
+        return np.concatenate([begin + part.spread_rows(share) for begin, part, share in each])
+
+    def some(self, rows: NDArray[np.intp]) -> Record:
+        """Return the same with some of its frames, `rows` rising, the first of each run among them."""
+        few = copy(self)
+        few.__dict__["_within"] = self._within
+        few._forget()
+        own = np.split(rows, np.searchsorted(rows, self.ends[:-1]))
+        begins = self.ends - [part.frames for part in self.parts]
+        few._join([part.some(mine - begin) for part, mine, begin in zip(self.parts, own, begins)])
+        few.seen = self.seen[rows]
+        return few
+
+    @cached_property
+    def state(self) -> Conditions:
+        """What the commands were doing at each frame; a dwell belongs to one run."""
+        states = [part.state for part in self.parts]
+        columns: dict[str, Any] = {}
+        for f in fields(Conditions):
+            rows = [getattr(state, f.name) for state in states]
+            columns[f.name] = None if any(row is None for row in rows) else np.concatenate(rows)
+        for i, (end, part) in enumerate(zip(self.ends, self.parts)):
+            visit = columns["visit"][end - part.frames : end]
+            visit[visit >= 0] += i * (1 << 40)
+        return Conditions(**columns | {"time": self.t_seen - self.t_seen[:1]})
+
+    @cached_property
+    def spread(self) -> Floats:
+        """Range (C,) of the commands of all runs."""
+        return np.asarray(np.ptp(np.concatenate([part.u for part in self.parts]), axis=0))
+
+    @property
+    def gravity(self) -> Floats | None:
+        """Directions (n, 3) of gravity, of all runs; None if one does not declare it."""
+        rows = [part.gravity for part in self.parts]
+        known = [row for row in rows if row is not None]
+        return np.concatenate(known) if len(known) == len(rows) else None
+
+    @property
+    def load(self) -> Floats | None:
+        """Loads (n,) g, 0 in runs that declare none; None if no run does."""
+        rows = [part.load for part in self.parts]
+        return None if all(r is None for r in rows) else np.concatenate([np.zeros(1) if r is None else r for r in rows])
+
+    def missing(self, wanted: Sequence[str]) -> list[str]:
+        """Return which of the fields that an effect needs some run does not declare."""
+        return [name for name in wanted if any(part.missing([name]) for part in self.parts)]
+
+    def layout(self, names: Sequence[str]) -> Layout:
+        """Return the parameters of a chain, with numbers of its own for each run where they belong to a session."""
+        return self._layout(names, len(self.parts))
+
+    @cached_property
+    def _within(self) -> tuple[float, float]:
+        """The seconds since the first command between which an instant has enough of every run on both sides."""
+        begins, ends = zip(*(part._within for part in self.parts))
+        return max(begins), min(ends)
+
+    def _each(self, names: Sequence[str], params: Floats) -> list[tuple[Record, Floats]]:
+        return [(part, params[..., column]) for part, column in zip(self.parts, self.layout(names).columns)]
+
+    def predict(self, names: Sequence[str], params: Floats) -> Floats:
+        """Return predicted features (B, ΣK, F) mm for parameter sets (B, P) of the layout of `names`."""
+        return np.concatenate([part.predict(names, own) for part, own in self._each(names, params)], axis=1)
+
+    def forms(self, weights: Floats) -> Forms:
+        """Return what predicts linear forms (B, ΣK, M) of the features, `weights` (F, M), as `predict` does these."""
+        each = [part.forms(weights) for part in self.parts]
+
+        def predict(names: Sequence[str], params: Floats) -> Floats:
+            own = [params[..., column] for column in self.layout(names).columns]
+            return np.concatenate([forms(names, params) for forms, params in zip(each, own)], axis=1)
+
+        return predict
+
+    def acting(self, names: Sequence[str], params: Floats) -> Floats:
+        """Return what acts on the shape, (B, ΣK, C), for parameter sets (B, P)."""
+        return np.concatenate([part.acting(names, own) for part, own in self._each(names, params)], axis=1)
+
+    def slopes(self, names: Sequence[str], params: Floats) -> Floats:
+        """Return the slopes (C, ΣK, F) mm of the features over what acts, about one parameter set (P,)."""
+        return np.concatenate([part.slopes(names, own) for part, own in self._each(names, params)], axis=1)
+
+
+def record_of(
+    model: Any, run: Run | Sequence[Run], library: Any = None, reference: Run | Sequence[Run] | None = None
+) -> Record:
+    """Return one run, or several, as a fit sees them; relative to a `reference` if one is given.
+
+    Raises:
+        SoftmapError: no run at all, runs that are not seen in the same way, a reference of other commands.
+    """
+    runs = list(run) if isinstance(run, Sequence) else [run]
+    if not runs:
+        raise SoftmapError("no run is given; a diagnosis wants at least one")
+    if len(runs) == 1:
+        return Record(model, runs[0], library, reference)
+    return Records(model, runs, library, reference)
