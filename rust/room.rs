@@ -33,6 +33,19 @@ pub fn zeros(what: &str, lengths: &[usize]) -> Result<Vec<f64>> {
     Ok(vec![0.0; room(what, lengths)?])
 }
 
+/// Numbers of a piece of work that live on the stack, up to this many.
+const FEW: usize = 128;
+
+/// Work with `count` zeros, on the stack where they are few: what is asked at every frame must not ask for memory each time.
+#[inline(always)]
+pub fn with_few<R>(count: usize, work: impl FnOnce(&mut [f64]) -> R) -> R {
+    if count <= FEW {
+        work(&mut [0.0; FEW][..count])
+    } else {
+        work(&mut vec![0.0; count])
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,11 +1,33 @@
 //! Whole records through a chain, for many parameter sets at once: what acts at every sample, or at the seen times only.
 
-use super::{Chain, HEAD};
+use super::{Chain, HEAD, Link};
 use crate::effects::conditions::Conditions;
 use crate::effects::declaration::Law;
 use crate::error::{Result, invalid};
 use crate::room::zeros;
 use rayon::prelude::*;
+use std::borrow::Cow;
+
+/// One parameter set whose record is read at K places.
+struct Reader<'a> {
+    params: &'a [f64],
+    acting: &'a mut [f64],
+    places: &'a [(usize, f64)],
+}
+
+impl Reader<'_> {
+    fn read(self, record: &[f64], channels: usize) {
+        let rows = self.acting.chunks_exact_mut(channels);
+        for (row, (k, share)) in rows.zip(self.places) {
+            row.copy_from_slice(&record[k * channels..(k + 1) * channels]);
+            if *share != 0.0 {
+                let next = &record[(k + 1) * channels..(k + 2) * channels];
+                let pairs = row.iter_mut().zip(next);
+                pairs.for_each(|(a, b)| *a += share * (b - *a));
+            }
+        }
+    }
+}
 
 impl Chain {
     /// Advance a whole record (T, C) in place, effect by effect; where it begins, from equilibrium with `held` (C,).
@@ -18,28 +40,49 @@ impl Chain {
         mut held: Option<Vec<f64>>,
     ) -> Result<()> {
         for link in &self.links {
-            let params = &params[link.params.clone()];
-            match link.effect.law {
-                Law::Channel(law) => {
-                    let memory = &mut state[link.state.clone()];
-                    if let Some(x) = &mut held {
-                        law.settle(params, x, memory);
-                    }
-                    if !record.is_empty() {
-                        law.rollout(params, record, self.channels, memory, conditions);
-                    }
-                }
-                Law::Record(law) if !record.is_empty() => {
-                    law.rollout(params, record, self.channels, conditions)?;
-                    if let Some(x) = &mut held {
-                        x.copy_from_slice(&record[..self.channels]);
-                    }
-                }
-                _ => {}
-            }
+            let memory = &mut state[link.state.clone()];
+            self.pass(
+                link,
+                params,
+                record,
+                memory,
+                conditions,
+                held.as_deref_mut(),
+            )?;
         }
         if let Some(end) = conditions.t().last().filter(|_| !record.is_empty()) {
             state[..HEAD].copy_from_slice(&[1.0, *end]);
+        }
+        Ok(())
+    }
+
+    /// Take a record (T, C), and what it is held at before, through one effect.
+    fn pass(
+        &self,
+        link: &Link,
+        params: &[f64],
+        record: &mut [f64],
+        memory: &mut [f64],
+        conditions: &Conditions,
+        held: Option<&mut [f64]>,
+    ) -> Result<()> {
+        let params = &params[link.params.clone()];
+        match link.effect.law {
+            Law::Channel(law) => {
+                if let Some(x) = held {
+                    law.settle(params, x, memory);
+                }
+                if !record.is_empty() {
+                    law.rollout(params, record, self.channels, memory, conditions);
+                }
+            }
+            Law::Record(law) if !record.is_empty() => {
+                law.rollout(params, record, self.channels, conditions)?;
+                if let Some(x) = held {
+                    x.copy_from_slice(&record[..self.channels]);
+                }
+            }
+            _ => {}
         }
         Ok(())
     }
@@ -108,7 +151,7 @@ impl Chain {
     }
 
     /// What acts, (B, K, C), from equilibrium with `u[0]`: for each set at its own K `places`, each a sample and the share
-    /// of the way to the next one. One record a thread is kept.
+    /// of the way to the next one. Sets whose first effects have the same numbers go through those together.
     pub fn acting(
         &self,
         params: &[f64],
@@ -126,31 +169,65 @@ impl Chain {
         if width == 0 {
             return Ok(out);
         }
-        out.par_chunks_exact_mut(width)
-            .zip(places)
-            .enumerate()
-            .try_for_each_init(
-                || (u.to_vec(), vec![0.0; self.memory]),
-                |(record, state), (b, (acting, places))| {
-                    record.copy_from_slice(u);
-                    state.fill(0.0);
-                    let params = &params[b * self.width..(b + 1) * self.width];
-                    let held = Some(u[..self.channels].to_vec());
-                    self.advance(params, record, state, conditions, held)?;
-                    let rows = acting.chunks_exact_mut(self.channels);
-                    for (row, (k, share)) in rows.zip(*places) {
-                        let here = &record[k * self.channels..(k + 1) * self.channels];
-                        row.copy_from_slice(here);
-                        if *share != 0.0 {
-                            let next = &record[(k + 1) * self.channels..(k + 2) * self.channels];
-                            let pairs = row.iter_mut().zip(next);
-                            pairs.for_each(|(a, b)| *a += share * (b - *a));
-                        }
-                    }
-                    Ok(())
-                },
-            )?;
+        let sets = out.chunks_exact_mut(width).zip(places).enumerate();
+        let sets = sets.map(|(b, (acting, places))| Reader {
+            params: &params[b * self.width..(b + 1) * self.width],
+            acting,
+            places,
+        });
+        let held = u[..self.channels].to_vec();
+        self.share(
+            &self.links,
+            sets.collect(),
+            Cow::Borrowed(u),
+            held,
+            conditions,
+        )?;
         Ok(out)
+    }
+
+    /// Take a record, and what it is held at before, through the effects `left`, for each of `sets`.
+    fn share(
+        &self,
+        left: &[Link],
+        sets: Vec<Reader>,
+        record: Cow<[f64]>,
+        held: Vec<f64>,
+        conditions: &Conditions,
+    ) -> Result<()> {
+        let Some((link, left)) = left.split_first() else {
+            sets.into_par_iter()
+                .for_each(|set| set.read(&record, self.channels));
+            return Ok(());
+        };
+        if !matches!(link.effect.law, Law::Channel(_) | Law::Record(_)) {
+            return self.share(left, sets, record, held, conditions);
+        }
+        let numbers = |set: &Reader| {
+            let own = &set.params[link.params.clone()];
+            own.iter().map(|x| x.to_bits()).collect::<Vec<_>>()
+        };
+        let mut alike: Vec<(Vec<u64>, Vec<Reader>)> = vec![];
+        for set in sets {
+            let own = numbers(&set);
+            match alike.iter_mut().find(|(known, _)| *known == own) {
+                Some((_, some)) => some.push(set),
+                None => alike.push((own, vec![set])),
+            }
+        }
+        let onwards = |sets: Vec<Reader>, mut record: Vec<f64>, mut held: Vec<f64>| {
+            let mut memory = vec![0.0; link.state.len()];
+            let (params, held_at) = (sets[0].params, Some(&mut held[..]));
+            self.pass(link, params, &mut record, &mut memory, conditions, held_at)?;
+            self.share(left, sets, Cow::Owned(record), held, conditions)
+        };
+        if alike.len() == 1 {
+            let mut all = alike.into_iter().map(|(_, sets)| sets);
+            return onwards(all.next().unwrap_or_default(), record.into_owned(), held);
+        }
+        alike
+            .into_par_iter()
+            .try_for_each(|(_, sets)| onwards(sets, record.to_vec(), held.clone()))
     }
 
     /// Refuse commands that are not (T, C).

@@ -25,6 +25,7 @@ pub use layout::{Layout, Tendon};
 pub use polynomial::Monomials;
 
 use crate::error::{Result, invalid};
+use crate::room::with_few;
 use crate::shape::Shape;
 use crate::vector::{add, scaled};
 use polynomial::Polynomial;
@@ -101,31 +102,40 @@ impl Rod {
         self.lengths.outputs
     }
 
-    fn normalised(&self, u: &[f64]) -> Vec<f64> {
-        u.iter()
-            .zip(&self.centre)
-            .zip(&self.scale)
-            .map(|((u, c), s)| (u - c) / s)
-            .collect()
+    fn normalised(&self, u: &[f64], out: &mut [f64]) {
+        let places = self.centre.iter().zip(&self.scale);
+        for ((out, u), (c, s)) in out.iter_mut().zip(u).zip(places) {
+            *out = (u - c) / s;
+        }
+    }
+
+    /// Hand the markers at `u` to `take`, base to tip.
+    fn markers(&self, u: &[f64], mut take: impl FnMut(usize, [f64; 3])) {
+        let (channels, chords) = (self.scale.len(), self.chords());
+        with_few(channels + 3 * chords, |work| {
+            let (q, work) = work.split_at_mut(channels);
+            let (v, lengths) = work.split_at_mut(2 * chords);
+            self.normalised(u, q);
+            self.angles.eval(q, v);
+            self.lengths.eval(v, lengths);
+            let mut p = self.base;
+            for k in 0..chords {
+                let (x, y) = (v[2 * k], v[2 * k + 1]);
+                let bend = Bend::new(x, y);
+                p = add(
+                    p,
+                    scaled([bend.sinc * x, bend.sinc * y, bend.cos], lengths[k]),
+                );
+                take(k, p);
+            }
+        });
     }
 
     /// Base point and markers at `u`: K + 1 points.
     fn points(&self, u: &[f64]) -> Vec<[f64; 3]> {
-        let chords = self.chords();
-        let (mut v, mut lengths) = (vec![0.0; 2 * chords], vec![0.0; chords]);
-        self.angles.eval(&self.normalised(u), &mut v, None);
-        self.lengths.eval(&v, &mut lengths, None);
-        let mut points = vec![self.base];
-        let mut p = self.base;
-        for k in 0..chords {
-            let (x, y) = (v[2 * k], v[2 * k + 1]);
-            let bend = Bend::new(x, y);
-            p = add(
-                p,
-                scaled([bend.sinc * x, bend.sinc * y, bend.cos], lengths[k]),
-            );
-            points.push(p);
-        }
+        let mut points = Vec::with_capacity(1 + self.chords());
+        points.push(self.base);
+        self.markers(u, |_, p| points.push(p));
         points
     }
 }
@@ -170,18 +180,17 @@ impl Shape for Rod {
     }
 
     fn eval(&self, u: &[f64], out: &mut [f64]) {
-        for (out, p) in out.chunks_exact_mut(3).zip(self.points(u).iter().skip(1)) {
-            out.copy_from_slice(p);
-        }
+        self.markers(u, |k, p| out[3 * k..3 * k + 3].copy_from_slice(&p));
     }
 
     fn jacobian(&self, u: &[f64], out: &mut [f64]) {
         let (c, chords) = (self.channels(), self.chords());
         let n = 2 * chords;
-        let (mut v, mut dv) = (vec![0.0; n], vec![0.0; n * c]);
-        self.angles.eval(&self.normalised(u), &mut v, Some(&mut dv));
+        let (mut q, mut v, mut dv) = (vec![0.0; c], vec![0.0; n], vec![0.0; n * c]);
+        self.normalised(u, &mut q);
+        self.angles.slopes(&q, &mut v, &mut dv);
         let (mut lengths, mut dl) = (vec![0.0; chords], vec![0.0; chords * n]);
-        self.lengths.eval(&v, &mut lengths, Some(&mut dl));
+        self.lengths.slopes(&v, &mut lengths, &mut dl);
         for j in 0..c {
             let mut slope = [0.0; 3];
             for k in 0..chords {

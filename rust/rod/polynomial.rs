@@ -2,9 +2,14 @@
 
 use super::finite;
 use crate::error::{Result, invalid};
+use crate::modes::accumulate;
+use crate::room::with_few;
 
 /// Largest number of monomials that a rod accepts: 9 channels to the cubic are 219.
 const MOST_MONOMIALS: usize = 5000;
+
+/// Outputs that are summed at a time.
+const BLOCK: usize = 8;
 
 /// Every monomial of degree 1..=degree in `variables` numbers, in graded lexicographic order, without the constant.
 #[derive(Debug, Clone)]
@@ -90,6 +95,8 @@ impl Monomials {
 pub(super) struct Polynomial {
     monomials: Monomials,
     weights: Vec<f64>,
+    /// The same for each block of outputs, zeros behind the last.
+    blocks: Vec<Vec<[f64; BLOCK]>>,
     pub(super) outputs: usize,
 }
 
@@ -109,34 +116,50 @@ impl Polynomial {
             )));
         }
         finite(&weights, what)?;
+        let block = |first: usize| {
+            let row = |row: &[f64]| std::array::from_fn(|o| *row.get(first + o).unwrap_or(&0.0));
+            weights.chunks_exact(outputs.max(1)).map(row).collect()
+        };
         Ok(Self {
             monomials,
+            blocks: (0..outputs).step_by(BLOCK).map(block).collect(),
             weights,
             outputs,
         })
     }
 
-    /// Values at `x`; with `slopes` also d out / d x as `slopes[o * variables + j]`.
-    pub(super) fn eval(&self, x: &[f64], out: &mut [f64], slopes: Option<&mut [f64]>) {
-        let m = self.outputs;
-        let mut phi = vec![0.0; self.monomials.len()];
-        self.monomials.values(x, &mut phi);
-        out.copy_from_slice(&self.weights[..m]);
-        for (value, row) in phi.iter().zip(self.weights[m..].chunks_exact(m)) {
-            for (o, w) in out.iter_mut().zip(row) {
-                *o += value * w;
+    /// Values at `x`.
+    pub(super) fn eval(&self, x: &[f64], out: &mut [f64]) {
+        with_few(self.monomials.len(), |phi| self.sum(x, phi, out));
+    }
+
+    /// Write the monomials to `phi`, and the values to `out`, as many at a time as stay in registers.
+    #[inline(always)]
+    fn sum(&self, x: &[f64], phi: &mut [f64], out: &mut [f64]) {
+        self.monomials.values(x, phi);
+        for (out, rows) in out.chunks_mut(BLOCK).zip(&self.blocks) {
+            let mut sum = rows[0];
+            for (value, row) in phi.iter().zip(&rows[1..]) {
+                accumulate(&mut sum, row, *value);
             }
+            out.copy_from_slice(&sum[..out.len()]);
         }
-        if let Some(slopes) = slopes {
-            let n = x.len();
-            let mut rise = vec![0.0; phi.len() * n];
-            self.monomials.slopes(x, &phi, &mut rise);
-            slopes.fill(0.0);
-            for (rise, row) in rise.chunks_exact(n).zip(self.weights[m..].chunks_exact(m)) {
-                for (o, w) in row.iter().enumerate() {
-                    for j in 0..n {
-                        slopes[o * n + j] += w * rise[j];
-                    }
+    }
+
+    /// Values at `x` as `eval`, and d out / d x as `slopes[o * variables + j]`.
+    pub(super) fn slopes(&self, x: &[f64], out: &mut [f64], slopes: &mut [f64]) {
+        let (m, n) = (self.outputs, x.len());
+        let (mut phi, mut rise) = (
+            vec![0.0; self.monomials.len()],
+            vec![0.0; self.monomials.len() * n],
+        );
+        self.sum(x, &mut phi, out);
+        self.monomials.slopes(x, &phi, &mut rise);
+        slopes.fill(0.0);
+        for (rise, row) in rise.chunks_exact(n).zip(self.weights[m..].chunks_exact(m)) {
+            for (o, w) in row.iter().enumerate() {
+                for j in 0..n {
+                    slopes[o * n + j] += w * rise[j];
                 }
             }
         }
