@@ -25,6 +25,7 @@ FINGERS = {"one effect": (["backlash"], 2.0), "four effects": (["backlash", "cre
 LOG_S, LOG_MB = 30.0, 500.0
 CHILD = """
 import cProfile, json, pstats, resource, sys, time
+import softmap_edge.diagnosis.diagnose
 from softmap_edge import Run, diagnose, load_bundle
 model, run = load_bundle(sys.argv[1]), Run.load(sys.argv[2])
 profile, start = cProfile.Profile(), time.process_time()

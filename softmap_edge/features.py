@@ -22,6 +22,8 @@ REACH = 8.0  # mm: about the distance between two rings of vertices
 NEGLIGIBLE = 1e-4  # of the largest kernel value
 # How many times too long distances are that are in another unit than mm.
 UNITS = {1e-3: "metres", 0.01: "tenths of a metre", 0.1: "centimetres", 1 / 25.4: "inches", 10.0: "tenths of a mm"}
+ALONE = 1e-3  # of the largest singular value: the least at which mean, cos and sin are told apart
+UNIT_FRAMES = 60  # on which the size of a run's points is found
 NEAR_UNIT = 0.3  # by how much shapes that bend may miss that number
 STALK = 0.25  # of the template's extent: a marker farther from it is not on the robot
 
@@ -113,7 +115,8 @@ def other_unit(points: Floats, rest: Floats) -> tuple[float, str] | None:
     Args:
         points: (K, N, 3), NaN where one was not seen. rest: (N, 3) mm, the same points as they should be, in any pose.
     """
-    whole = points[np.isfinite(points).all(axis=(1, 2))]
+    told = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
+    whole = points[told[:: max(1, len(told) // UNIT_FRAMES)]]
     wide = float(rest.std(axis=0).max()) if len(rest) > 1 else 0.0
     if not len(whole) or not wide > 0:
         return None
@@ -160,26 +163,28 @@ def attach(points: Floats, rest: Floats, names: Sequence[str] = ()) -> Floats:
 
 
 def seen_residual(residual: Floats, body: Body, seen: NDArray[np.bool_]) -> Floats:
-    """Return section features (V, 3) mm of a residual (N, 3) mm of which only the vertices `seen` (N,) are known.
+    """Return section features (K, V, 3) mm of residuals (K, N, 3) mm of which only the vertices `seen` (K, N) are known.
 
-    Per section, least squares of the residual on (1, cos φ, sin φ); a section with fewer than six seen vertices is NaN.
+    Per frame and section, least squares of the residual on (1, cos φ, sin φ); a section with fewer than six seen
+    vertices, or with all of them on one side, is NaN. Bodies without a side have means.
     """
-    count = body.count
-    if body.angle is None:
-        places = np.full((count, 3), np.nan)
-        for s in range(count):
-            inside = (body.section == s) & seen
-            if inside.any():
-                places[s] = residual[inside].mean(axis=0)
-        return places
-    features = np.full((3 * count, 3), np.nan)
+    count, frames = body.count, len(residual)
+    known = np.where(seen[..., None], residual, 0.0)
+    kinds = 1 if body.angle is None else 3
+    features = np.full((frames, kinds * count, 3), np.nan)
     for s in range(count):
-        inside = np.flatnonzero((body.section == s) & seen)
-        if len(inside) < 6:
+        inside = np.flatnonzero(body.section == s)
+        weight = seen[:, inside].astype(float)
+        if body.angle is None:
+            told = weight.any(axis=1)
+            features[told, s] = known[told][:, inside].sum(axis=1) / weight[told].sum(axis=1)[:, None]
             continue
         angle = body.angle[inside]
         basis = np.column_stack([np.ones(len(inside)), np.cos(angle), np.sin(angle)])
-        solution, _, rank, _ = np.linalg.lstsq(basis, residual[inside], rcond=1e-3)
-        if rank == 3:
-            features[[s, count + s, 2 * count + s]] = solution
+        gram = np.einsum("kn,na,nb->kab", weight, basis, basis, optimize=True)
+        size = np.linalg.eigvalsh(gram)
+        told = (weight.sum(axis=1) >= 6) & (size[:, 0] > ALONE**2 * size[:, -1])
+        right = np.einsum("na,knc->kac", basis, known[told][:, inside], optimize=True)
+        features[told, s::count] = np.linalg.solve(gram[told], right)
     return features
+

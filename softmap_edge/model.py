@@ -338,12 +338,7 @@ class Model:
             return mapping(seen)
         if self._carry(run) is not None or self.markers:
             return np.where(visible[..., None], seen, np.nan)
-        predicted, features = self.predict(run), self.features(run)
-        rows = [
-            f + seen_residual(np.where(v[:, None], s - p, 0.0), self._lie, v)
-            for f, s, p, v in zip(features, seen, predicted, visible)
-        ]
-        return np.stack(rows)
+        return self.features(run) + seen_residual(seen - self.predict(run), self._lie, visible)
 
     def seen_points(self, run: Run) -> Floats:
         """Return the run's points (K, N, 3) mm after checking that they are points of this robot."""

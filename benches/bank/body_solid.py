@@ -134,6 +134,7 @@ def _made(laws: tuple[Law, ...]) -> Simulator | None:
         tendons=tuple(tendons),
         cable_stiffness_n_mm=float(after.cable.mean()),
         pretension_mm=float(-after.slack.mean()),
+        bounds=(),  # those of a calibration of the first finger
     )
     return Simulator(changed, template=_first().template)
 

@@ -232,11 +232,12 @@ def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel) -> 
         raise SoftmapError(f"signatures have {signatures.shape[-1]} features, the noise has {features}")
     root = np.linalg.cholesky(noise.covariance)
     inverse = np.linalg.inv(root)
-    white = np.where(np.isfinite(signatures), signatures, 0.0) @ inverse.T  # (S, K, F)
-    power = np.einsum("skf,skf->s", white, white)
-    white /= np.sqrt(np.where(power > 0, power, np.inf))[:, None, None]
-    rows = white.reshape(-1, features)
-    gram = rows.T @ rows
+    gram = np.zeros((features, features))
+    for signature in signatures:
+        rows = np.where(np.isfinite(signature), signature, 0.0) @ inverse.T  # (K, F)
+        power = float(np.vdot(rows, rows))
+        if power > 0:
+            gram += rows.T @ rows / power
     values, vectors = np.linalg.eigh(gram)
     order = np.argsort(-values)[: min(MODES, features)]
     total = max(float(values.sum()), 1e-300)

@@ -298,9 +298,7 @@ class _Bench:
         seen = np.asarray(np.isfinite(self.dwells.points[which]).all(axis=2))
         if seen.all() or self.carry is not None:
             return self.map(np.where(seen[..., None], difference, 0.0))
-        body = upright(self.template.vertices)
-        rows = [seen_residual(np.where(s[:, None], r, 0.0), body, s) for r, s in zip(difference, seen)]
-        return np.nan_to_num(np.stack(rows))
+        return np.nan_to_num(seen_residual(difference, upright(self.template.vertices), seen))
 
     @property
     def frame_is_free(self) -> bool:
