@@ -163,7 +163,7 @@ def attach(points: Floats, rest: Floats, names: Sequence[str] = ()) -> Floats:
 
 
 def seen_residual(residual: Floats, body: Body, seen: NDArray[np.bool_]) -> Floats:
-    """Return section features (K, V, 3) mm of residuals (K, N, 3) mm of which only the vertices `seen` (K, N) are known.
+    """Return section features (K, V, 3) mm of residuals (K, N, 3) mm of which the vertices `seen` (K, N) are known.
 
     Per frame and section, least squares of the residual on (1, cos φ, sin φ); a section with fewer than six seen
     vertices, or with all of them on one side, is NaN. Bodies without a side have means.
@@ -187,4 +187,3 @@ def seen_residual(residual: Floats, body: Body, seen: NDArray[np.bool_]) -> Floa
         right = np.einsum("na,knc->kac", basis, known[told][:, inside], optimize=True)
         features[told, s::count] = np.linalg.solve(gram[told], right)
     return features
-
