@@ -22,7 +22,7 @@ test-rust:
 
 # One worker a core, each with one thread.
 test-python: $(VENV)/.test
-	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not prove" -n auto --dist loadfile --durations 12
+	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not prove" -n auto --dist loadfile --no-loadscope-reorder --durations 12
 
 # rustfmt by file: `cargo fmt` does not see the modules that a macro declares (rust/effects/mod.rs).
 lint: $(VENV)/.lint

@@ -59,9 +59,10 @@ def read_npz(
     except SoftmapError:
         raise
     except Exception as fault:  # zipfile and zlib raise a dozen kinds on damaged files
-        raise error(
-            f"{path.name}: not a readable .npz archive ({brief(fault)}); make it again or copy it again"
-        ) from None
+        remedy = "make it again or copy it again"
+        if path.suffix.lower() != ".npz":
+            remedy = "a log becomes a run with `softmap import`"
+        raise error(f"{path.name}: not a readable .npz archive ({brief(fault)}); {remedy}") from None
 
 
 def packed(

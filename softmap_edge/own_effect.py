@@ -155,7 +155,7 @@ def template(name: str) -> str:
     Raises:
         EffectError: the name is taken, or no name.
     """
-    _check_name("softmap effects new", name)
+    _check_name("effects new", name)
     if name in {effect["name"] for effect in _core.effects()}:
         raise EffectError(f"there is an effect '{name}' already; give yours another name")
     return _TEMPLATE.replace("NAME", name)

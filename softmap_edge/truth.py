@@ -30,7 +30,7 @@ from softmap_edge.protocol import Protocol, standard_protocol
 from softmap_edge.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator, tour
-from softmap_edge.truth_laws import LAWS, NEWTON_PER_GRAM, Law, rotation
+from softmap_edge.truth_laws import LAWS, NAMED, NEWTON_PER_GRAM, Law, rotation
 
 Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -168,20 +168,21 @@ class Truth:
 def hide(names: Sequence[str], seed: int, camera: Camera | None = None, finger: Finger | None = None) -> Truth:
     """Make a second finger that hides the effects `names`, strengths drawn from `seed`.
 
-    Args: `names` out of `LAWS` (none: nothing is hidden); `seed` ≥ 0 draws batch, characters and strengths; `finger` is
-    the first one, usually the built-in.
-    Returns the truth; each secret alone moves the section centroids by 1-4 mm RMS on the standard protocol.
+    Args: `names` out of `LAWS` (none: nothing is hidden) and `NAMED`; `seed` ≥ 0 draws batch, characters and strengths;
+    `finger` is the first one, usually the built-in.
+    Returns the truth; each secret of `LAWS` alone moves the section centroids by 1-4 mm RMS on the standard protocol.
     Raises SoftmapError for an unknown or repeated name.
     """
-    unknown = [name for name in names if name not in LAWS]
+    unknown = [name for name in names if name not in {**NAMED, **LAWS}]
     if unknown:
-        raise SoftmapError(f"no hidden law '{unknown[0]}'; there are {', '.join(LAWS)}")
+        raise SoftmapError(f"no hidden law '{unknown[0]}'; there are {', '.join([*LAWS, *NAMED])}")
     if len(set(names)) != len(names):
         raise SoftmapError(f"each effect can be hidden once, got {', '.join(names)}")
     if seed < 0:
         raise SoftmapError(f"seed {seed} is negative; give 0 or more")
     plain = Truth(seed, (), camera or Camera(), finger or _builtin())
-    return replace(plain, secrets=tuple(_drawn(name, plain) for name in LAWS if name in names))
+    named = [_named(name, plain) for name in NAMED if name in names]
+    return replace(plain, secrets=(*named, *(_drawn(name, plain) for name in LAWS if name in names)))
 
 
 def surprise(seed: int) -> list[str]:
@@ -200,6 +201,15 @@ def centroids(points: Floats, finger: Finger | None = None) -> Floats:
     """Return the section centroids (K, 9, 3) mm of points (K, N, 3): nine slices of the body at rest."""
     section = sections_of(template(finger))
     return np.stack([points[:, section == s].mean(axis=1) for s in range(SECTIONS)], axis=1)
+
+
+def _named(name: str, plain: Truth) -> Secret:
+    """Take a law as it is; how far it moves the finger is what it does in a sweep of the plain one."""
+    protocol = standard_protocol(len(plain.finger.pairs))
+    law = NAMED[name].draw(np.random.default_rng(plain.seed), len(plain.finger.pairs))
+    both = (replace(plain, secrets=secrets).rough(protocol, STEPS) for secrets in ((), (Secret(law, 0.0),)))
+    before, after = (centroids(points, plain.finger) for points in both)
+    return Secret(law, _rms(after - before))
 
 
 def _drawn(name: str, plain: Truth) -> Secret:

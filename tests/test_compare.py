@@ -148,10 +148,10 @@ def test_error_of_one_direction_is_found_there_only():
         return np.where((slope < -1)[:, None, None], [[[1.5, 0, 0]]], 0.0) * np.ones_like(points)
 
     direction = rows(compare(lean(backward), triangle()), "direction")
-    assert set(direction) == {"still", "u1 +", "u1 −"}
-    assert direction["u1 −"].rms_mm == pytest.approx(1.5, rel=0.02)
-    assert direction["u1 +"].rms_mm == 0.0 and direction["still"].rms_mm < 0.3
-    assert direction["u1 −"].n == pytest.approx(100, abs=3) and direction["u1 +"].n == pytest.approx(50, abs=3)
+    assert set(direction) == {"still", "u0 +", "u0 −"}
+    assert direction["u0 −"].rms_mm == pytest.approx(1.5, rel=0.02)
+    assert direction["u0 +"].rms_mm == 0.0 and direction["still"].rms_mm < 0.3
+    assert direction["u0 −"].n == pytest.approx(100, abs=3) and direction["u0 +"].n == pytest.approx(50, abs=3)
 
 
 def test_every_condition_holds_every_frame_once():

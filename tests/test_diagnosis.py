@@ -253,14 +253,20 @@ def test_what_no_effect_explains_is_no_effect(name):
 
 
 @pytest.mark.parametrize(
-    ("acting", "case"), [(lambda u: u[:, ::-1], 3), (lambda u: u * [1.0, -1.0], 2)], ids=["swap", "sign"]
+    ("acting", "case", "said"),
+    [
+        (lambda u: u[:, ::-1], 3, "channels 0 and 1 are exchanged"),
+        (lambda u: u * [1.0, -1.0], 2, "channel 1 runs the wrong way"),
+    ],
+    ids=["swap", "sign"],
 )
-def test_wrong_wiring_is_named_before_any_physics(acting, case):
+def test_wrong_wiring_is_named_before_any_physics(acting, case, said):
     """Swapped servos move the finger ten times as far off as the play behind them, and hide it not."""
     found = diagnose(builtin_model(), finger_run(acting=acting))
     assert found.verdict == "measurement_fault" and found.effects == []
     assert found.faults[0]["params"]["servo_swap.case"]["value"] == case
-    assert "measurement is at fault" in found.sentence and "servo_swap" in found.sentence
+    assert "measurement is at fault" in found.sentence and f"servo_swap: {said}" in found.sentence
+    assert f"{case}: {said}" in str(found) and said in found.next[0]["block"]
     behind = diagnose(builtin_model(), finger_run(["backlash"], {"backlash.gap": 1.0}, acting=acting))
     assert [f["name"] for f in behind.faults] == ["servo_swap"] and [e["name"] for e in behind.effects] == ["backlash"]
     assert behind.error["ladder"][-1]["value"] < 0.1 * behind.error["ladder"][0]["value"]

@@ -383,7 +383,7 @@ def test_every_error_of_a_report_says_rms_and_fitted_or_held_out():
 
 def test_a_fault_that_does_most_comes_first_and_is_the_verdict():
     def entry(name, mm):
-        return {"name": name, "displacement_mm": {"fitted": mm}}
+        return {"name": name, "displacement_mm": {"fitted": mm}, "params": {}}
 
     swap, hysteresis, mount = entry("servo_swap", 13.0), entry("hysteresis", 2.0), entry("mount", 1.0)
     assert verdict_of([hysteresis], [swap], [], False, [], 30) == "measurement_fault"

@@ -59,6 +59,8 @@ pub struct Parameter {
     pub instant: bool,
     /// For a whole number that counts something of the channels: the highest that means anything.
     pub most: Option<fn(usize) -> usize>,
+    /// For a whole number that stands for a case: what it means, for a number of channels.
+    pub meaning: Option<fn(f64, usize) -> String>,
 }
 
 /// What a parameter has a number for.
@@ -108,6 +110,7 @@ impl Parameter {
             integer: false,
             instant: false,
             most: None,
+            meaning: None,
         }
     }
 
@@ -138,6 +141,12 @@ impl Parameter {
     /// Nothing beyond `most(channels)` means anything.
     pub const fn up_to(mut self, most: fn(usize) -> usize) -> Parameter {
         self.most = Some(most);
+        self
+    }
+
+    /// Its values mean what `meaning(value, channels)` says.
+    pub const fn meaning(mut self, meaning: fn(f64, usize) -> String) -> Parameter {
+        self.meaning = Some(meaning);
         self
     }
 

@@ -31,7 +31,8 @@ pub static EFFECT: Effect = Effect {
             "0 none; 1 to C: that channel’s sign; beyond: the pairs exchanged, in order",
         )
         .integer()
-        .up_to(cases)],
+        .up_to(cases)
+        .meaning(meaning)],
     },
     law: Law::Channel(&ServoSwap),
 };
@@ -65,18 +66,40 @@ fn exchanged(at: usize, channels: usize) -> (usize, usize) {
     (first, first + 1 + rest)
 }
 
+/// What a case does.
+enum Case {
+    Nothing,
+    Turned(usize),
+    Exchanged(usize, usize),
+}
+
+fn case(number: f64, channels: usize) -> Case {
+    let number = number.round();
+    if !(1.0..=cases(channels) as f64).contains(&number) {
+        return Case::Nothing;
+    }
+    let at = number as usize - 1;
+    if at < channels {
+        return Case::Turned(at);
+    }
+    let (a, b) = exchanged(at - channels, channels);
+    Case::Exchanged(a, b)
+}
+
+fn meaning(number: f64, channels: usize) -> String {
+    match case(number, channels) {
+        Case::Nothing => "nothing is swapped".to_string(),
+        Case::Turned(at) => format!("channel {at} runs the wrong way"),
+        Case::Exchanged(a, b) => format!("channels {a} and {b} are exchanged"),
+    }
+}
+
 impl ChannelEffect for ServoSwap {
     fn settle(&self, params: &[f64], x: &mut [f64], _state: &mut [f64]) {
-        let (channels, case) = (x.len(), params[0].round());
-        if !(1.0..=cases(channels) as f64).contains(&case) {
-            return;
-        }
-        let at = case as usize - 1;
-        if at < channels {
-            x[at] = -x[at];
-        } else {
-            let (a, b) = exchanged(at - channels, channels);
-            x.swap(a, b);
+        match case(params[0], x.len()) {
+            Case::Nothing => {}
+            Case::Turned(at) => x[at] = -x[at],
+            Case::Exchanged(a, b) => x.swap(a, b),
         }
     }
 
@@ -113,5 +136,15 @@ mod tests {
             );
         }
         assert_eq!(cases(256), 511);
+        let said = [0.0, 2.0, 3.0, 4.0].map(|number| meaning(number, 2));
+        assert_eq!(
+            said.each_ref().map(String::as_str),
+            [
+                "nothing is swapped",
+                "channel 1 runs the wrong way",
+                "channels 0 and 1 are exchanged",
+                "nothing is swapped"
+            ]
+        );
     }
 }

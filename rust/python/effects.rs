@@ -98,6 +98,17 @@ impl PyChain {
         self.column(py, |p| p.integer)
     }
 
+    /// What each number of a parameter set (P,) stands for; None where it is a number like any other.
+    fn meanings(&self, params: Vec<f64>) -> PyResult<Vec<Option<String>>> {
+        self.chain.sets(&params)?;
+        let numbers = self.chain.parameters().into_iter().zip(params);
+        let said = numbers.map(|((_, p), value)| {
+            p.meaning
+                .map(|meaning| meaning(value, self.chain.channels()))
+        });
+        Ok(said.collect())
+    }
+
     #[getter]
     fn instant<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
         self.column(py, |p| p.instant)

@@ -108,8 +108,9 @@ def demo_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `demo`."""
     parser.add_argument(
         "--hide",
-        default="random",
-        metavar="NAME[,NAME]",
+        nargs="+",
+        default=["random"],
+        metavar="NAME",
         help="what the second finger hides: effects by name, 'nothing', or 'random' (default)",
     )
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help=f"draws finger and strengths ({FIRST_SEED})")
@@ -128,7 +129,7 @@ def demo(args: argparse.Namespace) -> int:
 
 
 def _told(args: argparse.Namespace, say: Callable[[str], None], started: float) -> int:
-    names = _hidden_names(args.hide, args.seed)
+    names = _hidden_names(",".join(args.hide), args.seed)
     Path(args.out).mkdir(parents=True, exist_ok=True)  # before the work, not after it
     say("Taking the model of the built-in finger, made from a simulated sweep.")
     model = builtin_model()
@@ -156,9 +157,7 @@ def _hidden_names(text: str, seed: int) -> list[str]:
 
     for name in names:
         if name not in LAWS:
-            raise SoftmapError(
-                f"no hidden effect '{name}'; --hide takes {', '.join(LAWS)}, several with commas, 'nothing' or 'random'"
-            )
+            raise SoftmapError(f"no hidden effect '{name}'; --hide takes {', '.join(LAWS)}, 'nothing' or 'random'")
     return names
 
 

@@ -89,7 +89,7 @@ def next(args: argparse.Namespace) -> int:
         lines += [f"  at {step}" for step in steps(made.notes)]
         lines += [BOTH.format(times * made.minutes)] if times > 1 else []
     if made is not None and args.out:
-        lines += [f"written to {args.out}; on the simulated finger: `softmap record {args.out} --sim --out new.npz`"]
+        lines += [f"written to {args.out}" + _played(args, model)]
     print("\n".join(lines))
     return 0
 
@@ -131,6 +131,17 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     made = plan(chosen(names), limits, setting, args.seed) if names else None
     times = 1 if diagnosis.made_from.get("reference") is None else 2
     return made, found, progress_lines(before or None, diagnosis.to_dict()), times
+
+
+def _played(args: argparse.Namespace, model: Any) -> str:
+    """Say how the commands are played on the simulated finger, if it is this robot."""
+    from softmap_edge.solid.finger import Finger
+
+    if model.robot != Finger.builtin().name:
+        return ""
+    bundle = "" if args.bundle is None else f" --bundle {args.bundle}"
+    line = f"softmap record {args.out} --sim{bundle} --out new.npz"
+    return f"; on the simulated finger: `{line}` (with the --hide and --seed of the runs before)"
 
 
 def _limits(args: argparse.Namespace, model: Any) -> Any:
@@ -181,10 +192,12 @@ def record(args: argparse.Namespace) -> int:
         )
     if args.noise_seed < 0:
         raise SoftmapError(f"--noise-seed {args.noise_seed} is negative; give 0 or more")
-    names, seed = (args.hide, 1) if args.truth_from is None else _secrets(args.truth_from)
+    asked = [name for text in args.hide for name in text.split(",") if name]
+    names, seed = (asked, 1) if args.truth_from is None else _secrets(args.truth_from)
     seed = seed if args.seed is None else args.seed
     if not args.json:
-        print(f"solving {len(made.t_seen)} frames one by one: minutes", file=sys.stderr)
+        hidden = "finding how strong the hidden effects are, then " if names else ""
+        print(f"{hidden}solving {len(made.t_seen)} frames one by one: minutes", file=sys.stderr)
     with Bar(args.json) as bar:
         before = WATCH.set(lambda share: bar("solving", share))
         try:

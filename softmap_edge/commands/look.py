@@ -78,7 +78,7 @@ def effects(args: argparse.Namespace) -> int:
         return 0
     for effect in chosen:
         print(
-            "\n".join(_hung(f"{effect['name']:<12} {effect['stage']:<13} {effect['family']:<20} ", effect["signature"]))
+            "\n".join(_hung(f"{effect['name']:<20} {effect['stage']:<13} {effect['family']:<20} ", effect["signature"]))
         )
         if args.name:
             paragraphs = [

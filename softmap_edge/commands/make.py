@@ -58,8 +58,9 @@ def build(args: argparse.Namespace) -> int:
         "bytes": size,
     }
     text = (
-        f"{args.out}: {model.kind} of {model.robot}, {len(model.rest)} vertices, {commands} commands, "
-        f"own held-out error {model.vertex_error_mm:.2f} mm RMS ({how}), {size / 1000:.0f} kB"
+        f"{args.out}: {model.kind} of {model.robot}, {len(model.rest)} vertices, {commands} "
+        f"command{'s' if commands != 1 else ''}, own held-out error {model.vertex_error_mm:.2f} mm RMS ({how}), "
+        f"{size / 1000:.0f} kB"
     )
     notes = [] if args.json else model.made_from.get("notes", [])
     print(json.dumps(result) if args.json else "\n".join([text, *(f"  {note}" for note in notes)]))

@@ -209,8 +209,9 @@ def _speed(u: Floats, state: Conditions) -> Word:
         return Word("speed", False, f"delay, lag and friction: {moving} frames are seen in motion", remedy, 1.0)
     span = np.ptp(u, axis=0)
     pace = np.abs(state.velocity[state.moving]) / np.where(span > 0, span, np.inf)  # ranges a second
-    pool = pace[pace > STILL] if (pace > STILL).any() else pace.max(axis=1)
-    slow, fast = np.quantile(pool, [0.15, 0.85])
+    pool = np.sort(pace[pace > STILL] if (pace > STILL).any() else pace.max(axis=1))
+    few = min(MOVING, len(pool) // 4)  # as many as that are faster, and as many slower
+    slow, fast = pool[few], pool[-1 - few]
     if fast < SPEEDS * slow:
         text = f"delay and lag from play: it always moves at about {np.sqrt(slow * fast):.2g} of its range a second"
         return Word("speed", False, text, remedy, 1.0)

@@ -110,7 +110,7 @@ def conclude(
             "blocked_r2": left.blocked_r2,
             "predicted_by": left.predicted_by,
         },
-        "next": _next(rivals, hidden, registry),
+        "next": [*_mended(faults), *_next(rivals, hidden, registry, fit.effects)],
         "made_from": _made_from(search, order, other, demoted, registry, seed, masked),
     }
 
@@ -145,7 +145,8 @@ def _entries(
                 "name": name,
                 "family": registry[name]["family"],
                 "stage": registry[name]["stage"],
-                "probability": there / (1.0 + RIVAL * len(open_rivals)),
+                # The temperature is of bodies that were simulated: what a regressed rod errs by is not of their kind.
+                "probability": None if record.model.kind == "rod" else there / (1.0 + RIVAL * len(open_rivals)),
                 "share": weights[name] / max(total, 1e-300),
                 "displacement_mm": {"fitted": record.rms_mm(search.displacement(fit, name)), "held_out": held},
                 "params": parameters(record, fit, sigma, (name,)),
@@ -190,7 +191,8 @@ def parameters(
 ) -> dict[str, dict[str, Any]]:
     """Return the fitted parameters of the effects `names` by label: value, sigma, unit, and whether at a bound.
 
-    Those that the effects declare, or the numbers of the prior that were open with them.
+    Those that the effects declare, or the numbers of the prior that were open with them. A number that stands for a
+    case has its `meaning` in words.
     """
     values, bound = fit.space.values(fit.x), at_bound(fit)
     in_commands = {e["name"] for e in record.library.effects() if e["role"] == "channel"}
@@ -204,6 +206,10 @@ def parameters(
         if label.split(".")[0] in in_commands:
             unit = unit.replace("mm", getattr(record.model, "command_unit", "mm"))
         found[label] = {"value": float(values[j]), "sigma": float(sigma[j]), "unit": unit, "at_bound": bool(bound[j])}
+        if fit.space.integer[j]:
+            chain = record.library.Chain([label.split(".")[0]], record.model.channels)
+            said = dict(zip(chain.labels, chain.meanings([fit.params[own] for own in chain.labels])))
+            found[label] |= {"meaning": said[label]} if said[label] else {}
     return found
 
 
@@ -278,13 +284,26 @@ def _where(record: Record, fit: Fit) -> dict[str, list[dict[str, Any]]]:
     return {name: [row for row in rows if row["rms_mm"] is not None] for name, rows in found.items()}
 
 
+def _mended(faults: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return what is put right by hand before anything is recorded."""
+    told = {e["name"]: p["meaning"] for e in faults for p in e["params"].values() if p.get("meaning")}
+    block = "put it right, plugs or columns and signs of the mapping, and diagnose again: {}"
+    return [
+        {"block": block.format(said), "minutes": 2.0, "settles": [name], "separation": None}
+        for name, said in told.items()
+    ]
+
+
 def _next(
-    rivals: list[dict[str, Any]], hidden: list[Untestable], registry: dict[str, dict[str, Any]]
+    rivals: list[dict[str, Any]],
+    hidden: list[Untestable],
+    registry: dict[str, dict[str, Any]],
+    named: Sequence[str],
 ) -> list[dict[str, Any]]:
     """Return the blocks that would settle what is open; the separation is not simulated here and says so by null."""
     blocks: dict[str, dict[str, Any]] = {}
     for rival in rivals:
-        other = next((e for e in rival["effects"] if e != rival["member"]), rival["member"])
+        other = next((e for e in rival["effects"] if e not in named), rival["member"])
         block, minutes = rival.get("experiment") or experiment(registry, rival["member"])
         entry = blocks.setdefault(block, {"block": block, "minutes": minutes, "settles": [], "separation": None})
         entry["settles"] += [n for n in (rival["member"], other) if n not in entry["settles"]]

@@ -214,7 +214,7 @@ def _directions(state: Conditions) -> list[Cell]:
     for channel in range(state.velocity.shape[1]):
         for sign, mark in ((1, "+"), (-1, "−")):
             frames = state.moving & (fastest == channel) & (np.sign(pace) == sign)
-            found.append(Cell(f"u{channel + 1} {mark}", None, None, frames))
+            found.append(Cell(f"u{channel} {mark}", None, None, frames))
     return found
 
 
@@ -236,7 +236,7 @@ def _commands(state: Conditions, unit: str) -> list[Cell]:
             magnitude = np.abs(value)
             inside = (magnitude > min(abs(low), abs(high))) & (magnitude <= max(abs(low), abs(high)))
             frames = ~home & (largest == channel) & (np.sign(value) == np.sign(low + high)) & inside
-            name = f"u{channel + 1} {low:+.3g} … {high:+.3g} {unit}".replace("-", "−")
+            name = f"u{channel} {low:+.3g} … {high:+.3g} {unit}".replace("-", "−")
             found.append(Cell(name, float(low), float(high), frames))
     return found
 

@@ -144,15 +144,15 @@ def stray(record: Record, fit: Fit) -> str | None:
     if share > FOLLOWED:
         return None
     still = [str(c) for c in np.flatnonzero(~(record.spread > 0))]
-    named = (
-        "the commands never change" if len(still) == len(record.spread) else f"channel {', '.join(still)} never moves"
-    )
-    why = f"{named} in this log" if still else "commands and frames are not of one recording"
+    why = "Either commands and frames are not of one recording, or something else than they moves the robot"
+    if len(still) == len(record.spread):
+        why = "The commands never change in this log"
+    elif still:
+        why = f"Either channel {', '.join(still)} never moves in this log, or something else moves the robot"
     return (
         f"What is seen does not follow the commands: the points move by {moved:.3g} mm RMS, and with whatever effect "
-        f"the model explains {100 * max(share, 0.0):.0f} % of that (fitted). Either {why}, or something else than they "
-        "moves the robot; no effect is named. Look at the order and the clock of the frames, at the columns of the "
-        "commands and their signs, and whether it is this robot."
+        f"the model explains {100 * max(share, 0.0):.0f} % of that (fitted). {why}; no effect is named. Look at the "
+        "order and the clock of the frames, at the columns and signs of the commands, and whether it is this robot."
     )
 
 

@@ -59,8 +59,9 @@ def sentence_of(
     error: dict[str, Any],
     demoted: Sequence[str],
 ) -> str:
-    names = " + ".join(e["name"] for e in [*faults, *physics])
-    wrong = f"the measurement is at fault ({' + '.join(e['name'] for e in faults)})" if faults else ""
+    names = " + ".join([*map(_said, faults), *(e["name"] for e in physics)])
+    at_fault = " + ".join(map(_said, faults))
+    wrong = f"the measurement is at fault ({at_fault})" if faults else ""
     lacks = f"the model lacks {' + '.join(e['name'] for e in physics)}" if physics else ""
     found = ", and ".join(filter(None, [wrong, lacks]))
     found = found[:1].upper() + found[1:]
@@ -89,6 +90,12 @@ def sentence_of(
         )
     stays = f"{error['model']:.2f} mm RMS (held out)"
     return f"Nothing above the floor: no candidate explains the {stays} that are left.{cannot}{lost}"
+
+
+def _said(fault: dict[str, Any]) -> str:
+    """Name a fault, and what its case means where it has one."""
+    meanings = [p["meaning"] for p in fault["params"].values() if p.get("meaning")]
+    return ": ".join([fault["name"], *meanings])
 
 
 def at_bounds(entries: list[dict[str, Any]]) -> list[str]:

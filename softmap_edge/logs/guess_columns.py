@@ -226,7 +226,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
         bare = stem.replace("[#]", "#")
         if re.search(r"veloc|effort|accel", bare):
             continue
-        where = [(bare, f"called '{names[0]}'")]
+        where = [(bare, f"called '{names[0]}'" + ("" if len(names) == 1 else f" to '{names[-1]}'"))]
         if sheet.topic:
             where.insert(0, (sheet.topic.lower(), f"of topic {sheet.topic}"))
         for text, why in where:

@@ -75,7 +75,7 @@ def _draw_commands(axes: Axes, series: Series, plane: tuple[int, int], values: F
     worst_last = np.argsort(np.where(np.isfinite(values), values, -1.0), kind="stable")
     axes.scatter(x[worst_last], y[worst_last], c=values[worst_last], s=16, cmap=ERROR_MAP, norm=scale, linewidths=0)
     unit = series.command_unit
-    axes.set(xlabel=f"u{plane[0] + 1}, {unit}", ylabel="error, mm" if one else f"u{plane[1] + 1}, {unit}")
+    axes.set(xlabel=f"u{plane[0]}, {unit}", ylabel="error, mm" if one else f"u{plane[1]}, {unit}")
     axes.grid(color=FAINT, linewidth=0.8)
     axes.set_axisbelow(True)
     if not one:

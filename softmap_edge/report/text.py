@@ -285,7 +285,7 @@ def _effect_lines(row: Mapping[str, Any]) -> list[str]:
     head = f"  {row.get('name', '?')}  ({row.get('family', '?')}, stage {row.get('stage', '?')})"
     held = shift.get("held_out")
     facts = [
-        f"probability {percent(row.get('probability'))} (fitted)",
+        *([] if row.get("probability") is None else [f"probability {percent(row['probability'])} (fitted)"]),
         f"{percent(row.get('share'))} of what is explained (fitted)",
         f"moves the body by {mm(shift.get('fitted'))} mm RMS (fitted)"
         + ("" if held is None else f", {mm(held)} mm RMS (held out)"),
@@ -311,6 +311,8 @@ def parameter(value: Mapping[str, Any]) -> str:
     unit = "" if unit == "1" else unit  # a plain number
     if best is None:
         return "–"
+    if isinstance(value.get("meaning"), str):
+        return f"{best:.0f}: {value['meaning']}"
     if number(sigma) is None or sigma <= 0:
         return f"{best:.4g} {unit}".rstrip() + " (uncertainty not known)"
     if max(abs(best), sigma) >= LARGEST:

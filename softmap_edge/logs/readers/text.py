@@ -273,6 +273,8 @@ def _blocks(path: Path, first: int) -> Iterator[tuple[int, list[str]]]:
     except OSError as cause:
         raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
     except UnicodeDecodeError as cause:
+        if b"\0" in cause.object:
+            raise RunError(f"{path}: is not text; give the log of a recording, as CSV") from cause
         raise RunError(f"{path}: is not text in UTF-8 (byte {cause.start} of a part); save the log as UTF-8") from cause
     if rest.strip() and number >= first:
         yield number, [rest]
