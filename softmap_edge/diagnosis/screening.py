@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 LOOKED = 2  # candidates that are looked at again on top of a fit, for each one that is predicted
 PREDICTED = 2  # candidates that are predicted and not only looked at by slopes, for each one that is fitted
-STEPPED = 2  # starts of each from which a step is taken: those that come nearest
+STEPPED = 5  # starts of each from which a step is taken: those that come nearest
 FRAMES = 200  # on which candidates are looked at by slopes
 FAINTER = (0.05, 0.1, 0.2, 0.4)  # of the way from a start that is worse than nothing to the ends of its scale
 NEAR = 0.25  # of the commands' range: farther, a screening step is predicted and not taken along the slopes

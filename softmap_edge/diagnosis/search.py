@@ -23,7 +23,7 @@ from softmap_edge.diagnosis.screening import Screening
 
 Floats = NDArray[np.float64]
 
-BEAM, REFITS, LARGEST = 2, 5, 4
+BEAM, REFITS, LARGEST, ROUNDS = 2, 5, 4, 6
 RIVALS = 5  # other candidates that are fitted in the place of a member
 STAGES = ("command", "transmission", "material", "shape", "sensing")
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
@@ -36,6 +36,7 @@ HOPEFUL = 0.5  # of what is promising, or of what a rival must carry: what is pr
 FORM_TOLERANCE, FIELD_TOLERANCE = 0.2, 0.3  # of what another member moves: no form is truer; linear fields of stiffness
 EQUAL = 6.0  # difference of EBIC (odds of 20) below which two sets of the same size count as equally good
 ALIKE = 1.02  # of the held-out error: effects of one form differ by less
+FLOATED = 0.9  # of what the nearest set of a size leaves: one that came by dropping a member is nearer, and goes first
 SIMPLER = 0.9  # of the held-out error in mm: fewer effects that reach it stand for more that the objective likes better
 RIVAL_SE, RIVAL_SHARE = 2.0, 0.6  # standard errors within which a rival stands; least share of the rivalled fall
 RIVAL_WORSE = 1.0  # a rival whose held-out error in mm is twice as large is none, whatever its folds say
@@ -203,14 +204,16 @@ class Search:
     def run(self) -> Fit:
         """Search and return the largest set whose members are all accepted, or a smaller one that is nearer."""
         chosen, beam = self.null, [self.null]
-        for size in range(1, min(LARGEST, len(self.candidates)) + 1):
-            children = self._children(beam, REFITS if size == 1 else REFITS - 1)
+        for _ in range(ROUNDS):
+            beam = [fit for fit in beam if len(fit.effects) < min(LARGEST, len(self.candidates))]
+            children = self._children(beam, REFITS if beam == [self.null] else REFITS - 1)
             if not children:
                 break
-            dispersion = self.dispersion(children[0])
+            dispersion, size = self.dispersion(children[0]), len(children[0].effects)
             self.progress(f"{size} effect{'s' if size > 1 else ''}: best {' + '.join(children[0].effects)}")
             if self.score(children[0], dispersion) >= min(self.score(b, dispersion) for b in [chosen, *beam]):
                 break
+            children = self._floated(children)
             beam_before, beam = beam, self._beam(children)
             level = self.score(chosen, dispersion)
             good = next((c for c in beam if self.score(c, dispersion) < level and self.valid(c)), None)
@@ -239,6 +242,23 @@ class Search:
                 mm = self.held_out_mm(other)
                 fit, best = (other, mm) if mm < best else (fit, best)
         return fit
+
+    def _floated(self, children: list[Fit]) -> list[Fit]:
+        """Return `children` with the best of them rid of members that it does better without, if there are such.
+
+        What came first may have stood for what came later: sets shrink while what is left is nearer than any set of its
+        size that was tried (sequential floating selection: Pudil, Novovičová and Kittler 1994,
+        doi:10.1016/0167-8655(94)90127-9).
+        """
+        fit = children[0]
+        while len(fit.effects) > 1:
+            known = {key: found.cost for key, found in self._fits.items() if len(key) == len(fit.effects) - 1}
+            nearest = min(known.values(), default=np.inf)
+            smaller = min((self.get(frozenset(fit.effects) - {e}) for e in fit.effects), key=lambda f: f.cost)
+            if smaller.cost >= FLOATED * nearest:
+                break
+            fit = smaller
+        return children if fit is children[0] else [fit, *children]
 
     def _beam(self, children: list[Fit]) -> list[Fit]:
         """Return the best of `children`; beside a valid first none that leaves WIDE times as much beyond noise."""
