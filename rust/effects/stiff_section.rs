@@ -27,8 +27,8 @@ pub static EFFECT: Effect = Effect {
                 "1",
                 0.0,
                 0.3,
-                -1.2,
-                1.2,
+                -2.4,
+                2.4,
                 "logarithm of the modulus there over that elsewhere",
             ),
             Parameter::new(

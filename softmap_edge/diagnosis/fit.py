@@ -49,7 +49,7 @@ class Space:
         wanted = set(free or effects)
         self.free = np.array([i for i, label in enumerate(self.labels) if label.split(".")[0] in wanted], int)
         self.base = np.array([base.get(label.split("@")[0], null[i]) for i, label in enumerate(self.labels)])
-        self.log, self.integer = layout.log[self.free], layout.integer[self.free]
+        self.log, self.integer, self.instant = (a[self.free] for a in (layout.log, layout.integer, layout.instant))
         self.declared = layout.declared[self.free]  # not so the prior's own numbers, which count with or without
         self._zero = np.where(self.log, start[self.free], null[self.free])
         linear = np.maximum(np.abs(high - null), np.abs(low - null))[self.free]

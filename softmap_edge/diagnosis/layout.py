@@ -34,6 +34,7 @@ class Layout:
     high: Floats
     log: NDArray[np.bool_]
     integer: NDArray[np.bool_]
+    instant: NDArray[np.bool_]  # times within the run
     columns: list[NDArray[np.intp]]  # of each run, (chain's P,)
     declared: NDArray[np.bool_]  # parameters of effects; the others are numbers of the prior that are open with them
 
@@ -83,8 +84,9 @@ def layout_of(
     labels, units = labels + [c.label for c in changes], units + [c.unit for c in changes]
     null, start = (np.r_[a, [c.null for c in changes]] for a in (null, start))
     low, high = np.r_[low, [c.low for c in changes]], np.r_[high, [c.high for c in changes]]
-    log, integer = np.r_[log, [c.factor for c in changes]] > 0, np.r_[integer, np.zeros(len(changes), bool)]
-    return Layout(tuple(names), labels, units, null, start, low, high, log, integer, columns, declared)
+    log = np.r_[log, [c.factor for c in changes]] > 0
+    integer, within = (np.r_[a, np.zeros(len(changes), bool)] for a in (integer, within))
+    return Layout(tuple(names), labels, units, null, start, low, high, log, integer, within, columns, declared)
 
 
 def per_mm(model: Any, library: Any, chain: Any) -> Floats:

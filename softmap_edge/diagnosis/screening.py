@@ -25,6 +25,7 @@ Floats = NDArray[np.float64]
 
 LOOKED = 2  # candidates that are looked at again on top of a fit, for each one that is predicted
 PREDICTED = 2  # candidates that are predicted and not only looked at by slopes, for each one that is fitted
+INSTANTS, MOST_STARTS = 8, 11  # places in time at which something may have happened; starts of one effect
 STEPPED = 5  # starts of each from which a step is taken: those that come nearest
 FRAMES = 200  # on which candidates are looked at by slopes
 FAINTER = (0.05, 0.1, 0.2, 0.4)  # of the way from a start that is worse than nothing to the ends of its scale
@@ -245,7 +246,7 @@ class Screening:
         return self._slopes[key]
 
     def starts(self, effect: str) -> list[Floats]:
-        """Return scaled starting points of one effect alone: the declared one, its signs, and others on log scales.
+        """Return scaled starting points of one effect alone: as declared, with other signs, on log scales, in time.
 
         Tendons that fall slack put a kink at home, where the slope on one side says nothing about the other. Every
         combination of whole numbers is a start of its own.
@@ -254,7 +255,13 @@ class Screening:
         if space.integer.any():
             return _whole_starts(space)
         points = [space.start.copy()]
-        for i in np.flatnonzero(space.log & space.declared):
+        for i in np.flatnonzero(space.instant):
+            low, high = space.values(space.low)[i], space.values(space.high)[i]
+            for share in (np.arange(INSTANTS) + 0.5) / INSTANTS:
+                values = space.values(space.start)
+                values[i] = low + share * (high - low)
+                points.append(space.scaled(values))
+        for i in np.flatnonzero(space.log & space.declared & ~space.instant):
             for share in (0.15, 0.85):
                 point = space.start.copy()
                 point[i] = space.low[i] + share * (space.high[i] - space.low[i])
@@ -264,7 +271,7 @@ class Screening:
             every_other = np.where(np.arange(len(space.start)) % 2, -space.start, space.start)
             flipped = [-space.start, every_other, -every_other][: 3 if len(signed) > 1 else 1]
             points += [np.clip(point, space.low, space.high) for point in flipped]
-        return points[:7]
+        return points[:MOST_STARTS]
 
 
 def _whole_starts(space: Space) -> list[Floats]:
