@@ -164,9 +164,9 @@ def test_what_is_claimed_without_a_load_is_listed_on_the_page(folder):
         assert [float(value) for value in errors.split(",")] == pytest.approx(ladder, abs=0.03), half
         gap = next(e for e in document["effects"] if e["name"] == "backlash")["params"]["backlash.gap"]["value"]
         assert float(re.search(r"backlash ([\d.]+) deg", names)[1]) == pytest.approx(gap, abs=0.1), half
-        before = ladder[added.index("backlash")]
-        assert ladder[added.index("backlash") + 1] < 0.98 * before, half
-        assert all(a > 0.98 * b for a, b, name in zip(ladder[1:], ladder, added) if name != "backlash"), half
+        won = {name: before - after for name, before, after in zip(added, ladder, ladder[1:])}
+        play = won.pop("backlash")
+        assert play > 0.02 * ladder[0] and all(mm < 0.5 * play for mm in won.values()), half
 
 
 def test_the_encoders_tell_the_drive_apart(page):

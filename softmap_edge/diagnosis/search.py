@@ -6,7 +6,7 @@ members is accepted: EBIC falls, blocked cross-validation falls by 1 % and in 60
 it moves and carries more than the form of the strongest other member may be off. Differences of objectives are divided
 by the over-dispersion (leftover chi²/n of the fit). Of sets that count, fewer effects that come nearer in mm stand for
 more.
-Known limit: sets are found by growing and swapping, not by trying all. Pinned by tests/test_diagnosis.py and
+Known limit: sets are found by growing, dropping and swapping, not by trying all. Pinned by tests/test_diagnosis.py and
 tests/test_evidence.py.
 """
 
