@@ -6,7 +6,6 @@ use crate::effects::declaration::Law;
 use crate::error::{Result, invalid};
 use crate::room::zeros;
 use rayon::prelude::*;
-use std::borrow::Cow;
 
 /// One parameter set whose record is read at K places.
 struct Reader<'a> {
@@ -176,32 +175,26 @@ impl Chain {
             places,
         });
         let held = u[..self.channels].to_vec();
-        self.share(
-            &self.links,
-            sets.collect(),
-            Cow::Borrowed(u),
-            held,
-            conditions,
-        )?;
+        self.branch(&self.links, sets.collect(), u, held, conditions)?;
         Ok(out)
     }
 
     /// Take a record, and what it is held at before, through the effects `left`, for each of `sets`.
-    fn share(
+    fn branch(
         &self,
         left: &[Link],
         sets: Vec<Reader>,
-        record: Cow<[f64]>,
+        record: &[f64],
         held: Vec<f64>,
         conditions: &Conditions,
     ) -> Result<()> {
         let Some((link, left)) = left.split_first() else {
             sets.into_par_iter()
-                .for_each(|set| set.read(&record, self.channels));
+                .for_each(|set| set.read(record, self.channels));
             return Ok(());
         };
         if !matches!(link.effect.law, Law::Channel(_) | Law::Record(_)) {
-            return self.share(left, sets, record, held, conditions);
+            return self.branch(left, sets, record, held, conditions);
         }
         let numbers = |set: &Reader| {
             let own = &set.params[link.params.clone()];
@@ -215,19 +208,13 @@ impl Chain {
                 None => alike.push((own, vec![set])),
             }
         }
-        let onwards = |sets: Vec<Reader>, mut record: Vec<f64>, mut held: Vec<f64>| {
+        alike.into_par_iter().try_for_each(|(_, sets)| {
+            let (mut record, mut held) = (record.to_vec(), held.clone());
             let mut memory = vec![0.0; link.state.len()];
             let (params, held_at) = (sets[0].params, Some(&mut held[..]));
             self.pass(link, params, &mut record, &mut memory, conditions, held_at)?;
-            self.share(left, sets, Cow::Owned(record), held, conditions)
-        };
-        if alike.len() == 1 {
-            let mut all = alike.into_iter().map(|(_, sets)| sets);
-            return onwards(all.next().unwrap_or_default(), record.into_owned(), held);
-        }
-        alike
-            .into_par_iter()
-            .try_for_each(|(_, sets)| onwards(sets, record.to_vec(), held.clone()))
+            self.branch(left, sets, &record, held, conditions)
+        })
     }
 
     /// Refuse commands that are not (T, C).

@@ -75,6 +75,32 @@ fn a_batch_is_its_members() {
 }
 
 #[test]
+fn sets_that_begin_alike_act_as_each_by_itself() {
+    let chain = chain(2);
+    let t: Vec<f64> = (0..50).map(|k| 0.03 * k as f64).collect();
+    let u: Vec<f64> = (0..100).map(|k| 9.0 * (0.13 * k as f64).sin()).collect();
+    let (conditions, start) = (world(t), params(&chain, |p| p.start));
+    let mut sets = vec![start.clone(), start.clone()];
+    for (i, (_, parameter)) in chain.parameters().into_iter().enumerate() {
+        let mut moved = start.clone();
+        moved[i] = parameter.high;
+        sets.push(moved);
+    }
+    let rows = [(0, 0.0), (7, 0.25), (31, 0.0), (48, 0.9)];
+    let acting = |sets: &[Vec<f64>]| {
+        let places = vec![&rows[..]; sets.len()];
+        chain
+            .acting(&sets.concat(), &u, &conditions, &places)
+            .unwrap()
+    };
+    for (set, together) in sets.iter().zip(acting(&sets).chunks_exact(8)) {
+        assert_eq!(acting(std::slice::from_ref(set)), together);
+        let whole = chain.rollout(set, &u, &mut world(conditions.t().to_vec()), &mut vec![]);
+        assert_eq!(whole.unwrap()[62..64], together[4..6]);
+    }
+}
+
+#[test]
 fn names_sort_themselves_and_mistakes_are_told() {
     let names = |list: &[&str]| list.iter().map(|name| name.to_string()).collect::<Vec<_>>();
     let chain = Chain::new(&names(&["mount", "backlash", "gain"]), 2).unwrap();

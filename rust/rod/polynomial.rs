@@ -94,8 +94,7 @@ impl Monomials {
 #[derive(Debug, Clone)]
 pub(super) struct Polynomial {
     monomials: Monomials,
-    weights: Vec<f64>,
-    /// The same for each block of outputs, zeros behind the last.
+    /// The weights (1 + F) of each block of outputs, zeros behind the last.
     blocks: Vec<Vec<[f64; BLOCK]>>,
     pub(super) outputs: usize,
 }
@@ -123,7 +122,6 @@ impl Polynomial {
         Ok(Self {
             monomials,
             blocks: (0..outputs).step_by(BLOCK).map(block).collect(),
-            weights,
             outputs,
         })
     }
@@ -148,7 +146,7 @@ impl Polynomial {
 
     /// Values at `x` as `eval`, and d out / d x as `slopes[o * variables + j]`.
     pub(super) fn slopes(&self, x: &[f64], out: &mut [f64], slopes: &mut [f64]) {
-        let (m, n) = (self.outputs, x.len());
+        let n = x.len();
         let (mut phi, mut rise) = (
             vec![0.0; self.monomials.len()],
             vec![0.0; self.monomials.len() * n],
@@ -156,10 +154,10 @@ impl Polynomial {
         self.sum(x, &mut phi, out);
         self.monomials.slopes(x, &phi, &mut rise);
         slopes.fill(0.0);
-        for (rise, row) in rise.chunks_exact(n).zip(self.weights[m..].chunks_exact(m)) {
-            for (o, w) in row.iter().enumerate() {
-                for j in 0..n {
-                    slopes[o * n + j] += w * rise[j];
+        for (slopes, rows) in slopes.chunks_mut(BLOCK * n).zip(&self.blocks) {
+            for (rise, row) in rise.chunks_exact(n).zip(&rows[1..]) {
+                for (slope, w) in slopes.chunks_exact_mut(n).zip(row) {
+                    accumulate(slope, rise, *w);
                 }
             }
         }
