@@ -30,7 +30,8 @@ from softmap_edge.protocol import Protocol, standard_protocol
 from softmap_edge.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator, tour
-from softmap_edge.truth_laws import LAWS, NAMED, NEWTON_PER_GRAM, Law, rotation
+from softmap_edge.truth_laws import LAWS, NEWTON_PER_GRAM, Law, rotation
+from softmap_edge.truth_named import NAMED
 
 Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -173,6 +174,14 @@ def hide(names: Sequence[str], seed: int, camera: Camera | None = None, finger: 
     Returns the truth; each secret of `LAWS` alone moves the section centroids by 1-4 mm RMS on the standard protocol.
     Raises SoftmapError for an unknown or repeated name.
     """
+    check_hidden(names, seed)
+    plain = Truth(seed, (), camera or Camera(), finger or _builtin())
+    named = [_named(name, plain) for name in NAMED if name in names]
+    return replace(plain, secrets=(*named, *(_drawn(name, plain) for name in LAWS if name in names)))
+
+
+def check_hidden(names: Sequence[str], seed: int) -> None:
+    """Raise SoftmapError where `hide` cannot hide `names`: before anything is solved."""
     unknown = [name for name in names if name not in {**NAMED, **LAWS}]
     if unknown:
         raise SoftmapError(f"no hidden law '{unknown[0]}'; there are {', '.join([*LAWS, *NAMED])}")
@@ -180,9 +189,6 @@ def hide(names: Sequence[str], seed: int, camera: Camera | None = None, finger: 
         raise SoftmapError(f"each effect can be hidden once, got {', '.join(names)}")
     if seed < 0:
         raise SoftmapError(f"seed {seed} is negative; give 0 or more")
-    plain = Truth(seed, (), camera or Camera(), finger or _builtin())
-    named = [_named(name, plain) for name in NAMED if name in names]
-    return replace(plain, secrets=(*named, *(_drawn(name, plain) for name in LAWS if name in names)))
 
 
 def surprise(seed: int) -> list[str]:

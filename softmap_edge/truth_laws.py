@@ -316,65 +316,6 @@ LAWS: dict[str, type[Law]] = {
 }
 
 
-@dataclass(frozen=True)
-class OffCentreSpool(Law):
-    """A spool that turns off its middle: exact geometry of winding, which no effect of the library is.
-
-    The rim (radius R) turns about a point e off its middle c, e = |c|; the tendon leaves it along the tangent towards a
-    guide D away. With L the free length, β the angle of the tangent point about c and θ the servo's angle, the tendon
-    is shortened by L(θ) − L(0) + R (θ − β(θ) + β(0)); its slope is the moment arm of the free tendon about the axis. A
-    command is the rim's radius times the servo's angle, as if the spool turned about its middle.
-    """
-
-    NAME = "off_centre_spool"
-    radius_mm: float = 5.0
-    off_mm: Numbers = (0.9, 0.8)
-    phase: Numbers = (0.6, -1.1)
-    guide_mm: float = 40.0
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls(off_mm=(0.9, 0.8, 0.7)[:channels], phase=(0.6, -1.1, 2.2)[:channels])
-
-    def scaled(self, s: float) -> Self:
-        return replace(self, off_mm=tuple(s * x for x in self.off_mm))
-
-    def command(self, t: Floats, u: Floats) -> Floats:
-        return np.stack([self.wound(x / self.radius_mm, e, p) for x, e, p in zip(u.T, self.off_mm, self.phase)], axis=1)
-
-    def wound(self, angle: Floats, off: float, phase: float) -> Floats:
-        """Return the shortening (T,) mm at servo angles (T,) rad."""
-
-        def free_and_tangent(turned: Floats) -> tuple[Floats, Floats]:
-            x, y = self.guide_mm - off * np.cos(turned + phase), -off * np.sin(turned + phase)
-            far = np.hypot(x, y)
-            return np.sqrt(far**2 - self.radius_mm**2), np.arctan2(y, x) + np.arccos(self.radius_mm / far)
-
-        (free, tangent), (free0, tangent0) = free_and_tangent(angle), free_and_tangent(np.zeros(1))
-        return np.asarray(free - free0 + self.radius_mm * (angle - tangent + tangent0))
-
-
-@dataclass(frozen=True)
-class SwappedServos(Law):
-    """The first two servos have each other's place; with a single one it turns the wrong way."""
-
-    NAME = "servo_swap"
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, channels: int) -> Self:
-        return cls()
-
-    def scaled(self, s: float) -> Self:
-        return self
-
-    def command(self, t: Floats, u: Floats) -> Floats:
-        return np.asarray(-u if u.shape[1] < 2 else u[:, [1, 0, *range(2, u.shape[1])]])
-
-
-# Hidden only where they are asked for by name, as strong as they are: a fault, and what the library has no name for.
-NAMED: dict[str, type[Law]] = {law.NAME: law for law in (SwappedServos, OffCentreSpool)}
-
-
 def rotation(degrees: Numbers) -> Floats:
     """Return the rotation matrix (3, 3) of a rotation vector in degrees (Rodrigues: I + sin a K + (1 − cos a) K²)."""
     vector = np.radians(np.asarray(degrees, dtype=np.float64))

@@ -26,7 +26,7 @@ from softmap_edge.protocol import other_protocol, standard_protocol
 from softmap_edge.report.html import write_html
 from softmap_edge.report.numbers import fall
 from softmap_edge.run import Run
-from softmap_edge.truth import WATCH, Truth, hide, surprise
+from softmap_edge.truth import WATCH, Truth, check_hidden, hide, surprise
 
 SCHEMA = "softmap.demo/1"
 FIRST_SEED = 1
@@ -129,7 +129,7 @@ def demo(args: argparse.Namespace) -> int:
 
 
 def _told(args: argparse.Namespace, say: Callable[[str], None], started: float) -> int:
-    names = _hidden_names(",".join(args.hide), args.seed)
+    names = _hidden_names(args.hide, args.seed)
     Path(args.out).mkdir(parents=True, exist_ok=True)  # before the work, not after it
     say("Taking the model of the built-in finger, made from a simulated sweep.")
     model = builtin_model()
@@ -145,20 +145,14 @@ def _told(args: argparse.Namespace, say: Callable[[str], None], started: float) 
     return 0
 
 
-def _hidden_names(text: str, seed: int) -> list[str]:
-    if seed < 0:
-        raise SoftmapError(f"seed {seed} is negative; give 0 or more")
-    if text == "random":
-        return surprise(seed)
-    if text == "nothing":
-        return []
-    names = [name.strip() for name in text.split(",")]
-    from softmap_edge.truth_laws import LAWS
-
-    for name in names:
-        if name not in LAWS:
-            raise SoftmapError(f"no hidden effect '{name}'; --hide takes {', '.join(LAWS)}, 'nothing' or 'random'")
-    return names
+def _hidden_names(words: Sequence[str], seed: int) -> list[str]:
+    text = ",".join(words)
+    names = [] if text in ("nothing", "random") else [name.strip() for name in text.split(",")]
+    try:
+        check_hidden(names, seed)
+    except SoftmapError as fault:
+        raise SoftmapError(f"{fault}; --hide takes 'nothing' and 'random' as well") from None
+    return surprise(seed) if text == "random" else names
 
 
 def _write(story: Trial, folder: Path) -> dict[str, str]:

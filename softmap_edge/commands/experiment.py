@@ -171,7 +171,7 @@ def record(args: argparse.Namespace) -> int:
     """Play a command file on the simulated finger and write the run."""
     from softmap_edge.experiment.command_file import read_commands
     from softmap_edge.solid.finger import Finger
-    from softmap_edge.truth import WATCH, hide
+    from softmap_edge.truth import WATCH, check_hidden, hide
 
     if not args.sim:
         raise SoftmapError("a servo bus is not driven by this version; give --sim for the simulated finger")
@@ -195,6 +195,7 @@ def record(args: argparse.Namespace) -> int:
     asked = [name for text in args.hide for name in text.split(",") if name]
     names, seed = (asked, 1) if args.truth_from is None else _secrets(args.truth_from)
     seed = seed if args.seed is None else args.seed
+    check_hidden(names, seed)
     if not args.json:
         hidden = "finding how strong the hidden effects are, then " if names else ""
         print(f"{hidden}solving {len(made.t_seen)} frames one by one: minutes", file=sys.stderr)
