@@ -349,7 +349,7 @@ def rubbed(p, u, t):
 
 
 def broken_in(p, u, t):
-    size = np.abs(u)
+    size = np.linalg.norm(u, axis=1, keepdims=True)
     below = np.maximum.accumulate(size, axis=0) - size
     return u + u * p["softening"] * (1.0 - np.exp(-below / p["reach"]))
 
