@@ -36,7 +36,7 @@ def made_log(rows=20, delimiter=",", seed=0):
 
 
 def imported(folder, log_text, mapping=ONE_LOG, name="log.csv"):
-    (folder / name).write_text(log_text, encoding="utf-8")
+    (folder / name).write_bytes(log_text.encode() if isinstance(log_text, str) else log_text)
     (folder / "map.toml").write_text(mapping, encoding="utf-8")
     return import_logs([folder / name], read_mapping(folder / "map.toml"))
 

@@ -8,8 +8,10 @@ import pytest
 from softmap_edge import Run, builtin_model, effects, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.advice import WIDTH, advice
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.protocol import Limits, standard_protocol
 from softmap_edge.run_summary import sentences, summary
+
+SIDEWAYS = np.array([0.6, 0.0, 0.8])
 
 
 def full(**change):
@@ -111,6 +113,16 @@ def smooth(t):
 def test_smooth_moves_of_many_channels_are_fast_and_slow():
     run = full(command=smooth(standard_protocol().t), command_unit="deg")
     assert answers(run)["speed"]["tells"] and answers(run)["channels"]["tells"]
+
+
+@pytest.mark.parametrize("fastest", [None, 6.0])
+def test_both_paces_of_the_standard_protocol_are_seen(fastest):
+    model = builtin_model()
+    limits, both = Limits.of(model.command_range, model.command_unit, fastest), (np.array([0, 0, 1.0]), SIDEWAYS)
+    p = standard_protocol(seed=0, limits=limits, back=True, orientations=both)
+    markers = np.repeat(full().marker_rest[None], p.frames, axis=0)
+    run = full(t=p.t, command=p.command, gravity=p.gravity, t_seen=p.t_seen, markers=markers, temperature=None)
+    assert answers(run)["speed"]["tells"], answers(run)["speed"]
 
 
 def test_markers_on_the_base_are_counted_and_are_no_unknown_field():

@@ -257,6 +257,7 @@ def test_what_does_not_follow_the_commands_is_no_physics(case, tmp_path, capsys)
     code, document, _ = diagnosed(written(tmp_path, change, True), capsys)
     assert code == 0 and document["verdict"] == "measurement_fault" and document["effects"] == []
     assert "does not follow the commands" in document["sentence"] and document["rivals"] == []
+    assert ("The commands never change in this log" in document["sentence"]) == (case == "constant commands")
     assert not words or any(words in remark for remark in document["remarks"])
 
 

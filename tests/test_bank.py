@@ -304,14 +304,20 @@ def test_the_sweep_of_the_solid_is_interpolated_within_its_stated_error():
 
 
 FIXED = [("null", 0), ("null", 3), ("single", 0), ("single", 8), ("untestable", 0), ("rivals", 0), ("removed", 8)]
+# What the search found only since its first members may leave again (29), since eccentric pulleys are begun from
+# every start (23), since damage is of the body (18): pairs of the easy level that must be exact.
+PAIRS = (29, 23, 18)
 
 
 def test_a_fixed_slice_is_diagnosed(tmp_path, capsys):
     for kind, number in FIXED:
         work((("development", "A", "real", kind, number), str(tmp_path), "now"))
+    for number in PAIRS:
+        work((("development", "A", "easy", "pair", number), str(tmp_path), "now"))
     assert main(["--table", "--out", str(tmp_path)]) == 0
     told = capsys.readouterr().out
     rows = {(r["kind"], r["number"]): r for r in (json.loads(p.read_text()) for p in tmp_path.glob("*.json"))}
+    assert all(rows["pair", number]["exact"] for number in PAIRS), told
     assert not [r for r in rows.values() if "failed" in r], told
     assert not rows["null", 0]["named"] and not rows["null", 3]["named"], told
     for key in (("single", 0), ("single", 8)):

@@ -11,6 +11,7 @@ from softmap_edge.protocol import standard_protocol
 from softmap_edge.run import Run
 from softmap_edge.truth import WATCH, hide, surprise
 from softmap_edge.truth_laws import LAWS
+from softmap_edge.truth_named import NAMED
 
 
 def test_demo_tells_the_story_and_reveals_at_the_end(tmp_path, capsys):
@@ -45,11 +46,13 @@ def test_demo_prints_one_document(tmp_path, capsys):
 def test_unknown_secret_lists_the_known(hide, capsys, tmp_path):
     assert main(["demo", "--hide", hide, "--out", str(tmp_path)]) == 2
     said = capsys.readouterr().err
-    assert all(name in said for name in [*LAWS, "nothing", "random"])
+    assert all(name in said for name in [*LAWS, *NAMED, "nothing", "random"])
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("argv", [["--seed", "-1"], ["--hide", "creep,creep"], ["--seed", "x"]])
+@pytest.mark.parametrize(
+    "argv", [["--seed", "-1"], ["--hide", "creep,creep"], ["--hide", "creep", "creep"], ["--seed", "x"]]
+)
 def test_wrong_use(argv, capsys, tmp_path):
     assert main(["demo", *argv, "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err.strip()

@@ -207,7 +207,9 @@ def test_what_cannot_be_recorded_is_said(written, tmp_path, capsys):
     assert main(["record", path, "--out", out]) == 2
     assert "give --sim" in capsys.readouterr().err
     assert main(["record", path, "--sim", "--out", out, "--hide", "wobble"]) == 2
-    assert "no hidden law 'wobble'" in capsys.readouterr().err
+    assert capsys.readouterr().err.startswith("softmap record: no hidden law 'wobble'")  # before anything is solved
+    assert main(["record", path, "--sim", "--out", out, "--hide", "servo_swap,creep", "gust"]) == 2
+    assert "no hidden law 'gust'" in capsys.readouterr().err
     write_commands(tmp_path / "other.csv", plan([BLOCKS["circle"]], Limits.even(3)), "moe-finger")
     assert main(["record", str(tmp_path / "other.csv"), "--sim", "--out", out]) == 2
     assert "3 commands in mm for 'moe-finger', 'moe-finger' takes 2 in mm" in capsys.readouterr().err

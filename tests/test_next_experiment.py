@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softmap_edge import Run, _core, builtin_model, diagnose, next_experiment
+from softmap_edge import Run, _core, builtin_model, diagnose, next_experiment, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.diagnosis.conclusion import _next
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
@@ -175,6 +176,7 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
     assert main(argv) == 0
     told = capsys.readouterr().out
     assert "Open      payload (ambiguous); rivals: gravity" in told
+    assert f"`softmap record {tmp_path / 'c.csv'} --sim --out new.npz`" in told
     assert "another orientation (0.6 min): settles payload, gravity; separation" in told
     assert "turn the robot until gravity points along 0.52 0.24 0.82" in told
     made, robot = read_commands(tmp_path / "c.csv")
@@ -191,6 +193,22 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
     told = capsys.readouterr().out
     assert "Before    payload (ambiguous); rivals: gravity" in told
     assert "Now       payload (identified); rivals: none" in told and "Settled   gravity" in told
+
+
+def test_what_is_named_beside_a_rival_is_not_open():
+    """A rival set holds the rest of what is named too: only the member and what stands for it are to be settled."""
+    rival = {"member": "lag", "effects": ["gain", "latency"], "why": "", "experiment": ("triangles", 1.0)}
+    assert _next([rival], [], {}, ["gain", "lag"])[0]["settles"] == ["lag", "latency"]
+
+
+def test_only_the_built_in_robot_is_told_how_to_be_played(tmp_path, capsys):
+    save_bundle(replace(MODEL, robot="arm"), tmp_path / "arm")
+    argv = ["next", "--standard", "--out", str(tmp_path / "c.csv"), "--bundle"]
+    assert main([*argv, str(tmp_path / "arm")]) == 0
+    assert "softmap record" not in capsys.readouterr().out
+    save_bundle(MODEL, tmp_path / "ours")
+    assert main([*argv, str(tmp_path / "ours")]) == 0
+    assert f"--sim --bundle {tmp_path / 'ours'} --out new.npz`" in capsys.readouterr().out
 
 
 def test_next_writes_the_standard_protocol_and_blocks_by_name(tmp_path, capsys):

@@ -379,6 +379,8 @@ def test_every_error_of_a_report_says_rms_and_fitted_or_held_out():
     named = [line for line in lines if re.search(r"\d mm", line) and "±" not in line]
     assert len(named) >= 3 and all("RMS" in line for line in named), named
     assert "probability 97 % (fitted)" in diagnosis_text(DIAGNOSIS)
+    bare = DIAGNOSIS | {"effects": [entry | {"probability": None} for entry in DIAGNOSIS["effects"]]}
+    assert "probability" not in diagnosis_text(bare)
 
 
 def test_a_fault_that_does_most_comes_first_and_is_the_verdict():

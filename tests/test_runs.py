@@ -242,6 +242,9 @@ def test_what_is_no_archive_is_said_so(tmp_path, content):
         Run.load(tmp_path / "absent.npz")
     with pytest.raises(RunError):
         Run.load(tmp_path)
+    (tmp_path / "log.csv").write_bytes(content)
+    with pytest.raises(RunError, match="a log becomes a run with `softmap import`"):
+        Run.load(tmp_path / "log.csv")
 
 
 def test_every_shorter_file_is_refused(tmp_path):

@@ -120,6 +120,7 @@ def test_from_two_sided_tendons_the_first_answer_is_slack(page, logs):
     assert found["verdict"] == "identified" and [effect["name"] for effect in found["effects"]] == ["slack"]
     assert found["rivals"] == [] and found["error"]["held_out_on"] == "an independent run"
     effect = found["effects"][0]
+    assert effect["probability"] is None  # calibrated on bodies that were simulated
     assert effect["params"]["slack.ratio"]["value"] < 0.02 and len(effect["refitted"]["params"]) == 17
     assert before > 12.0 and after <= 7.0 and f"{before:.1f} → {after:.1f} mm" in PAGE
     rods, added = (load_bundle(page / name) for name in ("rods.bundle", "slack.bundle"))

@@ -256,3 +256,18 @@ def test_unknown_and_doubled_secrets_are_refused():
         hide(["creep", "creep"], 0)
     with pytest.raises(SoftmapError, match="negative"):
         hide([], -1)
+
+
+def test_laws_that_are_asked_for_by_name_move_every_channel():
+    from softmap_edge.truth import hide
+    from softmap_edge.truth_named import OffCentreSpool, SwappedServos
+
+    t = np.arange(5.0)
+    u = np.linspace(-9, 9, 5)[:, None] * [1.0, -0.5, 0.7, 0.2]
+    wound = OffCentreSpool().command(t, u)
+    assert wound.shape == u.shape and np.all(np.ptp(wound - u, axis=0) > 0.05)
+    np.testing.assert_allclose(OffCentreSpool().scaled(0.0).command(t, u), u, atol=1e-12)
+    assert np.array_equal(SwappedServos().command(t, u), u[:, [1, 0, 2, 3]])
+    assert np.array_equal(SwappedServos().command(t, u[:, :1]), -u[:, :1])
+    hidden = hide(["servo_swap", "creep", "off_centre_spool"], 3)
+    assert [law.NAME for law in hidden.secrets] == ["servo_swap", "off_centre_spool", "creep"]

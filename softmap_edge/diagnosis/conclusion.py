@@ -37,8 +37,8 @@ from softmap_edge.own_effect import hashes
 Floats = NDArray[np.float64]
 
 # Of the probabilities, fitted on development seeds of the bank (docs/bank.md): where forms are not exact one of so many
-# whitened numbers speaks for itself; odds of an open rival against what is named.
-TEMPERATURE, RIVAL = 400.0, 1 / 3
+# whitened numbers speaks for itself; odds of an open rival, and of something unknown left, against what is named.
+TEMPERATURE, RIVAL, UNKNOWN = 400.0, 1 / 3, 1.0
 
 
 def conclude(
@@ -82,14 +82,14 @@ def conclude(
             block = ("`softmap refit` on this run, then diagnose again", 0.0)
             rivals.insert(0, {"member": order[0], "effects": list(own.names), "why": str(own), "experiment": block})
     shared = not_alone(search, fit, left)
-    entries = _entries(search, fit, shared and shared[0], other, order, weights, rivals, registry)
+    unknown = left.claim and (shared is None or leftover(search, shared[0]).claim)
+    entries = _entries(search, fit, shared and shared[0], other, order, weights, rivals, unknown, registry)
     faults = [e for e in entries if registry[e["name"]]["kind"] == "fault"]
     physics = [e for e in entries if registry[e["name"]]["kind"] != "fault"]
     error = _error(search, order, other)
     doubts = [*([str(own)] if own else []), *([shared[1]] if shared else []), *at_bounds(entries), *record.doubts]
     unsure = any(registry[e]["kind"] != "fault" for r in rivals for e in r["effects"])  # a fault that may be physics
     count = len(search.candidates) + len(impossible)
-    unknown = left.claim and (shared is None or leftover(search, shared[0]).claim)
     verdict = verdict_of(physics or (faults if unsure else []), faults, [*rivals, *doubts], unknown, hidden, count)
     if verdict == "nothing" and behind:
         verdict, hidden = "cannot_tell", behind
@@ -123,6 +123,7 @@ def _entries(
     order: list[str],
     weights: dict[str, float],
     rivals: list[dict[str, Any]],
+    unknown: bool,
     registry: dict[str, dict[str, Any]],
 ) -> list[dict[str, Any]]:
     record = search.problem.record
@@ -137,6 +138,7 @@ def _entries(
         open_rivals = [r for r in rivals if r["member"] == name]
         place = {name}.union(*(set(r["effects"]) - set(fit.effects) for r in open_rivals))  # who may stand there
         there = min(1.0, sum(weight for effects, weight in weights_of_sets.items() if effects & place))
+        odds = RIVAL * len(open_rivals) + UNKNOWN * unknown
         held = None
         if other is not None:
             held = other.rms_mm(_shift_on(fit, other, name))
@@ -146,7 +148,7 @@ def _entries(
                 "family": registry[name]["family"],
                 "stage": registry[name]["stage"],
                 # The temperature is of bodies that were simulated: what a regressed rod errs by is not of their kind.
-                "probability": None if record.model.kind == "rod" else there / (1.0 + RIVAL * len(open_rivals)),
+                "probability": None if record.model.kind == "rod" else there / (1.0 + odds),
                 "share": weights[name] / max(total, 1e-300),
                 "displacement_mm": {"fitted": record.rms_mm(search.displacement(fit, name)), "held_out": held},
                 "params": parameters(record, fit, sigma, (name,)),
