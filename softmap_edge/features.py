@@ -21,6 +21,7 @@ SECTIONS = 9
 REACH = 8.0  # mm: about the distance between two rings of vertices
 NEGLIGIBLE = 1e-4  # of the largest kernel value
 # How many times too long distances are that are in another unit than mm.
+TIP_SHARE = 0.05  # of the vertices: those that move most
 UNITS = {1e-3: "metres", 0.01: "tenths of a metre", 0.1: "centimetres", 1 / 25.4: "inches", 10.0: "tenths of a mm"}
 ALONE = 1e-3  # of the largest singular value: the least at which mean, cos and sin are told apart
 UNIT_FRAMES = 60  # on which the size of a run's points is found
@@ -187,3 +188,11 @@ def seen_residual(residual: Floats, body: Body, seen: NDArray[np.bool_]) -> Floa
         right = np.einsum("na,knc->kac", basis, known[told][:, inside], optimize=True)
         features[told, s::count] = np.linalg.solve(gram[told], right)
     return features
+
+
+def tip_of(vertices: Floats) -> NDArray[np.int64]:
+    """Return the tip's vertices: the 5 % that move most over a sweep (S, N, 3) mm, or the highest if none move."""
+    movement = np.linalg.norm(vertices - vertices.mean(axis=0), axis=2).mean(axis=0)
+    movement = movement if movement.max() > 1e-6 else vertices[0, :, 2]
+    count = max(1, round(TIP_SHARE * len(movement)))
+    return np.sort(np.argsort(-movement, kind="stable")[:count])

@@ -29,6 +29,8 @@ from softmap_edge.features import (
     seen_residual,
     upright,
 )
+from softmap_edge.outside import check_commands
+from softmap_edge.predictors import Contact, Shape, projected, stations, whole
 from softmap_edge.shape_arrays import family_from
 
 if TYPE_CHECKING:
@@ -37,14 +39,10 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
-Shape = Any  # a compiled shape: _core.Table, _core.Rod, _core.RodField
-_TIP_SHARE = 0.05
-_OUTSIDE = 0.75  # of a station's vertices lie within its radius: a domed tip has many near its axis
-_STATION_SHARE = 0.05  # of the length to each side of a station
 TIP_PER_NEWTON = 0.1  # where stiffness is not known: 1 N across the tip moves it by this share of the length
 NOMINAL = "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
+BEFORE = ("numbers_before", "error_before_mm")  # arrays of a prior whose numbers were changed with an effect
 CARRIED = 4  # places of markers that are kept, as runs that are diagnosed together have them
-BEYOND = 0.05  # share of its range by which a command may leave it before a word is said
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,13 +128,18 @@ class Model:
         """The parameters of the effects, by label (`backlash.gap`, `gain.factor[0]`)."""
         return dict(zip(self.chain.labels, map(float, self.chain_params)))
 
+    @cached_property
+    def contact(self) -> Contact | None:
+        """Where an obstacle can stop the body."""
+        return stations(self)
+
     def lacking(self, name: str) -> list[str]:
         """Return what this model lacks that the effect `name` acts through.
 
         Names of fields, `tendon_compliance`, `contact`, or of a number of its prior.
         """
         there = set(self.fields) | ({"tendon_compliance"} if self.cables is not None else set())
-        there |= set() if self._contact is None else {"contact"}
+        there |= set() if self.contact is None else {"contact"}
         there |= set(self.prior.numbers)
         chain = _core.Chain([name], self.channels)
         return [wanted for wanted in (*chain.fields, *chain.numbers) if wanted not in there]
@@ -195,26 +198,24 @@ class Model:
         if self._elastic is None:
             raise SoftmapError(f"the model of '{self.robot}' has no rod whose numbers could change")
         rod = self._elastic.changed({label.split(".", 1)[1]: value for label, value in values.items()})
-        before = {"numbers_before": self._elastic.numbers, "error_before_mm": self.form_error}
-        kept = {name: self.arrays["prior"].get(name, array) for name, array in before.items()}
-        return self._with_rod(rod, kept)
+        before = dict(zip(BEFORE, (self._elastic.numbers, self.form_error)))
+        return self._with_rod(rod, {name: self.arrays["prior"].get(name, array) for name, array in before.items()})
 
     @property
     def restorable(self) -> bool:
         """Whether the prior's numbers were changed along with an effect and are known as they were before."""
-        return {"numbers_before", "error_before_mm"} <= set(self.arrays.get("prior", {}))
+        return set(BEFORE) <= set(self.arrays.get("prior", {}))
 
     def _before_laws(self) -> Model:
         """Return the model with the numbers of its rod, and its error, as they were before any of them was changed."""
         if not self.restorable or self._elastic is None:
             return self
-        numbers, error = (np.asarray(self.arrays["prior"][n], float) for n in ("numbers_before", "error_before_mm"))
-        if numbers.shape != self._elastic.numbers.shape or error.shape != self.form_error.shape or np.any(error < 0):
+        numbers, error = (np.asarray(self.arrays["prior"][name], float) for name in BEFORE)
+        if error.shape != self.form_error.shape or np.any(error < 0):
             raise SoftmapError(
-                f"elastic rod: {numbers.shape} numbers and an error {error.shape} of before, the rod has "
-                f"{self._elastic.numbers.shape} and {self.form_error.shape}; learn the bundle again"
+                f"elastic rod: an error {error.shape} of before, now {self.form_error.shape}; learn again"
             )
-        model = self._with_rod(replace(self._elastic, numbers=numbers), {})
+        model = self._with_rod(self._elastic.with_numbers(numbers), {})
         overall = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
         return replace(model, form_error=error, vertex_error_mm=overall)
 
@@ -236,38 +237,8 @@ class Model:
     def commands(self, run: Run) -> Floats:
         """Return the run's commands (T, C) as this model takes them: the present position if there is one."""
         u = run.commands("goal" if self.input == "goal" else None)
-        if u.shape[1] != self.channels:
-            raise RunError(
-                f"the run has {u.shape[1]} commands a sample, this model of '{self.robot}' takes {self.channels}; "
-                "it is a run of another robot, or the mapping misses columns"
-            )
-        if u.shape[1] and {run.command_unit, self.command_unit} == {"mm", "N"}:
-            raise RunError(
-                f"the run's commands are in {run.command_unit}, this model of '{self.robot}' takes "
-                f"{self.command_unit}; a length is no tension: give the run's own unit or another model"
-            )
+        check_commands(self, run, u)
         return np.ascontiguousarray(u, float)
-
-    def beyond(self, run: Run) -> list[str]:
-        """Return a sentence for each channel that leaves the range of the model, and for loads that it cannot apply."""
-        u, notes = self.commands(run), []
-        for c, (low, high) in enumerate(self.command_range if len(u) else ()):
-            least, most = float(u[:, c].min()), float(u[:, c].max())
-            slack = BEYOND * (high - low)
-            if least < low - slack or most > high + slack:
-                notes.append(
-                    f"channel {c} goes from {least:.3g} to {most:.3g} {self.command_unit}, the model of '{self.robot}' "
-                    f"was made from {low:.3g} to {high:.3g}; beyond, it extrapolates"
-                )
-        gravity = self.gravity_reference if run.gravity is None else run.gravity
-        told = [] if np.allclose(gravity, self.gravity_reference, atol=1e-3) else ["another gravity"]
-        told += [] if run.load is None or not np.any(run.load) else ["a load"]
-        if told and not self.stiffness_known:
-            notes.append(
-                f"the run declares {' and '.join(told)}; how stiff '{self.robot}' is is not known to its model, so "
-                "that is not applied"
-            )
-        return notes
 
     def predict(self, run: Run) -> Floats:
         """Return the points (K, N, 3) mm at the run's seen times; markers of the run if it has markers."""
@@ -353,26 +324,6 @@ class Model:
             )
         return np.asarray(seen, float)
 
-    def elsewhere(self, run: Run) -> list[str]:
-        """Say so where the points of a run are farther from the base than the robot can reach.
-
-        Args:
-            run: with K frames seen. Returns: no sentence, or one.
-        """
-        if not run.frames:
-            return []
-        rest, seen = np.asarray(self.rest, float), self.seen_points(run)
-        shown = seen if run.visible is None else np.where(run.visible[..., None], seen, np.nan)
-        reach = float(np.linalg.norm(rest, axis=1).max())  # of a straight body from its clamp, the origin
-        far = np.linalg.norm(shown - rest.mean(axis=0), axis=-1)
-        off = float(np.median(far[np.isfinite(far)])) if np.isfinite(far).any() else 0.0
-        if not off > 2.5 * reach:
-            return []
-        return [
-            f"the points are {off:.4g} mm from where '{self.robot}' rests, which reaches {reach:.3g} mm: if they are "
-            "in the frame of a camera, `softmap align` brings them to the base"
-        ]
-
     def points_in_mm(self, run: Run) -> Floats:
         """Return the same after checking that they are as large as the robot, so that no effect stands for a unit."""
         seen = self.seen_points(run)
@@ -430,18 +381,11 @@ class Model:
 
     @cached_property
     def _points(self) -> _core.Predictor:
-        everywhere = np.ones(len(self.rest), bool)
-        prior = self.prior if self.residual is None else _core.Sum(self.prior, self.residual)
-        return self._predictor(prior, dict(self.fields), everywhere, self.cables, self.second)
-
-    def _body_seen(self, matrix: Floats, offset: Floats) -> Shape:
-        """Return prior and residual together, seen through a linear map."""
-        prior = self.prior.project(matrix, offset)
-        return prior if self.residual is None else _core.Sum(prior, self.residual.project(matrix, 0.0 * offset))
+        return whole(self)
 
     @cached_property
     def _sections_predictor(self) -> _core.Predictor:
-        return self._projected(self.feature_map)
+        return projected(self, self.feature_map)
 
     def _feature_predictor(self, run: Run) -> _core.Predictor:
         carry = self._carry(run)
@@ -451,54 +395,5 @@ class Model:
         if key not in self._carried:
             if len(self._carried) >= CARRIED:
                 self._carried.clear()
-            self._carried[key] = self._projected(FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry))))
+            self._carried[key] = projected(self, FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry))))
         return self._carried[key]
-
-    def _projected(self, mapping: FeatureMap) -> _core.Predictor:
-        matrix, zero = mapping.matrix(), np.zeros(3 * len(mapping.weights))
-        fields = {name: shape.project(matrix, zero) for name, shape in self.fields.items()}
-        cables = None if self.cables is None else self.cables.project(matrix, zero)
-        second = None if self.second is None else self.second.project(matrix)
-        prior = self._body_seen(matrix, zero)
-        return self._predictor(prior, fields, mapping.positions, cables, second)
-
-    def _predictor(
-        self,
-        prior: Shape,
-        fields: dict[str, Shape],
-        positions: NDArray[np.bool_],
-        cables: _core.Cables | None,
-        second: _core.Second | None,
-    ) -> _core.Predictor:
-        known = self.stiffness_known
-        return _core.Predictor(prior, fields, positions, self.gravity_reference, cables, known, self._contact, second)
-
-    @cached_property
-    def _contact(
-        self,
-    ) -> tuple[Shape, dict[str, Shape], _core.Cables | None, _core.Second | None, list[float]] | None:
-        """Where an obstacle can stop the body: middles of its stations, how fields move them, and their radii mm."""
-        if not {name for name in _core.FIELDS if name.startswith("push")} <= set(self.fields) or self.markers:
-            return None
-        share = self.along / max(float(np.max(self.along)), 1e-9)
-        near = [np.abs(share - station) <= _STATION_SHARE for station in _core.STATIONS[:-1]]
-        near.append(share >= 1.0 - 2 * _STATION_SHARE)
-        if not all(n.any() for n in near):
-            return None
-        weights = np.stack([n / n.sum() for n in near])
-        mapping = FeatureMap(weights, np.ones(len(weights), bool), np.arange(len(weights)))
-        matrix, zero = mapping.matrix(), np.zeros(3 * len(weights))
-        aside = self.rest - (weights @ self.rest)[:, None]
-        reach = [float(np.quantile(np.linalg.norm(a[n][:, :2], axis=1), _OUTSIDE)) for a, n in zip(aside, near)]
-        moved = {name: shape.project(matrix, zero) for name, shape in self.fields.items()}
-        cables = None if self.cables is None else self.cables.project(matrix, zero)
-        second = None if self.second is None else self.second.project(matrix)
-        return self._body_seen(matrix, zero), moved, cables, second, reach
-
-
-def tip_of(vertices: Floats) -> NDArray[np.int64]:
-    """Return the tip's vertices: the 5 % that move most over a sweep (S, N, 3) mm, or the highest if none move."""
-    movement = np.linalg.norm(vertices - vertices.mean(axis=0), axis=2).mean(axis=0)
-    movement = movement if movement.max() > 1e-6 else vertices[0, :, 2]
-    count = max(1, round(_TIP_SHARE * len(movement)))
-    return np.sort(np.argsort(-movement, kind="stable")[:count])

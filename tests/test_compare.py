@@ -13,6 +13,7 @@ from softmap_edge.diagnosis.conditions import cells, conditions
 from softmap_edge.diagnosis.floor import noise_floor
 from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import ComparisonError, RunError
+from softmap_edge.outside import elsewhere
 from softmap_edge.run import Run
 
 RINGS, AROUND = 5, 8
@@ -342,9 +343,9 @@ def test_points_in_the_frame_of_a_camera_are_told():
     t = np.arange(0.0, 20.0, 0.1)
     u = 12 * np.column_stack([np.sin(t), np.cos(t)])
     bent = np.asarray(model.predict(Run(t=t, command=u, t_seen=t, vertices=np.repeat(model.rest[None], len(t), 0))))
-    assert model.elsewhere(Run(t=t, command=u, t_seen=t, vertices=bent)) == []
+    assert elsewhere(model, Run(t=t, command=u, t_seen=t, vertices=bent)) == []
     seen = np.ones(bent.shape[:2], bool)
     seen[:, ::2] = False
     away = Run(t=t, command=u, t_seen=t, vertices=bent @ np.diag([1.0, -1.0, -1.0]) + [310, 45, 820], visible=seen)
-    [line] = model.elsewhere(away)
+    [line] = elsewhere(model, away)
     assert "`softmap align`" in line and "reaches 117 mm" in line

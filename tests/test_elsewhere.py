@@ -14,6 +14,7 @@ from softmap_edge import Run, build_model, load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.elsewhere.build import model_from_file
 from softmap_edge.errors import SoftmapError
+from softmap_edge.outside import beyond
 from softmap_edge.solid.build import grid_axes
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
@@ -147,7 +148,7 @@ def test_loads_that_a_run_declares_are_not_made_up_where_no_stiffness_is_known(b
     plain = Run(t=t, command=u, t_seen=t)
     hung = Run(t=t, command=u, t_seen=t, gravity=LEANING, load=np.full(3, 50.0))
     np.testing.assert_array_equal(model.predict(plain), model.predict(hung))
-    assert model.beyond(plain) == [] and "another gravity and a load" in model.beyond(hung)[0]
+    assert beyond(model, plain) == [] and "another gravity and a load" in beyond(model, hung)[0]
     assert replace(model, stiffness_known=True).predict(hung)[0] != pytest.approx(model.predict(hung)[0], abs=0.1)
 
 

@@ -17,9 +17,10 @@ from softmap_edge.diagnosis.evidence import Leftover
 from softmap_edge.diagnosis.series import series
 from softmap_edge.diagnosis.wording import OwnMisfit, sentence_of, verdict_of
 from softmap_edge.errors import ReportError
+from softmap_edge.report.comparison_text import pair_text
 from softmap_edge.report.html import write_html
 from softmap_edge.report.numbers import bar, fall, tamed
-from softmap_edge.report.text import VERDICTS, diagnosis_text, pair_text, parameter
+from softmap_edge.report.text import VERDICTS, diagnosis_text, parameter
 
 DIAGNOSIS = {
     "schema": "softmap.diagnosis/1",

@@ -16,8 +16,9 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import SoftmapError, no_effect
 from softmap_edge.model import Model
 from softmap_edge.npz import write_npz
+from softmap_edge.outside import beyond
 from softmap_edge.own_effect import template
-from softmap_edge.report.text import WIDTH
+from softmap_edge.report.numbers import WIDTH
 from softmap_edge.run import Run
 
 
@@ -36,7 +37,7 @@ def predict(args: argparse.Namespace) -> int:
     load_own(args)
     model = open_model(args.bundle)
     run = Run.load(args.input) if Path(args.input).suffix == ".npz" else _held(args.input, model)
-    for note in model.beyond(run):
+    for note in beyond(model, run):
         print(f"softmap predict: {note}", file=sys.stderr)
     points = model.predict(run)
     tip = points[:, model.tip_indices].mean(axis=1)

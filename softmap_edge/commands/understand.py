@@ -38,7 +38,7 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
 def compare(args: argparse.Namespace) -> int:
     """Show how far a model is from a run, and where; 1 if the last of several bundles is worse than the first."""
     from softmap_edge.diagnosis.comparison import compare as measure
-    from softmap_edge.report.text import pair_text
+    from softmap_edge.report.comparison_text import pair_text
 
     check_file("--html", args.html, ".html")
     load_own(args)
@@ -231,7 +231,9 @@ def _run(path: str) -> Any:
 
 def _warn(verb: str, model: Any, run: Any) -> None:
     """Tell on stderr, beside any document, where a run leaves the commands or the frame of the model."""
-    for note in [*model.beyond(run), *model.elsewhere(run)]:
+    from softmap_edge.outside import beyond, elsewhere
+
+    for note in [*beyond(model, run), *elsewhere(model, run)]:
         print(f"softmap {verb}: {note}", file=sys.stderr)
 
 

@@ -22,6 +22,7 @@ from softmap_edge.alignment.rigid import kabsch, rotation_vector
 from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.errors import RunError
 from softmap_edge.logs.plausible import doubts_of_time
+from softmap_edge.outside import beyond
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -132,7 +133,7 @@ def _in_reach(model: Model, run: Run, predicted: Floats, length: float) -> None:
     gone = ~(far < OUT_OF_REACH * length).all(axis=1)
     if not gone.any():
         return
-    reasons = model.beyond(run)
+    reasons = beyond(model, run)
     if run.load is not None and np.any(run.load):
         alone = np.linalg.norm(model.predict(replace(run, load=None)), axis=2)
         if (alone < OUT_OF_REACH * length).all():

@@ -60,7 +60,7 @@ class Comparison:
     made_from: dict[str, Any]
 
     def __str__(self) -> str:
-        from softmap_edge.report.text import comparison_text
+        from softmap_edge.report.comparison_text import comparison_text
 
         return comparison_text(self)
 

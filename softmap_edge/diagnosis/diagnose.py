@@ -30,7 +30,7 @@ from softmap_edge.diagnosis.servo import servos
 from softmap_edge.diagnosis.sound import sound_record, stray
 from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.errors import SoftmapError
-from softmap_edge.model import BEYOND
+from softmap_edge.outside import BEYOND
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model

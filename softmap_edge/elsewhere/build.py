@@ -26,7 +26,8 @@ from softmap_edge.elsewhere.scattered import fit_scattered
 from softmap_edge.elsewhere.stretches import stretch_fields
 from softmap_edge.elsewhere.sweep_file import ShapeSweep, is_own_sweep, is_shape_sweep
 from softmap_edge.errors import SweepError, brief
-from softmap_edge.model import NOMINAL, Arrays, Model, tip_of
+from softmap_edge.features import tip_of
+from softmap_edge.model import NOMINAL, Arrays, Model
 from softmap_edge.shape_arrays import family_from, fields_from
 from softmap_edge.solid.build import FIELD_STEPS, Progress, from_sweep, leading
 from softmap_edge.solid.simulator import Simulator, Sweep, tensor_grid

@@ -29,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SweepError
-from softmap_edge.model import BEYOND
 from softmap_edge.npz import read_npz
+from softmap_edge.outside import BEYOND
 
 Floats = NDArray[np.float64]
 

@@ -8,10 +8,9 @@ tried: what the import says of it belongs to the answer. Pinned by tests/test_gu
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.guess_columns import (
-    Role,
     Sheet,
     drive_unit,
     label_of,
@@ -31,14 +29,12 @@ from softmap_edge.logs.guess_columns import (
     time_of,
     unit_in_name,
 )
+from softmap_edge.logs.guess_text import RATE_HZ, Found, mapping_text, seconds
 from softmap_edge.logs.importer import import_logs
-from softmap_edge.logs.mapping import ANGLE, LENGTH, SCHEMA, TIME, parse_mapping
+from softmap_edge.logs.mapping import ANGLE, LENGTH, parse_mapping
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
 
 Array = NDArray[np.float64]
-RATE_HZ = 100  # of a counter, where nothing says better
-MANY = 5000  # frames: a diagnosis needs no more, and takes longer
-SEEN_HZ = 20
 
 
 @dataclass(frozen=True)
@@ -65,21 +61,6 @@ class Guess:
         return {"schema": "softmap.guess/1", "mapping": self.text, **found}
 
 
-@dataclass
-class _Found:
-    """What is known so far."""
-
-    assumed: list[str] = field(default_factory=list)
-    unknown: list[str] = field(default_factory=list)
-    command: tuple[Sheet, Role] | None = None
-    present: tuple[Sheet, Role] | None = None
-    others: list[tuple[Sheet, Role]] = field(default_factory=list)
-    points: tuple[Sheet, list[list[str]], str] | None = None
-    base: list[list[str]] = field(default_factory=list)  # markers on the clamp
-    label: str | None = None
-    times: dict[int, tuple[str | None, str]] = field(default_factory=dict)
-
-
 def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     """Propose a mapping for logs.
 
@@ -90,7 +71,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
         RunError: a file cannot be read, or nothing in it looks like commands or markers.
     """
     files = [Path(path) for path in paths]
-    sheets, found = read_sheets(files), _Found()
+    sheets, found = read_sheets(files), Found()
     for k, sheet in enumerate(sheets):
         name, unit, why = time_of(sheet)
         found.times[k] = (name, unit)
@@ -109,7 +90,8 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     found.unknown += [
         line for sheet, time in zip(sheets, found.times.values()) for line in _left_out(sheet, time[0], found)
     ]
-    text = _write(sheets, files, found)
+    frame = [] if found.points is None else _frame(sheets, found)
+    text = mapping_text(sheets, files, found, frame)
     head = [f"# Proposed from the header and the ranges of {', '.join(path.name for path in files)}; read every line."]
     head += [f"# ASSUMED  {line}" for line in found.assumed] + [f"# UNKNOWN  {line}" for line in found.unknown]
     text = "\n".join([*map(_one_line, head), text])
@@ -133,7 +115,7 @@ def _called(sheet: Sheet) -> str:
     return sheet.path.name if sheet.topic is None else f"{sheet.path.name} {sheet.topic}"
 
 
-def _left_out(sheet: Sheet, time: str | None, found: _Found) -> list[str]:
+def _left_out(sheet: Sheet, time: str | None, found: Found) -> list[str]:
     """Name the columns that vary and are not taken, so that nobody believes that they are in the run."""
     used = {time, found.label} | {c for pair in found.others if pair[0] is sheet for c in pair[1].columns}
     used |= {c for pair in (found.command, found.present) if pair and pair[0] is sheet for c in pair[1].columns}
@@ -157,7 +139,7 @@ def _range_of(sheet: Sheet) -> Any:
 
 
 # --- what is what --------------------------------------------------------------------------
-def _find_points(sheets: list[Sheet], found: _Found) -> None:
+def _find_points(sheets: list[Sheet], found: Found) -> None:
     best = max(((points_of(sheet), sheet) for sheet in sheets), key=lambda pair: len(pair[0]))
     triples, sheet = best
     if not triples:
@@ -184,7 +166,7 @@ def _find_points(sheets: list[Sheet], found: _Found) -> None:
         found.assumed.append(f"blocks: '{found.label}' names the part of the protocol; folds are cut by it")
 
 
-def _find_drives(sheets: list[Sheet], found: _Found) -> None:
+def _find_drives(sheets: list[Sheet], found: Found) -> None:
     spent = {id(sheet): {found.times[k][0] or ""} for k, sheet in enumerate(sheets)}
     if found.points is not None:
         sheet, triples, _ = found.points
@@ -219,7 +201,7 @@ def _find_drives(sheets: list[Sheet], found: _Found) -> None:
     _drive_units(found)
 
 
-def _drive_units(found: _Found) -> None:
+def _drive_units(found: Found) -> None:
     """The units of commands and encoders; where only one is sure and both move alike, it is that of both."""
     assert found.command is not None
     drives = [("commands", found.command)] + ([] if found.present is None else [("encoders", found.present)])
@@ -264,7 +246,7 @@ def _spread(rows: Array) -> Array:
 
 
 # --- the frame -----------------------------------------------------------------------------
-def _frame(sheets: list[Sheet], found: _Found) -> list[str]:
+def _frame(sheets: list[Sheet], found: Found) -> list[str]:
     """The lines of [frame]: the robot's axis at rest is z; where the clamp may be."""
     assert found.points is not None
     sheet, triples, unit = found.points
@@ -321,98 +303,13 @@ def _clamp(body: Array, k: int, sign: int) -> tuple[Array, str]:
     return origin, "the middle of the markers, level with the first of them along the robot"
 
 
-def _rest(sheets: list[Sheet], found: _Found, sheet: Sheet, points: Array) -> Array:
+def _rest(sheets: list[Sheet], found: Found, sheet: Sheet, points: Array) -> Array:
     """The (M, 3) places nearest to home."""
     if found.command is None:
         return at_rest(np.zeros(1), np.zeros(1), None, points)
     other, role = found.command
-    t, seen = (_seconds(sheets, found, which) for which in (other, sheet))
+    t, seen = (seconds(sheets, found, which) for which in (other, sheet))
     rows = other.rows_of(role.columns)
     good = np.isfinite(rows).all(axis=1) & np.isfinite(t)
     shown = np.isfinite(seen)
     return at_rest(t[good], seen[shown], rows[good], points[shown])
-
-
-def _seconds(sheets: list[Sheet], found: _Found, sheet: Sheet) -> Array:
-    name, unit = found.times[next(k for k, other in enumerate(sheets) if other is sheet)]
-    values = np.arange(len(sheet.numbers), dtype=float) if name is None else sheet.column(name)
-    return values * (1.0 / RATE_HZ if unit == "rows" else TIME[unit])
-
-
-# --- the text ------------------------------------------------------------------------------
-def _write(sheets: list[Sheet], files: list[Path], found: _Found) -> str:
-    lines = [f'schema = "{SCHEMA}"', '# robot = "…"   # a name']
-    unit = found.command[1].unit if found.command is not None else None
-    if unit in ANGLE:
-        lines.append(f'command_unit = "{unit}"')
-    if any(_since_1970(sheet, *found.times[k]) for k, sheet in enumerate(sheets)):
-        lines.append("zero_time = true   # the log counts since 1970")
-    for k, sheet in enumerate(sheets):
-        inside = _inside(sheet, found)
-        if inside:
-            lines += ["", "[[log]]", *_head(sheet, len(files)), _time(sheet, *found.times[k]), *inside]
-    if found.points is not None:
-        lines += _frame(sheets, found)
-        sheet = found.points[0]
-        t = _seconds(sheets, found, sheet)
-        rate = (len(t) - 1) / max(float(t[-1] - t[0]), 1e-9)
-        if len(t) > MANY and rate > 1.2 * SEEN_HZ:
-            lines += ["", "[seen]", f"rate_hz = {SEEN_HZ}   # enough for a diagnosis; leave it out to keep every frame"]
-        if found.label is None:
-            lines += ["", "[blocks]", "count = 5   # folds of equal time; a column of labels (block = …) is better"]
-        lines += ["", "[constant]", "# gravity = [0.0, 0.0, 1.0]   # UNKNOWN: hanging (0, 0, 1), standing (0, 0, -1)"]
-        lines += [
-            "# sigma_mm = 0.1   # noise of a marker coordinate, if you know it",
-            "# load_g = 0.0   # known mass at the tip",
-        ]
-    return "\n".join(lines) + "\n"
-
-
-def _since_1970(sheet: Sheet, name: str | None, unit: str) -> bool:
-    return name is not None and unit in TIME and float(np.nanmax(np.abs(sheet.column(name)))) * TIME[unit] > 1e8
-
-
-def _head(sheet: Sheet, files: int) -> list[str]:
-    lines = [f"file = {json.dumps(sheet.path.name)}"] if files > 1 else []
-    lines += [] if sheet.topic is None else [f"topic = {json.dumps(sheet.topic, ensure_ascii=False)}"]
-    return lines + ([] if sheet.header else ["header = false   # columns are numbers from 0"])
-
-
-def _time(sheet: Sheet, name: str | None, unit: str) -> str:
-    if name is None:
-        return f"time = {{ rate_hz = {RATE_HZ} }}   # UNKNOWN: the rate of the log"
-    cell = _cell(sheet, name)
-    if unit == "rows":
-        return f"time = {{ column = {cell}, rate_hz = {RATE_HZ} }}   # it counts rows; UNKNOWN: their rate"
-    values = sheet.column(name)
-    same = (np.diff(values[np.isfinite(values)]) == 0).mean() if len(values) > 1 else 0.0
-    again = ', repeated = "spread"' if same > 0.05 else ', repeated = "drop"' if same > 0 else ""
-    return f'time = {{ column = {cell}, unit = "{unit}"{again} }}'
-
-
-def _cell(sheet: Sheet, name: str) -> str:
-    """A column as the mapping names it: by number where there is no header, or where the name is there twice."""
-    if not sheet.header or sheet.names.count(name) > 1:
-        return str(sheet.names.index(name))
-    return json.dumps(name, ensure_ascii=False)
-
-
-def _inside(sheet: Sheet, found: _Found) -> list[str]:
-    lines = []
-    for kind, pair in (
-        ("command", found.command),
-        ("present", found.present),
-        *((r.kind, (s, r)) for s, r in found.others),
-    ):
-        if pair is not None and pair[0] is sheet:
-            unit = pair[1].unit
-            key = f"present_{unit}".removeprefix("present_" * (kind == "command")) if unit == "ticks" else kind
-            told = f', unit = "{unit}"' if unit and unit != "ticks" else ""
-            lines.append(f"{key} = {{ columns = [{', '.join(_cell(sheet, c) for c in pair[1].columns)}]{told} }}")
-    if found.points is not None and found.points[0] is sheet:
-        _, triples, unit = found.points
-        for kind, places in (("markers", triples), ("base", found.base)):
-            rows = [f"    [{', '.join(_cell(sheet, name) for name in triple)}]," for triple in places]
-            lines += [f'{kind} = {{ unit = "{unit}", columns = [', *rows, "] }"] if rows else []
-        lines += [] if found.label is None else [f"block = {_cell(sheet, found.label)}"]
-    return lines

@@ -18,6 +18,7 @@ from typing import Any
 from softmap_edge.diagnosis.comparison import Comparison
 from softmap_edge.diagnosis.series import Series
 from softmap_edge.errors import ReportError
+from softmap_edge.report.comparison_text import check_pair
 from softmap_edge.report.numbers import fall, mm, number, percent, tamed
 from softmap_edge.report.style import PAGE, TONES
 from softmap_edge.report.text import (
@@ -26,7 +27,6 @@ from softmap_edge.report.text import (
     VERDICTS,
     again,
     check_diagnosis,
-    check_pair,
     ladder_steps,
     parameter,
     servo_row,
@@ -332,14 +332,11 @@ def _where(story: Story, figures: ModuleType) -> str:
 
 def _open_questions(story: Story) -> str:
     found = story.diagnosis or {}
-    rivals = [
-        (" + ".join(map(str, row.get("effects") or ["?"])), tamed(row.get("why", "")))
-        for row in found.get("rivals") or []
-    ]
-    untestable = [
-        (names, f"{why} — {experiment}" if experiment else why) for names, why, experiment in untestable_rows(found)
-    ]
-    steps = [(f"{row.get('block', '?')}{_minutes(row)}", _settles(row)) for row in found.get("next") or []]
+    sets = found.get("rivals") or []
+    rivals = [(" + ".join(map(str, row.get("effects") or ["?"])), tamed(row.get("why", ""))) for row in sets]
+    rows = untestable_rows(found)
+    untestable = [(names, f"{why} — {experiment}" if experiment else why) for names, why, experiment in rows]
+    steps = [(f"{row.get('block', '?')}", _settles(row)) for row in found.get("next") or []]
     parts = [
         _definitions("Servos: between command and encoder", [servo_row(row) for row in found.get("servo") or []]),
         _definitions("Rivals: what explains these data as well", rivals),
@@ -352,15 +349,11 @@ def _open_questions(story: Story) -> str:
     return f'<div class="columns">{inner}</div>' if inner else ""
 
 
-def _minutes(row: Mapping[str, Any]) -> str:
-    minutes = number(row.get("minutes"))
-    return "" if minutes is None else f" · {minutes:g} min"
-
-
 def _settles(row: Mapping[str, Any]) -> str:
     settles, apart = row.get("settles"), number(row.get("separation"))
     named = ", ".join(map(str, settles)) if isinstance(settles, (list, tuple)) else str(settles or "")
-    return f"settles {named}" + ("" if apart is None else f"; expected separation {apart:.3g} (chi², simulated)")
+    time = "" if (minutes := number(row.get("minutes"))) is None else f"{minutes:g} min: "
+    return f"{time}settles {named}" + ("" if apart is None else f"; expected separation {apart:.3g} (chi², simulated)")
 
 
 def _definitions(title: str, rows: Sequence[tuple[Any, Any]]) -> str:
@@ -393,11 +386,10 @@ def _unexplained(left: Mapping[str, Any]) -> str:
 
 
 def _origin(story: Story) -> str:
+    before, after = story.before, story.after
     documents = {
-        "before": (story.before.run | {"bundle": story.before.bundle} | story.before.made_from)
-        if story.before
-        else None,
-        "after": ({"bundle": story.after.bundle} | story.after.made_from) if story.after else None,
+        "before": before and before.run | {"bundle": before.bundle} | before.made_from,
+        "after": after and {"bundle": after.bundle} | after.made_from,
         "diagnosis": (story.diagnosis or {}).get("made_from"),
     }
     known = {name: value for name, value in documents.items() if value}

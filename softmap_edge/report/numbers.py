@@ -1,11 +1,13 @@
-"""How reports write numbers: lengths, shares, bars of text, and what is too large for a line."""
+"""How reports write numbers: lengths, shares, bars of text, what is too large for a line, and lines that are folded."""
 
 from __future__ import annotations
 
 import math
 import re
+import textwrap
 from typing import Any
 
+WIDTH = 100  # of a line of text
 BAR = 28
 LARGEST = 1e6  # numbers beyond it are written as powers of ten: a fit that ran away must not fill the screen
 LONG_NUMBER = re.compile(r"(?<![\w.])([+-]?)([1-9]\d{6,})(?:\.\d*)?(?!\w)")
@@ -59,3 +61,9 @@ def tamed(text: Any) -> str:
         return f"{sign}1.0e+{power + 1:02d}" if leading == "10.0" else f"{sign}{leading}e+{power:02d}"
 
     return LONG_NUMBER.sub(short, str(text))
+
+
+def folded(text: str, indent: int) -> list[str]:
+    """Return lines of `WIDTH` at most, indented."""
+    pad = " " * indent
+    return textwrap.wrap(text, WIDTH, initial_indent=pad, subsequent_indent=pad)

@@ -172,6 +172,18 @@ class ElasticParameters:
             found.append(Change(label, group, unit, float(kind.factor), low * turn, high * turn, kind.factor))
         return found
 
+    def with_numbers(self, numbers: Floats) -> ElasticParameters:
+        """Return the rod with other numbers, as many.
+
+        Raises:
+            SoftmapError: there are more or fewer.
+        """
+        if np.shape(numbers) != np.shape(self.numbers):
+            raise SoftmapError(
+                f"elastic rod: {np.shape(numbers)} numbers of before, it has {np.shape(self.numbers)}; learn again"
+            )
+        return replace(self, numbers=numbers)
+
     def changed(self, values: Mapping[str, float]) -> ElasticParameters:
         """Return the rod with changes by label; what is not named stays as it is.
 

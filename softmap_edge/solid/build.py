@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from softmap_edge import __version__, _core
 from softmap_edge.errors import SoftmapError
-from softmap_edge.features import SECTIONS
-from softmap_edge.model import Arrays, Model, tip_of
+from softmap_edge.features import SECTIONS, tip_of
+from softmap_edge.model import Arrays, Model
 from softmap_edge.npz import packed, unpacked
 from softmap_edge.run import Run
 from softmap_edge.shape_arrays import cables_from, fields_from, pairs_of, plain_table, second_from, table_from
