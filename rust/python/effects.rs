@@ -1,6 +1,7 @@
 //! Bindings of the chain.
 
 use super::arrays::{Floats, floats};
+use super::at_work;
 use crate::Error;
 use crate::effects::{Chain, Conditions, Context, Parameter};
 use crate::loads::{self, Coefficients};
@@ -299,7 +300,9 @@ impl PyChain {
             Some(state) => floats("state", &state, &axes)?.data,
             None => vec![],
         };
-        let out = py.detach(|| chain.rollout(&params.data, &u.data, &mut world, &mut states))?;
+        let out = at_work(py, || {
+            chain.rollout(&params.data, &u.data, &mut world, &mut states)
+        })?;
         let shape = [sets, world.len(), chain.channels()];
         Ok((
             out.into_pyarray(py).reshape(shape)?,

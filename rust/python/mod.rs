@@ -34,6 +34,12 @@ impl From<Error> for PyErr {
     }
 }
 
+/// Run without the interpreter, on a thread of rayon's: what is parallel inside then wakes no other by itself, which costs
+/// more than many rows where there is one alone.
+fn at_work<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
+    py.detach(|| rayon::scope(|_| work()))
+}
+
 #[pymodule]
 mod _core {
     #[pymodule_export]

@@ -1,6 +1,7 @@
 //! Binding of the predictor.
 
 use super::arrays::floats;
+use super::at_work;
 use super::cables::{PyCables, PySecond};
 use super::effects::{Maybe, PyChain, Value, record, vector};
 use super::shape::PyShape;
@@ -109,7 +110,9 @@ impl PyPredictor {
     ) -> PyResult<Bound<'py, PyArray4<f64>>> {
         let (params, sets) = asked(&chain, params, &inputs)?;
         let (body, inner, on) = (&self.predictor, &chain.chain, &*inputs);
-        let out = py.detach(|| body.predict(inner, &params, &on.u, &on.world, &on.t_seen))?;
+        let out = at_work(py, || {
+            body.predict(inner, &params, &on.u, &on.world, &on.t_seen)
+        })?;
         let shape = [sets, on.t_seen.len(), body.vectors(), 3];
         out.into_pyarray(py).reshape(shape)
     }
@@ -124,7 +127,9 @@ impl PyPredictor {
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let (params, sets) = asked(&chain, params, &inputs)?;
         let (body, inner, on) = (&self.predictor, &chain.chain, &*inputs);
-        let out = py.detach(|| body.acting(inner, &params, &on.u, &on.world, &on.t_seen))?;
+        let out = at_work(py, || {
+            body.acting(inner, &params, &on.u, &on.world, &on.t_seen)
+        })?;
         out.into_pyarray(py)
             .reshape([sets, on.t_seen.len(), inner.channels()])
     }
@@ -141,7 +146,9 @@ impl PyPredictor {
         let (params, _) = asked(&chain, params, &inputs)?;
         let (body, inner, on) = (&self.predictor, &chain.chain, &*inputs);
         let step = floats("step", step, &[("C", None)])?.data;
-        let out = py.detach(|| body.slopes(inner, &params, &step, &on.u, &on.world, &on.t_seen))?;
+        let out = at_work(py, || {
+            body.slopes(inner, &params, &step, &on.u, &on.world, &on.t_seen)
+        })?;
         out.into_pyarray(py)
             .reshape([inner.channels(), on.t_seen.len(), body.vectors(), 3])
     }
