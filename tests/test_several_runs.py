@@ -10,6 +10,7 @@ from test_diagnosis import finger_run
 from softmap_edge import builtin_model, diagnose, refit
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.records import Records, record_of
 from softmap_edge.errors import SoftmapError
 
@@ -47,6 +48,22 @@ def test_some_frames_of_runs_are_those_frames_of_all_of_them():
     params = np.random.default_rng(0).normal(size=(2, len(both.layout(names).labels))) * 0.1
     np.testing.assert_allclose(few.predict(names, params), both.predict(names, params)[:, rows], atol=1e-12)
     np.testing.assert_array_equal(few.seen, both.seen[rows])
+
+
+@pytest.mark.parametrize("names", [(), ("backlash", "payload"), ("camera_drift", "lag")], ids="+".join)
+def test_frames_of_which_little_is_seen_are_told_with_the_others(names):
+    """Sections that are hidden in some frames leave the same residual, predicted by forms or by all features."""
+    run = finger_run(["backlash"], {"backlash.gap": 1.0})
+    dark = np.ones((run.frames, run.vertices.shape[1]), bool)
+    dark[3::29, :90] = dark[-1, 40:160] = False
+    for runs in (replace(run, visible=dark), [replace(run, visible=dark), run]):
+        problem = problem_of(record_of(builtin_model(), runs), ["backlash", "payload", "camera_drift", "lag"])
+        hidden = ~np.isfinite(problem.record.seen).all(axis=1)
+        assert 5 < hidden.sum() < 0.25 * len(hidden) and problem._told().few is not None
+        space = problem.space(names)
+        x = np.stack([space.start, 0.7 * space.start][: 2 if names else 1])
+        whole = problem.modes(problem.record.predict(space.names, space.params(x)))
+        np.testing.assert_allclose(problem.at(space, x), whole, rtol=0, atol=1e-7 * np.abs(whole).max())
 
 
 def test_shared_effect_and_a_camera_frame_for_each_run():

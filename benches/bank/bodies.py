@@ -19,10 +19,14 @@ if TYPE_CHECKING:
 
 
 class Body(Protocol):
-    """What a case asks of a body: name, channels, `place` (N,) mm of its points, and the laws that it `can` have."""
+    """What a case asks of a body: name, channels, `place` (N,) mm of its points, and the laws that it `can` have.
+
+    On `every`-th frames of the standard protocol it is found out how far a law moves it.
+    """
 
     name: str
     channels: int
+    every: int
     can: frozenset[str]
 
     @property
@@ -48,7 +52,7 @@ class Body(Protocol):
 class RodBody:
     """Slice A."""
 
-    name, channels = body_rod.NAME, 2
+    name, channels, every = body_rod.NAME, 2, 4
     can = frozenset({*DRIVE, *BODY, *UNKNOWN})
 
     @property

@@ -43,7 +43,7 @@ SLICES = 12  # of the body, each of one modulus, of two where a side differs
 class SolidBody:
     """Slice B."""
 
-    name, channels = "moe-finger", 2
+    name, channels, every = "moe-finger", 2, 12  # a tenth of a second each
     can = frozenset({*DRIVE, *BODY, *UNKNOWN} - {*ONLY_A})
 
     @property

@@ -33,7 +33,6 @@ KINDS = ("null", "single", "pair", "unknown", "removed", "untestable", "rivals")
 LAWS: dict[str, type[Law]] = {**DRIVE, **BODY}
 GROSS = ("servo_swap",)  # as large as they are
 ONE_POSE, AT_REST = ("gravity", "payload"), ("latency", "lag", "rate_limit")
-EVERY = 4  # frames: every fourth tells how far a law moves the finger
 TRIES = 6  # characters drawn until one can move the finger as far as wanted
 MARKED = 5  # one case in so many is seen by markers
 PAIRS = 4  # pairs that are drawn until each law does something beside the other
@@ -205,7 +204,7 @@ def _each_moves(laws: Sequence[Law], body: Body, level: Level) -> bool:
     protocol, rough = standard_protocol(2), not any(law.SHAPE for law in laws)
 
     def points(acting: Sequence[Law]) -> Floats:
-        return seen(body, acting, protocol, False, every=EVERY, rough=rough)
+        return seen(body, acting, protocol, False, every=body.every, rough=rough)
 
     try:
         whole = points(laws)
@@ -230,10 +229,10 @@ def _drawn(name: str, body: Body, level: Level, rng: np.random.Generator) -> tup
         drawn = kind.draw(rng, body.channels)
         target = float(rng.uniform(low, high))
         strength, tried = 1.0, [(0.0, 0.0)]  # strengths, and how far they move the sections
-        plain = seen(body, (), protocol, False, every=EVERY, rough=not kind.SHAPE)
+        plain = seen(body, (), protocol, False, every=body.every, rough=not kind.SHAPE)
         for _ in range(1 if name in GROSS else 7):
             try:
-                there = seen(body, (drawn.scaled(strength),), protocol, False, every=EVERY, rough=not kind.SHAPE)
+                there = seen(body, (drawn.scaled(strength),), protocol, False, every=body.every, rough=not kind.SHAPE)
             except ArithmeticError:  # so strong that the body buckles
                 strength *= 0.6
                 continue

@@ -28,6 +28,7 @@ from softmap_edge.folds import run_folds
 
 Floats = NDArray[np.float64]
 
+HALF_SEEN = 0.25  # of the frames: where more show only some of the features, all are predicted by their features
 STEP = 4e-3  # of the range of a parameter
 ITERATIONS = 20
 DAMPINGS = ((1.0,), (0.05, 20.0, 400.0), (8e3, 1.6e5))  # factors tried with new slopes; the next lot if none is better
@@ -142,6 +143,15 @@ class Fit:
         return np.asarray(other.predict(self.space.names, params[None])[0])
 
 
+@dataclass(frozen=True)
+class Told:
+    """What is seen as modes (K, M), and by itself the frames, `rows` (R,), of which some features are not seen."""
+
+    modes: Floats
+    rows: NDArray[np.intp]
+    few: Record | None
+
+
 class Problem:
     """A record with its noise and form error: what every fit and every cross-validation of a diagnosis shares."""
 
@@ -154,7 +164,7 @@ class Problem:
         seen = np.isfinite(record.seen).mean(axis=1)  # a frame that shows a third of the body counts a third
         self.numbers = float(seen.sum() * len(whitener.form)) / noise.inflation
         self.folds = run_folds(record.t_seen, record.block)
-        self._seen: tuple[Floats, Floats | None] | None = None
+        self._seen: tuple[Floats, Told | None] | None = None
         self._spaces: dict[tuple[tuple[str, ...], tuple[str, ...]], Space] = {}
 
     def some(self, rows: NDArray[np.intp]) -> Problem:
@@ -195,19 +205,26 @@ class Problem:
         """What predicts modes without features."""
         return self.record.forms(self._weights)
 
-    def _told(self) -> Floats | None:
-        """Return the modes (K, M) of what is seen, found anew where that was exchanged; None where some is not seen."""
+    def _told(self) -> Told | None:
+        """Return the modes of what is seen, found anew where that was exchanged; None where much is not seen."""
         seen = self.record.seen
         if self._seen is None or self._seen[0] is not seen:
-            self._seen = seen, seen @ self._weights if np.isfinite(seen).all() else None
+            whole = np.asarray(np.isfinite(seen).all(axis=1))
+            rows = np.union1d(self.record.begins, np.flatnonzero(~whole))
+            few = None if whole.all() else self.record.some(rows)
+            modes = np.where(whole[:, None], seen, 0.0) @ self._weights
+            self._seen = seen, Told(modes, rows, few) if len(rows) <= HALF_SEEN * len(seen) else None
         return self._seen[1]
 
     def at(self, space: Space, x: Floats) -> Floats:
         """Return residual modes (B, K, M) at x (B, P)."""
-        told = self._told()
+        told, params = self._told(), space.params(x)
         if told is None:
-            return self.modes(self.record.predict(space.names, space.params(x)))
-        return np.asarray(told - self._forms(space.names, space.params(x)))
+            return self.modes(self.record.predict(space.names, params))
+        found = np.asarray(told.modes - self._forms(space.names, params))
+        if told.few is not None:
+            found[:, told.rows] = self.whitener.modes(told.few.seen - told.few.predict(space.names, params)) * self.gain
+        return found
 
     def costs(self, modes: Floats, x: Floats) -> tuple[Floats, Floats]:
         """Return objective and chi² (B,) of modes (B, K, M) at x (B, P)."""

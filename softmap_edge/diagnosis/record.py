@@ -93,6 +93,11 @@ class Record:
         self._leaning = np.asarray(model.run_leaning(run), float)
         self.block: NDArray[Any] | None = run.block
 
+    @property
+    def begins(self) -> NDArray[np.intp]:
+        """Number of the first frame of each run."""
+        return np.zeros(min(1, self.frames), np.intp)
+
     def _forget(self) -> None:
         """Forget what was found out about other frames."""
         for name in ("state", "leaning", "_inputs"):

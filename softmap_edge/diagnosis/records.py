@@ -80,6 +80,11 @@ class Records(Record):
         labels = [part.block for part in parts]
         self.block = None if any(b is None for b in labels) else np.concatenate([np.asarray(b) for b in labels])
 
+    @property
+    def begins(self) -> NDArray[np.intp]:
+        """Number of the first frame of each run."""
+        return np.unique(np.array([e - part.frames for e, part in zip(self.ends, self.parts) if part.frames], np.intp))
+
     def spread_rows(self, most: int) -> NDArray[np.intp]:
         """Return the numbers of about `most` frames, of each run its share."""
         begins = self.ends - [part.frames for part in self.parts]
