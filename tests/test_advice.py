@@ -1,6 +1,7 @@
 """`softmap check` says what a run can and cannot tell, each from a number, with a remedy; with a model, per effect."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from softmap_edge.diagnosis.advice import WIDTH, advice
 from softmap_edge.protocol import Limits, standard_protocol
 from softmap_edge.run_summary import sentences, summary
 
-SIDEWAYS = np.array([0.6, 0.0, 0.8])
+SIDEWAYS = (0.6, 0.0, 0.8)
 
 
 def full(**change):
@@ -118,11 +119,14 @@ def test_smooth_moves_of_many_channels_are_fast_and_slow():
 @pytest.mark.parametrize("fastest", [None, 6.0])
 def test_both_paces_of_the_standard_protocol_are_seen(fastest):
     model = builtin_model()
-    limits, both = Limits.of(model.command_range, model.command_unit, fastest), (np.array([0, 0, 1.0]), SIDEWAYS)
+    limits, both = Limits.of(model.command_range, model.command_unit, fastest), ((0.0, 0.0, 1.0), SIDEWAYS)
     p = standard_protocol(seed=0, limits=limits, back=True, orientations=both)
     markers = np.repeat(full().marker_rest[None], p.frames, axis=0)
     run = full(t=p.t, command=p.command, gravity=p.gravity, t_seen=p.t_seen, markers=markers, temperature=None)
     assert answers(run)["speed"]["tells"], answers(run)["speed"]
+    assert not [note for note in summary(run)["warnings"] if "gap" in note]  # though the robot was turned
+    still = replace(run, gravity=np.array([0.0, 0.0, 1.0]))
+    assert not fastest or any("t_seen has a gap" in note for note in summary(still)["warnings"])
 
 
 def test_markers_on_the_base_are_counted_and_are_no_unknown_field():

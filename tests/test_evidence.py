@@ -10,7 +10,17 @@ from softmap_edge import _core
 from softmap_edge.bundle import builtin_model
 from softmap_edge.diagnosis.conclusion import RIVAL, TEMPERATURE
 from softmap_edge.diagnosis.diagnose import diagnose
-from softmap_edge.diagnosis.evidence import BEYOND, FORMS, LEFT, NOISE, allowed, at_bound, equivalents, leftover
+from softmap_edge.diagnosis.evidence import (
+    BEYOND,
+    FORMS,
+    LEFT,
+    NOISE,
+    _static,
+    allowed,
+    at_bound,
+    equivalents,
+    leftover,
+)
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import CV_FALL, CV_FOLDS, SIMPLER, Search
@@ -182,3 +192,20 @@ def test_an_orientation_that_no_frame_shows_is_none():
     assert "gravity" in equivalents(alone, "payload", registry)
     both = SimpleNamespace(state=SimpleNamespace(gravity=np.vstack([hanging, leaning])), load=None)
     assert "gravity" not in equivalents(both, "payload", registry)
+
+
+def test_a_static_residual_is_trained_where_a_feature_is_seen():
+    """A marker that is hidden in most frames errs by as much there as elsewhere, and not by nothing."""
+
+    class Some(SimpleNamespace):
+        __len__ = lambda self: len(self.command)  # noqa: E731
+
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-8, 8, (300, 2))
+    record = Some(command=u, spread=np.array([5.0, 5.0]))
+    truth = np.stack([0.1 * u[:, 0] + 1.0, 0.02 * u[:, 0] * u[:, 1], np.full(300, 0.5)], axis=1)
+    dark = truth.copy()
+    dark[rng.permutation(300)[:220], 1] = dark[:, 2] = np.nan
+    found = _static(record, record, dark, np.arange(300))
+    assert np.abs(found - truth)[:, 0].max() < 0.1 and np.abs(found - truth)[:, 1].max() < 0.15
+    assert np.all(found[:, 2] == 0.0)

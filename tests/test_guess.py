@@ -263,3 +263,10 @@ def test_a_name_does_not_end_its_comment_and_become_a_key(tmp_path):
     path.write_text(made_log(60)[0])
     text = guess_mapping([path]).text
     assert "robot" in text.splitlines()[0] and "robot" not in tomllib.loads(text)
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_log_that_holds_no_motion_is_not_guessed_at(tmp_path, rows):
+    lines = ["t,u1,u2,x,y,z", *["0.1,1,2,0,0,90"] * rows]
+    with pytest.raises(RunError, match=r"log\.csv.* (no|1) row"):
+        guess_mapping([written(tmp_path, "\n".join(lines) + "\n")])

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -398,3 +399,15 @@ def test_a_fault_that_does_most_comes_first_and_is_the_verdict():
     assert told.startswith(
         "The measurement is at fault (servo_swap), and the model lacks hysteresis; the held-out error"
     )
+
+
+def test_of_a_long_run_the_stretch_where_the_model_is_worst_is_drawn():
+    from softmap_edge.report.figures import STRETCH, worst_stretch
+
+    t = np.arange(0.0, 300.0, 0.5)
+    before = np.where((t > 200) & (t < 215), 3.0, 1.0)
+    before[7] = np.nan
+    rows = worst_stretch(SimpleNamespace(t_seen=t, before=before))
+    assert t[rows.start] <= 200.5 and 214.5 <= t[rows.stop - 1] <= t[rows.start] + STRETCH
+    whole = worst_stretch(SimpleNamespace(t_seen=t[:60], before=before[:60]))
+    assert (whole.start, whole.stop) == (0, 60)

@@ -48,3 +48,10 @@ def test_each_servo_for_itself_and_silence():
     assert {e["name"] for e in second["effects"]} == {"latency", "gain"}
     still = np.full_like(mixed, 3.0)
     assert servos(replace(run, present=still), ["latency"]) == [] and servos(run, ["latency"]) == []
+
+
+def test_encoders_of_any_of_several_runs_are_read():
+    run = replace(finger_run(), command_unit="mm")
+    told = replace(run, present=encoders(run, [0.18, 0.18]))
+    found = diagnose(builtin_model(), [run, told], effects=["latency", "lag"])
+    assert [row["effects"][0]["name"] for row in found.servo] == ["latency", "latency"]

@@ -108,7 +108,8 @@ def diagnose(
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     remarks += [] if record.replay is None else [TWICE]
     remarks += [] if library is not None else asked(record.whole, len(record), problem.noise.source)
-    told = servos(record.whole[0], [*candidates, *record.model.chain_names]) if library is None else []
+    encoded = next((run for run in record.whole if run.present is not None), record.whole[0])
+    told = servos(encoded, [*candidates, *record.model.chain_names]) if library is None else []
     return Diagnosis(**document, servo=told, remarks=remarks, model=with_error(found, document["effects"]))
 
 

@@ -355,8 +355,15 @@ def ladder_on(search: Search, other: Record, order: Sequence[str]) -> dict[str, 
 
 
 def _static(record: Record, at: Record, residual: Floats, train: NDArray[np.int64]) -> Floats:
-    """Return a static residual (K of `at`, F) trained on frames `train` of `record`."""
+    """Return a static residual (K of `at`, F) trained on frames `train` of `record`, each feature where it is seen."""
     half = 0.5 * record.spread
-    columns = np.concatenate([static_basis(scaled_commands(r.command, half)) for r in (record, at)])
-    values = np.concatenate([np.where(np.isfinite(residual), residual, 0.0), np.zeros((len(at), residual.shape[1]))])
-    return ridge(columns[:, 1:], values, train, 0.03 * len(train))[len(record) :]
+    columns = np.concatenate([static_basis(scaled_commands(r.command, half)) for r in (record, at)])[:, 1:]
+    found = np.zeros((len(at), residual.shape[1]))
+    shown, which = np.unique(np.isfinite(residual[train]).T, axis=0, return_inverse=True)
+    for i, seen in enumerate(shown):
+        rows, features = train[seen], np.flatnonzero(which.reshape(-1) == i)
+        if len(rows):
+            values = np.zeros((len(columns), len(features)))
+            values[: len(record)] = np.where(np.isfinite(residual), residual, 0.0)[:, features]
+            found[:, features] = ridge(columns, values, rows, 0.03 * len(rows))[len(record) :]
+    return found

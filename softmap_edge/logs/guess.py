@@ -72,6 +72,10 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     """
     files = [Path(path) for path in paths]
     sheets, found = read_sheets(files), Found()
+    rows = max(len(sheet.numbers) for sheet in sheets)
+    if rows < 2:
+        names = ", ".join(path.name for path in files)
+        raise RunError(f"{names}: {rows} row{'s' * (rows != 1)} of numbers; give the log of a whole recording")
     for k, sheet in enumerate(sheets):
         name, unit, why = time_of(sheet)
         found.times[k] = (name, unit)

@@ -29,6 +29,7 @@ from softmap_edge.report.text import ladder_steps
 
 Floats = NDArray[np.float64]
 
+STRETCH, MANY = 20.0, 10  # s of a long run that are drawn, and frames that such a stretch should have
 BEFORE, AFTER, FLOOR, INK, FAINT, PALE = "#cf5c36", "#1f7a8c", "#7d8597", "#1f2933", "#e7eaef", "#9aa5b1"
 ERROR_MAP = LinearSegmentedColormap.from_list("error", ["#dceef0", "#f6e7c1", "#efa35c", "#cf5c36", "#6a1b1a"])
 STYLE: Any = {  # matplotlib types the keys one by one
@@ -92,8 +93,12 @@ def over_time(series: Series) -> bytes:
 
 
 def tip_path(series: Series) -> bytes:
-    """Draw the tip's path as measured and as predicted, in the plane in which it moves most (SVG)."""
+    """Draw the tip's path as measured and as predicted, in the plane in which it moves most (SVG).
+
+    Of a long run the STRETCH with the largest error before; all of it, measured, stands behind.
+    """
     first, second = _plane(series.tip_seen)
+    rows = worst_stretch(series)
     shown = [("predicted", series.tip_before, BEFORE)]
     if series.tip_after is not None:
         shown = [("predicted before", series.tip_before, BEFORE), ("predicted after", series.tip_after, AFTER)]
@@ -103,13 +108,28 @@ def tip_path(series: Series) -> bytes:
         )
         panels = figure.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
         for axes, (name, path, colour) in zip(panels, shown):
-            axes.plot(series.tip_seen[:, first], series.tip_seen[:, second], color=INK, linewidth=0.9, label="measured")
-            axes.plot(path[:, first], path[:, second], color=colour, linewidth=1.3, label=name)
+            axes.plot(series.tip_seen[:, first], series.tip_seen[:, second], color=FAINT, linewidth=0.9, zorder=1)
+            seen = series.tip_seen[rows]
+            axes.plot(seen[:, first], seen[:, second], color=INK, linewidth=0.9, label="measured")
+            axes.plot(path[rows, first], path[rows, second], color=colour, linewidth=1.3, label=name)
             axes.set(xlabel=f"{'xyz'[first]} of the tip, mm", aspect="equal")
             axes.grid(color=FAINT, linewidth=0.8)
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
         panels[0].set_ylabel(f"{'xyz'[second]} of the tip, mm")
         return svg(figure)
+
+
+def worst_stretch(series: Series) -> slice:
+    """Return the frames of the STRETCH of a run in which the error before is largest; all of a run hardly longer."""
+    t = series.t_seen
+    if len(t) < 3 or t[-1] - t[0] < 2 * STRETCH:
+        return slice(0, len(t))
+    ends = np.searchsorted(t, t + STRETCH, side="right")
+    squares = np.concatenate([[0.0], np.cumsum(np.nan_to_num(series.before) ** 2)])
+    begins = np.flatnonzero(t <= t[-1] - STRETCH)
+    mean = (squares[ends] - squares[:-1])[begins] / np.maximum(ends[begins] - begins, MANY)
+    start = int(begins[np.argmax(mean)])
+    return slice(start, int(ends[start]))
 
 
 def body(series: Series) -> bytes:

@@ -262,7 +262,10 @@ def _tip(story: Story, figures: ModuleType) -> str:
     if story.series is None:
         return ""
     picture = _picture(figures.tip_path(story.series), "Path of the tip, measured and predicted")
-    return _section("Path of the tip", picture, f"Tip centroid in the base frame, mm{_short(story)}.")
+    rows, t = figures.worst_stretch(story.series), story.series.t_seen
+    part = "" if rows.stop - rows.start == len(t) else f", from {t[rows.start]:.0f} to {t[rows.stop - 1]:.0f} s, where "
+    part += "the error before is largest (faint: the whole run, measured)" if part else ""
+    return _section("Path of the tip", picture, f"Tip centroid in the base frame, mm{part}{_short(story)}.")
 
 
 def _ladder(story: Story, figures: ModuleType) -> str:
