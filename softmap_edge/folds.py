@@ -67,7 +67,9 @@ def run_folds(t_seen: Floats, labels: NDArray[Any] | None = None) -> Folds:
     """
     frames = len(t_seen)
     if frames < LEAST_FRAMES:
-        raise SoftmapError(f"{frames} seen frames cannot be held out in blocks; record at least 8, better 60")
+        raise SoftmapError(
+            f"{frames} seen frames cannot be held out in blocks; record {LEAST_FRAMES} or more, better 60"
+        )
     count = FOLDS if frames >= 2 * FOLDS else max(2, frames // 4)
     found = []
     for train, test in folds(t_seen, count, GAP, labels if labelled(labels) else None, FOLDS):

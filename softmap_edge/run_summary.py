@@ -193,7 +193,8 @@ def _warnings(run: Run) -> list[str]:
         notes.append(f"{outside} frames lie outside the time of the commands; the nearest command is taken as held")
     for name in ("t", "t_seen"):
         step = np.diff(getattr(run, name))
-        if name == "t_seen" and np.ndim(run.gravity) == 2:  # while a hand turns the robot nobody looks
+        if name == "t_seen" and run.gravity is not None and run.gravity.ndim == 2:
+            # While a hand turns the robot nobody looks.
             lie = np.asarray(run.gravity)[np.clip(np.searchsorted(run.t, run.t_seen), 0, len(run.t) - 1)]
             step = np.where((lie[1:] == lie[:-1]).all(axis=1), step, 0.0)
         if len(step) > 2 and step.max() > 10 * np.median(step):

@@ -38,26 +38,22 @@ WALL = 2.0  # N/mm of each node that is pressed into an obstacle
 class Loads:
     """What acts on each of B rods: `pull` (B, 4) mm of shortening of the cables, `gravity` (B, 3) g, `tip` (B, 3) N.
 
-    `soft` (B,) scales the modulus; `rest` (B, n, 3) rad/mm joins the rod's own curvature. `plane` (normal (3,), place
-    mm) is an obstacle: what of the rod's surface lies beyond normal·x = place is pushed back.
+    `plane` (normal (3,), place mm) is an obstacle: what of the rod's surface lies beyond normal·x = place is pushed
+    back.
     """
 
     pull: Floats
     gravity: Floats
     tip: Floats
-    soft: Floats | None = None
-    rest: Floats | None = None
     plane: tuple[Floats, float] | None = None
 
     def rows(self, which: NDArray[np.intp], share: float = 1.0) -> Loads:
-        """Return some rows; of everything but the modulus and the obstacle the `share`."""
+        """Return some rows; of everything but the obstacle the `share`."""
         return replace(
             self,
             pull=share * self.pull[which],
             gravity=share * self.gravity[which],
             tip=share * self.tip[which],
-            soft=None if self.soft is None else self.soft[which],
-            rest=None if self.rest is None else share * self.rest[which],
         )
 
 
@@ -201,11 +197,9 @@ def _strains(design: Design, x: Floats, frame: Floats) -> tuple[Floats, Floats, 
     return middle, theta, chord, np.concatenate([gamma, theta / length], axis=2)
 
 
-def _section(design: Design, loads: Loads, strain: Floats) -> tuple[Floats, Floats, Floats]:
+def _section(design: Design, strain: Floats) -> tuple[Floats, Floats, Floats]:
     """Return energy per length (B, n), forces and moments (B, n, 6) and their tangent (B, n, 6, 6)."""
-    soft = 1.0 if loads.soft is None else loads.soft[:, None]
-    rest = design.rest if loads.rest is None else design.rest + loads.rest
-    bend = strain[..., 3:] - rest
+    bend = strain[..., 3:] - design.rest
     x, y, area = design.fibres()
     lever = np.stack([np.ones_like(x), y, -x], axis=2)  # (n, F, 3)
     stretch = 1.0 + np.einsum("nfk,bnk->bnf", lever, np.stack([strain[..., 2], bend[..., 0], bend[..., 1]], axis=2))
@@ -229,17 +223,13 @@ def _section(design: Design, loads: Loads, strain: Floats) -> tuple[Floats, Floa
     tangent[..., 2:5, 2:5] = np.einsum("bnf,nfk->bnk", rate, pairs, optimize=True).reshape(*strain.shape[:2], 3, 3)
     tangent[..., 0, 0] = tangent[..., 1, 1] = SHEAR * whole
     tangent[..., 5, 5] = polar
-    return (
-        np.asarray(energy * soft),
-        out * (soft if np.isscalar(soft) else soft[..., None]),
-        tangent * (soft if np.isscalar(soft) else soft[..., None, None]),
-    )
+    return np.asarray(energy), out, tangent
 
 
 def energy_of(design: Design, loads: Loads, x: Floats, frame: Floats) -> Floats:
     """Return the total energy (B,) N·mm."""
     *_, strain = _strains(design, x, frame)
-    total = np.asarray(_section(design, loads, strain)[0] @ design.length)
+    total = np.asarray(_section(design, strain)[0] @ design.length)
     points = guides(design, x, frame)
     span = np.linalg.norm(np.diff(points, axis=2), axis=3).sum(axis=2)
     total += np.sum(
@@ -277,7 +267,7 @@ def assembled(
     (below, diagonal, above) blocks (B, n, 6, 6), the slopes (B, n, 6, 4) of the cables' lengths, their tension.
     """
     middle, theta, chord, strain = _strains(design, x, frame)
-    _, sigma, law = _section(design, loads, strain)
+    _, sigma, law = _section(design, strain)
     local, force = _element(design.length, theta, chord, sigma, law)
     spatial = out_of(middle[:, :, None], force.reshape(*force.shape[:2], 4, 3)).reshape(force.shape)
     ends = local.reshape(*local.shape[:2], 4, 3, 12)

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions
 from softmap_edge.diagnosis.evidence import last_direction, orientations
 from softmap_edge.diagnosis.floor import replicates
+from softmap_edge.folds import LEAST_FRAMES
 from softmap_edge.run import Run, known
 
 Floats = NDArray[np.float64]
 
 WIDTH = 100
-FRAMES, ENOUGH_FRAMES = 8, 60  # fewer cannot be held out; fewer hide small effects
+ENOUGH_FRAMES = 60  # fewer hide small effects
 ENOUGH_VISITS = 3  # home at the start, at the end and in between: what drift and noise can be told apart with
 MOVING = 15  # frames seen in motion, below which delays are guessed
 SPEEDS = 2.0  # ratio of fast to slow below which delay and play look alike
@@ -94,7 +95,7 @@ _NO_REPLICATES = Word(
 
 
 def _enough(frames: int) -> Word:
-    if frames < FRAMES:
+    if frames < LEAST_FRAMES:
         text = f"which effect is missing: {frames} frames are too few to hold some out"
         return Word("frames", False, text, f"record at least {ENOUGH_FRAMES} frames, better 360", 4.0)
     if frames < ENOUGH_FRAMES:

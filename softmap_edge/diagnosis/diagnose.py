@@ -108,8 +108,8 @@ def diagnose(
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     remarks += [] if record.replay is None else [TWICE]
     remarks += [] if library is not None else asked(record.whole, len(record), problem.noise.source)
-    encoded = next((run for run in record.whole if run.present is not None), record.whole[0])
-    told = servos(encoded, [*candidates, *record.model.chain_names]) if library is None else []
+    encoded = [run for run in record.whole if run.present is not None] if library is None else []
+    told = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
     return Diagnosis(**document, servo=told, remarks=remarks, model=with_error(found, document["effects"]))
 
 

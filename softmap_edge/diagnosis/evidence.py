@@ -103,10 +103,6 @@ def not_testable(search: Search, fit: Fit, registry: dict[str, dict[str, Any]]) 
         if name in fit.effects:
             continue
         block, minutes = experiment(registry, name)
-        missing = problem.record.missing(registry[name].get("needs", []))
-        if missing:
-            found.append(Untestable(name, f"the run does not declare {', '.join(missing)}", block, minutes))
-            continue
         moved, white = shown(problem, name)
         why = unseen(moved, float(np.linalg.norm(white)) / np.sqrt(search.dispersion(fit)))
         if why is not None:

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError
+from softmap_edge.folds import LEAST_FRAMES
 
 if TYPE_CHECKING:
     from softmap_edge.diagnosis.record import Record
@@ -40,7 +41,6 @@ GAPS = 3.0  # median periods of the reference: it is not read across longer gaps
 LEAST_OVERLAP = 0.5  # of the frames of a run, which the reference must have seen too
 GRID = 200_000  # rows at most that are looked at for the shift in time
 FLOOR = 0.01  # mm: no robot repeats itself better than this
-LEAST_FRAMES = 8
 ABSENT = 0.9  # of the reference's error that must be left at most without an effect that only the run has
 
 

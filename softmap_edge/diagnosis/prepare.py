@@ -16,6 +16,7 @@ from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.noise import Noise, command_kernel, estimate_noise, form_covariance, rod_noise, whitener
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.errors import SoftmapError, no_effect
+from softmap_edge.folds import LEAST_FRAMES
 
 Floats = NDArray[np.float64]
 
@@ -72,8 +73,10 @@ def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = 
         SoftmapError: fewer than 8 frames.
     """
     base = record.predict(record.model.chain_names, record.own()[None])[0]
-    if len(record) < 8:
-        raise SoftmapError(f"{len(record)} seen frames are too few to diagnose; record at least 8, better 60")
+    if len(record) < LEAST_FRAMES:
+        raise SoftmapError(
+            f"{len(record)} seen frames are too few to diagnose; record {LEAST_FRAMES} or more, better 60"
+        )
     thin = np.unique(np.linspace(0, len(record) - 1, min(len(record), SIGNATURE_FRAMES)).astype(int))
     signatures = [s for name in candidates for s in _signatures(record, name, base, thin)]
     stack = np.stack(signatures) if signatures else np.zeros((1, len(thin), record.features))

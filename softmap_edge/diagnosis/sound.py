@@ -26,6 +26,7 @@ from softmap_edge.diagnosis.floor import replicates
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
 from softmap_edge.errors import RunError
+from softmap_edge.folds import LEAST_FRAMES
 from softmap_edge.run import known
 
 if TYPE_CHECKING:
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEAST = 8  # frames that a diagnosis wants
 GAP_SAMPLES, GAP = 10.0, 1.0  # usual steps, and s, beyond which a record of commands has a gap
 MOVED = 0.05  # of the range of a command, across a gap: what happened there is not known
 STEPPED = 0.01  # of the range of a command between two frames: a camera that works sees it
@@ -85,8 +85,8 @@ def sound(model: Model, run: Run) -> Sound:
     for frames, text in _frames(run, u, seen, visible):
         remarks.append(f"{int(frames.sum())} of {run.frames} frames {text}")
         keep &= ~frames
-    if keep.sum() < min(LEAST, run.frames):
-        raise RunError(f"{int(keep.sum())} usable frames, at least {LEAST} are wanted: {'; '.join(remarks)}")
+    if keep.sum() < min(LEAST_FRAMES, run.frames):
+        raise RunError(f"{int(keep.sum())} usable frames, at least {LEAST_FRAMES} are wanted: {'; '.join(remarks)}")
     part = run if keep.all() else run.at(keep)
     seen, visible = seen[keep], visible[keep]
     predicted = np.asarray(model.predict(part), float)
@@ -267,7 +267,7 @@ def _clipped(seen: Floats, visible: Mask, axis: int, extreme: Any) -> Mask | Non
 def _astray(seen: Floats, visible: Mask, predicted: Floats, length: float) -> Mask:
     """Return the points (K, N) that are far from their model in one frame and not in the two before and after."""
     none = np.zeros(visible.shape, bool)
-    if len(seen) < LEAST:
+    if len(seen) < LEAST_FRAMES:
         return none
     off = np.where(visible[..., None], seen - predicted, np.nan)
     far = np.linalg.norm(off, axis=2)  # NaN where nothing was seen
