@@ -12,10 +12,13 @@ Pinned by tests/test_own_effect.py.
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import functools
 import hashlib
 import math
 import re
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -199,9 +202,10 @@ def _read(file: Path) -> bytes:
 def _execute(file: Path, source: bytes) -> ModuleType:
     module = ModuleType(f"softmap_own_{file.stem}")
     module.__file__ = str(file)
+    module.__dict__["print"] = functools.partial(print, file=sys.stderr)  # what it prints is no part of a document
     sys.modules[module.__name__] = module  # dataclasses look their module up
     try:
-        with contextlib.redirect_stdout(sys.stderr):  # what it prints is no part of a document
+        with contextlib.redirect_stdout(sys.stderr):
             exec(compile(source, str(file), "exec"), module.__dict__)
     except KeyboardInterrupt:
         raise
@@ -331,13 +335,17 @@ class _Law:
     def _ask(self, params: Floats, u: Floats, t: Floats, context: Context) -> Floats:
         shape = (1, *u.shape)
         wanted = f"rollout(params (1, {params.size}), u {shape}, t ({t.size},), ctx) must return what acts, {shape}"
+        me = threading.get_ident()
+        _RUNNING.add(me)
         try:
             with np.errstate(all="ignore"):  # what is not finite is told below, with its parameters
                 given = self._rollout(params[None], u[None], t, context)
-        except KeyboardInterrupt:
-            raise
         except BaseException as fault:
+            if me not in _RUNNING:
+                raise EffectError(f"{self._head} was interrupted") from None
             raise EffectError(f"{self._head}{_line(fault, self._file)} raised {_said(fault)}; {wanted}") from None
+        finally:
+            _RUNNING.discard(me)
         answer = np.asarray(given) if isinstance(given, np.ndarray | list | tuple | float | int) else None
         if answer is None or answer.dtype.kind not in "biuf":
             kind = type(given).__name__ if answer is None else f"an array of {answer.dtype}"
@@ -352,6 +360,16 @@ class _Law:
                 f"{numbers}; every parameter from low to high must give finite numbers"
             )
         return np.ascontiguousarray(answer[0], np.float64)
+
+
+def interrupt() -> None:
+    """Raise KeyboardInterrupt in the threads in which laws run, which see no signal themselves."""
+    for thread in list(_RUNNING):
+        _RUNNING.discard(thread)
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(KeyboardInterrupt))
+
+
+_RUNNING: set[int] = set()  # threads in which a law runs now
 
 
 def _line(fault: BaseException, file: Path) -> str:

@@ -31,7 +31,7 @@ pub static EFFECT: Effect = Effect {
             0.0,
             0.12,
             0.02,
-            0.8,
+            3.0,
             "time constant",
         )],
     },

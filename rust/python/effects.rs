@@ -300,7 +300,7 @@ impl PyChain {
             Some(state) => floats("state", &state, &axes)?.data,
             None => vec![],
         };
-        let out = at_work(py, || {
+        let out = at_work(py, chain, || {
             chain.rollout(&params.data, &u.data, &mut world, &mut states)
         })?;
         let shape = [sets, world.len(), chain.channels()];

@@ -15,7 +15,8 @@ mod shape;
 mod table;
 mod watch;
 
-use crate::Error;
+use crate::effects::Chain;
+use crate::{Error, Result};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::import_exception;
 use pyo3::prelude::*;
@@ -34,10 +35,19 @@ impl From<Error> for PyErr {
     }
 }
 
-/// Run without the interpreter, on a thread of rayon's: what is parallel inside then wakes no other by itself, which costs
-/// more than many rows where there is one alone.
-fn at_work<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
-    py.detach(|| rayon::scope(|_| work()))
+/// Run what asks a chain without the interpreter, on a thread of rayon's: what is parallel inside then wakes no other by
+/// itself, which costs more than many rows where there is one alone. A user's own law can be interrupted meanwhile.
+fn at_work<T: Send>(
+    py: Python<'_>,
+    chain: &Chain,
+    work: impl FnOnce() -> Result<T> + Send,
+) -> PyResult<T> {
+    let work = || rayon::scope(|_| work());
+    if chain.stepwise().is_ok() {
+        Ok(py.detach(work)?)
+    } else {
+        watch::patiently(py, work)
+    }
 }
 
 #[pymodule]

@@ -110,7 +110,7 @@ impl PyPredictor {
     ) -> PyResult<Bound<'py, PyArray4<f64>>> {
         let (params, sets) = asked(&chain, params, &inputs)?;
         let (body, inner, on) = (&self.predictor, &chain.chain, &*inputs);
-        let out = at_work(py, || {
+        let out = at_work(py, inner, || {
             body.predict(inner, &params, &on.u, &on.world, &on.t_seen)
         })?;
         let shape = [sets, on.t_seen.len(), body.vectors(), 3];
@@ -127,7 +127,7 @@ impl PyPredictor {
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let (params, sets) = asked(&chain, params, &inputs)?;
         let (body, inner, on) = (&self.predictor, &chain.chain, &*inputs);
-        let out = at_work(py, || {
+        let out = at_work(py, inner, || {
             body.acting(inner, &params, &on.u, &on.world, &on.t_seen)
         })?;
         out.into_pyarray(py)
@@ -146,7 +146,7 @@ impl PyPredictor {
         let (params, _) = asked(&chain, params, &inputs)?;
         let (body, inner, on) = (&self.predictor, &chain.chain, &*inputs);
         let step = floats("step", step, &[("C", None)])?.data;
-        let out = at_work(py, || {
+        let out = at_work(py, inner, || {
             body.slopes(inner, &params, &step, &on.u, &on.world, &on.t_seen)
         })?;
         out.into_pyarray(py)

@@ -5,6 +5,7 @@ use crate::error::invalid;
 use crate::fem::progress::Progress;
 use pyo3::prelude::*;
 use std::sync::atomic::Ordering;
+use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 /// How often a waiting interpreter looks for Ctrl-C and reports progress.
@@ -50,5 +51,38 @@ pub fn watched<T: Send>(
                 Ok(result)
             }
         }
+    })
+}
+
+/// Run on another thread a law that a user wrote, which may never end, while this one watches for Ctrl-C and passes it on.
+pub fn patiently<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
+    let (done, told) = (Mutex::new(false), Condvar::new());
+    let tell = || {
+        *done.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        told.notify_all();
+    };
+    let wait = || {
+        let guard = done.lock().unwrap_or_else(PoisonError::into_inner);
+        let waited = told.wait_timeout_while(guard, LOOK, |done| !*done);
+        *waited.unwrap_or_else(PoisonError::into_inner).0
+    };
+    std::thread::scope(|scope| {
+        let worker = scope.spawn(|| {
+            let found = work();
+            tell();
+            found
+        });
+        let mut trouble = None;
+        while !py.detach(wait) && !worker.is_finished() {
+            if let Err(error) = py.check_signals() {
+                py.import("softmap_edge.own_effect")?
+                    .call_method0("interrupt")?;
+                trouble.get_or_insert(error);
+            }
+        }
+        let found = py
+            .detach(|| worker.join())
+            .map_err(|_| invalid("a Python effect stopped unexpectedly; please report it"))?;
+        trouble.map_or_else(|| Ok(found?), Err)
     })
 }

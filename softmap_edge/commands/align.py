@@ -12,7 +12,7 @@ import numpy as np
 from softmap_edge.alignment.align import align_base, align_home, clamped_places
 from softmap_edge.alignment.result import base_markers, in_frame
 from softmap_edge.alignment.rigid import Pose
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import AlignError
 from softmap_edge.run import Run
@@ -39,12 +39,14 @@ def align_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--follow-base", action="store_true", help="hold a base that moves still, frame by frame")
     parser.add_argument("--drop-base", action="store_true", help="leave the base markers out of the run afterwards")
+    parser.add_argument("--force", action="store_true", help="replace the run that stands at --out")
     parser.add_argument("--like", metavar="RUN", help="take the transform of a run that was aligned already")
 
 
 def align(args: argparse.Namespace) -> int:
     """Find the transform from the frame of the measurement to the base, and write the run in the base frame."""
     check_file("--out", args.out, ".npz")
+    check_no_run("--out", args.out, args.force)
     run = Run.load(args.run)
     if args.like:
         return _like(args, run)

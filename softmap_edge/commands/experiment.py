@@ -100,6 +100,8 @@ def _standard(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     from softmap_edge.protocol import standard_protocol
 
     setting = Setting.after([], model.gravity_reference)
+    if args.block and args.standard:
+        raise SoftmapError("--standard and --block are two protocols; leave one of them out")
     if args.block:
         return plan(chosen(args.block), _limits(args, model), setting, args.seed), [], []
     if not args.standard:

@@ -23,14 +23,18 @@ def check_file(option: str, path: str | None, suffix: str = "") -> None:
         raise SoftmapError(f"{option} {path}: there is no folder {file.parent}; make it first")
 
 
-def check_no_run(option: str, path: str | None) -> None:
-    """Raise SoftmapError when a run stands where `option` would write something else, or another recording."""
-    if path is None or not zipfile.is_zipfile(path):
+def check_no_run(option: str, path: str | None, force: bool | None = None) -> None:
+    """Raise SoftmapError when a run stands where `option` would write something else, or another recording.
+
+    `force` is that of the verb, None where it has none.
+    """
+    if path is None or force or not zipfile.is_zipfile(path):
         return
     with zipfile.ZipFile(path) as archive:
         names = set(archive.namelist())
     if "t.npy" in names and "t_seen.npy" in names:
-        raise SoftmapError(f"{option} {path}: a run stands there and would be lost; give another name or remove it")
+        way = "remove it" if force is None else "--force to replace it"
+        raise SoftmapError(f"{option} {path}: a run stands there and would be lost; give another name or {way}")
 
 
 def check_kept(path: str, what: str, force: bool) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from softmap_edge.bundle import load_chain, load_manifest
-from softmap_edge.commands.output import check_file, check_kept
+from softmap_edge.commands.output import check_file, check_kept, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.diagnosis.advice import effect_lines
 from softmap_edge.elsewhere.summary import read_summary
@@ -36,7 +36,9 @@ def import_arguments(parser: argparse.ArgumentParser) -> None:
     how.add_argument("--map", help="mapping file: docs/mapping.md lists its keys, examples/trunk.toml shows the form")
     how.add_argument("--guess", action="store_true", help="propose a mapping from the header and the ranges")
     parser.add_argument("--out", help="the run to write (.npz); with --guess the mapping (.toml), else it is printed")
-    parser.add_argument("--force", action="store_true", help="with --guess: replace the mapping that stands there")
+    parser.add_argument(
+        "--force", action="store_true", help="replace the run (with --guess the mapping) that stands there"
+    )
 
 
 def import_(args: argparse.Namespace) -> int:
@@ -46,6 +48,7 @@ def import_(args: argparse.Namespace) -> int:
     if args.out is None:
         raise RunError("--out is missing; name the run to write (.npz)")
     check_file("--out", args.out, ".npz")
+    check_no_run("--out", args.out, args.force)
     imported = import_logs(args.logs, read_mapping(args.map))
     run = imported.run
     run.save(args.out)

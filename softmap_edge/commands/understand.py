@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_kept
@@ -82,6 +83,8 @@ def diagnose(args: argparse.Namespace) -> int:
 
     check_file("--html", args.html, ".html")
     check_file("--out", args.out, ".json")
+    if args.since and args.out and Path(args.since).resolve() == Path(args.out).resolve():
+        raise SoftmapError(f"--out {args.out} would replace the diagnosis of --since; give another name")
     before = None if args.since is None else Diagnosis.load(args.since).to_dict()
     names = [name for text in args.effects if not text.endswith(".py") for name in _names(text)]
     args.effects = [path for path in args.effects if path.endswith(".py")]

@@ -83,7 +83,11 @@ def conclude(
             rivals.insert(0, {"member": order[0], "effects": list(own.names), "why": str(own), "experiment": block})
     shared = not_alone(search, fit, left)
     unknown = left.claim and (shared is None or leftover(search, shared[0]).claim)
-    entries = _entries(search, fit, shared and shared[0], other, order, weights, rivals, unknown, registry)
+    entries = _entries(search, fit, shared and shared[0], other, order, weights, rivals, registry)
+    if unknown or at_bounds(entries):  # what stands beyond a bound is not among the sets either
+        for entry in entries:
+            sure = entry["probability"]
+            entry["probability"] = None if sure is None else sure / (1.0 + UNKNOWN * sure)
     faults = [e for e in entries if registry[e["name"]]["kind"] == "fault"]
     physics = [e for e in entries if registry[e["name"]]["kind"] != "fault"]
     error = _error(search, order, other)
@@ -123,7 +127,6 @@ def _entries(
     order: list[str],
     weights: dict[str, float],
     rivals: list[dict[str, Any]],
-    unknown: bool,
     registry: dict[str, dict[str, Any]],
 ) -> list[dict[str, Any]]:
     record = search.problem.record
@@ -138,7 +141,6 @@ def _entries(
         open_rivals = [r for r in rivals if r["member"] == name]
         place = {name}.union(*(set(r["effects"]) - set(fit.effects) for r in open_rivals))  # who may stand there
         there = min(1.0, sum(weight for effects, weight in weights_of_sets.items() if effects & place))
-        odds = RIVAL * len(open_rivals) + UNKNOWN * unknown
         held = None
         if other is not None:
             held = other.rms_mm(_shift_on(fit, other, name))
@@ -148,7 +150,7 @@ def _entries(
                 "family": registry[name]["family"],
                 "stage": registry[name]["stage"],
                 # The temperature is of bodies that were simulated: what a regressed rod errs by is not of their kind.
-                "probability": None if record.model.kind == "rod" else there / (1.0 + odds),
+                "probability": None if record.model.kind == "rod" else there / (1.0 + RIVAL * len(open_rivals)),
                 "share": weights[name] / max(total, 1e-300),
                 "displacement_mm": {"fitted": record.rms_mm(search.displacement(fit, name)), "held_out": held},
                 "params": parameters(record, fit, sigma, (name,)),

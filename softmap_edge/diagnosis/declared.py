@@ -1,4 +1,4 @@
-"""Whether what a run declares as gravity has a wrong sign: asked where a diagnosis cannot make sense of gravity.
+"""Whether a run declares gravity with a wrong sign, or a load of a wrong size: asked where gravity makes no sense.
 
 Beside another effect a wrong sign does not stand out before a fit (`belongs.py` asks that): a weight or a play hides
 it, and the effect `gravity` then ends at the bounds of what it may be. So that a search decides, the run is diagnosed
@@ -6,7 +6,8 @@ again under the signs that look best with a free weight at the tip,
 
     min over m >= 0 of |seen - predicted(signs * g) - m d(signs * g)|      d what one weight does,
 
-and the declaration is at fault where its held-out error is WORSE of the other's or less. Units: mm RMS, held out.
+and the declaration is at fault where its held-out error is WORSE of the other's or less. A load is scaled by what fits
+best before a search, and must hold there too. Units: mm RMS, held out.
 Limit: axes that were exchanged are not tried, nor runs relative to a reference. Pinned by tests/test_bad_runs.py.
 """
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 FRAMES = 100  # looked at where signs are compared before the search
 CLOSE = 1.3  # times what the best signs leave: a body that hangs tells one sign of its axis hardly from the other
 POOR, MUCH = 0.5, 10.0  # of the held-out error, and chi² per number, that no true dead load leaves
+ABSENT = 0.2  # of a declared load: nearer to none, or to all of it, it is taken as that
 WORSE = 0.8  # of the held-out error that other signs must leave at most
 SIGNS = tuple(signs for signs in product((1.0, -1.0), repeat=3) if min(signs) < 0)
 
@@ -71,6 +73,38 @@ def wrong_sign(record: Record, error: float, again: Callable[[Sequence[Run]], fl
         f"{other:.2f} mm RMS instead of {error:.2f} mm (both held out). No effect is named: give the direction in "
         "which things fall, in the base frame, and diagnose again."
     )
+
+
+def wrong_load(record: Record, error: float, again: Callable[[Sequence[Run]], float]) -> str | None:
+    """Say so where another size of the declared loads leaves a smaller held-out error; arguments as above."""
+    runs = [part.run for part in getattr(record, "parts", [record])]
+    if record.replay is not None or not any(run.load is not None and np.any(run.load) for run in runs):
+        return None
+    thin = [_thin(run) for run in runs]
+    whole, bare = (record_of(record.model, those, record.library) for those in (thin, [_loaded(r, 0.0) for r in thin]))
+    off, shift = (
+        np.nan_to_num(whole.seen - record_.predict(record.model.chain_names, record_.own()[None])[0])
+        for record_ in (whole, bare)
+    )
+    does = shift - off  # of all that is declared
+    share = float(np.sum(shift * does)) / max(float(np.sum(does**2)), 1e-12)
+    share = 0.0 if share < ABSENT else share
+    if abs(share - 1.0) < ABSENT:
+        return None
+    other = again([_loaded(run, share) for run in runs])
+    if not other < WORSE * error:
+        return None
+    most = max(float(np.max(run.load)) for run in runs if run.load is not None)
+    fits = "no load at all" if share == 0.0 else f"{share * most:.3g} g"
+    return (
+        f"The measurement is at fault: `load` is declared as up to {most:.4g} g, and {fits} fits. So declared, what "
+        f"would be found leaves {other:.2f} mm RMS instead of {error:.2f} mm (both held out). No effect is named: "
+        "give what hangs at the tip, in grams, and diagnose again."
+    )
+
+
+def _loaded(run: Run, share: float) -> Run:
+    return replace(run, load=None if run.load is None else share * np.asarray(run.load, float))
 
 
 def _turned(run: Run, signs: Sequence[float]) -> Run:

@@ -10,6 +10,7 @@ doubt are answers. `diagnose` is deterministic: the same input gives the same do
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.advice import asked
 from softmap_edge.diagnosis.conclusion import conclude, parameters
-from softmap_edge.diagnosis.declared import strange, wrong_sign
+from softmap_edge.diagnosis.declared import strange, wrong_load, wrong_sign
 from softmap_edge.diagnosis.document import Diagnosis, with_error
 from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unseen
 from softmap_edge.diagnosis.fit import Fit
@@ -78,6 +79,7 @@ def diagnose(
     Raises:
         SoftmapError: too few frames, unknown effects, a run of another robot, a reference of other commands.
     """
+    _apart(run, held_out, reference)
     record, remarks = sound_record(model, run, library, reference)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = candidates_of(record, registry, effects)
@@ -99,7 +101,8 @@ def diagnose(
     if gone is None:
         document = conclude(search, fit, other, demoted, impossible, own, seed, masked(search, fit))
         if strange(document):
-            gone = wrong_sign(record, search.held_out_mm(fit), lambda runs: _again(model, runs, candidates, library))
+            error, again = search.held_out_mm(fit), partial(_again, model, candidates=candidates, library=library)
+            gone = wrong_sign(record, error, again) or wrong_load(record, error, again)
     if gone is not None:
         fit = search.null
         document = conclude(search, fit, other, (), impossible, own, seed, masked(search, fit))
@@ -111,6 +114,19 @@ def diagnose(
     encoded = [run for run in record.whole if run.present is not None] if library is None else []
     told = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
     return Diagnosis(**document, servo=told, remarks=remarks, model=with_error(found, document["effects"]))
+
+
+def _apart(run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequence[Run] | None) -> None:
+    """Refuse one recording in two places: it would be counted twice, or judge what was fitted on it."""
+    runs = list(run) if isinstance(run, Sequence) else [run]
+    others = list(reference) if isinstance(reference, Sequence) else [] if reference is None else [reference]
+    hashes = [one.hash() for one in runs]
+    if len(set(hashes)) < len(hashes):
+        raise SoftmapError("the same run is given twice, and its noise would count as half; give each recording once")
+    if held_out is not None and held_out.hash() in hashes:
+        raise SoftmapError("the held-out run is one that is fitted, so it judges nothing; give an independent run")
+    if set(hashes) & {one.hash() for one in others}:
+        raise SoftmapError("the reference is the run itself, so nothing differs; give a recording of before the change")
 
 
 def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[Model, dict[str, Any]]:

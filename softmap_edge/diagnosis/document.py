@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from softmap_edge import _core
 from softmap_edge.errors import SoftmapError, brief
 from softmap_edge.report.text import VERDICTS, check_diagnosis, diagnosis_text
 
@@ -113,11 +114,24 @@ class Diagnosis:
         """
         params: dict[str, float] = dict(model.params)
         for name in names:
-            params |= self.params_of(name)
+            params |= self._checked(model, name)
         chain = (*model.chain_names, *(name for name in names if name not in model.chain_names))
         entries = [entry for entry in [*self.effects, *self.faults] if entry["name"] in names]
         found: Model = with_error(model.with_effects(chain, params), entries)
         return found
+
+    def _checked(self, model: Model, name: str) -> dict[str, float]:
+        """Return the fitted parameters of one effect, all of them and none beyond its bounds."""
+        params, chain = self.params_of(name), _core.Chain([name], model.channels)
+        for label, low, high in zip(chain.labels, chain.low, chain.high):
+            room = 1e-6 * (high - low)
+            if label not in params:
+                raise SoftmapError(f"the diagnosis has no {label}; it is not of this model, diagnose again")
+            if not low - room <= params[label] <= high + room:
+                raise SoftmapError(
+                    f"{label} is {params[label]:.6g} in the diagnosis, allowed {low:.6g} to {high:.6g}; diagnose again"
+                )
+        return params
 
     def __str__(self) -> str:
         return diagnosis_text(self.to_dict())

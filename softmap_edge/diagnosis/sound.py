@@ -46,6 +46,8 @@ POSES = 5  # different places of points at a border: a body at rest has one
 ASTRAY = 0.15  # of the body's length between a point and its model, in one frame only
 ASTRAY_TIMES = 5.0  # the point's usual distance from its model, likewise
 ASTRAY_MOST = 0.1  # of the points: more are no outliers
+UNSTEADY, UNSTEADY_TIMES = 0.05, 4.0  # of all motion, and of the median dwell, that points may scatter in a dwell
+UNSTEADY_MOST = 0.3  # of the dwells: more are how this robot is
 WRONG_SIGMA = 5.0  # times the noise that repeats show, or as little
 UNSEEN = 0.2  # of the points that may never be seen before a word is said
 
@@ -83,7 +85,7 @@ def sound(model: Model, run: Run) -> Sound:
     remarks, keep = declared(model, run), np.ones(run.frames, bool)
     remarks += _sigma(run, u, seen, visible)
     for frames, text in _frames(run, u, seen, visible):
-        remarks.append(f"{int(frames.sum())} of {run.frames} frames {text}")
+        remarks.append(f"{int(frames.sum())} of {run.frames} frames {text}" if frames.any() else text)
         keep &= ~frames
     if keep.sum() < min(LEAST_FRAMES, run.frames):
         raise RunError(f"{int(keep.sum())} usable frames, at least {LEAST_FRAMES} are wanted: {'; '.join(remarks)}")
@@ -197,6 +199,9 @@ def _frames(run: Run, u: Floats, seen: Floats, visible: Mask) -> Iterator[tuple[
             f"are set aside: they were seen in a gap of {widest:.3g} s in the commands, which moved meanwhile; "
             "log every command",
         )
+    jumps, text = _unsteady(run, u, np.where(visible[..., None], seen, 0.0), visible)
+    if text:
+        yield jumps & ~late & ~inside, text
     again = _repeated(run, u, seen, visible)
     if again.any():
         yield (
@@ -204,6 +209,44 @@ def _frames(run: Run, u: Floats, seen: Floats, visible: Mask) -> Iterator[tuple[
             "are set aside: each repeats the picture before it exactly; the camera or its log hangs: drop repeated "
             "pictures, and stamp each when it is taken",
         )
+
+
+def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, str]:
+    """Return the frames (K,) of dwells in which the robot jumps though nothing is commanded, and what to say of them.
+
+    Each dwell's scatter about a quadratic in time (it may creep), RMS over its points, against the others' median.
+    """
+    none, state = np.zeros(run.frames, bool), conditions(run, u)
+    whole = visible.all(axis=0)
+    if not whole.any() or not u.shape[1]:
+        return none, ""
+    points = seen[:, whole].reshape(run.frames, -1)
+    dwells, scatter = [], []
+    for visit in np.unique(state.visit[~state.moving]):
+        rows = np.flatnonzero((state.visit == visit) & ~state.moving)
+        if visit < 0 or len(rows) < 4:
+            continue
+        basis, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, len(rows)), 3 if len(rows) >= 6 else 2))
+        left = points[rows] - basis @ (basis.T @ points[rows])
+        dwells.append(rows)
+        scatter.append(float(np.sqrt(3.0 * np.sum(left**2) / ((len(rows) - basis.shape[1]) * points.shape[1]))))
+    if len(dwells) < 4:
+        return none, ""
+    moved, usual = spread(seen, visible), float(np.median(scatter))
+    if usual > UNSTEADY * moved:
+        return none, (
+            f"while nothing is commanded the points scatter by {usual:.3g} mm RMS, {100 * usual / moved:.0f} % of what "
+            "they move at all, which counts as noise and hides what is smaller: does the robot go on moving for long, "
+            "are frames late or out of order, do its mount or the cameras shake?"
+        )
+    wild = [rows for rows, mm in zip(dwells, scatter) if mm > max(UNSTEADY_TIMES * usual, UNSTEADY * moved)]
+    if not wild or len(wild) > UNSTEADY_MOST * len(dwells):
+        return none, ""
+    none[np.concatenate(wild)] = True
+    return none, (
+        f"are set aside: while nothing is commanded the points jump by {max(scatter):.3g} mm RMS in them, in other "
+        f"dwells by {usual:.2g}; look at the order of the frames, and at what touched the robot or a camera"
+    )
 
 
 def _repeated(run: Run, u: Floats, seen: Floats, visible: Mask) -> Mask:

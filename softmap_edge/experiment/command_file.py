@@ -109,6 +109,9 @@ def _protocol(path: str | Path, rows: list[list[str]], unit: str) -> Protocol:
         k = int(np.argmax(np.abs(length - 1.0)))
         raise RunError(f"{path}: row {k + 1}: gravity of {length[k]:g} g; it is a direction of length 1")
     load, warm = column["load_g"], column["temperature_c"]
+    if not np.all((load >= 0) & np.isfinite(load)):
+        k = int(np.argmin((load >= 0) & np.isfinite(load)))
+        raise RunError(f"{path}: row {k + 1}: load_g is {load[k]:g}; a weight is 0 g or more")
     if np.isnan(warm).any() and not np.isnan(warm).all():
         raise RunError(f"{path}: temperature_c is given in some rows only; give it in all, or in none")
     seen = look == 1.0

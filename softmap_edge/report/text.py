@@ -74,6 +74,9 @@ def check_diagnosis(document: Any) -> None:
     for text in _demand(document.get("remarks") or [], list, "remarks"):
         _demand(text, str, "a remark")
     named = [*(document.get("effects") or []), *(document.get("faults") or [])]
+    names = [row.get("name") for row in named]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise ReportError(f"damaged diagnosis: it names '{twice}' twice; make it again")
     for row in document.get("servo") or []:
         _demand(row.get("error") or {}, Mapping, "error of a servo")
         named += _demand(row.get("effects") or [], list, "effects of a servo")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.errors import RunError, brief
+from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.columns import Array, HeldColumns
 
 LIMIT = 2**28  # bytes of one file: an hour of 50 markers at 100 Hz
@@ -51,7 +51,7 @@ def open_c3d(path: Path) -> HeldColumns:
         raise
     except Exception as fault:  # struct, numpy, codecs and asserts: whatever a damaged file meets
         raise RunError(
-            f"{path}: is a damaged C3D file ({brief(fault) or type(fault).__name__}); export it again"
+            f"{path}: is a damaged C3D file ({type(fault).__name__} while it is read); export it again"
         ) from None
     if not len(points):
         raise RunError(f"{path}: holds no frames; export it again")
