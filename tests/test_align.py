@@ -189,6 +189,9 @@ def test_an_aligned_run_is_as_good_as_one_recorded_in_the_base_frame(filmed, tmp
     turn = np.array(json.loads(capsys.readouterr().out)["transform"]["turn_deg"])
     assert np.abs(turn).max() < 0.05  # nothing is left to align, and the field holds the whole way
     np.testing.assert_allclose(Run.load(tmp_path / "again.npz").frame, aligned.frame, atol=0.4)
+    assert main(["align", str(tmp_path / "base.npz"), "--out", str(tmp_path / "camera.npz")]) == 2  # loses nothing
+    assert "--force to replace it" in capsys.readouterr().err
+    assert Run.load(tmp_path / "camera.npz").hash() == camera.hash()
 
 
 def test_another_run_takes_the_frame_of_an_aligned_one(filmed, tmp_path, capsys):
@@ -197,7 +200,7 @@ def test_another_run_takes_the_frame_of_an_aligned_one(filmed, tmp_path, capsys)
     camera.save(tmp_path / "camera.npz")
     assert main(["align", str(tmp_path / "camera.npz"), "--base", "clamped", "--out", str(tmp_path / "base.npz")]) == 0
     camera.at(np.arange(5)).save(tmp_path / "short.npz")
-    words = ["align", str(tmp_path / "short.npz"), "--out", str(tmp_path / "short_base.npz"), "--like"]
+    words = ["align", str(tmp_path / "short.npz"), "--out", str(tmp_path / "short_base.npz"), "--force", "--like"]
     assert main([*words, str(tmp_path / "base.npz")]) == 0
     seen = Run.load(tmp_path / "short_base.npz").vertices
     np.testing.assert_allclose(Run.load(tmp_path / "short_base.npz").extra["base_markers"][4], BASE, atol=0.5)
@@ -384,6 +387,7 @@ def test_markers_that_an_import_keeps_beside_the_run_give_the_frame_too(tmp_path
         str(tmp_path / "run.npz"),
         "--out",
         str(tmp_path / "out.npz"),
+        "--force",
         "--follow-base",
         "--json",
         "--base",

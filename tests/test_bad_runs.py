@@ -15,6 +15,7 @@ from test_diagnosis import finger_run
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.sound import sound
+from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.npz import write_npz
 from softmap_edge.protocol import Limits, standard_protocol
@@ -290,6 +291,62 @@ def test_a_command_that_is_really_held_at_its_extreme_is_not_called_clipped(name
     ends = np.abs(made.command) >= np.abs(made.command).max(axis=0) - 1e-9
     assert np.mean(ends[np.searchsorted(run.t, run.t_seen) - 1].any(axis=1)) > 0.1
     assert sound(model, replace(run, vertices=seen)).doubts == ()
+
+
+def test_frames_out_of_order_in_a_dwell_are_set_aside_and_hide_nothing(tmp_path, capsys):
+    """Five frames of 300 turned round: by themselves a dwell of 10 mm scatter, with which nothing would stand out."""
+
+    def turned(fields):
+        seen = fields["vertices"].copy()
+        seen[100:105] = seen[100:105][::-1]
+        return fields | {"vertices": seen}
+
+    for play in (False, True):
+        _, document, _ = diagnosed(written(tmp_path, turned, play), capsys)
+        named = [entry["name"] for entry in document["effects"]]
+        assert document["verdict"] != "nothing" and named == (["backlash"] if play else []), document["sentence"]
+        assert any("while nothing is commanded the points jump" in remark for remark in document["remarks"])
+        assert document["error"]["noise_floor"] < 0.3
+
+
+def test_a_slow_lag_is_a_lag_and_its_scatter_at_rest_is_told():
+    found = diagnose(builtin_model(), finger_run(["lag"], {"lag.tau": 2.0}), effects=["lag", "rate_limit", "creep"])
+    assert found.verdict == "identified" and [entry["name"] for entry in found.effects] == ["lag"]
+    assert any("which counts as noise and hides what is smaller" in remark for remark in found.remarks)
+
+
+@pytest.mark.parametrize(("hangs", "fits"), [(0.0, "no load at all fits"), (10.0, "10")])
+def test_a_load_that_is_declared_wrongly_is_no_physics(hangs, fits):
+    run = finger_run()
+    bare = replace(run, load=np.full(len(run.t), hangs))
+    seen = builtin_model().predict(bare) + run.vertices - builtin_model().predict(run)
+    wrong = replace(run, vertices=seen, load=np.full(len(run.t), 25.0))
+    found = diagnose(builtin_model(), wrong)
+    assert found.verdict == "measurement_fault" and found.effects == [], found.sentence
+    assert "`load` is declared as up to 25 g" in found.sentence and fits in found.sentence
+    right = diagnose(builtin_model(), replace(wrong, load=bare.load))
+    assert right.verdict == "nothing", right.sentence
+
+
+def test_a_recording_has_one_place(tmp_path):
+    run = finger_run()
+    with pytest.raises(SoftmapError, match="same run is given twice"):
+        diagnose(builtin_model(), [run, run])
+    with pytest.raises(SoftmapError, match="judges nothing"):
+        diagnose(builtin_model(), run, run)
+    with pytest.raises(SoftmapError, match="the reference is the run itself"):
+        diagnose(builtin_model(), run, reference=[run])
+    run.save(tmp_path / "run.npz")
+    (tmp_path / "d.json").write_text("{}")
+    argv = [
+        "diagnose",
+        str(tmp_path / "run.npz"),
+        "--since",
+        str(tmp_path / "d.json"),
+        "--out",
+        str(tmp_path / "d.json"),
+    ]
+    assert main(argv) == 2 and (tmp_path / "d.json").read_text() == "{}"
 
 
 def test_gravity_upside_down_is_refused(tmp_path, capsys):

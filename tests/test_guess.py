@@ -234,6 +234,9 @@ def test_the_verb_prints_or_writes_what_it_proposes(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "assumed   markers" in said and "unknown   what was commanded" in said and f"--map {out}" in said
     assert main(["import", path, "--map", out, "--out", str(tmp_path / "run.npz")]) == 0
+    assert main(["import", path, "--map", out, "--out", str(tmp_path / "run.npz")]) == 2
+    assert "a run stands there and would be lost" in capsys.readouterr().err
+    assert main(["import", path, "--map", out, "--out", str(tmp_path / "run.npz"), "--force"]) == 0
     (tmp_path / "map.toml").write_text("corrected by hand")
     assert main(["import", path, "--guess", "--out", out]) == 2
     assert "stands there already" in capsys.readouterr().err and (tmp_path / "map.toml").read_text()[:3] == "cor"

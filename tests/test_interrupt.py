@@ -6,7 +6,12 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
+
+from softmap_edge import Run, builtin_model
+from softmap_edge.own_effect import template
+from softmap_edge.protocol import standard_protocol
 
 STOPPED = 2.0  # s after the signal, on a busy machine; the work itself takes minutes
 STARTED = 1.5  # s of solving before the signal: within the first column of the sweep
@@ -39,3 +44,29 @@ def test_ctrl_c_stops_the_first_column_at_once(verb, tmp_path):
     assert process.returncode == 130
     assert said == f"softmap {verb}: interrupted\n"
     assert not list(tmp_path.iterdir())
+
+
+def test_a_law_of_a_user_that_never_ends_can_be_stopped(tmp_path):
+    """Python looks for signals in its main thread only, and laws run in others."""
+    law = (
+        template("endless").split("def rollout")[0] + "def rollout(params, u, t, ctx):\n    while True:\n        pass\n"
+    )
+    (tmp_path / "endless.py").write_text(law)
+    made, model = standard_protocol(), builtin_model()
+    rest = np.repeat(model.rest[None], made.frames, axis=0)
+    run = Run(t=made.t, command=made.command, t_seen=made.t_seen, gravity=made.gravity, vertices=rest)
+    run.save(tmp_path / "run.npz")
+    argv = ("diagnose", str(tmp_path / "run.npz"), "--effects", str(tmp_path / "endless.py"))
+    with softmap(*argv, "--out", str(tmp_path / "d.json")) as process:
+        try:
+            assert process.stdout.readline() == "up\n"
+            time.sleep(4.0)
+            assert process.poll() is None  # it is at work
+            os.kill(process.pid, signal.SIGINT)
+            start = time.monotonic()
+            _, said = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert time.monotonic() - start < STOPPED
+    assert process.returncode == 130 and said.endswith("softmap diagnose: interrupted\n")
+    assert not (tmp_path / "d.json").exists()

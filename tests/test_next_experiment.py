@@ -223,6 +223,7 @@ def test_next_writes_the_standard_protocol_and_blocks_by_name(tmp_path, capsys):
         (["next"], "no diagnosis is given"),
         (["next", "--block", "wave"], "no block 'wave'"),
         (["next", "--standard", "--minutes", "0"], "give a time above 0"),
+        (["next", "--standard", "--block", "circle"], "two protocols"),
         (["next", "--standard", "--out", "c.txt"], "saved as .csv"),
         (["next", "--standard", "--fastest", "-3"], "fastest speed of -3"),
         (["next", str(tmp_path / "c.csv")], "is not JSON"),

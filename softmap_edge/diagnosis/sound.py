@@ -47,6 +47,7 @@ ASTRAY = 0.15  # of the body's length between a point and its model, in one fram
 ASTRAY_TIMES = 5.0  # the point's usual distance from its model, likewise
 ASTRAY_MOST = 0.1  # of the points: more are no outliers
 UNSTEADY, UNSTEADY_TIMES = 0.05, 4.0  # of all motion, and of the median dwell, that points may scatter in a dwell
+STILL = 0.8  # of all motion: more scatter in the dwells, and the robot does not move
 UNSTEADY_MOST = 0.3  # of the dwells: more are how this robot is
 WRONG_SIGMA = 5.0  # times the noise that repeats show, or as little
 UNSEEN = 0.2  # of the points that may never be seen before a word is said
@@ -233,6 +234,8 @@ def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, s
     if len(dwells) < 4:
         return none, ""
     moved, usual = spread(seen, visible), float(np.median(scatter))
+    if not usual < STILL * moved:  # nothing moves: the scatter is all there is
+        return none, ""
     if usual > UNSTEADY * moved:
         return none, (
             f"while nothing is commanded the points scatter by {usual:.3g} mm RMS, {100 * usual / moved:.0f} % of what "
