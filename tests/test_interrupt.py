@@ -54,6 +54,7 @@ def test_a_law_of_a_user_that_never_ends_can_be_stopped(tmp_path):
     (tmp_path / "endless.py").write_text(law)
     made, model = standard_protocol(), builtin_model()
     rest = np.repeat(model.rest[None], made.frames, axis=0)
+    rest += 0.2 * np.random.default_rng(0).normal(size=rest.shape)
     run = Run(t=made.t, command=made.command, t_seen=made.t_seen, gravity=made.gravity, vertices=rest)
     run.save(tmp_path / "run.npz")
     argv = ("diagnose", str(tmp_path / "run.npz"), "--effects", str(tmp_path / "endless.py"))
