@@ -39,7 +39,7 @@ class FeatureMap:
 
     def __call__(self, points: Floats) -> Floats:
         """Return the features (..., V, 3) mm of `points` (..., N, 3) mm."""
-        return np.asarray(np.einsum("vn,...nc->...vc", self.weights, points))
+        return np.asarray(self.weights @ points)
 
     def matrix(self) -> Floats:
         """Return the map as one matrix (3N, 3V) on flattened coordinates, as `Table.project` takes it."""

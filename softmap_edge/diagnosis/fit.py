@@ -275,7 +275,7 @@ class Problem:
                 break
             step, fall = tries[best] - x, cost - float(costs[best])
             promised = cost - float(np.sum((residual + step @ jacobian) ** 2) + np.sum(tries[best] ** 2))
-            small = fall < 0.05 + 1e-4 * cost and float(np.max(np.abs(step))) < 0.02
+            small = fall < 0.05 + 1e-4 * cost and float(np.max(np.abs(step))) < 0.1
             if costs[best] < cost:
                 missed = ahead[best] - modes - np.tensordot(step, slopes, 1)
                 x, modes = tries[best], ahead[best]

@@ -26,8 +26,8 @@ Floats = NDArray[np.float64]
 LOOKED = 2  # candidates that are looked at again on top of a fit, for each one that is predicted
 PREDICTED = 2  # candidates that are predicted and not only looked at by slopes, for each one that is fitted
 INSTANTS, MOST_STARTS = 8, 11  # places in time at which something may have happened; starts of one effect
-STEPPED = 5  # starts of each from which a step is taken: those that come nearest
-FRAMES = 200  # on which candidates are looked at by slopes
+STEPPED, STEPPED_ON = 5, 2  # starts of each from which a step is taken: those that come nearest; on top of a fit
+FRAMES = 120  # on which candidates are looked at by slopes
 FAINTER = (0.05, 0.1, 0.2, 0.4)  # of the way from a start that is worse than nothing to the ends of its scale
 NEAR = 0.25  # of the commands' range: farther, a screening step is predicted and not taken along the slopes
 
@@ -131,9 +131,10 @@ class Screening:
             x = np.array([parent.x[old[label]] if label in old else 0.0 for label in labels])
             x[new] = start
             joint.append(np.clip(x, space.low, space.high))
-        if len(joint) > STEPPED:
+        most = STEPPED_ON if parent.effects else STEPPED
+        if len(joint) > most:
             costs = problem.costs(self._glance(parent, space, effect, np.stack(joint)), np.stack(joint))[0]
-            joint = [joint[i] for i in np.argsort(costs, kind="stable")[:STEPPED]]
+            joint = [joint[i] for i in np.argsort(costs, kind="stable")[:most]]
         batch, width = [], len(new) + 1
         for x in joint:
             batch.append(x)

@@ -18,7 +18,7 @@ from math import comb, log
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.fit import Fit, Problem
+from softmap_edge.diagnosis.fit import Fit, Problem, Space
 from softmap_edge.diagnosis.screening import Screening
 
 Floats = NDArray[np.float64]
@@ -31,10 +31,10 @@ CV_RISE, CV_SHOWN = 0.05, 2  # a fold whose loss hardly falls and rises by less 
 VISIBLE_MM = 0.12  # least RMS displacement of the centreline
 SHARE = 0.045  # least share of the explained misfit: forms off by a fifth leave so much, and that is nobody's effect
 PROMISING = 0.03  # least share of the misfit that a larger set must win for the search to go on without a valid one
-WIDE = 4.0  # times what the best set leaves: one that leaves more is not grown
 HOPEFUL = 0.5  # of what is promising, or of what a rival must carry: what is predicted to win less is not fitted
 FORM_TOLERANCE, FIELD_TOLERANCE = 0.2, 0.3  # of what another member moves: no form is truer; linear fields of stiffness
 EQUAL = 6.0  # difference of EBIC (odds of 20) below which two sets of the same size count as equally good
+APART, SECOND = 0.5, 2.0  # of a scale between two starts, and times what the first leaves, for a second to be tried
 ALIKE = 1.02  # of the held-out error: effects of one form differ by less
 FLOATED = 0.9  # of what the nearest set of a size leaves: one that came by dropping a member is nearer, and goes first
 SIMPLER = 0.9  # of the held-out error in mm: fewer effects that reach it stand for more that the objective likes better
@@ -85,7 +85,7 @@ class Search:
         return self._fits[key]
 
     def grow(self, parent: Fit, effect: str, points: list[Floats] | None = None) -> Fit:
-        """Fit `parent` with `effect` added; effects with a log scale get a second start."""
+        """Fit `parent` with `effect` added; alone, effects with a log scale get a second start."""
         key = frozenset((*parent.effects, effect))
         if key in self._fits:
             return self._fits[key]
@@ -94,12 +94,18 @@ class Search:
         starts = points[:1]
         space = self.problem.space((*parent.effects, effect))
         own = np.array([label.split(".")[0] == effect for label in space.free_labels])
-        if np.any(space.log & own & space.declared):
-            others = [p for p in points[1:] if np.max(np.abs(p - points[0])) > 0.5]
-            starts += others[:1]
+        if not parent.effects and np.any(space.log & own & space.declared):
+            starts += self._elsewhere(space, points)
         found = self.problem.fit((*parent.effects, effect), starts)
         self._fits[key] = found
         return found
+
+    def _elsewhere(self, space: Space, points: list[Floats]) -> list[Floats]:
+        """Return the next of `points` that lies in another place than the first and leaves little more, or nothing."""
+        apart = [p for p in points[1:] if np.max(np.abs(p - points[0])) > APART][:1]
+        tried = np.stack([points[0], *apart])
+        first, *others = self.problem.costs(self.problem.at(space, tried), tried)[0]
+        return [p for p, cost in zip(apart, others) if cost < SECOND * first]
 
     # --- criteria -------------------------------------------------------------------------------
 
@@ -225,8 +231,7 @@ class Search:
             chosen = self._swapped(good)
             if self._done(chosen):
                 break
-            if frozenset(chosen.effects) not in {frozenset(b.effects) for b in beam}:
-                beam = [chosen, beam[0]]
+            beam = [chosen]
         return self._undominated(chosen)
 
     def _undominated(self, fit: Fit) -> Fit:
@@ -261,18 +266,19 @@ class Search:
         return children if fit is children[0] else [fit, *children]
 
     def _beam(self, children: list[Fit]) -> list[Fit]:
-        """Return the best of `children`; beside a valid first none that leaves WIDE times as much beyond noise."""
-        if not self.valid(children[0]):
-            return children[:BEAM]
-        least = self.problem.numbers + WIDE * max(children[0].cost - self.problem.numbers, 0.0)
-        return [child for child in children[:BEAM] if child.cost <= least]
+        """Return the best of `children`: the first alone where it is valid, since swaps make up for its rivals."""
+        return children[: 1 if self.valid(children[0]) else BEAM]
 
     def _done(self, fit: Fit) -> bool:
-        """Whether a valid set leaves less than what a further member would have to win to be looked for."""
-        base = self._measured(fit)
+        """Whether a valid set leaves less beyond noise than what a further member would have to win to be looked for.
+
+        Of the plain loss, in which the form error stands in the variance, noise is what that leaves of it.
+        """
+        base, numbers = self._measured(fit), self.problem.numbers
         before, after = (float(self.cv(f)[0].sum()) for f in (base, fit))
-        pairs = [(base.cost, fit.cost), (before, after)]
-        return all(left < PROMISING * (first - left) for first, left in pairs)
+        share = float(np.mean(1.0 / (1.0 + self.problem.whitener.form)))
+        pairs = [(base.cost, fit.cost, numbers), (before, after, share * numbers)]
+        return all(left - noise < PROMISING * (first - left) for first, left, noise in pairs)
 
     def _children(self, beam: list[Fit], refits: int) -> list[Fit]:
         found: dict[frozenset[str], Fit] = {}
@@ -292,7 +298,7 @@ class Search:
         for _ in range(2):
             best = fit
             for member in fit.effects:
-                for other in self.alternatives(fit, member, 1):
+                for other in self.alternatives(fit, member, 1, 1.0):
                     dispersion = self.dispersion(best)
                     if self.score(other, dispersion) < self.score(best, dispersion) - 2.0 and self.valid(other):
                         best = other
@@ -306,11 +312,11 @@ class Search:
         mine = frozenset(fit.effects)
         return [found for key, found in self._fits.items() if mine < key and len(key) == len(mine) + 1]
 
-    def alternatives(self, fit: Fit, member: str, count: int) -> list[Fit]:
-        """Return the best `count` sets with `member` exchanged for another candidate that may do what it does."""
+    def alternatives(self, fit: Fit, member: str, count: int, share: float = RIVAL_SHARE) -> list[Fit]:
+        """Return the best `count` sets with `member` exchanged for another that may do this `share` of what it does."""
         rest = self.get(frozenset(fit.effects) - {member})
         others = [other for other in self.candidates if other not in fit.effects]
-        least = HOPEFUL * RIVAL_SHARE * (rest.cost - fit.cost)
+        least = HOPEFUL * share * (rest.cost - fit.cost)
         best = self.screening.best(rest, others, count, 0.5 * least)
         return [self.grow(rest, other, points) for cost, other, points in best if rest.cost - cost >= least]
 
