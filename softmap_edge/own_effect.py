@@ -6,7 +6,7 @@ runs the process, so nothing here loads by itself: a bundle carries a copy and i
 A name stands for one file: another file of the same name is refused until `forget_effect`. The law is called for each
 record with B = 1, remembers nothing between calls and begins in equilibrium with its first sample; that it changes
 nothing at its null values is tried once for each number of channels. It has no step, so no control loop takes it.
-Pinned by tests/test_own_effect.py.
+Pinned by tests/test_own_effect.py and tests/test_own_effect_bundles.py.
 """
 
 from __future__ import annotations
@@ -75,6 +75,7 @@ class OwnEffect:
 
 
 _LOADED: dict[str, OwnEffect] = {}
+_RUNNING: set[int] = set()  # threads in which a law runs now
 
 
 def load_effect(path: str | Path, sha256: str | None = None) -> OwnEffect:
@@ -367,9 +368,6 @@ def interrupt() -> None:
     for thread in list(_RUNNING):
         _RUNNING.discard(thread)
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(KeyboardInterrupt))
-
-
-_RUNNING: set[int] = set()  # threads in which a law runs now
 
 
 def _line(fault: BaseException, file: Path) -> str:

@@ -1,4 +1,4 @@
-"""Align finds a known frame within its stated uncertainty, tells a base that moves, and refuses what cannot work."""
+"""Align finds a known frame within its stated uncertainty and tells a base that moves."""
 
 import json
 import warnings
@@ -14,7 +14,7 @@ from softmap_edge.alignment.result import in_frame
 from softmap_edge.alignment.rigid import Pose, kabsch, robust, rotation, rotation_vector
 from softmap_edge.cli import main
 from softmap_edge.commands.align import without
-from softmap_edge.errors import AlignError, RunError
+from softmap_edge.errors import RunError
 from softmap_edge.protocol import standard_protocol
 
 DEGREES = np.r_[np.full(3, np.degrees(1.0)), np.ones(3)]
@@ -157,8 +157,7 @@ def test_a_marker_that_was_glued_elsewhere_is_left_aside():
 # --- the whole way: another finger, verb, compare, diagnose -----------------------------------
 
 
-@pytest.fixture(scope="module")
-def filmed():
+def film():
     """A vertex run of the standard protocol with camera jitter, in the base frame and in the camera's."""
     from softmap_edge.truth import Camera
 
@@ -168,6 +167,9 @@ def filmed():
     played = model.with_effects(("backlash",), {"backlash.gap": 2.0})
     seen = Camera().look(played.predict(Run(**record, vertices=blank)), p.t_seen, np.random.default_rng(4))
     return Run(**record, vertices=seen), Run(**record, vertices=CAMERA.inverse()(seen))
+
+
+filmed = pytest.fixture(scope="module")(film)
 
 
 def test_an_aligned_run_is_as_good_as_one_recorded_in_the_base_frame(filmed, tmp_path, capsys):
@@ -290,38 +292,7 @@ def test_the_base_of_a_real_beam_turns_within_a_run():
     assert len(turned) == 4 and min(turned) > 0.4 and max(turned) < 2.0
 
 
-# --- what cannot work -------------------------------------------------------------------------
-
-LINE = np.array([[0.0, 0, z] for z in (10, 40, 70, 110)])
-
-
-@pytest.mark.parametrize(
-    ("spoil", "words"),
-    [
-        (lambda run: marked(rest=LINE), ["one line", "rotation about it (about z)", "--base"]),
-        (lambda run: changed(run, markers=run.markers * [1, 1, -1]), ["mirrored", "axes"]),
-        (lambda run: changed(run, markers=run.markers * 1.3), ["1.3 times", "another robot"]),
-        (
-            lambda run: marked(visits=2).slice_time(0.0, 7.5),
-            ["too few home frames", "1 visits", "2 are needed", "at the end"],
-        ),
-        (lambda run: run.at(np.arange(12)), ["too few home frames", "1 visits"]),
-        (lambda run: changed(run, markers=run.markers[:, np.random.default_rng(0).permutation(12)]), ["another order"]),
-    ],
-)
-def test_what_cannot_work_is_refused_with_its_number_and_remedy(spoil, words):
-    with pytest.raises(AlignError) as fault:
-        align_home(spoil(marked()), builtin_model())
-    assert "\n" not in str(fault.value)
-    for word in words:
-        assert word in str(fault.value)
-
-
-@pytest.mark.parametrize(("factor", "words"), [(10.0, "centimetres"), (25.4, "inches"), (0.1, "tenths of a mm")])
-def test_vertices_in_other_units_are_refused(factor, words, filmed):
-    with pytest.raises(AlignError, match="wrong units.*convert the points to mm") as fault:
-        align_home(changed(filmed[1], vertices=filmed[1].vertices / factor), builtin_model())
-    assert words in str(fault.value)
+# --- what works too: a robot at rest, markers of the base, cameras ----------------------------
 
 
 def changed(run, **fields):
@@ -335,35 +306,6 @@ def test_a_robot_that_is_never_commanded_rests_at_home_always():
     still = changed(run.at(rest), command=np.zeros((len(run.t), 2)))
     found = align_home(still, builtin_model())
     assert found.groups >= 6 and np.all(np.abs(off(found)) < 3.5 * found.sigma)
-
-
-def test_a_run_of_another_robot_is_refused():
-    run = marked()
-    with pytest.raises(RunError, match="3 commands a sample"):
-        align_home(changed(run, command=np.zeros((len(run.t), 3))), builtin_model())
-
-
-@pytest.mark.parametrize(
-    ("base", "words"),
-    [
-        (["0", "1"], "2 base points"),
-        (["0:0,0,0", "1:0,0,30", "2:0,0,60"], r"rotation about it \(about z\) is unknown"),
-        (["0:0,0", "1", "2"], "three numbers"),
-        (["0", "1", "99"], "markers 0 to 11"),
-        (["0", "one", "2"], "no number of a marker"),
-        (["clamped"], "needs a run and a model with vertices"),
-        (["0:0,0,0", "1:0.03,0,0", "2:0,0.03,0"], "lie within"),
-        (["0:0,0,0", "1:0,-80,0", "2:80,0,0"], "wrong units|another robot"),
-    ],
-)
-def test_base_points_that_give_no_frame_are_refused_in_one_line(base, words, tmp_path, capsys):
-    import re
-
-    marked().save(tmp_path / "run.npz")
-    assert main(["align", str(tmp_path / "run.npz"), "--out", str(tmp_path / "out.npz"), "--base", *base]) == 2
-    error = capsys.readouterr().err
-    assert re.search(words, error) and error.count("\n") == 1
-    assert not (tmp_path / "out.npz").exists()
 
 
 def test_base_markers_can_be_left_out_afterwards(tmp_path, capsys):
@@ -422,12 +364,6 @@ def test_cameras_are_carried_along_with_what_they_see():
         replace(run, cameras=2.0 * looking)
     with pytest.raises(RunError, match="cameras: shape"):
         replace(run, cameras=looking[0])
-
-
-def test_a_frame_that_is_no_rotation_is_refused():
-    run = marked()
-    with pytest.raises(RunError, match="frame: its first three columns"):
-        changed(run, frame=np.column_stack([np.diag([1.0, 1, -1]), np.zeros(3)]))
 
 
 def test_clamped_vertices_are_those_on_the_base(filmed):

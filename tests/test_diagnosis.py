@@ -227,7 +227,7 @@ def test_rod_frames_count_by_their_correlation():
 # --- what a run can do to a diagnosis, on the built-in finger ------------------------------------
 
 
-def finger_run(names=(), params=None, acting=None, noise=0.25):
+def finger_run(names=(), params=None, acting=None, noise=0.25, seed=0):
     """A run of the standard protocol on the built-in finger itself; `acting` replaces the command that acts."""
     shown = standard_protocol(2)
     model = builtin_model()
@@ -235,7 +235,7 @@ def finger_run(names=(), params=None, acting=None, noise=0.25):
     run = Run(shown.t, shown.command, shown.t_seen, vertices=rest, gravity=shown.gravity, robot=model.robot)
     true = model.with_effects(names, params or {})
     points = true.predict(run if acting is None else replace(run, command=acting(shown.command)))
-    return replace(run, vertices=points + noise * np.random.default_rng(0).normal(size=points.shape))
+    return replace(run, vertices=points + noise * np.random.default_rng(seed).normal(size=points.shape))
 
 
 LAWS = {

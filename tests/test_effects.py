@@ -7,25 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from laws import (
-    BY_ROLE,
-    CAMERAS,
-    COEFFICIENTS,
-    EFFECTS,
-    HOME,
-    OBSTACLE,
-    ORACLES,
-    finger_body,
-    named,
-    protocol,
-    random_params,
-    record,
-    rod_body,
-    slot,
-    turning,
-    values,
-    warming,
-)
+from bodies import CAMERAS, COEFFICIENTS, HOME, OBSTACLE, finger_body, protocol, record, rod_body, turning, warming
+from laws import BY_ROLE, EFFECTS, ORACLES, named, random_params, slot, values
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError

@@ -91,7 +91,7 @@ def test_folds_hold_out_blocks_of_time():
         assert not set(train) & set(test)
         assert np.all(np.diff(test) == 1)
         assert np.min(np.abs(t[train][:, None] - t[test][None])) > 1.0
-    with pytest.raises(SoftmapError, match="at least 8"):
+    with pytest.raises(SoftmapError, match="record 8 or more"):
         run_folds(np.arange(5.0))
 
 

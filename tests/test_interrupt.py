@@ -15,6 +15,7 @@ from softmap_edge.protocol import standard_protocol
 
 STOPPED = 2.0  # s after the signal, on a busy machine; the work itself takes minutes
 STARTED = 1.5  # s of solving before the signal: within the first column of the sweep
+REACHED = 4.0  # s until a diagnosis calls its laws
 
 
 def softmap(*argv):
@@ -28,21 +29,26 @@ def softmap(*argv):
     )
 
 
+def stop(process, after):
+    """Wait for a command to be at work, press Ctrl-C, and return what it said before it ended."""
+    try:
+        assert process.stdout.readline() == "up\n"
+        time.sleep(after)
+        assert process.poll() is None  # it is at work
+        os.kill(process.pid, signal.SIGINT)
+        start = time.monotonic()
+        _, said = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert time.monotonic() - start < STOPPED
+    assert process.returncode == 130
+    return said
+
+
 @pytest.mark.parametrize("verb", ["build", "sweep"])
 def test_ctrl_c_stops_the_first_column_at_once(verb, tmp_path):
     with softmap(verb, "--steps", "201", "--out", str(tmp_path / "out.npz")) as process:
-        try:
-            assert process.stdout.readline() == "up\n"
-            time.sleep(STARTED)
-            assert process.poll() is None  # it is at work
-            os.kill(process.pid, signal.SIGINT)
-            start = time.monotonic()
-            _, said = process.communicate(timeout=60)
-        finally:
-            process.kill()
-    assert time.monotonic() - start < STOPPED
-    assert process.returncode == 130
-    assert said == f"softmap {verb}: interrupted\n"
+        assert stop(process, STARTED) == f"softmap {verb}: interrupted\n"
     assert not list(tmp_path.iterdir())
 
 
@@ -59,15 +65,5 @@ def test_a_law_of_a_user_that_never_ends_can_be_stopped(tmp_path):
     run.save(tmp_path / "run.npz")
     argv = ("diagnose", str(tmp_path / "run.npz"), "--effects", str(tmp_path / "endless.py"))
     with softmap(*argv, "--out", str(tmp_path / "d.json")) as process:
-        try:
-            assert process.stdout.readline() == "up\n"
-            time.sleep(4.0)
-            assert process.poll() is None  # it is at work
-            os.kill(process.pid, signal.SIGINT)
-            start = time.monotonic()
-            _, said = process.communicate(timeout=60)
-        finally:
-            process.kill()
-    assert time.monotonic() - start < STOPPED
-    assert process.returncode == 130 and said.endswith("softmap diagnose: interrupted\n")
+        assert stop(process, REACHED).endswith("softmap diagnose: interrupted\n")
     assert not (tmp_path / "d.json").exists()

@@ -4,26 +4,22 @@ from functools import partial
 
 import numpy as np
 import pytest
-from laws import (
-    BY_ROLE,
+from bodies import (
     CAMERAS,
-    EFFECTS,
     FIELD_VALUES,
     HOME,
-    ORACLES,
     TENSION_VALUES,
     finger,
     finger_body,
     lost,
-    named,
     record,
     rod_body,
     stopped,
     tabulated,
     turning,
-    values,
     warming,
 )
+from laws import BY_ROLE, EFFECTS, ORACLES, named, values
 
 from softmap_edge import _core
 from softmap_edge.errors import CoreError

@@ -109,7 +109,7 @@ def test_refit_of_several_runs_and_runs_that_do_not_fit_together():
 
 def test_verb_takes_several_runs(tmp_path, capsys):
     for k in (1, 2):
-        finger_run(["backlash"], {"backlash.gap": 1.0}).save(tmp_path / f"{k}.npz")
+        finger_run(["backlash"], {"backlash.gap": 1.0}, seed=k).save(tmp_path / f"{k}.npz")
     paths = [str(tmp_path / "1.npz"), str(tmp_path / "2.npz")]
     out = str(tmp_path / "d.json")
     assert main(["diagnose", *paths, "--effects", "backlash,offset", "--out", out]) == 0

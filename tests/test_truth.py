@@ -270,4 +270,4 @@ def test_laws_that_are_asked_for_by_name_move_every_channel():
     assert np.array_equal(SwappedServos().command(t, u), u[:, [1, 0, 2, 3]])
     assert np.array_equal(SwappedServos().command(t, u[:, :1]), -u[:, :1])
     hidden = hide(["servo_swap", "creep", "off_centre_spool"], 3)
-    assert [law.NAME for law in hidden.secrets] == ["servo_swap", "off_centre_spool", "creep"]
+    assert [secret.name for secret in hidden.secrets] == ["servo_swap", "off_centre_spool", "creep"]

@@ -56,6 +56,7 @@ pub fn watched<T: Send>(
 
 /// Run on another thread a law that a user wrote, which may never end, while this one watches for Ctrl-C and passes it on.
 pub fn patiently<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
+    let own_effect = py.import("softmap_edge.own_effect")?; // before there is anything to wait for
     let (done, told) = (Mutex::new(false), Condvar::new());
     let tell = || {
         *done.lock().unwrap_or_else(PoisonError::into_inner) = true;
@@ -75,9 +76,8 @@ pub fn patiently<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Sen
         let mut trouble = None;
         while !py.detach(wait) && !worker.is_finished() {
             if let Err(error) = py.check_signals() {
-                py.import("softmap_edge.own_effect")?
-                    .call_method0("interrupt")?;
-                trouble.get_or_insert(error);
+                let passed_on = own_effect.call_method0("interrupt");
+                trouble.get_or_insert(passed_on.map_or_else(|fault| fault, |_| error));
             }
         }
         let found = py

@@ -6,7 +6,8 @@ misaligned by 2 mm, a swapped servo, a clock 0.2 s late) passes.
 
     follows = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²     s seen, p predicted points, means over the frames
 
-Units: mm, s, deg. Limit: markers on one line have no handedness and no order. Pinned by tests/test_bad_runs.py.
+Units: mm, s, deg. Limit: markers on one line have no handedness and no order. Pinned by tests/test_bad_runs.py
+and tests/test_wrongly_declared.py.
 """
 
 from __future__ import annotations

@@ -8,7 +8,8 @@ again under the signs that look best with a free weight at the tip,
 
 and the declaration is at fault where its held-out error is WORSE of the other's or less. A load is scaled by what fits
 best before a search, and must hold there too. Units: mm RMS, held out.
-Limit: axes that were exchanged are not tried, nor runs relative to a reference. Pinned by tests/test_bad_runs.py.
+Limit: axes that were exchanged are not tried, nor runs relative to a reference. Pinned by
+tests/test_wrongly_declared.py.
 """
 
 from __future__ import annotations
@@ -83,8 +84,8 @@ def wrong_load(record: Record, error: float, again: Callable[[Sequence[Run]], fl
     thin = [_thin(run) for run in runs]
     whole, bare = (record_of(record.model, those, record.library) for those in (thin, [_loaded(r, 0.0) for r in thin]))
     off, shift = (
-        np.nan_to_num(whole.seen - record_.predict(record.model.chain_names, record_.own()[None])[0])
-        for record_ in (whole, bare)
+        np.nan_to_num(whole.seen - declared.predict(record.model.chain_names, declared.own()[None])[0])
+        for declared in (whole, bare)
     )
     does = shift - off  # of all that is declared
     share = float(np.sum(shift * does)) / max(float(np.sum(does**2)), 1e-12)

@@ -171,7 +171,9 @@ class Problem:
         """Return the same on some of the frames, `rows` rising."""
         record = self.record.some(rows)
         kernel = command_kernel(record.command, self.record.spread, self.record.leaning[rows])
-        return Problem(record, self.noise, replace(self.whitener, kernel=kernel), self.base)
+        few = Problem(record, self.noise, replace(self.whitener, kernel=kernel), self.base)
+        few._spaces = self._spaces  # frames do not matter to them
+        return few
 
     def modes(self, predicted: Floats) -> Floats:
         """Return the residual modes (..., K, M) of predictions (..., K, F)."""
@@ -211,9 +213,11 @@ class Problem:
         if self._seen is None or self._seen[0] is not seen:
             whole = np.asarray(np.isfinite(seen).all(axis=1))
             rows = np.union1d(self.record.begins, np.flatnonzero(~whole))
-            few = None if whole.all() else self.record.some(rows)
-            modes = np.where(whole[:, None], seen, 0.0) @ self._weights
-            self._seen = seen, Told(modes, rows, few) if len(rows) <= HALF_SEEN * len(seen) else None
+            told = None
+            if len(rows) <= HALF_SEEN * len(seen):
+                few = None if whole.all() else self.record.some(rows)
+                told = Told(np.where(whole[:, None], seen, 0.0) @ self._weights, rows, few)
+            self._seen = seen, told
         return self._seen[1]
 
     def at(self, space: Space, x: Floats) -> Floats:

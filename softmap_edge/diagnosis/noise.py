@@ -32,6 +32,7 @@ BODY_LENGTH = 0.35  # of the body: how far form error is correlated along it
 ENOUGH = 15  # degrees of freedom below which replicates are not trusted
 MODES = 24  # largest number of spatial modes kept
 FLOOR = 1e-3  # mm: no camera is better than this
+LEAST_DWELL, LONG_DWELL = 4, 6  # frames of a dwell that tell of noise beside a drift, and beside one that bends
 
 
 @dataclass(frozen=True)
@@ -63,17 +64,13 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
     scatter, degrees, lag = np.zeros((residual.shape[1],) * 2), 0, [0.0, 0.0]
     shown = np.maximum(np.isfinite(residual[visit >= 0]).mean(axis=0), 1e-3) if np.any(visit >= 0) else np.ones(0)
     for frames in blocks:
-        if len(frames) < 4:
+        if len(frames) < LEAST_DWELL:
             continue
-        here = _filled(residual[frames])
-        # Quadratic in time: creep within a dwell is not noise.
-        tau = np.linspace(-1.0, 1.0, len(frames))
-        order = 2 if len(frames) >= 6 else 1
-        basis, _ = np.linalg.qr(np.vander(tau, order + 1))
-        rest = np.where(np.isfinite(residual[frames]), here - basis @ (basis.T @ here), 0.0)
+        rest, order = undrifted(_filled(residual[frames]))
+        rest[~np.isfinite(residual[frames])] = 0.0
         scatter += rest.T @ rest
-        degrees += len(frames) - order - 1
-        lag[0] += float(np.sum(rest[1:] * rest[:-1])) + float(np.sum(rest**2)) * (order + 1) / len(frames)
+        degrees += len(frames) - order
+        lag[0] += float(np.sum(rest[1:] * rest[:-1])) + float(np.sum(rest**2)) * order / len(frames)
         lag[1] += float(np.sum(rest**2))
     if degrees >= ENOUGH:
         rho = float(np.clip(lag[0] / max(lag[1], 1e-300), 0.0, 0.95))
@@ -81,6 +78,16 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
         scatter = scatter / np.sqrt(np.outer(shown, shown))
         return Noise(_shrunk(scatter / degrees, degrees), f"replicates ({degrees} degrees of freedom)", inflation)
     return Noise(_high_frequency(_filled(residual), t_seen), "high-frequency part of the run (no replicates)", 1.0)
+
+
+def undrifted(dwell: Floats) -> tuple[Floats, int]:
+    """Return what a dwell (K, F) scatters about a quadratic in time, a line where it is short, and what that fits.
+
+    Creep within a dwell is not noise.
+    """
+    tau, order = np.linspace(-1.0, 1.0, len(dwell)), 3 if len(dwell) >= LONG_DWELL else 2
+    basis, _ = np.linalg.qr(np.vander(tau, order))
+    return np.asarray(dwell - basis @ (basis.T @ dwell)), order
 
 
 def _filled(residual: Floats) -> Floats:

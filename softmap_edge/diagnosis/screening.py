@@ -27,6 +27,7 @@ LOOKED = 2  # candidates that are looked at again on top of a fit, for each one 
 PREDICTED = 2  # candidates that are predicted and not only looked at by slopes, for each one that is fitted
 INSTANTS, MOST_STARTS = 8, 11  # places in time at which something may have happened; starts of one effect
 STEPPED, STEPPED_ON = 5, 2  # starts of each from which a step is taken: those that come nearest; on top of a fit
+SIGNED = 2  # starts of each whose signatures are kept
 FRAMES = 120  # on which candidates are looked at by slopes
 FAINTER = (0.05, 0.1, 0.2, 0.4)  # of the way from a start that is worse than nothing to the ends of its scale
 NEAR = 0.25  # of the commands' range: farther, a screening step is predicted and not taken along the slopes
@@ -90,8 +91,9 @@ class Screening:
             points = self._points[frozenset(parent.effects), effect]
             space = self.problem.space((*parent.effects, effect))
             counts[effect] = space.count
-            costs = self.problem.costs(self.problem.at(space, np.stack(points[:2])), np.stack(points[:2]))[0]
-            order = [*np.argsort(costs, kind="stable"), *range(2, len(points))]
+            first = np.stack(points[: 1 if parent.effects else 2])  # on top of a fit no second start is fitted
+            costs = self.problem.costs(self.problem.at(space, first), first)[0]
+            order = [*np.argsort(costs, kind="stable"), *range(len(first), len(points))]
             found.append((float(costs.min()), effect, [points[i] for i in order]))
         dispersion = max([1.0, min(cost for cost, *_ in found) / max(1.0, self.problem.numbers)]) if found else 1.0
         price = dispersion * log(max(3.0, self.problem.numbers))  # of a parameter, as in EBIC
@@ -157,13 +159,14 @@ class Screening:
         after = self._glance(parent, space, effect, np.stack(ahead))
         points = np.concatenate([np.stack(joint), np.stack(ahead)])
         costs = problem.costs(np.concatenate([modes[:, 0], after]), points)[0]
+        order = np.argsort(costs, kind="stable")
         if not parent.effects:
             shifts = modes[:, :1] - self._glimpse(parent).modes
+            nearest = dict.fromkeys(int(i) % len(joint) for i in order)
             self._signatures[effect] = [
-                Signature(x[new], self.few.white(np.concatenate([slopes, shift])))
-                for x, slopes, shift in zip(joint, rates, shifts)
+                Signature(joint[i][new], self.few.white(np.concatenate([rates[i], shifts[i]])))
+                for i in list(nearest)[:SIGNED]
             ]
-        order = np.argsort(costs, kind="stable")
         return float(costs[order[0]]), [points[i] for i in order]
 
     def _promising(self, parent: Fit, effects: Sequence[str], count: int, least: float) -> list[str]:

@@ -23,7 +23,8 @@ from softmap_edge.diagnosis.screening import Screening
 
 Floats = NDArray[np.float64]
 
-BEAM, REFITS, LARGEST, ROUNDS = 2, 5, 4, 6
+BEAM, LARGEST, ROUNDS = 2, 4, 6
+REFITS, REFITS_ON = 5, 3  # candidates that are fitted alone, and on top of a fit
 RIVALS = 5  # other candidates that are fitted in the place of a member
 STAGES = ("command", "transmission", "material", "shape", "sensing")
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
@@ -209,10 +210,10 @@ class Search:
 
     def run(self) -> Fit:
         """Search and return the largest set whose members are all accepted, or a smaller one that is nearer."""
-        chosen, beam = self.null, [self.null]
+        chosen, beam, most = self.null, [self.null], min(LARGEST, len(self.candidates))
         for _ in range(ROUNDS):
-            beam = [fit for fit in beam if len(fit.effects) < min(LARGEST, len(self.candidates))]
-            children = self._children(beam, REFITS if beam == [self.null] else REFITS - 1)
+            beam = [fit for fit in beam if len(fit.effects) < most]
+            children = self._children(beam, REFITS if beam == [self.null] else REFITS_ON)
             if not children:
                 break
             dispersion, size = self.dispersion(children[0]), len(children[0].effects)
@@ -220,7 +221,7 @@ class Search:
             if self.score(children[0], dispersion) >= min(self.score(b, dispersion) for b in [chosen, *beam]):
                 break
             children = self._floated(children)
-            beam_before, beam = beam, self._beam(children)
+            beam_before, beam = beam, children[: 1 if self.valid(children[0]) else BEAM]  # swaps bring its rivals in
             level = self.score(chosen, dispersion)
             good = next((c for c in beam if self.score(c, dispersion) < level and self.valid(c)), None)
             if good is None:  # a pair may need its third; what is not accepted is never reported
@@ -251,9 +252,8 @@ class Search:
     def _floated(self, children: list[Fit]) -> list[Fit]:
         """Return `children` with the best of them rid of members that it does better without, if there are such.
 
-        What came first may have stood for what came later: sets shrink while what is left is nearer than any set of its
-        size that was tried (sequential floating selection: Pudil, Novovičová and Kittler 1994,
-        doi:10.1016/0167-8655(94)90127-9).
+        What came first may have stood for what came later: sets shrink while what is left is nearer than any tried set
+        of its size (sequential floating selection: Pudil et al. 1994, doi:10.1016/0167-8655(94)90127-9).
         """
         fit = children[0]
         while len(fit.effects) > 1:
@@ -264,10 +264,6 @@ class Search:
                 break
             fit = smaller
         return children if fit is children[0] else [fit, *children]
-
-    def _beam(self, children: list[Fit]) -> list[Fit]:
-        """Return the best of `children`: the first alone where it is valid, since swaps make up for its rivals."""
-        return children[: 1 if self.valid(children[0]) else BEAM]
 
     def _done(self, fit: Fit) -> bool:
         """Whether a valid set leaves less beyond noise than what a further member would have to win to be looked for.
@@ -309,8 +305,8 @@ class Search:
 
     def larger(self, fit: Fit) -> list[Fit]:
         """Return the sets with one effect more that were tried on the way."""
-        mine = frozenset(fit.effects)
-        return [found for key, found in self._fits.items() if mine < key and len(key) == len(mine) + 1]
+        mine, size = frozenset(fit.effects), len(fit.effects) + 1
+        return [found for key, found in self._fits.items() if mine < key and len(key) == size]
 
     def alternatives(self, fit: Fit, member: str, count: int, share: float = RIVAL_SHARE) -> list[Fit]:
         """Return the best `count` sets with `member` exchanged for another that may do this `share` of what it does."""

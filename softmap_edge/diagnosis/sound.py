@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.belongs import FOLLOWED, MOTION, belongs, declared, follows, spread
 from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.diagnosis.floor import replicates
+from softmap_edge.diagnosis.noise import LEAST_DWELL, undrifted
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
 from softmap_edge.errors import RunError
@@ -48,7 +49,7 @@ ASTRAY_TIMES = 5.0  # the point's usual distance from its model, likewise
 ASTRAY_MOST = 0.1  # of the points: more are no outliers
 UNSTEADY, UNSTEADY_TIMES = 0.05, 4.0  # of all motion, and of the median dwell, that points may scatter in a dwell
 STILL = 0.8  # of all motion: more scatter in the dwells, and the robot does not move
-UNSTEADY_MOST = 0.3  # of the dwells: more are how this robot is
+UNSTEADY_MOST, DWELLS = 0.3, 4  # of the dwells: more are how this robot is; fewer of them tell nothing
 WRONG_SIGMA = 5.0  # times the noise that repeats show, or as little
 UNSEEN = 0.2  # of the points that may never be seen before a word is said
 
@@ -215,23 +216,21 @@ def _frames(run: Run, u: Floats, seen: Floats, visible: Mask) -> Iterator[tuple[
 def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, str]:
     """Return the frames (K,) of dwells in which the robot jumps though nothing is commanded, and what to say of them.
 
-    Each dwell's scatter about a quadratic in time (it may creep), RMS over its points, against the others' median.
+    Each dwell's scatter about its drift, RMS over the points that all its frames show, against the others' median.
     """
     none, state = np.zeros(run.frames, bool), conditions(run, u)
-    whole = visible.all(axis=0)
-    if not whole.any() or not u.shape[1]:
+    if not u.shape[1]:
         return none, ""
-    points = seen[:, whole].reshape(run.frames, -1)
     dwells, scatter = [], []
     for visit in np.unique(state.visit[~state.moving]):
-        rows = np.flatnonzero((state.visit == visit) & ~state.moving)
-        if visit < 0 or len(rows) < 4:
+        rows = np.flatnonzero((state.visit == visit) & ~state.moving & visible.any(axis=1))
+        whole = visible[rows].all(axis=0)
+        if visit < 0 or len(rows) < LEAST_DWELL or not whole.any():
             continue
-        basis, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, len(rows)), 3 if len(rows) >= 6 else 2))
-        left = points[rows] - basis @ (basis.T @ points[rows])
+        left, order = undrifted(seen[np.ix_(rows, np.flatnonzero(whole))].reshape(len(rows), -1))
         dwells.append(rows)
-        scatter.append(float(np.sqrt(3.0 * np.sum(left**2) / ((len(rows) - basis.shape[1]) * points.shape[1]))))
-    if len(dwells) < 4:
+        scatter.append(float(np.sqrt(3.0 * np.sum(left**2) / ((len(rows) - order) * left.shape[1]))))
+    if len(dwells) < DWELLS:
         return none, ""
     moved, usual = spread(seen, visible), float(np.median(scatter))
     if not usual < STILL * moved:  # nothing moves: the scatter is all there is
