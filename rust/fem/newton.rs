@@ -27,6 +27,10 @@ const BALANCED: f64 = 1e-7;
 /// Converged when a full step moves no node by more, mm: the next one would move its square.
 const SETTLED: f64 = 2e-4;
 const ITERATIONS: usize = 40;
+/// From steps that move no node by more (mm) on, the factor at hand is used again, as long as each step is so small a part of
+/// the one before, for so many steps; it ends with one that moves no node by more, mm.
+const CHORD: (f64, f64, usize) = (0.5, 0.2, 5);
+const AT_REST: f64 = 2e-5;
 /// No Newton step moves a node by more, mm.
 const LONGEST: f64 = 10.0;
 
@@ -197,11 +201,42 @@ impl<'a> Solver<'a> {
             }
             let (moved, longest, full) = self.descend(&x, load, energy).ok_or(residual)?;
             x = moved;
-            if full && self.work.shift == 0.0 && longest < SETTLED {
-                return self.arrive(state, x, load);
+            if full && self.work.shift == 0.0 {
+                if longest < SETTLED {
+                    return self.arrive(state, x, load);
+                }
+                if let Some(there) = self.chord(&x, load, longest) {
+                    return self.arrive(state, there, load);
+                }
             }
         }
         Err(residual)
+    }
+
+    /// Go on from `x` with the factor at hand after a step of `longest` mm: a new one would hardly differ. None where that
+    /// does not settle quickly.
+    fn chord(&mut self, x: &[Vec3], load: &Load, mut longest: f64) -> Option<Vec<Vec3>> {
+        let (near, shrinks, most) = CHORD;
+        let mut x = x.to_vec();
+        for _ in 0..if longest < near { most } else { 0 } {
+            if !self.work.balance(&x, load) {
+                return None;
+            }
+            let step = self
+                .work
+                .solve(self.work.residual.iter().map(|r| -r).collect());
+            let before = longest;
+            longest = step.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
+            // A step that is not a number fails here too.
+            if !(longest < shrinks * before) {
+                return None;
+            }
+            x = self.work.solid.displace(&x, &step, 1.0);
+            if longest < AT_REST {
+                return Some(x);
+            }
+        }
+        None
     }
 
     fn arrive(

@@ -61,10 +61,7 @@ impl<'a> Work<'a> {
             }
             self.add_element(element.nodes(), slots, &force, &k);
         }
-        for n in 0..x.len() {
-            let f = solid.dead_force(n, load);
-            solid.scatter(n, [-f[0], -f[1], -f[2]], &mut self.residual);
-        }
+        self.add_dead(x.len(), load);
         for (c, cable) in solid.cables.iter().enumerate() {
             let command = load.cables[c];
             let tension = cable.tension(x, command);
@@ -74,6 +71,42 @@ impl<'a> Work<'a> {
             }
         }
         energy
+    }
+
+    /// Residual alone at a state; whether the same cables pull as at the assembled one, so that its factor still tells.
+    pub fn balance(&mut self, x: &[Vec3], load: &Load) -> bool {
+        let solid = self.solid;
+        self.residual.fill(0.0);
+        let mut force = [[0.0; 3]; MOST_NODES];
+        for element in &solid.elements {
+            let force = &mut force[..element.nodes().len()];
+            force.fill([0.0; 3]);
+            element.force(x, force);
+            for (node, force) in element.nodes().iter().zip(force) {
+                solid.scatter(*node, *force, &mut self.residual);
+            }
+        }
+        self.add_dead(x.len(), load);
+        let mut pulling = vec![];
+        for (c, cable) in solid.cables.iter().enumerate() {
+            let tension = cable.tension(x, load.cables[c]);
+            if tension > 0.0 {
+                let slope = self.slope(c, x).into_iter();
+                let pairs = self.residual.iter_mut().zip(slope);
+                pairs.for_each(|(r, s)| *r += tension * s);
+                pulling.extend((cable.drive == Drive::Shortening).then_some(c));
+            }
+        }
+        pulling.iter().eq(self.taut.iter().map(|(c, _)| c))
+    }
+
+    /// Take the dead forces on the first `nodes` from the residual.
+    fn add_dead(&mut self, nodes: usize, load: &Load) {
+        for n in 0..nodes {
+            let f = self.solid.dead_force(n, load);
+            self.solid
+                .scatter(n, [-f[0], -f[1], -f[2]], &mut self.residual);
+        }
     }
 
     fn add_element(&mut self, nodes: &[usize], slots: &[u32], force: &[Vec3], k: &[Block]) {

@@ -35,8 +35,8 @@ WORSE = 0.8  # of the held-out error that other signs must leave at most
 SIGNS = tuple(signs for signs in product((1.0, -1.0), repeat=3) if min(signs) < 0)
 
 
-def strange(document: Mapping[str, Any]) -> bool:
-    """Return whether gravity makes no sense in a diagnosis.
+def strange(document: Mapping[str, Any], loaded: bool = False) -> bool:
+    """Return whether gravity makes no sense in a diagnosis, of runs that declare a load or not.
 
     Its numbers end at their bounds, what is left goes by orientation, or a dead load leaves most of the error.
     """
@@ -48,7 +48,7 @@ def strange(document: Mapping[str, Any]) -> bool:
     weights = {"gravity", "payload"} & {*(e["name"] for e in document["effects"]), *document["made_from"]["demoted"]}
     error = document["error"]
     after = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
-    poor = bool(weights) and after > POOR * error["model"] and document["unexplained"]["chi2_per_n"] > MUCH
+    poor = (loaded or bool(weights)) and after > POOR * error["model"] and document["unexplained"]["chi2_per_n"] > MUCH
     return at_bound or left or poor
 
 

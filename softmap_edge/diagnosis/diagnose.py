@@ -100,7 +100,7 @@ def diagnose(
     gone = stray(record, fit)
     if gone is None:
         document = conclude(search, fit, other, demoted, impossible, own, seed, masked(search, fit))
-        if strange(document):
+        if strange(document, any(run.load is not None and np.any(run.load) for run in record.whole)):
             error, again = search.held_out_mm(fit), partial(_again, model, candidates=candidates, library=library)
             gone = wrong_sign(record, error, again) or wrong_load(record, error, again)
     if gone is not None:

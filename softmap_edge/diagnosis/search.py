@@ -266,14 +266,14 @@ class Search:
         return children if fit is children[0] else [fit, *children]
 
     def _done(self, fit: Fit) -> bool:
-        """Whether a valid set leaves less beyond noise than what a further member would have to win to be looked for.
+        """Whether a valid set leaves less than what a further member would have to win to be looked for.
 
-        Of the plain loss, in which the form error stands in the variance, noise is what that leaves of it.
+        Of the plain loss, in which the form error stands in the variance, noise is what that leaves of it, and is not
+        counted; the objective counts whole, for what moves on in a dwell is taken for noise.
         """
-        base, numbers = self._measured(fit), self.problem.numbers
+        base, share = self._measured(fit), float(np.mean(1.0 / (1.0 + self.problem.whitener.form)))
         before, after = (float(self.cv(f)[0].sum()) for f in (base, fit))
-        share = float(np.mean(1.0 / (1.0 + self.problem.whitener.form)))
-        pairs = [(base.cost, fit.cost, numbers), (before, after, share * numbers)]
+        pairs = [(base.cost, fit.cost, 0.0), (before, after, share * self.problem.numbers)]
         return all(left - noise < PROMISING * (first - left) for first, left, noise in pairs)
 
     def _children(self, beam: list[Fit], refits: int) -> list[Fit]:
