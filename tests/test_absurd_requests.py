@@ -36,7 +36,7 @@ REQUESTS = {
     "a file of 5000 digits": lambda: Finger.from_toml("name = " + "1" * 5000),
     "a key of two lines": lambda: Finger.from_toml('"a\\nb" = 1'),
     "a sweep of 25 million commands": lambda: simulator().sweep([np.linspace(-1, 1, 5000)] * 2),
-    "a path of 100 million commands": lambda: simulator().path(np.broadcast_to(np.zeros(2), (10**7, 2))),
+    "a path of ten million commands": lambda: simulator().path(np.broadcast_to(np.zeros(2), (10**7, 2))),
     "fields of a million commands": lambda: simulator().fields(np.zeros((10**6, 2))),
     "a command of 1e308 mm": lambda: simulator().path([[1e308, 0.0]]),
     "a gravity of 1e300 g": lambda: simulator().path([[0.0, 0.0]], gravity=[1e300, 0, 0]),

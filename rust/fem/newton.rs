@@ -1,7 +1,8 @@
 //! Equilibria: Newton's method on the total energy, from a known equilibrium to the next load in small steps.
 //!
 //! A step starts from the tangent predictor dx = K⁻¹ (df − Σ kc b dd), then Newton with Armijo backtracking on the total
-//! energy (Nocedal & Wright, ch. 3). An indefinite tangent is shifted on its diagonal, so that every step goes downhill;
+//! energy (Nocedal & Wright, ch. 3); the last steps, which are short, take the factor at hand (chord method: Kelley, Solving
+//! Nonlinear Equations with Newton's Method, 2003). An indefinite tangent is shifted on its diagonal, so that every step goes downhill;
 //! a step that fails is halved. Limit: it follows one branch; a snap-through ends on whatever branch lies downhill.
 
 use super::Vec3;
@@ -27,9 +28,12 @@ const BALANCED: f64 = 1e-7;
 /// Converged when a full step moves no node by more, mm: the next one would move its square.
 const SETTLED: f64 = 2e-4;
 const ITERATIONS: usize = 40;
-/// From steps that move no node by more (mm) on, the factor at hand is used again, as long as each step is so small a part of
-/// the one before, for so many steps; it ends with one that moves no node by more, mm.
-const CHORD: (f64, f64, usize) = (0.5, 0.2, 5);
+/// From steps that move no node by more on, mm, the factor at hand is used again.
+const NEAR: f64 = 0.5;
+/// It is for as long as each step is so small a part of the one before, and so many times.
+const SHRINKS: f64 = 0.2;
+const CHORDS: usize = 5;
+/// Converged when such a step moves no node by more, mm.
 const AT_REST: f64 = 2e-5;
 /// No Newton step moves a node by more, mm.
 const LONGEST: f64 = 10.0;
@@ -44,7 +48,7 @@ pub struct State {
 /// Finds equilibria on one thread and remembers the factor for the next step.
 pub struct Solver<'a> {
     pub work: Work<'a>,
-    /// Whether the factor in `work` belongs to the last state that was reached.
+    /// Whether the factor in `work` belongs to the last state that was reached, or to one a short step away.
     fresh: bool,
     /// Set from elsewhere to stop before the next iteration.
     stop: Option<&'a AtomicBool>,
@@ -216,10 +220,9 @@ impl<'a> Solver<'a> {
     /// Go on from `x` with the factor at hand after a step of `longest` mm: a new one would hardly differ. None where that
     /// does not settle quickly.
     fn chord(&mut self, x: &[Vec3], load: &Load, mut longest: f64) -> Option<Vec<Vec3>> {
-        let (near, shrinks, most) = CHORD;
         let mut x = x.to_vec();
-        for _ in 0..if longest < near { most } else { 0 } {
-            if !self.work.balance(&x, load) {
+        for _ in 0..CHORDS {
+            if longest > NEAR || !self.work.balance(&x, load) {
                 return None;
             }
             let step = self
@@ -227,8 +230,9 @@ impl<'a> Solver<'a> {
                 .solve(self.work.residual.iter().map(|r| -r).collect());
             let before = longest;
             longest = step.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
-            // A step that is not a number fails here too.
-            if !(longest < shrinks * before) {
+            // The largest of numbers that are none is 0; their sum is none.
+            let downhill = inner(&self.work.residual, &step) <= 0.0;
+            if !downhill || longest > SHRINKS * before {
                 return None;
             }
             x = self.work.solid.displace(&x, &step, 1.0);

@@ -290,7 +290,7 @@ impl Simulation {
     }
 
     /// Refuse an answer of several vectors a point that is too large to keep.
-    pub(super) fn room(&self, what: &str, commands: &[usize], vectors: usize) -> Result<()> {
+    pub fn room(&self, what: &str, commands: &[usize], vectors: usize) -> Result<()> {
         let a_command = [3 * vectors, self.points.weights.len()];
         room(
             &format!("{what} (commands, coordinates, points)"),

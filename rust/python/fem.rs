@@ -192,6 +192,8 @@ impl Solid {
         load: Vec3,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bent<'py>> {
+        self.simulation
+            .room("a path", &[commands.as_array().nrows()], 1)?; // before its rows are copied one by one
         let (commands, gravity) = (rows(&commands), vectors(&gravity, "gravity")?);
         let shapes = watched(py, commands.len(), progress, |p| {
             self.simulation.path(&commands, &gravity, load, p)
