@@ -119,9 +119,9 @@ def rubbed(p, u, t):
 
 
 def broken_in(p, u, t):
-    even = np.arange(u.shape[1]) // 2 * 2
-    other = np.where(even + 1 < u.shape[1], u[:, np.minimum(even + 1, u.shape[1] - 1)], 0.0)
-    size = np.hypot(u[:, even], other)  # of channels 0 and 1, 2 and 3, ...
+    count = u.shape[1]
+    together = 2 if count % 2 == 0 else 3 if count % 3 == 0 else count  # bend one section
+    size = np.repeat(np.linalg.norm(u.reshape(len(u), -1, together), axis=2), together, axis=1)
     below = np.maximum.accumulate(size, axis=0) - size
     return u + u * p["softening"] * (1.0 - np.exp(-below / p["reach"]))
 

@@ -164,13 +164,14 @@ def test_a_run_at_rest_shows_no_motion():
 def said(*effects, rivals=(), verdict="identified", open_=(), settles=()):
     entries = [{"name": e, "share": 1.0 - 0.1 * k, "probability": 0.9} for k, e in enumerate(effects)]
     return {
-        "verdict": verdict, "effects": entries, "faults": [], "rivals": [{"effects": list(r)} for r in rivals],
+        "verdict": verdict, "effects": entries, "faults": [],
+        "rivals": [{"effects": list(r), "why": ""} for r in rivals],
         "not_testable": [{"name": n} for n in open_], "next": [{"block": "b", "settles": list(settles)}],
     }  # fmt: skip
 
 
-def judged(hidden, document, orientations=2, expressible=frozenset(LAWS)):
-    return judge.judged(hidden, document, judge.alike(_core.effects(), orientations), set(expressible))
+def judged(hidden, document, orientations=2, expressible=frozenset(LAWS), also=()):
+    return judge.judged(hidden, document, judge.alike(_core.effects(), orientations), set(expressible), also)
 
 
 def test_a_name_counts_only_alone_or_beside_its_structural_equivalent():
@@ -192,6 +193,23 @@ def test_sets_claims_and_what_the_library_lacks():
     assert judged(["lag", "gain"], said("gain", rivals=[["gain", "lag"]], verdict="ambiguous"))["inside"]
     assert not judged(["magnet"], said())["in_library"] and judged(["lag"], said())["in_library"]
     assert not judged(["lag"], said(), expressible={"gain"})["in_library"]
+
+
+def test_equivalents_share_a_name_and_a_law_may_be_more_than_its_name():
+    for named in (["gain"], ["tendon_stretch"], ["gain", "tendon_stretch"]):
+        assert judged(["gain", "tendon_stretch"], said(*named))["exact"]
+    assert not judged(["gain", "tendon_stretch"], said("gain", "lag"))["exact"]
+    beside, sided = said("kink", "one_sided_stiffness"), ["one_sided_stiffness"]
+    assert judged(["kink"], beside, also=sided)["exact"] and not judged(["kink"], beside)["exact"]
+    assert all(c["true"] and c["itself"] for c in judged(["kink"], beside, also=sided)["claims"])
+    assert judged(["kink"], said("kink"), also=sided)["exact"]
+    assert not judged(["kink"], said("one_sided_stiffness"), also=sided)["exact"]
+    assert not judged(["kink", "one_sided_stiffness"], said("kink"), also=sided)["exact"]
+
+
+def test_a_measurement_that_is_at_fault_in_no_known_way_is_flagged():
+    assert judged(["servo_swap"], said(verdict="measurement_fault"))["flagged"]
+    assert not judged(["servo_swap"], said("mount", verdict="measurement_fault"))["flagged"]
 
 
 def test_shares_have_wilsons_interval_and_probabilities_their_calibration():

@@ -36,6 +36,17 @@ def test_replicates_give_the_noise_and_not_the_drift():
     assert noise.inflation == 1.0
 
 
+def test_three_frames_of_a_dwell_are_replicates():
+    """A robot that is looked at three times wherever it has settled: from dwell to dwell only the model errs."""
+    rng = np.random.default_rng(6)
+    visit = np.repeat(np.arange(49), 3)
+    t = np.ravel(7.0 * np.arange(49)[:, None] + [0.0, 0.3, 0.55])
+    wrong = np.repeat(rng.normal(size=(49, F)), 3, axis=0) + 0.1 * t[:, None]
+    noise = estimate_noise(wrong + 0.2 * rng.normal(size=wrong.shape), t, visit)
+    assert noise.source == "replicates (49 degrees of freedom)"
+    assert np.sqrt(np.mean(np.diag(noise.covariance))) == pytest.approx(0.2, rel=0.1)
+
+
 def test_what_is_hidden_at_times_is_no_noise():
     """A model that is 5 mm wrong at a marker has no noise of 5 mm where the marker is hidden now and then."""
     rng = np.random.default_rng(5)

@@ -35,6 +35,7 @@ SOFTER = 0.94  # modulus against the first finger's
 LAYERS = 0.8  # layers against the first finger's
 REACH, STEPS = 18.0, 25  # mm; commands a channel
 NEAR = 0.02  # g: gravity this near to that of a sweep is that of the sweep
+SAME = 2  # decimals of a command, mm, that are told apart: 0.01 mm move the tip by 0.02 mm
 MODES = 40
 ONLY_A = ("magnet", "crack", "contact", "twist", "pre_curve", "kink")
 SLICES = 12  # of the body, each of one modulus, of two where a side differs
@@ -155,7 +156,7 @@ def _markers() -> Any:
 
 def _solved(simulator: Simulator, u: Floats, gravity: Floats, tip: Floats) -> Floats:
     """Return equilibria (K, N, 3) mm at commands (K, 2), each from a near one."""
-    places, which = np.unique(np.round(u, 3), axis=0, return_inverse=True)
+    places, which = np.unique(np.round(u, SAME), axis=0, return_inverse=True)
     order = tour(places)
     points = np.empty((len(places), len(_first().template.vertices), 3))
     points[order] = simulator.path(places[order], gravity=gravity, load=tip)

@@ -35,6 +35,7 @@ GROSS = ("servo_swap",)  # as large as they are
 ONE_POSE, AT_REST = ("gravity", "payload"), ("latency", "lag", "rate_limit")
 TRIES = 6  # characters drawn until one can move the finger as far as wanted
 MARKED = 5  # one case in so many is seen by markers
+NEAR = 0.1  # of how far a law is to move the finger, which is drawn anyway: near enough
 PAIRS = 4  # pairs that are drawn until each law does something beside the other
 
 
@@ -225,11 +226,11 @@ def _drawn(name: str, body: Body, level: Level, rng: np.random.Generator) -> tup
     kind = LAWS[name] if name in LAWS else UNKNOWN[name]
     protocol = standard_protocol(2)
     best: tuple[Law, float] | None = None
+    plain = seen(body, (), protocol, False, every=body.every, rough=not kind.SHAPE)
     for _ in range(TRIES):
         drawn = kind.draw(rng, body.channels)
         target = float(rng.uniform(low, high))
         strength, tried = 1.0, [(0.0, 0.0)]  # strengths, and how far they move the sections
-        plain = seen(body, (), protocol, False, every=body.every, rough=not kind.SHAPE)
         for _ in range(1 if name in GROSS else 7):
             try:
                 there = seen(body, (drawn.scaled(strength),), protocol, False, every=body.every, rough=not kind.SHAPE)
@@ -239,7 +240,7 @@ def _drawn(name: str, body: Body, level: Level, rng: np.random.Generator) -> tup
             moved = there - plain
             reached = max(rms(sections(moved, body.place)), rms(moved) if name == "twist" else 0.0)
             tried.append((strength, reached))
-            if abs(reached - target) < 0.04 * target or name in GROSS:
+            if abs(reached - target) < NEAR * target or name in GROSS:
                 break
             step = np.clip(target / max(reached, 1e-6), 0.25, 4.0)
             if strength >= drawn.LIMIT and step > 1.0:

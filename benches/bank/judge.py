@@ -2,8 +2,9 @@
 
 A law counts as named if it has the largest share of what is claimed and stands alone: every rival set holds it, or
 holds in its place a structural equivalent under the conditions of the run (`alike`: what the registry declares, not
-what a diagnosis says). A law that the library does not have, or that this model cannot express, is told as *not in the
-library*. Intervals are Wilson's:
+what a diagnosis says). Two hidden laws that are each other's equivalents need one name. A law that the library does not
+have, or that this model cannot express, is told as *not in the library*. A run is *flagged* if something unknown is
+said to be left, or if the measurement is said to be at fault in a way that no effect names. Intervals are Wilson's:
 
     (p + z²/2n ± z √(p(1−p)/n + z²/4n²)) / (1 + z²/n),   z = 1.96
 
@@ -34,18 +35,23 @@ def alike(registry: Sequence[Row], orientations: int) -> dict[str, set[str]]:
 
 
 def judged(
-    hidden: Sequence[str], document: Mapping[str, Any], alike: Mapping[str, set[str]], expressible: set[str]
+    hidden: Sequence[str],
+    document: Mapping[str, Any],
+    alike: Mapping[str, set[str]],
+    expressible: set[str],
+    also: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return what a diagnosis `document` says about a finger that hides `hidden`, and what of it is right.
 
-    `alike` are the structural equivalents of each effect, `expressible` what this model can have of the library.
+    `alike` are the structural equivalents of each effect, `expressible` what this model can have of the library, `also`
+    what the hidden laws do beside what they are called by: may be named, need not be.
     """
     groups = [sorted(document[kind], key=lambda e: -e["share"]) for kind in ("effects", "faults")]
     entries = [e for group in groups[:: -1 if document["verdict"] == "measurement_fault" else 1] for e in group]
     named = [e["name"] for e in entries]
     rivals = [set(r["effects"]) for r in document["rivals"]]
     like = {name: alike.get(name, {name}) for name in hidden}
-    right = [any(e["name"] in like[name] for name in hidden) for e in entries]
+    right = [e["name"] in also or any(e["name"] in like[name] for name in hidden) for e in entries]
     top = named[0] if named else None
     alone = bool(named) and any(top in like[n] and all(r & like[n] for r in rivals) for n in hidden)
     said = set(named).union(*rivals)
@@ -59,26 +65,34 @@ def judged(
         "verdict": document["verdict"],
         "named": named,
         "rivals": [sorted(r) for r in rivals],
+        "why": [r["why"] for r in document["rivals"]],
         "not_testable": sorted(open_),
         "next": [{"block": b["block"], "settles": b["settles"]} for b in document["next"]],
         "in_library": all(like[n] & expressible for n in hidden),
         "first": alone,
-        "exact": len(named) == len(hidden) and _matched(named, like),
-        "inside": any(len(s) == len(hidden) and _matched(s, like) for s in [set(named), *rivals]),
+        "equivalent": any(top in like[n] for n in hidden),
+        "exact": _told(set(named), like, also),
+        "inside": any(_told(s, like, also) for s in [set(named), *rivals]),
         "claims": [
-            {"name": e["name"], "probability": e["probability"], "true": ok, "itself": e["name"] in hidden}
+            {"name": e["name"], "probability": e["probability"], "true": ok, "itself": e["name"] in {*hidden, *also}}
             for e, ok in zip(entries, right)
         ],
-        "flagged": document["verdict"] == "partly_explained",
+        "flagged": document["verdict"] in ("partly_explained", *(() if named else ("measurement_fault",))),
         "asked": asked,
         "cannot": honest and asked,
     }
 
 
-def _matched(named: Any, like: Mapping[str, set[str]]) -> bool:
-    """Whether each hidden law has a name of its own among those named."""
-    left = set(named)
-    for names in like.values():
+def _told(named: set[str], like: Mapping[str, set[str]], also: Sequence[str]) -> bool:
+    """Whether each hidden law has a name of its own among those named, and nothing else is.
+
+    Hidden laws that are equivalents of each other share one.
+    """
+    left, hidden = named - (set(also) - set(like)), list(like)
+    if len(left) > len(hidden) or not left <= set().union(*like.values()):
+        return False
+    apart = [n for i, n in enumerate(hidden) if not any(n in like[earlier] for earlier in hidden[:i])]
+    for names in (like[n] for n in apart):
         if not left & names:
             return False
         left -= {sorted(left & names)[0]}
@@ -132,9 +146,9 @@ SHARES: tuple[Measure, ...] = (
     ("false 'unknown' flags", "≤ 5 %", _is("null", "single", "pair"), lambda r: r["flagged"]),
     ("unknown law flagged", "≥ 97 %", _is("unknown", known=None), lambda r: r["flagged"]),
     ("true effect removed: flagged, or its equivalent named", "≥ 85 %",
-     _is("removed", known=None), lambda r: r["flagged"] or r["first"]),
+     _is("removed", known=None), lambda r: r["flagged"] or r["equivalent"]),
     ("not in the library: flagged, or its equivalent named", "≥ 85 %",
-     _is("single", "pair", known=False), lambda r: r["flagged"] or r["first"]),
+     _is("single", "pair", known=False), lambda r: r["flagged"] or r["equivalent"]),
     ("not to be told: left open, with the right experiment", "≥ 98 %",
      _is("untestable", known=None), lambda r: r["cannot"]),
     ("rivals resolved after the suggested experiment", "≥ 97 %",

@@ -39,6 +39,7 @@ class Law:
     NAME: ClassVar[str]
     STRONG: ClassVar[tuple[str, ...]]
     LIMIT: ClassVar[float] = 4.0  # the largest strength that is still plausible, of that as drawn
+    ALSO: ClassVar[tuple[str, ...]] = ()  # what else of the library is in it
     SHAPE: ClassVar[bool] = False  # whether the body itself is another, so that a sweep of the plain one says nothing
 
     @classmethod

@@ -260,7 +260,7 @@ class Curled(Law):
 class Hinge(Law):
     """One element softer by e^{a}, and by half as much again on one side."""
 
-    NAME, STRONG, SHAPE, LIMIT = "kink", ("log",), True, 2.0
+    NAME, STRONG, SHAPE, LIMIT, ALSO = "kink", ("log",), True, 2.0, ("one_sided_stiffness",)
     log: float
     at_mm: float
     side: float

@@ -13,8 +13,6 @@ import numpy as np
 
 Task = tuple[str, str, str, str, int]  # seeds, slice, level, kind, number
 
-FALLS = ("single", "pair")  # kinds of which a run of another kind says by how much the error falls
-
 
 def run_case(task: Task) -> dict[str, Any]:
     """Make one case, diagnose it, judge it."""
@@ -38,18 +36,19 @@ def run_case(task: Task) -> dict[str, Any]:
     finished = time.process_time()
     one, several = (alike(registry, orientations) for orientations in (1, 2))
     turned = len(np.unique(run.gravity, axis=0)) > 1
-    verdict = judged(mine.hidden, first.to_dict(), several if turned else one, expressible)
+    also = [name for law in mine.laws for name in law.ALSO]
+    verdict = judged(mine.hidden, first.to_dict(), several if turned else one, expressible, also)
     last = first
     if whole is not None:
         last = diagnose(model, [run, whole], effects=library)
-        verdict = judged(mine.hidden, last.to_dict(), several, expressible) | {"at_first": verdict}
+        verdict = judged(mine.hidden, last.to_dict(), several, expressible, also) | {"at_first": verdict}
 
     def off(predicted: Any, seen: Any) -> float:
         points = seen.vertices if seen.vertices is not None else seen.markers
         return rms(predicted.predict(seen) - points, seen.visible)
 
     error, fall = None, None
-    if kind in FALLS:
+    if kind == "single":
         judge = judge_protocol(number)
         other, twin = mine.run(judge), mine.run(judge, ())
         error = {"before": off(model, other), "after": off(first.model, other), "floor": off(model, twin)}

@@ -1,10 +1,11 @@
 //! Mullins softening: up to the largest bend so far the body is softer than beyond it.
 //!
-//! `y = x·(1 + softening·(1 − exp(−(X − |x|)/reach)))`, |x| the length of the vector of the two channels of a section and
-//! X the largest so far, which is memory. mm. A bend one way softens every way: the damage belongs to the body, not to a
+//! `y = x·(1 + softening·(1 − exp(−(X − |x|)/reach)))`, |x| the length of the vector of the channels of a section and X
+//! the largest so far, which is memory. mm. A bend one way softens every way: the damage belongs to the body, not to a
 //! tendon. It starts in equilibrium: X = |x| of the first command, an untouched body. Exact for commands on straight lines
 //! between samples; reach ≤ 0 is reached at once. Source: the form of Ogden and Roxburgh's damage, written for a bend
-//! instead of an energy. Limits: channels 0 and 1, 2 and 3, … are taken to bend a section; no healing.
+//! instead of an energy. Limits: two channels are taken to bend a section, three where their number is odd and can be
+//! divided so, else all; no healing.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -15,7 +16,7 @@ pub static EFFECT: Effect = Effect {
         family: "slow drift",
         stage: Stage::Material,
         kind: Kind::Effect,
-        formula: "y = x · (1 + softening · (1 − exp(−(max|x| − |x|)/reach))), |x| over the two channels of a section",
+        formula: "y = x · (1 + softening · (1 − exp(−(max|x| − |x|)/reach))), |x| over the channels of a section",
         doc: "Filled rubber breaks in: after its first large stretch it is softer for all smaller ones, in every direction.",
         signature: "The same command bends further after a larger one than before it; nothing on the very first way out.",
         reference: "Ogden and Roxburgh, Proc. R. Soc. A 455 (1999) 2861.",
@@ -50,17 +51,18 @@ struct Mullins;
 
 impl ChannelEffect for Mullins {
     fn state_size(&self, channels: usize) -> usize {
-        channels.div_ceil(SECTION)
+        channels.div_ceil(section(channels))
     }
 
     fn settle(&self, _params: &[f64], x: &mut [f64], state: &mut [f64]) {
-        let sections = state.iter_mut().zip(x.chunks(SECTION));
+        let sections = state.iter_mut().zip(x.chunks(section(x.len())));
         sections.for_each(|(most, x)| *most = size(x));
     }
 
     #[inline]
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {
-        for (most, x) in state.iter_mut().zip(x.chunks_mut(SECTION)) {
+        let together = section(x.len());
+        for (most, x) in state.iter_mut().zip(x.chunks_mut(together)) {
             let now = size(x);
             *most = most.max(now);
             let below = (*most - now) / params[1].max(f64::MIN_POSITIVE);
@@ -70,8 +72,14 @@ impl ChannelEffect for Mullins {
     }
 }
 
-/// Channels that bend one section, one after the other.
-const SECTION: usize = 2;
+/// How many of so many channels bend one section: pairs of tendons, three tendons, or all.
+fn section(channels: usize) -> usize {
+    [2, 3]
+        .into_iter()
+        .find(|n| channels % n == 0)
+        .unwrap_or(channels)
+        .max(1)
+}
 
 fn size(x: &[f64]) -> f64 {
     x.iter().map(|x| x * x).sum::<f64>().sqrt()

@@ -1,9 +1,10 @@
 //! Equilibria: Newton's method on the total energy, from a known equilibrium to the next load in small steps.
 //!
-//! A step starts from the tangent predictor dx = K⁻¹ (df − Σ kc b dd), then Newton with Armijo backtracking on the total
-//! energy (Nocedal & Wright, ch. 3); the last steps, which are short, take the factor at hand (chord method: Kelley, Solving
-//! Nonlinear Equations with Newton's Method, 2003). An indefinite tangent is shifted on its diagonal, so that every step goes downhill;
-//! a step that fails is halved. Limit: it follows one branch; a snap-through ends on whatever branch lies downhill.
+//! A step starts from the tangent predictor dx = K⁻¹ (df − Σ kc b dd), then Newton with Armijo backtracking on the
+//! total energy (Nocedal & Wright, ch. 3); the last steps, which are short, take the factor at hand (chord method:
+//! Kelley, Solving Nonlinear Equations with Newton's Method, 2003). An indefinite tangent is shifted on its diagonal, so
+//! that every step goes downhill; a step that fails is halved. Limit: it follows one branch; a snap-through ends on
+//! whatever branch lies downhill.
 
 use super::Vec3;
 use super::cable::Drive;
@@ -217,22 +218,18 @@ impl<'a> Solver<'a> {
         Err(residual)
     }
 
-    /// Go on from `x` with the factor at hand after a step of `longest` mm: a new one would hardly differ. None where that
-    /// does not settle quickly.
+    /// Go on from `x` with the factor at hand after a step of `longest` mm: a new one would hardly differ. None where
+    /// that does not settle quickly.
     fn chord(&mut self, x: &[Vec3], load: &Load, mut longest: f64) -> Option<Vec<Vec3>> {
         let mut x = x.to_vec();
         for _ in 0..CHORDS {
             if longest > NEAR || !self.work.balance(&x, load) {
                 return None;
             }
-            let step = self
-                .work
-                .solve(self.work.residual.iter().map(|r| -r).collect());
             let before = longest;
-            longest = step.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
-            // The largest of numbers that are none is 0; their sum is none.
-            let downhill = inner(&self.work.residual, &step) <= 0.0;
-            if !downhill || longest > SHRINKS * before {
+            let step;
+            (step, longest, _) = self.downhill()?;
+            if longest > SHRINKS * before {
                 return None;
             }
             x = self.work.solid.displace(&x, &step, 1.0);
@@ -257,17 +254,20 @@ impl<'a> Solver<'a> {
         Ok(())
     }
 
+    /// The step with the factor at hand, its longest move, and the slope of the energy along it; None if that is uphill.
+    fn downhill(&mut self) -> Option<(Vec<f64>, f64, f64)> {
+        let residual = &self.work.residual;
+        let step = self.work.solve(residual.iter().map(|r| -r).collect());
+        let longest = step.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
+        let slope = inner(&self.work.residual, &step);
+        // The largest of numbers that are none is 0; their sum is none.
+        (longest.is_finite() && slope <= 0.0).then_some((step, longest, slope))
+    }
+
     /// One Newton step with backtracking: new places, longest move, whether the full step was taken.
     fn descend(&mut self, x: &[Vec3], load: &Load, energy: f64) -> Option<(Vec<Vec3>, f64, bool)> {
         let solid = self.work.solid;
-        let step = self
-            .work
-            .solve(self.work.residual.iter().map(|r| -r).collect());
-        let longest = step.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
-        let slope = inner(&self.work.residual, &step);
-        if !longest.is_finite() || slope > 0.0 {
-            return None;
-        }
+        let (step, longest, slope) = self.downhill()?;
         let whole = (LONGEST / longest).min(1.0);
         let mut alpha = whole;
         // Energies of 100 N·mm are summed from a thousand cells: this is their round-off.

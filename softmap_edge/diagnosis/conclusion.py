@@ -38,7 +38,7 @@ Floats = NDArray[np.float64]
 
 # Of the probabilities, fitted on development seeds of the bank (docs/bank.md): where forms are not exact one of so many
 # whitened numbers speaks for itself; odds of an open rival, and of something unknown left, against what is named.
-TEMPERATURE, RIVAL, UNKNOWN = 400.0, 1 / 3, 1.0
+TEMPERATURE, RIVAL, UNKNOWN = 400.0, 0.25, 1.0
 
 
 def conclude(

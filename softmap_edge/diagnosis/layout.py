@@ -80,12 +80,13 @@ def layout_of(
     integer = np.asarray(chain.integer, bool)[source]
     log, units = np.asarray(chain.log, bool)[source], [chain.units[i] for i in source]
     declared = np.arange(len(labels) + len(changes)) < len(labels)
-    columns = [np.r_[column, np.flatnonzero(~declared)] for column in columns]
-    labels, units = labels + [c.label for c in changes], units + [c.unit for c in changes]
-    null, start = (np.r_[a, [c.null for c in changes]] for a in (null, start))
-    low, high = np.r_[low, [c.low for c in changes]], np.r_[high, [c.high for c in changes]]
-    log = np.r_[log, [c.factor for c in changes]] > 0
-    integer, within = (np.r_[a, np.zeros(len(changes), bool)] for a in (integer, within))
+    if changes:
+        columns = [np.concatenate([column, np.flatnonzero(~declared)]) for column in columns]
+        labels, units = labels + [c.label for c in changes], units + [c.unit for c in changes]
+        null, start = (np.append(a, [c.null for c in changes]) for a in (null, start))
+        low, high = np.append(low, [c.low for c in changes]), np.append(high, [c.high for c in changes])
+        log = np.append(log, np.array([c.factor for c in changes], bool))
+        integer, within = (np.append(a, np.zeros(len(changes), bool)) for a in (integer, within))
     return Layout(tuple(names), labels, units, null, start, low, high, log, integer, within, columns, declared)
 
 

@@ -32,7 +32,7 @@ BODY_LENGTH = 0.35  # of the body: how far form error is correlated along it
 ENOUGH = 15  # degrees of freedom below which replicates are not trusted
 MODES = 24  # largest number of spatial modes kept
 FLOOR = 1e-3  # mm: no camera is better than this
-LEAST_DWELL, LONG_DWELL = 4, 6  # frames of a dwell that tell of noise beside a drift, and beside one that bends
+LEAST_DWELL, LONG_DWELL = 3, 6  # frames of a dwell that tell of noise beside a drift, and beside one that bends
 
 
 @dataclass(frozen=True)
