@@ -260,6 +260,15 @@ def test_what_no_effect_explains_is_no_effect(name):
     assert values[-1] == min(values)
 
 
+def test_what_looks_alike_is_a_rival_where_it_can_do_it():
+    """Cables that stretch shorten all that is pulled: one factor below 1, and never one above it."""
+    runs = [finger_run(acting=lambda u, f=f: u * f) for f in ([0.85, 0.85], [1.19, 0.81])]
+    less, either = (diagnose(builtin_model(), run) for run in runs)
+    assert named(less) == named(either) == {"gain"}
+    assert [r["effects"] for r in less.rivals] == [["tendon_stretch"]] and less.verdict == "ambiguous"
+    assert either.rivals == [] and either.verdict == "identified"
+
+
 @pytest.mark.parametrize(
     ("acting", "case", "said"),
     [

@@ -227,9 +227,10 @@ def _rivals(
             if twin in fit.effects or any(set(swapped) == set(r["effects"]) for r in rivals):
                 continue
             always = "never" in (registry[member]["alike"].get(twin), registry[twin]["alike"].get(member))
-            if always and twin in search.candidates:  # by form: one that leaves twice as much is told apart after all
-                worse = search.held_out_mm(search.get(frozenset(swapped))) / max(search.held_out_mm(fit), 1e-9) - 1.0
-                if worse > RIVAL_WORSE:
+            if twin in search.candidates:  # by form: one that cannot do it, or leaves twice as much, is told apart
+                other = search.get(frozenset(swapped))
+                worse = search.held_out_mm(other) / max(search.held_out_mm(fit), 1e-9) - 1.0
+                if (always and worse > RIVAL_WORSE) or search.stands_for(other, fit, member) < RIVAL_SHARE:
                     continue
             why = f"{twin} and {member} look alike under the conditions of this run"
             rivals.append({"member": member, "effects": swapped, "why": why})

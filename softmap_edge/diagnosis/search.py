@@ -321,10 +321,8 @@ class Search:
         found: list[tuple[str, Fit, str]] = []
         mine = self.cv(fit)
         for member in fit.effects:
-            rest = self.cv(self.get(frozenset(fit.effects) - {member}))
             for other in self.alternatives(fit, member, RIVALS):
-                theirs = self.cv(other)
-                share = float((rest[0] - theirs[0]).sum() / max(float((rest[0] - mine[0]).sum()), 1e-300))
+                share = self.stands_for(other, fit, member)
                 behind = self._behind(other, mine)
                 worse = self.held_out_mm(other) / max(self.held_out_mm(fit), 1e-9) - 1.0
                 if worse > RIVAL_WORSE or any(set(other.effects) == set(f.effects) for _, f, _ in found):
@@ -337,6 +335,13 @@ class Search:
                     )
                     found.append((member, other, why))
         return found
+
+    def stands_for(self, other: Fit, fit: Fit, member: str) -> float:
+        """Return the share that another set does of what a member does for a fit, by the loss on held-out blocks."""
+        rest, mine, theirs = (
+            float(self.cv(f)[0].sum()) for f in (self.get(frozenset(fit.effects) - {member}), fit, other)
+        )
+        return (rest - theirs) / max(rest - mine, 1e-300)
 
     def held_out_mm(self, fit: Fit) -> float:
         """Return the RMS distance in mm over the places on blocks that trained nothing."""
