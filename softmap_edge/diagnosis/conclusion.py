@@ -226,12 +226,12 @@ def _rivals(
             swapped = [twin if e == member else e for e in fit.effects]
             if twin in fit.effects or any(set(swapped) == set(r["effects"]) for r in rivals):
                 continue
-            always = "never" in (registry[member]["alike"].get(twin), registry[twin]["alike"].get(member))
-            if twin in search.candidates:  # by form: one that cannot do it, or leaves twice as much, is told apart
+            told_by = registry[member]["alike"].get(twin) or registry[twin]["alike"].get(member)
+            if twin in search.candidates and told_by != "orientation":  # shapes of loads are off too far to rule one out
                 other = search.get(frozenset(swapped))
                 worse = search.held_out_mm(other) / max(search.held_out_mm(fit), 1e-9) - 1.0
-                if (always and worse > RIVAL_WORSE) or search.stands_for(other, fit, member) < RIVAL_SHARE:
-                    continue
+                if (told_by == "never" and worse > RIVAL_WORSE) or search.stands_for(other, fit, member) < RIVAL_SHARE:
+                    continue  # by form it could: one that cannot do it, or leaves twice as much, is told apart
             why = f"{twin} and {member} look alike under the conditions of this run"
             rivals.append({"member": member, "effects": swapped, "why": why})
     return rivals
