@@ -227,7 +227,7 @@ def _rivals(
             if twin in fit.effects or any(set(swapped) == set(r["effects"]) for r in rivals):
                 continue
             told_by = registry[member]["alike"].get(twin) or registry[twin]["alike"].get(member)
-            if twin in search.candidates and told_by != "orientation":  # shapes of loads are off too far to rule one out
+            if twin in search.candidates and told_by != "orientation":  # forms of loads are off too far to rule out
                 other = search.get(frozenset(swapped))
                 worse = search.held_out_mm(other) / max(search.held_out_mm(fit), 1e-9) - 1.0
                 if (told_by == "never" and worse > RIVAL_WORSE) or search.stands_for(other, fit, member) < RIVAL_SHARE:
