@@ -15,7 +15,10 @@ demo: $(VENV)/.core
 # The package and the command `softmap` in .venv, compiled anew if a Rust file changed.
 build: $(VENV)/.core
 
-test: test-rust test-python
+# What compiles and what installs go side by side; then one worker a core.
+test:
+	$(MAKE) -j2 test-rust $(VENV)/.test
+	$(MAKE) test-python
 
 test-rust:
 	cargo test --locked --quiet

@@ -3,12 +3,15 @@
 Truths never use the effect library. One seed of each runs in `make test`; ten seeds and thirty nulls in `make prove`.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.demo import trial
+from softmap_edge.protocol import other_protocol
 from softmap_edge.truth import hide
 from softmap_edge.truth_laws import LAWS
 
@@ -20,7 +23,10 @@ FAMILY = {effect["name"]: effect["family"] for effect in _core.effects()}
 
 
 def case(names, seed):
-    return trial(builtin_model(), hide(names, seed))
+    """Every third frame of the other run says as well by how much the error fell."""
+    whole = other_protocol()
+    judge = replace(whole, t_seen=whole.t_seen[::3], block=whole.block[::3])
+    return trial(builtin_model(), hide(names, seed), judge=judge)
 
 
 def claimed(story):
@@ -63,7 +69,7 @@ def test_hidden_effect_is_named_first_and_its_error_falls(name):
     assert not fell(story.before_mm, story.before_mm, story.floor_mm)
 
 
-@pytest.mark.parametrize("seed", [4, 8])
+@pytest.mark.parametrize("seed", [4, pytest.param(8, marks=pytest.mark.prove)])
 def test_nothing_hidden_nothing_claimed(seed):
     story = case((), seed)
     assert claimed(story) == [], told(story)
@@ -71,7 +77,9 @@ def test_nothing_hidden_nothing_claimed(seed):
     assert story.after_mm == story.before_mm
 
 
-@pytest.mark.parametrize("names", [("backlash", "creep"), ("backlash", "creep", "payload")])
+@pytest.mark.parametrize(
+    "names", [pytest.param(("backlash", "creep"), marks=pytest.mark.prove), ("backlash", "creep", "payload")]
+)
 def test_several_hidden_effects_are_found_whole(names):
     story = case(names, SEED)
     assert set(claimed(story)) == set(names), told(story)

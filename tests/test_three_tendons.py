@@ -33,7 +33,7 @@ def test_a_turn_of_the_commands_turns_the_shape():
         assert np.linalg.norm(turn @ tips[one, :2] - tips[next_one, :2]) < 0.03 * np.linalg.norm(tips[0, :2])
 
 
-@pytest.mark.parametrize("name", ["hysteresis", "gravity"])
+@pytest.mark.parametrize("name", ["hysteresis", pytest.param("gravity", marks=pytest.mark.prove)])
 def test_the_story_of_the_demo_passes(name, model):
     assert model.channels == 3 and model.vertex_error_mm < 1.0
     story = trial(model, hide([name], 1, finger=Finger.load(FILE)))

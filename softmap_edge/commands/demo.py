@@ -22,7 +22,7 @@ from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import ReportError
 from softmap_edge.model import Model
-from softmap_edge.protocol import other_protocol, standard_protocol
+from softmap_edge.protocol import Protocol, other_protocol, standard_protocol
 from softmap_edge.report.html import write_html
 from softmap_edge.report.numbers import fall
 from softmap_edge.run import Run
@@ -80,13 +80,16 @@ class Trial:
         }
 
 
-def trial(model: Model, truth: Truth, say: Callable[[str], None] = lambda text: None) -> Trial:
+def trial(
+    model: Model, truth: Truth, say: Callable[[str], None] = lambda text: None, judge: Protocol | None = None
+) -> Trial:
     """Measure `truth` by the standard protocol, diagnose, and judge on a run of another kind.
 
-    Args: `model` of the first finger; `truth`, the second one; `say` is told what goes on.
+    Args: `model` of the first finger; `truth`, the second one; `say` is told what goes on; `judge`, the run of another
+    kind (`other_protocol`).
     Returns the trial. The run of another kind is shown to the comparison only, never to the diagnosis.
     """
-    protocol, judge = standard_protocol(model.channels), other_protocol(model.channels)
+    protocol, judge = standard_protocol(model.channels), judge or other_protocol(model.channels)
     say(f"Measuring the second finger: {protocol.frames} frames in {protocol.t[-1] / 60:.0f} minutes of finger time …")
     run = truth.measure(protocol)
     fitted = compare(model, run)
