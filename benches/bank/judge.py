@@ -58,6 +58,7 @@ def judged(
     open_ = {h["name"] for h in document["not_testable"]}
     settles = {name for block in document["next"] for name in block["settles"]}
     asked = all(like[n] & settles for n in hidden)
+    nameless = document["verdict"] == "measurement_fault" and not named
     honest = document["verdict"] in ("ambiguous", "cannot_tell", "nothing") and all(
         like[n] & (open_ | settles | (said if rivals else set())) for n in hidden
     )
@@ -77,7 +78,7 @@ def judged(
             {"name": e["name"], "probability": e["probability"], "true": ok, "itself": e["name"] in {*hidden, *also}}
             for e, ok in zip(entries, right)
         ],
-        "flagged": document["verdict"] in ("partly_explained", *(() if named else ("measurement_fault",))),
+        "flagged": document["verdict"] == "partly_explained" or nameless,
         "asked": asked,
         "cannot": honest and asked,
     }

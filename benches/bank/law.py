@@ -39,7 +39,7 @@ class Law:
     NAME: ClassVar[str]
     STRONG: ClassVar[tuple[str, ...]]
     LIMIT: ClassVar[float] = 4.0  # the largest strength that is still plausible, of that as drawn
-    ALSO: ClassVar[tuple[str, ...]] = ()  # what else of the library is in it
+    ALSO: ClassVar[tuple[str, ...]] = ()  # effects of the library that it is as well
     SHAPE: ClassVar[bool] = False  # whether the body itself is another, so that a sweep of the plain one says nothing
 
     @classmethod

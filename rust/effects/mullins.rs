@@ -74,11 +74,8 @@ impl ChannelEffect for Mullins {
 
 /// How many of so many channels bend one section: pairs of tendons, three tendons, or all.
 fn section(channels: usize) -> usize {
-    [2, 3]
-        .into_iter()
-        .find(|n| channels % n == 0)
-        .unwrap_or(channels)
-        .max(1)
+    let even = [2, 3].into_iter().find(|n| channels % n == 0);
+    even.unwrap_or(channels)
 }
 
 fn size(x: &[f64]) -> f64 {

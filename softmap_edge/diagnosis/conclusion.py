@@ -29,7 +29,8 @@ from softmap_edge.diagnosis.evidence import (
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.masked import Masked
 from softmap_edge.diagnosis.record import Record
-from softmap_edge.diagnosis.search import RIVAL_SHARE, RIVAL_WORSE, Search
+from softmap_edge.diagnosis.rivals import RIVAL_SHARE, RIVAL_WORSE, rivals_of, stands_for, worse
+from softmap_edge.diagnosis.search import Search
 from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, verdict_of
 from softmap_edge.folds import labelled
 from softmap_edge.own_effect import hashes
@@ -70,7 +71,7 @@ def conclude(
     registry = {e["name"]: e for e in record.library.effects()}
     weights = {e: max(search.share(fit, e), 0.0) for e in fit.effects}
     order = sorted(fit.effects, key=lambda e: (e not in search.faults, -weights[e], e))
-    found = [r for r in search.rivals(fit) if not set(r[1].effects) & set(demoted)]  # what was dropped is no rival
+    found = [r for r in rivals_of(search, fit) if not set(r[1].effects) & set(demoted)]  # what was dropped is no rival
     left = leftover(search, fit)
     behind = [] if masked is None else masked.untestable(registry)
     names = {h.name for h in behind}
@@ -229,9 +230,9 @@ def _rivals(
             told_by = registry[member]["alike"].get(twin) or registry[twin]["alike"].get(member)
             if twin in search.candidates and told_by != "orientation":  # forms of loads are off too far to rule out
                 other = search.get(frozenset(swapped))
-                worse = search.held_out_mm(other) / max(search.held_out_mm(fit), 1e-9) - 1.0
-                if (told_by == "never" and worse > RIVAL_WORSE) or search.stands_for(other, fit, member) < RIVAL_SHARE:
-                    continue  # by form it could: one that cannot do it, or leaves twice as much, is told apart
+                unable = stands_for(search, other, fit, member) < RIVAL_SHARE
+                if unable or (told_by == "never" and worse(search, other, fit) > RIVAL_WORSE):
+                    continue
             why = f"{twin} and {member} look alike under the conditions of this run"
             rivals.append({"member": member, "effects": swapped, "why": why})
     return rivals

@@ -26,6 +26,7 @@ from softmap_edge.diagnosis.masked import masked
 from softmap_edge.diagnosis.prepare import candidates_of, problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
+from softmap_edge.diagnosis.rivals import earliest, simplest
 from softmap_edge.diagnosis.search import Search
 from softmap_edge.diagnosis.servo import servos
 from softmap_edge.diagnosis.sound import sound_record, stray
@@ -87,8 +88,8 @@ def diagnose(
     search = Search(problem, candidates, progress)
     fit = search.run()
     if model.kind == "rod":
-        fit = search.simplest(fit)
-    fit = search.earliest(fit, lambda name: equivalents(record, name, registry))
+        fit = simplest(search, fit)
+    fit = earliest(search, fit, lambda name: equivalents(record, name, registry))
     other = None if held_out is None else _judge(model, held_out, library, reference)
     demoted: list[str] = []
     if other is not None:

@@ -25,7 +25,6 @@ Floats = NDArray[np.float64]
 
 BEAM, LARGEST, ROUNDS = 2, 4, 6
 REFITS, REFITS_ON = 5, 3  # candidates that are fitted alone, and on top of a fit
-RIVALS = 5  # other candidates that are fitted in the place of a member
 STAGES = ("command", "transmission", "material", "shape", "sensing")
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
 CV_RISE, CV_SHOWN = 0.05, 2  # a fold whose loss hardly falls and rises by less does not show the member; how many must
@@ -34,13 +33,9 @@ SHARE = 0.045  # least share of the explained misfit: forms off by a fifth leave
 PROMISING = 0.03  # least share of the misfit that a larger set must win for the search to go on without a valid one
 HOPEFUL = 0.5  # of what is promising, or of what a rival must carry: what is predicted to win less is not fitted
 FORM_TOLERANCE, FIELD_TOLERANCE = 0.2, 0.3  # of what another member moves: no form is truer; linear fields of stiffness
-EQUAL = 6.0  # difference of EBIC (odds of 20) below which two sets of the same size count as equally good
 APART, SECOND = 0.5, 2.0  # of a scale between two starts, and times what the first leaves, for a second to be tried
-ALIKE = 1.02  # of the held-out error: effects of one form differ by less
 FLOATED = 0.9  # of what the nearest set of a size leaves: one that came by dropping a member is nearer, and goes first
 SIMPLER = 0.9  # of the held-out error in mm: fewer effects that reach it stand for more that the objective likes better
-RIVAL_SE, RIVAL_SHARE = 2.0, 0.6  # standard errors within which a rival stands; least share of the rivalled fall
-RIVAL_WORSE = 1.0  # a rival whose held-out error in mm is twice as large is none, whatever its folds say
 
 
 class Search:
@@ -308,7 +303,7 @@ class Search:
         mine, size = frozenset(fit.effects), len(fit.effects) + 1
         return [found for key, found in self._fits.items() if mine < key and len(key) == size]
 
-    def alternatives(self, fit: Fit, member: str, count: int, share: float = RIVAL_SHARE) -> list[Fit]:
+    def alternatives(self, fit: Fit, member: str, count: int, share: float) -> list[Fit]:
         """Return the best `count` sets with `member` exchanged for another that may do this `share` of what it does."""
         rest = self.get(frozenset(fit.effects) - {member})
         others = [other for other in self.candidates if other not in fit.effects]
@@ -316,77 +311,9 @@ class Search:
         best = self.screening.best(rest, others, count, 0.5 * least)
         return [self.grow(rest, other, points) for cost, other, points in best if rest.cost - cost >= least]
 
-    def rivals(self, fit: Fit) -> list[tuple[str, Fit, str]]:
-        """Return (member, rival set, why) for sets within two standard errors in blocked cross-validation."""
-        found: list[tuple[str, Fit, str]] = []
-        mine = self.cv(fit)
-        for member in fit.effects:
-            for other in self.alternatives(fit, member, RIVALS):
-                share = self.stands_for(other, fit, member)
-                behind = self._behind(other, mine)
-                worse = self.held_out_mm(other) / max(self.held_out_mm(fit), 1e-9) - 1.0
-                if worse > RIVAL_WORSE or any(set(other.effects) == set(f.effects) for _, f, _ in found):
-                    continue
-                level = self.problem.record.model.kind == "rod" and worse < CV_FALL
-                if share >= RIVAL_SHARE and (behind <= RIVAL_SE or level):
-                    why = (
-                        f"explains {100 * share:.0f} % of what {member} explains on held-out blocks, "
-                        f"{max(behind, 0.0):.1f} standard errors behind, {100 * worse:+.1f} % in mm RMS held out"
-                    )
-                    found.append((member, other, why))
-        return found
-
-    def stands_for(self, other: Fit, fit: Fit, member: str) -> float:
-        """Return the share that another set does of what a member does for a fit, by the loss on held-out blocks."""
-        rest, mine, theirs = (
-            float(self.cv(f)[0].sum()) for f in (self.get(frozenset(fit.effects) - {member}), fit, other)
-        )
-        return (rest - theirs) / max(rest - mine, 1e-300)
-
     def held_out_mm(self, fit: Fit) -> float:
         """Return the RMS distance in mm over the places on blocks that trained nothing."""
         return self.problem.held_out_mm(self.cv(fit)[2])
-
-    def simplest(self, fit: Fit) -> Fit:
-        """Return the valid set with the fewest parameters within one standard error (or 1 % in mm) on held-out blocks.
-
-        For models whose own error dominates: how many independent numbers there are is a guess, so EBIC likes
-        parameters too much. Among equals the effect that acts earlier on the way to the camera is taken.
-        """
-        mine = self.cv(fit)
-        near = [fit]
-        for _, other, _ in self.rivals(fit):
-            worse = self.held_out_mm(other) / max(self.held_out_mm(fit), 1e-300) - 1.0
-            if (
-                (self._behind(other, mine) <= 1.0 or worse < CV_FALL)
-                and other.space.count < fit.space.count
-                and self.valid(other)
-            ):
-                near.append(other)
-        best = min(near, key=lambda f: (f.space.count, self.score(f, self.dispersion(fit))))
-        equals = [f for f in self._swaps(best) if f.space.count == best.space.count and self.valid(f)]
-        level = self.score(best, self.dispersion(best)) + EQUAL
-        close = [f for f in [best, *equals] if self.score(f, self.dispersion(best)) <= level]
-        return min(close, key=lambda f: sorted(self.candidates.index(e) for e in f.effects)[::-1])
-
-    def earliest(self, fit: Fit, twins: Callable[[str], Sequence[str]]) -> Fit:
-        """Return the set with members exchanged for `twins` that explain as much and act earlier on the way."""
-        for member in fit.effects:
-            for twin in twins(member):
-                if twin in fit.effects or twin not in self.candidates:
-                    continue
-                other = self.get(frozenset(fit.effects) - {member} | {twin})
-                earlier = STAGES.index(self.stages[twin]) < STAGES.index(self.stages[member])
-                if earlier and self.held_out_mm(other) <= ALIKE * self.held_out_mm(fit) and self.valid(other):
-                    fit = other
-                    break
-        return fit
-
-    def _swaps(self, fit: Fit) -> list[Fit]:
-        return [other for member in fit.effects for other in self.alternatives(fit, member, RIVALS)]
-
-    def _behind(self, other: Fit, mine: tuple[Floats, Floats, Floats]) -> float:
-        return max(_standard_errors(self.cv(other)[i], mine[i]) for i in (0, 1))
 
     def weights(self, fit: Fit, temperature: float) -> dict[frozenset[str], float]:
         """Return how probable the sets are that were tried, none larger than `fit`: softmax of -½ΔJ/(φT)."""
@@ -395,9 +322,3 @@ class Search:
         scores = np.array([f.cost / dispersion + self.penalty(f) / temperature for f in rivals.values()])
         weight = np.exp(-0.5 * (scores - scores.min()))
         return dict(zip(rivals, map(float, weight / weight.sum())))
-
-
-def _standard_errors(theirs: Floats, mine: Floats) -> float:
-    """Return by how many standard errors the log losses of one set lie above those of another, over the folds."""
-    ratio = np.log(np.maximum(theirs, 1e-300) / np.maximum(mine, 1e-300))
-    return float(ratio.mean() / max(float(ratio.std(ddof=1)) / np.sqrt(len(ratio)), 1e-9))

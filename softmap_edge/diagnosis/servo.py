@@ -20,6 +20,7 @@ from softmap_edge.diagnosis.conclusion import parameters
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.noise import command_kernel, estimate_noise, form_covariance, whitener
 from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.rivals import simplest
 from softmap_edge.diagnosis.search import Search
 from softmap_edge.features import FeatureMap
 from softmap_edge.run import Run
@@ -125,7 +126,7 @@ def _servo(run: Run, channel: int, candidates: list[str]) -> dict[str, Any] | No
     signature[..., 0] = 1.0
     problem = Problem(record, noise, whitener(noise, form, signature, kernel))
     search = Search(problem, candidates, visible=max(step, VISIBLE * span))
-    fit = search.simplest(search.run())
+    fit = simplest(search, search.run())
     sigma = problem.uncertainty(fit, search.dispersion(fit)) if len(fit.x) else np.zeros(0)
     return {
         "channel": channel,
