@@ -7,13 +7,14 @@ usual grid never mixed).
 
 from __future__ import annotations
 
-import textwrap
 from typing import Any
 
 import numpy as np
 
-from softmap_edge.diagnosis.advice import WIDTH, Word, advice, advice_lines
-from softmap_edge.diagnosis.conditions import HOME, conditions
+from softmap_edge.diagnosis.advice import Word, advice
+from softmap_edge.diagnosis.conditions import HOME, conditions, orientations
+from softmap_edge.report.advice_text import advice_lines
+from softmap_edge.report.numbers import folded
 from softmap_edge.run import BASE_MARKERS, Run
 
 SCHEMA = "softmap.check/1"
@@ -95,7 +96,7 @@ def sentences(document: dict[str, Any]) -> list[str]:
 
 
 def _hung(name: str, text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent=f"{name:<10}", subsequent_indent=" " * 10)
+    return folded(f"{name:<10}{text}", 0, 10)
 
 
 _TOLD = (("load", "load_g", "g"), ("temperature", "temperature_c", "°C"))
@@ -140,7 +141,8 @@ def _gravity(run: Run) -> str | None:
         return None
     rows = np.unique(np.round(np.atleast_2d(run.gravity), 3), axis=0)
     if len(rows) > 4:
-        return f"in {len(rows)} orientations"
+        count = orientations(run.gravity)
+        return f"one orientation, {len(rows)} readings" if count == 1 else f"{count} orientations, {len(rows)} readings"
     return " and ".join("(" + ", ".join(f"{x + 0.0:g}" for x in row) + ")" for row in rows)
 
 

@@ -8,8 +8,9 @@ import pytest
 
 from softmap_edge import Run, builtin_model, effects, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.advice import WIDTH, advice
+from softmap_edge.diagnosis.advice import advice
 from softmap_edge.protocol import Limits, standard_protocol
+from softmap_edge.report.numbers import WIDTH
 from softmap_edge.run_summary import sentences, summary
 
 SIDEWAYS = (0.6, 0.0, 0.8)
@@ -71,7 +72,7 @@ def triangle(t):
         (triangle, "speed", "always moves at about 0.12 of its range"),
         (triangle, "dwell", "rest for 0."),
         (triangle, "home", "home is never visited"),
-        (triangle, "noise", "nothing is seen twice"),
+        (triangle, "noise", "too little is seen twice"),
     ],
 )
 def test_what_the_motion_cannot_tell_is_said_with_a_remedy(command, about, words):

@@ -180,7 +180,7 @@ def begins_bent(f):
 TOLERATED = {
     "as it is": (lambda f: f, None),
     "twelve frames": (lambda f: some(f, np.linspace(0, 299, 12).astype(int)), "12 frames leave few to judge by"),
-    "no replicates": (lambda f: some(f, np.arange(0, 300, 8)), "nothing is seen twice, so the noise is only guessed"),
+    "no replicates": (lambda f: some(f, np.arange(0, 300, 8)), "too little is seen twice"),
     "a camera that hangs": (repeats(3), "200 of 300 frames are set aside: each repeats the picture before"),
     "a camera that stops": (freezes, "99 of 300 frames are set aside: each repeats"),
     "frames stamped twice": (stamped_twice, "300 of 600 frames are set aside: each repeats"),

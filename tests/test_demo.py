@@ -33,10 +33,10 @@ def test_demo_tells_the_story_and_reveals_at_the_end(tmp_path, capsys):
 
 
 def test_demo_prints_one_document(tmp_path, capsys):
-    assert main(["demo", "--hide", "offset,creep", "--seed", "4", "--json", "--out", str(tmp_path)]) == 0
+    assert main(["demo", "--hide", "backlash", "--seed", "4", "--json", "--out", str(tmp_path)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "softmap.demo/1"
-    assert [hidden["name"] for hidden in document["hidden"]] == ["offset", "creep"]
+    assert [hidden["name"] for hidden in document["hidden"]] == ["backlash"]
     assert all(1.0 <= hidden["displacement_mm"] <= 4.0 and hidden["params"] for hidden in document["hidden"])
     assert document["diagnosis"]["schema"] == "softmap.diagnosis/1"
     assert document["before_mm"] > document["after_mm"] > 0.9 * document["floor_mm"] > 0

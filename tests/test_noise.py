@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from softmap_edge.diagnosis.advice import DWELL_FRAMES
 from softmap_edge.diagnosis.noise import (
     Noise,
     Whitener,
@@ -45,6 +46,12 @@ def test_three_frames_of_a_dwell_are_replicates():
     noise = estimate_noise(wrong + 0.2 * rng.normal(size=wrong.shape), t, visit)
     assert noise.source == "replicates (49 degrees of freedom)"
     assert np.sqrt(np.mean(np.diag(noise.covariance))) == pytest.approx(0.2, rel=0.1)
+
+
+def test_three_dwells_as_the_advice_asks_tell_the_noise():
+    dwell, rng = np.repeat(np.arange(3), DWELL_FRAMES), np.random.default_rng(0)
+    told = [estimate_noise(rng.normal(size=(n, F)), np.arange(n), dwell[:n]) for n in (len(dwell), len(dwell) - 4)]
+    assert [noise.replicates for noise in told] == [True, False]
 
 
 def test_what_is_hidden_at_times_is_no_noise():
@@ -120,7 +127,7 @@ def test_whitened_form_error_and_noise_have_unit_variance():
     for _ in range(20):
         error = over_commands @ rng.normal(size=(len(kernel.strength), F)) @ root.T
         draw = error + 0.1 * rng.normal(size=(count, F))
-        values.append(np.mean(white(draw) ** 2))
+        values.append(np.mean(white.shrink(white.modes(draw)) ** 2))
         blind.append(np.mean(white.modes(draw) ** 2))
     # 300 x 18 x 20 numbers: one standard deviation of their mean square is 0.5 %.
     assert np.mean(values) == pytest.approx(1.0, abs=0.03)
@@ -151,7 +158,7 @@ def test_unseen_features_do_not_count():
     white = whitener(noise, np.zeros((F, F)), np.ones((1, 4, F)), kernel)
     hole = np.ones((4, F))
     hole[2] = np.nan
-    assert np.all(white(hole)[2] == 0) and np.any(white(hole)[1] != 0)
+    assert np.all(white.shrink(white.modes(hole))[2] == 0) and np.any(white.shrink(white.modes(hole))[1] != 0)
 
 
 def test_what_a_lean_makes_is_another_error_in_another_orientation():
@@ -167,6 +174,7 @@ def test_what_a_lean_makes_is_another_error_in_another_orientation():
     for name, rows in (("command", None), ("orientation", leaning)):
         kernel = command_kernel(command, spread, rows)
         white = whitener(noise, np.eye(3) * 0.25, np.ones((1, 120, 3)), kernel)
-        left[name] = [float(np.sum(white(values[:, None] * np.ones(3)) ** 2)) for values in (field, side * field)]
+        modes = [white.modes(values[:, None] * np.ones(3)) for values in (field, side * field)]
+        left[name] = [float(np.sum(white.shrink(m) ** 2)) for m in modes]
     assert left["command"][0] < 0.02 * left["command"][1]
     assert left["orientation"][1] < 0.05 * left["command"][1]

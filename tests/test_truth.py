@@ -245,11 +245,11 @@ def test_a_measured_finger_is_a_run():
     from softmap_edge.truth import hide, template
 
     p = other_protocol()
-    run = hide(["offset"], 4).measure(p)
-    again = hide(["offset"], 4).measure(p)
+    run = hide(["mount"], 4).measure(p)
+    again = hide(["mount"], 4).measure(p)
     assert run.vertices.shape == (p.frames, *template().shape)
     assert np.array_equal(run.vertices, again.vertices)
-    assert not np.array_equal(run.vertices, hide(["offset"], 4).measure(p, seed=1).vertices)
+    assert not np.array_equal(run.vertices, hide(["mount"], 4).measure(p, seed=1).vertices)
 
 
 def test_unknown_and_doubled_secrets_are_refused():
@@ -274,5 +274,5 @@ def test_laws_that_are_asked_for_by_name_move_every_channel():
     np.testing.assert_allclose(OffCentreSpool().scaled(0.0).command(t, u), u, atol=1e-12)
     assert np.array_equal(SwappedServos().command(t, u), u[:, [1, 0, 2, 3]])
     assert np.array_equal(SwappedServos().command(t, u[:, :1]), -u[:, :1])
-    hidden = hide(["servo_swap", "creep", "off_centre_spool"], 4)
-    assert [secret.name for secret in hidden.secrets] == ["servo_swap", "off_centre_spool", "creep"]
+    hidden = hide(["servo_swap", "mount", "off_centre_spool"], 4)
+    assert [secret.name for secret in hidden.secrets] == ["servo_swap", "off_centre_spool", "mount"]

@@ -1,7 +1,7 @@
 """Run the bank: make cases, diagnose them, write one small JSON a case, print the table. Goes on where it was stopped.
 
 python -m benches.bank --share 0.1            a tenth of the development seeds
-python -m benches.bank --seeds reporting      all, on seeds on which no threshold was set (hours of diagnosis)
+python -m benches.bank --seeds reporting      all, on seeds on which no threshold was set (docs/bank.md)
 python -m benches.bank --table                what is there already
 """
 

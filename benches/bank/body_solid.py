@@ -44,7 +44,7 @@ SLICES = 12  # of the body, each of one modulus, of two where a side differs
 class SolidBody:
     """Slice B."""
 
-    name, channels, every = "moe-finger", 2, 12  # a tenth of a second each
+    name, channels, every = "moe-finger", 2, 12
     can = frozenset({*DRIVE, *BODY, *UNKNOWN} - {*ONLY_A})
 
     @property

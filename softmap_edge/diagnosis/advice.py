@@ -8,7 +8,6 @@ Units: mm, s, °C. Pinned by tests/test_advice.py.
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -16,15 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions
-from softmap_edge.diagnosis.evidence import last_direction, orientations
-from softmap_edge.diagnosis.floor import replicates
+from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions, last_direction, orientations
+from softmap_edge.diagnosis.floor import replicates as dwelt
+from softmap_edge.diagnosis.noise import LONG_DWELL
 from softmap_edge.folds import LEAST_FRAMES
 from softmap_edge.run import Run, known
 
 Floats = NDArray[np.float64]
 
-WIDTH = 100
 ENOUGH_FRAMES = 60  # fewer hide small effects
 ENOUGH_VISITS = 3  # home at the start, at the end and in between: what drift and noise can be told apart with
 MOVING = 15  # frames seen in motion, below which delays are guessed
@@ -33,6 +31,7 @@ DWELL = 5.0  # s of rest that shows creep
 MINORITY = 0.1  # of the frames reached from the rarer side
 TOGETHER = 0.95  # correlation from which two channels are one
 WARMING = 3.0  # °C by which it must have changed
+DWELL_FRAMES = LONG_DWELL + 2  # in three dwells they tell the noise (`noise.ENOUGH`)
 BESIDE = 0.02  # of their length: markers nearer to one line than this show no twist
 
 
@@ -70,17 +69,17 @@ def advice(run: Run, home_visits: int) -> list[Word]:
     return [*words, _temperature(run)]
 
 
-def asked(runs: Sequence[Run], frames: int, noise: str) -> list[str]:
+def asked(runs: Sequence[Run], frames: int, replicates: bool) -> list[str]:
     """Return as sentences what a diagnosis stands on that its runs do not give.
 
     Args:
         runs: that are diagnosed together: what one of them tells is told. frames: that were used of all.
-        noise: where the noise is from, as `noise.py` names it.
+        replicates: whether dwells told the noise.
     """
     words = [word for run in runs for word in _drive(_commanded(run))]
     told = {word.about for word in words if word.tells}
     words = [_enough(frames), *(word for word in words if word.about not in told)]
-    if "no replicates" in noise:
+    if not replicates:
         words.append(_NO_REPLICATES)
     if any(run.gravity is None for run in runs):
         words.append(_orientation(next(run for run in runs if run.gravity is None)))
@@ -89,8 +88,8 @@ def asked(runs: Sequence[Run], frames: int, noise: str) -> list[str]:
 
 
 _NO_REPLICATES = Word(
-    "noise", False, "noise from physics of the same size: nothing is seen twice, so the noise is only guessed",
-    "rest at home and at two other places for 7 s each, with 5 frames or more each time", 1.0,
+    "noise", False, "noise from physics of the same size: too little is seen twice, so the noise is only guessed",
+    f"rest at home and at two other places for 10 s each, with {DWELL_FRAMES} frames or more each time", 1.0,
 )  # fmt: skip
 
 
@@ -109,7 +108,7 @@ def _noise(run: Run, state: Conditions) -> Word:
     if seen is None:
         return Word("noise", False, "the noise: the points of clouds have no identity", "register them to a template")
     visible = known(run, seen)
-    found = replicates(state, np.where(visible[..., None], seen, 0.0), visible) if run.channels else None
+    found = dwelt(state, np.where(visible[..., None], seen, 0.0), visible) if run.channels else None
     if found is not None:
         return Word("noise", True, f"noise from physics: the noise is {found[0]:.2g} mm, from {found[1]}")
     if run.sigma is not None:
@@ -253,40 +252,3 @@ def _temperature(run: Run) -> Word:
         text = f"softening by warmth from creep: the temperature changes by {change:.1f} °C only"
         return Word("temperature", False, text, remedy, 15.0)
     return Word("temperature", True, f"softening by warmth from creep: the temperature changes by {change:.1f} °C")
-
-
-def advice_lines(words: list[Word]) -> list[str]:
-    """Return the words for a terminal: what can be told, what cannot with its remedy, and the minutes in all."""
-    lines = ["", "From this run one can tell"]
-    lines += [line for word in words if word.tells for line in folded(f"+ {word.text}", 2)] or ["  nothing yet"]
-    poor = [word for word in words if not word.tells]
-    if not poor:
-        return lines
-    lines += ["", "From this run one cannot tell"]
-    for word in poor:
-        time = "" if word.minutes is None else f" ({word.minutes:g} min)"
-        lines += [*folded(f"- {word.text}", 2), *folded(f"> {word.remedy}{time}", 6)]
-    minutes = sum(word.minutes or 0.0 for word in poor)
-    return [*lines, "", f"What is missing (the lines marked >) takes about {minutes:g} minutes of recording in all."]
-
-
-def effect_lines(effects: list[dict[str, Any]]) -> list[str]:
-    """Return for a terminal what `diagnosis.showing` found of each effect."""
-    lines = ["", "Effects at mid-range: how far each would move the body, and how often that is the noise"]
-    wide = max((len(row["name"]) for row in effects), default=0)
-    for row in effects:
-        if row["shows"]:
-            size = f"{row['moved_mm']:5.2f} mm {row['deviations']:7.0f} times"
-            twins = f", but like {', '.join(row['alike'])}" if row["alike"] else ""
-            lines.append(f"  + {row['name']:<{wide}}{size}   shows{twins}")
-        else:
-            lines += folded(f"- {row['name']:<{wide}}  does not show: {row['why']}", 2)
-        if not row["shows"] or row["alike"]:
-            lines += folded(f"> {row['experiment']} ({row['minutes']:g} min)", 6)
-    return lines
-
-
-def folded(text: str, indent: int) -> list[str]:
-    """Return a text as lines of at most 100 columns from `indent` on; further lines stand under the first word."""
-    pad = " " * indent
-    return textwrap.wrap(text, WIDTH, initial_indent=pad, subsequent_indent=pad + "  ")

@@ -233,7 +233,8 @@ def _rivals(
                 unable = stands_for(search, other, fit, member) < RIVAL_SHARE
                 if unable or (told_by == "never" and worse(search, other, fit) > RIVAL_WORSE):
                     continue
-            why = f"{twin} and {member} look alike under the conditions of this run"
+            tried = "" if twin in search.candidates else "; it was not tried"
+            why = f"{twin} and {member} look alike under the conditions of this run{tried}"
             rivals.append({"member": member, "effects": swapped, "why": why})
     return rivals
 
@@ -243,7 +244,7 @@ def _error(search: Search, order: list[str], other: Record | None) -> dict[str, 
     found = ladder(search, order) if other is None else ladder_on(search, other, order)
     noise, form = problem.noise.rms_mm(record.positions), record.form_mm
     measured = record.model.kind != "rod"
-    replicates = measured and problem.noise.source.startswith("replicates")
+    replicates = measured and problem.noise.replicates
     return {
         "kind": "held-out rms",
         "unit": "mm",

@@ -21,6 +21,7 @@ Mask = NDArray[np.bool_]
 
 WINDOW_SAMPLES, WINDOW_SHORTEST, WINDOW_LONGEST = 3.0, 0.1, 0.5  # velocity window: median periods; s; s
 STILL = 0.005  # of the largest command span, per second: slower than this is not a motion
+NEAR = np.cos(np.radians(20.0))  # orientations within 20 degrees count as one
 TURNED = 0.02  # change of the unit gravity vector between frames, about a degree: another orientation
 HOME = 0.1  # of the largest |command|: closer to zero than this is "home"
 DWELL_EDGES = (0.0, 0.5, 2.0, 5.0, 10.0, 30.0)  # s, from the moment when the command stopped
@@ -255,3 +256,23 @@ def _direction_name(g: Floats) -> str:
     if np.delete(np.abs(g), axis).max() < 0.02:
         return f"gravity {'+' if g[axis] > 0 else '−'}{'xyz'[axis]}"
     return "gravity " + " ".join(f"{value:+.2f}" for value in g).replace("-", "−")
+
+
+def orientations(gravity: Floats | None) -> int:
+    """Return how many orientations (T, 3) or (3,) differ by more than 20 degrees (1 if none is declared)."""
+    if gravity is None:
+        return 1
+    rows = np.atleast_2d(np.asarray(gravity, float))
+    found: list[Floats] = []
+    for row in rows[np.linspace(0, len(rows) - 1, min(len(rows), 200)).astype(int)]:
+        unit = row / max(float(np.linalg.norm(row)), 1e-12)
+        if all(float(unit @ other) < NEAR for other in found):
+            found.append(unit)
+    return max(1, len(found))
+
+
+def last_direction(velocity: Floats, moving: NDArray[np.bool_]) -> Floats:
+    """Return the sign (K, C) of each channel's last motion up to each frame, 0 before the first."""
+    sign = np.where(moving[:, None], np.sign(np.round(velocity, 6)), 0.0)
+    index = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign))[:, None], 0), axis=0)
+    return np.take_along_axis(sign, index, axis=0) if len(sign) else sign

@@ -111,7 +111,7 @@ def diagnose(
     document["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     remarks += [] if record.replay is None else [TWICE]
-    remarks += [] if library is not None else asked(record.whole, len(record), problem.noise.source)
+    remarks += [] if library is not None else asked(record.whole, len(record), problem.noise.replicates)
     encoded = [run for run in record.whole if run.present is not None] if library is None else []
     told = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
     return Diagnosis(**document, servo=told, remarks=remarks, model=with_error(found, document["effects"]))

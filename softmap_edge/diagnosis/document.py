@@ -16,12 +16,10 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError, brief
-from softmap_edge.report.text import VERDICTS, check_diagnosis, diagnosis_text
+from softmap_edge.report.text import SCHEMA, VERDICTS, check_diagnosis, diagnosis_text
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
-
-SCHEMA = "softmap.diagnosis/1"
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 Ladder: RMS distance in mm over the places (section centroids or markers), always on frames that trained nothing: blocks
 of time, or an independent run. A static residual is a ridge on a polynomial of the command; it is what a corrector
 without memory or physics could reach.
-Testability: whitened size of an effect's signature at mid-range (halfway from null to the high end) on this very run.
+Testability: whitened size of an effect's signature at mid-range (see `strongest`) on this very run.
 Leftover: RMS beyond noise, a claim where it is LEFT times what the model's own error, noise and untrue forms allow; the
 blocked R² of a ridge on velocity, direction, dwell, history, time, temperature, orientation and command says by what.
 Units: mm. Known limit: the ridge sees what is smooth in these conditions, not what happens once. Pinned by
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.diagnosis.conditions import last_direction, orientations
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.noise import scaled_commands
 from softmap_edge.diagnosis.record import Record
@@ -28,7 +29,8 @@ Floats = NDArray[np.float64]
 
 DETECTABLE = 5.0  # whitened size (standard deviations) below which a signature counts as not shown
 RIDGE = 3.0  # ridge on standardised columns
-LEFT_R2 = 0.12  # from which a condition is named as what predicts a leftover
+LEFT_R2, SEEN_R2 = 0.12, 0.02  # from which a condition is named as what predicts a leftover, and is kept at all
+STATIC_RIDGE = 0.03  # of a static residual, for each frame that trains it
 # How far the form of an effect is off, of what it moves, by role or by name, and of one at its bound; how far the noise
 # may be off; how many times what these and the model's own error leave is something else. From development seeds of the
 # bank (docs/bank.md).
@@ -65,21 +67,8 @@ class Leftover:
     claim: bool
 
 
-def orientations(gravity: Floats | None) -> int:
-    """Return how many orientations (T, 3) or (3,) differ by more than 20 degrees (1 if none is declared)."""
-    if gravity is None:
-        return 1
-    rows = np.atleast_2d(np.asarray(gravity, float))
-    found: list[Floats] = []
-    for row in rows[np.linspace(0, len(rows) - 1, min(len(rows), 200)).astype(int)]:
-        unit = row / max(float(np.linalg.norm(row)), 1e-12)
-        if all(float(unit @ other) < np.cos(np.radians(20.0)) for other in found):
-            found.append(unit)
-    return max(1, len(found))
-
-
 def equivalents(record: Record, name: str, registry: Mapping[str, dict[str, Any]]) -> list[str]:
-    """Return the candidates that this run cannot tell from `name` by their form."""
+    """Return the effects of the registry, tried or not, that this run cannot tell from `name` by their form."""
     resolved = {
         "orientation": orientations(record.state.gravity) > 1,
         "load": record.load is not None and float(np.ptp(record.load)) > 0,
@@ -126,7 +115,11 @@ def unseen(moved: float, size: float) -> str | None:
 
 
 def strongest(problem: Problem, name: str) -> Floats:
-    """Return the larger feature difference (K, F) mm that an effect makes at mid-range or at its start."""
+    """Return the feature difference (K, F) mm that an effect makes at mid-range.
+
+    That is half-way from null to the end of its range; on a logarithmic scale its start or half-way up from there,
+    whichever moves the body more.
+    """
     space = problem.space((name,))
     far = 0.5 * np.where(space.high > 0, space.high, space.low)  # some are absent at their high end
     middle = np.where(space.log, space.start, far)
@@ -157,7 +150,7 @@ def leftover(search: Search, fit: Fit) -> Leftover:
     claim, more = rms > most, _amounts_at_bound(fit)
     if claim and more.any():  # what may lie beyond the bound is not unknown
         claim = _left_mm(problem, problem.beyond(fit, more, FARTHER)) > most
-    return Leftover(rms, chi2, r2, best if r2 > 0.02 else None, bool(claim))
+    return Leftover(rms, chi2, r2, best if r2 > SEEN_R2 else None, bool(claim))
 
 
 def _left_mm(problem: Problem, fit: Fit) -> float:
@@ -263,13 +256,6 @@ def condition_columns(record: Record) -> dict[str, Floats]:
     return {name: columns for name, columns in groups.items() if columns.shape[1]}
 
 
-def last_direction(velocity: Floats, moving: NDArray[np.bool_]) -> Floats:
-    """Return the sign (K, C) of each channel's last motion up to each frame, 0 before the first."""
-    sign = np.where(moving[:, None], np.sign(np.round(velocity, 6)), 0.0)
-    index = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign))[:, None], 0), axis=0)
-    return np.take_along_axis(sign, index, axis=0) if len(sign) else sign
-
-
 def static_basis(u: Floats) -> Floats:
     """Return the polynomial (K, n) of scaled commands (K, C): cubic up to two channels, else quadratic."""
     columns = [np.ones(len(u))]
@@ -361,5 +347,5 @@ def _static(record: Record, at: Record, residual: Floats, train: NDArray[np.int6
         if len(rows):
             values = np.zeros((len(columns), len(features)))
             values[: len(record)] = np.where(np.isfinite(residual), residual, 0.0)[:, features]
-            found[:, features] = ridge(columns, values, rows, 0.03 * len(rows))[len(record) :]
+            found[:, features] = ridge(columns, values, rows, STATIC_RIDGE * len(rows))[len(record) :]
     return found

@@ -31,6 +31,7 @@ Floats = NDArray[np.float64]
 HALF_SEEN = 0.25  # of the frames: where more show only some of the features, all are predicted by their features
 STEP = 4e-3  # of the range of a parameter
 ITERATIONS = 20
+DAMPING = 1e-3  # of a Gauss-Newton step, of the curvature
 DAMPINGS = ((1.0,), (0.05, 20.0, 400.0), (8e3, 1.6e5))  # factors tried with new slopes; the next lot if none is better
 SECANTS = 3  # parameters from which slopes are carried on by secants
 LINEAR = 0.5  # of what its slopes promised a step must win for them to be carried on by one secant and not taken anew
@@ -264,7 +265,7 @@ class Problem:
                 f"the model predicts numbers that are not finite with {', '.join(effects) or 'no effect'}"
             )
         cost, chi2 = (float(a[0]) for a in self.costs(modes[None], x[None]))
-        damping, slopes, fresh = 1e-3, self.slopes(space, x, modes), True
+        damping, slopes, fresh = DAMPING, self.slopes(space, x, modes), True
         for _ in range(ITERATIONS if len(x) else 0):
             jacobian, residual = self.white(slopes), self.white(modes)
             gradient, hessian = normal(x, jacobian, residual)
@@ -310,7 +311,7 @@ class Problem:
         for (train, _), (kernel, _) in zip(self.folds, self.fold_kernels):
             jacobian = self.whitener.shrink(fit.slopes[:, train], kernel).reshape(len(fit.x), -1)
             residual = self.whitener.shrink(fit.modes[train], kernel).ravel()
-            step = newton_step(fit.space, fit.x, jacobian, residual, 1e-3) - fit.x
+            step = newton_step(fit.space, fit.x, jacobian, residual, DAMPING) - fit.x
             points.append(np.clip(fit.x + np.clip(step, -0.5, 0.5), fit.space.low, fit.space.high))
         return self.record.predict(fit.space.names, fit.space.params(np.stack(points)))
 

@@ -42,6 +42,7 @@ class Noise:
     covariance: Floats
     source: str
     inflation: float
+    replicates: bool = False  # whether dwells told it
 
     def rms_mm(self, positions: Mask) -> float:
         """Return the RMS distance in mm that noise alone gives the places among V features."""
@@ -76,7 +77,7 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
         rho = float(np.clip(lag[0] / max(lag[1], 1e-300), 0.0, 0.95))
         inflation = (1 + rho) / (1 - rho) if rho > 0.15 else 1.0
         scatter = scatter / np.sqrt(np.outer(shown, shown))
-        return Noise(_shrunk(scatter / degrees, degrees), f"replicates ({degrees} degrees of freedom)", inflation)
+        return Noise(_shrunk(scatter / degrees, degrees), f"replicates ({degrees} degrees of freedom)", inflation, True)
     return Noise(_high_frequency(_filled(residual), t_seen), "high-frequency part of the run (no replicates)", 1.0)
 
 
@@ -216,10 +217,6 @@ class Whitener:
         inside = self.kernel.basis.T @ modes
         forgiven = 1.0 - 1.0 / (1.0 + self.kernel.strength[:, None] * self.form[None, :])
         return np.asarray(whole - np.einsum("...rm,...rm,rm->...", inside, inside, forgiven))
-
-    def __call__(self, difference: Floats) -> Floats:
-        """Return the whitened difference (..., K, M)."""
-        return self.shrink(self.modes(difference))
 
 
 def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel) -> Whitener:

@@ -140,11 +140,6 @@ class Record:
         return self._leaning / max(float(np.sqrt(np.mean(np.sum(self._leaning**2, axis=1)))), 1e-300)
 
     @property
-    def gravity(self) -> Floats | None:
-        """Directions (n, 3) of gravity that are declared, in the base frame."""
-        return None if self.run.gravity is None else np.atleast_2d(np.asarray(self.run.gravity, float))
-
-    @property
     def load(self) -> Floats | None:
         """Loads (n,) g that are declared."""
         return None if self.run.load is None else np.atleast_1d(np.asarray(self.run.load, float))

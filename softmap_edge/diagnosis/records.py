@@ -1,8 +1,7 @@
 """Several runs of one robot as a fit sees them: frame after frame, under shared parameters.
 
-Memory starts in equilibrium in each run, and what belongs to a session rather than to the robot (PER_RUN: where the
-base stood in the camera's frame, how it drifted, how far the clocks were apart) has numbers of its own for each,
-labelled `mount.turn_x@2` from the second run on. Units: mm, s, g. Limit: the runs must be seen in the same way
+Memory starts in equilibrium in each run, and what belongs to a session has numbers of its own for each (`layout.py`).
+Units: mm, s, g. Limit: the runs must be seen in the same way
 (vertices, or the same number of markers). Pinned by tests/test_several_runs.py.
 """
 
@@ -120,13 +119,6 @@ class Records(Record):
     def spread(self) -> Floats:
         """Range (C,) of the commands of all runs."""
         return np.asarray(np.ptp(np.concatenate([part.u for part in self.parts]), axis=0))
-
-    @property
-    def gravity(self) -> Floats | None:
-        """Directions (n, 3) of gravity, of all runs; None if one does not declare it."""
-        rows = [part.gravity for part in self.parts]
-        known = [row for row in rows if row is not None]
-        return np.concatenate(known) if len(known) == len(rows) else None
 
     @property
     def load(self) -> Floats | None:

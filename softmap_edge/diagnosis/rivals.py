@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.fit import Fit
-from softmap_edge.diagnosis.search import CV_FALL, STAGES, Search
+from softmap_edge.diagnosis.search import STAGES, Search
 
 Floats = NDArray[np.float64]
 
 RIVALS = 5  # other candidates that are fitted in the place of a member
 RIVAL_SE, RIVAL_SHARE = 2.0, 0.6  # standard errors within which a rival stands; least share of the rivalled fall
+LEVEL = 0.01  # of the held-out error in mm: sets that differ by less are level
 RIVAL_WORSE = 1.0  # a rival whose held-out error in mm is twice as large is none, whatever its folds say
 EQUAL = 6.0  # difference of EBIC (odds of 20) below which two sets of the same size count as equally good
 ALIKE = 1.02  # of the held-out error: effects of one form differ by less
@@ -32,7 +33,7 @@ def rivals_of(search: Search, fit: Fit) -> list[tuple[str, Fit, str]]:
             more = worse(search, other, fit)
             if more > RIVAL_WORSE or any(set(other.effects) == set(f.effects) for _, f, _ in found):
                 continue
-            level = search.problem.record.model.kind == "rod" and more < CV_FALL
+            level = search.problem.record.model.kind == "rod" and more < LEVEL
             if share >= RIVAL_SHARE and (behind <= RIVAL_SE or level):
                 why = (
                     f"explains {100 * share:.0f} % of what {member} explains on held-out blocks, "
@@ -63,7 +64,7 @@ def simplest(search: Search, fit: Fit) -> Fit:
     near = [fit]
     for _, other, _ in rivals_of(search, fit):
         if (
-            (_behind(search, other, fit) <= 1.0 or worse(search, other, fit) < CV_FALL)
+            (_behind(search, other, fit) <= 1.0 or worse(search, other, fit) < LEVEL)
             and other.space.count < fit.space.count
             and search.valid(other)
         ):

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.fit import Fit, Problem, Space, normal, normal_step
+from softmap_edge.diagnosis.fit import DAMPING, STEP, Fit, Problem, Space, normal, normal_step
 
 Floats = NDArray[np.float64]
 
@@ -142,7 +142,7 @@ class Screening:
             batch.append(x)
             for i in new:
                 moved = x.copy()
-                moved[i] += -4e-3 if x[i] + 4e-3 > space.high[i] else 4e-3
+                moved[i] += -STEP if x[i] + STEP > space.high[i] else STEP
                 batch.append(moved)
         modes = self._glance(parent, space, effect, np.stack(batch))
         modes = modes.reshape(len(joint), width, *modes.shape[1:])
@@ -155,7 +155,7 @@ class Screening:
         for x, slopes, residual in zip(joint, own, here):
             jacobian = np.empty((len(labels), len(residual)))
             jacobian[at], jacobian[new] = self._glimpse(parent).white, slopes
-            ahead.append(normal_step(space.pinned(x), x, *normal(x, jacobian, residual), 1e-3))
+            ahead.append(normal_step(space.pinned(x), x, *normal(x, jacobian, residual), DAMPING))
         after = self._glance(parent, space, effect, np.stack(ahead))
         points = np.concatenate([np.stack(joint), np.stack(ahead)])
         costs = problem.costs(np.concatenate([modes[:, 0], after]), points)[0]
@@ -196,7 +196,7 @@ class Screening:
                 x, slope = np.concatenate([parent.x, signature.start])[back], towards[back]
                 curve = product[back[:, None], back]
                 curve.flat[:: len(back) + 1] += 1.0
-                ahead = normal_step(space.pinned(x), x, slope + x, curve, 1e-3)
+                ahead = normal_step(space.pinned(x), x, slope + x, curve, DAMPING)
                 step = ahead - x
                 there = here + 2.0 * float(step @ slope) + float(step @ (curve @ step) - step @ step)
                 promises.append((min(here + float(x @ x), there + float(ahead @ ahead)), effect))

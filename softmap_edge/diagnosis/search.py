@@ -23,7 +23,7 @@ from softmap_edge.diagnosis.screening import Screening
 
 Floats = NDArray[np.float64]
 
-BEAM, LARGEST, ROUNDS = 2, 4, 6
+BEAM, LARGEST, ROUNDS = 2, 4, 8
 REFITS, REFITS_ON = 5, 3  # candidates that are fitted alone, and on top of a fit
 STAGES = ("command", "transmission", "material", "shape", "sensing")
 CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
@@ -63,7 +63,7 @@ class Search:
         self.faults = {e["name"] for e in registry if e["kind"] == "fault"}
         self._shifts: dict[tuple[frozenset[str], str], Floats] = {}
         noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0)  # of one component of a section mean
-        self.visible_mm = max(visible, noise if problem.noise.source.startswith("replicates") else 0.0)
+        self.visible_mm = max(visible, noise if problem.noise.replicates else 0.0)
 
     # --- fits -----------------------------------------------------------------------------------
 
@@ -204,8 +204,22 @@ class Search:
     # --- search ---------------------------------------------------------------------------------
 
     def run(self) -> Fit:
-        """Search and return the largest set whose members are all accepted, or a smaller one that is nearer."""
-        chosen, beam, most = self.null, [self.null], min(LARGEST, len(self.candidates))
+        """Search and return the largest set whose members are all accepted, or a smaller one that is nearer.
+
+        Members are swapped where all else is built on them, after the first effect, and where the search would end.
+        """
+        chosen = self.null
+        for _ in range(ROUNDS):
+            grown = chosen if self._done(chosen) else self._grown(chosen)
+            after = self._swapped(grown) if grown is chosen or len(grown.effects) == 1 else grown
+            if after is chosen:
+                break
+            chosen = after
+        return self._undominated(chosen)
+
+    def _grown(self, chosen: Fit) -> Fit:
+        """Return the next valid set above `chosen` that is better, or `chosen` if there is none."""
+        beam, most = [chosen], min(LARGEST, len(self.candidates))
         for _ in range(ROUNDS):
             beam = [fit for fit in beam if len(fit.effects) < most]
             children = self._children(beam, REFITS if beam == [self.null] else REFITS_ON)
@@ -219,16 +233,12 @@ class Search:
             beam_before, beam = beam, children[: 1 if self.valid(children[0]) else BEAM]  # swaps bring its rivals in
             level = self.score(chosen, dispersion)
             good = next((c for c in beam if self.score(c, dispersion) < level and self.valid(c)), None)
-            if good is None:  # a pair may need its third; what is not accepted is never reported
-                won = min(b.cost for b in [chosen, *beam_before]) - beam[0].cost
-                if won < PROMISING * (self._measured(beam[0]).cost - beam[0].cost):
-                    break
-                continue
-            chosen = self._swapped(good)
-            if self._done(chosen):
-                break
-            beam = [chosen]
-        return self._undominated(chosen)
+            if good is not None:
+                return good
+            won = min(b.cost for b in [chosen, *beam_before]) - beam[0].cost
+            if won < PROMISING * (self._measured(beam[0]).cost - beam[0].cost):
+                break  # else a pair may need its third; what is not accepted is never reported
+        return chosen
 
     def _undominated(self, fit: Fit) -> Fit:
         """Return the valid set of fewer effects that comes nearest on held-out blocks, if it comes nearer than `fit`.

@@ -32,8 +32,19 @@ class OwnMisfit:
 
 
 def verdict_of(
-    physics: Any, faults: list[Any], doubts: list[Any], unknown: bool, hidden: list[Untestable], count: int
+    physics: list[dict[str, Any]],
+    faults: list[dict[str, Any]],
+    doubts: list[Any],
+    unknown: bool,
+    hidden: list[Untestable],
+    count: int,
 ) -> str:
+    """Return the verdict on entries of effects and faults; `physics` is `faults` where these may be physics.
+
+    Args:
+        doubts: rivals and whatever else speaks against what is named. unknown: whether something else is left.
+        hidden: effects that the run could not have shown, of `count` candidates.
+    """
     if unknown:
         return "partly_explained"
     if physics and faults and physics is not faults and _moved(faults) > GROSS * _moved(physics):
@@ -59,6 +70,7 @@ def sentence_of(
     error: dict[str, Any],
     demoted: Sequence[str],
 ) -> str:
+    """Return the verdict as a sentence: what is named, its rivals, by how much the held-out error falls."""
     names = " + ".join([*map(_said, faults), *(e["name"] for e in physics)])
     at_fault = " + ".join(map(_said, faults))
     wrong = f"the measurement is at fault ({at_fault})" if faults else ""
@@ -99,6 +111,7 @@ def _said(fault: dict[str, Any]) -> str:
 
 
 def at_bounds(entries: list[dict[str, Any]]) -> list[str]:
+    """Return a doubt for each number that the fit left at its bound."""
     return [
         f"{label} is at its bound of {p['value']:.3g}{'' if p['unit'] == '1' else ' ' + p['unit']}: "
         "the true value lies beyond, or another effect acts"

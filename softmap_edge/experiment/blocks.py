@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import protocol as moves
+from softmap_edge.diagnosis.conditions import NEAR
 from softmap_edge.errors import SoftmapError
 from softmap_edge.protocol import HANGING, LEAN, LIMIT_MINUTES, Limits, Protocol, Tape
 
@@ -32,7 +33,6 @@ WARMER, ROOM = 5.0, 22.0  # °C to warm by, and to start from where no temperatu
 WARM_UP = 600.0  # s that it takes
 LONG = 40.0  # s of rest at the end of the range
 TILTS = (25.0, 205.0, 115.0)  # degrees of azimuth to lean to; the first is that of the standard protocol
-NEAR = np.cos(np.radians(20.0))  # orientations within 20 degrees count as one
 
 
 @dataclass(frozen=True)

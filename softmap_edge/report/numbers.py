@@ -63,7 +63,7 @@ def tamed(text: Any) -> str:
     return LONG_NUMBER.sub(short, str(text))
 
 
-def folded(text: str, indent: int) -> list[str]:
-    """Return lines of `WIDTH` at most, indented."""
+def folded(text: str, indent: int, hang: int = 0) -> list[str]:
+    """Return lines of `WIDTH` at most, indented; all but the first by `hang` more."""
     pad = " " * indent
-    return textwrap.wrap(text, WIDTH, initial_indent=pad, subsequent_indent=pad)
+    return textwrap.wrap(text, WIDTH, initial_indent=pad, subsequent_indent=pad + " " * hang)

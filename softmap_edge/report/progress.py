@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping
 from typing import Any
 
-WIDTH = 100
+from softmap_edge.report.numbers import folded
 
 
 def progress_lines(before: Mapping[str, Any] | None, after: Mapping[str, Any]) -> list[str]:
@@ -39,4 +38,4 @@ def _asked(document: Mapping[str, Any]) -> list[str]:
 
 def _folded(text: str) -> list[str]:
     text = "".join(c for c in text if c.isprintable())
-    return textwrap.wrap(text, WIDTH, subsequent_indent=" " * 10)
+    return folded(text, 0, 10)

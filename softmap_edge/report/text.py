@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from softmap_edge.errors import ReportError
 from softmap_edge.report.numbers import LARGEST, bar, folded, mm, number, percent, tamed
 
-if TYPE_CHECKING:
-    pass
-
+SCHEMA = "softmap.diagnosis/1"
 VERDICTS = {
     "identified": "identified",
     "ambiguous": "ambiguous: more than one effect fits",
@@ -64,8 +62,8 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
 def check_diagnosis(document: Any) -> None:
     """Raise ReportError unless `document` has the schema softmap.diagnosis/1 and its entries have its shape."""
     schema = document.get("schema") if isinstance(document, Mapping) else None
-    if schema != "softmap.diagnosis/1" or not isinstance(document.get("verdict"), str):
-        raise ReportError(f"this is no diagnosis: schema {schema!r}, expected 'softmap.diagnosis/1' with a verdict")
+    if schema != SCHEMA or not isinstance(document.get("verdict"), str):
+        raise ReportError(f"this is no diagnosis: schema {schema!r}, expected '{SCHEMA}' with a verdict")
     for key in ("where", "error", "unexplained", "made_from"):
         _demand(document.get(key) or {}, Mapping, key)
     for key in ("effects", "faults", "servo", "rivals", "not_testable", "next"):
