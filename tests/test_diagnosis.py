@@ -14,6 +14,7 @@ from arm import LIBRARY, Arm, protocol, record_run
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model
 from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.diagnosis.conclusion import BEYOND_BOUND, UNKNOWN
 from softmap_edge.diagnosis.diagnose import diagnose, refit
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import SoftmapError
@@ -255,7 +256,8 @@ def test_what_no_effect_explains_is_no_effect(name):
     found = diagnose(builtin_model(), run, effects=rest)
     beyond = "the true value lies beyond, or another effect acts" in found.sentence
     assert found.verdict == "partly_explained" or (found.verdict == "ambiguous" and beyond)
-    assert found.verdict == "ambiguous" or all(e["probability"] <= 0.5 for e in found.effects)
+    odds = UNKNOWN * (found.unexplained["rms_mm"] / found.error["model"]) ** 2  # the more is left, the less is claimed
+    assert found.verdict == "ambiguous" or all(e["probability"] <= 1 / (1 + odds) for e in found.effects)
     values = [found.error["model"]] + [step["value"] for step in found.error["ladder"]]
     assert values[-1] == min(values)
 
@@ -348,7 +350,7 @@ def test_what_lies_beyond_a_bound_is_never_identified():
     found = diagnose(builtin_model(), finger_run(acting=late))
     assert found.verdict == "ambiguous" and found.effects[-1]["params"]["latency.delay"]["at_bound"]
     assert "latency.delay is at its bound of 0.5 s" in found.sentence
-    assert all(effect["probability"] <= 0.5 for effect in found.effects)  # what acts is not among the sets
+    assert all(e["probability"] <= 1 / (1 + BEYOND_BOUND) for e in found.effects)  # what acts is not among the sets
 
 
 def test_extrapolation_is_told():

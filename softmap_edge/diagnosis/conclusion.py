@@ -38,8 +38,9 @@ from softmap_edge.own_effect import hashes
 Floats = NDArray[np.float64]
 
 # Of the probabilities, fitted on development seeds of the bank (docs/bank.md): where forms are not exact one of so many
-# whitened numbers speaks for itself; odds of an open rival, and of something unknown left, against what is named.
-TEMPERATURE, RIVAL, UNKNOWN = 400.0, 0.25, 1.0
+# whitened numbers speaks for itself; odds of an open rival and of what lies beyond a bound; odds that something unknown
+# stands in the place of what is named, times the share of the mean square of the misfit that is left.
+TEMPERATURE, RIVAL, BEYOND_BOUND, UNKNOWN = 400.0, 0.25, 0.4, 30.0
 
 
 def conclude(
@@ -85,10 +86,11 @@ def conclude(
     shared = not_alone(search, fit, left)
     unknown = left.claim and (shared is None or leftover(search, shared[0]).claim)
     entries = _entries(search, fit, shared and shared[0], other, order, weights, rivals, registry)
-    if unknown or at_bounds(entries):  # what stands beyond a bound is not among the sets either
-        for entry in entries:
-            sure = entry["probability"]
-            entry["probability"] = None if sure is None else sure / (1.0 + UNKNOWN * sure)
+    odds = UNKNOWN * (left.rms_mm / max(search.held_out_mm(search.null), 1e-9)) ** 2 if unknown else 0.0
+    odds = odds or (BEYOND_BOUND if at_bounds(entries) else 0.0)  # it is not among the sets either
+    for entry in entries:
+        sure = entry["probability"]
+        entry["probability"] = None if sure is None else sure / (1.0 + odds * sure)
     faults = [e for e in entries if registry[e["name"]]["kind"] == "fault"]
     physics = [e for e in entries if registry[e["name"]]["kind"] != "fault"]
     error = _error(search, order, other)
