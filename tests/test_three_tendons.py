@@ -17,7 +17,7 @@ FALL = 0.85  # of the removable error, as the two pairs of the built-in finger p
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     folder = tmp_path_factory.mktemp("three")
-    assert main(["build", str(FILE), "--out", str(folder / "three"), "--steps", "9"]) == 0
+    assert main(["build", str(FILE), "--out", str(folder / "three"), "--steps", "7"]) == 0
     return load_bundle(folder / "three")
 
 
