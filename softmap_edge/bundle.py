@@ -19,8 +19,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import re
 import shutil
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -48,15 +50,15 @@ _MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a we
 def save_bundle(model: Model, path: str | Path) -> Path:
     """Write `model` as a bundle folder at `path`; the same model gives the same bytes. Return the folder.
 
-    Raises BundleError when `path` exists and is not a bundle.
+    A bundle that stands there is replaced. Raises BundleError when something else does, or a bundle with further files.
     """
-    folder = Path(path)
+    folder = Path(path).resolve()
     if not model.arrays:
         raise BundleError("this model has no arrays to write; build it, learn it, or load it from a bundle")
     check_folder(folder)
-    partial = folder.with_name(folder.name + ".part")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    partial.chmod(0o777 & ~_umask())
     kept = [name for name in ("prior", "fields", "residual") if name in model.arrays]
     for name in kept:
         write_npz(partial / f"{name}.npz", model.arrays[name])
@@ -102,6 +104,13 @@ def save_bundle(model: Model, path: str | Path) -> Path:
     return folder
 
 
+def _umask() -> int:
+    """Return which rights new files do not get; temporary folders are for their maker alone."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
 def _schema(model: Model) -> int:
     """Return the oldest schema that holds the model; a rod makes its fields itself."""
     designed = model.kind != "rod" and bool(set(model.fields) - set(_core.LOADS))
@@ -111,13 +120,16 @@ def _schema(model: Model) -> int:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise BundleError when `folder` holds something that is not a bundle, which is never overwritten."""
-    if (
-        folder.exists()
-        and not (folder / "manifest.json").exists()
-        and any(folder.iterdir() if folder.is_dir() else [1])
-    ):
-        raise BundleError(f"{folder} exists and is not a bundle; choose another name or remove it")
+    """Raise BundleError when `folder` holds something that is not a bundle, or more: that is never overwritten."""
+    if not folder.exists() or folder.is_dir() and not any(folder.iterdir()):
+        return
+    try:
+        manifest = load_manifest(folder)
+    except BundleError:
+        raise BundleError(f"{folder} exists and is not a bundle; choose another name or remove it") from None
+    ours = {"manifest.json", "residual.npz", *_FILES, *(f"{name}.py" for name in manifest.get("own_effects", {}))}
+    if foreign := sorted({entry.name for entry in folder.iterdir()} - ours):
+        raise BundleError(f"{folder}: holds {foreign[0]} beside a bundle, which would be lost; take it out first")
 
 
 def load_bundle(path: str | Path, trust: Trust | None = None) -> Model:

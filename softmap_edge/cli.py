@@ -64,6 +64,9 @@ def _run(verb: Verb, argv: list[str]) -> int:
     except SoftmapError as error:
         print(f"softmap {verb.name}: {error}", file=sys.stderr)
         return WRONG_USE
+    except MemoryError:
+        print(f"softmap {verb.name}: more memory is needed than is free; take something smaller", file=sys.stderr)
+        return WRONG_USE
     except OSError as error:
         print(f"softmap {verb.name}: {_of_the_system(error)}", file=sys.stderr)
         return WRONG_USE

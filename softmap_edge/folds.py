@@ -23,6 +23,7 @@ Folds = list[tuple[Index, Index]]  # (frames trained on, frames tested)
 FOLDS, GAP = 8, 1.0  # of a diagnosis, and the seconds left out beside what is held out
 MOST_FOLDS = 10
 LEAST_FRAMES = 8
+LEAST_LABELLED = 3  # frames of one label, on average: one a frame is a number and no label
 LABELS_A_FOLD = 2  # fewer, and a fold would hold out one kind of motion and nothing else
 
 
@@ -81,4 +82,7 @@ def run_folds(t_seen: Floats, labels: NDArray[Any] | None = None) -> Folds:
 
 def labelled(labels: NDArray[Any] | None) -> bool:
     """Whether frames have labels enough for a diagnosis to hold them out whole."""
-    return labels is not None and len(np.unique(labels)) >= LABELS_A_FOLD * FOLDS
+    if labels is None:
+        return False
+    count = len(np.unique(labels))
+    return LABELS_A_FOLD * FOLDS <= count <= len(labels) / LEAST_LABELLED

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError, brief
+from softmap_edge.whole_file import beside
 
 MAX_BYTES = 4 << 30
 _STEP = "_step"
@@ -23,8 +24,7 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
 
     Tables of whole numbers go column after column: what `packed` made is smooth down a column and a fifth smaller so.
     """
-    partial = path.with_name(path.name + ".part")
-    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+    with beside(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name in sorted(arrays):
             buffer = io.BytesIO()
             order: Literal["F", "C"] = "F" if np.asarray(arrays[name]).dtype.kind == "i" else "C"
@@ -33,13 +33,14 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
             archive.writestr(
                 zipfile.ZipInfo(f"{name}.npy", _EPOCH), buffer.getvalue(), zipfile.ZIP_DEFLATED, compresslevel=9
             )
-    partial.replace(path)
 
 
 def read_npz(
     path: Path, error: type[SoftmapError] = SoftmapError, limit: int = MAX_BYTES
 ) -> dict[str, NDArray[np.generic]]:
     """Read every array of `path`; raise `error` with one line when it is damaged, too large or holds objects."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise error(f"{path}: no file that can be read at will; give an .npz file")
     try:
         with zipfile.ZipFile(path) as archive:
             total = sum(entry.file_size for entry in archive.infolist())

@@ -27,6 +27,7 @@ from softmap_edge.npz import MAX_BYTES, read_npz, write_npz
 
 Array = NDArray[np.float64]
 Source = Literal["goal", "present"]
+MAX_NUMBERS = 1 << 26  # of a run: 40 000 frames of 548 vertices
 BASE_MARKERS = "base_markers"  # the field in which an import keeps markers (K, B, 3) mm that are fixed to the base
 
 
@@ -41,6 +42,9 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
         RunError: the file is damaged, too large, or a field is wrong.
     """
     archive = read_npz(Path(path), RunError, limit)
+    numbers = sum(array.size for array in archive.values())
+    if numbers > MAX_NUMBERS:  # each takes eight bytes, several times, in whatever type it is stored
+        raise RunError(f"{path}: {numbers:.3g} numbers, at most {MAX_NUMBERS:.3g} are read; cut it into shorter runs")
     try:
         stored: dict[str, NDArray[Any]] = dict(archive)
         known: dict[str, Any] = {name: stored.pop(name) for name in fields.AXES if name in stored}

@@ -2,12 +2,47 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+from softmap_edge.errors import SoftmapError
+
+MOST_TEXT = 64 << 20  # bytes of a document
 
 
 def write_whole(path: str | Path, content: str | bytes) -> None:
     """Write text (UTF-8; what has no such form as `?`) or bytes to `path`, replacing it only when complete."""
+    with beside(Path(path)) as partial:
+        partial.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "replace"))
+
+
+@contextmanager
+def beside(file: Path) -> Iterator[Path]:
+    """Give a new file beside `file` to write into, which takes its place once that is done, and is gone if it fails."""
+    try:
+        descriptor, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
+    except OSError as error:
+        raise type(error)(error.errno, error.strerror, str(file)) from None
+    os.close(descriptor)
+    partial = Path(name)
+    try:
+        yield partial
+        mask = os.umask(0)
+        os.umask(mask)
+        partial.chmod(0o666 & ~mask)
+        partial.replace(file)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read_document(path: str | Path, error: type[SoftmapError] = SoftmapError) -> str:
+    """Return the text of a document; raise `error` for what is no file of text, or one that is too large."""
     file = Path(path)
-    partial = file.with_name(file.name + ".part")
-    partial.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "replace"))
-    partial.replace(file)
+    if file.exists() and not file.is_file():
+        raise error(f"{path}: no file; give a document")
+    if file.exists() and file.stat().st_size > MOST_TEXT:
+        raise error(f"{path}: {file.stat().st_size >> 20} MB, documents of up to {MOST_TEXT >> 20} MB are read")
+    return file.read_text(encoding="utf-8")

@@ -1,5 +1,6 @@
 """Sound files and sound arguments that ask for absurd work are refused at once, in one line, before memory is taken."""
 
+import os
 import time
 from dataclasses import replace
 
@@ -8,11 +9,13 @@ import pytest
 
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
+from softmap_edge.cli import main
 from softmap_edge.errors import BundleError, FingerError, SoftmapError
 from softmap_edge.npz import read_npz, write_npz
 from softmap_edge.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
+from softmap_edge.whole_file import write_whole
 
 LONG_AXIS = np.arange(2.0**21)
 AT_ONCE = 5.0  # s on a busy machine; the work itself would take hours or all the memory
@@ -113,3 +116,32 @@ def test_what_is_large_but_reasonable_still_works():
     finger = Finger.builtin().replace(core=6, rings=3, layers=60)
     assert len(Simulator(finger).template.vertices) > 1500
     assert Finger.builtin().replace(core=16, layers=40).other_mesh().solid.core == 15
+
+
+@pytest.mark.parametrize("argv", [["diagnose"], ["check"], ["add", "gain", "--out", "b", "--from"], ["next"]])
+def test_devices_and_pipes_are_no_files(argv, tmp_path, capsys, monkeypatch):
+    """They never end: what reads them whole fills the memory, or waits for ever."""
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    for name in ("pipe", "/dev/zero"):
+        assert main([*argv, name]) in (1, 2)
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and name in said
+
+
+def test_a_small_file_of_many_numbers_is_refused_before_they_are_made_floats(tmp_path):
+    times = np.arange(2.0)
+    zeros = np.zeros((2, 20_000_000, 3), np.int8)
+    write_npz(tmp_path / "run.npz", {"t": times, "t_seen": times, "vertices": zeros})
+    with pytest.raises(SoftmapError, match="numbers, at most"):
+        Run.load(tmp_path / "run.npz")
+
+
+def test_a_file_is_replaced_whole_and_its_neighbours_stay(tmp_path):
+    (tmp_path / "d.json.part").write_text("precious")
+    write_whole(tmp_path / "d.json", "{}")
+    assert (tmp_path / "d.json").stat().st_mode & 0o777 == (tmp_path / "d.json.part").stat().st_mode & 0o777
+    with pytest.raises(FileNotFoundError, match="absent"):
+        write_whole(tmp_path / "absent" / "d.json", "{}")
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["d.json", "d.json.part"]
+    assert (tmp_path / "d.json.part").read_text() == "precious"

@@ -137,6 +137,26 @@ def test_markers_on_the_base_are_counted_and_are_no_unknown_field():
     assert any("3 markers on the base" in line for line in sentences(found))
 
 
+def test_orientations_count_where_something_is_seen():
+    run = sideways_after(10.0)
+    assert told_of(run, "orientation") and not told_of(run.at(run.t_seen < 9.0), "orientation")
+
+
+def sideways_after(seconds):
+    protocol = standard_protocol(2)
+    return Run(
+        t=protocol.t,
+        command=protocol.command,
+        t_seen=protocol.t_seen,
+        gravity=np.where(protocol.t[:, None] < seconds, [0.0, 0.0, 1.0], SIDEWAYS),
+        markers=np.zeros((protocol.frames, 1, 3)) + [[[0.0, 0.0, 50.0]]],
+    )
+
+
+def told_of(run, about):
+    return next(word for word in advice(run, 3) if word.about == about).tells
+
+
 def test_a_changing_load_stands_for_a_second_orientation():
     run = full(gravity=np.array([0.0, 0, 1]), load=np.where(np.arange(len(full().t)) < 3000, 0.0, 10.0))
     assert answers(run)["orientation"]["tells"]

@@ -91,6 +91,27 @@ def test_saving_never_overwrites_something_else(finger, tmp_path):
     assert (tmp_path / "precious" / "thesis.tex").exists()
 
 
+def test_saving_loses_nothing_that_stands_beside_or_in_place_of_a_bundle(finger, tmp_path):
+    model, there = load_bundle(finger), tmp_path / "there"
+    there.mkdir()
+    (there / "manifest.json").write_text('{"manifest_version": 3}')
+    (there / "thesis.tex").write_text("...")
+    with pytest.raises(BundleError, match="is not a bundle"):
+        save_bundle(model, there)
+    mine = save_bundle(model, tmp_path / "mine")
+    (mine / "notes.txt").write_text("...")
+    with pytest.raises(BundleError, match=r"notes\.txt beside a bundle"):
+        save_bundle(model, mine)
+    (mine / "notes.txt").unlink()
+    (tmp_path / "mine.part").mkdir()
+    (tmp_path / "mine.part" / "precious").write_text("...")
+    (tmp_path / "link").symlink_to(mine)
+    save_bundle(model, tmp_path / "link")  # a bundle is replaced, also behind a link
+    assert (tmp_path / "link").is_symlink() and load_bundle(mine).robot == model.robot
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["link", "mine", "mine.part", "there"]
+    assert (tmp_path / "mine.part" / "precious").exists() and (there / "thesis.tex").exists()
+
+
 @pytest.mark.parametrize("name", ["prior.npz", "template.npz", "fields.npz", "effects.json"])
 def test_a_changed_file_is_refused_by_name(copy, name):
     data = bytearray((copy / name).read_bytes())

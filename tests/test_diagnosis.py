@@ -5,6 +5,7 @@ other forms on the simulated finger are judged elsewhere.
 """
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -342,6 +343,41 @@ def test_what_a_model_has_already_may_be_wrong_in_its_numbers():
     assert "`softmap refit` alone takes" in found.sentence and "softmap refit" in found.next[0]["block"]
     found = diagnose(right, run)
     assert found.verdict == "nothing" and "refit" not in found.sentence
+
+
+def test_what_was_found_once_may_be_as_far_off_when_it_is_in_the_model():
+    """The same leftover is not called unknown because its effect has moved from the diagnosis into the model."""
+    run = finger_run(acting=lambda u: u + 1.5 * np.tanh(u / 4.0))  # no effect has this form
+    found = diagnose(builtin_model(), run)
+    assert found.effects
+    again = diagnose(found.model, run)
+    assert (again.verdict == "partly_explained") == (found.verdict == "partly_explained"), (
+        found.verdict,
+        again.verdict,
+    )
+    assert again.unexplained["rms_mm"] == pytest.approx(found.unexplained["rms_mm"], rel=0.05)
+
+
+def test_what_is_less_likely_than_not_is_not_identified():
+    run = finger_run(["gain"], {"gain.factor[0]": 1.15, "gain.factor[1]": 1.1})
+    few = run.at(np.sort(np.random.default_rng(0).choice(run.frames, 12, replace=False)))
+    found = diagnose(builtin_model(), few)
+    assert found.effects[0]["name"] == "gain" and found.effects[0]["probability"] < 0.5
+    assert found.verdict == "ambiguous" and ("less likely than not" in found.sentence or found.rivals)
+
+
+def test_a_load_that_does_little_stays_a_rival_in_one_orientation_and_says_how_little():
+    """Forms of loads are off too far to rule one out by its fit; how much it does stands beside it."""
+    run = finger_run(["gravity"], {"gravity.density": 0.5, "gravity.tilt_x": 40.0})
+    upright = run.gravity[np.searchsorted(run.t, run.t_seen)][:, 2] > 0.99
+    found = diagnose(builtin_model(), replace(run.at(upright), gravity=np.array([0.0, 0.0, 1.0])))
+    assert found.verdict == "ambiguous" and [r["effects"] for r in found.rivals] == [["payload"]]
+    assert re.search(r"fitted here it does \d+ % of it", found.rivals[0]["why"])
+
+
+def test_what_nobody_asked_for_is_no_rival():
+    run = finger_run(["gain"], {"gain.factor[0]": 1.15, "gain.factor[1]": 1.1})
+    assert diagnose(builtin_model(), run, effects=["gain", "backlash"]).rivals == []
 
 
 def test_what_lies_beyond_a_bound_is_never_identified():

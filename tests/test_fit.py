@@ -129,7 +129,7 @@ def test_a_diagnosis_judges_by_labels_and_says_so():
     run.block = np.repeat(np.arange(25), 14)
     record = Record(Arm(), run, LIBRARY)
     found = diagnose(Arm(), run, library=LIBRARY).to_dict()
-    assert found["error"]["held_out_on"] == "labelled blocks of this run"
+    assert found["error"]["held_out_on"] == "labelled blocks of the run that was fitted"
     assert [e["name"] for e in found["effects"]] == ["backlash"]
     assert len({tuple(test) for _, test in run_folds(record.t_seen, run.block)}) == FOLDS
 

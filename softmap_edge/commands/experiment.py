@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.output import check_file, check_no_run
@@ -14,6 +13,7 @@ from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.understand import _run
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.own_effect import check_hashes
+from softmap_edge.whole_file import read_document
 
 BOTH = (
     "  play it twice ({:.1f} minutes in all): as the run was, and as the reference run was; then\n"
@@ -219,7 +219,7 @@ def record(args: argparse.Namespace) -> int:
 def _secrets(path: str) -> tuple[list[str], int]:
     """Return what a demo hid: names and seed."""
     try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
+        document = json.loads(read_document(path, RunError))
         names, seed = [str(row["name"]) for row in document["hidden"]], document["seed"]
     except (ValueError, KeyError, TypeError, RecursionError):
         raise RunError(f"{path}: not the document of a demo; make it with `softmap demo --json`") from None

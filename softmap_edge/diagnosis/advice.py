@@ -26,6 +26,7 @@ Floats = NDArray[np.float64]
 ENOUGH_FRAMES = 60  # fewer hide small effects
 ENOUGH_VISITS = 3  # home at the start, at the end and in between: what drift and noise can be told apart with
 MOVING = 15  # frames seen in motion, below which delays are guessed
+SLOW = 0.1  # of the range a second: a tenth of a second of delay is then a hundredth of it
 SPEEDS = 2.0  # ratio of fast to slow below which delay and play look alike
 DWELL = 5.0  # s of rest that shows creep
 MINORITY = 0.1  # of the frames reached from the rarer side
@@ -76,9 +77,7 @@ def asked(runs: Sequence[Run], frames: int, replicates: bool) -> list[str]:
         runs: that are diagnosed together: what one of them tells is told. frames: that were used of all.
         replicates: whether dwells told the noise.
     """
-    words = [word for run in runs for word in _drive(_commanded(run))]
-    told = {word.about for word in words if word.tells}
-    words = [_enough(frames), *(word for word in words if word.about not in told)]
+    words = [_enough(frames), *_drive(np.concatenate([_commanded(run) for run in runs]))]
     if not replicates:
         words.append(_NO_REPLICATES)
     if any(run.gravity is None for run in runs):
@@ -129,7 +128,9 @@ def _home(run: Run, visits: int) -> Word:
 
 
 def _orientation(run: Run) -> Word:
-    count = orientations(run.gravity)
+    at = np.clip(np.searchsorted(run.t, run.t_seen, side="right") - 1, 0, None)
+    seen = run.gravity if run.gravity is None or run.gravity.ndim == 1 else run.gravity[at]
+    count = orientations(seen)
     if count > 1:
         return Word("orientation", True, f"the robot's own weight from a load at its tip: {count} orientations")
     declared = "the orientation is not declared" if run.gravity is None else "it is seen in one orientation"
@@ -214,6 +215,9 @@ def _speed(u: Floats, state: Conditions) -> Word:
     slow, fast = pool[few], pool[-1 - few]
     if fast < SPEEDS * slow:
         text = f"delay and lag from play: it always moves at about {np.sqrt(slow * fast):.2g} of its range a second"
+        return Word("speed", False, text, remedy, 1.0)
+    if fast < SLOW:
+        text = f"delay and lag from play: it never moves faster than {fast:.2g} of its range a second"
         return Word("speed", False, text, remedy, 1.0)
     return Word("speed", True, f"delay and lag from play: it moves at {slow:.2g} to {fast:.2g} of its range a second")
 

@@ -41,6 +41,7 @@ Floats = NDArray[np.float64]
 # whitened numbers speaks for itself; odds of an open rival and of what lies beyond a bound; odds that something unknown
 # stands in the place of what is named, times the share of the mean square of the misfit that is left.
 TEMPERATURE, RIVAL, BEYOND_BOUND, UNKNOWN = 400.0, 0.25, 0.4, 30.0
+LIKELY = 0.5  # probability below which nothing is identified
 
 
 def conclude(
@@ -77,7 +78,7 @@ def conclude(
     behind = [] if masked is None else masked.untestable(registry)
     names = {h.name for h in behind}
     hidden = [*behind, *(h for h in (*not_testable(search, fit, registry), *impossible) if h.name not in names)]
-    rivals = _rivals(search, fit, found, registry)
+    rivals = _rivals(search, fit, found, registry, {h.name for h in impossible})
     if own is not None and fit.effects:
         fall = own.before_mm - search.held_out_mm(fit)
         if own.before_mm - own.after_mm >= RIVAL_SHARE * fall:
@@ -95,6 +96,7 @@ def conclude(
     physics = [e for e in entries if registry[e["name"]]["kind"] != "fault"]
     error = _error(search, order, other)
     doubts = [*([str(own)] if own else []), *([shared[1]] if shared else []), *at_bounds(entries), *record.doubts]
+    doubts += [] if rivals or unknown else _unlikely(search, fit, entries)
     unsure = any(registry[e]["kind"] != "fault" for r in rivals for e in r["effects"])  # a fault that may be physics
     count = len(search.candidates) + len(impossible)
     verdict = verdict_of(physics or (faults if unsure else []), faults, [*rivals, *doubts], unknown, hidden, count)
@@ -220,9 +222,27 @@ def parameters(
     return found
 
 
+def _unlikely(search: Search, fit: Fit, entries: list[dict[str, Any]]) -> list[str]:
+    """Return a doubt where most of the probability lies on sets without what is named."""
+    poor = [e["name"] for e in entries if e["probability"] is not None and e["probability"] < LIKELY]
+    others = {key: w for key, w in search.weights(fit, TEMPERATURE).items() if key and not key >= set(poor)}
+    if not poor or not others:
+        return []
+    best = max(others, key=lambda key: (others[key], sorted(key)))
+    return [
+        f"{' + '.join(poor)} is less likely than not among the sets that were tried, {' + '.join(sorted(best))} next "
+        f"({100 * others[best]:.0f} %)"
+    ]
+
+
 def _rivals(
-    search: Search, fit: Fit, found: list[tuple[str, Fit, str]], registry: dict[str, dict[str, Any]]
+    search: Search,
+    fit: Fit,
+    found: list[tuple[str, Fit, str]],
+    registry: dict[str, dict[str, Any]],
+    impossible: set[str],
 ) -> list[dict[str, Any]]:
+    """Return the rivals that were `found`, and what looks alike by form: tried, or `impossible` to try."""
     rivals = [{"member": member, "effects": list(other.effects), "why": why} for member, other, why in found]
     for member in fit.effects:
         for twin in equivalents(search.problem.record, member, registry):
@@ -230,12 +250,18 @@ def _rivals(
             if twin in fit.effects or any(set(swapped) == set(r["effects"]) for r in rivals):
                 continue
             told_by = registry[member]["alike"].get(twin) or registry[twin]["alike"].get(member)
-            if twin in search.candidates and told_by != "orientation":  # forms of loads are off too far to rule out
+            tried = "; it was not tried"
+            if twin in search.candidates:
                 other = search.get(frozenset(swapped))
-                unable = stands_for(search, other, fit, member) < RIVAL_SHARE
+                share = stands_for(search, other, fit, member)
+                tried = (
+                    f"; fitted here it does {100.0 * max(share, 0.0):.0f} % of it" if told_by == "orientation" else ""
+                )
+                unable = told_by != "orientation" and share < RIVAL_SHARE  # forms of loads are off too far to rule out
                 if unable or (told_by == "never" and worse(search, other, fit) > RIVAL_WORSE):
                     continue
-            tried = "" if twin in search.candidates else "; it was not tried"
+            elif twin not in impossible:
+                continue  # nobody asked for it
             why = f"{twin} and {member} look alike under the conditions of this run{tried}"
             rivals.append({"member": member, "effects": swapped, "why": why})
     return rivals
@@ -261,7 +287,8 @@ def _error(search: Search, order: list[str], other: Record | None) -> dict[str, 
 
 
 def _judge(record: Record) -> str:
-    return "labelled blocks of this run" if labelled(record.block) else "blocks of this run"
+    kind = "labelled blocks" if labelled(record.block) else "blocks"
+    return f"{kind} of the run that was fitted"
 
 
 def _where(record: Record, fit: Fit) -> dict[str, list[dict[str, Any]]]:

@@ -17,6 +17,7 @@ import numpy as np
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError, brief
 from softmap_edge.report.text import SCHEMA, VERDICTS, check_diagnosis, diagnosis_text
+from softmap_edge.whole_file import read_document
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -86,7 +87,7 @@ class Diagnosis:
             SoftmapError: no readable JSON, or not a diagnosis.
         """
         try:
-            document = json.loads(Path(path).read_text(encoding="utf-8"), parse_int=_whole)
+            document = json.loads(read_document(path), parse_int=_whole)
         except (ValueError, RecursionError) as error:
             raise SoftmapError(f"{path} is not JSON ({brief(error)}); make it with `softmap diagnose --out`") from None
         return cls.from_dict(document)

@@ -39,6 +39,7 @@ FORMS |= {"dead_zone": 0.3, "friction": 0.3, "hysteresis": 0.35, "mullins": 0.3,
 FORMS |= {"tendon_creep": 0.3, "thermal_softening": 0.25, "camera_drift": 0.4}
 BEYOND, NOISE, LEFT = 0.7, 0.4, 1.25
 FARTHER = 2.0  # times as far as its bound an amount is looked for before what is left is called unknown
+LASTS = ("anchor_slip.width",)  # shares that no nature ends
 TURNED = ("routing", "twist", "mount")  # whose angles are amounts
 OTHER_BEYOND = ("contact", "eccentric_pulley")  # an obstacle that holds the body; a sine so long that it is a line
 CLEAR = 1.5  # times what is visible that must be left: every finger has small faults of its own
@@ -162,35 +163,53 @@ def _left_mm(problem: Problem, fit: Fit) -> float:
 def allowed(search: Search, fit: Fit) -> float:
     """Return what may be left in mm RMS with nothing missing: of the model's own error, the noise and untrue forms.
 
-    Forms are off by FORMS of all that is explained, the mean square over the found effects by how far each moves. A
+    Forms are off by FORMS of all that is explained, the mean square over the effects by how far each moves: those that
+    were found, and those that the model has already, which were found once. A
     field whose strength is at its bound may leave much of what it moves: more of it may be there. Any other effect
     with a number at its bound has no more than is usual: it may stand for something else.
     """
     record = search.problem.record
-    moved = np.array([record.rms_mm(search.displacement(fit, e)) for e in fit.effects])
+    bare, mine = _own_moves(record, search.screening.roles)
+    moved = np.array([*mine.values(), *(record.rms_mm(search.displacement(fit, e)) for e in fit.effects)])
     roles, space = search.screening.roles, fit.space
     beyond, strained = (
         {space.labels[i].split(".")[0] for i in space.free[which]} for which in (_amounts_at_bound(fit), at_bound(fit))
     )
-    forms = {e: FORMS[roles[e]] if e in strained else FORMS.get(e, FORMS[roles[e]]) for e in fit.effects}
+    forms = {e: FORMS[roles[e]] if e in strained else FORMS.get(e, FORMS[roles[e]]) for e in (*mine, *fit.effects)}
     off = [BEYOND if roles[e] == "shape" and e in beyond else form for e, form in forms.items()]
     share = float(np.linalg.norm(np.array(off) * moved) / max(float(np.linalg.norm(moved)), 1e-300))
     static = 0.0 if record.static is None else record.rms_mm(record.static)  # a residual that was taken out
-    explained = record.rms_mm(np.where(np.isfinite(record.seen), fit.predicted - search.null.predicted, np.nan))
+    explained = record.rms_mm(np.where(np.isfinite(record.seen), fit.predicted - bare, np.nan))
     noise = NOISE * search.problem.noise.rms_mm(record.positions)
     own = 0.0 if record.model.kind == "rod" else record.form_mm  # a rod's error is its noise, taken off already
     return float(np.linalg.norm([own, static, noise, share * explained]))
+
+
+def _own_moves(record: Record, roles: Mapping[str, str]) -> tuple[Floats, dict[str, float]]:
+    """Return what the prior alone predicts (K, F), and how far each of the model's own effects moves the body, mm.
+
+    A law of the prior's own is the prior.
+    """
+    names = tuple(record.model.chain_names)
+    layout, own = record.layout(names), record.own()
+    belongs = np.array([label.split(".")[0] for label in layout.labels])
+    added = [name for name in names if roles[name] != "prior"]
+    if not added:
+        return record.predict(names, own[None])[0], {}
+    rows = [np.where(np.isin(belongs, some), layout.null, own) for some in ([], added, *([name] for name in added))]
+    now, bare, *without = record.predict(names, np.stack(rows))
+    return bare, {name: record.rms_mm(now - other) for name, other in zip(added, without)}
 
 
 def at_bound(fit: Fit) -> NDArray[np.bool_]:
     """Return which free parameters (P,) are at a bound.
 
     One where the effect ends (no payload, one creep time) is none, nor is the last of whole numbers, nor an end by
-    nature: nothing or all of a share, half a turn.
+    nature: nothing or all of a share, half a turn. A slip that lasts as long as it may is no slip.
     """
     space = fit.space
     null, found = space.scaled(space.null), np.zeros(len(fit.x), bool)
-    units = np.array([space.units[i] for i in space.free], object)
+    units = np.array(["" if space.labels[i] in LASTS else space.units[i] for i in space.free], object)
     for x in (space.low, space.high):
         value = space.values(x)
         nature = (units == "1") & ((value == 0.0) | (value == 1.0)) | (units == "deg") & (np.abs(value) == 180.0)

@@ -48,10 +48,10 @@ def candidates_of(
             impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
         elif name in lawless:
             why = "the tendons of this model do not push, or it knows none: there is no such law to change"
-            impossible.append(Untestable(name, why, "a model learned with a robot.toml whose tendons push", 1.0))
+            impossible.append(Untestable(name, why, "a model learned with a robot.toml whose tendons push", 0.0))
         elif lacking := record.model.lacking(name):
             why = f"this model has no field {lacking[0]}"
-            impossible.append(Untestable(name, why, "a model built from a finger.toml by this version", 1.0))
+            impossible.append(Untestable(name, why, "a model built from a finger.toml by this version", 0.0))
         elif missing:
             block, minutes = experiment(registry, name)
             absent = ", ".join(missing)

@@ -90,6 +90,8 @@ def is_own_sweep(path: Path) -> bool:
 
 
 def _names(path: Path) -> set[str]:
+    if not path.is_file():  # a pipe or a device would be read for ever
+        return set()
     try:
         with zipfile.ZipFile(path) as archive:
             return set(archive.namelist())

@@ -69,7 +69,8 @@ class Experiment:
         return [q for q, _ in sorted(found, key=lambda pair: (pair[0].hidden is not None, -pair[1]))]
 
     def __str__(self) -> str:
-        apart = "not simulated" if self.separation is None else f"separation {float(f'{self.separation:.3g}'):g} (chi²)"
+        apart = "no block that was simulated settles it for sure" if self.answers else "not simulated"
+        apart = apart if self.separation is None else f"separation {float(f'{self.separation:.3g}'):g} (chi²)"
         settles = ", ".join(self.settles) or "nothing"
         return f"{self.block} ({self.minutes:.1f} min): settles {settles}; {apart}{self.alone}"
 
@@ -158,9 +159,11 @@ def _experiment(world: World, block: Block, made: Protocol, answers: list[tuple[
 def _rest(world: World, questions: Sequence[Question]) -> list[Experiment]:
     """Return, for what no block settles, what the library says would show it."""
     rows: dict[str, Experiment] = {}
+    tried = set(world.questions)
     for question in questions:
         for name in question.names:
             text, minutes = experiment(world.registry, name)
-            row = rows.setdefault(text, Experiment(text, minutes, [], None))
+            answers = ((question, 0.0),) if question in tried else ()
+            row = rows.setdefault(text, Experiment(text, minutes, [], None, answers=answers))
             row.settles.extend([name] if name not in row.settles else [])
     return list(rows.values())

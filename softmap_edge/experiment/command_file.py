@@ -60,6 +60,8 @@ def read_commands(path: str | Path) -> tuple[Protocol, str]:
         RunError: it is no command file, a newer one, or a line of it is not usable; the message names the line.
     """
     file = Path(path)
+    if file.exists() and not file.is_file():
+        raise RunError(f"{path}: no file; {REMEDY}")
     if file.stat().st_size > BYTES:
         raise RunError(f"{path}: {file.stat().st_size >> 20} MB, command files of up to {BYTES >> 20} MB are read")
     try:

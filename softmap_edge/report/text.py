@@ -234,7 +234,7 @@ def _untestable(row: tuple[str, str, str]) -> str:
 
 def _next(row: Mapping[str, Any]) -> str:
     minutes, separation = row.get("minutes"), row.get("separation")
-    took = f" ({minutes:g} min)" if isinstance(minutes, (int, float)) else ""
+    took = f" ({minutes:g} min)" if isinstance(minutes, (int, float)) and minutes else ""  # no recording takes none
     apart = f", expected separation {separation:.3g} (chi², simulated)" if isinstance(separation, (int, float)) else ""
     settles = row.get("settles")
     named = ", ".join(map(str, settles)) if isinstance(settles, (list, tuple)) else str(settles or "")
