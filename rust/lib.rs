@@ -12,6 +12,7 @@ pub mod effects;
 pub mod error;
 pub mod fem;
 pub mod fields;
+pub mod geometry;
 mod grid;
 pub mod loads;
 pub mod modes;
@@ -23,6 +24,7 @@ mod room;
 pub mod scattered;
 pub mod second;
 pub mod shape;
+pub mod sparse;
 pub mod table;
 mod vector;
 

@@ -18,21 +18,24 @@ __all__ = [
     "ElasticField",
     "ElasticRod",
     "FIELDS",
+    "Inputs",
     "LOADS",
     "MODULI",
-    "STATIONS",
     "Mesh",
-    "Inputs",
     "Predictor",
+    "Registration",
     "Rod",
     "RodField",
     "STANDARD_GRAVITY",
+    "STATIONS",
     "Scattered",
     "Second",
     "Shape",
     "Solid",
     "Sum",
+    "Surface",
     "Table",
+    "chamfer",
     "effects",
     "forget",
     "monomial_degrees",
@@ -322,3 +325,30 @@ class Solid:
         design: bool = False,
         progress: Callable[[float], None] | None = None,
     ) -> dict[str, _Floats]: ...
+
+def chamfer(
+    template: _Floats, cloud: _Floats, seen: _Floats | None = None, trusted: _Floats | None = None
+) -> dict[str, Any]: ...
+
+@final
+class Surface:
+    def __new__(cls, vertices: _Floats, triangles: list[list[int]]) -> Surface: ...
+    def nearest(self, of: _Floats) -> tuple[_Floats, _Floats]: ...
+    def seen(self, eye: list[float], places: _Floats, normals: _Floats) -> NDArray[np.bool_]: ...
+
+@final
+class Registration:
+    def __new__(cls, rest: _Floats, triangles: list[list[int]], base: list[int]) -> Registration: ...
+    def robust(
+        self,
+        shape: Shape,
+        clouds: list[_Floats],
+        candidates: list[list[float]],
+        low: list[float],
+        high: list[float],
+        cloud: float = 3.0,
+        points: int = 2000,
+        rounds: int = 25,
+        base: float = 100.0,
+    ) -> list[dict[str, Any]]: ...
+    def published(self, cloud: _Floats, strength: float, rounds: int) -> tuple[_Floats, int]: ...

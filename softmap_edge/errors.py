@@ -31,6 +31,10 @@ class AlignError(SoftmapError):
     """The frame of a run cannot be found from what it shows."""
 
 
+class RegistrationError(SoftmapError):
+    """A cloud cannot be read, or is no cloud of the finger that it is registered to."""
+
+
 class ReportError(SoftmapError):
     """A report cannot be written or read."""
 

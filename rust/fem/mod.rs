@@ -22,7 +22,6 @@ pub mod newton;
 pub mod progress;
 pub mod route;
 pub mod solid;
-pub mod sparse;
 pub mod sweep;
 pub mod tetrahedra;
 mod work;

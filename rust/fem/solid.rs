@@ -10,7 +10,7 @@ use super::guide::Averaging;
 use super::material::Body;
 use super::mesh::Mesh;
 use super::route::Route;
-use super::sparse::Pattern;
+use crate::sparse::Pattern;
 use super::{Vec3, axpy, dot, norm, sub};
 use crate::dense;
 use crate::error::{Result, invalid};

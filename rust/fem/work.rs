@@ -9,7 +9,7 @@ use super::cable::Drive;
 use super::element::Block;
 use super::natural::MOST_NODES;
 use super::solid::{HELD, Load, Solid};
-use super::sparse::Factor;
+use crate::sparse::Factor;
 use crate::dense;
 use crate::error::Result;
 

@@ -5,6 +5,7 @@ mod cables;
 mod effects;
 mod elastic;
 mod fem;
+mod geometry;
 mod mesh;
 mod own;
 mod predict;
@@ -60,6 +61,8 @@ mod _core {
     use super::elastic::{PyElasticField, PyElasticRod};
     #[pymodule_export]
     use super::fem::Solid;
+    #[pymodule_export]
+    use super::geometry::{PyRegistration, PySurface, chamfer};
     #[pymodule_export]
     use super::mesh::Mesh;
     #[pymodule_export]

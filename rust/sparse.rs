@@ -1,6 +1,7 @@
-//! Symmetric positive definite systems of 3×3 node blocks: pattern and symbolic analysis once, numeric factor many times.
+//! Symmetric positive definite systems of B×B node blocks: pattern and symbolic analysis once, numeric factor many times.
+//!
+//! B is 3 where forces couple the coordinates of a node, 1 where each coordinate has the same system.
 
-use super::Vec3;
 use crate::error::{Result, invalid};
 use faer::Par;
 use faer::Side;
@@ -14,17 +15,17 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use std::collections::BTreeSet;
 
-/// Lower triangle of a symmetric matrix of 3×3 blocks, in compressed columns.
-pub struct Pattern {
+/// Lower triangle of a symmetric matrix of B×B blocks, in compressed columns.
+pub struct Pattern<const B: usize = 3> {
     symbolic: SymbolicSparseColMat<usize>,
     /// For each block column, its block rows (the first is the diagonal), ascending.
     rows: Vec<Vec<usize>>,
     cholesky: SymbolicCholesky<usize>,
 }
 
-impl Pattern {
+impl<const B: usize> Pattern<B> {
     /// From the coupled block pairs (row ≥ column); the diagonal is always there.
-    pub fn new(blocks: usize, pairs: impl Iterator<Item = (usize, usize)>) -> Result<Pattern> {
+    pub fn new(blocks: usize, pairs: impl Iterator<Item = (usize, usize)>) -> Result<Pattern<B>> {
         let mut columns = vec![BTreeSet::new(); blocks];
         for (row, column) in pairs {
             columns[column].insert(row);
@@ -34,18 +35,18 @@ impl Pattern {
         for (j, mut column) in columns.into_iter().enumerate() {
             column.insert(j);
             let column: Vec<usize> = column.into_iter().collect();
-            for c in 0..3 {
-                indices.extend((c..3).map(|r| 3 * j + r));
+            for c in 0..B {
+                indices.extend((c..B).map(|r| B * j + r));
                 indices.extend(
                     column[1..]
                         .iter()
-                        .flat_map(|&i| (0..3).map(move |r| 3 * i + r)),
+                        .flat_map(|&i| (0..B).map(move |r| B * i + r)),
                 );
                 starts.push(indices.len());
             }
             rows.push(column);
         }
-        let n = 3 * blocks;
+        let n = B * blocks;
         let symbolic = SymbolicSparseColMat::new_checked(n, n, starts, None, indices);
         let cholesky = factorize_symbolic_cholesky(
             symbolic.as_ref(),
@@ -77,7 +78,7 @@ impl Pattern {
 
     /// Number of unknowns.
     pub fn unknowns(&self) -> usize {
-        3 * self.rows.len()
+        B * self.rows.len()
     }
 
     /// Where block (row, column) is stored: the place within each of its three columns.
@@ -86,17 +87,17 @@ impl Pattern {
     }
 
     /// Add a block to the values; of a diagonal block only the lower triangle counts.
-    pub fn add(&self, values: &mut [f64], column: usize, slot: usize, block: &[Vec3; 3]) {
+    pub fn add(&self, values: &mut [f64], column: usize, slot: usize, block: &[[f64; B]; B]) {
         let starts = self.symbolic.col_ptr();
-        for c in 0..3 {
-            let start = starts[3 * column + c];
+        for c in 0..B {
+            let start = starts[B * column + c];
             if slot == 0 {
-                for r in c..3 {
+                for r in c..B {
                     values[start + r - c] += block[r][c];
                 }
             } else {
-                let place = start + 3 * slot - c;
-                for r in 0..3 {
+                let place = start + B * slot - c;
+                for r in 0..B {
                     values[place + r] += block[r][c];
                 }
             }
@@ -139,7 +140,7 @@ pub struct Factor {
 
 impl Factor {
     /// Storage for factors of this pattern, solving up to `columns` right-hand sides at once.
-    pub fn new(pattern: &Pattern, columns: usize) -> Result<Factor> {
+    pub fn new<const B: usize>(pattern: &Pattern<B>, columns: usize) -> Result<Factor> {
         let numeric = pattern
             .cholesky
             .factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
@@ -155,7 +156,7 @@ impl Factor {
     }
 
     /// Factor the matrix; false when it is not positive definite.
-    pub fn refactor(&mut self, pattern: &Pattern, matrix: &[f64]) -> bool {
+    pub fn refactor<const B: usize>(&mut self, pattern: &Pattern<B>, matrix: &[f64]) -> bool {
         let matrix = SparseColMatRef::new(pattern.symbolic.as_ref(), matrix);
         pattern
             .cholesky
@@ -172,7 +173,7 @@ impl Factor {
     }
 
     /// Solve in place for the columns stored one after the other in `b`.
-    pub fn solve(&mut self, pattern: &Pattern, b: &mut [f64]) {
+    pub fn solve<const B: usize>(&mut self, pattern: &Pattern<B>, b: &mut [f64]) {
         let n = pattern.unknowns();
         let columns = b.len() / n.max(1);
         let stack = MemStack::new(&mut self.memory);

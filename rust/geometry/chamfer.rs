@@ -1,0 +1,110 @@
+//! The Chamfer distance between a template and a cloud: how far each point of one is from the other, on average.
+//!
+//! `there + back`, there = Σ_i w_i d(a_i, B) / Σ w_i, back = Σ_j v_j d(b_j, A) / Σ v_j: the unsquared sum of both mean
+//! distances (mm). Weights say what counts: a template's points that no camera sees have no partner, and w leaves them out; with one of the
+//! sums switched off it is one-sided. Its gradient by the template's points holds the pairs: where the nearest neighbour
+//! changes, the distance has a kink, and where a pair touches, its share of the gradient is zero.
+
+use super::nearest::{Nearest, both_ways};
+use crate::error::{Result, invalid};
+use crate::vector::{Vec3, sub};
+
+/// What was measured.
+#[derive(Debug, Clone)]
+pub struct Chamfer {
+    pub there: f64,
+    pub back: f64,
+    /// From each template point to the cloud, and from each cloud point to the template.
+    pub to_cloud: Nearest,
+    pub to_template: Nearest,
+}
+
+impl Chamfer {
+    /// Compare `template` (N, 3) and `cloud` (M, 3); empty weights count all alike.
+    pub fn new(
+        template: &[Vec3],
+        cloud: &[Vec3],
+        seen: &[f64],
+        trusted: &[f64],
+    ) -> Result<Chamfer> {
+        let (to_cloud, to_template) = both_ways(template, cloud)?;
+        Ok(Chamfer {
+            there: mean("template", &to_cloud.distance, seen)?,
+            back: mean("cloud", &to_template.distance, trusted)?,
+            to_cloud,
+            to_template,
+        })
+    }
+
+    /// Slopes (N, 3) of `there·first + back·second` by the template's points.
+    pub fn gradient(
+        &self,
+        template: &[Vec3],
+        cloud: &[Vec3],
+        seen: &[f64],
+        trusted: &[f64],
+        (first, second): (f64, f64),
+    ) -> Vec<Vec3> {
+        let mut out = vec![[0.0; 3]; template.len()];
+        let mut pull = |i: usize, j: usize, distance: f64, share: f64| {
+            if distance > 0.0 {
+                let d = sub(template[i], cloud[j]);
+                (0..3).for_each(|c| out[i][c] += share * d[c] / distance);
+            }
+        };
+        let shares = |weights: &[f64], count: usize, times: f64| match weights {
+            [] => vec![times / count as f64; count],
+            some => {
+                let sum: f64 = some.iter().sum();
+                some.iter().map(|w| times * w / sum).collect()
+            }
+        };
+        let (first, second) = (
+            shares(seen, template.len(), first),
+            shares(trusted, cloud.len(), second),
+        );
+        for (i, (j, d)) in self
+            .to_cloud
+            .index
+            .iter()
+            .zip(&self.to_cloud.distance)
+            .enumerate()
+        {
+            pull(i, *j as usize, *d, first[i]);
+        }
+        for (j, (i, d)) in self
+            .to_template
+            .index
+            .iter()
+            .zip(&self.to_template.distance)
+            .enumerate()
+        {
+            pull(*i as usize, j, *d, second[j]);
+        }
+        out
+    }
+}
+
+fn mean(what: &str, distance: &[f64], weights: &[f64]) -> Result<f64> {
+    if weights.is_empty() {
+        return Ok(distance.iter().sum::<f64>() / distance.len() as f64);
+    }
+    let sum: f64 = weights.iter().sum();
+    if weights.len() != distance.len()
+        || sum.is_nan()
+        || sum <= 0.0
+        || weights.iter().any(|w| w.is_nan() || *w < 0.0)
+    {
+        return Err(invalid(format!(
+            "weights of the {what}: {} numbers with sum {sum:.3e} for {} points; give each point one of 0 or more, some above 0",
+            weights.len(),
+            distance.len()
+        )));
+    }
+    Ok(distance
+        .iter()
+        .zip(weights)
+        .map(|(d, w)| d * w)
+        .sum::<f64>()
+        / sum)
+}

@@ -1,0 +1,40 @@
+//! Registration as published (SOFTMAP, eq. 1), for comparison:
+//!
+//!   min Σ_(i,j) w_ij |(v_i − v_j) − R_i (v_i⁰ − v_j⁰)|² + λ Σ_i |v_i − Π(v_i)|²
+//!
+//! with Π(v) the point of the cloud nearest to v. Every vertex asks for its nearest point, also those that no camera saw: a cloud of one
+//! side pulls the other through the body, also from the exact truth. λ, the rounds and the cotangent weights are not in the paper. mm.
+
+use super::arap::Arap;
+use super::nearest::both_ways;
+use crate::error::Result;
+use crate::vector::{Vec3, norm, sub};
+
+/// Settled when no vertex moves by more in a round, mm.
+const SETTLED: f64 = 1e-3;
+
+/// Fit a surface to a `cloud` from where it rests, for at most so many `rounds`: the vertices (N, 3), and how many rounds it took.
+pub fn register_as_published(
+    arap: &Arap,
+    cloud: &[Vec3],
+    strength: f64,
+    rounds: usize,
+) -> Result<(Vec<Vec3>, usize)> {
+    let mut held = arap.held(vec![strength; arap.rest().len()])?;
+    let mut pose = arap.pose();
+    for round in 1..=rounds {
+        let (nearest, _) = both_ways(&pose.places, cloud)?;
+        let goals: Vec<Vec3> = nearest.index.iter().map(|j| cloud[*j as usize]).collect();
+        let before = pose.places.clone();
+        held.step(&mut pose, &goals);
+        let moved = pose
+            .places
+            .iter()
+            .zip(&before)
+            .map(|(p, q)| norm(sub(*p, *q)));
+        if moved.fold(0.0, f64::max) < SETTLED {
+            return Ok((pose.places, round));
+        }
+    }
+    Ok((pose.places, rounds))
+}

@@ -1,0 +1,291 @@
+//! Registers the template of a finger to point clouds: where its vertices are, and which of them a cloud has seen.
+//!
+//!   E(p, R) = ARAP(p, R; f(u*)) + λ N/K Σ_k ω_k [(n_k·(x_k − c_k))² + τ |x_k − c_k|²] + B Σ_base |p_i − q_i|²
+//!
+//! From the model's shape f(u*) nearest to the cloud (`start.rs`), which is also the shape at rest of the ARAP term: the surface is
+//! asked only for what the model does not know. Data go from the cloud to the surface: K points c_k, each to the nearest place x_k of the
+//! surface (a blend of three vertices) along the normal n_k of the surface there, with Tukey weights ω_k whose width falls. So what was not
+//! seen asks for nothing, and outliers let go. The base is held where the clamp holds it. Each round takes new feet, weights and rotations,
+//! then solves for all vertices at once; the plane term couples x, y and z. What a round, unmarked finger does about its own axis no cloud
+//! tells. mm. Published objective for comparison: `paper.rs`.
+
+use super::arap::Arap;
+use super::robust::{OF_MEDIAN, median, tukey};
+use super::start::{CUT, spread};
+use super::surface::{Foot, Surface};
+use crate::error::{Result, invalid};
+use crate::sparse::{Factor, Pattern};
+use crate::vector::{Vec3, dot, sub};
+
+/// Width of the Tukey weights, mm: from, and to where the cloud is noisy; else down to so many times its noise.
+const WIDE: f64 = 3.0;
+const NARROW: f64 = 1.5;
+const OF_NOISE: f64 = 3.0;
+/// Rounds in which the width halves.
+const HALVES: f64 = 8.0;
+/// Least width, mm: no template is truer.
+const LEAST: f64 = 0.3;
+/// How much a point counts along the surface, of what it counts across.
+const ALONG: f64 = 0.05;
+/// Settled when the vertices move by less in a round, mm RMS.
+const SETTLED: f64 = 1e-2;
+
+/// How a registration is done.
+#[derive(Debug, Clone, Copy)]
+pub struct Recipe {
+    /// λ: how much the cloud counts against the stiffness of the surface.
+    pub cloud: f64,
+    /// Points of the cloud that are used.
+    pub points: usize,
+    /// Most rounds.
+    pub rounds: usize,
+    /// B: how hard the base is held.
+    pub base: f64,
+}
+
+impl Default for Recipe {
+    fn default() -> Recipe {
+        Recipe {
+            cloud: 3.0,
+            points: 2000,
+            rounds: 25,
+            base: 100.0,
+        }
+    }
+}
+
+/// A finger's surface, ready to be registered.
+pub struct Template {
+    pub arap: Arap,
+    pub triangles: Vec<[usize; 3]>,
+    /// The vertices that the clamp holds.
+    pub base: Vec<usize>,
+    pattern: Pattern<3>,
+}
+
+/// A registered frame.
+#[derive(Debug, Clone)]
+pub struct Registered {
+    /// The vertices (N, 3).
+    pub places: Vec<Vec3>,
+    /// Points that speak for each vertex (N,), by their weights.
+    pub support: Vec<f64>,
+    /// RMS distance from the cloud to the surface, by the weights, and noise of the cloud along the normals.
+    pub residual_mm: f64,
+    pub noise_mm: f64,
+    /// Share of the cloud that counts.
+    pub used: f64,
+    pub rounds: usize,
+    /// Whether it settled before the rounds were over.
+    pub settled: bool,
+}
+
+impl Template {
+    /// Of vertices (N, 3) without load, triangles, and the vertices that do not move.
+    pub fn new(rest: Vec<Vec3>, triangles: Vec<[usize; 3]>, base: Vec<usize>) -> Result<Template> {
+        if let Some(far) = base.iter().find(|v| **v >= rest.len()) {
+            return Err(invalid(format!(
+                "the base has the vertex {far}, of {} there are; count vertices from 0",
+                rest.len()
+            )));
+        }
+        let arap = Arap::new(rest, &triangles)?;
+        let edges = arap.edges();
+        let pairs = (0..edges.len()).flat_map(|i| edges.of(i).map(move |(j, _)| (i, j)));
+        let pattern = Pattern::new(edges.len(), pairs.filter(|(i, j)| i > j))?;
+        Ok(Template {
+            arap,
+            triangles,
+            base,
+            pattern,
+        })
+    }
+
+    /// Number of vertices N.
+    pub fn len(&self) -> usize {
+        self.arap.rest().len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The matrix of the surface and of its held base alone.
+    fn still(&self, base: f64) -> Vec<f64> {
+        let mut values = vec![0.0; self.pattern.len()];
+        let edges = self.arap.edges();
+        for i in 0..self.len() {
+            let mut own = 0.0;
+            for (j, w) in edges.of(i) {
+                own += 2.0 * w;
+                if let (true, Some(slot)) = (i > j, self.pattern.slot(i, j)) {
+                    self.pattern.add(&mut values, j, slot, &diagonal(-2.0 * w));
+                }
+            }
+            self.pattern.add(&mut values, i, 0, &diagonal(own));
+        }
+        for i in &self.base {
+            self.pattern.add(&mut values, *i, 0, &diagonal(base));
+        }
+        values
+    }
+}
+
+fn diagonal(value: f64) -> [Vec3; 3] {
+    std::array::from_fn(|i| std::array::from_fn(|j| if i == j { value } else { 0.0 }))
+}
+
+/// Registers one frame after another on one thread.
+pub struct Registrar<'a> {
+    template: &'a Template,
+    recipe: Recipe,
+    still: Vec<f64>,
+    values: Vec<f64>,
+    right: Vec<f64>,
+    factor: Factor,
+}
+
+impl<'a> Registrar<'a> {
+    pub fn new(template: &'a Template, recipe: Recipe) -> Result<Registrar<'a>> {
+        let still = template.still(recipe.base);
+        Ok(Registrar {
+            template,
+            recipe,
+            values: still.clone(),
+            right: vec![0.0; 3 * template.len()],
+            factor: Factor::new(&template.pattern, 1)?,
+            still,
+        })
+    }
+
+    /// Register a `cloud` from the model's shape `start` (N, 3).
+    pub fn register(&mut self, cloud: &[Vec3], start: Vec<Vec3>) -> Result<Registered> {
+        let template = self.template;
+        let cloud = spread(cloud, self.recipe.points);
+        let mut surface = Surface::new(&start, &template.triangles)?;
+        let arap = template.arap.resting_at(start);
+        let mut pose = arap.pose();
+        let (mut noise, mut settled, mut rounds) = (f64::INFINITY, false, 0);
+        let mut feet: Vec<Foot> = vec![];
+        let mut weights: Vec<f64> = vec![];
+        while rounds < self.recipe.rounds && !settled {
+            feet.clear();
+            feet.extend(cloud.iter().map(|p| surface.foot(*p)));
+            let falling = WIDE * 0.5f64.powf(rounds as f64 / HALVES);
+            let least = (OF_NOISE * noise).clamp(LEAST, NARROW);
+            let width = falling.max(least);
+            weights.clear();
+            weights.extend(feet.iter().map(|foot| tukey(foot.distance, CUT * width)));
+            let across = |k: usize| {
+                dot(
+                    surface.normal(feet[k].triangle),
+                    sub(feet[k].place, cloud[k]),
+                )
+            };
+            let mut off: Vec<f64> = (0..cloud.len())
+                .filter(|k| weights[*k] > 0.0)
+                .map(|k| across(k).abs())
+                .collect();
+            noise = OF_MEDIAN * median(&mut off);
+            arap.local(&mut pose);
+            self.assemble(&arap, &pose.turns, &surface, &cloud, &feet, &weights);
+            if !self.factor.refactor(&template.pattern, &self.values) {
+                return Err(invalid(
+                    "nothing holds the surface: no base and no points of the cloud near it; give the vertices of the base",
+                ));
+            }
+            self.factor.solve(&template.pattern, &mut self.right);
+            let mut moved: f64 = 0.0;
+            for (place, now) in pose.places.iter_mut().zip(self.right.chunks_exact(3)) {
+                let now = [now[0], now[1], now[2]];
+                let step = sub(now, *place);
+                moved += dot(step, step);
+                *place = now;
+            }
+            surface.move_to(&pose.places);
+            rounds += 1;
+            settled = (moved / pose.places.len() as f64).sqrt() < SETTLED && falling <= least;
+        }
+        Ok(self.told(pose.places, &surface, &cloud, noise, rounds, settled))
+    }
+
+    fn told(
+        &self,
+        places: Vec<Vec3>,
+        surface: &Surface,
+        cloud: &[Vec3],
+        noise: f64,
+        rounds: usize,
+        settled: bool,
+    ) -> Registered {
+        let cut = CUT * (OF_NOISE * noise).clamp(LEAST, NARROW);
+        let mut support = vec![0.0; places.len()];
+        let (mut sum, mut squares, mut used) = (0.0, 0.0, 0);
+        for p in cloud {
+            let foot = surface.foot(*p);
+            let weight = tukey(foot.distance, cut);
+            used += usize::from(weight > 0.0);
+            sum += weight;
+            squares += weight * foot.distance * foot.distance;
+            for (v, w) in surface.corners(foot.triangle).iter().zip(foot.weights) {
+                support[*v] += weight * w;
+            }
+        }
+        Registered {
+            places,
+            support,
+            residual_mm: (squares / f64::max(sum, f64::MIN_POSITIVE)).sqrt(),
+            noise_mm: noise,
+            used: used as f64 / cloud.len().max(1) as f64,
+            rounds,
+            settled,
+        }
+    }
+
+    /// The system of one round.
+    fn assemble(
+        &mut self,
+        arap: &Arap,
+        turns: &[super::rotation::Quaternion],
+        surface: &Surface,
+        cloud: &[Vec3],
+        feet: &[Foot],
+        weights: &[f64],
+    ) {
+        let Registrar {
+            template,
+            recipe,
+            still,
+            values,
+            right,
+            ..
+        } = self;
+        values.copy_from_slice(still);
+        arap.wanted(turns, |i, sum| {
+            right[3 * i..3 * i + 3].copy_from_slice(&sum)
+        });
+        for i in &template.base {
+            (0..3).for_each(|c| right[3 * i + c] += recipe.base * template.arap.rest()[*i][c]);
+        }
+        let each = recipe.cloud * template.len() as f64 / cloud.len().max(1) as f64;
+        for (k, foot) in feet.iter().enumerate().filter(|(k, _)| weights[*k] > 0.0) {
+            let (n, m) = (surface.normal(foot.triangle), each * weights[k]);
+            let pull: [Vec3; 3] = std::array::from_fn(|a| {
+                std::array::from_fn(|b| m * (n[a] * n[b] + if a == b { ALONG } else { 0.0 }))
+            });
+            let goal: Vec3 = std::array::from_fn(|a| dot(pull[a], cloud[k]));
+            let corners = surface.corners(foot.triangle);
+            for (a, i) in corners.iter().enumerate() {
+                let own = foot.weights[a];
+                (0..3).for_each(|c| right[3 * i + c] += own * goal[c]);
+                for (b, j) in corners.iter().enumerate().filter(|(_, j)| *j <= i) {
+                    let both = own * foot.weights[b];
+                    if let Some(slot) = template.pattern.slot(*i, *j) {
+                        let block = pull.map(|row| row.map(|v| both * v));
+                        template.pattern.add(values, *j, slot, &block);
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! Where on a triangle surface a point is nearest: parry's bounding tree, fitted again as the vertices move. mm.
+
+use crate::error::{Result, invalid};
+use crate::vector::{Vec3, cross, dot, norm, scaled, sub};
+use parry3d_f64::math::Vector;
+use parry3d_f64::query::{PointQueryWithLocation, Ray, RayCast};
+use parry3d_f64::shape::TriMesh;
+
+/// What a look starts from stands so far off the surface, mm, so that it is not in its own way.
+const OFF: f64 = 1e-3;
+
+/// The place of a surface that is nearest to a point.
+#[derive(Debug, Clone, Copy)]
+pub struct Foot {
+    pub triangle: usize,
+    /// Of the three corners; their sum is 1.
+    pub weights: [f64; 3],
+    pub place: Vec3,
+    pub distance: f64,
+}
+
+/// A triangle surface that can move.
+pub struct Surface {
+    mesh: TriMesh,
+}
+
+impl Surface {
+    /// Of `triangles` (T, 3) between vertices at `places` (N, 3).
+    pub fn new(places: &[Vec3], triangles: &[[usize; 3]]) -> Result<Surface> {
+        if let Some(t) = triangles
+            .iter()
+            .position(|t| t.iter().any(|v| *v >= places.len()))
+        {
+            return Err(invalid(format!(
+                "triangle {t} {:?} names a vertex of {} there are; count vertices from 0",
+                triangles[t],
+                places.len()
+            )));
+        }
+        if let Some(i) = places.iter().position(|p| p.iter().any(|c| !c.is_finite())) {
+            return Err(invalid(format!("vertex {i} is not finite; mend the mesh")));
+        }
+        let corners = triangles.iter().map(|t| t.map(|v| v as u32)).collect();
+        let mesh = TriMesh::new(places.iter().map(vector).collect(), corners)
+            .map_err(|why| invalid(format!("no surface: {why}; give one triangle or more")))?;
+        Ok(Surface { mesh })
+    }
+
+    /// Move the vertices to `places` (N, 3).
+    pub fn move_to(&mut self, places: &[Vec3]) {
+        self.mesh.update_vertices(|vertices| {
+            vertices
+                .iter_mut()
+                .zip(places)
+                .for_each(|(v, p)| *v = vector(p));
+        });
+    }
+
+    /// The vertices of a triangle.
+    pub fn corners(&self, triangle: usize) -> [usize; 3] {
+        self.mesh.indices()[triangle].map(|v| v as usize)
+    }
+
+    /// The unit normal of a triangle by the order of its corners; 0 of a flat one.
+    pub fn normal(&self, triangle: usize) -> Vec3 {
+        let [a, b, c] = self
+            .corners(triangle)
+            .map(|v| point(self.mesh.vertices()[v]));
+        let normal = cross(sub(b, a), sub(c, a));
+        scaled(normal, 1.0 / norm(normal).max(f64::MIN_POSITIVE))
+    }
+
+    /// Whether nothing of the surface stands between a place of it and an eye: `normal` points away from the body there.
+    pub fn sees(&self, eye: Vec3, place: Vec3, normal: Vec3) -> bool {
+        let towards = sub(eye, place);
+        if dot(towards, normal) <= 0.0 {
+            return false;
+        }
+        let from = std::array::from_fn(|c| place[c] + OFF * normal[c]);
+        let ray = Ray::new(vector(&from), vector(&sub(eye, from)));
+        !self.mesh.intersects_local_ray(&ray, 1.0)
+    }
+
+    /// The place nearest to a point.
+    pub fn foot(&self, of: Vec3) -> Foot {
+        let (found, (triangle, location)) = self
+            .mesh
+            .project_local_point_and_get_location(vector(&of), false);
+        let place = point(found.point);
+        Foot {
+            triangle: triangle as usize,
+            weights: location.barycentric_coordinates().unwrap_or([1.0 / 3.0; 3]),
+            place,
+            distance: norm(sub(of, place)),
+        }
+    }
+}
+
+fn vector(p: &Vec3) -> Vector {
+    Vector::new(p[0], p[1], p[2])
+}
+
+fn point(v: Vector) -> Vec3 {
+    [v.x, v.y, v.z]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const SQUARE: [Vec3; 4] = [[0.0; 3], [2.0, 0.0, 0.0], [2.0, 2.0, 0.0], [0.0, 2.0, 0.0]];
+
+    #[test]
+    fn feet_lie_on_faces_edges_and_corners_and_follow_the_surface() {
+        let mut surface = Surface::new(&SQUARE, &[[0, 1, 2], [0, 2, 3]]).unwrap();
+        for (of, place) in [
+            ([1.5, 0.5, 3.0], [1.5, 0.5, 0.0]),
+            ([1.0, -4.0, 3.0], [1.0, 0.0, 0.0]),
+            ([5.0, 6.0, 0.0], [2.0, 2.0, 0.0]),
+        ] {
+            let foot = surface.foot(of);
+            assert!(norm(sub(foot.place, place)) < 1e-12);
+            assert!((foot.distance - norm(sub(of, place))).abs() < 1e-12);
+            let mut there = [0.0; 3];
+            for (v, w) in surface.corners(foot.triangle).iter().zip(foot.weights) {
+                (0..3).for_each(|c| there[c] += w * SQUARE[*v][c]);
+            }
+            assert!(norm(sub(there, place)) < 1e-12);
+        }
+        assert_eq!(surface.normal(0), [0.0, 0.0, 1.0]);
+        surface.move_to(&SQUARE.map(|p| [p[0], p[1], p[2] + 7.0]));
+        assert!((surface.foot([1.5, 0.5, 3.0]).distance - 4.0).abs() < 1e-12);
+    }
+
+    proptest! {
+        #[test]
+        fn no_place_of_the_surface_is_nearer(p in [-3.0..5.0f64, -3.0..5.0, -2.0..2.0], w in [0.0..1.0f64, 0.0..1.0]) {
+            let bent = [[0.0; 3], [2.0, 0.0, 0.4], [2.0, 2.0, -0.3], [0.0, 2.0, 0.5]];
+            let surface = Surface::new(&bent, &[[0, 1, 2], [0, 2, 3]]).unwrap();
+            let foot = surface.foot(p);
+            for t in 0..2 {
+                let [a, b, c] = surface.corners(t).map(|v| bent[v]);
+                let (s, r) = (w[0].min(1.0 - w[1]), w[1]);
+                let at = std::array::from_fn(|i| a[i] + s * (b[i] - a[i]) + r * (c[i] - a[i]));
+                prop_assert!(foot.distance <= norm(sub(p, at)) + 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn what_stands_in_the_way_hides_what_is_behind() {
+        let two = [SQUARE, SQUARE.map(|p| [p[0], p[1], 3.0])].concat();
+        let surface = Surface::new(&two, &[[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]).unwrap();
+        let up = [0.0, 0.0, 1.0];
+        assert!(!surface.sees([1.0, 0.5, 50.0], [1.0, 0.5, 0.0], up));
+        assert!(surface.sees([1.0, 0.5, 50.0], [1.0, 0.5, 3.0], up));
+        assert!(surface.sees([50.0, 0.5, 1.0], [1.5, 0.5, 0.0], up));
+        assert!(!surface.sees([1.0, 0.5, -50.0], [1.0, 0.5, 0.0], up));
+    }
+
+    #[test]
+    fn a_surface_of_nothing_is_refused() {
+        assert!(Surface::new(&SQUARE, &[]).is_err());
+        assert!(Surface::new(&SQUARE, &[[0, 1, 9]]).is_err());
+        assert!(Surface::new(&[[f64::NAN; 3]; 3], &[[0, 1, 2]]).is_err());
+    }
+}

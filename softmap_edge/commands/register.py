@@ -1,0 +1,43 @@
+"""The verb register: from point clouds of a finger to the vertices of its template."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from softmap_edge.commands.output import check_file, check_no_run
+from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.registration.clouds import read_clouds
+from softmap_edge.registration.register import register as lay
+
+POOR = 1  # exit code where a frame has warnings
+
+
+def register_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `register`."""
+    parser.add_argument(
+        "clouds", nargs="+", help="a run with clouds (.npz), or one cloud a frame (.ply, .csv, .npz), mm"
+    )
+    parser.add_argument("--bundle", metavar="DIR", help="the model of this finger; the built-in finger without it")
+    effects_argument(parser)
+    parser.add_argument("--out", required=True, metavar="RUN", help="the run of vertices (.npz)")
+    parser.add_argument(
+        "--mode", choices=("robust", "paper"), default="robust", help="robust, or the published objective"
+    )
+    parser.add_argument("--force", action="store_true", help="replace the run that stands at --out")
+
+
+def register(args: argparse.Namespace) -> int:
+    """Lay the template onto each cloud, and write the run of its vertices."""
+    check_file("--out", args.out, ".npz")
+    check_no_run("--out", args.out, args.force)
+    load_own(args)
+    model, run = open_model(args.bundle), read_clouds(args.clouds)
+    found = lay(model, run, args.mode)
+    vertices = found.run(run)
+    vertices.save(args.out)
+    if args.json:
+        print(json.dumps(found.to_dict() | {"out": args.out, "hash": vertices.hash()}))
+    else:
+        print(f"{found}\nwritten to {args.out}")
+    return POOR if any(row["warnings"] for row in found.frames) else 0

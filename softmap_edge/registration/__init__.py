@@ -1,0 +1,1 @@
+"""Registration: the template of a finger laid onto point clouds of it."""
