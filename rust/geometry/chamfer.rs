@@ -63,23 +63,11 @@ impl Chamfer {
             shares(seen, template.len(), first),
             shares(trusted, cloud.len(), second),
         );
-        for (i, (j, d)) in self
-            .to_cloud
-            .index
-            .iter()
-            .zip(&self.to_cloud.distance)
-            .enumerate()
-        {
-            pull(i, *j as usize, *d, first[i]);
+        for (i, (j, distance)) in self.to_cloud.pairs().enumerate() {
+            pull(i, j, distance, first[i]);
         }
-        for (j, (i, d)) in self
-            .to_template
-            .index
-            .iter()
-            .zip(&self.to_template.distance)
-            .enumerate()
-        {
-            pull(*i as usize, j, *d, second[j]);
+        for (j, (i, distance)) in self.to_template.pairs().enumerate() {
+            pull(i, j, distance, second[j]);
         }
         out
     }
@@ -107,4 +95,65 @@ fn mean(what: &str, distance: &[f64], weights: &[f64]) -> Result<f64> {
         .map(|(d, w)| d * w)
         .sum::<f64>()
         / sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points anywhere within 80 mm, no two of them at nearly the same distance from a third.
+    fn set(count: usize, seed: u64) -> Vec<Vec3> {
+        let mut state = seed;
+        let mut next = || {
+            state = state
+                .wrapping_mul(6364136223846793005)
+                .wrapping_add(1442695040888963407);
+            80.0 * (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        (0..count).map(|_| [next(), next(), next()]).collect()
+    }
+
+    #[test]
+    fn two_points_apart_count_from_both_sides_unsquared() {
+        let found = Chamfer::new(&[[0.0; 3]], &[[3.0, 4.0, 0.0]], &[], &[]).unwrap();
+        assert_eq!((found.there, found.back), (5.0, 5.0));
+    }
+
+    #[test]
+    fn the_gradient_is_that_of_finite_differences_with_weights_and_without() {
+        let (template, cloud) = (set(17, 1), set(90, 2));
+        let weights: Vec<f64> = (0..17).map(|i| (i % 3) as f64).collect();
+        for seen in [&[][..], &weights] {
+            let of = |points: &[Vec3]| {
+                let found = Chamfer::new(points, &cloud, seen, &[]).unwrap();
+                2.0 * found.there + 0.5 * found.back
+            };
+            let found = Chamfer::new(&template, &cloud, seen, &[]).unwrap();
+            let slopes = found.gradient(&template, &cloud, seen, &[], (2.0, 0.5));
+            for i in 0..template.len() {
+                for c in 0..3 {
+                    let moved = |by: f64| {
+                        let mut points = template.clone();
+                        points[i][c] += by;
+                        of(&points)
+                    };
+                    let slope = (moved(1e-5) - moved(-1e-5)) / 2e-5;
+                    assert!((slope - slopes[i][c]).abs() < 1e-6, "{i} {c}: {slope}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn weights_that_count_nothing_are_refused() {
+        let points = set(3, 1);
+        for weights in [
+            vec![0.0; 3],
+            vec![1.0; 2],
+            vec![1.0, -1.0, 1.0],
+            vec![f64::NAN; 3],
+        ] {
+            assert!(Chamfer::new(&points, &points, &weights, &[]).is_err());
+        }
+    }
 }

@@ -1,14 +1,13 @@
 //! Nearest neighbours between two sets of points, both ways in one pass over all pairs.
 //!
 //! A template has hundreds of points and a cloud thousands: with wide vectors all pairs are quicker than any tree, up to some
-//! ten million of them; beyond, a grid of cells holds the larger set (`cells.rs`). Squared distances in single precision about
+//! ten million of them. Squared distances in single precision about
 //! the middle of both sets choose the nearest, and its distance is then taken in double. Units are those of the points.
 //! Limit: of two candidates whose distances differ by less than 1e-6 of the extent either may be called the nearest.
 
 use crate::error::{Result, invalid};
 use crate::modes::wide;
 use crate::vector::{Vec3, norm, sub};
-use rayon::prelude::*;
 
 /// Points of the second set that are looked at together: their minima stay in the first cache.
 const TILE: usize = 256;
@@ -63,9 +62,14 @@ pub fn both_ways(a: &[Vec3], b: &[Vec3]) -> Result<(Nearest, Nearest)> {
     Ok((found(a, b, index), found(b, a, back)))
 }
 
-/// Nearest neighbours of many pairs of sets, in parallel.
-pub fn both_ways_of_all(pairs: &[(&[Vec3], &[Vec3])]) -> Result<Vec<(Nearest, Nearest)>> {
-    pairs.par_iter().map(|(a, b)| both_ways(a, b)).collect()
+impl Nearest {
+    /// For each point in turn the nearest, and how far it is.
+    pub fn pairs(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
+        self.index
+            .iter()
+            .map(|i| *i as usize)
+            .zip(self.distance.iter().copied())
+    }
 }
 
 fn found(from: &[Vec3], to: &[Vec3], index: Vec<u32>) -> Nearest {
