@@ -10,11 +10,11 @@ use super::guide::Averaging;
 use super::material::Body;
 use super::mesh::Mesh;
 use super::route::Route;
-use crate::sparse::Pattern;
 use super::{Vec3, axpy, dot, norm, sub};
 use crate::dense;
 use crate::error::{Result, invalid};
 use crate::loads::{STANDARD_GRAVITY, STATIONS};
+use crate::sparse::Pattern;
 
 pub use super::work::Work;
 
