@@ -82,8 +82,9 @@ $(VENV)/.core: $(VENV)/.venv $(RUST) pyproject.toml
 	$(UV) --reinstall-package softmap-edge -e '.[report]'
 	touch $@
 
-$(VENV)/.test: $(VENV)/.core training/pyproject.toml
-	$(UV) --group pyproject.toml:test -e training
+# torch without what only GPUs need of it.
+$(VENV)/.test: $(VENV)/.core training/pyproject.toml training/cpu.txt
+	$(UV) --group pyproject.toml:test --override training/cpu.txt -e 'training[torch]'
 	touch $@
 
 $(VENV)/.lint: $(VENV)/.core

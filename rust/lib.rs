@@ -16,6 +16,7 @@ pub mod geometry;
 mod grid;
 pub mod loads;
 pub mod modes;
+pub mod network;
 pub mod predict;
 #[cfg(feature = "python")]
 mod python;

@@ -19,6 +19,14 @@ pub trait Shape: Send + Sync {
     /// The M outputs at the command `u` (C,), written to `out` (M,).
     fn eval(&self, u: &[f64], out: &mut [f64]);
 
+    /// The outputs (n, M) at `rows` (n, C) of commands; some shapes take several at a time.
+    fn eval_rows(&self, rows: &[f64], out: &mut [f64]) {
+        let (channels, size) = (self.channels(), self.size().max(1));
+        for (i, out) in out.chunks_exact_mut(size).enumerate() {
+            self.eval(&rows[i * channels..(i + 1) * channels], out);
+        }
+    }
+
     /// The table that this shape is, if it is one.
     fn table(&self) -> Option<&Table> {
         None

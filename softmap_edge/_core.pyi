@@ -22,6 +22,7 @@ __all__ = [
     "LOADS",
     "MODULI",
     "Mesh",
+    "Network",
     "Predictor",
     "Registration",
     "Rod",
@@ -104,6 +105,13 @@ class Scattered(Shape):
         cls, nodes: _Floats, scale: _Floats, power: int, coefficients: _Floats, mean: _Floats, modes: _Floats
     ) -> Self: ...
     def project(self, weights: _Floats, offset: _Floats) -> Scattered: ...
+
+@final
+class Network(Shape):
+    def __new__(cls, file: bytes) -> Self: ...
+    @property
+    def parameters(self) -> int: ...
+    def project(self, weights: _Floats, offset: _Floats) -> Network: ...
 
 @final
 class Sum(Shape):

@@ -7,7 +7,9 @@ template.npz    rest points, triangles, tip, per-feature form error; section, al
 fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands; `second_…`
                 what loads do beyond
 effects.json    the chain: names and parameters
-residual.npz    what was learned on top of the prior (`softmap adapt`), if anything: as a scattered family
+prior.onnx      a trained prior; `prior.npz` then holds how its tendons pull
+residual.npz    what was learned on top of the prior (`softmap adapt`), if anything: as a scattered family, or as
+residual.onnx   a network
 NAME_step       beside an array of whole numbers NAME in an archive: NAME counts these steps
 NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run only where whoever
                 loads the bundle has loaded that very file before (`load_effect`), or says so when asked
@@ -18,9 +20,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
-import re
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -33,17 +33,16 @@ from numpy.typing import NDArray
 from softmap_edge import __version__, _core, own_effect
 from softmap_edge.errors import BundleError, SoftmapError, brief
 from softmap_edge.features import SECTIONS, Body
+from softmap_edge.manifest import LARGEST, finite_number, load_manifest, read_json
 from softmap_edge.model import Arrays, Model
+from softmap_edge.network import read_network
 from softmap_edge.npz import read_npz, write_npz
 from softmap_edge.shape_arrays import cables_from, family_from, fields_from, second_from
 
-# 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a residual; else 1
-SCHEMA = 4
 _MAX_BYTES = 256 << 20
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
-_KINDS = ("table", "scattered", "rod")
+_LEARNED = ("prior.onnx", "residual.onnx", "residual.npz")  # those that a manifest may name beside them
 Trust = Callable[[Path, str], bool]
-_LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
 _MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
 
 
@@ -60,8 +59,16 @@ def save_bundle(model: Model, path: str | Path) -> Path:
     partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     partial.chmod(0o777 & ~_umask())
     kept = [name for name in ("prior", "fields", "residual") if name in model.arrays]
+    files = list(_FILES)
     for name in kept:
-        write_npz(partial / f"{name}.npz", model.arrays[name])
+        arrays = dict(model.arrays[name])
+        network = arrays.pop("onnx", None)
+        if network is not None:
+            files.append(f"{name}.onnx")
+            (partial / files[-1]).write_bytes(network.tobytes())
+        if arrays or f"{name}.npz" in _FILES:
+            files += [] if f"{name}.npz" in _FILES else [f"{name}.npz"]
+            write_npz(partial / f"{name}.npz", arrays)
     template: dict[str, NDArray[np.generic]] = {
         "rest": model.rest.astype(np.float32),
         "triangles": model.triangles.astype(np.uint16 if len(model.rest) < 65536 else np.uint32),
@@ -79,7 +86,7 @@ def save_bundle(model: Model, path: str | Path) -> Path:
     chain = {"chain": list(model.chain_names), "params": model.params}
     (partial / "effects.json").write_text(json.dumps(chain, indent=1, sort_keys=True) + "\n")
     manifest = {
-        "schema": 4 if "residual" in kept else 3 if own else _schema(model),
+        "schema": _schema(model, files, bool(own)),
         "kind": model.kind,
         "robot": model.robot,
         "channels": model.channels,
@@ -93,7 +100,7 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         "stiffness_known": model.stiffness_known,
         "made_from": dict(model.made_from),
         "written_by": f"softmap-edge {__version__}",
-        "sha256": {name: _sha256(partial / name) for name in (*_FILES, *(f"{n}.npz" for n in kept[2:]))},
+        "sha256": {name: _sha256(partial / name) for name in files},
     }
     if own:
         manifest["own_effects"] = {effect.name: effect.sha256 for effect in own}
@@ -111,10 +118,14 @@ def _umask() -> int:
     return mask
 
 
-def _schema(model: Model) -> int:
+def _schema(model: Model, files: list[str], own: bool) -> int:
     """Return the oldest schema that holds the model; a rod makes its fields itself."""
+    if model.kind == "network" or "residual.onnx" in files:
+        return 5
+    if "residual.npz" in files:
+        return 4
     designed = model.kind != "rod" and bool(set(model.fields) - set(_core.LOADS))
-    if designed or any(key.endswith("_step") for key in model.arrays["prior"]):
+    if own or designed or any(key.endswith("_step") for key in model.arrays["prior"]):
         return 3
     return 2 if model.kind == "scattered" or model.body is not None else 1
 
@@ -127,7 +138,7 @@ def check_folder(folder: Path) -> None:
         manifest = load_manifest(folder)
     except BundleError:
         raise BundleError(f"{folder} exists and is not a bundle; choose another name or remove it") from None
-    ours = {"manifest.json", "residual.npz", *_FILES, *(f"{name}.py" for name in manifest.get("own_effects", {}))}
+    ours = {"manifest.json", *_FILES, *_LEARNED, *(f"{name}.py" for name in manifest.get("own_effects", {}))}
     if foreign := sorted({entry.name for entry in folder.iterdir()} - ours):
         raise BundleError(f"{folder}: holds {foreign[0]} beside a bundle, which would be lost; take it out first")
 
@@ -145,7 +156,7 @@ def load_bundle(path: str | Path, trust: Trust | None = None) -> Model:
     """
     folder = Path(path)
     manifest = load_manifest(folder)
-    for name in (*_FILES, *_residual(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))):
+    for name in (*_FILES, *_learned(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))):
         if not (folder / name).is_file():
             raise BundleError(f"{folder.name}: {name} is missing; copy the whole bundle folder again")
         if _sha256(folder / name) != (manifest["sha256"] | _own_hashes(manifest)).get(name):
@@ -169,48 +180,6 @@ def builtin_model() -> Model:
     return load_bundle(Path(__file__).parent / "data" / "finger")
 
 
-def load_manifest(path: str | Path) -> dict[str, Any]:
-    """Read and check `manifest.json` of a bundle folder."""
-    file = Path(path) / "manifest.json"
-    if not file.is_file():
-        raise BundleError(
-            f"{path}: not a bundle folder (no manifest.json); `softmap build` and `softmap learn` make one"
-        )
-    manifest = _json(file)
-    schema = manifest.get("schema")
-    if not isinstance(schema, int) or schema < 1:
-        raise BundleError(
-            f"{file.parent.name}: manifest.json has schema {schema!r:.80}, expected a whole number from 1"
-        )
-    if schema > SCHEMA:
-        raise BundleError(
-            f"{file.parent.name}: written with bundle schema {schema}, this version reads up to {SCHEMA}; "
-            "pip install -U softmap-edge"
-        )
-    if manifest.get("kind") not in _KINDS:
-        raise BundleError(
-            f"{file.parent.name}: kind of prior {manifest.get('kind')!r:.80}, known are {', '.join(_KINDS)}"
-        )
-    _require(manifest, "sha256", lambda v: isinstance(v, dict), "a table of file hashes")
-    _require(manifest, "channels", lambda v: isinstance(v, int) and 0 <= v <= 64, "a whole number 0…64")
-    for name in ("robot", "command_unit"):
-        _require({"command_unit": "mm", **manifest}, name, _plain, "a printable text of at most 100 characters")
-    _require({"input": "present", **manifest}, "input", lambda v: v in ("present", "goal"), "'present' or 'goal'")
-    _require(manifest, "held_out_error_mm", _finite_number, "a number in mm")
-    if "held_out_error_per_g_mm" in manifest:
-        _require(manifest, "held_out_error_per_g_mm", _finite_number, "a number in mm")
-    _require({"stiffness_known": True, **manifest}, "stiffness_known", lambda v: isinstance(v, bool), "true or false")
-    _require(manifest, "gravity_reference", lambda v: _floats(v, 3), "three numbers")
-    _require(
-        manifest,
-        "command_range",
-        lambda v: isinstance(v, list) and len(v) == manifest["channels"] and all(_floats(r, 2) for r in v),
-        "a [low, high] pair a channel",
-    )
-    _require({"own_effects": {}, **manifest}, "own_effects", _hashes, "a table of names and sha256, of at most 16")
-    return manifest
-
-
 def _allow(file: Path, name: str, digest: str, trust: Trust | None) -> None:
     """See that the effect `name` of a bundle is loaded, by running `file` only if `trust` says so."""
     known = own_effect.loaded().get(name)
@@ -228,26 +197,32 @@ def _allow(file: Path, name: str, digest: str, trust: Trust | None) -> None:
         )
 
 
-def _residual(manifest: dict[str, Any]) -> list[str]:
-    """Return the file of the residual that the manifest names, if it does."""
-    return ["residual.npz"] if "residual.npz" in manifest["sha256"] else []
+def _learned(manifest: dict[str, Any]) -> list[str]:
+    """Return the files of networks and of a residual that the manifest names."""
+    return [name for name in _LEARNED if name in manifest["sha256"]]
 
 
 def _arrays(folder: Path, manifest: dict[str, Any]) -> dict[str, Arrays]:
     """Read the archives of a bundle; only finite numbers of a plausible size, which also keeps overflow out later."""
-    files = ["prior.npz", "fields.npz", "template.npz", *_residual(manifest)]
+    learned = _learned(manifest)
+    files = ["prior.npz", "fields.npz", "template.npz", *(name for name in learned if name.endswith(".npz"))]
     arrays = {file.removesuffix(".npz"): read_npz(folder / file, BundleError, _MAX_BYTES) for file in files}
     for name, group in arrays.items():
         for key, array in group.items():
             if array.dtype.kind not in "fiub" or not np.all(np.isfinite(array)):
                 raise BundleError(f"{folder.name}: {name}.npz: '{key}' is not all finite numbers; build it again")
-            if array.size and max(float(array.max()), -float(array.min())) > _LARGEST:
+            low, high = (float(array.min()), float(array.max())) if array.size else (0.0, 0.0)
+            if max(high, -low) > LARGEST or (key == "form_error_mm" and low < 0):
                 raise BundleError(
-                    f"{folder.name}: {name}.npz: '{key}' holds {float(array.min()):.4g} to {float(array.max()):.4g}, "
-                    f"allowed is ±{_LARGEST:g}; build it again"
+                    f"{folder.name}: {name}.npz: '{key}' holds {low:.4g} to {high:.4g}, allowed is "
+                    f"{'0 to ' if key == 'form_error_mm' else '±'}{LARGEST:g}; build it again"
                 )
             if key in ("triangles", "tip") and array.dtype.kind not in "iu":
                 raise BundleError(f"{folder.name}: {name}.npz: '{key}' holds {array.dtype}, expected whole numbers")
+    between = np.array(manifest["command_range"], float).reshape(-1, 2)
+    for file in (name for name in learned if name.endswith(".onnx")):
+        content, _ = read_network(folder / file, between)
+        arrays.setdefault(file.removesuffix(".onnx"), {})["onnx"] = np.frombuffer(content, np.uint8)
     return arrays
 
 
@@ -255,6 +230,8 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     arrays = _arrays(folder, manifest)
     template = arrays["template"]
     if manifest["kind"] != "rod":
+        if (manifest["kind"] == "network") != ("onnx" in arrays["prior"]):
+            raise BundleError(f"{folder.name}: a prior.onnx goes with the kind network, not with {manifest['kind']}")
         prior: Any = family_from(arrays["prior"])
         fields = fields_from(arrays["fields"])
         cables = cables_from(arrays["prior"], arrays["fields"])
@@ -329,12 +306,12 @@ def _body(folder: Path, template: Arrays, points: int) -> Body:
 def load_chain(path: str | Path) -> tuple[list[str], dict[str, float]]:
     """Read names and parameters of the effects of a bundle, without asking what they are."""
     folder = Path(path)
-    effects = _json(folder / "effects.json")
+    effects = read_json(folder / "effects.json")
     names, params = effects.get("chain"), effects.get("params")
     if not isinstance(names, list) or not all(isinstance(n, str) for n in names) or not isinstance(params, dict):
         raise BundleError(f"{folder.name}: effects.json needs a list `chain` and a table `params`")
-    if not all(_finite_number(v) for v in params.values()):
-        raise BundleError(f"{folder.name}: effects.json: every parameter must be a number within ±{_LARGEST:g}")
+    if not all(finite_number(v) for v in params.values()):
+        raise BundleError(f"{folder.name}: effects.json: every parameter must be a number within ±{LARGEST:g}")
     return names, params
 
 
@@ -345,53 +322,6 @@ def _own_hashes(manifest: dict[str, Any]) -> dict[str, str]:
 def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:
     made = manifest.get("made_from")
     return dict(made) if isinstance(made, dict) else {}
-
-
-def _require(manifest: dict[str, Any], key: str, fits: Callable[[Any], bool], what: str) -> None:
-    if key not in manifest or not fits(manifest[key]):
-        raise BundleError(
-            f"manifest.json: '{key}' is {manifest.get(key)!r:.80}, expected {what}; build or copy it again"
-        )
-
-
-def _plain(value: Any) -> bool:
-    return isinstance(value, str) and len(value) <= 100 and value.isprintable()
-
-
-def _finite_number(value: Any) -> bool:
-    return (
-        isinstance(value, int | float)
-        and not isinstance(value, bool)
-        and abs(value) <= _LARGEST
-        and math.isfinite(value)
-    )
-
-
-def _hashes(value: Any) -> bool:
-    return (
-        isinstance(value, dict)
-        and len(value) <= 16
-        and all(own_effect.NAME.fullmatch(name) for name in value)
-        and all(isinstance(digest, str) and re.fullmatch("[0-9a-f]{64}", digest) for digest in value.values())
-    )
-
-
-def _floats(value: Any, length: int) -> bool:
-    return isinstance(value, list) and len(value) == length and all(_finite_number(v) for v in value)
-
-
-def _json(file: Path) -> dict[str, Any]:
-    if file.stat().st_size > 16 << 20:
-        raise BundleError(f"{file.name}: {file.stat().st_size} bytes, at most 16 MiB are read")
-    try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as fault:
-        raise BundleError(
-            f"{file.parent.name}: {file.name} is not readable JSON ({brief(fault)}); copy it again"
-        ) from None
-    if not isinstance(document, dict):
-        raise BundleError(f"{file.parent.name}: {file.name} holds a {type(document).__name__}, expected a table")
-    return document
 
 
 def _sha256(file: Path) -> str:

@@ -2,8 +2,7 @@
 
     command ─chain of effects─> u_eff ─prior f(u_eff) + Σ cₖ·Sₖ(u_eff)─sensing effects─> points
 
-The prior is a table or a scattered family (a sweep, simulated here or elsewhere) or a rod (fitted to a reference run);
-whoever uses a model cannot tell which.
+The prior is a table or a scattered family (a sweep) or a rod (fitted to a run); whoever uses a model cannot tell which.
 Parameters of effects live in one place, `chain_params`, in the order of `chain.labels`.
 """
 
@@ -165,8 +164,10 @@ class Model:
         if params.shape != (len(chain.labels),):
             raise SoftmapError(f"{len(chain.labels)} parameters wanted ({', '.join(chain.labels)}), got {params.shape}")
         if not np.isfinite(params).all():
-            wrong = chain.labels[int(np.argmin(np.isfinite(params)))]
-            raise SoftmapError(f"{wrong} is not a finite number; give each parameter one")
+            raise SoftmapError(f"{chain.labels[int(np.argmin(np.isfinite(params)))]} is not a finite number; give one")
+        if (params < 0)[chain.log].any():
+            wrong = int(np.argmax(chain.log & (params < 0)))
+            raise SoftmapError(f"{chain.labels[wrong]} is {params[wrong]:g} {chain.units[wrong]}, allowed is 0 or more")
         model = self if chain.numbers else self._before_laws()
         return replace(model.with_residual(None), chain_names=tuple(names), chain_params=params)
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.features import FeatureMap
+from softmap_edge.network import tabulated
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -53,12 +54,17 @@ def _through(
 ) -> tuple[Shape, dict[str, Shape], _core.Cables | None, _core.Second | None]:
     """Return prior with residual, fields, cables and second order as seen through a linear map."""
     matrix, zero = mapping.matrix(), np.zeros(3 * len(mapping.weights))
-    prior = model.prior.project(matrix, zero)
+    prior = _seen(model, model.prior.project(matrix, zero))
     if model.residual is not None:
-        prior = _core.Sum(prior, model.residual.project(matrix, zero))
+        prior = _core.Sum(prior, _seen(model, model.residual.project(matrix, zero)))
     fields = {name: shape.project(matrix, zero) for name, shape in model.fields.items()}
     cables = None if model.cables is None else model.cables.project(matrix, zero)
     return prior, fields, cables, None if model.second is None else model.second.project(matrix)
+
+
+def _seen(model: Model, shape: Shape) -> Shape:
+    """Return a shape of few outputs as fits want it: a network as a table."""
+    return tabulated(shape, model.command_range) if isinstance(shape, _core.Network) else shape
 
 
 def _predictor(

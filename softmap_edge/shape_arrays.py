@@ -1,6 +1,6 @@
 """Compiled shapes from the arrays of a bundle: the prior's family, its fields, how cables answer, what large loads add.
 
-What an array is called says what it is: `axis0…` or `nodes`, `coefficients`, `mean` and `modes` of a family;
+What an array is called says what it is: `axis0…` or `nodes`, `coefficients`, `mean` and `modes` of a family, or `onnx`;
 `coefficients_NAME` of a field, `tension_0…` among them; `pull`, `stiffness` and `stretch` of cables; `second_…`.
 Arrays may be whole numbers of steps (`npz.unpacked`). Units: those of `_core.FIELDS`. Pinned by tests/test_bundle.py.
 """
@@ -20,10 +20,12 @@ _SHARED = ("modes", "nodes", "scale", "power")  # what the fields of one bundle 
 _TENSION = "tension_"  # what the field of a tendon is called, before its number
 
 
-def family_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table | _core.Scattered:
+def family_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table | _core.Scattered | _core.Network:
     """Return the compiled shape family of `coefficients`, `mean` and `modes` over `axis0…`, or over scattered
-    `nodes`.
+    `nodes`; or the network of `onnx`, the bytes of its file.
     """
+    if "onnx" in arrays:
+        return _core.Network(np.asarray(arrays["onnx"], np.uint8).tobytes())
     arrays = unpacked(arrays)
     mean, modes, coefficients = (np.asarray(arrays[name], np.float64) for name in ("mean", "modes", "coefficients"))
     if "nodes" in arrays:

@@ -118,7 +118,12 @@ def test_what_is_large_but_reasonable_still_works():
     assert Finger.builtin().replace(core=16, layers=40).other_mesh().solid.core == 15
 
 
-@pytest.mark.parametrize("argv", [["diagnose"], ["check"], ["add", "gain", "--out", "b", "--from"], ["next"]])
+BUILD, GUESS = ["build", "--out", "b"], ["import", "--guess", "--out", "map.toml"]
+
+
+@pytest.mark.parametrize(
+    "argv", [["diagnose"], ["check"], ["add", "gain", "--out", "b", "--from"], ["next"], BUILD, GUESS]
+)
 def test_devices_and_pipes_are_no_files(argv, tmp_path, capsys, monkeypatch):
     """They never end: what reads them whole fills the memory, or waits for ever."""
     monkeypatch.chdir(tmp_path)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
-from softmap_edge.errors import BundleError
+from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.run import Run
 from softmap_edge.solid.build import build_model
 from softmap_edge.solid.finger import Finger
@@ -129,9 +129,11 @@ def test_a_changed_file_is_refused_by_name(copy, name):
     [
         ({"schema": 99}, "pip install -U"),
         ({"schema": "one"}, "schema"),
-        ({"kind": "oracle"}, "table, scattered, rod"),
+        ({"kind": "oracle"}, "table, scattered, network, rod"),
         ({"channels": 3}, "command_range"),
         ({"held_out_error_mm": float("nan")}, "held_out_error_mm"),
+        ({"held_out_error_mm": -0.1}, "held_out_error_mm"),
+        ({"command_range": [[5.0, -5.0], [-5.0, 5.0]]}, "low below high"),
         ({"gravity_reference": [0, 0]}, "gravity_reference"),
     ],
 )
@@ -140,6 +142,11 @@ def test_a_wrong_manifest_is_named(copy, change, says):
     (copy / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(BundleError, match=says):
         load_bundle(copy)
+
+
+def test_a_negative_time_constant_is_named():
+    with pytest.raises(SoftmapError, match=r"lag.tau is -5 s, allowed is 0 or more"):
+        builtin_model().with_effects(["lag"], {"lag.tau": -5.0})
 
 
 def test_not_a_bundle_says_how_to_make_one(tmp_path):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from damage import Format, assert_500, assert_10000, run_all, spoil_bundle, spoil_many, spoil_npz_file, spoil_text_file
+from damage import Format, assert_10000, assert_some, run_all, spoil_bundle, spoil_many, spoil_npz_file, spoil_text_file
 
 
 # --- sound samples -------------------------------------------------------------------------
@@ -300,12 +300,12 @@ FORMATS = [
     Format("sweep", sweep_sample, spoil_npz_file, use_sweep),
     Format("diagnosis", diagnosis_sample, spoil_text_file, use_diagnosis),
     Format("commands", commands_sample, spoil_text_file, use_commands),
-    Format("sweep made elsewhere", shapes_sample, spoil_npz_file, use_shapes),
-    Format("scattered bundle", scattered_bundle_sample, spoil_bundle, use_bundle),
-    Format("bundle with a residual", residual_sample, spoil_bundle, use_bundle),
-    Format("bundle", bundle_sample, spoil_bundle, use_bundle),
-    Format("elastic bundle", elastic_sample, spoil_bundle, use_bundle),
-    Format("bundle with a user's effect", own_effect_sample, spoil_bundle, use_own_effect),
+    Format("sweep made elsewhere", shapes_sample, spoil_npz_file, use_shapes, 200),
+    Format("scattered bundle", scattered_bundle_sample, spoil_bundle, use_bundle, 120),
+    Format("bundle with a residual", residual_sample, spoil_bundle, use_bundle, 120),
+    Format("bundle", bundle_sample, spoil_bundle, use_bundle, 120),
+    Format("elastic bundle", elastic_sample, spoil_bundle, use_bundle, 120),
+    Format("bundle with a user's effect", own_effect_sample, spoil_bundle, use_own_effect, 120),
 ]
 
 
@@ -319,8 +319,8 @@ DYING = Format("dying", lambda folder: folder, lambda _, folder, __: folder / "s
 
 
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
-def test_500_damaged_files(form, tmp_path):
-    assert_500(__file__, form, tmp_path)
+def test_damaged_files(form, tmp_path):
+    assert_some(__file__, form, tmp_path)
 
 
 @pytest.mark.prove

@@ -4,7 +4,7 @@ Each format is one line of FORMATS; `damage.py` says how files are spoiled and u
 """
 
 import pytest
-from damage import Format, assert_500, assert_10000, run_all, spoil_bytes, spoil_one_of, spoil_text_file
+from damage import Format, assert_10000, assert_some, run_all, spoil_bytes, spoil_one_of, spoil_text_file
 from recordings import JOINT_STATE, places, robot_messages, write_c3d, write_mcap, write_motive, write_trc
 
 LOG = "t,a,b,x,y,z\n" + "".join(f"{k / 10},{k % 3},-{k % 5},{k},{2 * k},7.5\n" for k in range(20))
@@ -178,8 +178,8 @@ FORMATS = [
 
 
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
-def test_500_damaged_logs(form, tmp_path):
-    assert_500(__file__, form, tmp_path)
+def test_damaged_logs(form, tmp_path):
+    assert_some(__file__, form, tmp_path)
 
 
 @pytest.mark.prove

@@ -63,7 +63,7 @@ def test_a_lean_alone_is_answered_between_the_commands_of_the_sweep(simulator):
     """Where tendons fall slack between two of them: tensions interpolated across that kink are up to 2 N off, and the
     lean then 0.21 mm RMS.
     """
-    commands = np.random.default_rng(0).uniform(-14.0, 14.0, (24, 2))
+    commands = np.random.default_rng(0).uniform(-14.0, 14.0, (10, 2))
     t = np.arange(float(len(commands)))
     plain = Run(t=t, command=commands, t_seen=t)
     model = builtin_model()

@@ -64,6 +64,7 @@ def test_sides_found_from_the_log_are_as_good_as_measured_ones(logs):
     assert tdcr.error(learn_model(logs[1], robot=robot), logs[2]) <= 7.4
 
 
+@pytest.mark.prove
 def test_a_turned_sign_ruins_everything(logs, rods):
     """The page says so; it is also the proof that the fit cannot please itself."""
     train = logs[1]
@@ -141,6 +142,7 @@ def test_the_second_is_a_memory_whose_members_are_not_told_apart(page, logs):
     assert tdcr.error(after, logs[2]) <= 6.3
 
 
+@pytest.mark.prove
 def test_the_pictures_of_the_page_are_made_by_their_script(logs, tmp_path, capsys):
     path = ROOT / "docs/figures_tdcr.py"
     spec = importlib.util.spec_from_file_location("figures_tdcr", path)

@@ -220,7 +220,7 @@ def test_every_frame_is_the_equilibrium_found_on_its_own():
     from softmap_edge.truth import hide
 
     finger, p = hide(["payload"], 4), standard_protocol()
-    chosen = np.arange(0, p.frames, 40)
+    chosen = np.arange(0, p.frames, 80)
     (frames, gravity, force), *_ = [part for part in finger._weights(p)]
     chosen = np.intersect1d(chosen, frames)
     body = truth._simulator(finger.finger, finger.modulus)

@@ -235,17 +235,29 @@ fn missed(field: usize, by: f64) -> Vec<(f64, f64)> {
 
 #[test]
 fn fields_of_a_design_are_what_the_changed_design_does_when_solved_again() {
+    solved_again(vec![
+        (STIFF + 1, 0.25, 0.06),
+        (ACROSS + 1, -0.2, 0.06),
+        (CURVE, 2.0, 0.06),
+        (TWIST, 6.0, 0.06),
+        (ROUTING, 5.0, 0.08),
+        (TENDON, 0.02, 0.06),
+    ]);
+}
+
+#[test]
+#[ignore = "the other fields, a minute; `make prove`"]
+fn all_fields_of_a_design_are_what_the_changed_design_does() {
     let mut cases: Vec<(usize, f64, f64)> = (STIFF..ACROSS).map(|f| (f, 0.25, 0.06)).collect();
     cases.extend([
         (ACROSS, 0.2, 0.06),
-        (ACROSS + 1, -0.2, 0.06),
-        (CURVE, 2.0, 0.06),
         (CURVE + 1, -1.5, 0.06),
-        (TWIST, 6.0, 0.06),
-        (ROUTING, 5.0, 0.08),
         (ROUTING + 1, -5.0, 0.08),
-        (TENDON, 0.02, 0.06),
     ]);
+    solved_again(cases);
+}
+
+fn solved_again(cases: Vec<(usize, f64, f64)>) {
     let mut wrong = vec![];
     for (field, by, allowed) in cases {
         let all = missed(field, by);

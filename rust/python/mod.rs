@@ -7,6 +7,7 @@ mod elastic;
 mod fem;
 mod geometry;
 mod mesh;
+mod network;
 mod own;
 mod predict;
 mod registry;
@@ -65,6 +66,8 @@ mod _core {
     use super::geometry::{PyRegistration, PySurface, chamfer};
     #[pymodule_export]
     use super::mesh::Mesh;
+    #[pymodule_export]
+    use super::network::PyNetwork;
     #[pymodule_export]
     use super::own::{forget, register};
     #[pymodule_export]

@@ -1,6 +1,7 @@
 //! Binding of every shape: evaluation and slopes of a batch of commands, outside the interpreter's lock.
 
 use crate::Error;
+use crate::network::LANES;
 use crate::room::zeros;
 use crate::shape::{Shape, Sum};
 use numpy::{
@@ -9,6 +10,9 @@ use numpy::{
 use pyo3::prelude::*;
 use rayon::prelude::*;
 use std::sync::Arc;
+
+/// Commands that one thread takes at a time.
+const TOGETHER: usize = LANES;
 
 /// A map from commands to numbers; `Rod` and `RodField` are of this kind.
 #[pyclass(name = "Shape", module = "softmap_edge._core", subclass, frozen)]
@@ -60,10 +64,11 @@ impl PyShape {
             (self.inner.clone(), self.inner.channels(), self.inner.size());
         let mut out = zeros("an answer (commands, outputs)", &[n, size])?;
         let out = py.detach(move || {
-            out.par_chunks_exact_mut(size.max(1))
+            out.par_chunks_mut((TOGETHER * size).max(1))
                 .enumerate()
                 .for_each(|(i, out)| {
-                    shape.eval(&rows[i * channels..(i + 1) * channels], out);
+                    let (first, count) = (i * TOGETHER, out.len() / size.max(1));
+                    shape.eval_rows(&rows[first * channels..(first + count) * channels], out);
                 });
             out
         });

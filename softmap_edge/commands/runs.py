@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.bundle import load_chain, load_manifest
+from softmap_edge.bundle import load_chain
 from softmap_edge.commands.output import check_file, check_kept, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.elsewhere.summary import read_summary
@@ -18,6 +18,7 @@ from softmap_edge.elsewhere.summary import sentences as sweep_sentences
 from softmap_edge.elsewhere.sweep_file import LIMIT, is_shape_sweep
 from softmap_edge.errors import RunError, SoftmapError, SweepError
 from softmap_edge.logs.importer import import_logs, read_mapping
+from softmap_edge.manifest import load_manifest
 from softmap_edge.npz import read_npz
 from softmap_edge.own_effect import loaded
 from softmap_edge.report.advice_text import effect_lines

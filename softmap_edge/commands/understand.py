@@ -305,7 +305,7 @@ def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
         print("the residual was learned without this and is dropped; `softmap adapt` learns it again")
     if "before_rms_mm" in report:
         before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
-        print(f"error {before:.3f} mm RMS (nothing fitted) -> {after:.3f} mm RMS (held out)")
+        print(f"error {before:.3f} mm RMS (as the bundle stood) -> {after:.3f} mm RMS (held out)")
     return 0
 
 

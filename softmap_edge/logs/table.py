@@ -85,6 +85,8 @@ def _format(path: Path) -> str:
     ending = path.suffix.lower()[1:]
     if ending in ("c3d", "mcap", "trc"):
         return ending
+    if path.exists() and not path.is_file():  # a pipe would be waited for
+        raise RunError(f"{path}: {'a folder' if path.is_dir() else 'no file'}; give the path of a log")
     try:
         with path.open("rb") as file:
             start = file.read(64)

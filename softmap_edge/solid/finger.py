@@ -112,6 +112,8 @@ class Finger:
     def load(cls, path: str | Path) -> Finger:
         """Read a `finger.toml`; raises FingerError that names the file and the field."""
         try:
+            if Path(path).exists() and not Path(path).is_file():  # a pipe would be waited for
+                raise OSError("a folder" if Path(path).is_dir() else "no file")
             with Path(path).open(encoding="utf-8") as file:
                 text = file.read(_MOST_TEXT + 1)
         except (OSError, UnicodeDecodeError) as error:

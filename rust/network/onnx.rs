@@ -1,0 +1,259 @@
+//! Reads the ONNX graphs that training exports, and no others: one chain of Gemm, Relu, Gelu and LayerNormalization, with Sub, Div,
+//! Mul and Add of constants between them.
+//!
+//! The messages are those of onnx.proto3 (https://github.com/onnx/onnx), with the fields that such a graph uses; nothing outside the
+//! file is read. What a graph holds beyond that is refused by name.
+
+use super::{Activation, Layer};
+use crate::error::{Result, invalid};
+use prost::Message;
+use std::collections::HashMap;
+
+/// Numbers of a network at most; the published one has 1.7 million.
+const MOST_NUMBERS: usize = 50_000_000;
+const FLOAT: i32 = 1;
+/// What the published normalisation of a layer adds to its variance.
+const EPSILON: f32 = 1e-5;
+
+#[derive(Message)]
+struct Model {
+    #[prost(message, optional, tag = "7")]
+    graph: Option<Graph>,
+}
+
+#[derive(Message)]
+struct Graph {
+    #[prost(message, repeated, tag = "1")]
+    node: Vec<Node>,
+    #[prost(message, repeated, tag = "5")]
+    initializer: Vec<Tensor>,
+    #[prost(message, repeated, tag = "11")]
+    input: Vec<Named>,
+    #[prost(message, repeated, tag = "12")]
+    output: Vec<Named>,
+}
+
+#[derive(Message)]
+struct Named {
+    #[prost(string, tag = "1")]
+    name: String,
+}
+
+#[derive(Message)]
+struct Node {
+    #[prost(string, repeated, tag = "1")]
+    input: Vec<String>,
+    #[prost(string, repeated, tag = "2")]
+    output: Vec<String>,
+    #[prost(string, tag = "4")]
+    op_type: String,
+    #[prost(message, repeated, tag = "5")]
+    attribute: Vec<Attribute>,
+}
+
+#[derive(Message)]
+struct Attribute {
+    #[prost(string, tag = "1")]
+    name: String,
+    #[prost(float, tag = "2")]
+    f: f32,
+    #[prost(int64, tag = "3")]
+    i: i64,
+    #[prost(bytes = "vec", tag = "4")]
+    s: Vec<u8>,
+}
+
+#[derive(Message)]
+struct Tensor {
+    #[prost(int64, repeated, tag = "1")]
+    dims: Vec<i64>,
+    #[prost(int32, tag = "2")]
+    data_type: i32,
+    #[prost(float, repeated, tag = "4")]
+    float_data: Vec<f32>,
+    #[prost(string, tag = "8")]
+    name: String,
+    #[prost(bytes = "vec", tag = "9")]
+    raw_data: Vec<u8>,
+}
+
+/// Numbers of a constant, and its shape.
+struct Constant {
+    shape: Vec<usize>,
+    numbers: Vec<f64>,
+}
+
+/// The layers of a graph, in order.
+pub fn layers(file: &[u8]) -> Result<Vec<Layer>> {
+    let model = Model::decode(file)
+        .map_err(|error| invalid(format!("no ONNX file ({error}); export it again")))?;
+    let graph = model
+        .graph
+        .ok_or_else(|| invalid("an ONNX file without a graph; export it again"))?;
+    let constants = constants(graph.initializer)?;
+    let inputs = graph.input.iter().map(|named| named.name.as_str());
+    let inputs: Vec<&str> = inputs.filter(|n| !constants.contains_key(*n)).collect();
+    let ([input], [output]) = (&inputs[..], &graph.output[..]) else {
+        return Err(invalid(format!(
+            "a graph of {} inputs and {} outputs; a prior or a residual has one of each",
+            inputs.len(),
+            graph.output.len()
+        )));
+    };
+    let (mut at, mut found) = (*input, vec![]);
+    for node in &graph.node {
+        if node.input.first().map(String::as_str) != Some(at) || node.output.len() != 1 {
+            return Err(invalid(format!(
+                "the node {} of the graph does not follow on '{at}'; only a chain of layers is read",
+                node.op_type
+            )));
+        }
+        found.push(layer(node, &constants)?);
+        at = &node.output[0];
+    }
+    if at != output.name {
+        return Err(invalid(format!(
+            "the graph ends in '{at}', its output is '{}'; only a chain of layers is read",
+            output.name
+        )));
+    }
+    Ok(found)
+}
+
+fn constants(tensors: Vec<Tensor>) -> Result<HashMap<String, Constant>> {
+    let (mut found, mut total) = (HashMap::new(), 0usize);
+    for tensor in tensors {
+        let name = tensor.name;
+        let refuse = |why: String| {
+            Err(invalid(format!(
+                "constant '{name}': {why}; export it again"
+            )))
+        };
+        if tensor.data_type != FLOAT {
+            return refuse(format!(
+                "type {}, expected 32-bit numbers",
+                tensor.data_type
+            ));
+        }
+        let shape: Vec<usize> = tensor
+            .dims
+            .iter()
+            .map(|d| usize::try_from(*d).unwrap_or(usize::MAX))
+            .collect();
+        let count = shape
+            .iter()
+            .try_fold(1usize, |n, d| n.checked_mul(*d))
+            .unwrap_or(usize::MAX);
+        total = total.saturating_add(count);
+        if total > MOST_NUMBERS {
+            return refuse(format!(
+                "more than {MOST_NUMBERS} numbers with those before"
+            ));
+        }
+        let raw = tensor.raw_data.chunks_exact(4);
+        let odd = !raw.remainder().is_empty();
+        let numbers: Vec<f64> = if tensor.raw_data.is_empty() {
+            tensor.float_data.iter().map(|v| f64::from(*v)).collect()
+        } else {
+            raw.map(|b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])))
+                .collect()
+        };
+        if numbers.len() != count || odd {
+            return refuse(format!("{} numbers for the shape {shape:?}", numbers.len()));
+        }
+        if !numbers.iter().all(|v| v.is_finite()) {
+            return refuse("not all numbers are finite".into());
+        }
+        found.insert(name, Constant { shape, numbers });
+    }
+    Ok(found)
+}
+
+fn layer(node: &Node, constants: &HashMap<String, Constant>) -> Result<Layer> {
+    let constant = |place: usize| {
+        node.input
+            .get(place)
+            .and_then(|n| constants.get(n))
+            .ok_or_else(|| {
+                invalid(format!(
+                    "{}: its input {place} is no constant; only a chain of layers is read",
+                    node.op_type
+                ))
+            })
+    };
+    let vector = |place: usize| constant(place).map(|c| c.numbers.clone());
+    let number = |name: &str, usual: f32| {
+        node.attribute
+            .iter()
+            .find(|a| a.name == name)
+            .map_or(usual, |a| a.f)
+    };
+    let whole = |name: &str, usual: i64| {
+        node.attribute
+            .iter()
+            .find(|a| a.name == name)
+            .map_or(usual, |a| a.i)
+    };
+    let refuse = |why: &str| {
+        Err(invalid(format!(
+            "{}: {why}; export it with softmap-training",
+            node.op_type
+        )))
+    };
+    match node.op_type.as_str() {
+        "Gemm" => {
+            if number("alpha", 1.0) != 1.0
+                || number("beta", 1.0) != 1.0
+                || whole("transA", 0) != 0
+                || whole("transB", 0) != 1
+            {
+                return refuse("expected alpha 1, beta 1, transA 0 and transB 1");
+            }
+            let weights = constant(1)?;
+            let [rows, columns] = weights.shape[..] else {
+                return refuse("its weights are no matrix");
+            };
+            let bias = vector(2)?;
+            if bias.len() != rows {
+                return refuse("as many numbers in its bias as rows in its weights are needed");
+            }
+            Ok(Layer::Linear {
+                columns,
+                weights: weights.numbers.clone(),
+                bias,
+            })
+        }
+        "Relu" => Ok(Layer::Activation(Activation::Relu)),
+        "Gelu"
+            if node
+                .attribute
+                .iter()
+                .all(|a| a.name != "approximate" || a.s == b"none") =>
+        {
+            Ok(Layer::Activation(Activation::Gelu))
+        }
+        "Gelu" => refuse("only the exact one is read"),
+        "LayerNormalization" if !matches!(whole("axis", -1), -1 | 1) => {
+            refuse("expected the last axis")
+        }
+        "LayerNormalization" => Ok(Layer::Normalise {
+            epsilon: number("epsilon", EPSILON),
+            scale: vector(1)?,
+            shift: vector(2)?,
+        }),
+        "Sub" => Ok(Layer::Shift(vector(1)?.iter().map(|v| -v).collect())),
+        "Add" => Ok(Layer::Shift(vector(1)?)),
+        "Mul" => Ok(Layer::Scale(vector(1)?)),
+        "Div" => {
+            let by = vector(1)?;
+            if by.contains(&0.0) {
+                return refuse("it divides by zero");
+            }
+            Ok(Layer::Scale(by.iter().map(|v| 1.0 / v).collect()))
+        }
+        other => Err(invalid(format!(
+            "the graph holds '{other:.40}', read are Gemm, Relu, Gelu, LayerNormalization, Sub, Div, Mul, Add; export it with \
+             softmap-training"
+        ))),
+    }
+}

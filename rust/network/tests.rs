@@ -1,0 +1,172 @@
+//! The layers against plain loops in double precision, slopes against differences, and files that are refused.
+
+use super::{Activation, Layer, Network};
+use crate::shape::Shape;
+
+fn numbers(seed: u64, count: usize, size: f64) -> Vec<f64> {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut next = || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        f64::from((state >> 33) as u32) / f64::from(u32::MAX >> 1) - 1.0
+    };
+    (0..count).map(|_| size * next()).collect()
+}
+
+fn linear(seed: u64, rows: usize, columns: usize) -> Layer {
+    let weights = numbers(seed, rows * columns, 1.0 / (columns as f64).sqrt());
+    Layer::Linear {
+        columns,
+        weights,
+        bias: numbers(seed + 99, rows, 0.5),
+    }
+}
+
+/// The network of a residual: normalised commands, two hidden layers of both kinds, an output in mm.
+fn layers() -> Vec<Layer> {
+    vec![
+        Layer::Shift(vec![-1.0, 2.0]),
+        Layer::Scale(vec![0.1, 0.2]),
+        linear(1, 9, 2),
+        Layer::Normalise {
+            epsilon: 1e-5,
+            scale: numbers(2, 9, 1.5),
+            shift: numbers(3, 9, 0.3),
+        },
+        Layer::Activation(Activation::Gelu),
+        linear(4, 7, 9),
+        Layer::Activation(Activation::Relu),
+        linear(5, 6, 7),
+        Layer::Scale(vec![3.0; 6]),
+        Layer::Shift(numbers(6, 6, 20.0)),
+    ]
+}
+
+/// The same, number by number.
+fn plainly(layers: &[Layer], u: &[f64]) -> Vec<f64> {
+    let mut x = u.to_vec();
+    for layer in layers {
+        x = match layer {
+            Layer::Scale(by) => x.iter().zip(by).map(|(x, b)| x * b).collect(),
+            Layer::Shift(by) => x.iter().zip(by).map(|(x, b)| x + b).collect(),
+            Layer::Activation(Activation::Relu) => x.iter().map(|x| x.max(0.0)).collect(),
+            Layer::Activation(Activation::Gelu) => x
+                .iter()
+                .map(|x| 0.5 * x * (1.0 + libm::erf(x / 2f64.sqrt())))
+                .collect(),
+            Layer::Linear {
+                columns,
+                weights,
+                bias,
+            } => {
+                let rows = weights.chunks(*columns).zip(bias);
+                rows.map(|(row, b)| row.iter().zip(&x).map(|(w, x)| w * x).sum::<f64>() + b)
+                    .collect()
+            }
+            Layer::Normalise {
+                epsilon,
+                scale,
+                shift,
+            } => {
+                let n = x.len() as f64;
+                let mean = x.iter().sum::<f64>() / n;
+                let spread = (x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n
+                    + f64::from(*epsilon))
+                .sqrt();
+                x.iter()
+                    .zip(scale)
+                    .zip(shift)
+                    .map(|((x, s), t)| (x - mean) / spread * s + t)
+                    .collect()
+            }
+        };
+    }
+    x
+}
+
+#[test]
+fn values_are_those_of_plain_loops_one_at_a_time_and_side_by_side() {
+    let network = Network::new(layers()).unwrap();
+    let rows = numbers(7, 2 * 11, 12.0);
+    let mut all = vec![0.0; 11 * 6];
+    network.eval_rows(&rows, &mut all);
+    for (k, u) in rows.chunks(2).enumerate() {
+        let mut one = vec![0.0; 6];
+        network.eval(u, &mut one);
+        let truth = plainly(&layers(), u);
+        for m in 0..6 {
+            // Single precision of numbers of about 20.
+            assert!((one[m] - truth[m]).abs() < 2e-5, "{} {}", one[m], truth[m]);
+            assert!((all[6 * k + m] - truth[m]).abs() < 2e-5);
+        }
+    }
+}
+
+#[test]
+fn slopes_are_those_of_differences() {
+    let network = Network::new(layers()).unwrap();
+    for u in numbers(8, 2 * 9, 12.0).chunks(2) {
+        let mut slopes = [0.0; 12];
+        network.jacobian(u, &mut slopes);
+        for c in 0..2 {
+            let (mut above, mut below) = (u.to_vec(), u.to_vec());
+            above[c] += 1e-5;
+            below[c] -= 1e-5;
+            let (above, below) = (plainly(&layers(), &above), plainly(&layers(), &below));
+            for m in 0..6 {
+                let wanted = (above[m] - below[m]) / 2e-5;
+                assert!((slopes[2 * m + c] - wanted).abs() < 1e-5 * (1.0 + wanted.abs()));
+            }
+        }
+    }
+}
+
+#[test]
+fn many_channels_have_slopes_too() {
+    let network = Network::new(vec![
+        linear(1, 3, 17),
+        Layer::Activation(Activation::Gelu),
+        linear(2, 4, 3),
+    ])
+    .unwrap();
+    let u = numbers(3, 17, 1.0);
+    let mut slopes = [0.0; 4 * 17];
+    network.jacobian(&u, &mut slopes);
+    let mut value = [[0.0; 4]; 2];
+    for c in 0..17 {
+        let mut other = u.clone();
+        for (side, step) in [0.01, -0.01].iter().enumerate() {
+            other[c] = u[c] + step;
+            network.eval(&other, &mut value[side]);
+        }
+        for m in 0..4 {
+            assert!((slopes[17 * m + c] - (value[0][m] - value[1][m]) / 0.02).abs() < 1e-3);
+        }
+    }
+}
+
+#[test]
+fn a_projected_network_is_the_network_seen_through_the_map() {
+    let network = Network::new(layers()).unwrap();
+    let (weights, offset) = (numbers(9, 6 * 2, 1.0), vec![1.0, -2.0]);
+    let seen = network.project(&weights, &offset).unwrap();
+    let (mut whole, mut part) = (vec![0.0; 6], vec![0.0; 2]);
+    network.eval(&[3.0, 4.0], &mut whole);
+    seen.eval(&[3.0, 4.0], &mut part);
+    for m in 0..2 {
+        let wanted: f64 = (0..6).map(|i| whole[i] * weights[2 * i + m]).sum::<f64>() + offset[m];
+        assert!((part[m] - wanted).abs() < 1e-4);
+    }
+}
+
+#[test]
+fn what_does_not_fit_together_is_refused() {
+    assert!(Network::new(vec![Layer::Activation(Activation::Relu)]).is_err());
+    assert!(Network::new(vec![linear(1, 3, 2), linear(2, 4, 5)]).is_err());
+    assert!(Network::new(vec![linear(1, 3, 2), Layer::Activation(Activation::Relu)]).is_err());
+    assert!(Network::new(vec![Layer::Shift(vec![0.0; 3]), linear(1, 3, 2)]).is_err());
+    for file in [&b"no file"[..], &[], &[0x3a, 0x00]] {
+        assert!(Network::read(file).is_err());
+    }
+}

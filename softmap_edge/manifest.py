@@ -1,0 +1,111 @@
+"""The manifest of a bundle: what a folder says that it holds, every field checked before anything else is read.
+
+Pinned by tests/test_bundle.py.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from softmap_edge import own_effect
+from softmap_edge.errors import BundleError, brief
+
+# 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a residual; 5: networks
+SCHEMA = 5
+KINDS = ("table", "scattered", "network", "rod")
+LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
+
+
+def load_manifest(path: str | Path) -> dict[str, Any]:
+    """Read and check `manifest.json` of a bundle folder."""
+    file = Path(path) / "manifest.json"
+    if not file.is_file():
+        raise BundleError(
+            f"{path}: not a bundle folder (no manifest.json); `softmap build` and `softmap learn` make one"
+        )
+    manifest = read_json(file)
+    schema = manifest.get("schema")
+    if not isinstance(schema, int) or schema < 1:
+        raise BundleError(
+            f"{file.parent.name}: manifest.json has schema {schema!r:.80}, expected a whole number from 1"
+        )
+    if schema > SCHEMA:
+        raise BundleError(
+            f"{file.parent.name}: written with bundle schema {schema}, this version reads up to {SCHEMA}; "
+            "pip install -U softmap-edge"
+        )
+    if manifest.get("kind") not in KINDS:
+        raise BundleError(
+            f"{file.parent.name}: kind of prior {manifest.get('kind')!r:.80}, known are {', '.join(KINDS)}"
+        )
+    _require(manifest, "sha256", lambda v: isinstance(v, dict), "a table of file hashes")
+    _require(manifest, "channels", lambda v: isinstance(v, int) and 0 <= v <= 64, "a whole number 0…64")
+    for name in ("robot", "command_unit"):
+        _require({"command_unit": "mm", **manifest}, name, _plain, "a printable text of at most 100 characters")
+    _require({"input": "present", **manifest}, "input", lambda v: v in ("present", "goal"), "'present' or 'goal'")
+    for name in ("held_out_error_mm", "held_out_error_per_g_mm"):
+        _require({"held_out_error_per_g_mm": 0.0, **manifest}, name, _error, "a number in mm from 0")
+    _require({"stiffness_known": True, **manifest}, "stiffness_known", lambda v: isinstance(v, bool), "true or false")
+    _require(manifest, "gravity_reference", lambda v: _floats(v, 3), "three numbers")
+    _require(
+        manifest,
+        "command_range",
+        lambda v: isinstance(v, list) and len(v) == manifest["channels"] and all(map(_interval, v)),
+        "a pair [low, high] a channel, low below high",
+    )
+    _require({"own_effects": {}, **manifest}, "own_effects", _hashes, "a table of names and sha256, of at most 16")
+    return manifest
+
+
+def _require(manifest: dict[str, Any], key: str, fits: Callable[[Any], bool], what: str) -> None:
+    if key not in manifest or not fits(manifest[key]):
+        raise BundleError(
+            f"manifest.json: '{key}' is {manifest.get(key)!r:.80}, expected {what}; build or copy it again"
+        )
+
+
+def _plain(value: Any) -> bool:
+    return isinstance(value, str) and len(value) <= 100 and value.isprintable()
+
+
+def finite_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+
+
+def _interval(value: Any) -> bool:
+    return _floats(value, 2) and bool(value[0] < value[1])
+
+
+def _error(value: Any) -> bool:
+    return finite_number(value) and bool(value >= 0)
+
+
+def _hashes(value: Any) -> bool:
+    return (
+        isinstance(value, dict)
+        and len(value) <= 16
+        and all(own_effect.NAME.fullmatch(name) for name in value)
+        and all(isinstance(digest, str) and re.fullmatch("[0-9a-f]{64}", digest) for digest in value.values())
+    )
+
+
+def _floats(value: Any, length: int) -> bool:
+    return isinstance(value, list) and len(value) == length and all(finite_number(v) for v in value)
+
+
+def read_json(file: Path) -> dict[str, Any]:
+    if file.stat().st_size > 16 << 20:
+        raise BundleError(f"{file.name}: {file.stat().st_size} bytes, at most 16 MiB are read")
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as fault:
+        raise BundleError(
+            f"{file.parent.name}: {file.name} is not readable JSON ({brief(fault)}); copy it again"
+        ) from None
+    if not isinstance(document, dict):
+        raise BundleError(f"{file.parent.name}: {file.name} holds a {type(document).__name__}, expected a table")
+    return document

@@ -1,0 +1,99 @@
+"""The networks, as layers in a row so that each can be written to ONNX: commands (n, C) mm to points (n, 3N) mm.
+
+Published prior: 256-512-1024-512-256 with BatchNorm, ReLU and dropout, inputs and outputs normalised one by one.
+Ours: a few GELU layers to weights of the leading modes of the training shapes, one scale for all outputs, so that the
+loss is the error in mm. Residuals: as published (LayerNorm, GELU, dropout), or ours, to modes that leave the clamp
+alone. All have the same face. Pinned by tests/test_training.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+Floats = NDArray[np.float64]
+
+PUBLISHED_WIDTHS = (256, 512, 1024, 512, 256)
+EPSILON = 1e-8  # of the published normalisation
+
+
+class Scale(nn.Module):
+    """x ↦ (x − shift)/size, or back; fixed numbers."""
+
+    def __init__(self, shift: Floats, size: Floats, back: bool = False) -> None:
+        super().__init__()
+        self.back = back
+        self.register_buffer("shift", torch.as_tensor(np.asarray(shift), dtype=torch.float32))
+        self.register_buffer("size", torch.as_tensor(np.asarray(size), dtype=torch.float32))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x * self.size + self.shift if self.back else (x - self.shift) / self.size
+
+
+class Modes(nn.Module):
+    """Weights (n, m) to points (n, 3N): mean + weights · modes, fixed numbers."""
+
+    def __init__(self, mean: Floats, modes: Floats) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.as_tensor(np.asarray(mean), dtype=torch.float32))
+        self.register_buffer("modes", torch.as_tensor(np.asarray(modes), dtype=torch.float32))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return self.mean + x @ self.modes
+
+
+def published_prior(commands: Floats, points: Floats, dropout: float = 0.1) -> nn.Sequential:
+    """Return the paper's prior, normalised by a set of commands (S, C) mm and points (S, 3N) mm."""
+    layers: list[nn.Module] = [Scale(commands.mean(axis=0), commands.std(axis=0) + EPSILON)]
+    width = commands.shape[1]
+    for wide in PUBLISHED_WIDTHS:
+        layers += [nn.Linear(width, wide), nn.BatchNorm1d(wide), nn.ReLU(), nn.Dropout(dropout)]
+        width = wide
+    layers += [
+        nn.Linear(width, points.shape[1]),
+        Scale(points.mean(axis=0), points.std(axis=0) + EPSILON, back=True),
+    ]
+    return nn.Sequential(*layers)
+
+
+def mode_prior(commands: Floats, points: Floats, widths: Sequence[int], count: int) -> nn.Sequential:
+    """Return our prior: GELU layers of `widths` to `count` modes of points (S, 3N) mm over commands (S, C) mm."""
+    mean = points.mean(axis=0)
+    _, size, modes = np.linalg.svd(points - mean, full_matrices=False)
+    count = min(count, len(modes))
+    reach = float(size[0] / np.sqrt(len(points)))  # mm, of all points together along the first mode
+    half, middle = 0.5 * np.ptp(commands, axis=0), 0.5 * (commands.max(axis=0) + commands.min(axis=0))
+    layers: list[nn.Module] = [Scale(middle, half)]
+    width = commands.shape[1]
+    for wide in widths:
+        layers += [nn.Linear(width, wide), nn.GELU()]
+        width = wide
+    return nn.Sequential(*layers, nn.Linear(width, count), Modes(mean, reach * modes[:count]))
+
+
+def published_residual(commands: Floats, size: int, widths: Sequence[int], dropout: float) -> nn.Sequential:
+    """Return the residual as its authors released it: 64-256-256-64, LayerNorm, GELU, dropout, to 3N numbers in mm."""
+    layers: list[nn.Module] = [Scale(commands.mean(axis=0), commands.std(axis=0) + EPSILON)]
+    width = commands.shape[1]
+    for wide in widths:
+        layers += [nn.Linear(width, wide), nn.LayerNorm(wide), nn.GELU(), nn.Dropout(dropout)]
+        width = wide
+    last = nn.Linear(width, size)
+    nn.init.zeros_(last.weight)  # it starts from the prior itself
+    nn.init.zeros_(last.bias)
+    return nn.Sequential(*layers, last)
+
+
+def mode_residual(commands: Floats, mean: Floats, modes: Floats, widths: Sequence[int], reach: float) -> nn.Sequential:
+    """Return our residual: GELU layers to weights of given `modes` (m, 3N), in units of `reach` mm, about `mean`."""
+    half, middle = 0.5 * np.ptp(commands, axis=0), 0.5 * (commands.max(axis=0) + commands.min(axis=0))
+    layers: list[nn.Module] = [Scale(middle, half)]
+    width = commands.shape[1]
+    for wide in widths:
+        layers += [nn.Linear(width, wide), nn.GELU()]
+        width = wide
+    return nn.Sequential(*layers, nn.Linear(width, len(modes)), Modes(mean, reach * modes))

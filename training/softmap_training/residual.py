@@ -1,0 +1,228 @@
+"""Train a residual on a recording, on top of a frozen model: the paper's, or ours. Units: mm.
+
+    points(u) = model(u) + Δ(u)
+
+Published: a network 64-256-256-64 to all points, Chamfer to the clouds + λ_l2 · mean |Δᵢ|² + λ_lap · mean over edges
+|Δᵢ − Δⱼ|². On clouds of two views it pulls the unseen side through the body and moves what a clamp holds. Ours is
+taught by the registered vertices, each by how well it was seen: Δ is a few modes of what they show beyond the model,
+none of which moves a clamped vertex, weighted by a small network of the command; the clouds join by a Chamfer term of
+the vertices that were seen. Validation is on whole blocks of the recording. Pinned by tests/test_training.py.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from softmap_edge import _core
+from softmap_edge.folds import run_folds
+from softmap_edge.model import Model
+from softmap_edge.registration.clouds import clouds_of
+from softmap_edge.registration.register import Registered, clamped, register
+from softmap_edge.run import Run
+from softmap_training import choices
+from softmap_training.chamfer import chamfer
+from softmap_training.choices import Recipe
+from softmap_training.errors import TrainingError
+from softmap_training.export import checked, to_onnx
+from softmap_training.fit import Progress, Task, fit, seeded
+from softmap_training.networks import mode_residual, published_residual
+
+Floats = NDArray[np.float64]
+Kind = Literal["modes", "published"]
+
+LEAST_FRAMES = 12
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What a residual is taught by: acting commands (K, C), the model's points (K, N, 3), clouds, and registration."""
+
+    commands: Floats
+    points: Floats
+    clouds: list[Floats]
+    registered: Registered | None
+    vertices: Floats
+    weight: Floats  # (K, N), 1/mm²
+
+    def __len__(self) -> int:
+        return len(self.commands)
+
+
+def frames_of(model: Model, run: Run, registered: Registered | None = None) -> Frames:
+    """Return what a run teaches on top of a model without its residual.
+
+    Args:
+        model: with the effects that it has; an earlier residual is left out.
+        run: of clouds, or of vertices.
+        registered: of the clouds, where that was done before.
+
+    Raises:
+        TrainingError: fewer than LEAST_FRAMES frames, or markers.
+    """
+    base = model.with_residual(None)
+    if run.frames < LEAST_FRAMES:
+        raise TrainingError(f"{run.frames} frames, at least {LEAST_FRAMES} are needed to learn a residual; record more")
+    if run.markers is not None:
+        raise TrainingError("markers do not show the surface; a residual network is learned from clouds or vertices")
+    commands = np.ascontiguousarray(base.acting(base.chain_names, base.chain_params[None], run)[0])
+    points = np.asarray(base.predict(run))
+    if run.points is None:
+        seen = np.isfinite(run.seen_points).all(axis=2)
+        seen &= True if run.visible is None else run.visible
+        sigma = (
+            np.ones(seen.shape)
+            if run.sigma is None
+            else np.broadcast_to(
+                np.reshape(run.sigma, (-1, *(1,) * (2 - np.ndim(run.sigma)))) if np.ndim(run.sigma) < 2 else run.sigma,
+                seen.shape,
+            )
+        )
+        return Frames(commands, points, [], None, np.where(seen[..., None], run.seen_points, points), seen / sigma**2)
+    found = registered or register(base, run)
+    of = found.run(run)
+    assert of.sigma is not None
+    return Frames(commands, points, clouds_of(run), found, found.vertices, found.visible / of.sigma**2)
+
+
+def train_residual(
+    model: Model,
+    run: Run,
+    kind: Kind = "modes",
+    recipe: Recipe | None = None,
+    folder: Path | None = None,
+    progress: Progress | None = None,
+    device: str = "cpu",
+    registered: Registered | None = None,
+) -> tuple[Model, dict[str, Any]]:
+    """Return a model with a trained residual, and a report.
+
+    Args:
+        model: stays as it is, an earlier residual aside.
+        run: the recording, of clouds (or vertices; the published one needs clouds), with commands.
+        kind: "modes" (ours) or "published".
+        recipe, folder, progress, device: as for `train_prior`.
+        registered: of the clouds, where that was done before.
+
+    Raises:
+        TrainingError: too few frames, no clouds for the published one, or a checkpoint of something else.
+    """
+    base, frames = model.with_residual(None), frames_of(model, run, registered)
+    if kind == "published" and not frames.clouds:
+        raise TrainingError("the published residual is supervised by clouds; this run holds vertices")
+    recipe = recipe or (choices.RESIDUAL if kind == "modes" else choices.PUBLISHED_RESIDUAL)
+    seeded(recipe.seed)
+    train, held = run_folds(run.t_seen)[0]
+    held_still = clamped(base)
+    make = _ours if kind == "modes" else _published
+    network, task = make(base, frames, train, held, held_still)
+    ahead = time.perf_counter()
+    log = fit(task, recipe, folder, progress, device)
+    seconds = time.perf_counter() - ahead
+    content = to_onnx(network, base.channels, {"kind": f"residual, {kind}", "seed": str(recipe.seed)})
+    apart = checked(network, content, frames.commands[:256])
+    delta = _core.Network(content).evaluate(frames.commands).reshape(frames.points.shape)
+    report = {
+        "kind": kind,
+        "seed": recipe.seed,
+        "epochs": len(log),
+        "seconds": seconds,
+        "frames": len(frames),
+        "size_mm": float(np.sqrt(np.mean(np.sum(delta**2, axis=2)))),
+        "clamp_moves_mm": float(np.linalg.norm(delta[:, held_still], axis=2).mean()) if len(held_still) else 0.0,
+        "held_out_before_mm": _off(frames, held, np.zeros_like(delta)),
+        "held_out_after_mm": _off(frames, held, delta),
+        "parity_mm": apart,
+    }
+    found = base.with_residual({"onnx": np.frombuffer(content, np.uint8)})
+    made = dict(base.made_from) | {"residual": {"run": [run.hash()], **report}}
+    return replace(found, made_from=made), report
+
+
+def _off(frames: Frames, some: NDArray[np.int64], delta: Floats) -> float:
+    """Return the mean distance in mm from the vertices that were seen, on some frames."""
+    distance = np.linalg.norm(frames.vertices[some] - frames.points[some] - delta[some], axis=2)
+    seen = frames.weight[some] > 0
+    return float(distance[seen].mean())
+
+
+def _ours(
+    base: Model, frames: Frames, train: NDArray[np.int64], held: NDArray[np.int64], still: NDArray[np.int64]
+) -> tuple[nn.Sequential, Task]:
+    missed = frames.vertices - frames.points
+    missed[:, still] = 0.0
+    flat = missed.reshape(len(missed), -1)
+    mean = flat[train].mean(axis=0)
+    _, size, modes = np.linalg.svd(flat[train] - mean, full_matrices=False)
+    modes = modes[: choices.RESIDUAL_MODES]
+    modes[:, np.all(flat == 0.0, axis=0)] = 0.0  # what a clamp holds, exactly
+    reach = float(size[0] / np.sqrt(len(train)))
+    network = mode_residual(frames.commands[train], mean, modes, choices.OUR_RESIDUAL_WIDTHS, reach)
+    u = torch.as_tensor(frames.commands, dtype=torch.float32)
+    y = torch.as_tensor(flat, dtype=torch.float32)
+    w = torch.as_tensor(frames.weight / frames.weight[train].mean(), dtype=torch.float32)
+    chosen = torch.as_tensor(train)
+
+    def off(net: nn.Sequential, rows: Tensor) -> Tensor:
+        return (net(u.to(rows.device)[rows]) - y.to(rows.device)[rows]).reshape(len(rows), -1, 3)
+
+    def loss(net: nn.Sequential, some: Tensor) -> Tensor:
+        rows = chosen.to(some.device)[some]
+        return (w.to(some.device)[rows] * off(net, rows).square().sum(dim=2)).mean()
+
+    def validate(net: nn.Sequential) -> float:
+        rows = torch.as_tensor(held, device=next(net.parameters()).device)
+        distance = off(net, rows).norm(dim=2)
+        weight = w.to(rows.device)[rows]
+        return float((weight * distance).sum() / weight.sum())
+
+    return network, Task(network, len(train), loss, validate, [frames.commands, flat, frames.weight, train])
+
+
+def _published(
+    base: Model, frames: Frames, train: NDArray[np.int64], held: NDArray[np.int64], still: NDArray[np.int64]
+) -> tuple[nn.Sequential, Task]:
+    size = frames.points[0].size
+    network = published_residual(frames.commands[train], size, choices.RESIDUAL_WIDTHS, choices.RESIDUAL_DROPOUT)
+    u = torch.as_tensor(frames.commands, dtype=torch.float32)
+    points = torch.as_tensor(frames.points, dtype=torch.float32)
+    chosen, edges = torch.as_tensor(train), torch.as_tensor(_edges(base.triangles))
+    clouds = [_thinned(cloud) for cloud in frames.clouds]
+
+    def corrected(net: nn.Sequential, rows: Tensor) -> tuple[Tensor, Tensor]:
+        delta = net(u.to(rows.device)[rows]).reshape(len(rows), -1, 3)
+        return delta, points.to(rows.device)[rows] + delta
+
+    def loss(net: nn.Sequential, some: Tensor) -> Tensor:
+        rows = chosen.to(some.device)[some]
+        delta, places = corrected(net, rows)
+        apart = delta[:, edges[:, 0]] - delta[:, edges[:, 1]]
+        return (
+            chamfer(places, [clouds[k] for k in rows.tolist()]).mean()
+            + choices.LAMBDA_L2 * delta.square().sum(dim=2).mean()
+            + choices.LAMBDA_LAP * apart.square().sum(dim=2).mean()
+        )
+
+    def validate(net: nn.Sequential) -> float:
+        rows = torch.as_tensor(held, device=next(net.parameters()).device)
+        return float(chamfer(corrected(net, rows)[1], [clouds[k] for k in held.tolist()]).mean())
+
+    return network, Task(network, len(train), loss, validate, [frames.commands, frames.points, *clouds, train])
+
+
+def _thinned(cloud: Floats) -> Floats:
+    """Return at most SAMPLES points of a cloud, evenly spread over its rows."""
+    return np.ascontiguousarray(cloud[:: max(1, len(cloud) // choices.SAMPLES)])
+
+
+def _edges(triangles: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return the edges (E, 2) of triangles (T, 3), each once."""
+    sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    return np.unique(sides.astype(np.int64), axis=0)
