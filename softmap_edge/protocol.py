@@ -339,14 +339,9 @@ def fast_triangles(tape: Tape, channel: int) -> None:
 def _other_blocks(tape: Tape, part: int) -> None:
     tape.hold(5.0, 1.6, "home")
     tape.follow(circle(tape), 14.0, 2.0, "circle")
-    shift = np.arange(tape.channels) * (np.pi / 2)
-
-    def spiral(phase: Floats) -> Floats:
-        return tape.limits.at(0.95 * np.sin(np.pi * phase)[:, None] * np.sin(-10 * np.pi * phase[:, None] + shift))
-
-    tape.follow(spiral, 20.0, 2.0, "spiral")
-    tape.follow(_wander(tape, 0.85), 14.0 + 2 * part, 2.0, "random")
-    tape.follow(_wander(tape, 0.7), 3.0, 7.0, "random fast")
+    tape.follow(spiral(tape), 20.0, 2.0, "spiral")
+    tape.follow(wander(tape, 0.85), 14.0 + 2 * part, 2.0, "random")
+    tape.follow(wander(tape, 0.7), 3.0, 7.0, "random fast")
     tape.hold(4.5, 1.6, "home")
 
 
@@ -361,7 +356,17 @@ def circle(tape: Tape) -> Callable[[Floats], Floats]:
     return path
 
 
-def _wander(tape: Tape, size: float) -> Callable[[Floats], Floats]:
+def spiral(tape: Tape) -> Callable[[Floats], Floats]:
+    """Return a path of five turns that grow and shrink, the other way round, from home to home."""
+    shift = np.arange(tape.channels) * (np.pi / 2)
+
+    def path(phase: Floats) -> Floats:
+        return tape.limits.at(0.95 * np.sin(np.pi * phase)[:, None] * np.sin(-10 * np.pi * phase[:, None] + shift))
+
+    return path
+
+
+def wander(tape: Tape, size: float) -> Callable[[Floats], Floats]:
     """Return a smooth random path that starts and ends at home and stays within ± `size` of the reach."""
     waves = np.arange(1, 6)
     weight = tape.rng.normal(size=(waves.size, tape.channels)) / waves[:, None] ** 0.5

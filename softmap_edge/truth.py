@@ -35,6 +35,7 @@ from softmap_edge.truth_named import NAMED
 
 Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]
+Body = Callable[[Finger, float, Vector, Vector, Floats], Floats]
 
 BATCHES = (0.9, 0.95, 1.05, 1.1)  # modulus of the second finger against the first: its batch of silicone, by seed
 LAYERS = 0.75  # of the first finger's layers: another mesh along the body, where it bends
@@ -116,15 +117,14 @@ class Truth:
 
     def shapes(self, protocol: Protocol, every: int = 1) -> Floats:
         """Return the true points (K, N, 3) mm of each `every`-th frame, as a camera without noise would see them."""
-        return self._shapes(protocol, _solved, every)
+        return self.shapes_by(_solved, protocol, every)
 
     def rough(self, protocol: Protocol, steps: int) -> Floats:
         """Return the points about, interpolated in a sweep of `steps` commands a channel."""
-        return self._shapes(protocol, lambda body, m, g, f, u: _interpolated(body, m, g, f, u, steps))
+        return self.shapes_by(lambda body, m, g, f, u: _interpolated(body, m, g, f, u, steps), protocol)
 
-    def _shapes(
-        self, protocol: Protocol, body: Callable[[Finger, float, Vector, Vector, Floats], Floats], every: int = 1
-    ) -> Floats:
+    def shapes_by(self, body: Body, protocol: Protocol, every: int = 1) -> Floats:
+        """Return the points (K, N, 3) mm of a `body`, told finger, modulus, gravity g, tip force N and u (n, C)."""
         u = self.to_body(protocol)
         points = np.empty((protocol.frames, *template(self.finger).shape))
         for frames, gravity, force in self._weights(protocol):
@@ -273,23 +273,33 @@ def _simulator(finger: Finger, modulus: float) -> Simulator:
 
 def _solved(finger: Finger, modulus: float, gravity: Vector, force: Vector, u: Floats) -> Floats:
     """Solve the second finger under these weights at each command (K, C) mm: points (K, N, 3) mm."""
+    places, which = different(u)
+    return _path(finger, modulus, gravity, force, places.tobytes(), u.shape[1])[which]
+
+
+def different(u: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the different ones (n, C) of commands (K, C) mm, and which each is. Raises SoftmapError beyond REACH."""
     largest = float(np.max(np.abs(u), initial=0.0))
     if largest > REACH:
         raise SoftmapError(
             f"commands of {largest:.1f} mm reach the body, the truth is solved to {REACH:g} mm; hide less or move less"
         )
     places, which = np.unique(np.round(u, 6), axis=0, return_inverse=True)
-    return _path(finger, modulus, gravity, force, places.tobytes(), u.shape[1])[which.ravel()]
+    return places, which.ravel()
 
 
 @lru_cache(maxsize=48)
 def _path(finger: Finger, modulus: float, gravity: Vector, force: Vector, commands: bytes, channels: int) -> Floats:
-    """Solve different commands, each from a near one."""
     places = np.frombuffer(commands).reshape(-1, channels)
+    return toured(_simulator(finger, modulus), gravity, force, places)
+
+
+def toured(simulator: Simulator, gravity: Vector, force: Vector, places: Floats) -> Floats:
+    """Solve different commands (n, C) mm, each from a near one: points (n, N, 3) mm."""
     order = tour(places)
-    points = np.empty((len(places), *template(finger).shape))
-    told = WATCH.get()
-    points[order] = _simulator(finger, modulus).path(places[order], gravity=gravity, load=force, progress=told)
+    along = simulator.path(places[order], gravity=gravity, load=force, progress=WATCH.get())
+    points = np.empty_like(along)
+    points[order] = along
     return points
 
 

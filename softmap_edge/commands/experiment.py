@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.output import check_file, check_no_run
@@ -12,6 +13,7 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.understand import _run
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.npz import write_npz
 from softmap_edge.own_effect import check_hashes
 from softmap_edge.whole_file import read_document
 
@@ -37,6 +39,11 @@ def next_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="CSV", help="write the commands, for `softmap record`")
     parser.add_argument("--standard", action="store_true", help="the standard protocol for this robot, no diagnosis")
     parser.add_argument(
+        "--protocol", choices=["grid", "validation", "paths"],
+        help="no diagnosis, but commands to learn a robot from: a grid of held commands, each reached from a "
+        "neighbour; others to validate; paths with reversals, to test",
+    )  # fmt: skip
+    parser.add_argument(
         "--block", action="append", default=[], metavar="NAME", help="write this block, whatever is best"
     )
     parser.add_argument("--minutes", type=float, default=6.0, help="write further blocks up to this long (6)")
@@ -44,7 +51,9 @@ def next_arguments(parser: argparse.ArgumentParser) -> None:
         "--fastest", type=float, metavar="SPEED", help="no faster than this, in mm/s or the robot's unit/s"
     )
     parser.add_argument("--since", metavar="FILE", help="an earlier diagnosis: say what has been settled since")
-    parser.add_argument("--seed", type=int, default=0, help="draws the irregular times of the frames (0)")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="draws the irregular times of the frames, and what --protocol draws (0)"
+    )
 
 
 def next(args: argparse.Namespace) -> int:
@@ -98,14 +107,20 @@ def _standard(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     """Return commands that are asked for without a diagnosis: the standard protocol, or blocks by name."""
     from softmap_edge.experiment.blocks import Setting, chosen, plan
     from softmap_edge.protocol import standard_protocol
+    from softmap_edge.protocol_virtual import virtual_protocol
 
     setting = Setting.after([], model.gravity_reference)
-    if args.block and args.standard:
-        raise SoftmapError("--standard and --block are two protocols; leave one of them out")
+    given = [f"--{name}" for name in ("standard", "block", "protocol") if getattr(args, name)]
+    if len(given) > 1:
+        raise SoftmapError(f"{' and '.join(given)} are two protocols; leave one of them out")
+    if args.protocol:
+        return virtual_protocol(args.protocol, args.seed, _limits(args, model), setting.gravity), [], []
     if args.block:
         return plan(chosen(args.block), _limits(args, model), setting, args.seed), [], []
     if not args.standard:
-        raise SoftmapError("no diagnosis is given; name the file of `softmap diagnose --out`, or ask for --standard")
+        raise SoftmapError(
+            "no diagnosis is given; name the file of `softmap diagnose --out`, or ask for --standard or a --protocol"
+        )
     both = (setting.gravity, setting.leaning())
     return standard_protocol(seed=args.seed, limits=_limits(args, model), back=True, orientations=both), [], []
 
@@ -117,8 +132,9 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     from softmap_edge.experiment.choose import next_experiment, program
     from softmap_edge.report.progress import progress_lines
 
-    if args.standard:
-        raise SoftmapError("--standard takes no diagnosis; leave one of the two out")
+    if args.standard or args.protocol:
+        name = "--standard" if args.standard else "--protocol"
+        raise SoftmapError(f"{name} takes no diagnosis; leave one of the two out")
     diagnosis, before = Diagnosis.load(args.diagnosis), args.since and Diagnosis.load(args.since).to_dict()
     asked = {name for e in [*diagnosis.effects, *diagnosis.rivals] for name in e.get("effects", [e.get("name")])}
     check_hashes([*asked], diagnosis.made_from.get("python_effects"))
@@ -142,6 +158,8 @@ def _played(args: argparse.Namespace, model: Any) -> str:
     if model.robot != Finger.builtin().name:
         return ""
     bundle = "" if args.bundle is None else f" --bundle {args.bundle}"
+    if args.protocol:
+        return f"; on the virtual finger: `softmap record {args.out} --sim --virtual --out new.npz --truth truth.npz`"
     line = f"softmap record {args.out} --sim{bundle} --out new.npz"
     return f"; on the simulated finger: `{line}` (with the --hide and --seed of the runs before)"
 
@@ -155,7 +173,15 @@ def _limits(args: argparse.Namespace, model: Any) -> Any:
 def record_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap record`."""
     parser.add_argument("commands", metavar="CSV", help="a command file of `softmap next --out`")
-    parser.add_argument("--sim", action="store_true", help="on the simulated finger; the only one for now")
+    parser.add_argument("--sim", action="store_true", help="on a simulated finger; the only ones for now")
+    parser.add_argument(
+        "--virtual", action="store_true",
+        help="on the virtual finger, a simulated stand-in for hardware: other elements and material, turned tendons, "
+        "friction, a lean; the run holds servo ticks and noisy clouds of two views, no command in mm and no vertices",
+    )  # fmt: skip
+    parser.add_argument(
+        "--truth", metavar="FILE", help="with --virtual: write its true vertices and commands beside the run, .npz"
+    )
     parser.add_argument(
         "--bundle", metavar="DIR", help="the model that the commands are for; the built-in finger without it"
     )
@@ -173,20 +199,25 @@ def record(args: argparse.Namespace) -> int:
     """Play a command file on the simulated finger and write the run."""
     from softmap_edge.experiment.command_file import read_commands
     from softmap_edge.solid.finger import Finger
-    from softmap_edge.truth import WATCH, check_hidden, hide
+    from softmap_edge.truth import WATCH, check_hidden
 
     if not args.sim:
         raise SoftmapError("a servo bus is not driven by this version; give --sim for the simulated finger")
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out)
+    check_file("--truth", args.truth, ".npz")
+    check_no_run("--truth", args.truth)
+    if args.truth is not None and (not args.virtual or args.truth == args.out):
+        raise SoftmapError("--truth goes with --virtual, and into a file of its own")
     made, robot = read_commands(args.commands)
     load_own(args)
-    model = open_model(args.bundle)
     finger = Finger.builtin() if args.finger is None else Finger.load(args.finger)
-    if finger.name != model.robot:
-        raise SoftmapError(
-            f"the model is of '{model.robot}', the simulated finger is '{finger.name}'; give its own with --finger"
-        )
+    if not args.virtual or args.bundle is not None:
+        model = open_model(args.bundle)
+        if finger.name != model.robot:
+            raise SoftmapError(
+                f"the model is of '{model.robot}', the simulated finger is '{finger.name}'; give its own with --finger"
+            )
     if robot != finger.name or made.unit != finger.command_unit or made.command.shape[1] != len(finger.pairs):
         raise SoftmapError(
             f"{args.commands}: {made.command.shape[1]} commands in {made.unit} for '{robot}', '{finger.name}' takes "
@@ -204,16 +235,31 @@ def record(args: argparse.Namespace) -> int:
     with Bar(args.json) as bar:
         before = WATCH.set(lambda share: bar("solving", share))
         try:
-            run = hide(names, seed, finger=finger).measure(made, args.noise_seed)
+            run, truth = _measured(args, made, finger, names, seed)
         finally:
             WATCH.reset(before)
     run.save(args.out)
+    if args.truth is not None:
+        write_npz(Path(args.truth), truth)
     document = {
         "schema": "softmap.record/1", "out": args.out, "rows": len(run.t), "channels": run.channels,
-        "frames": run.frames, "minutes": round(made.minutes, 2), "simulated": True, "hash": run.hash(),
+        "frames": run.frames, "minutes": round(made.minutes, 2), "simulated": True, "virtual": args.virtual,
+        "truth": args.truth, "hash": run.hash(),
     }  # fmt: skip
-    print(json.dumps(document, ensure_ascii=False) if args.json else f"{run}\nsimulated; written to {args.out}")
+    apart = "" if args.truth is None else f"; its truth in {args.truth}"
+    said = f"{run}\n{'virtual, ' if args.virtual else ''}simulated; written to {args.out}{apart}"
+    print(json.dumps(document, ensure_ascii=False) if args.json else said)
     return 0
+
+
+def _measured(args: argparse.Namespace, made: Any, finger: Any, names: list[str], seed: int) -> tuple[Any, Any]:
+    """Return the run of a protocol, and of the virtual finger what is true."""
+    from softmap_edge.truth import hide
+    from softmap_edge.truth_virtual import virtual_finger
+
+    if args.virtual:
+        return virtual_finger(seed, finger, names).measure(made, args.noise_seed)
+    return hide(names, seed, finger=finger).measure(made, args.noise_seed), {}
 
 
 def _secrets(path: str) -> tuple[list[str], int]:

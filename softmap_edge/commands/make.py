@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from softmap_edge.commands.output import bundle_arguments, check_bundle, check_f
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.solid.finger import Finger
+
+TRAINING = "pip install softmap-training"  # whose module is imported when it is asked for
 
 
 def build_arguments(parser: argparse.ArgumentParser) -> None:
@@ -122,8 +125,17 @@ def learn(args: argparse.Namespace) -> int:
 def sweep_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `sweep`."""
     parser.add_argument("finger", nargs="?", help="finger.toml; without it the built-in finger")
-    parser.add_argument("--out", required=True, help="sweep file to write (.npz)")
+    parser.add_argument(
+        "--out",
+        required=True,
+        help="sweep to write: a file (.npz), or a Zarr store (.zarr), which the same command goes on with after it was "
+        f"stopped, at most a chunk lost (a .zarr needs {TRAINING})",
+    )
     parser.add_argument("--steps", type=int, help="commands a channel (41, of three channels 13)")
+    parser.add_argument(
+        "--dask", metavar="ADDRESS", help="of a Dask cluster's scheduler, tcp://HOST:8786, that solves the chunks"
+    )
+    parser.add_argument("--chunk", type=int, metavar="ROWS", help="commands solved and stored together (256)")
 
 
 def sweep(args: argparse.Namespace) -> int:
@@ -132,6 +144,10 @@ def sweep(args: argparse.Namespace) -> int:
     from softmap_edge.solid.simulator import Simulator
 
     _check_steps(args.steps)
+    if Path(args.out).suffix == ".zarr":
+        return _stored(args)
+    if args.dask is not None or args.chunk is not None:
+        raise SoftmapError(f"--out {args.out}: --dask and --chunk are for a store; give a name that ends in .zarr")
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out)
     finger = _finger(args.finger)
@@ -141,6 +157,37 @@ def sweep(args: argparse.Namespace) -> int:
     result.save(Path(args.out))
     document = {"schema": "softmap.sweep/1", "sweep": str(args.out), "commands": len(result.command), "failed": 0}
     print(json.dumps(document) if args.json else f"{args.out}: {len(result.command)} commands, none failed")
+    return 0
+
+
+def _stored(args: argparse.Namespace) -> int:
+    """Simulate a grid of commands into a Zarr store, or go on with one: the work of another distribution."""
+    from softmap_edge.solid.build import grid_axes
+
+    out = Path(args.out)
+    if args.chunk is not None and args.chunk < 1:
+        raise SoftmapError(f"--chunk {args.chunk}: give 1 command or more")
+    if not out.parent.is_dir():
+        raise SoftmapError(f"--out {args.out}: there is no folder {out.parent}; make it first")
+    try:
+        sweeps = import_module("softmap_training.sweeps")
+    except ImportError as error:
+        raise SoftmapError(
+            f"--out {args.out}: a Zarr store is written by another package ({error}): {TRAINING}"
+        ) from None
+    finger = _finger(args.finger)
+    axes = grid_axes(finger, args.steps)
+    with Bar(args.json) as bar:
+        store, solved = sweeps.sweep_to_zarr(
+            finger, out, axes, args.chunk, args.dask, lambda share: bar("sweep", share)
+        )
+    count = len(store.command)
+    document = {
+        "schema": "softmap.sweep/1", "sweep": args.out, "commands": count, "failed": 0, "solved": solved,
+        "chunks": len(store.done),
+    }  # fmt: skip
+    there = f", {count - solved} of them were there" if solved < count else ""
+    print(json.dumps(document) if args.json else f"{args.out}: {count} commands, none failed{there}")
     return 0
 
 

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-_WIDTH = 30
+_WIDTH, _LEFT = 30, 14
+PACE = 3.0  # s of work that tell how long the rest takes
 QUIET = 8.0  # s without a word after which long work says that it goes on
 
 
@@ -30,11 +31,16 @@ class Ticker:
 
 
 class Bar:
-    """Call it with (what, share in 0…1); it redraws one line on a terminal and clears it at the end."""
+    """Call it with (what, share in 0…1); it redraws one line on a terminal and clears it at the end.
 
-    def __init__(self, silent: bool = False) -> None:
+    Once `what` has taken a while it says how long the rest takes at that pace, what was done before not counted.
+    """
+
+    def __init__(self, silent: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
         self._drawn = False
         self._silent = silent or not sys.stderr.isatty()
+        self._clock = clock
+        self._began: tuple[str, float, float] = ("", 0.0, 0.0)  # what, at which share and when
 
     def __enter__(self) -> Self:
         return self
@@ -44,11 +50,23 @@ class Bar:
         if self._silent:
             return
         full = round(_WIDTH * min(max(share, 0.0), 1.0))
-        print(f"\r{what:<16} [{'█' * full}{'·' * (_WIDTH - full)}] {share:4.0%}", end="", file=sys.stderr, flush=True)
+        bar, left = f"[{'█' * full}{'·' * (_WIDTH - full)}]", self._left(what, share)
+        print(f"\r{what:<16} {bar} {share:4.0%}{left:<{_LEFT}}", end="", file=sys.stderr, flush=True)
         self._drawn = True
+
+    def _left(self, what: str, share: float) -> str:
+        now = self._clock()
+        if self._began[0] != what or share < self._began[1]:
+            self._began = (what, share, now)
+        done, seconds = share - self._began[1], now - self._began[2]
+        if done <= 0.0 or seconds < PACE or share >= 1.0:
+            return ""
+        rest = seconds * (1.0 - share) / done
+        unit, length = next(((u, n) for u, n in (("h", 3600.0), ("min", 60.0)) if rest >= 1.5 * n), ("s", 1.0))
+        return f", {rest / length:.0f} {unit} left"
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._drawn:
-            print("\r" + " " * (_WIDTH + 26) + "\r", end="", file=sys.stderr, flush=True)
+            print("\r" + " " * (_WIDTH + 26 + _LEFT) + "\r", end="", file=sys.stderr, flush=True)

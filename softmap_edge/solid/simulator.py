@@ -253,12 +253,22 @@ class Simulator:
         gravity: (3,) or one row for each command (K, 3) in g, None for the finger's own · load: (3,) N on the tip ·
         progress: called with the share done. Raises SimulationError.
         """
+        return self.path_and_pull(commands, gravity, load, progress)[0]
+
+    def path_and_pull(
+        self,
+        commands: ArrayLike,
+        gravity: ArrayLike | None = None,
+        load: ArrayLike = (0.0, 0.0, 0.0),
+        progress: Progress | None = None,
+    ) -> tuple[Floats, Floats]:
+        """Return what `path` does and the pull (K, T) N of the tendons (below zero: how slack)."""
         u = _array("commands", commands, (None, len(self.finger.pairs)))
         g = np.asarray(self.finger.gravity if gravity is None else gravity, dtype=np.float64)
         g = np.ascontiguousarray(np.broadcast_to(g, (len(u), 3))) if g.shape == (3,) else g
         rows = _array("gravity", g, (len(u), 3))
         with _told():
-            return self.solid.path(u, rows, _vector("load", load), progress)[0]
+            return self.solid.path(u, rows, _vector("load", load), progress)
 
     def path_from(self, other: Simulator, commands: ArrayLike, gravity: ArrayLike | None = None) -> Floats:
         """Return what `path` does, solving from the equilibria of `other`, the same finger on a rougher mesh.
