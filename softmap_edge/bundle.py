@@ -13,7 +13,8 @@ residual.onnx   a network
 NAME_step       beside an array of whole numbers NAME in an archive: NAME counts these steps
 NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run only where whoever
                 loads the bundle has loaded that very file before (`load_effect`), or says so when asked
-calibration.json, safety.toml   joined when the bench has them
+calibration.json   what the ticks of the servos are in commands (`softmap calibrate`), if that is known
+safety.toml     joined when the bench has it
 """
 
 from __future__ import annotations
@@ -31,17 +32,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import __version__, _core, own_effect
-from softmap_edge.errors import BundleError, SoftmapError, brief
+from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
 from softmap_edge.features import SECTIONS, Body
 from softmap_edge.manifest import LARGEST, finite_number, load_manifest, read_json
 from softmap_edge.model import Arrays, Model
 from softmap_edge.network import read_network
 from softmap_edge.npz import read_npz, write_npz
 from softmap_edge.shape_arrays import cables_from, family_from, fields_from, second_from
+from softmap_edge.ticks import Calibration
 
 _MAX_BYTES = 256 << 20
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
-_LEARNED = ("prior.onnx", "residual.onnx", "residual.npz")  # those that a manifest may name beside them
+_PERHAPS = ("prior.onnx", "residual.onnx", "residual.npz", "calibration.json")  # those that it may name beside them
 Trust = Callable[[Path, str], bool]
 _MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
 
@@ -80,6 +82,9 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         if model.body.angle is not None:
             template["angle"] = model.body.angle.astype(np.float32)
     write_npz(partial / "template.npz", template)
+    if model.calibration is not None:
+        files.append("calibration.json")
+        (partial / files[-1]).write_text(json.dumps(model.calibration.to_dict(), indent=1) + "\n")
     own = [effect for name, effect in own_effect.loaded().items() if name in model.chain_names]
     for effect in own:
         (partial / f"{effect.name}.py").write_bytes(effect.source)
@@ -120,6 +125,8 @@ def _umask() -> int:
 
 def _schema(model: Model, files: list[str], own: bool) -> int:
     """Return the oldest schema that holds the model; a rod makes its fields itself."""
+    if "calibration.json" in files:
+        return 6
     if model.kind == "network" or "residual.onnx" in files:
         return 5
     if "residual.npz" in files:
@@ -138,7 +145,7 @@ def check_folder(folder: Path) -> None:
         manifest = load_manifest(folder)
     except BundleError:
         raise BundleError(f"{folder} exists and is not a bundle; choose another name or remove it") from None
-    ours = {"manifest.json", *_FILES, *_LEARNED, *(f"{name}.py" for name in manifest.get("own_effects", {}))}
+    ours = {"manifest.json", *_FILES, *_named(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))}
     if foreign := sorted({entry.name for entry in folder.iterdir()} - ours):
         raise BundleError(f"{folder}: holds {foreign[0]} beside a bundle, which would be lost; take it out first")
 
@@ -156,7 +163,7 @@ def load_bundle(path: str | Path, trust: Trust | None = None) -> Model:
     """
     folder = Path(path)
     manifest = load_manifest(folder)
-    for name in (*_FILES, *_learned(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))):
+    for name in (*_FILES, *_named(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))):
         if not (folder / name).is_file():
             raise BundleError(f"{folder.name}: {name} is missing; copy the whole bundle folder again")
         if _sha256(folder / name) != (manifest["sha256"] | _own_hashes(manifest)).get(name):
@@ -197,14 +204,14 @@ def _allow(file: Path, name: str, digest: str, trust: Trust | None) -> None:
         )
 
 
-def _learned(manifest: dict[str, Any]) -> list[str]:
-    """Return the files of networks and of a residual that the manifest names."""
-    return [name for name in _LEARNED if name in manifest["sha256"]]
+def _named(manifest: dict[str, Any]) -> list[str]:
+    """Return which of the files that a bundle may have its manifest names."""
+    return [name for name in _PERHAPS if name in manifest["sha256"]]
 
 
 def _arrays(folder: Path, manifest: dict[str, Any]) -> dict[str, Arrays]:
     """Read the archives of a bundle; only finite numbers of a plausible size, which also keeps overflow out later."""
-    learned = _learned(manifest)
+    learned = _named(manifest)
     files = ["prior.npz", "fields.npz", "template.npz", *(name for name in learned if name.endswith(".npz"))]
     arrays = {file.removesuffix(".npz"): read_npz(folder / file, BundleError, _MAX_BYTES) for file in files}
     for name, group in arrays.items():
@@ -274,6 +281,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         input=str(manifest.get("input", "present")),
         made_from=_made_from(manifest),
         body=body,
+        calibration=_calibration(folder, manifest),
         stiffness_known=bool(manifest.get("stiffness_known", manifest["kind"] != "rod")),
         arrays={"prior": arrays["prior"], "fields": arrays["fields"]},
     )
@@ -286,6 +294,19 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     if nameless:
         raise BundleError(f"{folder.name}: its chain has '{nameless[0]}', code that its manifest does not name")
     return model.with_effects(names, params).with_residual(arrays.get("residual"))
+
+
+def _calibration(folder: Path, manifest: dict[str, Any]) -> Calibration | None:
+    """Read what the ticks of the servos are, if the manifest names it."""
+    if "calibration.json" not in _named(manifest):
+        return None
+    try:
+        found = Calibration.from_dict(read_json(folder / "calibration.json"))
+    except CalibrationError as fault:
+        raise BundleError(f"{folder.name}: {fault}") from None
+    if len(found.b) != manifest["channels"]:
+        raise BundleError(f"{folder.name}: calibration of {len(found.b)} servos, {manifest['channels']} channels")
+    return found
 
 
 def _body(folder: Path, template: Arrays, points: int) -> Body:

@@ -31,6 +31,10 @@ class AlignError(SoftmapError):
     """The frame of a run cannot be found from what it shows."""
 
 
+class CalibrationError(SoftmapError):
+    """The ticks of servos cannot be turned into commands, or a calibration is damaged."""
+
+
 class RegistrationError(SoftmapError):
     """A cloud cannot be read, or is no cloud of the finger that it is registered to."""
 

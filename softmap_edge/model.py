@@ -31,6 +31,7 @@ from softmap_edge.features import (
 from softmap_edge.outside import check_commands
 from softmap_edge.predictors import Contact, Shape, projected, stations, whole
 from softmap_edge.shape_arrays import family_from
+from softmap_edge.ticks import Calibration, converted
 
 if TYPE_CHECKING:
     from softmap_edge.rod.elastic import Change, ElasticParameters
@@ -80,6 +81,7 @@ class Model:
     stiffness_known: bool = True
     arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
     residual: Shape | None = None  # commands (n, C) to flattened points (n, 3N) mm
+    calibration: Calibration | None = None  # of the servos: what a run's ticks are in commands
     _attached: dict[bytes, Floats] = field(default_factory=dict, init=False, repr=False)
     _carried: dict[bytes, _core.Predictor] = field(default_factory=dict, init=False, repr=False)
 
@@ -237,6 +239,7 @@ class Model:
 
     def commands(self, run: Run) -> Floats:
         """Return the run's commands (T, C) as this model takes them: the present position if there is one."""
+        run = converted(self, run)
         u = run.commands("goal" if self.input == "goal" else None)
         check_commands(self, run, u)
         return np.ascontiguousarray(u, float)
@@ -315,8 +318,6 @@ class Model:
     def seen_points(self, run: Run) -> Floats:
         """Return the run's points (K, N, 3) mm after checking that they are points of this robot."""
         seen = run.seen_points
-        if seen is None:
-            raise RunError("the run has no vertices or markers to compare with; clouds need registration first")
         wanted = len(self.rest) if self._carry(run) is None else seen.shape[1]
         if seen.shape[1] != wanted:
             raise RunError(

@@ -231,7 +231,10 @@ class Run:
                 raise RunError("present: the run has no encoder positions in mm; use the goal (--input goal)")
             return self.present
         if self.command is None:
-            raise RunError("command: the run holds ticks only; convert them to mm with the calibration of the robot")
+            raise RunError(
+                "command: the run holds ticks only, and the model has no calibration; `softmap calibrate RUN --bundle "
+                "DIR --out DIR2` finds one from a run with ticks and shapes, then give --bundle DIR2"
+            )
         return self.command
 
     def command_at(self, t: ArrayLike, source: Source | None = "goal") -> Array:

@@ -25,6 +25,7 @@ VERBS: list[Verb] = [
     Verb("import", "set up", "logs + mapping file → run; --guess proposes one", "softmap_edge.commands.runs"),
     Verb("align", "set up", "camera or mocap frame → base frame", "softmap_edge.commands.align"),
     Verb("register", "set up", "point clouds → vertices of the template", "softmap_edge.commands.register"),
+    Verb("calibrate", "set up", "servo ticks → commands of a model", "softmap_edge.commands.calibrate"),
     Verb("check", "look", "is this run or bundle sound", "softmap_edge.commands.runs"),
     Verb("show", "look", "what is in a run or bundle", "softmap_edge.commands.runs"),
     Verb("predict", "look", "shapes for commands", "softmap_edge.commands.look"),

@@ -33,6 +33,7 @@ from softmap_edge.diagnosis.sound import sound_record, stray
 from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.errors import SoftmapError
 from softmap_edge.outside import BEYOND
+from softmap_edge.ticks import converted
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -111,8 +112,9 @@ def diagnose(
     document["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     remarks += [] if record.replay is None else [TWICE]
-    remarks += [] if library is not None else asked(record.whole, len(record), problem.noise.replicates)
-    encoded = [run for run in record.whole if run.present is not None] if library is None else []
+    whole = [converted(model, run) for run in record.whole]
+    remarks += [] if library is not None else asked(whole, len(record), problem.noise.replicates)
+    encoded = [run for run in whole if run.present is not None] if library is None else []
     told = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
     return Diagnosis(**document, servo=told, remarks=remarks, model=with_error(found, document["effects"]))
 

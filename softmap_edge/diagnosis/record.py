@@ -18,6 +18,7 @@ from softmap_edge.diagnosis.conditions import Conditions, conditions
 from softmap_edge.diagnosis.layout import Layout, layout_of, per_mm
 from softmap_edge.diagnosis.paired import Replay, pair
 from softmap_edge.errors import SoftmapError
+from softmap_edge.ticks import converted
 
 if TYPE_CHECKING:
     from softmap_edge.run import Run
@@ -67,7 +68,7 @@ class Record:
         """Take the frames of a run in which anything is seen: others hold nothing out, their loss speaks for nobody."""
         self._forget()
         self.__dict__.pop("_within", None)
-        model = self.model
+        model, run = self.model, converted(self.model, run)
         seen = np.asarray(model.seen_features(run), float)
         some = np.isfinite(seen).any(axis=(1, 2))
         if len(some) and not some.any():

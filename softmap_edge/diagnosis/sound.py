@@ -29,6 +29,7 @@ from softmap_edge.diagnosis.records import record_of
 from softmap_edge.errors import RunError
 from softmap_edge.folds import LEAST_FRAMES
 from softmap_edge.run import known
+from softmap_edge.ticks import converted
 
 if TYPE_CHECKING:
     from softmap_edge.diagnosis.fit import Fit
@@ -75,6 +76,7 @@ def sound(model: Model, run: Run) -> Sound:
     Raises:
         RunError: nothing is seen, too little is left, or the points are not those of this model under these commands.
     """
+    run = converted(model, run)
     if run.frames == 0:
         raise RunError("the run has no seen frames (K = 0); record what the cameras see together with the commands")
     seen = np.asarray(model.points_in_mm(run), float)

@@ -1,0 +1,113 @@
+"""A robust linear fit of commands: which coefficients, how well known, and which rows are wrong.
+
+    u_i = Θ x_i + e_i,   cov e_i = S_i = E + P_i         P_i of each match, E what scatters beyond it (from the MAD)
+    min Σ ρ(d_i),  d_i² = e_iᵀ S_i⁻¹ e_i             Huber's ρ from least squares, then Tukey's biweight, E as it was
+    cov Θ = k (Σ X_iᵀ S_i⁻¹ X_i)⁻¹,  k = mean(ψ²) / mean(ψ')² n / (n − p)      of an M-estimator (Huber 1981, 7.6)
+
+A row may know some of its commands only: those that `told` marks as false weigh nothing beside their variance.
+Units: those of u and x. Limit: beyond a third of wrong rows it fails. Pinned by tests/test_calibration.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+HUBER, TUKEY, WIDER = 1.0, 4.685, 0.42  # standard deviations; more of Tukey's for each further command
+ROUNDS, SETTLED = 30, 1e-9
+TO_SIGMA = 1.4826  # of the median absolute deviation
+NO_SCATTER = 1e-9  # of the spread of the commands: exact data have no scatter to be judged by
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Coefficients (C, F) and their covariance (C·F, C·F), row by row; `weight` (n,) is 0 for rows that are wrong.
+
+    `scatter` (C,) is the standard deviation of a told command about the fit.
+    """
+
+    coefficients: Floats
+    covariance: Floats
+    weight: Floats
+    scatter: Floats
+
+    def __call__(self, design: Floats) -> Floats:
+        """Return the commands (n, C) for rows (n, F)."""
+        return np.asarray(design @ self.coefficients.T)
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviations (C, F)."""
+        return np.sqrt(np.diag(self.covariance)).reshape(self.coefficients.shape)
+
+
+def fit(design: Floats, u: Floats, covariance: Floats, told: Mask) -> Fit:
+    """Fit commands (n, C) as linear in a design (n, F), n > F.
+
+    Args:
+        covariance: (n, C, C) of the commands. told: (n, C) which of them are known, more than F of each.
+    """
+    count, features = design.shape
+    size = np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-300)
+    x, freedom = design / size, count / max(count - features, 1)
+    own = np.nanmedian(np.where(told, np.einsum("ncc->nc", covariance), np.nan), axis=0)
+    floor = NO_SCATTER * np.maximum(np.ptp(u, axis=0), 1e-12)
+    normal, right = _normal(x, u, _precision(np.zeros(u.shape[1]), covariance + floor.max() ** 2 * np.eye(u.shape[1])))
+    theta = np.linalg.solve(normal, right)
+    limit = TUKEY + WIDER * (u.shape[1] - 1)
+    for k in range(ROUNDS):
+        left = np.where(told, u - x @ theta.reshape(-1, features).T, 0.0)
+        if k < ROUNDS // 2:
+            scatter = np.maximum(_scatter(left, told, features), floor)
+            beyond = np.maximum(scatter**2 - own, floor**2)
+            precision = _precision(beyond, covariance)
+        distance = np.sqrt(np.sum(left * (precision @ left[..., None])[..., 0], axis=1))
+        weight, slope = _weights(distance, None if k < ROUNDS // 2 else limit, told.sum(axis=1))
+        before = theta
+        normal, right = _normal(x, u, weight[:, None, None] * precision)
+        theta = np.linalg.solve(normal, right)
+        if k > ROUNDS // 2 and np.abs(theta - before).max() <= SETTLED * np.abs(theta).max():
+            break
+    bend = float(np.mean(slope[told.any(axis=1)]))
+    wide = float(np.sum((weight * distance) ** 2) / max(told.sum(), 1)) * freedom
+    spread = max(1.0, wide / max(bend, 0.1) ** 2)
+    inverse = np.linalg.inv(_normal(x, u, precision)[0]) * spread
+    scale = np.tile(size, u.shape[1])
+    coefficients = (theta / scale).reshape(u.shape[1], features)
+    return Fit(coefficients, inverse / np.outer(scale, scale), weight, scatter)
+
+
+def _scatter(left: Floats, told: Mask, features: int) -> Floats:
+    """Return the standard deviation (C,) by the median of what is left, less the rows that a fit can make zero."""
+    own = np.sort(np.where(told, np.abs(left), np.inf), axis=0)  # those that are not told come last
+    count = told.sum(axis=0)
+    middle = np.minimum(features + np.maximum(count - features, 1) // 2, count - 1)
+    return np.asarray(TO_SIGMA * np.take_along_axis(own, middle[None], axis=0)[0])
+
+
+def _precision(beyond: Floats, covariance: Floats) -> Floats:
+    return np.asarray(np.linalg.inv(covariance + np.diag(beyond)), np.float64)
+
+
+def _normal(x: Floats, u: Floats, precision: Floats) -> tuple[Floats, Floats]:
+    """Return the matrix and the right side of least squares for the coefficients, row by row."""
+    channels, features = u.shape[1], x.shape[1]
+    pairs = (x[:, :, None] * x[:, None]).reshape(len(x), -1)
+    matrix = (precision.reshape(len(x), -1).T @ pairs).reshape(channels, channels, features, features)
+    right = (precision @ u[..., None])[..., 0].T @ x
+    return matrix.transpose(0, 2, 1, 3).reshape(channels * features, -1), right.reshape(-1)
+
+
+def _weights(distance: Floats, limit: float | None, dims: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Return weights (n,) of distances in standard deviations, and the mean slope of ψ there; Huber's without limit."""
+    if limit is None:
+        weight = np.minimum(1.0, HUBER * np.sqrt(np.maximum(dims, 1)) / np.maximum(distance, 1e-300))
+        return weight, weight
+    ratio = np.minimum(distance / limit, 1.0) ** 2
+    weight = (1.0 - ratio) ** 2
+    return weight, weight - 4.0 * ratio * (1.0 - ratio) / np.maximum(dims, 1)

@@ -1,0 +1,317 @@
+"""Calibrate: which command of the model the ticks of the servos are, from a run with ticks and shapes.
+
+    frames ─nearest shape─> u* (`matching.py`) ─held commands─> rows (`held.py`) ─robust fit─> u = A (ticks − home) + b
+    (`affine.py`); what is not affine about it (`departures.py`); the error on blocks that were left out
+
+Home is given (the ticks that the bench calls so), or the place that the run dwelt at most often, of several the first:
+its rest. Another home changes b only. Ticks are those of the encoders where the model takes positions and the run has
+them, else those commanded. Left out: commands at the end of the model's range, what hangs slack, frames in motion where
+dwells are enough, rows that do not belong (Tukey). Units: ticks, mm. Limits: what is constant in all shapes (a wrong
+frame, a wrong length) bends A and b; look at what is left of the shapes. Pinned by tests/test_calibration.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.alignment.affine import Fit, fit
+from softmap_edge.alignment.departures import Departure, departures
+from softmap_edge.alignment.held import Held, Seen, directions, gather, places, visits
+from softmap_edge.alignment.matching import Matches, match
+from softmap_edge.errors import CalibrationError
+from softmap_edge.outside import elsewhere
+from softmap_edge.registration.register import register
+from softmap_edge.run import Run, known
+from softmap_edge.ticks import Calibration
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+
+Floats = NDArray[np.float64]
+
+SPARE = 2  # held commands for each coefficient of a channel, at least
+LINE = 0.03  # of their spread: held commands closer to one line than this say nothing across it
+KNOWN = 3.0  # standard deviations of its smallest stretch that A must have, to be turned round
+FAR = 0.1  # of the robot's length: shapes that are off by more, mean absolute error, are no shapes of this model
+DOUBTED = 0.03  # of the length, from which that is worth a word
+BLOCKS = 5  # parts of the held commands, in the order they were first met, where a run labels no blocks
+LEANING = 5.0  # deg between the orientations of run and model from which that is worth a word
+SET_ASIDE = 0.2  # share of held commands that do not belong, from which that is worth a word
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """A calibration found: `model` carries it, `held` are the rows it was fitted to, `departures` why it is not affine.
+
+    `weight` (n,) of each row is 0 where it does not belong; `mae_mm` is what the matches leave of the shapes, median.
+    Prints itself; `to_dict()` is softmap.calibration/1, with more than a bundle keeps.
+    """
+
+    model: Model
+    calibration: Calibration
+    held: Held
+    weight: Floats
+    mae_mm: float
+    departures: list[Departure]
+    warnings: list[str]
+
+    @property
+    def affine(self) -> bool:
+        """Whether nothing speaks against an affine map."""
+        return not self.departures
+
+    @property
+    def left(self) -> Floats:
+        """What the map leaves of the matched commands (n, C); NaN where a command was not told."""
+        return np.where(self.held.told, self.held.u - self.calibration.commands(self.held.ticks), np.nan)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.calibration/1 with the matched pairs and what speaks against it."""
+        found, pairs = self.calibration, zip(self.held.u.tolist(), self.held.told.tolist())
+        return found.to_dict() | {
+            "affine": self.affine,
+            "departures": [one.to_dict() for one in self.departures],
+            "matched": {
+                "ticks": self.held.ticks.tolist(),
+                "command": [[v if k else None for v, k in zip(*row)] for row in pairs],
+                "frames": [len(part) for part in self.held.frames],
+                "weight": self.weight.tolist(),
+                "mae_mm": self.mae_mm,
+            },
+            "usable_commands": found.usable(self.model.command_range).tolist(),
+            "warnings": list(self.warnings),
+        }
+
+    def __str__(self) -> str:
+        c, n = self.calibration, len(self.held)
+        rows = []
+        for i, unit in enumerate(c.b):
+            a = "".join(f"{v:13.6f} ± {s:<8.6f}" for v, s in zip(c.A[i], c.sigma_A[i]))
+            rows.append(f"  u{i} {a}   b {unit:8.3f} ± {c.sigma_b[i]:.3f} {c.unit}   home {c.home[i]:.1f} ticks")
+        wrong = int((self.weight == 0).sum())
+        aside = f", {wrong} of them set aside" if wrong else ""
+        error = c.held_out
+        lines = [
+            f"Calibrated: u = A (ticks − home) + b, from {c.frames} frames at {n} "
+            f"{'held commands' if self.held.still else 'places, in motion'}{aside}",
+            f"  A, {c.unit}/tick",
+            *rows,
+            f"  condition of A {c.condition:.2f}; held out: {error['command']:.3g} {c.unit} of command, "
+            f"{error['shape_mm']:.3g} mm of shape, of which the matches leave {error['matched_shape_mm']:.3g} mm",
+        ]
+        if c.window is not None:
+            span = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in c.usable(self.model.command_range))
+            lines.append(f"  usable with {c.window[0]:g} to {c.window[1]:g} ticks about home: {span} {c.unit}")
+        return "\n".join([*lines, *(f"  look at: {text}" for text in self.warnings)])
+
+
+def calibrate(
+    model: Model,
+    run: Run,
+    home: Sequence[float] | None = None,
+    window: tuple[float, float] | None = None,
+    refine: bool = True,
+) -> Calibrated:
+    """Find what the ticks of a run are in commands of a model.
+
+    Args:
+        model: of this robot, without effects: they come after the calibration.
+        run: with `ticks` (T, C) and vertices, markers or clouds at K frames, best at rest, on both sides of home.
+        home: (C,) ticks; the run's rest by default. window: (low, high) ticks about home that each servo may take.
+        refine: match between the shapes of a grid; without, as the paper.
+
+    Returns:
+        Calibrated: the model with its calibration, the pairs, and what speaks against an affine map.
+
+    Raises:
+        CalibrationError: no ticks, too few or no independent held commands, shapes that are not this model's.
+    """
+    _check(model, run)
+    shown = run if run.points is None else register(model, run).run(run)
+    ticks, notes = _ticks(model, shown), list[str]()
+    matches = match(model, shown, refine)
+    usable = np.isfinite(matches.mae_mm) & ~matches.edge
+    notes += elsewhere(model, shown) + _doubts(model, shown, matches)
+    seen = places(shown, ticks, usable)
+    held = gather(seen, matches)
+    origin = _home(shown, ticks, seen, held) if home is None else np.asarray(home, float).reshape(-1)
+    if origin.shape != (model.channels,):
+        raise CalibrationError(f"--home: {len(origin)} numbers, {model.channels} servos; give the ticks of each")
+    _check_design(held, int(matches.edge.sum()), int(len(usable)))
+    away = np.column_stack([held.ticks - origin, np.ones(len(held))])
+    found = fit(away, held.u, held.covariance, held.told)
+    _check_known(found)
+    calibration = Calibration(
+        found.coefficients[:, :-1], found.coefficients[:, -1], origin, found.sigma[:, :-1], found.sigma[:, -1],
+        _held_out(model, shown, held, away, found), run.hash(), len(seen.frame), len(held), window, model.command_unit,
+    )  # fmt: skip
+    way = directions(shown, np.column_stack([ticks, calibration.commands(ticks)]))
+    against = departures(gather(seen, matches, way), origin, model.command_unit)
+    notes += [one.sentence for one in against] + _remarks(model, held, found, matches, calibration)
+    mae = float(np.median(matches.mae_mm[seen.frame]))
+    made = dict(model.made_from) | {"calibration": run.hash()}
+    whole = replace(model, calibration=calibration, made_from=made)
+    return Calibrated(whole, calibration, held, found.weight, mae, against, notes)
+
+
+def _check(model: Model, run: Run) -> None:
+    if run.ticks is None and run.present_ticks is None:
+        raise CalibrationError("the run has no ticks; import the columns of the servos as `ticks` or `present_ticks`")
+    if run.channels != model.channels or not model.channels:
+        raise CalibrationError(
+            f"the run has {run.channels} servos, the model of '{model.robot}' takes {model.channels} commands; one "
+            "servo for each command is wanted"
+        )
+    if model.chain_names:
+        raise CalibrationError(
+            f"the model has {', '.join(model.chain_names)}, which would be counted twice; calibrate the bundle "
+            "without effects (`softmap remove`), then diagnose"
+        )
+    if not run.frames:
+        raise CalibrationError("the run has no seen frames (K = 0); record shapes together with the ticks")
+
+
+def _ticks(model: Model, run: Run) -> Floats:
+    """Return the ticks (T, C) that drive the model."""
+    if run.present_ticks is not None and (model.input != "goal" or run.ticks is None):
+        return np.asarray(run.present_ticks, float)
+    return np.asarray(run.ticks, float)
+
+
+def _home(run: Run, ticks: Floats, seen: Seen, held: Held) -> Floats:
+    """Return the ticks of the place that was dwelt at most often, of several the first."""
+    if not len(held):
+        return np.zeros(ticks.shape[1])
+    count = visits(run, ticks, seen) if seen.still else np.zeros(int(held.place.max()) + 1)
+    return np.asarray(held.ticks[int(np.argmax(count[held.place]))])
+
+
+def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
+    """Say what may be wrong with the matches; refuse shapes that are none of this model."""
+    found = matches.mae_mm[np.isfinite(matches.mae_mm)]
+    length = float(np.linalg.norm(model.rest, axis=1).max())
+    mae = float(np.median(found)) if len(found) else np.inf
+    if mae > FAR * length:
+        raise CalibrationError(
+            f"the nearest shapes of '{model.robot}' are {mae:.3g} mm off (median of {len(found)} frames), "
+            f"{FAR * length:.3g} mm is the most that can be of this robot; align the run to the base (`softmap align "
+            "--base`), or give the bundle of this robot"
+        )
+    notes = []
+    if mae > DOUBTED * length:
+        notes.append(f"the nearest shapes are {mae:.2g} mm off: is the run in the base frame, is it this robot?")
+    if run.gravity is not None:
+        lean = np.degrees(np.arccos(np.clip(np.atleast_2d(run.gravity) @ model.gravity_reference, -1.0, 1.0)))
+        if lean.max() > LEANING:
+            notes.append(
+                f"the robot leans {lean.max():.0f} deg from where the model was made, and its shapes are matched as if "
+                "it did not; calibrate a run in the model's orientation"
+            )
+    if run.load is not None and np.any(run.load):
+        notes.append(f"a load of up to {np.max(run.load):.3g} g was on, which the matched shapes have not")
+    return notes
+
+
+def _check_design(held: Held, edge: int, frames: int) -> None:
+    """Refuse held commands that cannot tell A and b."""
+    channels = held.ticks.shape[1] if len(held) else 1
+    wanted = SPARE * (channels + 1)
+    told = held.told.sum(axis=0) if len(held) else np.zeros(1, int)
+    if min(told) < wanted:
+        cut = f"; {edge} of {frames} frames lie at the end of the model's range" if edge else ""
+        slack = f", of which {', '.join(map(str, told))} tell command {', '.join(map(str, range(len(told))))}"
+        raise CalibrationError(
+            f"{len(held)} different held commands{slack if len(held) else ''}{cut}: at least {wanted} are needed for "
+            f"{channels + 1} numbers a command; hold {2 * wanted} or more, on both sides of home, each channel alone "
+            "and together"
+        )
+    for c in range(channels):
+        rows = held.ticks[held.told[:, c]]
+        size = np.linalg.svd(rows - rows.mean(axis=0), compute_uv=False) / np.sqrt(len(rows))
+        if channels > 1 and size[-1] < LINE * size[0] or size[0] < 1.0:
+            raise CalibrationError(
+                f"the {len(rows)} held commands that tell command {c} lie on a line: {size[0]:.0f} ticks RMS along, "
+                f"{size[-1] if channels > 1 else 0.0:.0f} across; move each servo alone, and both against each other"
+            )
+
+
+def _check_known(found: Fit) -> None:
+    """Refuse a matrix that is not known well enough to be turned round."""
+    a, sigma = found.coefficients[:, :-1], found.sigma[:, :-1]
+    least, worst = float(np.linalg.svd(a, compute_uv=False)[-1]), float(np.linalg.norm(sigma, 2))
+    if least < KNOWN * worst:
+        raise CalibrationError(
+            f"A is not known: its least stretch is {least:.2g} a tick, known to ± {worst:.2g}; the shapes hardly "
+            "follow the ticks, or two servos do the same. Look at the order and the clock of the frames, move more"
+        )
+
+
+def _held_out(model: Model, run: Run, held: Held, away: Floats, found: Fit) -> dict[str, float]:
+    """Return the RMS error on blocks that were left out: of a command, and of the shape that it gives, in mm.
+
+    Beside it what the matched commands themselves leave of the same shapes, which no map falls below.
+    """
+    sound, off, at = found.weight > 0, np.full(held.u.shape, np.nan), np.full(held.u.shape, np.nan)
+    first = np.array([part[len(part) // 2] for part in held.frames])
+    for test in _blocks(run, first):
+        train = ~test
+        if min(held.told[train].sum(axis=0)) <= away.shape[1]:
+            continue
+        at[test] = fit(away[train], held.u[train], held.covariance[train], held.told[train])(away[test])
+        off[test] = held.u[test] - at[test]
+    good = sound & np.isfinite(at).all(axis=1)
+    if not good.any():
+        raise CalibrationError(f"{len(held)} held commands in blocks of which none can be left out; hold more commands")
+    order = np.flatnonzero(good)[np.argsort(first[good])]
+    some = run.at(first[order])
+    seen, t = np.asarray(model.points_in_mm(some), float), np.arange(len(order), dtype=np.float64)
+    visible = known(some, seen)
+
+    def shape_error(u: Floats) -> float:
+        still = replace(
+            some, t=t, t_seen=t, command=u, ticks=None, present=None, present_ticks=None, current=None,
+            temperature=None, gravity=None, load=None, command_unit=model.command_unit,
+        )  # fmt: skip
+        distance = np.linalg.norm(model.predict(still) - seen, axis=2)[visible]
+        return float(np.sqrt(np.mean(distance**2)))
+
+    told = off[good][held.told[good]]
+    return {
+        "command": float(np.sqrt(np.mean(told**2))),
+        "shape_mm": shape_error(at[order]),
+        "matched_shape_mm": shape_error(held.u[order]),
+    }
+
+
+def _blocks(run: Run, frame: NDArray[np.int64]) -> list[NDArray[np.bool_]]:
+    """Return masks of the rows seen first at `frame` that are left out together: labels of the run, or parts of it."""
+    labels = None if run.block is None else np.asarray(run.block)[frame]
+    if labels is None or not 3 <= len(np.unique(labels)) <= len(labels) // 3:
+        labels = np.arange(len(frame)) * min(BLOCKS, len(frame)) // max(len(frame), 1)
+    return [labels == label for label in np.unique(labels)]
+
+
+def _remarks(model: Model, held: Held, found: Fit, matches: Matches, calibration: Calibration) -> list[str]:
+    notes = []
+    if not held.still:
+        notes.append("too few dwells: frames are taken in motion, where delays and play are in A and b; hold commands")
+    wrong = int((found.weight == 0).sum())
+    if wrong > SET_ASIDE * len(held):
+        notes.append(f"{wrong} of {len(held)} held commands do not belong to the map that the others make")
+    if matches.edge.any():
+        notes.append(
+            f"{int(matches.edge.sum())} of {len(matches.edge)} frames lie at the end of the model's range and are left "
+            "out; build it with a wider one, or move less"
+        )
+    slack = int((~held.told).sum())
+    if slack:
+        notes.append(f"{slack} of {held.told.size} commands hang slack where they were held, and are left out")
+    outside = np.any((calibration.b < model.command_range[:, 0]) | (calibration.b > model.command_range[:, 1]))
+    if outside:
+        notes.append("at home the model is outside the range of its commands: is home right?")
+    return notes

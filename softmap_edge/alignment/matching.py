@@ -1,0 +1,219 @@
+"""Which command of the model shows the shape that was seen: the nearest shape of a grid, then the best one between.
+
+    j*(k) = argmin_j MAE(Y_k, f(u_j))  over the vertices seen      nearest of the grid (SoftMap, Data Alignment)
+    u*(k) = argmin_u Σ w (Y_k − f(u))²,  l ≤ u ≤ h                Levenberg-Marquardt from there, w = 1 / sigma²
+
+The paper stops at j*: its answer is off by up to half a step of the grid, and by more between shapes that are alike.
+f is the prior of the model, with its residual if it has one; loads and other orientations are not in it.
+A cloud does not tell the roll of a round finger (`roll_seen` false): a turn of each section about the body is then left
+out of the residuals and of the slopes. Units: mm, and the commands'. Pinned by tests/test_calibration.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.features import attach
+from softmap_edge.registration.register import ROLL_SEEN
+from softmap_edge.run import known
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+    from softmap_edge.run import Run
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Family = Callable[[Floats], Floats]
+
+STEPS, MOST_SHAPES = 41, 1700  # of the grid in each channel, and shapes at most; 41 is the grid of our own sweeps
+FEW = 150  # points by which the nearest shape is chosen where it is refined anyway
+ROUNDS = 25  # of Levenberg-Marquardt
+SETTLED = 1e-5  # of the range of a command: smaller steps end it
+EDGE = 1e-3  # of the range: commands nearer to its end are cut off there
+STEP = 0.025  # of its range: a command that moves the shape over so much by less than MOVES of what is usual, on one
+MOVES = 0.2  # side or the other, is slack there: shapes do not tell it
+CHUNK = 4_000_000  # numbers of one difference: 32 MB
+LEAST_SEEN = 0.1  # share of the points that must be seen for a frame to be matched
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """The commands (K, C) whose shapes are nearest to K frames; NaN where a frame shows too little.
+
+    `covariance` (K, C, C) of each, from the noise and from what is left, section by section. `mae_mm` (K,) is the mean
+    absolute error that is left, over the coordinates of the points seen. `edge` (K,) marks commands at the end of the
+    model's range, beyond which the true one may lie. `told` (K, C) says which commands move the shape there: where both
+    tendons of a pair hang slack, the command between them is a guess, with the variance of the whole range.
+    """
+
+    command: Floats
+    covariance: Floats
+    mae_mm: Floats
+    edge: Mask
+    told: Mask
+
+
+def match(model: Model, run: Run, refine: bool = True) -> Matches:
+    """Find the command of a model behind each frame of a run.
+
+    Args:
+        model: prior and residual are matched, its effects are not.
+        run: with the model's own vertices or markers, in the base frame, or with markers carried on its template.
+        refine: go on between the shapes of the grid; without, the answer of the paper.
+
+    Returns:
+        Matches: one command for each frame.
+
+    Raises:
+        RunError: points of another robot or unit.
+    """
+    points = np.asarray(model.points_in_mm(run), float)
+    visible = known(run, points)
+    seen = np.where(visible[..., None], points, 0.0)
+    sigma = np.ones(visible.shape) if run.sigma is None else np.broadcast_to(run.sigma, visible.shape)
+    weight = visible / np.maximum(sigma, 1e-6) ** 2
+    shapes = _Shapes(model, run)
+    low, high = model.command_range.T
+    grid = _grid(low, high)
+    every = slice(None, None, max(1, seen.shape[1] // FEW) if refine else 1)
+    u = grid[_nearest(shapes(grid)[:, every], seen[:, every], visible[:, every])]
+    covariance = np.zeros((len(u), model.channels, model.channels))
+    each = max(1, CHUNK // (3 * seen.shape[1] * (model.channels + 1)))
+    for k in range(0, len(u), each):
+        part = slice(k, k + each)
+        if refine:
+            u[part] = _refined(shapes, seen[part], weight[part], u[part], low, high)
+        covariance[part] = _covariance(shapes, seen[part], weight[part], u[part], run.sigma is not None)
+    told = _told(shapes, grid, u, low, high)
+    covariance += np.einsum("kc,cd->kcd", ~told * (high - low) ** 2 / 12.0, np.eye(model.channels))
+    off = np.abs(shapes(u) - seen).sum(axis=2)
+    count = visible.sum(axis=1)
+    mae = np.where(visible, off, 0.0).sum(axis=1) / np.maximum(3 * count, 1)
+    lost = count < max(3.0, LEAST_SEEN * visible.shape[1])
+    u[lost], covariance[lost], mae[lost] = np.nan, np.nan, np.nan
+    reach = EDGE * (high - low)
+    edge = ((u <= low + reach) | (u >= high - reach)).any(axis=1)
+    return Matches(u, covariance, mae, np.asarray(edge, np.bool_), told)
+
+
+class _Shapes:
+    """The shapes (n, N, 3) of a model at commands (n, C), as a run's points; their slopes, and turns about the body."""
+
+    def __init__(self, model: Model, run: Run) -> None:
+        self.family = model.prior if model.residual is None else _core.Sum(model.prior, model.residual)
+        own = model.markers or run.markers is None or run.marker_rest is None
+        self.carry = None if own else attach(np.asarray(run.marker_rest, float), model.rest, run.marker_names)
+        count = len(model.rest) if self.carry is None else len(self.carry)
+        section = model.sections if self.carry is None else np.arange(count)
+        self.member = (section[:, None] == np.unique(section)).astype(float)  # (N, S)
+        told = run.extra.get(ROLL_SEEN)
+        self.roll_seen = told is None or bool(np.all(told)) or self.carry is not None or self.member.shape[1] < 2
+
+    def __call__(self, u: Floats) -> Floats:
+        points = np.asarray(self.family.evaluate(np.ascontiguousarray(u))).reshape(len(u), -1, 3)
+        return points if self.carry is None else np.asarray(np.einsum("mn,knx->kmx", self.carry, points))
+
+    def slopes(self, u: Floats) -> Floats:
+        """Return the slopes (n, N, 3, C)."""
+        found = np.asarray(self.family.jacobian(np.ascontiguousarray(u))).reshape(len(u), -1, 3, u.shape[1])
+        return found if self.carry is None else np.asarray(np.einsum("mn,knxc->kmxc", self.carry, found))
+
+    def without_roll(self, moved: Floats, points: Floats, weight: Floats) -> Floats:
+        """Return displacements (n, N, 3, m) of points (n, N, 3) without the turn of each section that explains most."""
+        if self.roll_seen:
+            return moved
+        centre = np.einsum("ns,knx->ksx", self.member / self.member.sum(axis=0), points)
+        along = np.gradient(centre, axis=1)
+        turn = np.cross(self.member @ along, points - self.member @ centre)  # (n, N, 3)
+        size = np.einsum("ns,kn,knx,knx->ks", self.member, weight, turn, turn, optimize=True)
+        angle = np.einsum("ns,kn,knx,knxm->ksm", self.member, weight, turn, moved, optimize=True)
+        angle /= np.maximum(size, 1e-12)[..., None]
+        return np.asarray(moved - turn[..., None] * (self.member @ angle)[:, :, None])
+
+
+def _grid(low: Floats, high: Floats) -> Floats:
+    """Return commands (G, C) all over a range."""
+    each = max(2, min(STEPS, int(MOST_SHAPES ** (1.0 / max(1, len(low))) + 1e-9)))
+    axes = [np.linspace(a, b, each) for a, b in zip(low, high)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
+
+
+def _nearest(shapes: Floats, seen: Floats, visible: Mask) -> NDArray[np.intp]:
+    """Return which of the shapes (G, N, 3) has the least mean absolute error to each frame (K, N, 3)."""
+    flat, each = np.asarray(shapes.reshape(len(shapes), -1), np.float32), max(1, CHUNK // max(1, shapes.size))
+    rows, shown = seen.reshape(len(seen), -1).astype(np.float32), np.repeat(visible, 3, axis=1).astype(np.float32)
+    found = np.zeros(len(seen), np.intp)
+    for k in range(0, len(seen), each):
+        off = np.abs(flat - rows[k : k + each, None])
+        found[k : k + each] = np.argmin((off @ shown[k : k + each, :, None])[..., 0], axis=1)
+    return found
+
+
+def _refined(shapes: _Shapes, seen: Floats, weight: Floats, u: Floats, low: Floats, high: Floats) -> Floats:
+    """Return the best commands (k, C) within their range, from a start."""
+    damping = np.full(len(u), 1e-3)
+    points, left, cost = _left(shapes, seen, weight, u)
+    for _ in range(ROUNDS):
+        slopes = shapes.without_roll(shapes.slopes(u), points, weight)
+        gradient = np.einsum("kn,knxc,knx->kc", weight, slopes, left, optimize=True)
+        bend = _squares(slopes, weight)
+        held = ((u <= low) & (gradient < 0)) | ((u >= high) & (gradient > 0))
+        own = np.where(held, 1.0, damping[:, None] * np.einsum("kcc->kc", bend) + 1e-9)
+        system = np.where(~held[:, :, None] & ~held[:, None], bend, 0.0) + own[:, :, None] * np.eye(u.shape[1])
+        tried = np.clip(u + np.linalg.solve(system, np.where(held, 0.0, gradient)[..., None])[..., 0], low, high)
+        there, after, price = _left(shapes, seen, weight, tried)
+        better, step = price < cost, np.abs(tried - u) / (high - low)
+        u, cost = np.where(better[:, None], tried, u), np.where(better, price, cost)
+        points, left = (np.where(better[:, None, None], new, old) for new, old in ((there, points), (after, left)))
+        damping = np.where(better, 0.2 * damping, 8.0 * damping)
+        if np.all((step.max(axis=1) < SETTLED) | (damping > 1e8)):
+            break
+    return u
+
+
+def _left(shapes: _Shapes, seen: Floats, weight: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the shapes (k, N, 3) at commands, what they leave of what was seen, and its weighted squares (k,)."""
+    points = shapes(u)
+    left = shapes.without_roll((seen - points)[..., None], points, weight)[..., 0]
+    return points, left, np.einsum("kn,knx,knx->k", weight, left, left, optimize=True)
+
+
+def _squares(slopes: Floats, weight: Floats) -> Floats:
+    return np.asarray(np.einsum("kn,knxc,knxd->kcd", weight, slopes, slopes, optimize=True))
+
+
+def _covariance(shapes: _Shapes, seen: Floats, weight: Floats, u: Floats, told: bool) -> Floats:
+    """Return the covariance (k, C, C): of independent noise, or of what is left where whole sections are off together.
+
+    `told`: the weights are those of a known noise.
+    """
+    points, left, cost = _left(shapes, seen, weight, u)
+    slopes = shapes.without_roll(shapes.slopes(u), points, weight)
+    bend = _squares(slopes, weight)
+    inverse = np.linalg.inv(bend + 1e-6 * np.einsum("kcc->k", bend)[:, None, None] * np.eye(u.shape[1]) + 1e-12)
+    spread = cost / np.maximum(3.0 * (weight > 0).sum(axis=1) - u.shape[1], 1.0)
+    noise = inverse * (np.maximum(spread, 1.0) if told else spread)[:, None, None]
+    each = np.einsum("kn,knxc,knx->knc", weight, slopes, left, optimize=True)
+    parts = np.einsum("ns,knc->ksc", shapes.member, each)
+    together = inverse @ np.einsum("ksc,ksd->kcd", parts, parts) @ inverse
+    larger = np.einsum("kcc->k", together) > np.einsum("kcc->k", noise)
+    return np.asarray(np.where(larger[:, None, None], together, noise))
+
+
+def _told(shapes: _Shapes, grid: Floats, u: Floats, low: Floats, high: Floats) -> Mask:
+    """Return which commands (K, C) move the shape, to both sides, as commands of that channel usually do."""
+    told = np.ones(u.shape, bool)
+    for c, step in enumerate(np.diag(STEP * (high - low))):
+
+        def moved(at: Floats, step: Floats = step) -> Floats:
+            return np.asarray(np.sqrt(np.mean((shapes(at + step) - shapes(at)) ** 2, axis=(1, 2))))
+
+        least = MOVES * float(np.median(moved(grid)))
+        told[:, c] = (moved(u) > least) & (moved(u - step) > least)
+    return told

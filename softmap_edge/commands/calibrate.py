@@ -1,0 +1,69 @@
+"""The verb calibrate: from a run with ticks and shapes to a bundle that knows what its servos' ticks are."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from softmap_edge.alignment.calibration import Calibrated
+from softmap_edge.alignment.calibration import calibrate as find
+from softmap_edge.bundle import save_bundle
+from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
+from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.errors import CalibrationError, ReportError
+from softmap_edge.run import Run
+from softmap_edge.whole_file import write_whole
+
+NOT_AFFINE = 1  # exit code
+
+
+def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `calibrate`."""
+    parser.add_argument("run", help="a run (.npz) with ticks and vertices, markers or clouds, in the base frame")
+    parser.add_argument("--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it")
+    effects_argument(parser)
+    bundle_arguments(parser)
+    parser.add_argument(
+        "--home", nargs="+", type=float, metavar="TICKS",
+        help="the ticks that the bench calls home, one a servo; the run's rest (dwelt at most often) without it",
+    )  # fmt: skip
+    parser.add_argument(
+        "--window", nargs=2, type=float, metavar=("LOW", "HIGH"), help="ticks about home that each servo may take"
+    )
+    parser.add_argument(
+        "--grid", action="store_true", help="match to the nearest shape of a grid and no further, as the paper"
+    )
+    parser.add_argument("--plot", metavar="FILE.svg", help="draw matched pairs and what is left of them")
+
+
+def calibrate(args: argparse.Namespace) -> int:
+    """Fit u = A (ticks − home) + b and write the bundle with it; 1 if the relation is clearly not affine."""
+    check_file("--plot", args.plot, ".svg")
+    check_bundle(args.out, args.force)
+    if args.window is not None and not args.window[0] < 0.0 < args.window[1]:
+        raise CalibrationError(
+            f"--window {args.window[0]:g} {args.window[1]:g}: expected LOW < 0 < HIGH, ticks about home"
+        )
+    load_own(args)
+    window = None if args.window is None else (args.window[0], args.window[1])
+    found = find(open_model(args.bundle), Run.load(args.run), args.home, window, not args.grid)
+    if args.plot:
+        _plot(found, args.plot)
+    folder = save_bundle(found.model, args.out)
+    if args.json:
+        print(json.dumps(found.to_dict() | {"bundle": str(folder)}, ensure_ascii=False))
+    else:
+        print(f"{found}\n{folder}: runs with ticks are taken as commands from here on")
+    return 0 if found.affine else NOT_AFFINE
+
+
+def _plot(found: Calibrated, path: str) -> None:
+    try:
+        from softmap_edge.report.calibration_figure import calibration_figure
+    except ModuleNotFoundError as missing:
+        if (missing.name or "").split(".")[0] != "matplotlib":
+            raise
+        raise ReportError(
+            "--plot needs matplotlib: pip install 'softmap-edge[report]' (the text and --json work without it)"
+        ) from None
+    write_whole(path, calibration_figure(found))

@@ -1,0 +1,211 @@
+"""Servo ticks ↔ the commands of a model: the affine calibration that a bundle carries, and runs converted with it.
+
+    u = A (ticks − home) + b        ticks = home + round(A⁻¹ (u − b))        (Data Alignment, the SoftMap paper)
+
+A in command units a tick, b what acts while the servos stand at `home`; home is a choice of the bench, b goes with it.
+A calibration is somebody else's file: shapes, finiteness, size and whether A has an inverse are checked each time.
+`converted` is the one place where the ticks of a run become commands. Pinned by tests/test_calibration.py.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from softmap_edge.errors import CalibrationError
+from softmap_edge.run import Run
+
+Floats = NDArray[np.float64]
+
+SCHEMA = "softmap.calibration/1"
+ERRORS = ("command", "shape_mm", "matched_shape_mm")
+LARGEST = 1e7  # ticks, mm: beyond any servo, as for a run
+MOST_SERVOS = 64
+SINGULAR = 1e6  # condition of A from which it has no inverse of use
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """u = A (ticks − home) + b, and how well it is known.
+
+    `A` (C, C) in `unit` a tick, `b` (C,) in `unit`, `home` (C,) ticks, `sigma_A` and `sigma_b` their standard
+    deviations; `held_out` is `{command, shape_mm, matched_shape_mm}`, the RMS error on blocks that were left out, and
+    what the matches leave of their shapes; `run` the hash of the run it was found from, `frames` and `held` how many
+    frames and held commands; `window` (low, high) ticks about home that a servo may take, None where nobody said.
+
+    Raises:
+        CalibrationError: a field is none of that.
+    """
+
+    A: Floats
+    b: Floats
+    home: Floats
+    sigma_A: Floats
+    sigma_b: Floats
+    held_out: dict[str, float]
+    run: str
+    frames: int
+    held: int
+    window: tuple[float, float] | None = None
+    unit: str = "mm"
+
+    def __post_init__(self) -> None:
+        count = len(np.atleast_1d(np.asarray(self.b)))
+        if not 1 <= count <= MOST_SERVOS:
+            raise CalibrationError(f"calibration: b of {count} numbers, allowed are 1 to {MOST_SERVOS}")
+        shapes = dict(A=(count, count), b=(count,), home=(count,), sigma_A=(count, count), sigma_b=(count,))
+        for name, shape in shapes.items():
+            array = _numbers(name, getattr(self, name))
+            if array.shape != shape:
+                raise CalibrationError(f"calibration: {name} of shape {array.shape}, expected {shape}")
+            if name.startswith("sigma") and array.min() < 0:
+                raise CalibrationError(
+                    f"calibration: {name} holds {array.min():g}; a standard deviation is not below 0"
+                )
+            object.__setattr__(self, name, array)
+        if not self.condition < SINGULAR:
+            raise CalibrationError(
+                f"calibration: A has condition {self.condition:.3g}, below {SINGULAR:.0e} is needed: no ticks belong "
+                "to a command; calibrate again with every servo moved"
+            )
+        if self.window is not None:
+            low, high = _numbers("window", self.window).reshape(-1).tolist() if len(self.window) == 2 else (0.0, 0.0)
+            if not low < 0.0 < high:
+                raise CalibrationError(
+                    f"calibration: window {list(self.window)!r:.60}, expected LOW < 0 < HIGH in ticks about home"
+                )
+            object.__setattr__(self, "window", (low, high))
+
+    @property
+    def condition(self) -> float:
+        """Condition of A: 1 where all servos pull alike and across each other."""
+        size = np.linalg.svd(self.A, compute_uv=False)
+        return float(size[0] / size[-1]) if size[-1] > 0 else np.inf
+
+    def commands(self, ticks: ArrayLike) -> Floats:
+        """Return the commands (n, C) in `unit` of ticks (n, C)."""
+        return np.asarray((np.asarray(ticks, float) - self.home) @ self.A.T + self.b)
+
+    def ticks(self, commands: ArrayLike) -> NDArray[np.int64]:
+        """Return the ticks (n, C) of commands (n, C), to the nearest whole tick."""
+        away = np.linalg.solve(self.A, (np.asarray(commands, float) - self.b).T).T
+        return np.rint(self.home + away).astype(np.int64)
+
+    def usable(self, reach: ArrayLike) -> Floats:
+        """Return a range [l, h] (C, 2) of commands all of whose combinations lie in the window: `reach` (C, 2), shrunk.
+
+        It is shrunk alike to all sides about what acts at home, until its corners are inside; `reach` without a window.
+
+        Raises:
+            CalibrationError: home lies outside `reach`.
+        """
+        box = np.asarray(reach, float)
+        if self.window is None:
+            return box
+        if np.any(self.b < box[:, 0]) or np.any(self.b > box[:, 1]):
+            raise CalibrationError(
+                f"at home {np.round(self.b, 2).tolist()} {self.unit} act, outside the model's range "
+                f"{np.round(box, 2).tolist()}: no range of commands about home is usable; choose another --home"
+            )
+        back, away = np.linalg.inv(self.A), box - self.b[:, None]
+        sides = np.stack([back * away[:, 0], back * away[:, 1]])  # (2, servo, C): ticks that one end of a range asks
+        highest, lowest = sides.max(axis=0).sum(axis=1), sides.min(axis=0).sum(axis=1)
+        low, high = self.window
+        share = min(1.0, float(high / max(highest.max(), 1e-300)), float(low / min(lowest.min(), -1e-300)))
+        return np.asarray(self.b[:, None] + share * away)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.calibration/1, which a bundle keeps as `calibration.json`."""
+        return {
+            "schema": SCHEMA,
+            "unit": "ticks",
+            "command_unit": self.unit,
+            "A": self.A.tolist(),
+            "b": self.b.tolist(),
+            "home": self.home.tolist(),
+            "sigma": {"A": self.sigma_A.tolist(), "b": self.sigma_b.tolist()},
+            "condition": self.condition,
+            "held_out": dict(self.held_out),
+            "run": self.run,
+            "frames": self.frames,
+            "held_commands": self.held,
+            "tick_window": None if self.window is None else list(self.window),
+        }
+
+    @classmethod
+    def from_dict(cls, document: Any) -> Calibration:
+        """Read a document softmap.calibration/1.
+
+        Raises:
+            CalibrationError: another schema or unit, or an entry that is missing or not what it has to be.
+        """
+        schema = document.get("schema") if isinstance(document, dict) else None
+        if schema != SCHEMA:
+            raise CalibrationError(
+                f"calibration: schema {schema!r:.60}, expected {SCHEMA!r}; make it with `softmap calibrate`"
+            )
+        try:
+            if document["unit"] != "ticks":
+                raise CalibrationError(f"calibration: of {document['unit']!r:.40}, expected ticks")
+            unit, run, window = document["command_unit"], document["run"], document["tick_window"]
+            if not all(isinstance(text, str) and 0 < len(text) <= 100 and text.isprintable() for text in (unit, run)):
+                raise CalibrationError("calibration: command_unit and run are texts of at most 100 characters")
+            counts: tuple[int, int] = document["frames"], document["held_commands"]
+            if not all(isinstance(n, int) and not isinstance(n, bool) and 0 <= n < 1 << 53 for n in counts):
+                raise CalibrationError("calibration: frames and held_commands are whole numbers from 0 on")
+            error = {name: float(_numbers(name, document["held_out"][name])) for name in ERRORS}
+            values = [*(document[name] for name in ("A", "b", "home")), *(document["sigma"][name] for name in "Ab")]
+            a, b, home, *sigma = values
+            return cls(a, b, home, sigma[0], sigma[1], error, run, *counts, None if window is None else window, unit)
+        except (KeyError, TypeError, ValueError, OverflowError) as fault:
+            raise CalibrationError(
+                f"calibration: an entry is missing or of another form ({type(fault).__name__} {fault!s:.60}); make it "
+                "again with `softmap calibrate`"
+            ) from None
+
+
+def converted(model: Any, run: Run) -> Run:
+    """Return the run with its ticks as commands, by the calibration of the model; as it is where either is missing.
+
+    Args:
+        model: perhaps with a `calibration`. run: `ticks` become `command`, `present_ticks` become `present` unless the
+            run has that; what was seen is the same array.
+
+    Raises:
+        CalibrationError: the run has another number of servos than the calibration.
+    """
+    calibration: Calibration | None = getattr(model, "calibration", None)
+    encoded = run.present_ticks is not None and run.present is None
+    if calibration is None or not (encoded or run.ticks is not None):
+        return run
+    if run.channels != len(calibration.b):
+        raise CalibrationError(
+            f"the run has {run.channels} servos, the calibration of '{model.robot}' is of {len(calibration.b)}; it is "
+            "a run of another robot"
+        )
+    drive = Run(
+        t=run.t,
+        command=run.command if run.ticks is None else calibration.commands(run.ticks),
+        present=calibration.commands(run.present_ticks) if encoded and run.present_ticks is not None else run.present,
+        command_unit=calibration.unit if run.ticks is not None else run.command_unit,
+    )
+    whole = copy(run)  # not `replace`, which would check again what was seen, at every prediction
+    for name in ("command", "present", "ticks", "present_ticks", "command_unit"):
+        object.__setattr__(whole, name, getattr(drive, name))
+    return whole
+
+
+def _numbers(name: str, value: Any) -> Floats:
+    """Return finite numbers of a plausible size."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu":
+        raise CalibrationError(f"calibration: {name} holds {array.dtype}, expected numbers")
+    array = np.array(array, np.float64)
+    if not np.isfinite(array).all() or (array.size and np.abs(array).max() > LARGEST):
+        raise CalibrationError(f"calibration: {name} is not all finite numbers within ±{LARGEST:g}")
+    array.setflags(write=False)
+    return array
