@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 HUBER, TUKEY, WIDER = 1.0, 4.685, 0.42  # standard deviations; more of Tukey's for each further command
-ROUNDS, SETTLED = 30, 1e-9
+ROUNDS, SETTLED = 40, 1e-4
 TO_SIGMA = 1.4826  # of the median absolute deviation
 NO_SCATTER = 1e-9  # of the spread of the commands: exact data have no scatter to be judged by
 
@@ -57,26 +57,26 @@ def fit(design: Floats, u: Floats, covariance: Floats, told: Mask) -> Fit:
     x, freedom = design / size, count / max(count - features, 1)
     own = np.nanmedian(np.where(told, np.einsum("ncc->nc", covariance), np.nan), axis=0)
     floor = NO_SCATTER * np.maximum(np.ptp(u, axis=0), 1e-12)
-    normal, right = _normal(x, u, _precision(np.zeros(u.shape[1]), covariance + floor.max() ** 2 * np.eye(u.shape[1])))
-    theta = np.linalg.solve(normal, right)
+    theta = np.linalg.lstsq(*_normal(x, u, _precision(floor**2, covariance)), rcond=None)[0]
     limit = TUKEY + WIDER * (u.shape[1] - 1)
+    redescends = False
     for k in range(ROUNDS):
         left = np.where(told, u - x @ theta.reshape(-1, features).T, 0.0)
-        if k < ROUNDS // 2:
+        if not redescends:
             scatter = np.maximum(_scatter(left, told, features), floor)
-            beyond = np.maximum(scatter**2 - own, floor**2)
-            precision = _precision(beyond, covariance)
+            precision = _precision(np.maximum(scatter**2 - own, floor**2), covariance)
         distance = np.sqrt(np.sum(left * (precision @ left[..., None])[..., 0], axis=1))
-        weight, slope = _weights(distance, None if k < ROUNDS // 2 else limit, told.sum(axis=1))
+        weight, slope = _weights(distance, limit if redescends else None, told.sum(axis=1))
         before = theta
-        normal, right = _normal(x, u, weight[:, None, None] * precision)
-        theta = np.linalg.solve(normal, right)
-        if k > ROUNDS // 2 and np.abs(theta - before).max() <= SETTLED * np.abs(theta).max():
+        theta = np.linalg.lstsq(*_normal(x, u, weight[:, None, None] * precision), rcond=None)[0]
+        settled = bool(np.abs(theta - before).max() <= SETTLED * np.abs(theta).max())
+        if redescends and settled:
             break
+        redescends |= settled or k == ROUNDS // 2
     bend = float(np.mean(slope[told.any(axis=1)]))
     wide = float(np.sum((weight * distance) ** 2) / max(told.sum(), 1)) * freedom
     spread = max(1.0, wide / max(bend, 0.1) ** 2)
-    inverse = np.linalg.inv(_normal(x, u, precision)[0]) * spread
+    inverse = np.linalg.pinv(_normal(x, u, precision)[0], hermitian=True) * spread
     scale = np.tile(size, u.shape[1])
     coefficients = (theta / scale).reshape(u.shape[1], features)
     return Fit(coefficients, inverse / np.outer(scale, scale), weight, scatter)

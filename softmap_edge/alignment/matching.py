@@ -38,6 +38,7 @@ SETTLED = 1e-5  # of the range of a command: smaller steps end it
 EDGE = 1e-3  # of the range: commands nearer to its end are cut off there
 STEP = 0.025  # of its range: a command that moves the shape over so much by less than MOVES of what is usual, on one
 MOVES = 0.2  # side or the other, is slack there: shapes do not tell it
+USUAL = 200  # commands that say what is usual
 CHUNK = 4_000_000  # numbers of one difference: 32 MB
 LEAST_SEEN = 0.1  # share of the points that must be seen for a frame to be matched
 
@@ -208,12 +209,12 @@ def _covariance(shapes: _Shapes, seen: Floats, weight: Floats, u: Floats, told: 
 
 def _told(shapes: _Shapes, grid: Floats, u: Floats, low: Floats, high: Floats) -> Mask:
     """Return which commands (K, C) move the shape, to both sides, as commands of that channel usually do."""
-    told = np.ones(u.shape, bool)
+    told, some = np.ones(u.shape, bool), grid[:: max(1, len(grid) // USUAL)]
     for c, step in enumerate(np.diag(STEP * (high - low))):
 
         def moved(at: Floats, step: Floats = step) -> Floats:
             return np.asarray(np.sqrt(np.mean((shapes(at + step) - shapes(at)) ** 2, axis=(1, 2))))
 
-        least = MOVES * float(np.median(moved(grid)))
+        least = MOVES * float(np.median(moved(some)))
         told[:, c] = (moved(u) > least) & (moved(u - step) > least)
     return told

@@ -1,0 +1,338 @@
+"""Servo ticks in commands of a model: matched shapes, a map known as well as it says, what speaks against it."""
+
+import hashlib
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softmap_edge import _core, adapt, builtin_model, compare, diagnose, load_bundle, save_bundle
+from softmap_edge.alignment.calibration import calibrate
+from softmap_edge.alignment.matching import match
+from softmap_edge.cli import main
+from softmap_edge.errors import BundleError, CalibrationError, RunError
+from softmap_edge.registration.register import ROLL_SEEN
+from softmap_edge.run import Run
+from softmap_edge.ticks import Calibration, converted
+from softmap_edge.truth_clouds import FULL
+
+MODEL = builtin_model()
+A = np.array([[0.003106, -0.001274], [-0.001511, -0.002801]])  # mm/tick, as published
+B = np.array([-1.363, 0.758])  # mm
+HOME = np.array([1039.05, 1832.25])
+ROWS, DWELL = 40, 4.0  # rows and seconds of a dwell, the first of them on the way
+
+
+def commands(ticks):
+    return (ticks - HOME) @ A.T + B
+
+
+def record(hold, seed=0, frames=1, off=0.1, wrong=0.1, law=None, play=0.0, noise=0.5):
+    """A run that holds `hold` (n, C) ticks: shapes of the model, `off` mm of command in each dwell, `wrong` dwells."""
+    rng, n = np.random.default_rng(seed), len(hold)
+    ramp = np.minimum(np.arange(1, ROWS + 1) / 10.0, 1.0)[:, None]
+    before = np.vstack([hold[:1], hold[:-1]])
+    ticks = np.rint(np.concatenate([a + (b - a) * ramp for a, b in zip(before, hold)]))
+    t = np.arange(len(ticks)) * DWELL / ROWS
+    u = commands(ticks if law is None else HOME + law(ticks - HOME))
+    if play:
+        u = _core.Chain(["backlash"], 2).rollout(np.array([[play]]), u, t)[0]
+    t_seen = (np.arange(n)[:, None] * DWELL + 2.0 + 1.8 * np.arange(frames) / frames).ravel()
+    acting = np.column_stack([np.interp(t_seen, t, c) for c in u.T])
+    acting += np.repeat(rng.normal(size=(n, 2)) * off, frames, axis=0)
+    lost = np.repeat(rng.random(n) < wrong, frames)
+    acting[lost] = rng.uniform(-12.0, 12.0, (lost.sum(), 2))
+    seen = MODEL.prior.evaluate(acting).reshape(len(t_seen), -1, 3)
+    seen += rng.normal(size=seen.shape) * noise
+    return Run(t=t, ticks=ticks.astype(int), t_seen=t_seen, vertices=seen, sigma=np.array(noise))
+
+
+def scattered(seed, n=30):
+    """Ticks (n, 2) all over the range; home again every eighth time."""
+    away = np.random.default_rng(seed).uniform(-3300.0, 3300.0, (n, 2))
+    away[::8] = 0.0
+    return np.rint(HOME + away)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return calibrate(MODEL, record(scattered(1), 1), home=HOME, window=(-7000.0, 7000.0))
+
+
+# --- shapes to commands -------------------------------------------------------------------------
+
+
+def shapes(u, seed=0, noise=0.5):
+    rng, t = np.random.default_rng(seed), np.arange(len(u), dtype=float)
+    seen = MODEL.prior.evaluate(u).reshape(len(u), -1, 3)
+    visible = rng.random(seen.shape[:2]) < 0.6
+    seen = np.where(visible[..., None], seen + noise * rng.normal(size=seen.shape), np.nan)
+    return Run(t=t, command=u, t_seen=t, vertices=seen, visible=visible, sigma=np.array(noise))
+
+
+def test_refined_matches_are_ten_times_nearer_than_those_of_the_grid_and_what_hangs_slack_is_not_told():
+    u = np.random.default_rng(0).uniform(-13.0, 13.0, (80, 2))
+    run = shapes(u)
+    fine, grid = match(MODEL, run), match(MODEL, run, refine=False)
+    off = np.abs(fine.command - u)
+    assert np.sqrt(np.mean(off[fine.told] ** 2)) < 0.05
+    assert np.sqrt(np.mean((grid.command - u)[grid.told] ** 2)) > 0.2
+    assert 0.05 < 1.0 - fine.told.mean() < 0.3 and off[~fine.told].max() > 1.0  # both tendons of a pair slack
+    spread = np.einsum("kc,kcd,kd->k", fine.command - u, np.linalg.inv(fine.covariance), fine.command - u)
+    assert 0.5 < np.median(spread) / 1.386 < 2.0  # the median of chi² of two
+
+
+def test_what_only_roll_tells_does_not_move_a_match_that_is_seen_from_one_side():
+    u, t = np.random.default_rng(1).uniform(5.0, 12.0, (20, 2)), np.arange(20.0)
+    points = MODEL.prior.evaluate(u).reshape(20, -1, 3)
+    centre = np.stack([points[:, MODEL.sections == s].mean(axis=1) for s in np.unique(MODEL.sections)], axis=1)
+    along = np.gradient(centre, axis=1)
+    along /= np.linalg.norm(along, axis=2, keepdims=True)
+    axis, radius = along[:, MODEL.sections], points - centre[:, MODEL.sections]
+    angle = np.radians(5.0) * np.random.default_rng(2).normal(size=(20, 1, 1))
+    turned = (
+        points + np.cross(axis, radius) * np.sin(angle) + np.cross(axis, np.cross(axis, radius)) * (1 - np.cos(angle))
+    )
+    side = np.tile(MODEL.rest[:, 0] > -1.0, (20, 1))
+    run = Run(t=t, command=u, t_seen=t, vertices=turned, visible=side, extra={ROLL_SEEN: np.array(False)})
+    blind, fooled = match(MODEL, run), match(MODEL, replace(run, extra={}))
+    errors = [np.sqrt(np.mean((m.command - u)[blind.told & fooled.told] ** 2)) for m in (blind, fooled)]
+    assert errors[0] < 0.02 and errors[1] > 0.08, errors
+
+
+# --- commands from ticks ------------------------------------------------------------------------
+
+
+def test_the_published_map_is_recovered_within_its_stated_uncertainty_with_a_tenth_of_the_dwells_wrong():
+    off, plain = [], []
+    for seed in range(20):
+        found = calibrate(MODEL, record(scattered(seed), seed), home=HOME)
+        c = found.calibration
+        off.append(np.r_[((c.A - A) / c.sigma_A).ravel(), (c.b - B) / c.sigma_b])
+        x = np.column_stack([found.held.ticks - HOME, np.ones(len(found.held))])
+        plain.append(np.linalg.lstsq(x, found.held.u, rcond=None)[0][:2].T - A)
+        assert np.abs(c.A - A).max() < 1e-4
+    assert 0.7 < np.std(off) < 1.4
+    assert np.max(np.abs(off)) < 4.5
+    assert np.median([np.abs(p).max() for p in plain]) > 1e-4  # least squares is led astray by the wrong ones
+
+
+def test_a_command_that_is_seen_often_counts_once():
+    one, many = (calibrate(MODEL, record(scattered(2), 2, frames=f, wrong=0.0)).calibration for f in (1, 6))
+    assert many.frames == 6 * one.frames
+    np.testing.assert_allclose(many.sigma_b, one.sigma_b, rtol=0.4)  # not by a factor of 2.4
+
+
+def test_an_eccentric_pulley_is_told_with_its_period_and_its_size():
+    hold = scattered(3, 50)
+    found = calibrate(MODEL, record(hold, 3, off=0.05, law=lambda r: r + 250.0 * np.sin(r * np.pi / 2048.0 + 0.5)))
+    assert found.departures[0].kind == "period" and found.departures[0].better > 0.5
+    assert "once a turn (4096 ticks) of servo 0, 1" in found.warnings[0]
+    assert calibrate(MODEL, record(hold, 3, off=0.05)).affine
+
+
+def test_play_is_told_as_memory_and_as_large_as_it_is():
+    found = calibrate(MODEL, record(scattered(4, 50), 4, off=0.05, play=0.8))
+    assert [one.kind for one in found.departures] == ["memory"]
+    apart = float(found.departures[0].sentence.split("act ")[1].split(" mm apart")[0])
+    assert apart == pytest.approx(0.8, abs=0.1)
+
+
+def test_a_kink_at_home_is_told_where_it_is():
+    found = calibrate(MODEL, record(scattered(5, 50), 5, off=0.05, law=lambda r: r * (1.0 + 0.3 * (r > 0))), home=HOME)
+    assert found.departures[0].kind == "kink" and "all servos at home" in found.departures[0].sentence
+
+
+def test_home_is_the_place_that_was_dwelt_at_most_often(found):
+    own = calibrate(MODEL, record(scattered(1), 1))
+    np.testing.assert_array_equal(own.calibration.home, np.rint(HOME))
+    np.testing.assert_allclose(own.calibration.A, found.calibration.A, rtol=1e-6)
+    moved = A @ (np.rint(HOME) - HOME)
+    np.testing.assert_allclose(own.calibration.b - found.calibration.b, moved, atol=1e-5)
+
+
+def test_a_run_of_clouds_is_registered_first():
+    around = np.radians(np.arange(0.0, 360.0, 30.0) + 15.0)
+    hold = np.rint(HOME + 2800.0 * np.column_stack([np.cos(around), np.sin(around)]))
+    run, rng = record(hold, wrong=0.0, noise=0.01, off=0.0), np.random.default_rng(0)
+    seen = [replace(FULL, points=2500).look(v, MODEL.triangles, rng) for v in run.vertices]
+    start = np.cumsum([0, *map(len, seen)])
+    clouds = replace(run, vertices=None, sigma=None, points=np.concatenate(seen), start=start)
+    c = calibrate(MODEL, clouds, home=HOME).calibration
+    np.testing.assert_allclose(c.A, A, atol=6e-5)
+    np.testing.assert_allclose(c.b, B, atol=0.15)
+
+
+@pytest.mark.parametrize(
+    ("model", "run", "match"),
+    [
+        (MODEL, record(scattered(0, 5), wrong=0.0), r"different held commands.*at least 6 are needed.*hold 12"),
+        (MODEL, record(np.rint(HOME + np.linspace(-3e3, 3e3, 15)[:, None] * [1, 0.5])), r"lie on a line: .* across"),
+        (MODEL.with_effects(["gain"], {}), record(scattered(0, 9)), "counted twice"),
+        (MODEL, shapes(np.zeros((3, 2))), "no ticks"),
+        (MODEL, replace(record(scattered(0, 9)), ticks=np.zeros((360, 3), int)), "3 servos"),
+        (MODEL, replace(record(scattered(0, 9)), vertices=record(scattered(0, 9)).vertices + 90.0), "softmap align"),
+        (MODEL, record(scattered(0), law=lambda r: 0 * r), r"too few|not known|needed|line"),
+    ],
+    ids=["few", "line", "effects", "no ticks", "servos", "frame", "does not follow"],
+)
+def test_what_tells_no_map_is_refused_with_numbers(model, run, match):
+    with pytest.raises(CalibrationError, match=match):
+        calibrate(model, run)
+
+
+# --- the calibration and the bundle -------------------------------------------------------------
+
+
+def published(window=None):
+    error = {"command": 0.1, "shape_mm": 1.0, "matched_shape_mm": 0.9}
+    return Calibration(A, B, HOME, 0.01 * np.abs(A), np.full(2, 0.02), error, "0" * 64, 100, 30, window)
+
+
+def test_ticks_and_commands_are_each_others_inverse_and_the_window_holds_what_is_called_usable():
+    c, u = published((-7000.0, 7000.0)), np.random.default_rng(0).uniform(-16.0, 16.0, (50, 2))
+    np.testing.assert_allclose(c.commands(c.ticks(u)), u, atol=np.abs(A).sum(axis=1).max() / 2)
+    assert np.abs(c.ticks([[18.0, 18.0]]) - HOME).max() == pytest.approx(7794, abs=1.0)  # as known of the published one
+    reach = np.array([[-18.0, 18.0], [-18.0, 18.0]])
+    usable = c.usable(reach)
+    corners = np.stack(np.meshgrid(*usable), axis=-1).reshape(-1, 2)
+    farthest = np.abs(c.ticks(corners) - HOME).max()
+    assert farthest == pytest.approx(7000.0, abs=1.0)  # as large as its form allows
+    assert np.all((usable[:, 0] > -18.0) & (usable[:, 1] < 18.0))
+    np.testing.assert_array_equal(published().usable(reach), reach)
+
+
+def test_a_bundle_carries_its_calibration_and_older_ones_have_none(found, tmp_path):
+    folder = save_bundle(found.model, tmp_path / "bundle")
+    assert json.loads((folder / "manifest.json").read_text())["schema"] == 5
+    read = load_bundle(folder).calibration
+    assert read.to_dict() == found.calibration.to_dict()
+    again = save_bundle(load_bundle(folder), tmp_path / "again")
+    assert all((again / f.name).read_bytes() == f.read_bytes() for f in folder.iterdir())
+    assert load_bundle(folder).with_effects(["gain"], {}).calibration is not None
+    plain = save_bundle(MODEL, tmp_path / "plain")
+    assert json.loads((plain / "manifest.json").read_text())["schema"] < 5
+    assert load_bundle(plain).calibration is None
+
+
+def set_to(*keys_and_value):
+    *keys, last, value = keys_and_value
+
+    def change(document):
+        for key in keys:
+            document = document[key]
+        document[last] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        set_to("schema", "softmap.calibration/9"),
+        set_to("unit", "turns"),
+        set_to("A", [[1.0, 2.0], [2.0, 4.0]]),
+        set_to("A", [[1.0, 0.0]]),
+        set_to("A", [["1", "0"], ["0", "1"]]),
+        set_to("b", [float("nan"), 0.0]),
+        set_to("b", [1e300, 0.0]),
+        set_to("b", [0.0]),
+        set_to("home", [[1.0, 2.0]]),
+        set_to("home", [10**400, 0]),
+        set_to("sigma", "A", [[-1.0, 0.0], [0.0, 0.0]]),
+        set_to("sigma", None),
+        set_to("held_out", {}),
+        set_to("frames", -3),
+        set_to("run", "x\n" * 9),
+        set_to("tick_window", [5, 10]),
+        set_to("tick_window", 7),
+    ],
+)
+def test_a_calibration_that_was_tampered_with_is_refused(found, tmp_path, change):
+    folder = save_bundle(found.model, tmp_path / "bundle")
+    file, manifest = folder / "calibration.json", json.loads((folder / "manifest.json").read_text())
+    document = json.loads(file.read_text())
+    change(document)
+    file.write_text(json.dumps(document))
+    with pytest.raises(BundleError, match="hash differs"):
+        load_bundle(folder)
+    manifest["sha256"]["calibration.json"] = hashlib.sha256(file.read_bytes()).hexdigest()
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(BundleError, match="calibration"):
+        load_bundle(folder)
+
+
+# --- runs that hold ticks -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def two():
+    """One recording twice, in ticks and in mm, of a finger with a gain; and the calibrated model."""
+    model = replace(MODEL, calibration=published())
+    ticks = record(scattered(6, 24), 6, frames=3, wrong=0.0, off=0.0, law=lambda r: 1.15 * r)
+    ticks = replace(ticks, present_ticks=ticks.ticks)
+    u = commands(ticks.ticks)
+    return model, ticks, replace(ticks, ticks=None, present_ticks=None, command=u, present=u)
+
+
+def test_a_run_in_ticks_is_compared_predicted_diagnosed_and_adapted_to_like_the_same_run_in_mm(two):
+    model, ticks, mm = two
+    assert compare(model, ticks).error == pytest.approx(compare(model, mm).error, abs=1e-9)
+    assert compare(model, ticks).run["sha256"] == ticks.hash()
+    np.testing.assert_allclose(model.predict(ticks), model.predict(mm), atol=1e-9)
+    found, same = (diagnose(model, run, effects=["gain", "offset"]) for run in (ticks, mm))
+    assert found.verdict == same.verdict and "gain" in [e["name"] for e in found.effects]
+    assert found.made_from["run"] == ticks.hash()
+    one, other = (d.to_dict()["effects"] for d in (found, same))
+    assert [e["name"] for e in one] == [e["name"] for e in other]
+    for a, b in zip(one, other):
+        assert {k: v["value"] for k, v in a["params"].items()} == pytest.approx(
+            {k: v["value"] for k, v in b["params"].items()}, rel=1e-6
+        )
+    assert adapt(model, ticks)[1] == pytest.approx(adapt(model, mm)[1], rel=1e-6)
+
+
+def test_encoders_in_ticks_drive_the_model_and_what_was_seen_stays_as_it_is(two):
+    model, ticks, _ = two
+    away = replace(ticks, present_ticks=ticks.ticks + 400)
+    run = converted(model, away)
+    np.testing.assert_allclose(run.present - run.command, np.tile(A @ [400.0, 400.0], (len(run.t), 1)), atol=1e-9)
+    assert run.vertices is away.vertices and run.ticks is None and run.present_ticks is None
+    np.testing.assert_array_equal(model.commands(away), run.present)
+    np.testing.assert_array_equal(replace(model, input="goal").commands(away), run.command)
+    assert converted(MODEL, away) is away
+
+
+def test_without_a_calibration_the_error_names_the_verb(two):
+    _, ticks, _ = two
+    with pytest.raises(RunError, match="softmap calibrate RUN --bundle"):
+        compare(MODEL, ticks)
+
+
+# --- the verb -----------------------------------------------------------------------------------
+
+
+def test_the_verb_writes_a_bundle_a_document_and_a_picture(tmp_path, capsys):
+    run = record(scattered(7), 7)
+    run.save(tmp_path / "run.npz")
+    out, picture = tmp_path / "calibrated", tmp_path / "pairs.svg"
+    words = ["calibrate", str(tmp_path / "run.npz"), "--out", str(out), "--home", *map(str, HOME)]
+    assert main([*words, "--window", "-7000", "7000", "--plot", str(picture), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["schema"] == "softmap.calibration/1" and document["affine"] is True
+    assert document["run"] == run.hash() and document["tick_window"] == [-7000.0, 7000.0]
+    assert len(document["matched"]["ticks"]) == document["held_commands"] == len(document["matched"]["command"])
+    np.testing.assert_allclose(document["A"], A, atol=1e-4)
+    assert load_bundle(out).calibration.to_dict()["A"] == document["A"]
+    assert picture.read_text().startswith("<?xml") and picture.stat().st_size > 10_000
+    assert main(words) == 2  # the bundle stands there
+    assert main([*words, "--force"]) == 0
+    told = capsys.readouterr().out
+    assert "held out:" in told and "±" in told and "condition of A" in told
+
+
+def test_the_verb_ends_with_one_where_the_relation_is_not_affine(tmp_path, capsys):
+    record(scattered(8, 45), 8, off=0.05, play=1.0).save(tmp_path / "run.npz")
+    assert main(["calibrate", str(tmp_path / "run.npz"), "--out", str(tmp_path / "out")]) == 1
+    assert "memory" in capsys.readouterr().out
