@@ -179,8 +179,10 @@ def converted(model: Any, run: Run) -> Run:
         CalibrationError: the run has another number of servos than the calibration.
     """
     calibration: Calibration | None = getattr(model, "calibration", None)
+    if calibration is None:
+        return run
     encoded = run.present_ticks is not None and run.present is None
-    if calibration is None or not (encoded or run.ticks is not None):
+    if not encoded and run.ticks is None:
         return run
     if run.channels != len(calibration.b):
         raise CalibrationError(

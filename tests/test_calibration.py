@@ -330,6 +330,7 @@ def test_the_verb_writes_a_bundle_a_document_and_a_picture(tmp_path, capsys):
     assert main([*words, "--force"]) == 0
     told = capsys.readouterr().out
     assert "held out:" in told and "±" in told and "condition of A" in told
+    assert main(["check", str(out)]) == 0 and '"condition": 1.1' in capsys.readouterr().out
 
 
 def test_the_verb_ends_with_one_where_the_relation_is_not_affine(tmp_path, capsys):

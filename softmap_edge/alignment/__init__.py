@@ -1,1 +1,1 @@
-"""Camera or mocap frame → base frame, with its uncertainty; poses between points."""
+"""Camera or mocap frame → base frame, servo ticks → commands, each with its uncertainty; poses between points."""

@@ -92,7 +92,7 @@ class Calibrated:
         rows = []
         for i, unit in enumerate(c.b):
             a = "".join(f"{v:13.6f} ± {s:<8.6f}" for v, s in zip(c.A[i], c.sigma_A[i]))
-            rows.append(f"  u{i} {a}   b {unit:8.3f} ± {c.sigma_b[i]:.3f} {c.unit}   home {c.home[i]:.1f} ticks")
+            rows.append(f"  u{i} {a}   b {unit:8.3f} ± {c.sigma_b[i]:.3f} {c.unit}   home {c.home[i]:.7g} ticks")
         wrong = int((self.weight == 0).sum())
         aside = f", {wrong} of them set aside" if wrong else ""
         error = c.held_out
@@ -150,6 +150,7 @@ def calibrate(
         found.coefficients[:, :-1], found.coefficients[:, -1], origin, found.sigma[:, :-1], found.sigma[:, -1],
         _held_out(model, shown, held, away, found), run.hash(), len(seen.frame), len(held), window, model.command_unit,
     )  # fmt: skip
+    calibration.usable(model.command_range)  # or says why nothing is
     way = directions(shown, np.column_stack([ticks, calibration.commands(ticks)]))
     against = departures(gather(seen, matches, way), origin, model.command_unit)
     notes += [one.sentence for one in against] + _remarks(model, held, found, matches, calibration)

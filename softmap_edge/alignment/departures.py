@@ -171,9 +171,10 @@ def _told(
     gain = f"held-out error {before:.2g} → {after:.2g} {unit} RMS, {100 * better:.0f} % less"
     if kind == "memory":
         apart = 2.0 * np.linalg.norm(found.coefficients[:, count:], axis=0).max()
+        late = "" if held.still else ", or a delay, since frames are taken in motion"
         sentence = (
-            f"memory: the same ticks act {apart:.2g} {unit} apart on the way up and on the way down ({gain}); play, "
-            "friction or hysteresis, which no map of ticks has; `softmap diagnose` with the new bundle names it"
+            f"memory: the same ticks act {apart:.2g} {unit} apart on the way up and on the way down ({gain}): play, "
+            f"friction or hysteresis{late}, which no map of ticks has; `softmap diagnose` with the new bundle names it"
         )
     else:
         sentence = f"not affine: {what} ({gain}), up to {size[row]:.2g} {unit} off at ({place}) ticks from home"

@@ -181,12 +181,15 @@ def _bundle(path: Path, asking: bool = True) -> dict[str, Any]:
         return {"manifest": manifest, "effects": names, "params": params}
     model = open_model(str(path))
     chain = {"effects": list(model.chain_names), "params": model.params}
-    return {"manifest": manifest, **chain}
+    calibration = {} if model.calibration is None else {"calibration": model.calibration.to_dict()}
+    return {"manifest": manifest, **chain, **calibration}
 
 
 def _bundle_lines(document: dict[str, Any]) -> list[str]:
     manifest = document["manifest"]
     shown = {k: v for k, v in manifest.items() if k != "sha256"} | {"effects": document["effects"] or "none"}
+    if found := document.get("calibration"):
+        shown["calibration"] = {key: found[key] for key in ("A", "b", "home", "condition")}
     lines = [f"{key:<18} {_plain(value)}" for key, value in shown.items()]
     for name in manifest.get("own_effects", {}):
         file = Path(document["path"]) / f"{name}.py"

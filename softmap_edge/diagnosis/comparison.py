@@ -258,7 +258,7 @@ def template(model: Model, seen: Floats) -> Floats | None:
 
 
 def _model_digest(model: Model) -> str:
-    """A hash of what predicts: the prior's and the fields' arrays, the template, the chain and its parameters."""
+    """A hash of what predicts: the prior's and the fields' arrays, template, chain, parameters and calibration."""
     sha = hashlib.sha256()
     for room, arrays in sorted(model.arrays.items()):
         for name in sorted(arrays):
@@ -266,6 +266,7 @@ def _model_digest(model: Model) -> str:
             sha.update(np.ascontiguousarray(arrays[name]).tobytes())
     sha.update(np.ascontiguousarray(model.rest, dtype=float).tobytes())
     sha.update(repr(sorted(model.params.items())).encode())
+    sha.update(b"" if model.calibration is None else repr(model.calibration.to_dict()).encode())
     return sha.hexdigest()
 
 
