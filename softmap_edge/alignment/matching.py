@@ -11,7 +11,6 @@ out of the residuals and of the slopes. Units: mm, and the commands'. Pinned by 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Family = Callable[[Floats], Floats]
 
 STEPS, MOST_SHAPES = 41, 1700  # of the grid in each channel, and shapes at most; 41 is the grid of our own sweeps
 FEW = 150  # points by which the nearest shape is chosen where it is refined anyway
