@@ -239,8 +239,7 @@ class Model:
 
     def commands(self, run: Run) -> Floats:
         """Return the run's commands (T, C) as this model takes them: the present position if there is one."""
-        run = converted(self, run)
-        u = run.commands("goal" if self.input == "goal" else None)
+        u = (run := converted(self, run)).commands("goal" if self.input == "goal" else None)
         check_commands(self, run, u)
         return np.ascontiguousarray(u, float)
 
