@@ -144,6 +144,11 @@ def test_a_kink_at_home_is_told_where_it_is():
     assert found.departures[0].kind == "kink" and "all servos at home" in found.departures[0].sentence
 
 
+def test_what_no_form_explains_is_said_as_well():
+    found = calibrate(MODEL, record(scattered(9, 40), 9, off=0.9, wrong=0.0))
+    assert found.affine and "less sure than their ± says" in found.warnings[0]
+
+
 def test_home_is_the_place_that_was_dwelt_at_most_often(found):
     own = calibrate(MODEL, record(scattered(1), 1))
     np.testing.assert_array_equal(own.calibration.home, np.rint(HOME))
