@@ -45,6 +45,9 @@ POISSON = 0.45
 PHASE = (3.0, 6.0)  # degrees by which the tendons are turned about the axis, either way
 LEAN, MEASURED = 20.0, 2.0  # degrees: the mounting leans by at most, and is known to
 MADE_BY = "virtual finger of softmap-edge: simulated, no hardware"
+FRICTION = (
+    0.4  # of what a demo hides: a lubricated tendon, so that what a static correction can mend is the larger part
+)
 ENCODER = 1.0  # ticks, standard deviation
 CAMERAS = replace(TWO, points=5000, hole_mm=8.0)
 
@@ -193,7 +196,7 @@ def virtual_finger(
         phase_deg=float(phase),
         lean_deg=(float(lean[0]), float(lean[1])),
         declared_deg=(float(declared[0]), float(declared[1])),
-        friction=BoucWen.draw(rng, channels),
+        friction=BoucWen.draw(rng, channels).scaled(FRICTION),
         hidden=hide(hidden, seed, finger=finger).secrets if hidden else (),
         cameras=cameras,
     )

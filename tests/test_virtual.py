@@ -71,7 +71,7 @@ def test_each_difference_acts_and_nothing_else_does(virtual, measured):
         "modulus": {"modulus": 1.0},
     }
     moved = {name: rms(shapes - replace(virtual, **change).shapes(few)) for name, change in without.items()}
-    assert min(moved["phase"], moved["friction"], moved["lean"]) > 0.5 and moved["modulus"] > 0.05, moved
+    assert min(moved["phase"], moved["lean"]) > 0.5 and moved["friction"] > 0.15 and moved["modulus"] > 0.05, moved
     plain = replace(virtual, **{key: value for change in without.values() for key, value in change.items()})
     u = plain.truth.to_body(few)
     nominal = toured(Simulator(FINGER.replace(poisson=0.45)), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), u)

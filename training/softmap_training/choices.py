@@ -43,10 +43,10 @@ PUBLISHED_RESIDUAL = Recipe(epochs=150, batch=8, rate=1e-3, patience=40)
 RESIDUAL_WIDTHS, RESIDUAL_DROPOUT = (64, 256, 256, 64), 0.1  # released
 LAMBDA_L2, LAMBDA_LAP = 0.1, 0.05  # released
 # Ours: a few modes of what registration shows beyond the prior.
-RESIDUAL = Recipe(epochs=100, batch=4096, rate=5e-3, last=1e-3, decay=1e-2, patience=20, passes=30)
+RESIDUAL = Recipe(epochs=100, batch=4096, rate=3e-3, last=1e-3, decay=1.0, patience=40, passes=10)
 
-RESIDUAL_MODES, OUR_RESIDUAL_WIDTHS = 10, (32, 32)
+RESIDUAL_MODES, OUR_RESIDUAL_WIDTHS = 6, (32, 32)
+HELD_OUT = 4  # every so many of the eight blocks of a recording
 
-SPLIT = (0.8, 0.1, 0.1)  # of the simulated set: training, validation, test; drawn once from SPLIT_SEED
-SPLIT_SEED = 548
+SPLIT_SEED = 548  # of the frozen split of a simulated set, 80 / 10 / 10 (`simulated.py`)
 SAMPLES = 2000  # points of a cloud that Chamfer looks at while it trains

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from softmap_edge.commands import Verb
 
 
-def verbs() -> list[Any]:
-    """Return the verbs to add, as `softmap_edge.commands.Verb`s. None yet: `train` joins with the network prior."""
-    return []
+def verbs() -> list[Verb]:
+    """Return the verbs to add."""
+    return [Verb("train", "make a model", "train a prior or a residual network", "softmap_training.train_verb")]

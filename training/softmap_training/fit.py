@@ -57,6 +57,7 @@ def fit(
     progress: Progress | None = None,
     device: str = "cpu",
     tensorboard: bool = False,
+    until: int | None = None,
 ) -> list[dict[str, float]]:
     """Train a task's network in place, to its best epoch by validation, and return the log.
 
@@ -67,6 +68,7 @@ def fit(
         progress: told the share done and a line after every epoch.
         device: "cpu" or "cuda"; on a GPU matrices are multiplied in bfloat16.
         tensorboard: write its events too.
+        until: end with this many epochs of the recipe's and keep the last, whatever validation says.
 
     Raises:
         TrainingError: a checkpoint of something else, or numbers that are no longer finite.
@@ -81,9 +83,9 @@ def fit(
         folder.mkdir(parents=True, exist_ok=True)
         state = _resume(folder, task.key(recipe), network, optimizer, falls, draw) or state
     writer = _writer(folder) if tensorboard and folder is not None else None
-    for epoch in range(len(state.log), recipe.epochs):
+    for epoch in range(len(state.log), until or recipe.epochs):
         since = int(np.argmin([row["validation_mm"] for row in state.log])) if state.log else 0
-        if epoch - 1 - since >= recipe.patience:
+        if until is None and epoch - 1 - since >= recipe.patience:
             break
         ahead = time.perf_counter()
         total = _epoch(task, network, recipe, optimizer, falls, draw, device)
@@ -97,7 +99,7 @@ def fit(
             )
         numbers = (epoch, total, value, falls.get_last_lr()[0], time.perf_counter() - ahead)
         state.log.append(dict(zip(COLUMNS, map(float, numbers))))
-        if value < state.best:
+        if value < state.best or until is not None:
             state.best, state.weights = value, {k: v.detach().clone() for k, v in network.state_dict().items()}
         if folder is not None:
             _keep(folder, task.key(recipe), state, network, optimizer, falls, draw)

@@ -52,6 +52,7 @@ def train_prior(
     folder: Path | None = None,
     progress: Progress | None = None,
     device: str = "cpu",
+    tensorboard: bool = False,
 ) -> Trained:
     """Train a network from commands (S, C) mm to points (S, 3N) mm.
 
@@ -63,6 +64,7 @@ def train_prior(
         folder: where checkpoints and logs are kept.
         progress: told the share done and a line.
         device: "cpu" or "cuda".
+        tensorboard: write its events too.
 
     Raises:
         TrainingError: too few samples, or a checkpoint of something else.
@@ -89,7 +91,8 @@ def train_prior(
         return vertex_error(net(u[torch.as_tensor(validation)].to(at)).cpu().numpy(), points[validation])
 
     ahead = time.perf_counter()
-    log = fit(Task(network, len(train), loss, validate, [commands, points, train]), recipe, folder, progress, device)
+    task = Task(network, len(train), loss, validate, [commands, points, train])
+    log = fit(task, recipe, folder, progress, device, tensorboard)
     seconds = time.perf_counter() - ahead
     content = to_onnx(network, commands.shape[1], {"kind": kind, "seed": str(recipe.seed)})
     apart = checked(network, content, commands[test][:256])

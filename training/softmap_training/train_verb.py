@@ -1,0 +1,119 @@
+"""The verb train: a prior from simulated shapes, a residual from a recording; both end in a bundle."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from softmap_edge.commands.output import bundle_arguments, check_bundle
+from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.commands.progress import Bar
+from softmap_training.errors import TrainingError
+
+WORK = ".training"  # what the folder of checkpoints and logs ends in, beside the bundle
+
+
+def train_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `train`."""
+    what = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
+    prior = what.add_parser("prior", help="from a simulated set: commands → shapes")
+    prior.add_argument("set", help="simulated shapes of `softmap sweep` (.zarr or .npz)")
+    prior.add_argument(
+        "--model", choices=("modes", "published", "published_without_dropout"), default="modes",
+        help="ours, to a few modes (default), or the paper's network",
+    )  # fmt: skip
+    residual = what.add_parser("residual", help="from a recording: what the model misses, by command")
+    residual.add_argument("run", help="the recording (.npz), clouds or vertices")
+    residual.add_argument(
+        "--model", choices=("modes", "published"), default="modes", help="ours (default), or the paper's network"
+    )
+    for one in (prior, residual):
+        one.add_argument("--bundle", metavar="DIR", help="the model that it joins; the built-in finger without it")
+        effects_argument(one)
+        bundle_arguments(one)
+        one.add_argument("--work", metavar="DIR", help="checkpoints and log.csv; the bundle's name + .training")
+        one.add_argument("--epochs", type=int, help="another number of epochs")
+        one.add_argument("--seed", type=int, help="draws the first weights and the order (0)")
+        one.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where to train")
+        one.add_argument("--tensorboard", action="store_true", help="write events for TensorBoard beside the log")
+        one.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one document")
+
+
+def train(args: argparse.Namespace) -> int:
+    """Train a network and write the bundle that holds it."""
+    try:
+        import onnx  # noqa: F401
+        import torch
+    except ImportError:
+        raise TrainingError("torch or onnx is not installed: pip install 'softmap-training[torch]'") from None
+    if args.device == "cuda" and not torch.cuda.is_available():
+        raise TrainingError("--device cuda: torch sees no GPU here; leave it out to train on the processor")
+    if args.epochs is not None and not 1 <= args.epochs <= 1_000_000:
+        raise TrainingError(f"--epochs {args.epochs}: give 1 to 1000000")
+    if args.seed is not None and not 0 <= args.seed < 2**32:
+        raise TrainingError(f"--seed {args.seed}: give 0 to 4294967295")
+    from softmap_edge.bundle import save_bundle
+
+    check_bundle(args.out, args.force)
+    load_own(args)
+    base = open_model(args.bundle)
+    work = Path(args.work or f"{Path(args.out)}{WORK}")
+    with Bar(args.json) as bar:
+        model, report = (_prior if args.what == "prior" else _residual)(args, base, work, bar)
+    save_bundle(model, args.out)
+    document = {"schema": "softmap.train/1", "bundle": args.out, "what": args.what, "work": str(work), **report}
+    print(json.dumps(document) if args.json else _told(document))
+    if args.what == "residual":
+        return int(report["held_out_after_mm"] >= report["held_out_before_mm"])
+    return 0
+
+
+def _prior(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tuple[Any, dict[str, Any]]:
+    from softmap_training import choices
+    from softmap_training.prior import train_prior, with_prior
+    from softmap_training.simulated import SimulatedSet
+
+    data = SimulatedSet.load(args.set)
+    parts = data.split(choices.SPLIT_SEED)
+    points = data.shapes(range(len(data.command))).reshape(len(data.command), -1).astype(float)
+    recipe = choices.PRIOR if args.model == "modes" else choices.PUBLISHED_PRIOR
+    trained = train_prior(
+        data.command, points, (parts.train, parts.validation, parts.test), args.model,
+        recipe.with_(epochs=args.epochs, seed=args.seed), work, lambda share, line: bar("training", share), args.device,
+        args.tensorboard,
+    )  # fmt: skip
+    return with_prior(base, trained, data.command[parts.test], points[parts.test]), trained.report
+
+
+def _residual(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tuple[Any, dict[str, Any]]:
+    from softmap_edge.run import Run
+    from softmap_training import choices
+    from softmap_training.residual import train_residual
+
+    recipe = choices.RESIDUAL if args.model == "modes" else choices.PUBLISHED_RESIDUAL
+    return train_residual(
+        base, Run.load(args.run), args.model, recipe.with_(epochs=args.epochs, seed=args.seed), work,
+        lambda share, line: bar("training", share), args.device, tensorboard=args.tensorboard,
+    )  # fmt: skip
+
+
+def _told(document: dict[str, Any]) -> str:
+    """Return what is said of a training on a terminal."""
+    lines = [
+        f"{document['bundle']}: {document['what']} network ({document['kind']}), {document['epochs']} epochs in "
+        f"{document['seconds']:.0f} s; torch, onnxruntime and the core agree to {document['parity_mm']:.1g} mm"
+    ]
+    if document["what"] == "prior":
+        lines.append(
+            f"  {document['test_vertex_mm']:.3f} mm from the simulated vertices, mean of the test part (held out); "
+            f"{document['parameters']} numbers learned from {document['samples']} shapes"
+        )
+    else:
+        lines.append(
+            f"  {document['held_out_before_mm']:.2f} mm without it, {document['held_out_after_mm']:.2f} mm with it "
+            f"(mean distance from the vertices that were seen, held-out frames); learned from {document['frames']} "
+            f"frames; moves what the clamp holds by {document['clamp_moves_mm']:.2f} mm"
+        )
+    return "\n".join(lines)
