@@ -1,0 +1,31 @@
+"""docs/training.md as its reader runs it, on fewer commands and for fewer epochs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from page import blocks, lines
+
+pytest.importorskip("torch")
+
+from softmap_edge import Run, load_bundle
+from softmap_edge.cli import main
+
+PAGE = (Path(__file__).parents[1] / "docs/training.md").read_text(encoding="utf-8")
+SHORTER = {"sweep": ["--steps", "15"], "train prior": ["--epochs", "600"], "train residual": ["--epochs", "40"]}
+
+
+def test_every_command_works_and_both_errors_fall(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for _, text in blocks(PAGE):
+        for words in lines(text):
+            more = next((more for verb, more in SHORTER.items() if " ".join(words[1:]).startswith(verb)), [])
+            assert words[0] == "softmap" and main([*words[1:], *more]) == 0, words
+    prior = load_bundle("prior")
+    assert prior.kind == "network" and prior.made_from["prior"]["test_vertex_mm"] < 0.7
+    run, truth = Run.load("grid.npz"), np.load("grid_truth.npz")["vertices"]
+    assert run.vertices is None and run.command is None  # nothing of the truth is in it
+    off = [
+        np.linalg.norm(load_bundle(name).predict(run) - truth, axis=2).mean() for name in ("calibrated", "corrected")
+    ]
+    assert off[1] < 0.8 * off[0], off
