@@ -84,7 +84,7 @@ $(VENV)/.core: $(VENV)/.venv $(RUST) pyproject.toml
 
 # torch without what only GPUs need of it.
 $(VENV)/.test: $(VENV)/.core training/pyproject.toml training/cpu.txt
-	$(UV) --group pyproject.toml:test --override training/cpu.txt -e 'training[torch]'
+	$(UV) --group pyproject.toml:test --override training/cpu.txt -e 'training[torch,baselines]'
 	touch $@
 
 $(VENV)/.lint: $(VENV)/.core

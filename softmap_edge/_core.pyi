@@ -347,6 +347,7 @@ class Surface:
 @final
 class Registration:
     def __new__(cls, rest: _Floats, triangles: list[list[int]], base: list[int]) -> Registration: ...
+    def edges(self) -> tuple[NDArray[np.int64], NDArray[np.int64], _Floats]: ...
     def robust(
         self,
         shape: Shape,

@@ -131,7 +131,7 @@ REFUSED = {
     ),
     "ticks only": (
         lambda f: {k: v for k, v in f.items() if k != "command"} | {"ticks": np.rint(f["command"] * 100).astype(int)},
-        "convert them to mm with the calibration",
+        "`softmap calibrate RUN --bundle DIR --out DIR2` finds one",
     ),
     "nothing seen": (lambda f: {k: v for k, v in f.items() if k != "vertices"}, "the run holds neither"),
 }

@@ -342,3 +342,17 @@ def test_the_verb_ends_with_one_where_the_relation_is_not_affine(tmp_path, capsy
     record(scattered(8, 45), 8, off=0.05, play=1.0).save(tmp_path / "run.npz")
     assert main(["calibrate", str(tmp_path / "run.npz"), "--out", str(tmp_path / "out")]) == 1
     assert "memory" in capsys.readouterr().out
+
+
+def test_a_lean_that_is_declared_is_in_the_shapes_that_are_matched():
+    """Without it a robot that leans seems to have been told other commands."""
+    model, t = builtin_model(), np.arange(12.0)
+    commands = np.random.default_rng(5).uniform(-9.0, 9.0, (12, 2))
+    lean = np.array([np.sin(0.35), 0.0, np.cos(0.35)])
+    plain = Run(t=t, command=commands, t_seen=t, gravity=lean)
+    run = replace(plain, vertices=np.asarray(model.predict(plain)))
+    upright = replace(run, gravity=np.asarray(model.gravity_reference))
+    found = [match(model, one) for one in (run, upright)]
+    off = [np.median(np.abs(one.command - commands)[one.told]) for one in found]
+    assert found[0].mae_mm.max() < 0.05 < 0.1 < found[1].mae_mm.min()
+    assert off[0] < 0.05 < 0.3 < off[1], off

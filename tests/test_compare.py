@@ -50,6 +50,7 @@ class Lean:
     chain_names: tuple = ()
     params: dict = field(default_factory=dict)
     arrays: dict = field(default_factory=dict)
+    calibration: object = None
 
     @property
     def markers(self):

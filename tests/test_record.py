@@ -1,6 +1,7 @@
 """docs/record.md as written: its commands run, what it quotes is printed, and its times are those of the protocol."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from softmap_edge.experiment.blocks import BLOCKS as MOVES
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.experiment.command_file import read_commands
 from softmap_edge.protocol import standard_protocol
+from softmap_edge.protocol_virtual import virtual_protocol
+from softmap_edge.servo_ticks import PUBLISHED
 
 WEIGHT = {"payload.mass": 9.0}
 PAGE = (Path(__file__).parents[1] / "docs/record.md").read_text(encoding="utf-8")
@@ -42,6 +45,8 @@ def page(tmp_path_factory):
     hasty().save(there / "hasty.npz")
     marked(3, noise=0.05, play=0.05, rest=SIDES).save(there / "camera.npz")
     marked(4, noise=0.05, play=0.05, base=BASE[:3]).save(there / "markers.npz")
+    held = played(virtual_protocol("grid", 0, LIMITS))
+    replace(held, command=None, ticks=PUBLISHED.to_ticks(held.command)).save(there / "ticks.npz")
     hanging = plan(
         chosen(["home revisits", "triangles of growing size", "diagonals", "staircase with long dwells"]), LIMITS
     )

@@ -37,7 +37,7 @@ QUICK = choices.PRIOR.with_(epochs=150, batch=64)
 
 @pytest.fixture(scope="module")
 def quick():
-    return train_prior(GRID, POINTS, PARTS, "modes", QUICK)
+    return train_prior(GRID, POINTS, PARTS, "modes", None, QUICK)
 
 
 def stirred(network):
@@ -114,9 +114,9 @@ def test_a_network_of_another_finger_is_refused(quick):
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(quick):
-    again = train_prior(GRID, POINTS, PARTS, "modes", QUICK.with_(epochs=3))
-    assert again.content == train_prior(GRID, POINTS, PARTS, "modes", QUICK.with_(epochs=3)).content
-    assert again.content != train_prior(GRID, POINTS, PARTS, "modes", QUICK.with_(epochs=3, seed=1)).content
+    again = train_prior(GRID, POINTS, PARTS, "modes", None, QUICK.with_(epochs=3))
+    assert again.content == train_prior(GRID, POINTS, PARTS, "modes", None, QUICK.with_(epochs=3)).content
+    assert again.content != train_prior(GRID, POINTS, PARTS, "modes", None, QUICK.with_(epochs=3, seed=1)).content
 
 
 KILLED = """
@@ -126,19 +126,19 @@ from softmap_training.prior import train_prior
 from pathlib import Path
 def die(share, line):
     if share > 0.5: os.kill(os.getpid(), signal.SIGKILL)
-train_prior(here.GRID, here.POINTS, here.PARTS, "modes", here.QUICK.with_(epochs=10), Path(sys.argv[1]), die)
+train_prior(here.GRID, here.POINTS, here.PARTS, "modes", None, here.QUICK.with_(epochs=10), Path(sys.argv[1]), die)
 """
 
 
 def test_a_killed_training_goes_on_and_ends_as_if_it_had_not_been_killed(tmp_path):
     recipe = QUICK.with_(epochs=10)
-    whole = train_prior(GRID, POINTS, PARTS, "modes", recipe, tmp_path / "whole")
+    whole = train_prior(GRID, POINTS, PARTS, "modes", None, recipe, tmp_path / "whole")
     done = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "killed")], capture_output=True)
     assert done.returncode == -9, done.stderr.decode()
     assert len((tmp_path / "killed/log.csv").read_text().splitlines()) == 1 + 6
     epochs = []
     resumed = train_prior(
-        GRID, POINTS, PARTS, "modes", recipe, tmp_path / "killed", lambda share, line: epochs.append(line)
+        GRID, POINTS, PARTS, "modes", None, recipe, tmp_path / "killed", lambda share, line: epochs.append(line)
     )
     assert len(epochs) == 4 and resumed.content == whole.content
     lines = [
@@ -150,13 +150,13 @@ def test_a_killed_training_goes_on_and_ends_as_if_it_had_not_been_killed(tmp_pat
 
 def test_a_checkpoint_of_something_else_or_damaged_is_refused(tmp_path):
     recipe = QUICK.with_(epochs=2)
-    train_prior(GRID, POINTS, PARTS, "modes", recipe, tmp_path / "one")
+    train_prior(GRID, POINTS, PARTS, "modes", None, recipe, tmp_path / "one")
     with pytest.raises(TrainingError, match="other numbers"):
-        train_prior(GRID, POINTS, PARTS, "modes", recipe.with_(rate=0.1), tmp_path / "one")
+        train_prior(GRID, POINTS, PARTS, "modes", None, recipe.with_(rate=0.1), tmp_path / "one")
     shutil.copytree(tmp_path / "one", tmp_path / "two")
     (tmp_path / "two/checkpoint.pt").write_bytes(b"PK" + bytes(200))
     with pytest.raises(TrainingError, match="remove it"):
-        train_prior(GRID, POINTS, PARTS, "modes", recipe, tmp_path / "two")
+        train_prior(GRID, POINTS, PARTS, "modes", None, recipe, tmp_path / "two")
 
 
 def test_early_stopping_keeps_the_best_epoch():
@@ -176,7 +176,7 @@ def test_early_stopping_keeps_the_best_epoch():
 
 def test_a_rate_that_is_too_large_is_said(quick):
     with pytest.raises(TrainingError, match="too large for these data"):
-        train_prior(GRID, POINTS, PARTS, "modes", QUICK.with_(rate=1e30, epochs=3))
+        train_prior(GRID, POINTS, PARTS, "modes", None, QUICK.with_(rate=1e30, epochs=3))
 
 
 @pytest.mark.filterwarnings("ignore:Converting a tensor")  # torch's own, in gradcheck

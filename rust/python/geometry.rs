@@ -14,6 +14,12 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rayon::prelude::*;
 
+type Edges<'py> = (
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray1<f64>>,
+);
+
 /// Read points (N, 3).
 fn points(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<Vec3>> {
     let found = floats(name, value, &[("N", None), ("xyz", Some(3))])?.data;
@@ -138,6 +144,24 @@ impl PyRegistration {
     ) -> PyResult<PyRegistration> {
         let template = Template::new(points("rest", rest)?, triangles, base)?;
         Ok(PyRegistration { template })
+    }
+
+    /// The edges of the surface: one end (E,), the other (E,), and their cotangent weights (E,).
+    fn edges<'py>(&self, py: Python<'py>) -> Edges<'py> {
+        let edges = self.template.arap.edges();
+        let (mut first, mut other, mut weight) = (vec![], vec![], vec![]);
+        for i in 0..edges.len() {
+            for (j, w) in edges.of(i).filter(|(j, _)| i < *j) {
+                first.push(i as i64);
+                other.push(j as i64);
+                weight.push(w);
+            }
+        }
+        (
+            first.into_pyarray(py),
+            other.into_pyarray(py),
+            weight.into_pyarray(py),
+        )
     }
 
     /// Register `clouds` [(M, 3)] mm in parallel, each from the shape of the model nearest to it among the commands `candidates`

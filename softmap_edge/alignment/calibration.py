@@ -24,6 +24,7 @@ from softmap_edge.alignment.departures import Departure, departures
 from softmap_edge.alignment.held import Held, Seen, directions, gather, places, visits
 from softmap_edge.alignment.matching import Matches, match
 from softmap_edge.errors import CalibrationError
+from softmap_edge.leaning import leans
 from softmap_edge.outside import elsewhere
 from softmap_edge.registration.register import register
 from softmap_edge.run import Run, known
@@ -213,10 +214,10 @@ def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
         notes.append(f"the nearest shapes are {mae:.2g} mm off: is the run in the base frame, is it this robot?")
     if run.gravity is not None:
         lean = np.degrees(np.arccos(np.clip(np.atleast_2d(run.gravity) @ model.gravity_reference, -1.0, 1.0)))
-        if lean.max() > LEANING:
+        if lean.max() > LEANING and not leans(model, run):
             notes.append(
                 f"the robot leans {lean.max():.0f} deg from where the model was made, and its shapes are matched as if "
-                "it did not; calibrate a run in the model's orientation"
+                "it did not; calibrate a run in one orientation, with a model that knows its weight"
             )
     if run.load is not None and np.any(run.load):
         notes.append(f"a load of up to {np.max(run.load):.3g} g was on, which the matched shapes have not")
@@ -278,10 +279,12 @@ def _held_out(model: Model, run: Run, held: Held, away: Floats, found: Fit) -> d
     seen, t = np.asarray(model.points_in_mm(some), float), np.arange(len(order), dtype=np.float64)
     visible = known(some, seen)
 
+    lean = np.atleast_2d(run.gravity)[0] if run.gravity is not None and leans(model, run) else None
+
     def shape_error(u: Floats) -> float:
         still = replace(
             some, t=t, t_seen=t, command=u, ticks=None, present=None, present_ticks=None, current=None,
-            temperature=None, gravity=None, load=None, command_unit=model.command_unit,
+            temperature=None, gravity=lean, load=None, command_unit=model.command_unit,
         )  # fmt: skip
         distance = np.linalg.norm(model.predict(still) - seen, axis=2)[visible]
         return float(np.sqrt(np.mean(distance**2)))

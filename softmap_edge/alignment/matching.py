@@ -4,7 +4,7 @@
     u*(k) = argmin_u Σ w (Y_k − f(u))²,  l ≤ u ≤ h                Levenberg-Marquardt from there, w = 1 / sigma²
 
 The paper stops at j*: its answer is off by up to half a step of the grid, and by more between shapes that are alike.
-f is the prior of the model, with its residual if it has one; loads and other orientations are not in it.
+f is the prior of the model, with its residual if it has one, in the orientation of the run; loads are not in it.
 A cloud does not tell the roll of a round finger (`roll_seen` false): a turn of each section about the body is then left
 out of the residuals and of the slopes. Units: mm, and the commands'. Pinned by tests/test_calibration.py.
 """
@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import _core
 from softmap_edge.features import attach
+from softmap_edge.leaning import prior_in
 from softmap_edge.registration.register import ROLL_SEEN
 from softmap_edge.run import known
 
@@ -105,7 +105,7 @@ class _Shapes:
     """The shapes (n, N, 3) of a model at commands (n, C), as a run's points; their slopes, and turns about the body."""
 
     def __init__(self, model: Model, run: Run) -> None:
-        self.family = model.prior if model.residual is None else _core.Sum(model.prior, model.residual)
+        self.family = prior_in(model, run)
         own = model.markers or run.markers is None or run.marker_rest is None
         self.carry = None if own else attach(np.asarray(run.marker_rest, float), model.rest, run.marker_names)
         count = len(model.rest) if self.carry is None else len(self.carry)

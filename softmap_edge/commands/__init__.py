@@ -40,4 +40,7 @@ VERBS: list[Verb] = [
 ]
 
 # Verbs of distributions that may not be installed, and what to install for each.
-ELSEWHERE: dict[str, str] = {"train": "pip install 'softmap-training[torch]'"}
+ELSEWHERE: dict[str, str] = {
+    "train": "pip install 'softmap-training[torch]'",
+    "evaluate": "pip install softmap-training",
+}

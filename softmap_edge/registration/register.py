@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RegistrationError
+from softmap_edge.leaning import prior_in
 from softmap_edge.model import Model
 from softmap_edge.registration.clouds import clouds_of
 from softmap_edge.run import Run
@@ -120,7 +121,12 @@ def register(model: Model, of: Run | Sequence[Floats], mode: Mode = "robust") ->
         _check(k, cloud, model.rest)
     ahead = time.perf_counter()
     core = _core.Registration(model.rest, np.asarray(model.triangles).tolist(), clamped(model).tolist())
-    found = _robust(model, core, clouds) if mode == "robust" else _published(core, clouds)
+    if mode == "robust":
+        low, high = model.command_range.T
+        shape = prior_in(model, of if isinstance(of, Run) else None)
+        found = core.robust(shape, clouds, _candidates(model), low.tolist(), high.tolist())
+    else:
+        found = _published(core, clouds)
     seconds = time.perf_counter() - ahead
     frames = [_row(k, one, mode) for k, one in enumerate(found)]
     used = float(np.median([row["used"] for row in frames]))
@@ -164,11 +170,6 @@ def _check(k: int, cloud: Floats, rest: Floats) -> None:
                 f"cloud {k}: {ratio:.2g} times as large as the template, as if it were in {unit}; "
                 f"multiply by {1 / factor:g}"
             )
-
-
-def _robust(model: Model, core: _core.Registration, clouds: list[Floats]) -> list[dict[str, Any]]:
-    low, high = model.command_range.T
-    return core.robust(model.prior, clouds, _candidates(model), low.tolist(), high.tolist())
 
 
 def _published(core: _core.Registration, clouds: list[Floats]) -> list[dict[str, Any]]:

@@ -106,7 +106,7 @@ def _demand(value: Any, kind: Any, name: str) -> Any:
     return value
 
 
-PARAMETERS = "parameters fitted, ± 1 σ of the scatter alone; ratios have no unit"
+PARAMETERS = "fitted, ± 1 σ of the scatter alone; ratios have no unit"
 STATIC_ADDED = "+ static correction"
 LADDER_NOTE = (
     "Measured at the middles of the body's sections, or at the markers; a comparison takes every point. "

@@ -50,3 +50,9 @@ HELD_OUT = 4  # every so many of the eight blocks of a recording
 
 SPLIT_SEED = 548  # of the frozen split of a simulated set, 80 / 10 / 10 (`simulated.py`)
 SAMPLES = 2000  # points of a cloud that Chamfer looks at while it trains
+
+# Baselines: the paper gives their names alone.
+XGBOOST = {"n_estimators": 300, "max_depth": 6, "learning_rate": 0.1, "tree_method": "hist"}  # its own common values
+GP_SOME, GP_STEPS, GP_MODES = 400, 40, 6  # shapes, steps of the search and modes that lengths and noise are found on
+DEEPSORO_CODE, DEEPSORO_WIDTH = 64, 128
+DEEPSORO = Recipe(epochs=60, batch=16, rate=1e-3)

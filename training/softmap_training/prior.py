@@ -2,8 +2,12 @@
 
     û = f_θ(u),   loss = mean over the set of |f_θ(ũ) − ỹ|², ỹ what the last, fixed layer makes the outputs of
 
-Published: each output by its own mean and spread; ours: weights of the leading modes of the training shapes, all in one
-unit, so that the loss is the error in mm². Errors are told on the test part of one frozen split, at commands that are
+modes       ours: weights of the leading modes of the training shapes, all in one unit: the loss is the error in mm²
+published   the paper's, each output by its own mean and spread; also without its dropout
+laplacian, arap   the paper's layers to the shapes as `encodings.py` tells them, each number by its own mean and spread
+linear      least squares, no training
+
+Errors are told on the test part of one frozen split, at commands that are
 not in the training part. Everything else of the bundle (fields, tendons, effects) stays as it was. Units: mm.
 Pinned by tests/test_training.py.
 """
@@ -13,7 +17,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -22,16 +26,34 @@ from torch import Tensor, nn
 
 from softmap_edge import _core
 from softmap_edge.model import Model
+from softmap_edge.registration.register import clamped
+from softmap_training import encodings
 from softmap_training.choices import PRIOR, PRIOR_MODES, PRIOR_WIDTHS, PUBLISHED_PRIOR, Recipe
 from softmap_training.errors import TrainingError
 from softmap_training.export import checked, to_onnx
 from softmap_training.fit import Progress, Task, fit, seeded
-from softmap_training.networks import Modes, Scale, mode_prior, published_prior
+from softmap_training.networks import Modes, mode_prior, published_prior
 
 Floats = NDArray[np.float64]
-Kind = Literal["modes", "published", "published_without_dropout"]
+Indices = NDArray[np.int64]
+Kind = Literal["modes", "published", "published_without_dropout", "laplacian", "arap", "linear"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 PUBLISHED_DROPOUT = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The template that encodings need: vertices at rest (N, 3) mm, triangles (F, 3), the vertices that are held."""
+
+    rest: Floats
+    triangles: NDArray[np.int32]
+    held: Indices
+
+    @classmethod
+    def of(cls, model: Model) -> Surface:
+        """Return that of a model."""
+        return cls(model.rest, model.triangles, clamped(model))
 
 
 @dataclass(frozen=True)
@@ -46,8 +68,9 @@ class Trained:
 def train_prior(
     commands: Floats,
     points: Floats,
-    parts: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
+    parts: tuple[Indices, Indices, Indices],
     kind: Kind = "modes",
+    surface: Surface | None = None,
     recipe: Recipe | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
@@ -59,7 +82,8 @@ def train_prior(
     Args:
         commands, points: the simulated set.
         parts: indices of training, validation and test.
-        kind: "modes" (ours), or "published" with its dropout of 0.1, or without.
+        kind: out of KINDS, as above.
+        surface: what "laplacian" and "arap" are told about.
         recipe: other numbers than those of `choices.py`.
         folder: where checkpoints and logs are kept.
         progress: told the share done and a line.
@@ -74,17 +98,13 @@ def train_prior(
         raise TrainingError(f"parts of {len(train)}, {len(validation)} and {len(test)} samples; sweep more commands")
     recipe = recipe or (PRIOR if kind == "modes" else PUBLISHED_PRIOR)
     seeded(recipe.seed)
-    if kind == "modes":
-        network = mode_prior(commands[train], points[train], PRIOR_WIDTHS, PRIOR_MODES)
-    else:
-        network = published_prior(commands[train], points[train], PUBLISHED_DROPOUT if kind == "published" else 0.0)
-    u = torch.as_tensor(commands, dtype=torch.float32)
-    wanted = torch.as_tensor(before(network[-1], points), dtype=torch.float32)
+    network, targets, fixed = _made(kind, commands, points, train, surface)
+    u, wanted = (torch.as_tensor(array, dtype=torch.float32) for array in (commands, targets))
     rows = torch.as_tensor(train)
 
     def loss(net: nn.Sequential, some: Tensor) -> Tensor:
         chosen = rows.to(some.device)[some]
-        return (net[:-1](u.to(some.device)[chosen]) - wanted.to(some.device)[chosen]).square().mean()
+        return (net[:-fixed](u.to(some.device)[chosen]) - wanted.to(some.device)[chosen]).square().mean()
 
     def validate(net: nn.Sequential) -> float:
         at = next(net.parameters()).device
@@ -92,7 +112,7 @@ def train_prior(
 
     ahead = time.perf_counter()
     task = Task(network, len(train), loss, validate, [commands, points, train])
-    log = fit(task, recipe, folder, progress, device, tensorboard)
+    log = [] if kind == "linear" else fit(task, recipe, folder, progress, device, tensorboard)
     seconds = time.perf_counter() - ahead
     content = to_onnx(network, commands.shape[1], {"kind": kind, "seed": str(recipe.seed)})
     apart = checked(network, content, commands[test][:256])
@@ -111,13 +131,34 @@ def train_prior(
     return Trained(network, content, report)
 
 
-def before(last: nn.Module, points: Floats) -> Floats:
-    """Return what a fixed last layer has to be given (S, m) for points (S, 3N) mm."""
-    if isinstance(last, Modes):
-        mean, modes = last.mean.numpy().astype(np.float64), last.modes.numpy().astype(np.float64)
-        return np.asarray((points - mean) @ np.linalg.pinv(modes))
-    assert isinstance(last, Scale)
-    return np.asarray((points - last.shift.numpy()) / last.size.numpy())
+def _made(
+    kind: Kind, commands: Floats, points: Floats, train: Indices, surface: Surface | None
+) -> tuple[nn.Sequential, Floats, int]:
+    """Return a network, what it is to give (S, m) before its last layers, and how many of these are fixed."""
+    if kind == "modes":
+        network = mode_prior(commands[train], points[train], PRIOR_WIDTHS, PRIOR_MODES)
+        last = network[-1]
+        mean, modes = (b.numpy().astype(np.float64) for b in (last.mean, last.modes))
+        return network, (points - mean) @ np.linalg.pinv(modes), 1
+    if kind == "linear":
+        rows = np.column_stack([commands, np.ones(len(commands))])
+        found = np.linalg.lstsq(rows[train], points[train], rcond=None)[0]
+        return nn.Sequential(Modes(found[-1], found[:-1])), points, 1
+    if kind in ("laplacian", "arap"):
+        if surface is None:
+            raise TrainingError(f"'{kind}' tells shapes by their surface; give the model of the finger")
+        encode = encodings.laplacian if kind == "laplacian" else encodings.arap
+        told = encode(surface.rest, surface.triangles, surface.held, points)
+        network = published_prior(commands[train], told.codes[train], PUBLISHED_DROPOUT)
+        network.append(Modes(told.mean, told.modes))
+        return network, _normalised(network[-2], told.codes), 2
+    network = published_prior(commands[train], points[train], PUBLISHED_DROPOUT if kind == "published" else 0.0)
+    return network, _normalised(network[-1], points), 1
+
+
+def _normalised(last: Any, values: Floats) -> Floats:
+    """Return what a last layer that gives values (S, m) their spread has to be given."""
+    return np.asarray((values - last.shift.numpy()) / last.size.numpy())
 
 
 def with_prior(base: Model, trained: Trained, commands: Floats, points: Floats) -> Model:

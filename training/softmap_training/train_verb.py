@@ -21,8 +21,10 @@ def train_arguments(parser: argparse.ArgumentParser) -> None:
     prior = what.add_parser("prior", help="from a simulated set: commands → shapes")
     prior.add_argument("set", help="simulated shapes of `softmap sweep` (.zarr or .npz)")
     prior.add_argument(
-        "--model", choices=("modes", "published", "published_without_dropout"), default="modes",
-        help="ours, to a few modes (default), or the paper's network",
+        "--model", choices=("modes", "published", "published_without_dropout", "laplacian", "arap", "linear"),
+        default="modes",
+        help="ours, to a few modes (default); the paper's network, with dropout or without; its layers to Laplacian "
+        "coordinates or to rotations; least squares",
     )  # fmt: skip
     residual = what.add_parser("residual", help="from a recording: what the model misses, by command")
     residual.add_argument("run", help="the recording (.npz), clouds or vertices")
@@ -72,7 +74,7 @@ def train(args: argparse.Namespace) -> int:
 
 def _prior(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tuple[Any, dict[str, Any]]:
     from softmap_training import choices
-    from softmap_training.prior import train_prior, with_prior
+    from softmap_training.prior import Surface, train_prior, with_prior
     from softmap_training.simulated import SimulatedSet
 
     data = SimulatedSet.load(args.set)
@@ -80,7 +82,7 @@ def _prior(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tuple[A
     points = data.shapes(range(len(data.command))).reshape(len(data.command), -1).astype(float)
     recipe = choices.PRIOR if args.model == "modes" else choices.PUBLISHED_PRIOR
     trained = train_prior(
-        data.command, points, (parts.train, parts.validation, parts.test), args.model,
+        data.command, points, (parts.train, parts.validation, parts.test), args.model, Surface.of(base),
         recipe.with_(epochs=args.epochs, seed=args.seed), work, lambda share, line: bar("training", share), args.device,
         args.tensorboard,
     )  # fmt: skip

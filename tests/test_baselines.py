@@ -1,0 +1,87 @@
+"""Encodings that are undone exactly, and baselines that learn more than the mean shape."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+from softmap_training import choices, encodings
+from softmap_training.baselines import NAMES, fit_baseline
+from softmap_training.errors import TrainingError
+from softmap_training.prior import Surface, train_prior, vertex_error
+
+from softmap_edge import builtin_model
+
+BASE = builtin_model()
+LOW, HIGH = BASE.command_range.T
+RNG = np.random.default_rng(4)
+COMMANDS = RNG.uniform(LOW, HIGH, (160, 2))
+POINTS = np.asarray(BASE.prior.evaluate(COMMANDS))
+TRAIN, TEST = np.arange(120), np.arange(120, 160)
+SURFACE = Surface.of(BASE)
+MEAN = vertex_error(np.broadcast_to(POINTS[TRAIN].mean(axis=0), POINTS[TEST].shape), POINTS[TEST])
+
+
+def test_laplacian_coordinates_are_undone():
+    told = encodings.laplacian(SURFACE.rest, SURFACE.triangles, SURFACE.held, POINTS[:5])
+    back = told.mean + told.codes @ told.modes
+    assert np.abs(back - POINTS[:5]).max() < 0.02  # clamped vertices are held softly
+    assert np.abs(told.codes.reshape(5, -1, 3).sum(axis=1)).max() < 1e-6  # differences: they know no place
+
+
+def test_rotations_give_a_rigid_motion_back_exactly_and_a_bent_shape_nearly():
+    rest = SURFACE.rest
+    turn = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    moved = ((rest - rest[0]) @ turn.T + rest[0]).ravel()[None]
+    told = encodings.arap(rest, SURFACE.triangles, SURFACE.held[:1], moved)
+    np.testing.assert_allclose(
+        told.codes[0, : 9 * len(rest)].reshape(-1, 3, 3), np.broadcast_to(turn, (len(rest), 3, 3)), atol=1e-9
+    )
+    one = encodings.arap(rest, SURFACE.triangles, np.array([0]), moved)
+    np.testing.assert_allclose(one.mean + one.codes[0] @ one.modes, moved[0], atol=1e-6)
+    bent = encodings.arap(rest, SURFACE.triangles, SURFACE.held, POINTS[:8])
+    left = vertex_error(bent.mean + bent.codes @ bent.modes, POINTS[:8])
+    assert left < 0.05 * vertex_error(np.broadcast_to(rest.ravel(), POINTS[:8].shape), POINTS[:8])
+
+
+@pytest.mark.parametrize("kind", ["laplacian", "arap", "linear"])
+def test_an_encoded_prior_is_a_network_like_any_other(kind):
+    parts = TRAIN, TEST[:20], TEST[20:]
+    recipe = choices.PUBLISHED_PRIOR.with_(epochs=20)
+    found = train_prior(COMMANDS, POINTS, parts, kind, SURFACE, recipe)
+    assert found.report["test_vertex_mm"] < 0.8 * MEAN, (found.report["test_vertex_mm"], MEAN)
+    assert found.report["parity_mm"] < 1e-3
+
+
+def test_encodings_need_a_surface():
+    with pytest.raises(TrainingError, match="surface"):
+        train_prior(COMMANDS, POINTS, (TRAIN, TEST[:20], TEST[20:]), "arap")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_baseline_learns_and_the_same_seed_gives_the_same(name, monkeypatch):
+    if name == "xgboost" and importlib.util.find_spec("xgboost") is None:
+        pytest.skip("xgboost-cpu is not installed")
+    monkeypatch.setattr(choices, "DEEPSORO", choices.DEEPSORO.with_(epochs=60, rate=3e-3))
+    monkeypatch.setattr(choices, "DEEPSORO_WIDTH", 32)
+    monkeypatch.setattr(choices, "XGBOOST", choices.XGBOOST | {"n_estimators": 60})
+    fitted = fit_baseline(name, COMMANDS[TRAIN], POINTS[TRAIN])
+    found = fitted.predict(COMMANDS[TEST])
+    assert found.shape == POINTS[TEST].shape and fitted.numbers > 0
+    if name == "deepsoro":  # its points are no vertices
+        from softmap_training.evaluate import on_shapes
+
+        mean = np.broadcast_to(POINTS[TRAIN].mean(axis=0), POINTS[TEST].shape)
+        told = [on_shapes(name, lambda u, p=p: p[: len(u)], COMMANDS[TEST], POINTS[TEST], {}) for p in (found, mean)]
+        assert told[0].errors["chamfer"].mean() < told[1].errors["chamfer"].mean()
+    else:
+        assert vertex_error(found, POINTS[TEST]) < (0.6 if name == "xgboost" else 0.1) * MEAN
+    np.testing.assert_array_equal(found, fit_baseline(name, COMMANDS[TRAIN], POINTS[TRAIN]).predict(COMMANDS[TEST]))
+
+
+def test_a_baseline_that_there_is_not_is_said():
+    with pytest.raises(TrainingError, match="no baseline 'forest'"):
+        fit_baseline("forest", COMMANDS, POINTS)
