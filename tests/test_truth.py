@@ -226,7 +226,7 @@ def test_every_frame_is_the_equilibrium_found_on_its_own():
     body = truth._simulator(finger.finger, finger.modulus)
     own = [body.path(u[None], gravity=gravity, load=force) for u in finger.to_body(p)[chosen]]
     # Both stop where the next Newton step moves no node by 2e-4 mm.
-    assert np.abs(finger.shapes(p)[chosen] - np.concatenate(own)).max() < 2e-3
+    assert np.abs(finger.shapes(p, 8)[chosen // 8] - np.concatenate(own)).max() < 2e-3
     # What a sweep of the same finger would make of it: why frames are solved.
     assert np.abs(finger.rough(p, 9)[chosen] - np.concatenate(own)).max() > 0.1
 

@@ -201,8 +201,8 @@ def _reveal(story: Trial, files: dict[str, str], seconds: float) -> Sequence[str
     lines[-1] += f" {FLOOR_KIND})."
     if story.truth.secrets and story.fall is not None:
         lines.append(f"{100 * story.fall:.0f} % of the removable error is gone, on a run that was never fitted.")
-    found = [effect["name"] for effect in story.diagnosis.to_dict()["effects"]]
-    lines.append(f"Found:  {', '.join(found) or 'nothing'}")
+    found = story.diagnosis.to_dict()["effects"]
+    lines += [f"Found:  {effect['name']} ({_values(effect)})" for effect in found] or ["Found:  nothing"]
     if not story.truth.secrets:
         lines.append("Hidden: nothing (another mesh, another modulus and camera noise only)")
     for secret in story.truth.secrets:
@@ -212,6 +212,13 @@ def _reveal(story: Trial, files: dict[str, str], seconds: float) -> Sequence[str
     lines.append(f"Open {report}" if report else "A report with pictures needs: pip install 'softmap-edge[report]'")
     lines.append(f"({seconds:.0f} s)")
     return lines
+
+
+def _values(effect: dict[str, Any]) -> str:
+    """Return what was found of an effect, in the library's own form of its law."""
+    rows = {label.split(".", 1)[1]: row for label, row in effect["params"].items()}
+    units = {name: "" if row["unit"] == "1" else f" {row['unit']}" for name, row in rows.items()}
+    return ", ".join(f"{name} {row['value']:.3g}{units[name]}" for name, row in rows.items())
 
 
 def _plain(value: float | list[float]) -> str:

@@ -79,7 +79,8 @@ def _on_set(args: argparse.Namespace, models: dict[str, Any], asked: list[Any], 
         trained = dict(model.made_from.get("prior") or {})
         told = {"what": trained.get("kind", model.kind)}
         told |= {key: trained[key] for key in ("seconds", "parameters", "seed") if key in trained}
-        rows.append(on_shapes(name, model.prior.evaluate, u, true, told))
+        nodes = name if model.kind == "network" else f"{name} (made of them?)"  # a table may stand on these commands
+        rows.append(on_shapes(nodes, model.prior.evaluate, u, true, told))
     for k, name in enumerate(asked):
         bar("baselines", k / len(asked))
         fitted = fit_baseline(name, np.ascontiguousarray(data.command[parts.train]), every[parts.train], args.seed)
