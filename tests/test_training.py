@@ -91,6 +91,14 @@ def test_a_bundle_carries_the_network_and_answers_as_it_does(quick, tmp_path):
     assert np.abs(seen - again.features(run)).max() < 0.02
 
 
+def test_a_residual_of_another_prior_goes(quick):
+    from softmap_edge.residual import adapt
+
+    taught = adapt(BASE, replace(_run(GRID[::9]), vertices=POINTS[::9].reshape(-1, *BASE.rest.shape) + 0.5))[0]
+    assert taught.residual is not None
+    assert with_prior(taught, quick, GRID[PARTS[2]], POINTS[PARTS[2]]).residual is None
+
+
 def test_a_damaged_or_foreign_network_is_refused(quick, tmp_path):
     from softmap_edge.errors import BundleError
 

@@ -61,7 +61,7 @@ def test_the_truth_is_one_to_four_millimetres_from_the_nominal_model(virtual, me
 
 
 def test_each_difference_acts_and_nothing_else_does(virtual, measured):
-    """Without all of them only the elements are others: what is left is below the phase, the friction and the lean."""
+    """Without all of them only the elements are others: what is left is below the phase and the lean."""
     few = replace(PATHS, t_seen=PATHS.t_seen[[3, 6, 9]])
     shapes = virtual.shapes(few)
     without = {

@@ -8,6 +8,10 @@ What its authors' released files add: widths, dropout and both weights of the re
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
+
+PriorKind = Literal["modes", "published", "published_without_dropout", "laplacian", "arap", "linear"]
+ResidualKind = Literal["modes", "published"]
 
 
 @dataclass(frozen=True)
@@ -33,7 +37,7 @@ class Recipe:
 
 
 # The prior as published, and the same without dropout.
-PUBLISHED_PRIOR = Recipe(epochs=300, batch=64, rate=1e-3, patience=100)
+PUBLISHED_PRIOR = Recipe(epochs=500, batch=336, rate=2e-3, patience=200)
 # Ours: few numbers, many short epochs.
 PRIOR = Recipe(epochs=2500, batch=128, rate=5e-3, last=1e-3)
 PRIOR_WIDTHS, PRIOR_MODES = (96, 96, 96), 24

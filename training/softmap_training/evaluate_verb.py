@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from softmap_edge import _core
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
@@ -79,14 +80,21 @@ def _on_set(args: argparse.Namespace, models: dict[str, Any], asked: list[Any], 
         trained = dict(model.made_from.get("prior") or {})
         told = {"what": trained.get("kind", model.kind)}
         told |= {key: trained[key] for key in ("seconds", "parameters", "seed") if key in trained}
-        nodes = name if model.kind == "network" else f"{name} (made of them?)"  # a table may stand on these commands
-        rows.append(on_shapes(nodes, model.prior.evaluate, u, true, told))
+        rows.append(on_shapes(name + _nodes(model, u), model.prior.evaluate, u, true, told))
     for k, name in enumerate(asked):
         bar("baselines", k / len(asked))
         fitted = fit_baseline(name, np.ascontiguousarray(data.command[parts.train]), every[parts.train], args.seed)
         told = {"what": name, "seconds": fitted.seconds, "parameters": fitted.numbers, "seed": args.seed}
         rows.append(on_shapes(name, fitted.predict, u, true, told))
     return rows
+
+
+def _nodes(model: Any, u: Any) -> str:
+    """Return a remark for a table whose own nodes all these commands (n, C) are: it was told their shapes."""
+    if not isinstance(model.prior, _core.Table):
+        return ""
+    near = [np.abs(u[:, c, None] - axis).min(axis=1).max() for c, axis in enumerate(model.prior.axes)]
+    return " (told these shapes)" if max(near, default=1.0) < 1e-6 else ""
 
 
 def _on_run(args: argparse.Namespace, models: dict[str, Any], bar: Bar) -> list[Row]:

@@ -66,13 +66,7 @@ def mode_prior(commands: Floats, points: Floats, widths: Sequence[int], count: i
     _, size, modes = np.linalg.svd(points - mean, full_matrices=False)
     count = min(count, len(modes))
     reach = float(size[0] / np.sqrt(len(points)))  # mm, of all points together along the first mode
-    half, middle = 0.5 * np.ptp(commands, axis=0), 0.5 * (commands.max(axis=0) + commands.min(axis=0))
-    layers: list[nn.Module] = [Scale(middle, half)]
-    width = commands.shape[1]
-    for wide in widths:
-        layers += [nn.Linear(width, wide), nn.GELU()]
-        width = wide
-    return nn.Sequential(*layers, nn.Linear(width, count), Modes(mean, reach * modes[:count]))
+    return to_modes(commands, mean, reach * modes[:count], widths)
 
 
 def published_residual(commands: Floats, size: int, widths: Sequence[int], dropout: float) -> nn.Sequential:
@@ -88,12 +82,12 @@ def published_residual(commands: Floats, size: int, widths: Sequence[int], dropo
     return nn.Sequential(*layers, last)
 
 
-def mode_residual(commands: Floats, mean: Floats, modes: Floats, widths: Sequence[int], reach: float) -> nn.Sequential:
-    """Return our residual: GELU layers to weights of given `modes` (m, 3N), in units of `reach` mm, about `mean`."""
+def to_modes(commands: Floats, mean: Floats, modes: Floats, widths: Sequence[int]) -> nn.Sequential:
+    """Return GELU layers of `widths` from commands (S, C) mm to weights of `modes` (m, 3N) mm about `mean` (3N,)."""
     half, middle = 0.5 * np.ptp(commands, axis=0), 0.5 * (commands.max(axis=0) + commands.min(axis=0))
     layers: list[nn.Module] = [Scale(middle, half)]
     width = commands.shape[1]
     for wide in widths:
         layers += [nn.Linear(width, wide), nn.GELU()]
         width = wide
-    return nn.Sequential(*layers, nn.Linear(width, len(modes)), Modes(mean, reach * modes))
+    return nn.Sequential(*layers, nn.Linear(width, len(modes)), Modes(mean, modes))

@@ -7,8 +7,8 @@ published   the paper's, each output by its own mean and spread; also without it
 laplacian, arap   the paper's layers to the shapes as `encodings.py` tells them, each number by its own mean and spread
 linear      least squares, no training
 
-Errors are told on the test part of one frozen split, at commands that are
-not in the training part. Everything else of the bundle (fields, tendons, effects) stays as it was. Units: mm.
+Errors are told on the test part of one frozen split, at commands that are not in the training part. The rest of the
+bundle (fields, tendons, effects) stays as it was; a residual goes, it was learned on another prior. Units: mm.
 Pinned by tests/test_training.py.
 """
 
@@ -17,7 +17,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,7 +28,7 @@ from softmap_edge import _core
 from softmap_edge.model import Model
 from softmap_edge.registration.register import clamped
 from softmap_training import encodings
-from softmap_training.choices import PRIOR, PRIOR_MODES, PRIOR_WIDTHS, PUBLISHED_PRIOR, Recipe
+from softmap_training.choices import PRIOR, PRIOR_MODES, PRIOR_WIDTHS, PUBLISHED_PRIOR, PriorKind, Recipe
 from softmap_training.errors import TrainingError
 from softmap_training.export import checked, to_onnx
 from softmap_training.fit import Progress, Task, fit, seeded
@@ -36,8 +36,6 @@ from softmap_training.networks import Modes, mode_prior, published_prior
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Kind = Literal["modes", "published", "published_without_dropout", "laplacian", "arap", "linear"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
 
 PUBLISHED_DROPOUT = 0.1
 
@@ -69,7 +67,7 @@ def train_prior(
     commands: Floats,
     points: Floats,
     parts: tuple[Indices, Indices, Indices],
-    kind: Kind = "modes",
+    kind: PriorKind = "modes",
     surface: Surface | None = None,
     recipe: Recipe | None = None,
     folder: Path | None = None,
@@ -82,7 +80,7 @@ def train_prior(
     Args:
         commands, points: the simulated set.
         parts: indices of training, validation and test.
-        kind: out of KINDS, as above.
+        kind: as above.
         surface: what "laplacian" and "arap" are told about.
         recipe: other numbers than those of `choices.py`.
         folder: where checkpoints and logs are kept.
@@ -132,7 +130,7 @@ def train_prior(
 
 
 def _made(
-    kind: Kind, commands: Floats, points: Floats, train: Indices, surface: Surface | None
+    kind: PriorKind, commands: Floats, points: Floats, train: Indices, surface: Surface | None
 ) -> tuple[nn.Sequential, Floats, int]:
     """Return a network, what it is to give (S, m) before its last layers, and how many of these are fixed."""
     if kind == "modes":
@@ -175,6 +173,7 @@ def with_prior(base: Model, trained: Trained, commands: Floats, points: Floats) 
             f"the network maps {core.channels} commands to {core.size // 3} points, the bundle of '{base.robot}' "
             f"({base.kind}) {base.channels} to {len(base.rest)}; train it on a sweep of the same finger"
         )
+    base = base.with_residual(None)
     kept = {
         name: array
         for name, array in base.arrays["prior"].items()

@@ -15,7 +15,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,11 +34,9 @@ from softmap_training.choices import Recipe
 from softmap_training.errors import TrainingError
 from softmap_training.export import checked, to_onnx
 from softmap_training.fit import Progress, Task, fit, seeded
-from softmap_training.networks import mode_residual, published_residual
+from softmap_training.networks import published_residual, to_modes
 
 Floats = NDArray[np.float64]
-Kind = Literal["modes", "published"]
-
 LEAST_FRAMES = 12
 
 
@@ -89,7 +87,7 @@ def frames_of(model: Model, run: Run, registered: Registered | None = None) -> F
 def train_residual(
     model: Model,
     run: Run,
-    kind: Kind = "modes",
+    kind: choices.ResidualKind = "modes",
     recipe: Recipe | None = None,
     folder: Path | None = None,
     progress: Progress | None = None,
@@ -182,7 +180,7 @@ def _ours(
     modes = modes[: choices.RESIDUAL_MODES]
     modes[:, np.all(flat == 0.0, axis=0)] = 0.0  # what a clamp holds, exactly
     reach = float(size[0] / np.sqrt(len(train)))
-    network = mode_residual(frames.commands[train], mean, modes, choices.OUR_RESIDUAL_WIDTHS, reach)
+    network = to_modes(frames.commands[train], mean, reach * modes, choices.OUR_RESIDUAL_WIDTHS)
     u = torch.as_tensor(frames.commands, dtype=torch.float32)
     y = torch.as_tensor(flat, dtype=torch.float32)
     w = torch.as_tensor(frames.weight / frames.weight[train].mean(), dtype=torch.float32)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from softmap_edge.commands.output import bundle_arguments, check_bundle
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
+from softmap_training.choices import PriorKind, ResidualKind
 from softmap_training.errors import TrainingError
 
 WORK = ".training"  # what the folder of checkpoints and logs ends in, beside the bundle
@@ -21,15 +22,14 @@ def train_arguments(parser: argparse.ArgumentParser) -> None:
     prior = what.add_parser("prior", help="from a simulated set: commands → shapes")
     prior.add_argument("set", help="simulated shapes of `softmap sweep` (.zarr or .npz)")
     prior.add_argument(
-        "--model", choices=("modes", "published", "published_without_dropout", "laplacian", "arap", "linear"),
-        default="modes",
+        "--model", choices=get_args(PriorKind), default="modes",
         help="ours, to a few modes (default); the paper's network, with dropout or without; its layers to Laplacian "
         "coordinates or to rotations; least squares",
     )  # fmt: skip
     residual = what.add_parser("residual", help="from a recording: what the model misses, by command")
     residual.add_argument("run", help="the recording (.npz), clouds or vertices")
     residual.add_argument(
-        "--model", choices=("modes", "published"), default="modes", help="ours (default), or the paper's network"
+        "--model", choices=get_args(ResidualKind), default="modes", help="ours (default), or the paper's network"
     )
     for one in (prior, residual):
         one.add_argument("--bundle", metavar="DIR", help="the model that it joins; the built-in finger without it")
