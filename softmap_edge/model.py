@@ -16,20 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import _core
-from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.features import (
-    Body,
-    FeatureMap,
-    attach,
-    marker_features,
-    other_unit,
-    section_features,
-    seen_residual,
-    upright,
-)
+from softmap_edge import _core, views
+from softmap_edge.errors import SoftmapError
+from softmap_edge.features import Body, FeatureMap, marker_features, section_features, upright
 from softmap_edge.outside import check_commands
-from softmap_edge.predictors import Contact, Shape, projected, stations, whole
+from softmap_edge.predictors import Contact, Shape, stations, whole
 from softmap_edge.shape_arrays import family_from
 from softmap_edge.ticks import Calibration, converted
 
@@ -42,7 +33,7 @@ Arrays = dict[str, NDArray[np.generic]]
 TIP_PER_NEWTON = 0.1  # where stiffness is not known: 1 N across the tip moves it by this share of the length
 NOMINAL = "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
 BEFORE = ("numbers_before", "error_before_mm")  # arrays of a prior whose numbers were changed with an effect
-CARRIED = 4  # places of markers that are kept, as runs that are diagnosed together have them
+KEPT_VIEWS = 4  # as many as runs that are diagnosed together may differ in
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +73,7 @@ class Model:
     arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
     residual: Shape | None = None  # commands (n, C) to flattened points (n, 3N) mm
     calibration: Calibration | None = None  # of the servos: what a run's ticks are in commands
-    _attached: dict[bytes, Floats] = field(default_factory=dict, init=False, repr=False)
-    _carried: dict[bytes, _core.Predictor] = field(default_factory=dict, init=False, repr=False)
+    _views: dict[tuple[bytes, bool], views.View] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def channels(self) -> int:
@@ -101,23 +91,24 @@ class Model:
         return _core.Chain(list(self.chain_names), self.channels)
 
     @cached_property
-    def _lie(self) -> Body:
+    def lie(self) -> Body:
+        """How the points lie along the body."""
         return upright(self.rest) if self.body is None else self.body
 
     @property
     def sections(self) -> NDArray[np.int64]:
         """Section (N,) of each point: slices along the body, or the marker's own number."""
-        return np.arange(len(self.rest)) if self.markers else self._lie.section
+        return np.arange(len(self.rest)) if self.markers else self.lie.section
 
     @property
     def along(self) -> Floats:
         """Place (N,) mm of each vertex along the body."""
-        return self._lie.along
+        return self.lie.along
 
     @cached_property
     def feature_map(self) -> FeatureMap:
         """The linear map from points to features."""
-        return marker_features(len(self.rest)) if self.markers else section_features(self._lie)
+        return marker_features(len(self.rest)) if self.markers else section_features(self.lie)
 
     @property
     def positions(self) -> NDArray[np.bool_]:
@@ -245,8 +236,8 @@ class Model:
 
     def predict(self, run: Run) -> Floats:
         """Return the points (K, N, 3) mm at the run's seen times; markers of the run if it has markers."""
-        vertices = self._points.predict(self.chain, self.chain_params[None], self.inputs(run))[0]
-        carry = self._carry(run)
+        vertices = self.points.predict(self.chain, self.chain_params[None], self.inputs(run))[0]
+        carry = self.view(run).carry
         return vertices if carry is None else np.asarray(np.einsum("mn,knc->kmc", carry, vertices))
 
     def features(self, run: Run) -> Floats:
@@ -274,7 +265,7 @@ class Model:
         What `inputs` makes of the run may be given, here and below, where it is asked again and again.
         """
         chain = self.chain if tuple(names) == self.chain_names else _core.Chain(list(names), self.channels)
-        return self._feature_predictor(run).predict(chain, params, inputs or self.inputs(run))
+        return self.view(run).predictor.predict(chain, params, inputs or self.inputs(run))
 
     def through(self, weights: Floats, run: Run) -> _core.Predictor | None:
         """Return the predictor of linear forms of the features, `weights` (3V, M); None where shapes are no tables.
@@ -283,7 +274,7 @@ class Model:
         """
         filled = np.zeros((len(weights), -(-weights.shape[1] // 3) * 3))
         filled[:, : weights.shape[1]] = weights
-        return self._feature_predictor(run).through(filled)
+        return self.view(run).predictor.through(filled)
 
     def predict_forms(
         self, forms: _core.Predictor, names: Sequence[str], params: Floats, inputs: _core.Inputs
@@ -295,106 +286,49 @@ class Model:
     def acting(self, names: Sequence[str], params: Floats, run: Run, inputs: _core.Inputs | None = None) -> Floats:
         """Return what a chain of `names` makes of the commands, (B, K, C) at the seen times, for sets (B, P)."""
         chain = _core.Chain(list(names), self.channels)
-        return self._feature_predictor(run).acting(chain, params, inputs or self.inputs(run))
+        return self.view(run).predictor.acting(chain, params, inputs or self.inputs(run))
 
     def slopes(
         self, names: Sequence[str], params: Floats, step: Floats, run: Run, inputs: _core.Inputs | None = None
     ) -> Floats:
         """Return the slopes (C, K, V, 3) of the features over what acts, `step` (C,) to both sides of one set (P,)."""
-        chain, predictor = _core.Chain(list(names), self.channels), self._feature_predictor(run)
+        chain, predictor = _core.Chain(list(names), self.channels), self.view(run).predictor
         return predictor.slopes(chain, params[None], inputs or self.inputs(run), np.asarray(step, float))
 
     def seen_features(self, run: Run) -> Floats:
         """Return the measured features (K, V, 3) mm; NaN where too little was seen."""
-        seen, visible = self.points_in_mm(run), run.visible
-        mapping = self.run_feature_map(run)
-        if visible is None or bool(np.all(visible)):
-            return mapping(seen)
-        if self._carry(run) is not None or self.markers:
-            return np.where(visible[..., None], seen, np.nan)
-        return self.features(run) + seen_residual(seen - self.predict(run), self._lie, visible)
+        return views.seen_features(self, run)
 
     def seen_points(self, run: Run) -> Floats:
         """Return the run's points (K, N, 3) mm after checking that they are points of this robot."""
-        seen = run.seen_points
-        wanted = len(self.rest) if self._carry(run) is None else seen.shape[1]
-        if seen.shape[1] != wanted:
-            raise RunError(
-                f"the run has {seen.shape[1]} points a frame, this model of '{self.robot}' has {wanted}; "
-                "it is a run of another robot or template"
-            )
-        return np.asarray(seen, float)
+        return views.seen_points(self, run)
 
     def points_in_mm(self, run: Run) -> Floats:
         """Return the same after checking that they are as large as the robot, so that no effect stands for a unit."""
-        seen = self.seen_points(run)
-        rest = self.rest if self._carry(run) is None else np.asarray(run.marker_rest, float)
-        shown = seen if run.visible is None else np.where(run.visible[..., None], seen, np.nan)
-        if (found := other_unit(shown, rest)) is not None:
-            raise RunError(
-                f"wrong units: the run's points spread {found[0]:.3g} times as far as those of '{self.robot}', which "
-                f"looks like {found[1]}; give the points in mm (`unit` of the mapping)"
-            )
-        return seen
+        return views.points_in_mm(self, run)
 
     def run_feature_map(self, run: Run) -> FeatureMap:
-        """Return the feature map for this run: sections for vertices, the markers themselves for markers."""
-        carry = self._carry(run)
-        return self.feature_map if carry is None else marker_features(len(carry))
+        """Return what makes features (V) of the run's points: sections of vertices, the markers themselves."""
+        return self.view(run).mapping
 
     def run_form_error(self, run: Run) -> Floats:
         """Return the model's own held-out error (V, 3) mm for the features of this run, in its orientations."""
-        carry = self._carry(run)
-        error = self.form_error
-        if carry is not None:
-            error = np.full((len(carry), 3), self.vertex_error_mm / np.sqrt(3.0))
-        return np.asarray(error * np.sqrt(np.mean(np.sum(self.run_leaning(run) ** 2, axis=1))))
+        return views.form_error(self, run)
 
     def run_leaning(self, run: Run) -> Floats:
-        """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z over that of the reference.
+        """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z over that of the reference."""
+        return views.leaning(self, run)
 
-        What a model errs for a lean is another number in another orientation, though the command be the same.
-        """
-        rows = np.zeros((len(run.t_seen), 4))
-        rows[:, 0] = 1.0
-        if run.gravity is not None and self.error_per_g_mm:
-            away = np.broadcast_to(run.gravity, (len(run.t), 3)) - self.gravity_reference
-            near = np.clip(np.searchsorted(run.t, run.t_seen), 0, len(run.t) - 1)
-            rows[:, 1:] = self.error_per_g_mm / max(self.vertex_error_mm, 1e-9) * away[near]
-        return rows
-
-    def _carry(self, run: Run) -> Floats | None:
-        """Weights (M, N) that carry a run's markers on the template; None where points are the model's own."""
-        if self.markers or run.markers is None:
-            return None
-        if run.marker_rest is None:
-            raise RunError(
-                f"the run has {run.markers.shape[1]} markers but no `marker_rest` (M, 3) mm, so it is not known which "
-                f"place on the model of '{self.robot}' each one is; give marker_rest_mm in the mapping, or with "
-                "--bundle a model learnt from such markers"
-            )
-        key = run.marker_rest.tobytes()  # a fit asks for every prediction; frames of one run share their places
-        if key not in self._attached:
-            if len(self._attached) >= CARRIED:
-                self._attached.clear()
-            self._attached[key] = attach(np.asarray(run.marker_rest, float), self.rest, run.marker_names)
-        return self._attached[key]
+    def view(self, run: Run) -> views.View:
+        """Return how this model sees the run's points; kept, for a fit asks for every prediction."""
+        key = views.key_of(self, run)
+        if key not in self._views:
+            if len(self._views) >= KEPT_VIEWS:
+                self._views.clear()
+            self._views[key] = views.view_of(self, run)
+        return self._views[key]
 
     @cached_property
-    def _points(self) -> _core.Predictor:
+    def points(self) -> _core.Predictor:
+        """The predictor of all points."""
         return whole(self)
-
-    @cached_property
-    def _sections_predictor(self) -> _core.Predictor:
-        return projected(self, self.feature_map)
-
-    def _feature_predictor(self, run: Run) -> _core.Predictor:
-        carry = self._carry(run)
-        if carry is None or run.marker_rest is None:
-            return self._points if self.markers else self._sections_predictor
-        key = run.marker_rest.tobytes()  # as in `_carry`: a fit asks thousands of times
-        if key not in self._carried:
-            if len(self._carried) >= CARRIED:
-                self._carried.clear()
-            self._carried[key] = projected(self, FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry))))
-        return self._carried[key]

@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.features import attach
 from softmap_edge.leaning import prior_in
-from softmap_edge.registration.register import ROLL_SEEN
 from softmap_edge.run import known
+from softmap_edge.views import roll_seen
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -106,13 +105,11 @@ class _Shapes:
 
     def __init__(self, model: Model, run: Run) -> None:
         self.family = prior_in(model, run)
-        own = model.markers or run.markers is None or run.marker_rest is None
-        self.carry = None if own else attach(np.asarray(run.marker_rest, float), model.rest, run.marker_names)
+        self.carry = model.view(run).carry
         count = len(model.rest) if self.carry is None else len(self.carry)
         section = model.sections if self.carry is None else np.arange(count)
         self.member = (section[:, None] == np.unique(section)).astype(float)  # (N, S)
-        told = run.extra.get(ROLL_SEEN)
-        self.roll_seen = told is None or bool(np.all(told)) or self.carry is not None or self.member.shape[1] < 2
+        self.roll_seen = roll_seen(model, run) or self.member.shape[1] < 2
 
     def __call__(self, u: Floats) -> Floats:
         points = np.asarray(self.family.evaluate(np.ascontiguousarray(u))).reshape(len(u), -1, 3)

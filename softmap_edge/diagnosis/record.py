@@ -19,6 +19,7 @@ from softmap_edge.diagnosis.layout import Layout, layout_of, per_mm
 from softmap_edge.diagnosis.paired import Replay, pair
 from softmap_edge.errors import SoftmapError
 from softmap_edge.ticks import converted
+from softmap_edge.views import ROLL_SEEN
 
 if TYPE_CHECKING:
     from softmap_edge.run import Run
@@ -37,6 +38,7 @@ class Record:
     seen: Floats  # (K, F) mm
     form_error: Floats  # (V, 3) mm
     _leaning: Floats  # (K, d)
+    roll_seen: bool  # whether frames tell what the body does about its own axis
     doubts: tuple[str, ...] = ()  # about the runs, sentences without a stop, which go with any verdict
     static: Floats | None = None  # (K, F) mm, what the model's residual is here: it is taken out, `model` is without it
 
@@ -93,6 +95,7 @@ class Record:
         self.form_error = np.asarray(model.run_form_error(run), float)
         self._leaning = np.asarray(model.run_leaning(run), float)
         self.block: NDArray[Any] | None = run.block
+        self.roll_seen = bool(np.all(getattr(run, "extra", {}).get(ROLL_SEEN, True)))
 
     @property
     def begins(self) -> NDArray[np.intp]:

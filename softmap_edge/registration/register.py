@@ -23,6 +23,7 @@ from softmap_edge.leaning import prior_in
 from softmap_edge.model import Model
 from softmap_edge.registration.clouds import clouds_of
 from softmap_edge.run import Run
+from softmap_edge.views import ROLL_SEEN
 
 Floats = NDArray[np.float64]
 Mode = Literal["robust", "paper"]
@@ -40,7 +41,6 @@ NEAR_UNIT = 2.0  # factor between the extent of a cloud and that of the template
 POOR, LOST = 0.8, 0.5  # share of a cloud that counts: less is worth a word; less is another object
 NEAR_COST = 0.1  # of the robust cost between two starts of different shape: closer, the wrong one may have won
 TOLD = 5  # frames with warnings that are printed
-ROLL_SEEN = "roll_seen"  # field of a run: whether it shows what the body does about its own axis
 
 
 @dataclass(frozen=True, eq=False)

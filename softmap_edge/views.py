@@ -1,0 +1,134 @@
+"""How the points of a run are seen by a model: as features of its own, or of markers carried on its template.
+
+A run of vertices or of the model's own markers gives the model's features; markers on a template are features of their
+own. Vertices laid onto clouds (`softmap register`) say `roll_seen = false`: what a round finger does about its own axis
+is not in them, so of its features the places of sections count and the directions do not. Units: mm.
+Pinned by tests/test_markers.py and tests/test_clouds_diagnosis.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import RunError
+from softmap_edge.features import FeatureMap, attach, marker_features, other_unit, seen_residual
+from softmap_edge.predictors import projected
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+    from softmap_edge.run import Run
+
+Floats = NDArray[np.float64]
+ROLL_SEEN = "roll_seen"  # field of a run: whether it shows what the body does about its own axis
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What stands between a model and the features of a run.
+
+    `carry` (M, N) carries markers on the template, None where points are the model's own; `mapping` makes features of
+    the run's points; `rows` are those among the model's own features; `predictor` gives the features.
+    """
+
+    carry: Floats | None
+    mapping: FeatureMap
+    rows: NDArray[np.intp]
+    predictor: _core.Predictor
+
+
+def key_of(model: Model, run: Run) -> tuple[bytes, bool]:
+    """Return what tells the views of a model on different runs apart.
+
+    Raises:
+        RunError: markers of which nobody says where they are on the template.
+    """
+    if model.markers or run.markers is None:
+        return b"", roll_seen(model, run)
+    if run.marker_rest is None:
+        raise RunError(
+            f"the run has {run.markers.shape[1]} markers but no `marker_rest` (M, 3) mm, so it is not known which "
+            f"place on the model of '{model.robot}' each one is; give marker_rest_mm in the mapping, or with "
+            "--bundle a model learnt from such markers"
+        )
+    return run.marker_rest.tobytes(), True
+
+
+def view_of(model: Model, run: Run) -> View:
+    """Return how a model sees a run; made once for each `key_of`."""
+    if not model.markers and run.markers is not None:
+        carry = attach(np.asarray(run.marker_rest, float), model.rest, run.marker_names)
+        whole = FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry)))
+        return View(carry, marker_features(len(carry)), np.zeros(0, np.intp), projected(model, whole))
+    own, rows = model.feature_map, np.arange(len(model.positions))
+    if not roll_seen(model, run):
+        rows = np.flatnonzero(own.positions)
+        own = FeatureMap(own.weights[rows], own.positions[rows], own.section[rows])
+    return View(None, own, rows, model.points if model.markers else projected(model, own))
+
+
+def roll_seen(model: Model, run: Run) -> bool:
+    """Return whether a run tells what the body does about its own axis, or the model has no features of that."""
+    return run.vertices is None or bool(np.all(run.extra.get(ROLL_SEEN, True))) or bool(model.positions.all())
+
+
+def seen_features(model: Model, run: Run) -> Floats:
+    """Return the measured features (K, V, 3) mm; NaN where too little was seen."""
+    seen, visible, view = points_in_mm(model, run), run.visible, model.view(run)
+    if visible is None or bool(np.all(visible)):
+        return view.mapping(seen)
+    if view.carry is not None or model.markers:
+        return np.where(visible[..., None], seen, np.nan)
+    return model.features(run) + seen_residual(seen - model.predict(run), model.lie, visible)[:, view.rows]
+
+
+def seen_points(model: Model, run: Run) -> Floats:
+    """Return a run's points (K, N, 3) mm after checking that they are points of this robot."""
+    seen, carry = run.seen_points, model.view(run).carry
+    wanted = len(model.rest) if carry is None else seen.shape[1]
+    if seen.shape[1] != wanted:
+        raise RunError(
+            f"the run has {seen.shape[1]} points a frame, this model of '{model.robot}' has {wanted}; "
+            "it is a run of another robot or template"
+        )
+    return np.asarray(seen, float)
+
+
+def points_in_mm(model: Model, run: Run) -> Floats:
+    """Return the same after checking that they are as large as the robot, so that no effect stands for a unit."""
+    seen = seen_points(model, run)
+    rest = model.rest if model.view(run).carry is None else np.asarray(run.marker_rest, float)
+    shown = seen if run.visible is None else np.where(run.visible[..., None], seen, np.nan)
+    if (found := other_unit(shown, rest)) is not None:
+        raise RunError(
+            f"wrong units: the run's points spread {found[0]:.3g} times as far as those of '{model.robot}', which "
+            f"looks like {found[1]}; give the points in mm (`unit` of the mapping)"
+        )
+    return seen
+
+
+def form_error(model: Model, run: Run) -> Floats:
+    """Return a model's own held-out error (V, 3) mm for the features of a run, in its orientations."""
+    view = model.view(run)
+    error = model.form_error[view.rows]
+    if view.carry is not None:
+        error = np.full((len(view.carry), 3), model.vertex_error_mm / np.sqrt(3.0))
+    return np.asarray(error * np.sqrt(np.mean(np.sum(leaning(model, run) ** 2, axis=1))))
+
+
+def leaning(model: Model, run: Run) -> Floats:
+    """Return (K, 4) of each seen frame: 1, and the error for leaning along x, y, z over that of the reference.
+
+    What a model errs for a lean is another number in another orientation, though the command be the same.
+    """
+    rows = np.zeros((len(run.t_seen), 4))
+    rows[:, 0] = 1.0
+    if run.gravity is not None and model.error_per_g_mm:
+        away = np.broadcast_to(run.gravity, (len(run.t), 3)) - model.gravity_reference
+        near = np.clip(np.searchsorted(run.t, run.t_seen), 0, len(run.t) - 1)
+        rows[:, 1:] = model.error_per_g_mm / max(model.vertex_error_mm, 1e-9) * away[near]
+    return rows
