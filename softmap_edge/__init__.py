@@ -12,6 +12,7 @@ from softmap_edge.errors import SoftmapError
 
 if TYPE_CHECKING:
     from softmap_edge._core import effects
+    from softmap_edge.adaptation import adapt
     from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
     from softmap_edge.diagnosis.comparison import Comparison, compare
     from softmap_edge.diagnosis.diagnose import diagnose, refit
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from softmap_edge.model import Model
     from softmap_edge.own_effect import forget_effect, load_effect
     from softmap_edge.report.html import write_html
-    from softmap_edge.residual import adapt
+    from softmap_edge.residual import learn_residual
     from softmap_edge.rod.learn import learn_model
     from softmap_edge.rod.robot import Robot
     from softmap_edge.run import Run
@@ -54,6 +55,7 @@ __all__ = [
     "guess_mapping",
     "import_logs",
     "learn_model",
+    "learn_residual",
     "load_bundle",
     "load_effect",
     "next_experiment",
@@ -67,6 +69,7 @@ __all__ = [
 # Which module of the package holds which public name.
 _HOMES = {
     "_core": ["effects"],
+    "adaptation": ["adapt"],
     "solid.build": ["build_model"],
     "bundle": ["builtin_model", "load_bundle", "save_bundle"],
     "diagnosis.comparison": ["Comparison", "compare"],
@@ -81,7 +84,7 @@ _HOMES = {
     "model": ["Model"],
     "own_effect": ["forget_effect", "load_effect"],
     "report.html": ["write_html"],
-    "residual": ["adapt"],
+    "residual": ["learn_residual"],
     "rod.robot": ["Robot"],
     "rod.learn": ["learn_model"],
     "run": ["Run"],

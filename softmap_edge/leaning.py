@@ -1,8 +1,9 @@
-"""The shapes of a model as they are in the orientation of a run: what clouds and frames are matched against.
+"""The shapes of a model as they are in the orientations of a run: what clouds and frames are matched against.
 
-A prior is made in one orientation. Where a run declares another, the model's fields bend it: its shapes on a grid of
-commands, in their leading modes, are then a table that is as quick as the prior. One orientation a run; where it has
-several, the prior stands. Units: mm, g. Pinned by tests/test_registration.py, tests/test_calibration.py.
+A prior is made in one orientation. Where frames declare another, the model's fields bend it: its shapes on a grid of
+commands, in their leading modes, are then a table that is as quick as the prior, one for each orientation of the run.
+Where these are more than MOST (a robot that is carried about), the prior stands. Units: mm, g.
+Pinned by tests/test_registration.py, tests/test_calibration.py.
 """
 
 from __future__ import annotations
@@ -20,29 +21,65 @@ if TYPE_CHECKING:
     from softmap_edge.predictors import Shape
 
 Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
-NEAR = 0.02  # g: an orientation nearer to the prior's is the prior's; 1 degree
+NEAR = 0.02  # g: orientations nearer to each other are one; 1 degree
+MOST = 6  # orientations of a run
 NODES = {1: 41, 2: 25, 3: 9}  # commands a channel
 MODES = 32
 
 
-def prior_in(model: Model, run: Run | None) -> Shape:
-    """Return the prior of a model, with its residual, under the orientation that a run declares.
+def priors_in(model: Model, run: Run) -> list[tuple[Rows, Shape]]:
+    """Return the frames (n,) of each orientation that a run declares, and the prior of a model in it.
 
     Args:
-        model: its fields say how it hangs; its effects are not in it.
-        run: the recording; None, or one without an orientation of its own, gives the prior as it is.
+        model: its fields say how it hangs; its residual is in it, its effects are not.
+        run: the recording; frames without an orientation of their own get the prior as it is.
 
     Returns:
-        Shape: commands (n, C) to points (n, 3N) mm.
+        list: numbers of frames, each once, and a shape: commands (n, C) to points (n, 3N) mm.
     """
-    plain = model.prior if model.residual is None else _core.Sum(model.prior, model.residual)
-    if not leans(model, run) or model.channels not in NODES:
-        return plain
-    assert run is not None and run.gravity is not None
+    return [(rows, prior_in(model, gravity)) for rows, gravity in _orientations(model, run)]
+
+
+def leans(model: Model, run: Run) -> bool:
+    """Return whether some frames are in another orientation than the prior, and the model knows what that does."""
+    return any(gravity is not None for _, gravity in _orientations(model, run))
+
+
+def gravity_seen(run: Run) -> Floats:
+    """Return the gravity (K, 3) g that a run declares at its seen frames."""
+    assert run.gravity is not None
+    at = np.searchsorted(run.t, run.t_seen, side="right") - 1
+    return np.asarray(np.broadcast_to(run.gravity, (len(run.t), 3))[np.clip(at, 0, len(run.t) - 1)])
+
+
+def _orientations(model: Model, run: Run) -> list[tuple[Rows, Floats | None]]:
+    """Return the frames of each orientation, and its gravity (3,) g; None where it is that of the prior."""
+    every = np.arange(run.frames)
+    if run.gravity is None or not model.stiffness_known or not model.fields or model.channels not in NODES:
+        return [(every, None)]
+    gravity = gravity_seen(run)
+    found: list[tuple[Rows, Floats | None]] = []
+    left = every
+    while len(left):
+        one = gravity[left[0]]
+        same = np.linalg.norm(gravity[left] - one, axis=1) < NEAR
+        alike = float(np.linalg.norm(one - model.gravity_reference)) < NEAR
+        found.append((left[same], None if alike else one))
+        left = left[~same]
+        if len(found) > MOST:
+            return [(every, None)]
+    return found or [(every, None)]
+
+
+def prior_in(model: Model, gravity: Floats | None = None) -> Shape:
+    """Return the prior of a model with its residual, as it is or under a gravity (3,) g."""
+    if gravity is None:
+        return model.prior if model.residual is None else _core.Sum(model.prior, model.residual)
     axes = [np.linspace(low, high, NODES[model.channels]) for low, high in model.command_range]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, model.channels)
-    t, gravity = np.arange(float(len(grid))), np.atleast_2d(run.gravity)[0]
+    t = np.arange(float(len(grid)))
     asked = Run(t=t, command=grid, t_seen=t, gravity=gravity, command_unit=model.command_unit)
     bare = model.with_effects((), {}) if model.chain_names else model
     if model.residual is not None:
@@ -51,12 +88,3 @@ def prior_in(model: Model, run: Run | None) -> Shape:
     mean = shapes.mean(axis=0)
     left, size, modes = np.linalg.svd(shapes - mean, full_matrices=False)
     return _core.Table(axes, left[:, :MODES] * size[:MODES], mean, np.ascontiguousarray(modes[:MODES]))
-
-
-def leans(model: Model, run: Run | None) -> bool:
-    """Return whether a run declares one orientation, and another than that of the model's prior."""
-    if run is None or run.gravity is None or not model.stiffness_known or not model.fields:
-        return False
-    rows = np.atleast_2d(run.gravity)
-    alone = float(np.linalg.norm(rows - rows[0], axis=1).max()) < NEAR
-    return alone and float(np.linalg.norm(rows[0] - model.gravity_reference)) > NEAR

@@ -71,9 +71,14 @@ def view_of(model: Model, run: Run) -> View:
     return View(None, own, rows, model.points if model.markers else projected(model, own))
 
 
+def laid(run: Run) -> bool:
+    """Return whether a run's vertices were laid onto clouds, which do not tell the roll of a round finger."""
+    return run.vertices is not None and not bool(np.all(run.extra.get(ROLL_SEEN, True)))
+
+
 def roll_seen(model: Model, run: Run) -> bool:
     """Return whether a run tells what the body does about its own axis, or the model has no features of that."""
-    return run.vertices is None or bool(np.all(run.extra.get(ROLL_SEEN, True))) or bool(model.positions.all())
+    return not laid(run) or bool(model.positions.all())
 
 
 def seen_features(model: Model, run: Run) -> Floats:
@@ -132,3 +137,25 @@ def leaning(model: Model, run: Run) -> Floats:
         near = np.clip(np.searchsorted(run.t, run.t_seen), 0, len(run.t) - 1)
         rows[:, 1:] = model.error_per_g_mm / max(model.vertex_error_mm, 1e-9) * away[near]
     return rows
+
+
+def members(section: NDArray[np.int64]) -> Floats:
+    """Return which points lie in which section, (N, S) of ones and zeros."""
+    return np.asarray((section[:, None] == np.unique(section)).astype(float))
+
+
+def without_roll(member: Floats, moved: Floats, points: Floats, weight: Floats) -> Floats:
+    """Return displacements without the turn of each section about the body's axis that explains most of them.
+
+    Args:
+        member: (N, S) of `members`, two sections or more.
+        moved: (K, N, 3, m) mm, m displacements of each point.
+        points: (K, N, 3) mm, where they are. weight: (K, N) of each in the least squares.
+    """
+    centre = np.einsum("ns,knx->ksx", member / member.sum(axis=0), points)
+    along = np.gradient(centre, axis=1)
+    turn = np.cross(member @ along, points - member @ centre)  # (K, N, 3)
+    size = np.einsum("ns,kn,knx,knx->ks", member, weight, turn, turn, optimize=True)
+    angle = np.einsum("ns,kn,knx,knxm->ksm", member, weight, turn, moved, optimize=True)
+    angle /= np.maximum(size, 1e-12)[..., None]
+    return np.asarray(moved - turn[..., None] * (member @ angle)[:, :, None])

@@ -219,7 +219,8 @@ def record_run(hidden=None, seed=0, noise=0.15, warp=0.1, t=None, u=None, frames
     if t is None:
         t, u = protocol(np.random.default_rng(seed + 77) if other else None)
     t_seen = np.linspace(t[0] + 0.1, t[-1], frames) if moving is True else np.asarray(moving, float)
-    run = Recording(t=t, command=u, t_seen=t_seen, gravity=None, load=None, temperature=None, block=None, features=None)
+    nothing = dict.fromkeys(("gravity", "load", "temperature", "block", "features", "vertices"))
+    run = Recording(t=t, command=u, t_seen=t_seen, **nothing)
     hidden = hidden or {}
     names = tuple({label.split(".")[0] for label in hidden})
     arm = Arm().with_effects(names, dict(zip(Chain(names, 2).labels, Chain(names, 2).null)) | hidden)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softmap_edge import _core, adapt, builtin_model, compare, diagnose, load_bundle, save_bundle
+from softmap_edge import _core, builtin_model, compare, diagnose, learn_residual, load_bundle, save_bundle
 from softmap_edge.alignment.calibration import calibrate
 from softmap_edge.alignment.matching import match
 from softmap_edge.cli import main
@@ -295,7 +295,7 @@ def test_a_run_in_ticks_is_compared_predicted_diagnosed_and_adapted_to_like_the_
         assert {k: v["value"] for k, v in a["params"].items()} == pytest.approx(
             {k: v["value"] for k, v in b["params"].items()}, rel=1e-6
         )
-    assert adapt(model, ticks)[1] == pytest.approx(adapt(model, mm)[1], rel=1e-6)
+    assert learn_residual(model, ticks)[1] == pytest.approx(learn_residual(model, mm)[1], rel=1e-6)
 
 
 def test_encoders_in_ticks_drive_the_model_and_what_was_seen_stays_as_it_is(two):

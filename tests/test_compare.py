@@ -81,6 +81,7 @@ class Recording(SimpleNamespace):
     """A run that tests may bend in ways that `Run` refuses."""
 
     hash = Run.hash
+    extra = {}
 
     def arrays(self):
         return {name: np.asarray(value) for name, value in vars(self).items() if value is not None}

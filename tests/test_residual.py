@@ -14,7 +14,7 @@ from page import blocks, run_commands
 from test_diagnosis import finger_run, named
 from test_story import FIRST, SECRETS
 
-from softmap_edge import _core, adapt, builtin_model, compare, diagnose, load_bundle, refit, save_bundle
+from softmap_edge import _core, builtin_model, compare, diagnose, learn_residual, load_bundle, refit, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.experiment.blocks import chosen, plan
@@ -60,7 +60,7 @@ def loaded():
 
 @pytest.fixture(scope="module")
 def adapted(loaded):
-    return adapt(MODEL, loaded)
+    return learn_residual(MODEL, loaded)
 
 
 # --- learned, predicted, carried ----------------------------------------------------------------
@@ -96,7 +96,7 @@ def test_it_acts_on_what_the_effects_make_of_the_command(loaded):
     run = replace(loaded, vertices=late.predict(loaded))
     field = warped(run, 1.0)
     shifted = replace(field, vertices=late.predict(loaded) + (field.vertices - run.vertices))
-    model, _ = adapt(late, shifted)
+    model, _ = learn_residual(late, shifted)
     assert model.chain_names == ("latency",) and compare(model, shifted).error["rms_mm"] < 0.25
 
 
@@ -126,7 +126,7 @@ def test_it_belongs_to_its_effects(adapted, loaded):
         few = model.arrays["residual"] | {"mean": np.zeros(3), "modes": model.arrays["residual"]["modes"][:, :3]}
         MODEL.with_residual(few)
     worn = MODEL.with_effects(["backlash"], {"backlash.gap": 0.5})
-    changed, _ = refit(adapt(worn, loaded)[0], loaded)
+    changed, _ = refit(learn_residual(worn, loaded)[0], loaded)
     assert changed.residual is None
 
 
@@ -151,16 +151,16 @@ def test_an_effect_of_the_prior_s_own_law_reaches_the_prior_through_it():
 
 def test_what_teaches_nothing_is_refused(loaded):
     with pytest.raises(SoftmapError, match="29 frames show every point, at least 30"):
-        adapt(MODEL, loaded.at(np.arange(29)))
+        learn_residual(MODEL, loaded.at(np.arange(29)))
     still = replace(loaded, command=np.zeros_like(loaded.command))
     with pytest.raises(SoftmapError, match="1 different commands are too few"):
-        adapt(MODEL, still)
+        learn_residual(MODEL, still)
     markers = replace(loaded, vertices=None, markers=loaded.vertices[:, :4], marker_rest=MODEL.rest[:4])
     with pytest.raises(SoftmapError, match="4 markers on a model of 548 points"):
-        adapt(MODEL, markers)
+        learn_residual(MODEL, markers)
     hidden = np.ones(loaded.vertices.shape[:2], bool)
     hidden[::2, 7] = False
-    assert adapt(MODEL, replace(loaded, visible=hidden))[1]["frames"] == loaded.frames // 2
+    assert learn_residual(MODEL, replace(loaded, visible=hidden))[1]["frames"] == loaded.frames // 2
 
 
 # --- what it may hide ---------------------------------------------------------------------------
@@ -200,7 +200,7 @@ def of_another_finger(hidden):
 @pytest.mark.parametrize("hidden", SECRETS)
 def test_a_weight_of_another_finger_is_never_nothing(hidden):
     run = of_another_finger(hidden)
-    found = diagnose(adapt(MODEL, run)[0], run, effects=SOME)
+    found = diagnose(learn_residual(MODEL, run)[0], run, effects=SOME)
     said = named(found) | {name for rival in found.rivals for name in rival["effects"]}
     said |= {row["name"] for row in found.not_testable if "may be it" in row["why"]}
     assert hidden in said and found.verdict in ("identified", "ambiguous", "cannot_tell"), found.sentence
@@ -208,7 +208,7 @@ def test_a_weight_of_another_finger_is_never_nothing(hidden):
 
 def test_memory_is_found_through_a_residual():
     run = finger_run(["hysteresis"], {"hysteresis.strength": 0.25, "hysteresis.reach": 5.0})
-    model, report = adapt(MODEL, run)
+    model, report = learn_residual(MODEL, run)
     assert report["size_mm"] > 0.8  # it has learned what of the hysteresis looks static
     found = diagnose(model, run, effects=SOME)
     assert named(found) == {"hysteresis"} and found.verdict == "identified"
@@ -218,7 +218,7 @@ def test_memory_is_found_through_a_residual():
 @pytest.mark.parametrize(("size", "reason"), [(0.15, "may be its own error"), (0.7, "no effect explains alone")])
 def test_nothing_stays_nothing_and_says_what_the_residual_is(size, reason):
     run = warped(hanging(finger_run()), size)
-    model, _ = adapt(MODEL, run)
+    model, _ = learn_residual(MODEL, run)
     found = diagnose(model, run)
     assert found.verdict == "nothing" and not named(found)
     assert "was taken out" in found.sentence and reason in found.sentence
@@ -240,9 +240,9 @@ def test_the_page_as_written(tmp_path, capsys, monkeypatch):
     run_commands(PAGE, tmp_path)
     printed = [line.strip() for line in capsys.readouterr().out.splitlines()]
     wanted = [line for language, text in blocks(PAGE) if language == "text" for line in text.splitlines()]
-    assert len(wanted) == 3 and [line for line in wanted if line not in printed] == []
+    assert len(wanted) == 4 and [line for line in wanted if line not in printed] == []
     assert load_bundle(tmp_path / "adapted").residual is not None
-    nothing_left = ["adapt", "hanging.npz", "--bundle", "found", "--out", "again"]
+    nothing_left = ["adapt", "hanging.npz", "--residual-only", "--bundle", "found", "--out", "again"]
     monkeypatch.chdir(tmp_path)
     assert main(nothing_left) == 1
 
@@ -253,10 +253,10 @@ def test_the_page_as_written(tmp_path, capsys, monkeypatch):
 def test_adapt_and_what_becomes_of_the_residual(tmp_path, loaded, capsys):
     loaded.save(tmp_path / "run.npz")
     run, bundle, out = (str(tmp_path / name) for name in ("run.npz", "adapted", "d.json"))
-    assert main(["adapt", run, "--out", bundle]) == 0
+    assert main(["adapt", run, "--residual-only", "--out", bundle]) == 0
     said = capsys.readouterr().out
-    assert "residual of 0.3" in said and "(held out)" in said
-    assert main(["adapt", run, "--out", bundle]) == 2 and "--force" in capsys.readouterr().err
+    assert "residual of 0.3" in said and "blocks of the runs that were left out" in said
+    assert main(["adapt", run, "--residual-only", "--out", bundle]) == 2 and "--force" in capsys.readouterr().err
     assert main(["compare", run, "--bundle", bundle]) == 0
     assert main(["diagnose", run, "--bundle", bundle, "--effects", "payload,gain,offset", "--out", out]) == 0
     capsys.readouterr()

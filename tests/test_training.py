@@ -92,9 +92,9 @@ def test_a_bundle_carries_the_network_and_answers_as_it_does(quick, tmp_path):
 
 
 def test_a_residual_of_another_prior_goes(quick):
-    from softmap_edge.residual import adapt
+    from softmap_edge.residual import learn_residual
 
-    taught = adapt(BASE, replace(_run(GRID[::9]), vertices=POINTS[::9].reshape(-1, *BASE.rest.shape) + 0.5))[0]
+    taught = learn_residual(BASE, replace(_run(GRID[::9]), vertices=POINTS[::9].reshape(-1, *BASE.rest.shape) + 0.5))[0]
     assert taught.residual is not None
     assert with_prior(taught, quick, GRID[PARTS[2]], POINTS[PARTS[2]]).residual is None
 

@@ -28,7 +28,7 @@ def alike(registry: Sequence[Row], orientations: int) -> dict[str, set[str]]:
     found = {effect["name"]: {effect["name"]} for effect in registry}
     for effect in registry:
         for other, resolved_by in effect["alike"].items():
-            if other in found and not (resolved_by == "orientation" and orientations > 1):
+            if other in found and resolved_by != "roll" and not (resolved_by == "orientation" and orientations > 1):
                 found[effect["name"]].add(other)
                 found[other].add(effect["name"])
     return found

@@ -27,7 +27,7 @@ pub static EFFECT: Effect = Effect {
         signature: "Static and rigid, at home too: even the clamped base has moved.",
         reference: "Rotation vector by Rodrigues' formula.",
         experiment: ("points near the base, home revisits", 0.5),
-        alike: &[],
+        alike: &[("routing", "roll")],
         needs: &[],
         parameters: &[
             turn("turn_x", "x component of the rotation vector"),

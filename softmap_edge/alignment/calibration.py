@@ -24,7 +24,7 @@ from softmap_edge.alignment.departures import Departure, departures
 from softmap_edge.alignment.held import Held, Seen, directions, gather, places, visits
 from softmap_edge.alignment.matching import Matches, match
 from softmap_edge.errors import CalibrationError
-from softmap_edge.leaning import leans
+from softmap_edge.leaning import gravity_seen, leans
 from softmap_edge.outside import elsewhere
 from softmap_edge.registration.register import register
 from softmap_edge.run import Run, known
@@ -217,7 +217,7 @@ def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
         if lean.max() > LEANING and not leans(model, run):
             notes.append(
                 f"the robot leans {lean.max():.0f} deg from where the model was made, and its shapes are matched as if "
-                "it did not; calibrate a run in one orientation, with a model that knows its weight"
+                "it did not; calibrate a run in a few orientations, with a model that knows its weight"
             )
     if run.load is not None and np.any(run.load):
         notes.append(f"a load of up to {np.max(run.load):.3g} g was on, which the matched shapes have not")
@@ -279,7 +279,7 @@ def _held_out(model: Model, run: Run, held: Held, away: Floats, found: Fit) -> d
     seen, t = np.asarray(model.points_in_mm(some), float), np.arange(len(order), dtype=np.float64)
     visible = known(some, seen)
 
-    lean = np.atleast_2d(run.gravity)[0] if run.gravity is not None and leans(model, run) else None
+    lean = gravity_seen(some) if leans(model, run) else None
 
     def shape_error(u: Floats) -> float:
         still = replace(

@@ -11,18 +11,19 @@ out of the residuals and of the slopes. Units: mm, and the commands'. Pinned by 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.leaning import prior_in
+from softmap_edge.leaning import priors_in
 from softmap_edge.run import known
-from softmap_edge.views import roll_seen
+from softmap_edge.views import members, roll_seen, without_roll
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
+    from softmap_edge.predictors import Shape
     from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
@@ -76,7 +77,10 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
     seen = np.where(visible[..., None], points, 0.0)
     sigma = np.ones(visible.shape) if run.sigma is None else np.broadcast_to(run.sigma, visible.shape)
     weight = visible / np.maximum(sigma, 1e-6) ** 2
-    shapes = _Shapes(model, run)
+    families = priors_in(model, run)
+    if len(families) > 1:
+        return _joined([(rows, match(model, run.at(rows), refine)) for rows, _ in families])
+    shapes = _Shapes(model, run, families[0][1])
     low, high = model.command_range.T
     grid = _grid(low, high)
     every = slice(None, None, max(1, seen.shape[1] // FEW) if refine else 1)
@@ -100,15 +104,22 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
     return Matches(u, covariance, mae, np.asarray(edge, np.bool_), told)
 
 
+def _joined(parts: list[tuple[NDArray[np.intp], Matches]]) -> Matches:
+    """Return the matches of a run's frames from those of its parts, each with its rows."""
+    order = np.argsort(np.concatenate([rows for rows, _ in parts]))
+    names = [f.name for f in fields(Matches)]
+    return Matches(**{n: np.concatenate([getattr(part, n) for _, part in parts])[order] for n in names})
+
+
 class _Shapes:
     """The shapes (n, N, 3) of a model at commands (n, C), as a run's points; their slopes, and turns about the body."""
 
-    def __init__(self, model: Model, run: Run) -> None:
-        self.family = prior_in(model, run)
+    def __init__(self, model: Model, run: Run, family: Shape) -> None:
+        self.family = family
         self.carry = model.view(run).carry
         count = len(model.rest) if self.carry is None else len(self.carry)
         section = model.sections if self.carry is None else np.arange(count)
-        self.member = (section[:, None] == np.unique(section)).astype(float)  # (N, S)
+        self.member = members(section)
         self.roll_seen = roll_seen(model, run) or self.member.shape[1] < 2
 
     def __call__(self, u: Floats) -> Floats:
@@ -122,15 +133,7 @@ class _Shapes:
 
     def without_roll(self, moved: Floats, points: Floats, weight: Floats) -> Floats:
         """Return displacements (n, N, 3, m) of points (n, N, 3) without the turn of each section that explains most."""
-        if self.roll_seen:
-            return moved
-        centre = np.einsum("ns,knx->ksx", self.member / self.member.sum(axis=0), points)
-        along = np.gradient(centre, axis=1)
-        turn = np.cross(self.member @ along, points - self.member @ centre)  # (n, N, 3)
-        size = np.einsum("ns,kn,knx,knx->ks", self.member, weight, turn, turn, optimize=True)
-        angle = np.einsum("ns,kn,knx,knxm->ksm", self.member, weight, turn, moved, optimize=True)
-        angle /= np.maximum(size, 1e-12)[..., None]
-        return np.asarray(moved - turn[..., None] * (self.member @ angle)[:, :, None])
+        return moved if self.roll_seen else without_roll(self.member, moved, points, weight)
 
 
 def _grid(low: Floats, high: Floats) -> Floats:

@@ -19,7 +19,7 @@ VERBS: list[Verb] = [
     Verb("demo", "see it all", "the whole story, on a simulated finger", "softmap_edge.commands.demo"),
     Verb("build", "make a model", "finger.toml → bundle", "softmap_edge.commands.make"),
     Verb("learn", "make a model", "reference run → rod bundle", "softmap_edge.commands.make"),
-    Verb("adapt", "make a model", "learn what a model misses on a run", "softmap_edge.commands.understand"),
+    Verb("adapt", "make a model", "calibrate, add physics, learn the rest", "softmap_edge.commands.adapt"),
     Verb("export", "make a model", "finger.toml → scene of another simulator", "softmap_edge.commands.make"),
     Verb("sweep", "make a model", "simulate a grid of commands", "softmap_edge.commands.make"),
     Verb("import", "set up", "logs + mapping file → run; --guess proposes one", "softmap_edge.commands.runs"),

@@ -1,4 +1,4 @@
-"""Verbs that answer what a model lacks: compare, diagnose, add, remove, refit, adapt."""
+"""Verbs that answer what a model lacks: compare, diagnose, add, remove, refit."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def compare(args: argparse.Namespace) -> int:
 
     check_file("--html", args.html, ".html")
     load_own(args)
-    run, models = _run(args.run), [open_model(path) for path in args.bundle or [None]]
-    _warn("compare", models[0], run)
+    run, models = open_run(args.run), [open_model(path) for path in args.bundle or [None]]
+    warn_outside("compare", models[0], run)
     found = [measure(model, run) for model in models]
     _doubt("compare", models[0], run)
     if args.json:
@@ -55,7 +55,7 @@ def compare(args: argparse.Namespace) -> int:
             print(f"{path}\n{one}\n")
         print(pair_text(found[0], found[-1]) if len(found) > 1 else found[0])
     if args.html:
-        _page(args.html, run, models[0], models[-1], None, "measured")
+        write_page(args.html, run, models[0], models[-1], None, "measured")
     return int(len(found) > 1 and found[-1].error["rms_mm"] > found[0].error["rms_mm"])
 
 
@@ -90,11 +90,11 @@ def diagnose(args: argparse.Namespace) -> int:
     args.effects = [path for path in args.effects if path.endswith(".py")]
     own = load_own(args)
     wanted = [*dict.fromkeys([*names, *own])] if names else None
-    model, runs = open_model(args.bundle), [_run(path) for path in args.runs]
-    held_out, references = args.held_out and _run(args.held_out), [_run(path) for path in args.reference or []]
+    model, runs = open_model(args.bundle), [open_run(path) for path in args.runs]
+    held_out, references = args.held_out and open_run(args.held_out), [open_run(path) for path in args.reference or []]
     for run in [*runs, *references]:
-        _warn("diagnose", model, run)
-    found = find(model, runs, held_out, wanted, args.seed, _progress(args), reference=references or None)
+        warn_outside("diagnose", model, run)
+    found = find(model, runs, held_out, wanted, args.seed, teller(args), reference=references or None)
     if args.out:
         _write_json(args.out, found.to_dict())
     print(json.dumps(found.to_dict(), indent=1) if args.json else found)
@@ -102,7 +102,7 @@ def diagnose(args: argparse.Namespace) -> int:
         print("\n".join(["", *progress_lines(before, found.to_dict())]))
     if args.html:
         kind = "fitted" if held_out is None else "held out"
-        _page(args.html, held_out or runs[0], model, found.model, found, kind)
+        write_page(args.html, held_out or runs[0], model, found.model, found, kind)
     return 0
 
 
@@ -175,32 +175,8 @@ def refit(args: argparse.Namespace) -> int:
     check_bundle(args.out, args.force)
     load_own(args)
     before = open_model(args.bundle)
-    model, report = fit_again(before, [_run(path) for path in args.runs])
+    model, report = fit_again(before, [open_run(path) for path in args.runs])
     _write(args, model, report | _dropped(before))
-    return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
-
-
-def adapt_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `softmap adapt`."""
-    parser.add_argument(
-        "runs", nargs="+", metavar="run", help="the measured run, .npz; several are learned from together"
-    )
-    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
-    effects_argument(parser)
-    bundle_arguments(parser)
-
-
-def adapt(args: argparse.Namespace) -> int:
-    """Write a bundle with a residual learned from a run; 1 if the held-out error does not fall."""
-    from softmap_edge.residual import adapt as learn
-
-    check_bundle(args.out, args.force)
-    load_own(args)
-    model, runs = open_model(args.bundle), [_run(path) for path in args.runs]
-    for run in runs:
-        _warn("adapt", model, run)
-    changed, report = learn(model, runs)
-    _write(args, changed, report)
     return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
 
 
@@ -213,7 +189,7 @@ def _refit_finger(args: argparse.Namespace) -> int:
     if len(args.runs) > 1:
         raise SoftmapError(f"{len(args.runs)} runs; a finger's own numbers are fitted to one")
     with Bar(args.json) as bar:
-        found = fit_finger(Finger.load(args.finger), _run(args.runs[0]), bar)
+        found = fit_finger(Finger.load(args.finger), open_run(args.runs[0]), bar)
     write_whole(args.out, found.finger.to_toml())
     if args.json:
         print(json.dumps({**found.to_dict(), "out": str(args.out)}, indent=1))
@@ -226,13 +202,13 @@ def _refit_finger(args: argparse.Namespace) -> int:
 # --- what the verbs share -----------------------------------------------------------------------
 
 
-def _run(path: str) -> Any:
+def open_run(path: str) -> Any:
     from softmap_edge.run import Run
 
     return Run.load(path)
 
 
-def _warn(verb: str, model: Any, run: Any) -> None:
+def warn_outside(verb: str, model: Any, run: Any) -> None:
     """Tell on stderr, beside any document, where a run leaves the commands or the frame of the model."""
     from softmap_edge.outside import beyond, elsewhere
 
@@ -264,7 +240,7 @@ def _names(text: str) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _page(path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: str) -> None:
+def write_page(path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: str) -> None:
     """Write the page about a run seen by one model, or by two where they differ."""
     from softmap_edge.diagnosis.comparison import compare as measure
     from softmap_edge.diagnosis.series import series
@@ -295,8 +271,6 @@ def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
     print(f"{folder}: {', '.join(model.chain_names) or 'no effects'}")
     for label, value in params.items():
         print(f"  {label:<24} {value:.6g}")
-    if model.residual is not None:
-        print(f"  residual of {report['size_mm']:.2f} mm RMS over the command, learned from {report['frames']} frames")
     if "numbers" in report:
         print(NUMBERS[report["numbers"]])
     if "relative_to" in report:
@@ -309,7 +283,7 @@ def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
     return 0
 
 
-def _progress(args: argparse.Namespace) -> Callable[[str], None] | None:
+def teller(args: argparse.Namespace) -> Callable[[str], None] | None:
     if args.json or not sys.stderr.isatty():
         return None
     return lambda line: print(line, file=sys.stderr)

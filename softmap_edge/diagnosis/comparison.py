@@ -21,6 +21,7 @@ from softmap_edge.diagnosis.conditions import Cell, cells, conditions
 from softmap_edge.diagnosis.floor import noise_floor, rms
 from softmap_edge.errors import ComparisonError
 from softmap_edge.run import Run, known
+from softmap_edge.views import members, roll_seen, without_roll
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -182,7 +183,11 @@ def aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
         raise ComparisonError(
             "the model predicts values that are not finite for this run; look at it with `softmap check`"
         )
-    return predicted, np.where(visible[..., None], seen, 0.0), visible
+    seen = np.where(visible[..., None], seen, 0.0)
+    if not roll_seen(model, run):  # a turn about the body's axis was not measured, and counts nowhere
+        off = np.where(visible[..., None], seen - predicted, 0.0)[..., None]
+        predicted = seen - without_roll(members(model.sections), off, predicted, visible.astype(float))[..., 0]
+    return predicted, seen, visible
 
 
 def mean_root(squared: Floats, visible: Mask, axis: int) -> Floats:

@@ -244,14 +244,18 @@ def _rivals(
 ) -> list[dict[str, Any]]:
     """Return the rivals that were `found`, and what looks alike by form: tried, or `impossible` to try."""
     rivals = [{"member": member, "effects": list(other.effects), "why": why} for member, other, why in found]
+    record = search.problem.record
+    held = {label.split(".")[0] for label in record.untold}
     for member in fit.effects:
-        for twin in equivalents(search.problem.record, member, registry):
+        for twin in equivalents(record, member, registry):
             swapped = [twin if e == member else e for e in fit.effects]
             if twin in fit.effects or any(set(swapped) == set(r["effects"]) for r in rivals):
                 continue
             told_by = registry[member]["alike"].get(twin) or registry[twin]["alike"].get(member)
             tried = "; it was not tried"
-            if twin in search.candidates:
+            if told_by == "roll" and twin in held:
+                tried = ": clouds do not show the roll that would tell them apart"
+            elif twin in search.candidates:
                 other = search.get(frozenset(swapped))
                 share = stands_for(search, other, fit, member)
                 tried = (

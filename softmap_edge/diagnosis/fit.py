@@ -49,7 +49,8 @@ class Space:
         self.names, self.labels, self.units = layout.names, layout.labels, layout.units
         null, start, low, high = layout.null, layout.start, layout.low, layout.high
         wanted = set(free or effects)
-        self.free = np.array([i for i, label in enumerate(self.labels) if label.split(".")[0] in wanted], int)
+        told = [label.split("@")[0] not in record.untold for label in self.labels]
+        self.free = np.array([i for i, s in enumerate(self.labels) if s.split(".")[0] in wanted and told[i]], int)
         self.base = np.array([base.get(label.split("@")[0], null[i]) for i, label in enumerate(self.labels)])
         self.log, self.integer, self.instant = (a[self.free] for a in (layout.log, layout.integer, layout.instant))
         self.declared = layout.declared[self.free]  # not so the prior's own numbers, which count with or without

@@ -21,7 +21,6 @@ from softmap_edge.folds import LEAST_FRAMES
 
 Floats = NDArray[np.float64]
 
-ROLLS = ("twist", "routing")  # a turn about the axis: of the body, or of the tendons, as a turned mount or coupling is
 SIGNATURE_FRAMES = 1500  # frames on which the span of the signatures is found
 
 
@@ -53,7 +52,7 @@ def candidates_of(
         elif lacking := record.model.lacking(name):
             why = f"this model has no field {lacking[0]}"
             impossible.append(Untestable(name, why, "a model built from a finger.toml by this version", 0.0))
-        elif name in ROLLS and not record.roll_seen:
+        elif name == "twist" and not record.roll_seen:
             why = "clouds of a round finger do not show what it does about its own axis"
             impossible.append(Untestable(name, why, "the same moves with markers or a texture on the finger", 1.0))
         elif missing:

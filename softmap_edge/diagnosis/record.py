@@ -19,7 +19,7 @@ from softmap_edge.diagnosis.layout import Layout, layout_of, per_mm
 from softmap_edge.diagnosis.paired import Replay, pair
 from softmap_edge.errors import SoftmapError
 from softmap_edge.ticks import converted
-from softmap_edge.views import ROLL_SEEN
+from softmap_edge.views import laid
 
 if TYPE_CHECKING:
     from softmap_edge.run import Run
@@ -29,6 +29,7 @@ Forms = Callable[[Sequence[str], Floats], Floats]
 
 CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
 SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
+ROLLS = ("mount.turn_z",)  # what clouds of a round finger do not tell: there turned tendons look the same
 ENDS = 0.05  # of a run: what happens nearer to its ends is seen from one side only
 
 
@@ -95,7 +96,7 @@ class Record:
         self.form_error = np.asarray(model.run_form_error(run), float)
         self._leaning = np.asarray(model.run_leaning(run), float)
         self.block: NDArray[Any] | None = run.block
-        self.roll_seen = bool(np.all(getattr(run, "extra", {}).get(ROLL_SEEN, True)))
+        self.roll_seen = not laid(run)
 
     @property
     def begins(self) -> NDArray[np.intp]:
@@ -153,6 +154,11 @@ class Record:
         return [name for name in wanted if getattr(self.run, name, None) is None]
 
     # --- predictions ----------------------------------------------------------------------------
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Parameters that nothing seen here tells, whatever the commands: they stay at what they are."""
+        return () if self.roll_seen else ROLLS
 
     def layout(self, names: Sequence[str]) -> Layout:
         """Return the parameters of a chain of `names`."""

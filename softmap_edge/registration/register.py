@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RegistrationError
-from softmap_edge.leaning import prior_in
+from softmap_edge.leaning import prior_in, priors_in
 from softmap_edge.model import Model
 from softmap_edge.registration.clouds import clouds_of
 from softmap_edge.run import Run
@@ -39,6 +39,7 @@ SCALE = 0.02  # by which a cloud may be larger or smaller than the template with
 UNITS = {"metres": 1e-3, "centimetres": 0.1, "inches": 1 / 25.4, "tenths of a mm": 10.0}
 NEAR_UNIT = 2.0  # factor between the extent of a cloud and that of the template in another unit
 POOR, LOST = 0.8, 0.5  # share of a cloud that counts: less is worth a word; less is another object
+AMID = 0.85  # of the usual share among the clouds of a run: a cloud of which less counts has seen nothing
 NEAR_COST = 0.1  # of the robust cost between two starts of different shape: closer, the wrong one may have won
 TOLD = 5  # frames with warnings that are printed
 
@@ -117,14 +118,14 @@ def register(model: Model, of: Run | Sequence[Floats], mode: Mode = "robust") ->
             "sweep with triangles"
         )
     clouds = clouds_of(of) if isinstance(of, Run) else [np.asarray(cloud, np.float64) for cloud in of]
+    if not clouds:
+        raise RegistrationError("the run has no seen frames (K = 0), so there is no cloud to lay a template onto")
     for k, cloud in enumerate(clouds):
         _check(k, cloud, model.rest)
     ahead = time.perf_counter()
     core = _core.Registration(model.rest, np.asarray(model.triangles).tolist(), clamped(model).tolist())
     if mode == "robust":
-        low, high = model.command_range.T
-        shape = prior_in(model, of if isinstance(of, Run) else None)
-        found = core.robust(shape, clouds, _candidates(model), low.tolist(), high.tolist())
+        found = _robust(core, model, of if isinstance(of, Run) else None, clouds)
     else:
         found = _published(core, clouds)
     seconds = time.perf_counter() - ahead
@@ -137,7 +138,9 @@ def register(model: Model, of: Run | Sequence[Floats], mode: Mode = "robust") ->
             "the run, cut the finger out of the cloud"
         )
     support = np.array([one["support"] for one in found])
-    support[[row["used"] < LOST for row in frames]] = 0.0  # a frame that is something else has seen nothing
+    for row in frames:  # one that is something else, or may as well be another shape, has seen nothing
+        if row["doubtful"] or row["used"] < max(LOST, AMID * used):
+            support[row["frame"]] = 0.0
     return Registered(np.array([one["vertices"] for one in found]), support, frames, mode, seconds)
 
 
@@ -172,6 +175,17 @@ def _check(k: int, cloud: Floats, rest: Floats) -> None:
             )
 
 
+def _robust(core: _core.Registration, model: Model, run: Run | None, clouds: list[Floats]) -> list[dict[str, Any]]:
+    """Register clouds, each from the shapes that the model has in its orientation."""
+    low, high = model.command_range.T.tolist()
+    found: list[dict[str, Any]] = [{}] * len(clouds)
+    for rows, shape in [(np.arange(len(clouds)), prior_in(model))] if run is None else priors_in(model, run):
+        some = core.robust(shape, [clouds[k] for k in rows], _candidates(model), low, high)
+        for k, one in zip(rows, some):
+            found[k] = one
+    return found
+
+
 def _published(core: _core.Registration, clouds: list[Floats]) -> list[dict[str, Any]]:
     found = []
     for cloud in clouds:
@@ -203,6 +217,7 @@ def _row(k: int, one: dict[str, Any], mode: Mode) -> dict[str, Any]:
             "start_cost": float(one["start_cost"]),
             "scale": float(one["scale"]),
         }
+    row["doubtful"] = one.get("other") is not None and one["other"][0] < row["start_cost"] + NEAR_COST
     row["warnings"] = _warnings(row, one)
     return row
 
@@ -220,6 +235,6 @@ def _warnings(row: dict[str, Any], one: dict[str, Any]) -> list[str]:
             f"{100 * row['used']:.0f} % of the cloud lie on the template; the rest is something else, or "
             "the start was wrong"
         )
-    if one.get("other") is not None and one["other"][0] < row["start_cost"] + NEAR_COST:
+    if row["doubtful"]:
         said.append(f"another shape, {one['other'][1]:.0f} mm RMS away, explains the cloud nearly as well")
     return said

@@ -1,0 +1,194 @@
+"""Adapt a model to recordings: physics first, a residual on what physics leaves.
+
+    clouds ─registration─> vertices     ticks ─calibration─> commands
+    diagnose ─> add what is missing ─> learn a residual of the rest ─> judge, each alone and both together
+
+A residual is a function of the command alone. What depends on how a command was reached it cannot learn, and what it
+can stands in for physics only under the conditions of its runs; so it comes last, and stays only where it lowers the
+error on blocks that were left out. Rivals of what is added are told: on these runs they would do as well.
+Calibration is fitted without the effects, so that gain, offset or coupling found after it may be a correction of it.
+Units: mm. Pinned by tests/test_adaptation.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from softmap_edge.alignment.calibration import Calibrated, calibrate
+from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.diagnosis.diagnose import diagnose
+from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.errors import CalibrationError, SoftmapError
+from softmap_edge.registration.register import register
+from softmap_edge.residual import learn_residual
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+    from softmap_edge.run import Run
+
+SCHEMA = "softmap.adaptation/1"
+WAYS = ("as it stood", "residual alone", "physics alone", "physics, then residual")
+FAULT = "measurement_fault"
+
+
+@dataclass(frozen=True, eq=False)
+class Adaptation:
+    """What an adaptation found: the new `model`, and what each step said.
+
+    `before` is the model that was adapted, with its calibration; `error` holds RMS distances in mm of the four WAYS
+    on what taught none of them, None where one was not tried; `fall` by which share the error fell. `judge` is what
+    it was measured on, `runs` what taught, all as vertices. Prints itself; `to_dict()` is softmap.adaptation/1.
+    """
+
+    model: Model
+    before: Model
+    calibration: Calibrated | None
+    diagnosis: Diagnosis | None
+    residual: dict[str, Any] | None
+    error: dict[str, float | None]
+    error_on: str
+    judge: Run
+    runs: list[Run]
+
+    @property
+    def last(self) -> float:
+        """The error in mm RMS of the model as it is now."""
+        physics, residual = self.model.chain_names != self.before.chain_names, self.model.residual is not None
+        value = self.error[WAYS[2 * physics + residual]]
+        assert value is not None
+        return value
+
+    @property
+    def fall(self) -> float:
+        """By which share the error fell."""
+        first = self.error[WAYS[0]]
+        assert first is not None
+        return 1.0 - self.last / first if first > 0 else 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.adaptation/1: plain numbers, strings, lists and dicts."""
+        kept = self.model.residual is not None
+        return {
+            "schema": SCHEMA,
+            "error": {
+                "kind": "held-out rms", "unit": "mm", "on": self.error_on, "fall_share": self.fall,
+                "ways": [{"way": way, "value": self.error[way]} for way in WAYS],
+            },
+            "calibration": None if self.calibration is None else self.calibration.to_dict(),
+            "diagnosis": None if self.diagnosis is None else self.diagnosis.to_dict(),
+            "residual": None if self.residual is None else {"kept": kept, **self.residual},
+            "effects": self.model.params,
+        }  # fmt: skip
+
+    def __str__(self) -> str:
+        lines = []
+        if self.calibration is not None:
+            lines += [str(self.calibration), ""]
+        if self.diagnosis is not None:
+            lines.append(self.diagnosis.sentence)
+            lines += [f"  {label:<24} {value:.6g}" for label, value in self.model.params.items()]
+        if self.residual is not None:
+            told = self.residual
+            lines.append(
+                f"residual of {told['size_mm']:.2f} mm RMS over the command, learned from {told['frames']} frames"
+                + ("" if self.model.residual is not None else ": left out, it lowers nothing that was held out")
+            )
+        lines += ["", f"error, mm RMS, {self.error_on}"]
+        lines += [f"  {way:<24} {value:.3f}" for way, value in self.error.items() if value is not None]
+        return "\n".join([*lines, f"  {100 * self.fall:.0f} % of the error are gone"])
+
+
+def adapt(
+    model: Model,
+    run: Run | Sequence[Run],
+    held_out: Run | None = None,
+    physics: bool = True,
+    told: Callable[[str], None] | None = None,
+) -> Adaptation:
+    """Calibrate a model, add the physics that it lacks, and learn a residual of the rest.
+
+    Args:
+        model: an earlier residual is learned anew; effects that it has stay.
+        run: one recording or several of the robot, of vertices, clouds or the model's markers. Ticks are calibrated
+            with the first run that holds enough commands for it, unless the model knows them already.
+        held_out: a recording that teaches nothing and judges all ways; without it blocks of the runs are held out.
+        physics: look for missing effects; without, the residual stands in for them.
+        told: hears what goes on, a line each.
+
+    Returns:
+        Adaptation: the new model, what each step said, and the error of each way.
+
+    Raises:
+        SoftmapError: the measurement is at fault, too few frames, or runs of another robot.
+    """
+    say = told or (lambda line: None)
+    runs = list(run) if isinstance(run, Sequence) else [run]
+    base = model.with_residual(None)
+    if not runs:
+        raise SoftmapError("no run is given; an adaptation needs at least one")
+    shown = [_shown(base, one, say) for one in runs]
+    base, calibration = _calibrated(base, shown, say)
+    found = _missing(base, shown, say) if physics else None
+    better = base if found is None else found.model
+    say("learning what is left, as a smooth field of the command")
+    model, residual = learn_residual(better, shown)
+    if residual["after_held_out_rms_mm"] >= residual["before_rms_mm"]:
+        model = better
+    if held_out is None:
+        judge, error, on = shown[0], _on_blocks(found, residual), _blocks(found)
+    else:
+        judge, on = _shown(base, held_out, say), "a run that taught nothing, points that were seen"
+        alone = learn_residual(base, shown)[0] if found is not None else model
+        last = learn_residual(better, shown)[0] if model is better and found is not None else model
+        ways = [base, alone, None if found is None else better, None if found is None else last]
+        error = {way: None if m is None else compare(m, judge).error["rms_mm"] for way, m in zip(WAYS, ways)}
+    return Adaptation(model, base, calibration, found, residual, error, on, judge, shown)
+
+
+def _shown(model: Model, run: Run, say: Callable[[str], None]) -> Run:
+    """Return a run of clouds as vertices of the template, another as it is."""
+    if run.points is None:
+        return run
+    say(f"laying the template onto {run.frames} clouds")
+    return register(model, run).run(run)
+
+
+def _calibrated(model: Model, runs: Sequence[Run], say: Callable[[str], None]) -> tuple[Model, Calibrated | None]:
+    """Return the model with a calibration where runs have ticks and it has none yet, from the first run that tells."""
+    ticks = [run for run in runs if run.ticks is not None or run.present_ticks is not None]
+    if model.calibration is not None or not any(run.command is None for run in ticks):
+        return model, None
+    faults = []
+    for run in ticks:
+        try:
+            say("finding what the ticks are in commands")
+            found = calibrate(model, run)
+            return found.model, found
+        except CalibrationError as fault:
+            faults.append(fault)
+    raise faults[0]
+
+
+def _missing(model: Model, runs: Sequence[Run], say: Callable[[str], None]) -> Diagnosis:
+    say("looking for what the model lacks")
+    found = diagnose(model, runs, progress=lambda line: say(f"  {line}"))
+    if found.verdict == FAULT and not found.effects and not found.faults:
+        raise SoftmapError(f"nothing is learned from a measurement that is at fault. {found.sentence}")
+    return found
+
+
+def _blocks(found: Diagnosis | None) -> str:
+    of = "points that were seen" if found is None else "middles of the body's sections, or markers"
+    return f"blocks of the runs that were left out, {of}"
+
+
+def _on_blocks(found: Diagnosis | None, residual: dict[str, Any]) -> dict[str, float | None]:
+    """Return the errors of the ways on blocks that were left out, as diagnosis or residual measured them."""
+    if found is None:
+        both: list[float | None] = [residual["before_rms_mm"], residual["after_held_out_rms_mm"], None, None]
+        return dict(zip(WAYS, both))
+    error = found.to_dict()["error"]
+    physics = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
+    return dict(zip(WAYS, (error["model"], error["static_residual"], physics, error["with_static_residual"])))

@@ -1,0 +1,47 @@
+"""The verb adapt: from recordings to a bundle that is calibrated, has the physics it lacked, and a residual."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from softmap_edge.adaptation import adapt as learn
+from softmap_edge.bundle import save_bundle
+from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
+from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.commands.understand import open_run, teller, warn_outside, write_page
+
+WORSE = 1  # exit code
+
+
+def adapt_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `softmap adapt`."""
+    parser.add_argument(
+        "runs", nargs="+", metavar="run", help="the recording, .npz, of points or clouds; several teach together"
+    )
+    parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
+    parser.add_argument("--held-out", metavar="RUN", help="a recording that teaches nothing and judges all")
+    parser.add_argument(
+        "--residual-only", action="store_true", help="look for no physics: the residual stands in for it"
+    )
+    effects_argument(parser)
+    bundle_arguments(parser)
+    parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
+
+
+def adapt(args: argparse.Namespace) -> int:
+    """Calibrate, diagnose, add, learn a residual and judge; 1 if the held-out error does not fall."""
+    check_bundle(args.out, args.force)
+    check_file("--html", args.html, ".html")
+    load_own(args)
+    model, runs = open_model(args.bundle), [open_run(path) for path in args.runs]
+    held_out = None if args.held_out is None else open_run(args.held_out)
+    found = learn(model, runs, held_out, not args.residual_only, teller(args))
+    for run in found.runs:
+        warn_outside("adapt", found.before, run)
+    folder = save_bundle(found.model, args.out)
+    print(json.dumps(found.to_dict() | {"bundle": str(folder)}, indent=1) if args.json else f"{folder}\n{found}")
+    if args.html:
+        kind = "fitted" if held_out is None else "held out"
+        write_page(args.html, found.judge, found.before, found.model, found.diagnosis, kind)
+    return 0 if found.fall > 0.0 else WORSE

@@ -1,0 +1,108 @@
+"""Physics first, a residual on the rest: from ticks and clouds of the virtual finger to a bundle, in one call."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softmap_edge import adapt, builtin_model, learn_residual, load_bundle
+from softmap_edge.adaptation import WAYS
+from softmap_edge.cli import main
+from softmap_edge.errors import SoftmapError
+from softmap_edge.protocol import Limits, standard_protocol
+from softmap_edge.protocol_virtual import virtual_protocol
+from softmap_edge.run import Run
+from softmap_edge.truth_clouds import TWO
+from softmap_edge.truth_virtual import virtual_finger
+
+MODEL = builtin_model()
+CAMERAS = replace(TWO, points=2000, hole_mm=8.0)
+
+
+def thinned(protocol, every):
+    return replace(protocol, t_seen=protocol.t_seen[::every], block=protocol.block[::every])
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """A grid of held commands, moves, and paths that judge, with the true vertices of these."""
+    finger = virtual_finger(1, cameras=CAMERAS)
+    limits = Limits.of(MODEL.command_range)
+    grid, paths = (virtual_protocol(kind, 0, limits) for kind in ("grid", "paths"))
+    protocols = grid, thinned(standard_protocol(2), 2), thinned(paths, 5)
+    return [finger.measure(protocol) for protocol in protocols], finger
+
+
+@pytest.fixture(scope="module")
+def adapted(recorded):
+    (grid, _), (moves, _), (paths, _) = recorded[0]
+    return adapt(MODEL, [grid, moves], held_out=paths)
+
+
+def test_physics_first_and_a_residual_on_the_rest_beat_either_alone(adapted, recorded):
+    stood, residual, physics, both = (adapted.error[way] for way in WAYS)
+    assert both < physics < residual < stood
+    # Friction remembers: no function of the command mends it, and most of what a residual can mend is physics too.
+    assert residual > 0.6 * stood and physics < 0.6 * stood and both < 0.45 * stood
+    named = set(adapted.model.chain_names)
+    assert named & {"hysteresis", "friction", "backlash"} and "routing" in named
+    turned = [value for label, value in adapted.model.params.items() if label.startswith("routing")]
+    np.testing.assert_allclose(turned, recorded[1].phase_deg, atol=1.5)
+
+
+def test_the_true_vertices_are_nearer_by_more_than_four_fifths_of_what_can_go(adapted, recorded):
+    run, truth = recorded[0][2]
+    missed = [m.predict(run) - truth["vertices"] for m in (adapted.before, adapted.model)]
+    before, after = (np.sqrt(np.mean(np.sum(m**2, axis=2))) for m in missed)
+    own = MODEL.vertex_error_mm  # RMS, held out: what the model is off by where nothing is hidden
+    assert before - after >= 0.8 * (before - own), (before, after, own)
+    assert before > 3 * own
+    assert adapted.before.calibration is not None and not adapted.before.chain_names
+
+
+def test_the_document_holds_every_step(adapted):
+    document = json.loads(json.dumps(adapted.to_dict()))
+    assert document["schema"] == "softmap.adaptation/1"
+    assert [row["way"] for row in document["error"]["ways"]] == list(WAYS)
+    assert document["error"]["fall_share"] == pytest.approx(adapted.fall)
+    assert document["calibration"]["schema"] == "softmap.calibration/1"
+    assert document["diagnosis"]["schema"] == "softmap.diagnosis/1"
+    assert document["residual"]["kept"] and document["effects"] == adapted.model.params
+    assert all(way in str(adapted) for way in WAYS)
+
+
+def test_the_verb_writes_a_bundle_and_a_page_and_blocks_judge_without_another_run(adapted, tmp_path, capsys):
+    for name, run in zip(("grid", "moves"), adapted.runs):  # registered already
+        run.save(tmp_path / f"{name}.npz")
+    call = ["adapt", str(tmp_path / "grid.npz"), str(tmp_path / "moves.npz"), "--out", str(tmp_path / "out"), "--json"]
+    assert main([*call, "--html", str(tmp_path / "page.html")]) == 0
+    document = json.loads(capsys.readouterr().out)
+    ways = {row["way"]: row["value"] for row in document["error"]["ways"]}
+    assert "left out" in document["error"]["on"] and ways[WAYS[3]] < ways[WAYS[1]] < ways[WAYS[0]]
+    model = load_bundle(tmp_path / "out")
+    assert model.calibration is not None and model.residual is not None and "routing" in model.chain_names
+    assert "<img" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+def test_what_registration_filled_in_teaches_a_residual_but_judges_nothing(adapted):
+    run = adapted.runs[0]
+    assert not run.visible.all()
+    _, report = learn_residual(adapted.before, run)
+    assert report["frames"] == run.frames
+    astray = np.where(run.visible[..., None], run.vertices, run.vertices + 5.0)
+    assert learn_residual(adapted.before, replace(run, vertices=astray))[1]["before_rms_mm"] == pytest.approx(
+        report["before_rms_mm"]
+    )
+
+
+def test_what_cannot_be_adapted_to_is_refused(adapted):
+    with pytest.raises(SoftmapError, match="no run is given"):
+        adapt(MODEL, [])
+    ticks = adapted.runs[0]
+    few = ticks.at(np.arange(5))
+    with pytest.raises(SoftmapError, match="held commands|frames"):
+        adapt(MODEL, few)
+    nothing = Run(t=np.arange(3.0), ticks=np.zeros((3, 2), int), t_seen=np.zeros(0), points=np.zeros((0, 3)), start=[0])
+    with pytest.raises(SoftmapError, match="no seen frames|0 frames|K = 0"):
+        adapt(MODEL, nothing)
