@@ -31,7 +31,7 @@ THREADS = ("RAYON_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_
 CLOCK = time.process_time
 SHAPES, FEW = 12, 3  # finite-element shapes that are registered, and in a quick run
 FRAMES, DIFFERENT = 1000, 50  # frames registered in parallel, clouds among them that differ
-STEPS = 20  # local and global steps in one call
+STEPS = 100  # local and global steps in one call
 HOLD = 1e7  # strength of handles that do not give way
 SETTLED_MM = 1e-3  # as in rust/geometry/paper.rs
 

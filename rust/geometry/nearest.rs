@@ -7,6 +7,7 @@
 //! Units are those of the points. Limit: of two candidates whose distances differ by less than 1e-6 of the extent either may
 //! be called the nearest.
 
+use super::curve::{Ordered, bounds};
 use crate::error::{Result, invalid};
 use crate::modes::wide;
 use crate::vector::{Vec3, norm, sub};
@@ -19,19 +20,6 @@ const ROWS: usize = 4;
 const LANES: usize = 8;
 /// Shares of what is bounded that are looked at first: the nearest boxes lower the bound for the others.
 const SHARES: [f32; 2] = [0.1, 1.0];
-/// Cells of the curve along an axis.
-const CELLS: usize = 16;
-/// The four bits of a cell's number with two gaps after each.
-const APART: [u16; CELLS] = {
-    let mut apart = [0; CELLS];
-    let mut cell = 0;
-    while cell < CELLS {
-        let bits = (cell | cell << 4) & 0xc3;
-        apart[cell] = ((bits | bits << 2) & 0x249) as u16;
-        cell += 1;
-    }
-    apart
-};
 
 /// For each point of a set the nearest of another: which, and how far.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -88,7 +76,8 @@ fn search(a: &[Vec3], b: &[Vec3]) -> (Vec<u32>, Vec<u32>) {
         Boxes::new(&first.points, ROWS),
         Boxes::new(&second.points, TILE),
     );
-    let mut gaps = vec![0.0; groups.len().max(tiles.len())];
+    let most = groups.len().max(tiles.len()).next_multiple_of(LANES);
+    let mut gaps = vec![f32::INFINITY; most];
     let (mut there, mut back) = (vec![0; a.len()], vec![0; b.len()]);
     let mut at: Vec<Tile> = Vec::with_capacity(tiles.len());
     // The nearest along the curve: of the point before, which lies near by.
@@ -99,10 +88,15 @@ fn search(a: &[Vec3], b: &[Vec3]) -> (Vec<u32>, Vec<u32>) {
         tile.compare(&first.points, near);
         gaps[near] = f32::INFINITY;
         for share in SHARES {
-            for g in 0..groups.len() {
-                if gaps[g] <= share * tile.most {
-                    tile.compare(&first.points, g);
-                    gaps[g] = f32::INFINITY;
+            for from in (0..groups.len()).step_by(LANES) {
+                if !any_within(&gaps[from..from + LANES], share * tile.most) {
+                    continue;
+                }
+                for g in from..from + LANES {
+                    if gaps[g] <= share * tile.most {
+                        tile.compare(&first.points, g);
+                        gaps[g] = f32::INFINITY;
+                    }
                 }
             }
         }
@@ -113,13 +107,19 @@ fn search(a: &[Vec3], b: &[Vec3]) -> (Vec<u32>, Vec<u32>) {
         at.push(tile);
     }
     let mut near = 0;
+    gaps.fill(f32::INFINITY);
     for (i, p) in first.points.iter().enumerate() {
         tiles.gaps((*p, *p), &mut gaps[..tiles.len()]);
         let mut least = at[near].nearest(p, f32::INFINITY).unwrap_or(f32::INFINITY);
-        for (t, tile) in at.iter().enumerate() {
-            if gaps[t] < least {
-                if let Some(nearer) = tile.nearest(p, least) {
-                    (least, near) = (nearer, t);
+        for from in (0..tiles.len()).step_by(LANES) {
+            if !any_within(&gaps[from..from + LANES], least) {
+                continue;
+            }
+            for t in from..from + LANES {
+                if gaps[t] < least {
+                    if let Some(nearer) = at[t].nearest(p, least) {
+                        (least, near) = (nearer, t);
+                    }
                 }
             }
         }
@@ -129,69 +129,10 @@ fn search(a: &[Vec3], b: &[Vec3]) -> (Vec<u32>, Vec<u32>) {
     (there, back)
 }
 
-/// The box about both sets.
+/// Whether any of `LANES` gaps is within a bound: most are not, and are passed over together.
 #[inline(always)]
-fn bounds(a: &[Vec3], b: &[Vec3]) -> (Vec3, Vec3) {
-    // Four points at once: as many numbers as fill wide vectors.
-    let (mut low, mut high) = ([f64::INFINITY; 12], [f64::NEG_INFINITY; 12]);
-    for points in [a, b] {
-        let mut fours = points.as_flattened().chunks_exact(12);
-        let rest = fours.by_ref();
-        for four in rest {
-            for k in 0..12 {
-                low[k] = if four[k] < low[k] { four[k] } else { low[k] };
-                high[k] = if four[k] > high[k] { four[k] } else { high[k] };
-            }
-        }
-        for (k, v) in fours.remainder().iter().enumerate() {
-            (low[k], high[k]) = (low[k].min(*v), high[k].max(*v));
-        }
-    }
-    let of = |all: [f64; 12], worse: fn(f64, f64) -> f64| {
-        std::array::from_fn(|c| (1..4).fold(all[c], |best, k| worse(best, all[3 * k + c])))
-    };
-    (of(low, f64::min), of(high, f64::max))
-}
-
-/// Points in single precision about the middle of a box, where it is finest, along Morton's curve; and which they were.
-struct Ordered {
-    points: Vec<[f32; 3]>,
-    order: Vec<u32>,
-}
-
-impl Ordered {
-    #[inline(always)]
-    fn new(points: &[Vec3], low: Vec3, high: Vec3) -> Ordered {
-        let middle: Vec3 = std::array::from_fn(|c| 0.5 * (low[c] + high[c]));
-        let scale: [f32; 3] = std::array::from_fn(|c| {
-            let side = (high[c] - low[c]).max(f64::MIN_POSITIVE);
-            ((1.0 - 1e-6) * CELLS as f64 / side) as f32
-        });
-        let near = |p: &Vec3| -> [f32; 3] { std::array::from_fn(|c| (p[c] - middle[c]) as f32) };
-        let key = |p: &Vec3| {
-            let p = near(p);
-            let cell =
-                |c: usize| (p[c] * scale[c] + 0.5 * CELLS as f32) as i32 & (CELLS as i32 - 1);
-            APART[cell(0) as usize] | APART[cell(1) as usize] << 1 | APART[cell(2) as usize] << 2
-        };
-        let keys: Vec<u16> = points.iter().map(key).collect();
-        let mut starts = [0u32; CELLS * CELLS * CELLS + 1];
-        keys.iter().for_each(|key| starts[*key as usize + 1] += 1);
-        for k in 1..starts.len() {
-            starts[k] += starts[k - 1];
-        }
-        let mut ordered = Ordered {
-            points: vec![[0.0; 3]; points.len()],
-            order: vec![0; points.len()],
-        };
-        for (i, key) in keys.iter().enumerate() {
-            let place = &mut starts[*key as usize];
-            ordered.points[*place as usize] = near(&points[i]);
-            ordered.order[*place as usize] = i as u32;
-            *place += 1;
-        }
-        ordered
-    }
+fn any_within(gaps: &[f32], bound: f32) -> bool {
+    (0..LANES).fold(false, |any, k| any | (gaps[k] <= bound))
 }
 
 /// The boxes about every so many points of a set.
@@ -375,6 +316,36 @@ mod tests {
                 for (f, w) in found.distance.iter().zip(&wanted.distance) {
                     prop_assert!((f - w).abs() < 2e-4 && *f >= w - 1e-9);
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn boxes_that_are_passed_over_hold_nothing_nearer() {
+        // A bent tube and a noisy cloud of one of its sides, with some points far off: many tiles and groups.
+        let mut state = 1u64;
+        let mut next = || {
+            state = state
+                .wrapping_mul(6364136223846793005)
+                .wrapping_add(1442695040888963407);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let mut tube = |turn: f64, noise: f64| {
+            let (angle, z) = (turn * next(), 100.0 * next());
+            let [x, y] = [8.0 * angle.cos(), 8.0 * angle.sin()];
+            [
+                x + 0.004 * z * z + noise * next(),
+                y + noise * next(),
+                z + noise * next(),
+            ]
+        };
+        let a: Vec<Vec3> = (0..549).map(|_| tube(6.3, 0.0)).collect();
+        let mut b: Vec<Vec3> = (0..2990).map(|_| tube(3.1, 1.0)).collect();
+        b.extend((0..13).map(|i| [300.0, -40.0 * f64::from(i), 7.0]));
+        let (there, back) = both_ways(&a, &b).unwrap();
+        for (found, wanted) in [(there, naive(&a, &b)), (back, naive(&b, &a))] {
+            for (f, w) in found.distance.iter().zip(&wanted.distance) {
+                assert!((f - w).abs() < 2e-4 && *f >= w - 1e-9);
             }
         }
     }
