@@ -37,7 +37,7 @@ lint: $(VENV)/.lint
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest softmap_edge._core
 
-bench: $(VENV)/.test
+bench: $(VENV)/.bench
 	$(BIN)/python -m benches
 
 # The benchmark bank at its full sizes on seeds kept apart for figures; SEEDS=development for work. Goes on where it was stopped.
@@ -85,6 +85,12 @@ $(VENV)/.core: $(VENV)/.venv $(RUST) pyproject.toml
 # torch without what only GPUs need of it.
 $(VENV)/.test: $(VENV)/.core training/pyproject.toml training/cpu.txt
 	$(UV) --group pyproject.toml:test --override training/cpu.txt -e 'training[torch,baselines]'
+	touch $@
+
+# Peers for the benchmarks alone, without what libigl's wheel holds under other terms than the MPL 2.0: CGAL, TetGen, Triangle.
+$(VENV)/.bench: $(VENV)/.test pyproject.toml
+	$(UV) --group pyproject.toml:bench
+	rm -rf $(VENV)/lib/python*/site-packages/igl/copyleft $(VENV)/lib/python*/site-packages/igl/triangle
 	touch $@
 
 $(VENV)/.lint: $(VENV)/.core

@@ -18,19 +18,18 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from benches import diagnosis_time
+from benches import diagnosis_time, geometry
 from benches.peer_elastic import markers as peer_markers
 from benches.peer_newton import NumpySolid
 from benches.peer_rollout import NUMBERS as PEER_NUMBERS
 from benches.peer_rollout import backlash_and_creep
+from benches.row import ratio, side_by_side
 from softmap_edge import __version__, _core
 from softmap_edge.bundle import builtin_model
 from softmap_edge.rod.robot import Robot
 from softmap_edge.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
-
-REPEATS = 9
 
 
 def main() -> int:
@@ -40,11 +39,11 @@ def main() -> int:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="leave out what takes minutes: the 41×41 sweep, whole diagnoses, the trunk robot's table",
+        help="leave out what takes minutes: the 41×41 sweep, whole diagnoses, 1000 frames, the trunk robot's table",
     )
     args = parser.parse_args()
     rows = [newton_step(), rollouts(), elastic_rod(), equilibrium(), imports(), table_against_simulator()]
-    rows.append(elastic_fit())
+    rows += [elastic_fit(), *geometry.rows(args.quick)]
     if not args.quick:
         rows += [full_sweep(), million_rows(), *diagnosis_time.rows()]
     document = {"schema": "softmap.bench/1", "machine": machine(), "rows": rows}
@@ -92,18 +91,6 @@ def machine() -> dict[str, str]:
         "scipy": scipy.__version__,
         "softmap-edge": __version__,
     }
-
-
-def side_by_side(ours, peer) -> tuple[float, float]:
-    """Return the medians in seconds of `ours` and `peer`, run alternately after one warm-up each."""
-    ours(), peer()
-    times = [[], []]
-    for _ in range(REPEATS):
-        for column, work in zip(times, (ours, peer)):
-            start = time.perf_counter()
-            work()
-            column.append(time.perf_counter() - start)
-    return float(np.median(times[0])), float(np.median(times[1]))
 
 
 def newton_step() -> dict[str, object]:
@@ -220,19 +207,6 @@ def table_against_simulator() -> dict[str, object]:
         "value": float(error.mean()),
         "unit": "mm",
         "wanted": "aim ≤ 0.1",
-    }
-
-
-def ratio(name: str, ours: float, peer: float, peer_name: str, wanted: str) -> dict[str, object]:
-    """Return one row with the ratio peer ÷ ours."""
-    return {
-        "name": name,
-        "value": ours * 1e3,
-        "unit": "ms",
-        "peer": peer * 1e3,
-        "peer_name": peer_name,
-        "ratio": peer / ours,
-        "wanted": wanted,
     }
 
 

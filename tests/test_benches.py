@@ -1,12 +1,15 @@
 """The peers of the benchmarks do the same work as the core: a ratio of different work would say nothing."""
 
 import numpy as np
+import pytest
 
+from benches import geometry
 from benches.__main__ import nine_tendons
 from benches.peer_elastic import markers
 from benches.peer_newton import NumpySolid
 from benches.peer_rollout import NUMBERS, backlash_and_creep
 from softmap_edge import _core
+from softmap_edge.bundle import builtin_model
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
 
@@ -41,3 +44,32 @@ def test_the_numpy_rod_bends_the_same_way():
         ours, theirs = layout.compiled(start).evaluate(u), markers(start, layout.places(), layout.ends, u)
         # Equilibria within 1e-12 rad of 180 mm; the poses themselves differ by 100 mm.
         assert np.abs(ours - theirs).max() < 1e-6 and np.ptp(ours, axis=0).max() > 50
+
+
+def test_the_quick_rows_of_geometry_are_there_and_keep_what_does_not_hang_on_the_machine():
+    found = {(row["name"], row.get("peer_name")): row for row in geometry.rows(quick=True)}
+    assert len(found) == 5 and all(row["value"] > 0 and row["wanted"].startswith("wanted") for row in found.values())
+    (torch,) = (row for (_, peer), row in found.items() if peer and peer.startswith("torch"))
+    assert torch["ratio"] > 5  # 50 is promised of a quiet machine (`make bench`)
+    (laid,) = (row for (name, _), row in found.items() if name.startswith("registration"))
+    assert laid["error_mm"] <= 0.45
+
+
+def test_cut_triangles_keep_the_surface_and_their_sides():
+    model = builtin_model()
+    vertices, triangles = geometry.halved(model.rest, np.asarray(model.triangles))
+    assert vertices.shape == (2186, 3) and triangles.shape == (4 * 1092, 3)
+
+    def normals(points, corners):
+        a, b, c = points[corners].transpose(1, 0, 2)
+        return 0.5 * np.cross(b - a, c - a)
+
+    whole, quarters = normals(model.rest, np.asarray(model.triangles)), normals(vertices, triangles)
+    np.testing.assert_allclose(quarters.reshape(4, -1, 3), np.broadcast_to(whole / 4, (4, 1092, 3)), atol=1e-12)
+
+
+def test_a_peer_that_did_other_work_is_not_timed():
+    with pytest.raises(RuntimeError, match="differ by 0.5"):
+        geometry.same("steps", np.zeros(3), np.array([0.0, 0.5, 0.0]), 0.1)
+    with pytest.raises(RuntimeError):
+        geometry.same("steps", np.zeros(3), np.array([0.0, np.nan, 0.0]), 0.1)

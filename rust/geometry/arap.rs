@@ -7,10 +7,10 @@
 //! coordinates and all rounds as long as the weights c stay: its factor is made once. Neither step raises the energy. Units: mm.
 
 use super::laplacian::Edges;
-use super::rotation::{NO_TURN, Quaternion, columns, follow, turned};
+use super::rotation::{LANES, NO_TURN, Quaternion, columns, follow, turned};
 use crate::error::{Result, invalid};
 use crate::sparse::{Factor, Pattern};
-use crate::vector::{Vec3, axpy, dot, scaled, sub};
+use crate::vector::{Vec3, add, axpy, dot, scaled, sub};
 use std::sync::Arc;
 
 /// Rounds in which a rotation is followed: from one global step to the next it hardly turns.
@@ -120,15 +120,25 @@ impl Arap {
     /// Turn each vertex as its neighbours have moved.
     pub fn local(&self, pose: &mut Pose) {
         let Pose { places, turns } = pose;
-        for (i, turn) in turns.iter_mut().enumerate() {
-            let mut a = [[0.0; 3]; 3];
-            for (j, w) in self.edges.of(i) {
-                let (now, then) = (sub(places[i], places[j]), sub(self.rest[i], self.rest[j]));
+        for (first, some) in turns.chunks_mut(LANES).enumerate() {
+            let mut a = [[[0.0; LANES]; 3]; 3];
+            let mut lanes = [NO_TURN; LANES];
+            lanes[..some.len()].copy_from_slice(some);
+            for k in 0..some.len() {
+                let i = LANES * first + k;
+                let mut own = [[0.0; 3]; 3];
+                for (j, w) in self.edges.of(i) {
+                    let (now, then) = (sub(places[i], places[j]), sub(self.rest[i], self.rest[j]));
+                    for c in 0..3 {
+                        own[c] = axpy(own[c], w * then[c], now);
+                    }
+                }
                 for c in 0..3 {
-                    a[c] = axpy(a[c], w * then[c], now);
+                    (0..3).for_each(|r| a[c][r][k] = own[c][r]);
                 }
             }
-            *turn = follow(&a, *turn, ROUNDS);
+            follow(&a, &mut lanes, ROUNDS);
+            some.copy_from_slice(&lanes[..some.len()]);
         }
     }
 
@@ -139,8 +149,8 @@ impl Arap {
             let mut sum = [0.0; 3];
             for (j, w) in self.edges.of(i) {
                 let then = scaled(sub(self.rest[i], self.rest[j]), w);
-                let (mine, theirs) = (turned(&turns[i], then), turned(&turns[j], then));
-                (0..3).for_each(|c| sum[c] += mine[c] + theirs[c]);
+                let both: [Vec3; 3] = std::array::from_fn(|c| add(turns[i][c], turns[j][c]));
+                sum = add(sum, turned(&both, then));
             }
             to(i, sum);
         }

@@ -7,7 +7,7 @@
 
 use super::nearest::{Nearest, both_ways};
 use crate::error::{Result, invalid};
-use crate::vector::{Vec3, sub};
+use crate::vector::{Vec3, axpy, sub};
 
 /// What was measured.
 #[derive(Debug, Clone)]
@@ -48,8 +48,7 @@ impl Chamfer {
         let mut out = vec![[0.0; 3]; template.len()];
         let mut pull = |i: usize, j: usize, distance: f64, share: f64| {
             if distance > 0.0 {
-                let d = sub(template[i], cloud[j]);
-                (0..3).for_each(|c| out[i][c] += share * d[c] / distance);
+                out[i] = axpy(out[i], share / distance, sub(template[i], cloud[j]));
             }
         };
         let shares = |weights: &[f64], count: usize, times: f64| match weights {

@@ -3,6 +3,7 @@
 
 pub mod arap;
 pub mod chamfer;
+mod curve;
 pub mod laplacian;
 pub mod nearest;
 pub mod paper;

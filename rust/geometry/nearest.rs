@@ -1,35 +1,31 @@
-//! Nearest neighbours between two sets of points, both ways in one pass over all pairs.
+//! Nearest neighbours between two sets of points, both ways in one pass over pairs.
 //!
-//! A template has hundreds of points and a cloud thousands: with wide vectors all pairs are quicker than any tree, up to some
-//! ten million of them. Squared distances in single precision about
-//! the middle of both sets choose the nearest, and its distance is then taken in double. Units are those of the points.
-//! Limit: of two candidates whose distances differ by less than 1e-6 of the extent either may be called the nearest.
+//! A template has hundreds of points and a cloud thousands: with wide vectors pairs are quicker than any tree, up to some
+//! ten million of them. Both sets are put in order along a curve that fills space, and cut into groups that lie close
+//! together; groups whose boxes are farther apart than what all their points have already found are passed over. Squared
+//! distances in single precision about the middle of both sets choose the nearest, and its distance is then taken in double.
+//! Units are those of the points. Limit: of two candidates whose distances differ by less than 1e-6 of the extent either may
+//! be called the nearest.
 
+use super::curve::{Ordered, bounds};
 use crate::error::{Result, invalid};
 use crate::modes::wide;
 use crate::vector::{Vec3, norm, sub};
 
-/// Points of the second set that are looked at together: their minima stay in the first cache.
-const TILE: usize = 256;
+/// Points of the second set that are looked at together.
+const TILE: usize = 64;
 /// Points of the first set that are looked at together: as many as stay in registers.
 const ROWS: usize = 4;
-/// What pads a tile: farther than anything, and its square is finite.
-const FAR: f32 = 1e18;
+/// Numbers that are worked on at once.
+const LANES: usize = 8;
+/// Shares of what is bounded that are looked at first: the nearest boxes lower the bound for the others.
+const SHARES: [f32; 2] = [0.1, 1.0];
 
 /// For each point of a set the nearest of another: which, and how far.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Nearest {
     pub index: Vec<u32>,
     pub distance: Vec<f64>,
-}
-
-/// One tile of the second set, coordinate by coordinate, with the nearest of the first set so far.
-struct Tile {
-    x: [f32; TILE],
-    y: [f32; TILE],
-    z: [f32; TILE],
-    least: [f32; TILE],
-    which: [u32; TILE],
 }
 
 /// The nearest in `b` of each point of `a` (N, 3), and the nearest in `a` of each point of `b` (M, 3).
@@ -46,20 +42,11 @@ pub fn both_ways(a: &[Vec3], b: &[Vec3]) -> Result<(Nearest, Nearest)> {
             )));
         }
     }
-    let middle = middle(a, b);
-    let first = single(a, middle);
-    let mut least = vec![f32::INFINITY; a.len()];
-    let mut index = vec![0u32; a.len()];
-    let mut back = Vec::with_capacity(b.len());
-    for (t, points) in b.chunks(TILE).enumerate() {
-        let mut tile = tile(points, middle);
-        wide(
-            #[inline(always)]
-            || sweep(&first, &mut tile, &mut least, &mut index, (t * TILE) as u32),
-        );
-        back.extend_from_slice(&tile.which[..points.len()]);
-    }
-    Ok((found(a, b, index), found(b, a, back)))
+    let (there, back) = wide(
+        #[inline(always)]
+        || search(a, b),
+    );
+    Ok((found(a, b, there), found(b, a, back)))
 }
 
 impl Nearest {
@@ -80,124 +67,224 @@ fn found(from: &[Vec3], to: &[Vec3], index: Vec<u32>) -> Nearest {
     Nearest { index, distance }
 }
 
-/// The middle of the box about both sets: single precision is finest there.
-fn middle(a: &[Vec3], b: &[Vec3]) -> Vec3 {
-    let mut low = [f64::INFINITY; 3];
-    let mut high = [f64::NEG_INFINITY; 3];
-    for p in a.iter().chain(b) {
-        for c in 0..3 {
-            low[c] = low[c].min(p[c]);
-            high[c] = high[c].max(p[c]);
-        }
-    }
-    std::array::from_fn(|c| 0.5 * (low[c] + high[c]))
-}
-
-fn single(points: &[Vec3], middle: Vec3) -> Vec<[f32; 3]> {
-    let about = |p: &Vec3| std::array::from_fn(|c| (p[c] - middle[c]) as f32);
-    points.iter().map(about).collect()
-}
-
-fn tile(points: &[Vec3], middle: Vec3) -> Tile {
-    let mut tile = Tile {
-        x: [FAR; TILE],
-        y: [FAR; TILE],
-        z: [FAR; TILE],
-        least: [f32::INFINITY; TILE],
-        which: [0; TILE],
-    };
-    for (k, p) in points.iter().enumerate() {
-        tile.x[k] = (p[0] - middle[0]) as f32;
-        tile.y[k] = (p[1] - middle[1]) as f32;
-        tile.z[k] = (p[2] - middle[2]) as f32;
-    }
-    tile
-}
-
-/// Compare all of the first set with one tile, whose first point is number `start`.
+/// For each point of either set which of the other is nearest.
 #[inline(always)]
-fn sweep(first: &[[f32; 3]], tile: &mut Tile, least: &mut [f32], index: &mut [u32], start: u32) {
-    let mut i = 0;
-    while i + ROWS <= first.len() {
-        let rows = rows::<ROWS>(&first[i..i + ROWS], i as u32, tile);
-        keep(&rows, first, tile, least, index, i, start);
-        i += ROWS;
-    }
-    while i < first.len() {
-        let rows = rows::<1>(&first[i..i + 1], i as u32, tile);
-        keep(&rows, first, tile, least, index, i, start);
-        i += 1;
-    }
-}
-
-/// Squared distance of each of `R` points to the nearest of the tile, whose own nearest are brought up to date.
-#[inline(always)]
-fn rows<const R: usize>(points: &[[f32; 3]], number: u32, tile: &mut Tile) -> [f32; R] {
-    const LANES: usize = 16;
-    let mut nearest = [[f32::INFINITY; LANES]; R];
-    for first in (0..TILE).step_by(LANES) {
-        let x: &[f32; LANES] = tile.x[first..first + LANES].try_into().unwrap();
-        let y: &[f32; LANES] = tile.y[first..first + LANES].try_into().unwrap();
-        let z: &[f32; LANES] = tile.z[first..first + LANES].try_into().unwrap();
-        let least: &mut [f32; LANES] = (&mut tile.least[first..first + LANES]).try_into().unwrap();
-        let which: &mut [u32; LANES] = (&mut tile.which[first..first + LANES]).try_into().unwrap();
-        for r in 0..R {
-            let [a, b, c] = points[r];
-            let mut d = [0.0f32; LANES];
-            for k in 0..LANES {
-                let (u, v, w) = (x[k] - a, y[k] - b, z[k] - c);
-                d[k] = u * u + v * v + w * w;
-            }
-            for k in 0..LANES {
-                nearest[r][k] = if d[k] < nearest[r][k] {
-                    d[k]
-                } else {
-                    nearest[r][k]
-                };
-            }
-            for k in 0..LANES {
-                which[k] = if d[k] < least[k] {
-                    number + r as u32
-                } else {
-                    which[k]
-                };
-                least[k] = if d[k] < least[k] { d[k] } else { least[k] };
+fn search(a: &[Vec3], b: &[Vec3]) -> (Vec<u32>, Vec<u32>) {
+    let (low, high) = bounds(a, b);
+    let (first, second) = (Ordered::new(a, low, high), Ordered::new(b, low, high));
+    let (groups, tiles) = (
+        Boxes::new(&first.points, ROWS),
+        Boxes::new(&second.points, TILE),
+    );
+    let most = groups.len().max(tiles.len()).next_multiple_of(LANES);
+    let mut gaps = vec![f32::INFINITY; most];
+    let (mut there, mut back) = (vec![0; a.len()], vec![0; b.len()]);
+    let mut at: Vec<Tile> = Vec::with_capacity(tiles.len());
+    // The nearest along the curve: of the point before, which lies near by.
+    let mut near = 0;
+    for (t, points) in second.points.chunks(TILE).enumerate() {
+        let mut tile = Tile::new(points);
+        groups.gaps(tiles.of(t), &mut gaps[..groups.len()]);
+        tile.compare(&first.points, near);
+        gaps[near] = f32::INFINITY;
+        for share in SHARES {
+            for from in (0..groups.len()).step_by(LANES) {
+                if !any_within(&gaps[from..from + LANES], share * tile.most) {
+                    continue;
+                }
+                for g in from..from + LANES {
+                    if gaps[g] <= share * tile.most {
+                        tile.compare(&first.points, g);
+                        gaps[g] = f32::INFINITY;
+                    }
+                }
             }
         }
+        near = tile.which[0] as usize / ROWS;
+        for (k, which) in tile.which[..points.len()].iter().enumerate() {
+            back[second.order[t * TILE + k] as usize] = first.order[*which as usize];
+        }
+        at.push(tile);
     }
-    let smallest = |lanes: &[f32; LANES]| lanes.iter().copied().fold(f32::INFINITY, f32::min);
-    std::array::from_fn(
-        #[inline(always)]
-        |r| smallest(&nearest[r]),
-    )
+    let mut near = 0;
+    gaps.fill(f32::INFINITY);
+    for (i, p) in first.points.iter().enumerate() {
+        tiles.gaps((*p, *p), &mut gaps[..tiles.len()]);
+        let mut least = at[near].nearest(p, f32::INFINITY).unwrap_or(f32::INFINITY);
+        for from in (0..tiles.len()).step_by(LANES) {
+            if !any_within(&gaps[from..from + LANES], least) {
+                continue;
+            }
+            for t in from..from + LANES {
+                if gaps[t] < least {
+                    if let Some(nearer) = at[t].nearest(p, least) {
+                        (least, near) = (nearer, t);
+                    }
+                }
+            }
+        }
+        let place = near * TILE + at[near].place(p, least);
+        there[first.order[i] as usize] = second.order[place];
+    }
+    (there, back)
 }
 
-/// Where a tile holds a nearer point than those before, find out which it is: that happens seldom.
+/// Whether any of `LANES` gaps is within a bound: most are not, and are passed over together.
 #[inline(always)]
-fn keep<const R: usize>(
-    rows: &[f32; R],
-    first: &[[f32; 3]],
-    tile: &Tile,
-    least: &mut [f32],
-    index: &mut [u32],
-    i: usize,
-    start: u32,
-) {
-    for r in 0..R {
-        if rows[r] < least[i + r] {
-            least[i + r] = rows[r];
-            let [a, b, c] = first[i + r];
-            let mut place = 0;
-            for k in (0..TILE).rev() {
-                let (u, v, w) = (tile.x[k] - a, tile.y[k] - b, tile.z[k] - c);
-                place = if u * u + v * v + w * w == rows[r] {
-                    k
+fn any_within(gaps: &[f32], bound: f32) -> bool {
+    (0..LANES).fold(false, |any, k| any | (gaps[k] <= bound))
+}
+
+/// The boxes about every so many points of a set.
+struct Boxes {
+    low: [Vec<f32>; 3],
+    high: [Vec<f32>; 3],
+}
+
+impl Boxes {
+    #[inline(always)]
+    fn new(points: &[[f32; 3]], each: usize) -> Boxes {
+        let count = points.len().div_ceil(each);
+        let mut boxes = Boxes {
+            low: std::array::from_fn(|_| vec![0.0; count]),
+            high: std::array::from_fn(|_| vec![0.0; count]),
+        };
+        for (t, some) in points.chunks(each).enumerate() {
+            let (mut low, mut high) = (some[0], some[0]);
+            for p in some {
+                for c in 0..3 {
+                    low[c] = if p[c] < low[c] { p[c] } else { low[c] };
+                    high[c] = if p[c] > high[c] { p[c] } else { high[c] };
+                }
+            }
+            for c in 0..3 {
+                (boxes.low[c][t], boxes.high[c][t]) = (low[c], high[c]);
+            }
+        }
+        boxes
+    }
+
+    fn len(&self) -> usize {
+        self.low[0].len()
+    }
+
+    fn of(&self, t: usize) -> ([f32; 3], [f32; 3]) {
+        (
+            self.low.each_ref().map(|low| low[t]),
+            self.high.each_ref().map(|high| high[t]),
+        )
+    }
+
+    /// Squared gaps between all the boxes and another: no pair of their points is nearer, also as rounded.
+    #[inline(always)]
+    fn gaps(&self, (low, high): ([f32; 3], [f32; 3]), gaps: &mut [f32]) {
+        let count = gaps.len();
+        let [x, y, z]: [_; 3] =
+            std::array::from_fn(|c| (&self.low[c][..count], &self.high[c][..count]));
+        let gap = |sides: (&[f32], &[f32]), g: usize, c: usize| {
+            let (after, before) = (sides.0[g] - high[c], low[c] - sides.1[g]);
+            let apart = if after > before { after } else { before };
+            if apart > 0.0 { apart } else { 0.0 }
+        };
+        for g in 0..count {
+            let (u, v, w) = (gap(x, g, 0), gap(y, g, 1), gap(z, g, 2));
+            gaps[g] = u * u + v * v + w * w;
+        }
+    }
+}
+
+/// Points of the second set, coordinate by coordinate, the last one repeated, with the nearest of the first set so far.
+struct Tile {
+    at: [[f32; TILE]; 3],
+    least: [f32; TILE],
+    which: [u32; TILE],
+    /// The largest of `least`.
+    most: f32,
+}
+
+impl Tile {
+    #[inline(always)]
+    fn new(points: &[[f32; 3]]) -> Tile {
+        Tile {
+            at: std::array::from_fn(|c| {
+                std::array::from_fn(|k| points[k.min(points.len() - 1)][c])
+            }),
+            least: [f32::INFINITY; TILE],
+            which: [0; TILE],
+            most: f32::INFINITY,
+        }
+    }
+
+    /// Compare with group `g` of the first set.
+    #[inline(always)]
+    fn compare(&mut self, first: &[[f32; 3]], g: usize) {
+        let start = g * ROWS;
+        let rows: [[f32; 3]; ROWS] =
+            std::array::from_fn(|r| first[(start + r).min(first.len() - 1)]);
+        let mut most = [0.0f32; LANES];
+        for from in (0..TILE).step_by(LANES) {
+            let lanes = from..from + LANES;
+            let [x, y, z]: [&[f32; LANES]; 3] =
+                std::array::from_fn(|c| self.at[c][lanes.clone()].try_into().unwrap());
+            let (mut least, mut which) = ([0.0f32; LANES], [0u32; LANES]);
+            least.copy_from_slice(&self.least[lanes.clone()]);
+            which.copy_from_slice(&self.which[lanes.clone()]);
+            for r in 0..ROWS {
+                let [a, b, c] = rows[r];
+                for k in 0..LANES {
+                    let (u, v, w) = (x[k] - a, y[k] - b, z[k] - c);
+                    let d = u * u + v * v + w * w;
+                    which[k] = if d < least[k] {
+                        (start + r) as u32
+                    } else {
+                        which[k]
+                    };
+                    least[k] = if d < least[k] { d } else { least[k] };
+                }
+            }
+            for k in 0..LANES {
+                most[k] = if least[k] > most[k] {
+                    least[k]
                 } else {
-                    place
+                    most[k]
                 };
             }
-            index[i + r] = start + place as u32;
+            self.least[lanes.clone()].copy_from_slice(&least);
+            self.which[lanes].copy_from_slice(&which);
         }
+        self.most = most.iter().copied().fold(0.0, f32::max);
+    }
+
+    /// Squared distance of a point to the nearest of the tile, if that is less than `least`.
+    #[inline(always)]
+    fn nearest(&self, of: &[f32; 3], least: f32) -> Option<f32> {
+        let mut nearest = [f32::INFINITY; LANES];
+        for from in (0..TILE).step_by(LANES) {
+            for k in 0..LANES {
+                let d = self.squared(of, from + k);
+                nearest[k] = if d < nearest[k] { d } else { nearest[k] };
+            }
+        }
+        let any = nearest.iter().fold(false, |any, d| any | (*d < least));
+        any.then(|| nearest.iter().copied().fold(f32::INFINITY, f32::min))
+    }
+
+    /// Which point of the tile is at a squared distance.
+    #[inline(always)]
+    fn place(&self, of: &[f32; 3], distance: f32) -> usize {
+        (0..TILE).rev().fold(0, |place, k| {
+            if self.squared(of, k) == distance {
+                k
+            } else {
+                place
+            }
+        })
+    }
+
+    #[inline(always)]
+    fn squared(&self, of: &[f32; 3], k: usize) -> f32 {
+        let [u, v, w]: [f32; 3] = std::array::from_fn(|c| self.at[c][k] - of[c]);
+        u * u + v * v + w * w
     }
 }
 
@@ -229,6 +316,36 @@ mod tests {
                 for (f, w) in found.distance.iter().zip(&wanted.distance) {
                     prop_assert!((f - w).abs() < 2e-4 && *f >= w - 1e-9);
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn boxes_that_are_passed_over_hold_nothing_nearer() {
+        // A bent tube and a noisy cloud of one of its sides, with some points far off: many tiles and groups.
+        let mut state = 1u64;
+        let mut next = || {
+            state = state
+                .wrapping_mul(6364136223846793005)
+                .wrapping_add(1442695040888963407);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let mut tube = |turn: f64, noise: f64| {
+            let (angle, z) = (turn * next(), 100.0 * next());
+            let [x, y] = [8.0 * angle.cos(), 8.0 * angle.sin()];
+            [
+                x + 0.004 * z * z + noise * next(),
+                y + noise * next(),
+                z + noise * next(),
+            ]
+        };
+        let a: Vec<Vec3> = (0..549).map(|_| tube(6.3, 0.0)).collect();
+        let mut b: Vec<Vec3> = (0..2990).map(|_| tube(3.1, 1.0)).collect();
+        b.extend((0..13).map(|i| [300.0, -40.0 * f64::from(i), 7.0]));
+        let (there, back) = both_ways(&a, &b).unwrap();
+        for (found, wanted) in [(there, naive(&a, &b)), (back, naive(&b, &a))] {
+            for (f, w) in found.distance.iter().zip(&wanted.distance) {
+                assert!((f - w).abs() < 2e-4 && *f >= w - 1e-9);
             }
         }
     }

@@ -164,6 +164,28 @@ impl PyRegistration {
         )
     }
 
+    /// Deform the surface as rigidly as possible, from rest, for so many `rounds`: vertices (N, 3), drawn to `goals` (N, 3) with
+    /// `strength` (N,), 0 for those that go where the others want them.
+    fn deformed<'py>(
+        &self,
+        py: Python<'py>,
+        goals: &Bound<'_, PyAny>,
+        strength: &Bound<'_, PyAny>,
+        rounds: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let count = self.template.len();
+        let goals = floats("goals", goals, &[("N", Some(count)), ("xyz", Some(3))])?.data;
+        let goals: Vec<Vec3> = goals.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+        let strength = weights("strength", Some(strength), count)?;
+        let arap = &self.template.arap;
+        let places = py.detach(|| {
+            let (mut held, mut pose) = (arap.held(strength)?, arap.pose());
+            (0..rounds).for_each(|_| held.step(&mut pose, &goals));
+            Ok::<_, Error>(pose.places)
+        })?;
+        rows(py, places)
+    }
+
     /// Register `clouds` [(M, 3)] mm in parallel, each from the shape of the model nearest to it among the commands `candidates`
     /// (G, C), which stay between `low` and `high` (C,). One dict each: vertices (N, 3), support (N,), command (C,), start
     /// (N, 3), start_cost, scale, other (its cost, mm), residual_mm, noise_mm, used, rounds, settled.

@@ -1,0 +1,121 @@
+//! Points in the order of Morton's curve, which fills space: what is near along it lies near as a rule (Morton 1966).
+
+use crate::vector::Vec3;
+
+/// Cells of the curve along an axis.
+const CELLS: usize = 16;
+/// The four bits of a cell's number with two gaps after each.
+const APART: [u16; CELLS] = {
+    let mut apart = [0; CELLS];
+    let mut cell = 0;
+    while cell < CELLS {
+        let bits = (cell | cell << 4) & 0xc3;
+        apart[cell] = ((bits | bits << 2) & 0x249) as u16;
+        cell += 1;
+    }
+    apart
+};
+
+/// The box about both sets.
+#[inline(always)]
+pub fn bounds(a: &[Vec3], b: &[Vec3]) -> (Vec3, Vec3) {
+    // Four points at once: as many numbers as fill wide vectors.
+    let (mut low, mut high) = ([f64::INFINITY; 12], [f64::NEG_INFINITY; 12]);
+    for points in [a, b] {
+        let mut fours = points.as_flattened().chunks_exact(12);
+        for four in &mut fours {
+            for k in 0..12 {
+                low[k] = if four[k] < low[k] { four[k] } else { low[k] };
+                high[k] = if four[k] > high[k] { four[k] } else { high[k] };
+            }
+        }
+        for (k, v) in fours.remainder().iter().enumerate() {
+            (low[k], high[k]) = (low[k].min(*v), high[k].max(*v));
+        }
+    }
+    let of = |all: [f64; 12], worse: fn(f64, f64) -> f64| {
+        std::array::from_fn(|c| (1..4).fold(all[c], |best, k| worse(best, all[3 * k + c])))
+    };
+    (of(low, f64::min), of(high, f64::max))
+}
+
+/// Points in single precision about the middle of a box, where it is finest, along Morton's curve; and which they were.
+pub struct Ordered {
+    pub points: Vec<[f32; 3]>,
+    pub order: Vec<u32>,
+}
+
+impl Ordered {
+    #[inline(always)]
+    pub fn new(points: &[Vec3], low: Vec3, high: Vec3) -> Ordered {
+        let middle: Vec3 = std::array::from_fn(|c| 0.5 * (low[c] + high[c]));
+        let scale: [f32; 3] = std::array::from_fn(|c| {
+            let side = (high[c] - low[c]).max(f64::MIN_POSITIVE);
+            ((1.0 - 1e-6) * CELLS as f64 / side) as f32
+        });
+        let near = |p: &Vec3| -> [f32; 3] { std::array::from_fn(|c| (p[c] - middle[c]) as f32) };
+        let key = |p: &Vec3| {
+            let p = near(p);
+            let cell =
+                |c: usize| (p[c] * scale[c] + 0.5 * CELLS as f32) as i32 & (CELLS as i32 - 1);
+            APART[cell(0) as usize] | APART[cell(1) as usize] << 1 | APART[cell(2) as usize] << 2
+        };
+        let keys: Vec<u16> = points.iter().map(key).collect();
+        let mut starts = [0u32; CELLS * CELLS * CELLS + 1];
+        keys.iter().for_each(|key| starts[*key as usize + 1] += 1);
+        for k in 1..starts.len() {
+            starts[k] += starts[k - 1];
+        }
+        let mut ordered = Ordered {
+            points: vec![[0.0; 3]; points.len()],
+            order: vec![0; points.len()],
+        };
+        for (i, key) in keys.iter().enumerate() {
+            let place = &mut starts[*key as usize];
+            ordered.points[*place as usize] = near(&points[i]);
+            ordered.order[*place as usize] = i as u32;
+            *place += 1;
+        }
+        ordered
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_point_is_there_once_and_cells_follow_the_curve() {
+        let cell = |i: usize| f64::from(i as u32) + 0.5;
+        // The corners of a cube of 16³ cells, and each cell of its diagonal, last first.
+        let mut points: Vec<Vec3> = (0..CELLS).rev().map(|i| [cell(i); 3]).collect();
+        points.extend([
+            [0.0; 3],
+            [16.0; 3],
+            [16.0, 0.0, 0.0],
+            [0.0, 16.0, 0.0],
+            [0.0, 0.0, 16.0],
+        ]);
+        let (low, high) = bounds(&points[..5], &points[5..]);
+        assert_eq!((low, high), ([0.0; 3], [16.0; 3]));
+        let ordered = Ordered::new(&points, low, high);
+        let mut all = ordered.order.clone();
+        all.sort();
+        assert!(all.iter().enumerate().all(|(i, o)| i == *o as usize));
+        for (p, i) in ordered.points.iter().zip(&ordered.order) {
+            assert!((0..3).all(|c| f64::from(p[c]) == points[*i as usize][c] - 8.0));
+        }
+        let place = |i: u32| ordered.order.iter().position(|o| *o == i);
+        assert!((1..CELLS as u32).all(|i| place(i) < place(i - 1)));
+        // Half of the cube across x lies before all of the other half across z, since z counts most.
+        let [x, y, z] = [18, 19, 20].map(place);
+        assert!(x < y && y < z && place(16) < x && z < place(0));
+    }
+
+    #[test]
+    fn points_without_extent_keep_their_order() {
+        let ordered = Ordered::new(&[[3.0, -1.0, 2.0]; 5], [3.0, -1.0, 2.0], [3.0, -1.0, 2.0]);
+        assert_eq!(ordered.order, [0, 1, 2, 3, 4]);
+        assert!(ordered.points.iter().all(|p| *p == [0.0; 3]));
+    }
+}
