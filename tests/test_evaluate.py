@@ -22,10 +22,10 @@ from softmap_training.evaluate import (  # noqa: E402
     on_shapes,
     told_these,
 )
-from softmap_training.prior import Surface  # noqa: E402
+from softmap_training.prior import Surface, train_prior, with_prior  # noqa: E402
 from softmap_training.simulated import SimulatedSet  # noqa: E402
 
-from softmap_edge import Run, builtin_model  # noqa: E402
+from softmap_edge import Run, builtin_model, save_bundle  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.solid.finger import Finger  # noqa: E402
 from softmap_edge.solid.simulator import Simulator  # noqa: E402
@@ -55,7 +55,7 @@ def files(tmp_path_factory):
     finger = Finger.builtin().replace(core=2, layers=12)
     axis = np.linspace(-16.0, 16.0, 7)
     Simulator(finger, template=Simulator(Finger.builtin()).template).sweep([axis, axis]).save(folder / "s.npz")
-    recorded(48, 1)[0].save(folder / "teaches.npz")
+    recorded(32, 1)[0].save(folder / "teaches.npz")
     run, true = recorded(4, 2)
     run.save(folder / "run.npz")
     np.savez(folder / "truth.npz", vertices=true)
@@ -119,10 +119,10 @@ def test_a_prior_of_two_seeds_is_one_row_and_what_no_seed_changes_is_fitted_once
     assert rows[0].errors["vertex"][0].mean() != rows[0].errors["vertex"][1].mean()
 
 
-def test_parts_of_a_recording_are_whole_blocks_and_each_holds_the_smaller_ones(files):
+def test_parts_of_a_recording_are_whole_blocks_and_each_holds_the_smaller_ones(files, tmp_path):
     lesson = Lesson.of(MODEL, [Run.load(files / "teaches.npz")])
     parts = [lesson.part(share, 3) for share in choices.SHARES]
-    assert [len(part) for part in parts] == [6, 12, 24, 48]
+    assert [len(part) for part in parts] == [4, 8, 16, 32]
     for small, large in zip(parts[:-1], parts[1:]):
         assert set(small) < set(large)
     assert all(set(block) <= set(parts[1]) or not set(block) & set(parts[1]) for block in lesson.blocks)
@@ -130,9 +130,14 @@ def test_parts_of_a_recording_are_whole_blocks_and_each_holds_the_smaller_ones(f
     run, true = recorded(4, 2)
     judge = Recording.of(run, MODEL, true)
     found = residuals(lesson, judge, "modes", Plan(), lambda what, share: None)
-    assert [row.told["frames"] for row in found] == [12, 24, 48]  # 6 are too few for a residual
+    assert [row.told["frames"] for row in found] == [16, 32]  # 8 are too few for a residual
     before = judge.judge("x", MODEL).errors["vertex"].mean()
     assert found[-1].errors["vertex"].mean() < 0.6 * before
+    # From its checkpoints a training ends as it did.
+    plan = Plan((0,), 3, tmp_path)
+    once, again = (residuals(lesson, judge, "modes", plan, lambda what, share: None) for _ in range(2))
+    assert len(list(tmp_path.iterdir())) == 2 and once[-1].told["kind"] == "modes"
+    np.testing.assert_array_equal(once[-1].errors["vertex"], again[-1].errors["vertex"])
 
 
 def test_runs_that_teach_together_are_one_a_minute_apart_and_must_be_alike(files):
@@ -167,7 +172,7 @@ def test_the_papers_three_rows_both_falls_and_a_page(files, capsys, monkeypatch)
     monkeypatch.chdir(files)
     monkeypatch.setattr(choices, "DEEPSORO_DRAWN", 1)
     argv = ["--run", "run.npz", "--truth", "truth.npz", "--train", "teaches.npz", "--seeds", "2", "--epochs", "6"]
-    assert main(["evaluate", *argv, "--set", "s.npz", "--html", "page.html", "--work", "w", "--json"]) == 0
+    assert main(["evaluate", *argv, "--set", "s.npz", "--html", "page.html", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     rows = {row["name"]: row for row in said["recorded"]}
     assert list(rows) == ["DeepSoRo", "built-in, without residual", "residual, ours", "residual, published"]
@@ -178,15 +183,36 @@ def test_the_papers_three_rows_both_falls_and_a_page(files, capsys, monkeypatch)
     means = [rows[name]["vertex_mm"]["mean"] for name in ("residual, ours", "built-in, without residual")]
     assert one["vertex_share"] == pytest.approx(1 - means[0] / means[1]) and one["paper_chamfer_share"] == 0.334
     assert falls["residual, published", "DeepSoRo"]["paper_chamfer_share"] == 0.407
-    assert [row["frames"] for row in said["samples"]] == 2 * [12, 24, 48]
+    assert [row["frames"] for row in said["samples"]] == 2 * [16, 32]
     page = (files / "page.html").read_text(encoding="utf-8")
     assert page.count("data:image/") == 4 and "http:" not in page and "<script" not in page
     for text in ("other data", "DeepSoRo", "number of real samples", "s of training", "over 2 seeds", "−40.7 %"):
         assert text in page, text
-    # From its checkpoints the same line gives the same errors.
-    assert main(["evaluate", *argv, "--residual", "modes", "--work", "w", "--json"]) == 0
-    again = json.loads(capsys.readouterr().out)["recorded"]
-    assert [row["chamfer_mm"] for row in again] == [row["chamfer_mm"] for row in said["recorded"][:3]]
+
+
+def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_told(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    data = SimulatedSet.load("s.npz")
+    near = np.flatnonzero((np.abs(data.command) < 12.0).all(axis=1))
+    points = data.shapes(near).reshape(len(near), -1).astype(float)
+    parts = np.arange(len(near) - 4), np.arange(2), np.arange(len(near) - 4, len(near))
+    trained = train_prior(data.command[near], points, parts, recipe=choices.PRIOR.with_(epochs=2))
+    low, high = np.array(trained.report["command_range"]).T
+    save_bundle(with_prior(MODEL, trained, data.command[near][-4:], points[-4:]), files / "near")
+    assert main(["evaluate", "near", "--set", "s.npz", "--json"]) == 0
+    test = data.command[data.split(choices.SPLIT_SEED).test]
+    outside = ((test < low - 0.05 * (high - low)) | (test > high + 0.05 * (high - low))).any(axis=1)
+    assert 0 < outside.sum() < len(test)
+    (said,) = json.loads(capsys.readouterr().out)["warnings"]
+    assert f"{outside.sum()} of {len(test)} frames ({100 * outside.mean():.0f} %) leave what taught the network" in said
+    # Of a recording, by the residual that it teaches.
+    run, _ = recorded(40, 1)
+    run.at(np.flatnonzero((np.abs(run.command) < 5.0).all(axis=1))).save("narrow.npz")
+    argv = ["--run", "run.npz", "--train", "narrow.npz", "--residual", "modes", "--epochs", "2", "--json"]
+    monkeypatch.setattr(choices, "DEEPSORO_DRAWN", 1)
+    assert main(["evaluate", *argv]) == 0
+    warnings = json.loads(capsys.readouterr().out)["warnings"]
+    assert warnings and all("taught the residual" in text and "frames:" in text for text in warnings)
 
 
 def test_the_papers_figures_are_those_of_its_table():

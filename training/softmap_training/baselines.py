@@ -105,7 +105,8 @@ def _xgboost(commands: Floats, weights: Floats, seed: int) -> Regressor:
         raise TrainingError("xgboost is not installed: pip install 'softmap-training[baselines]'") from None
     trees = xgboost.XGBRegressor(random_state=seed, n_jobs=1, **choices.XGBOOST)
     trees.fit(commands, weights)
-    return lambda u: np.asarray(trees.predict(u), np.float64), choices.XGBOOST["n_estimators"] * weights.shape[1]
+    nodes = sum(tree.count("\n") for tree in trees.get_booster().get_dump())
+    return lambda u: np.asarray(trees.predict(u), np.float64), nodes
 
 
 def _gp(commands: Floats, weights: Floats, seed: int) -> Regressor:

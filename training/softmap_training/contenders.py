@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.folds import run_folds
 from softmap_edge.model import Model
+from softmap_edge.outside import untaught
 from softmap_edge.registration.clouds import clouds_of
 from softmap_edge.registration.register import Registered, register
 from softmap_edge.residual import APART
@@ -155,7 +156,7 @@ def residuals(lesson: Lesson, judge: Recording, kind: str, plan: Plan, bar: Prog
             )
             told = took(model) | {
                 "what": "with residual", "kind": kind, "seed": seed, "seconds": report["seconds"], "share": share,
-                "frames": len(some),
+                "frames": len(some), "outside": untaught(model, judge.run),
             }  # fmt: skip
             rows.append(judge.judge(TITLES[kind], model, told))
         if rows:

@@ -33,7 +33,7 @@ from softmap_training.evaluate import (
     size_of,
     told_these,
 )
-from softmap_training.evaluate_text import lines
+from softmap_training.evaluate_text import lines, samples
 from softmap_training.train_verb import checked_torch
 
 ALL = "all"
@@ -217,6 +217,7 @@ def _on_run(
         parts = residuals(lesson, judge, kind, _plan(args), bar)
         for row in parts:
             row.told["base"] = first
+            warnings += [f"{samples(row.told | {'name': row.name})}: {note}" for note in row.told["outside"]]
         curve += parts
         rows.append(parts[-1])
     return rows, curve

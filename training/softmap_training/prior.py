@@ -25,6 +25,7 @@ from torch import Tensor, nn
 
 from softmap_edge import _core
 from softmap_edge.model import Model
+from softmap_edge.outside import span
 from softmap_edge.registration.register import clamped
 from softmap_training import encodings
 from softmap_training.choices import PRIOR, PRIOR_MODES, PRIOR_WIDTHS, PUBLISHED_PRIOR, PriorKind, Recipe
@@ -119,7 +120,7 @@ def train_prior(
         "seconds": sum(row["seconds"] for row in log),
         "parameters": core.parameters,
         "samples": len(train),
-        "command_range": np.column_stack([commands[train].min(axis=0), commands[train].max(axis=0)]).tolist(),
+        "command_range": span(commands[train]),
         "test_vertex_mm": vertex_error(core.evaluate(commands[test]), points[test]),
         "test_rms_mm": rms(core.evaluate(commands[test]) - points[test]),
         "parity_mm": apart,
