@@ -228,6 +228,7 @@ def test_the_papers_figures_are_those_of_its_table():
         (["--set", "s.npz", "--model", "forest"], "there are"),
         (["--run", "r.npz", "--model", "gp"], "give --set"),
         (["--run", "r.npz", "--seeds", "0"], "give 1 to"),
+        (["--run", "r.npz", "a/one", "b/one"], "one name"),
         (["--run", "r.npz", "--html", "page.txt"], ".html"),
     ],
 )

@@ -75,6 +75,9 @@ def evaluate(args: argparse.Namespace) -> int:
     """Judge models and print their tables."""
     asked = _checked(args)
     load_own(args)
+    names = [Path(path).name for path in args.bundles]
+    if len(set(names)) < len(names):
+        raise TrainingError(f"bundles {', '.join(names)}: two of one name would be one row; rename one of the folders")
     models = {Path(path).name: open_model(path) for path in args.bundles} or {"built-in": open_model(None)}
     shapes: list[Row] = []
     seen: list[Row] = []
@@ -171,8 +174,9 @@ def _on_set(
             at, shapes = halfway(model, u, Finger.from_toml(data.finger))
             told["judged"] = BETWEEN
         t = np.arange(float(len(at)))
-        warnings += beyond(model, Run(t=t, command=at, t_seen=t, command_unit=model.command_unit))
-        name += "" if model.residual is None else WITHOUT
+        name, base = name + ("" if model.residual is None else WITHOUT), model.with_residual(None)
+        asked_for = Run(t=t, command=at, t_seen=t, command_unit=model.command_unit)
+        warnings += [f"{name}: {note}" for note in beyond(base, asked_for)]
         rows.append(on_shapes(name, model.prior.evaluate, at, shapes, told, model.triangles))
     if not asked:
         return rows
@@ -199,7 +203,7 @@ def _on_run(
     curve: list[Row] = []
     for k, (name, one) in enumerate(models.items()):
         bar("recording", k / len(models))
-        warnings += beyond(one, run)
+        warnings += [f"{name}: {note}" for note in beyond(one, run)]
         base, trained = one.with_residual(None), one.made_from.get("prior") or {}
         told = took(base) | {"what": "without residual", "base": name}
         told |= {key: trained[key] for key in ("seconds", "seed") if key in trained}
