@@ -1,8 +1,12 @@
-"""Where a run leaves what a model was made from: its commands, loads that are not applied, points out of reach."""
+"""Where a run leaves what a model was made from: its commands, loads that are not applied, points out of reach.
+
+A trained prior and a residual tell in `made_from` which commands taught them (`span`); those that act are compared.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +22,9 @@ BEYOND = 0.05  # share of its range by which a command may leave it before a wor
 
 
 def beyond(model: Model, run: Run) -> list[str]:
-    """Return a sentence for each channel that leaves the range of the model, and for loads that it cannot apply."""
+    """Return a sentence for each channel that leaves the range of the model, for what was learned over a smaller one,
+    and for loads that it cannot apply.
+    """
     u, notes = model.commands(run), []
     for c, (low, high) in enumerate(model.command_range if len(u) else ()):
         least, most = float(u[:, c].min()), float(u[:, c].max())
@@ -28,6 +34,7 @@ def beyond(model: Model, run: Run) -> list[str]:
                 f"channel {c} goes from {least:.3g} to {most:.3g} {model.command_unit}, the model of '{model.robot}' "
                 f"was made from {low:.3g} to {high:.3g}; beyond, it extrapolates"
             )
+    notes += untaught(model, run)
     gravity = model.gravity_reference if run.gravity is None else run.gravity
     told = [] if np.allclose(gravity, model.gravity_reference, atol=1e-3) else ["another gravity"]
     told += [] if run.load is None or not np.any(run.load) else ["a load"]
@@ -37,6 +44,51 @@ def beyond(model: Model, run: Run) -> list[str]:
             "that is not applied"
         )
     return notes
+
+
+def untaught(model: Model, run: Run) -> list[str]:
+    """Return a sentence for the trained prior, and one for the residual, that a run takes beyond what taught it."""
+    learned = {"network": model.kind == "network" and "prior", "residual": model.residual is not None and "residual"}
+    ranges = {what: _taught(model, key) for what, key in learned.items() if key}
+    known = {what: found for what, found in ranges.items() if found is not None}
+    if not known or not run.frames:
+        return []
+    if model.chain_names:
+        u = model.acting(model.chain_names, model.chain_params[None], run)[0]
+    else:  # spares a network's table of features
+        rows = model.commands(run)
+        u = np.column_stack([np.interp(run.t_seen, run.t, rows[:, c]) for c in range(model.channels)])
+    notes = []
+    for what, (low, high) in known.items():
+        outside = (u < low - BEYOND * (high - low)) | (u > high + BEYOND * (high - low))
+        if outside.any():
+            count = int(outside.any(axis=1).sum())
+            least, most, unit = u.min(axis=0), u.max(axis=0), model.command_unit
+            told = ", ".join(
+                f"channel {c} from {low[c]:.3g} to {high[c]:.3g} {unit}, here from {least[c]:.3g} to {most[c]:.3g}"
+                for c in np.flatnonzero(outside.any(axis=0))
+            )
+            notes.append(
+                f"{count} of {len(u)} frames ({100 * count / len(u):.0f} %) leave what taught the {what} of "
+                f"'{model.robot}': {told}; beyond, it extrapolates"
+            )
+    return notes
+
+
+def span(commands: Floats) -> list[list[float]]:
+    """Return [least, most] of each channel of commands (n, C), as `made_from` keeps it under `command_range`."""
+    return [[float(channel.min()), float(channel.max())] for channel in commands.T]
+
+
+def _taught(model: Model, key: str) -> tuple[Floats, Floats] | None:
+    """Return least and most (C,) of the commands that taught a part of a model; None where its file does not say."""
+    part: Any = model.made_from.get(key)
+    try:
+        found = np.asarray(part.get("command_range") if isinstance(part, Mapping) else None, float)
+    except (TypeError, ValueError):
+        return None
+    fits = found.shape == (model.channels, 2) and bool(np.isfinite(found).all())
+    return (found[:, 0], found[:, 1]) if fits else None
 
 
 def check_commands(model: Model, run: Run, u: Floats) -> None:

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from softmap_edge.elsewhere.scattered import fit_scattered
 from softmap_edge.errors import SoftmapError
 from softmap_edge.folds import Folds, run_folds
+from softmap_edge.outside import span
 from softmap_edge.run import known
 from softmap_edge.shape_arrays import family_from
 from softmap_edge.views import laid
@@ -78,6 +79,7 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, dict[
         "size_mm": _rms(family_from(arrays).evaluate(commands)),
         "before_rms_mm": _rms(missed, seen),
         "after_held_out_rms_mm": _rms(left, seen),
+        "command_range": span(commands),
     }
     made = dict(base.made_from) | {"residual": {"run": [one.hash() for one in runs], **report}}
     return replace(found, made_from=made), report

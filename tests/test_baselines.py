@@ -67,6 +67,7 @@ def test_a_baseline_learns_and_the_same_seed_gives_the_same(name, monkeypatch):
         pytest.skip("xgboost-cpu is not installed")
     monkeypatch.setattr(choices, "DEEPSORO", choices.DEEPSORO.with_(epochs=60, rate=3e-3))
     monkeypatch.setattr(choices, "DEEPSORO_WIDTH", 32)
+    monkeypatch.setattr(choices, "DEEPSORO_DRAWN", 1)
     monkeypatch.setattr(choices, "XGBOOST", choices.XGBOOST | {"n_estimators": 60})
     fitted = fit_baseline(name, COMMANDS[TRAIN], POINTS[TRAIN])
     found = fitted.predict(COMMANDS[TEST])

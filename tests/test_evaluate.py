@@ -1,4 +1,6 @@
-"""The tables of `softmap evaluate`: figures that are known, and the words beside those of the paper."""
+"""The tables of `softmap evaluate`: figures that are known, what is fitted beside them, and the words beside the
+paper's.
+"""
 
 import json
 from dataclasses import replace
@@ -6,17 +8,58 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
+torch = pytest.importorskip("torch")
 
-from softmap_training.evaluate import PUBLISHED, fall, judged, on_run, on_shapes
+from softmap_training import choices  # noqa: E402
+from softmap_training.contenders import Lesson, Plan, fitted_to_set, joined, residuals  # noqa: E402
+from softmap_training.errors import TrainingError  # noqa: E402
+from softmap_training.evaluate import (  # noqa: E402
+    PUBLISHED,
+    Recording,
+    Row,
+    fall,
+    halfway,
+    on_shapes,
+    told_these,
+)
+from softmap_training.prior import Surface, train_prior, with_prior  # noqa: E402
+from softmap_training.simulated import SimulatedSet  # noqa: E402
 
-from softmap_edge import Run, builtin_model
-from softmap_edge.cli import main
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
-from softmap_edge.truth_clouds import FULL, TWO
+from softmap_edge import Run, builtin_model, save_bundle  # noqa: E402
+from softmap_edge.cli import main  # noqa: E402
+from softmap_edge.solid.finger import Finger  # noqa: E402
+from softmap_edge.solid.simulator import Simulator  # noqa: E402
+from softmap_edge.truth_clouds import FULL, TWO  # noqa: E402
 
+torch.set_num_threads(1)
 MODEL = builtin_model()
+OFF = MODEL.with_effects(["offset"], {"offset.shift[0]": 1.0})
+CAMERAS = replace(TWO, points=800)
+
+
+def recorded(rows, seed):
+    """Held commands, seen as clouds of a finger whose first command is off by 1 mm; and the true vertices."""
+    rng = np.random.default_rng(seed)
+    t = 3.0 * np.arange(float(rows))
+    run = Run(t=t, command=rng.uniform(-8, 8, (rows, 2)), t_seen=t, robot=MODEL.robot)
+    true = np.asarray(OFF.predict(run))
+    clouds = [CAMERAS.look(shape, MODEL.triangles, rng) for shape in true]
+    start = np.concatenate([[0], np.cumsum([len(c) for c in clouds])])
+    return replace(run, points=np.concatenate(clouds), start=start), true
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A folder with a small simulated set, a run that teaches, and one that judges with its truth."""
+    folder = tmp_path_factory.mktemp("evaluate")
+    finger = Finger.builtin().replace(core=2, layers=12)
+    axis = np.linspace(-16.0, 16.0, 7)
+    Simulator(finger, template=Simulator(Finger.builtin()).template).sweep([axis, axis]).save(folder / "s.npz")
+    recorded(32, 1)[0].save(folder / "teaches.npz")
+    run, true = recorded(4, 2)
+    run.save(folder / "run.npz")
+    np.savez(folder / "truth.npz", vertices=true)
+    return folder
 
 
 def test_a_shift_has_the_vertex_error_of_the_shift_and_no_shift_has_none():
@@ -24,44 +67,152 @@ def test_a_shift_has_the_vertex_error_of_the_shift_and_no_shift_has_none():
     points = np.asarray(MODEL.prior.evaluate(u))
     shifted = points + np.tile([0.0, 0.3, 0.4], points.shape[1] // 3)
     exact, off = (on_shapes("x", lambda v, p=p: p[: len(v)], u, points, {}) for p in (points, shifted))
-    assert off.errors["vertex"] == pytest.approx(np.full(6, 0.5)) and exact.errors["vertex"].max() == 0.0
-    assert off.errors["chamfer"] == pytest.approx(np.full(6, 1.0), rel=0.05) and exact.errors["chamfer"].max() < 1e-6
-    assert fall(off, exact, "vertex") == pytest.approx(1.0)
+    assert off.errors["vertex"] == pytest.approx(np.full((1, 6), 0.5)) and exact.errors["vertex"].max() == 0.0
+    assert off.errors["chamfer"] == pytest.approx(np.full((1, 6), 1.0), rel=0.05)
+    assert exact.errors["chamfer"].max() < 1e-6
+    assert fall(off, exact)["vertex"] == pytest.approx(1.0)
 
 
 def test_exact_geometry_scores_chamfer_on_two_views_but_not_surface():
     """Why both are told: the side that no camera sees has no points."""
     rng = np.random.default_rng(1)
+    t = np.zeros(1)
     shape = np.asarray(MODEL.prior.evaluate(np.array([[6.0, -3.0]]))).reshape(1, -1, 3)
+    run = Run(t=t, command=np.array([[6.0, -3.0]]), t_seen=t)
     two = replace(TWO, outliers=0.0, sigma_mm=0.0)
     clouds = [cameras.look(shape[0], MODEL.triangles, rng) for cameras in (two, replace(FULL, sigma_mm=0.0))]
-    seen, whole = (judged(shape, [cloud], MODEL.triangles) for cloud in clouds)
-    assert seen["surface"][0] < 0.02 and seen["chamfer"][0] > 1.5
-    assert whole["chamfer"][0] < seen["chamfer"][0] - 0.5
+    runs = [replace(run, points=cloud, start=np.array([0, len(cloud)])) for cloud in clouds]
+    seen, whole = (Recording.of(one, MODEL, shape).judge_shapes("x", shape, MODEL.triangles).errors for one in runs)
+    assert seen["surface"][0, 0] < 0.02 and seen["chamfer"][0, 0] > 1.5
+    assert whole["chamfer"][0, 0] < seen["chamfer"][0, 0] - 0.5
+    assert seen["visible"][0, 0] < seen["chamfer"][0, 0] - 0.5  # what nobody saw asks for nothing
+    assert seen["vertex"][0, 0] == 0.0 and seen["whole"][0, 0] < 1e-6
 
 
-def test_the_verb_prints_both_tables_beside_the_papers(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    finger = Finger.builtin().replace(core=2, layers=12)
-    axis = np.linspace(-16.0, 16.0, 7)
-    Simulator(finger, template=Simulator(Finger.builtin()).template).sweep([axis, axis]).save("s.npz")
-    rng = np.random.default_rng(2)
-    t = np.arange(4.0)
-    run = Run(t=t, command=rng.uniform(-8, 8, (4, 2)), t_seen=t, robot=MODEL.robot)
-    true = np.asarray(MODEL.with_effects(["offset"], {"offset.shift[0]": 1.0}).predict(run))
-    clouds = [replace(TWO, points=800).look(shape, MODEL.triangles, rng) for shape in true]
-    start = np.concatenate([[0], np.cumsum([len(c) for c in clouds])])
-    replace(run, points=np.concatenate(clouds), start=start).save("run.npz")
-    np.savez("truth.npz", vertices=true)
+def test_seeds_are_told_as_a_mean_and_how_far_it_moves():
+    rows = [Row("x", {"vertex": np.array([[1.0, 3.0]]) + shift}, {"seconds": 2.0 + shift}) for shift in (0.0, 1.0, 2.0)]
+    said = Row.of_seeds(rows).to_dict()
+    assert said["seeds"] == 3 and said["seconds"] == 3.0
+    assert said["vertex_mm"]["mean"] == 3.0 and said["vertex_mm"]["sd"] == 1.0 and said["vertex_mm"]["sd_of_seeds"] == 1
+    assert rows[0].to_dict()["vertex_mm"]["sd_of_seeds"] is None
+
+
+def test_a_table_is_judged_where_it_was_told_nothing():
+    axis = np.asarray(MODEL.prior.axes[0])
+    nodes = np.array([[axis[3], axis[30]], [axis[25], axis[20]], [axis[40], axis[0]]])
+    assert told_these(MODEL, nodes) and not told_these(MODEL, nodes + 0.1)
+    assert not told_these(replace(MODEL, prior=MODEL.fields["gravity_x"]), nodes + 0.1)
+    moved, shapes = halfway(MODEL, nodes, Finger.builtin())
+    step = axis[1] - axis[0]
+    np.testing.assert_allclose(np.abs(moved - nodes), step / 2, rtol=1e-6)
+    assert (np.abs(moved) <= 16.0).all()
+    off = np.linalg.norm((MODEL.prior.evaluate(moved) - shapes).reshape(3, -1, 3), axis=2).mean(axis=1)
+    away = np.linalg.norm((MODEL.prior.evaluate(nodes) - shapes).reshape(3, -1, 3), axis=2).mean(axis=1)
+    assert (off < 0.1).all() and (away > 5 * off).all()
+
+
+def test_a_prior_of_two_seeds_is_one_row_and_what_no_seed_changes_is_fitted_once(files):
+    data = SimulatedSet.load(files / "s.npz")
+    plan = Plan((0, 1), 3)
+    rows = [fitted_to_set(name, data, Surface.of(MODEL), plan, lambda what, share: None) for name in ("modes", "table")]
+    assert [len(row.errors["vertex"]) for row in rows] == [2, 1]
+    assert rows[0].errors["vertex"][0].mean() != rows[0].errors["vertex"][1].mean()
+
+
+def test_parts_of_a_recording_are_whole_blocks_and_each_holds_the_smaller_ones(files, tmp_path):
+    lesson = Lesson.of(MODEL, [Run.load(files / "teaches.npz")])
+    parts = [lesson.part(share, 3) for share in choices.SHARES]
+    assert [len(part) for part in parts] == [4, 8, 16, 32]
+    for small, large in zip(parts[:-1], parts[1:]):
+        assert set(small) < set(large)
+    assert all(set(block) <= set(parts[1]) or not set(block) & set(parts[1]) for block in lesson.blocks)
+    assert set(lesson.part(0.25, 4)) != set(parts[1])
+    run, true = recorded(4, 2)
+    judge = Recording.of(run, MODEL, true)
+    found = residuals(lesson, judge, "modes", Plan(), lambda what, share: None)
+    assert [row.told["frames"] for row in found] == [16, 32]  # 8 are too few for a residual
+    before = judge.judge("x", MODEL).errors["vertex"].mean()
+    assert found[-1].errors["vertex"].mean() < 0.6 * before
+    # From its checkpoints a training ends as it did.
+    plan = Plan((0,), 3, tmp_path)
+    once, again = (residuals(lesson, judge, "modes", plan, lambda what, share: None) for _ in range(2))
+    assert len(list(tmp_path.iterdir())) == 2 and once[-1].told["kind"] == "modes"
+    np.testing.assert_array_equal(once[-1].errors["vertex"], again[-1].errors["vertex"])
+
+
+def test_runs_that_teach_together_are_one_a_minute_apart_and_must_be_alike(files):
+    run = Run.load(files / "teaches.npz")
+    both = joined([run, replace(run, t=run.t + 100.0, t_seen=run.t_seen + 100.0)])
+    assert both.frames == 2 * run.frames and len(both.t) == 2 * len(run.t)
+    assert both.t[len(run.t)] - both.t[len(run.t) - 1] == pytest.approx(60.0)
+    np.testing.assert_array_equal(both.points[len(run.points) :], run.points)
+    np.testing.assert_allclose(MODEL.predict(both)[run.frames :], MODEL.predict(run))
+    with pytest.raises(TrainingError, match="recorded alike"):
+        joined([run, replace(run, temperature=20.0)])
+    with pytest.raises(TrainingError, match="some do not"):
+        joined([run, replace(run, gravity=np.array([0.0, 0.0, 1.0]))])
+    with pytest.raises(TrainingError, match="without clouds"):
+        joined([replace(run, points=None, start=None)])
+
+
+def test_the_verb_prints_both_tables_beside_the_papers(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
     assert main(["evaluate", "--set", "s.npz", "--model", "table", "--run", "run.npz", "--truth", "truth.npz"]) == 0
     text = capsys.readouterr().out
     assert "built-in" in text and "other data" in text and "±" in text and "surface" in text
     assert main(["evaluate", "--run", "run.npz", "--truth", "truth.npz", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    row = said["recorded"][0]
-    exact = np.linalg.norm(MODEL.predict(run) - true, axis=2).mean()
+    row, run = said["recorded"][0], Run.load("run.npz")
+    exact = np.linalg.norm(MODEL.predict(run) - np.load("truth.npz")["vertices"], axis=2).mean()
     assert row["vertex_mm"]["mean"] == pytest.approx(exact) and row["surface_mm"]["mean"] > 0
-    assert said["schema"] == "softmap.evaluation/1" and said["simulated"] == []
+    assert said["schema"] == "softmap.evaluation/1" and said["simulated"] == [] and said["samples"] == []
+
+
+def test_the_papers_three_rows_both_falls_and_a_page(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    monkeypatch.setattr(choices, "DEEPSORO_DRAWN", 1)
+    argv = ["--run", "run.npz", "--truth", "truth.npz", "--train", "teaches.npz", "--seeds", "2", "--epochs", "6"]
+    assert main(["evaluate", *argv, "--set", "s.npz", "--html", "page.html", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    rows = {row["name"]: row for row in said["recorded"]}
+    assert list(rows) == ["DeepSoRo", "built-in, without residual", "residual, ours", "residual, published"]
+    assert rows["DeepSoRo"]["seeds"] == 2 and "vertex_mm" not in rows["DeepSoRo"]
+    assert rows["residual, ours"]["vertex_mm"]["mean"] < rows["built-in, without residual"]["vertex_mm"]["mean"]
+    falls = {(row["name"], row["against"]): row for row in said["falls"]}
+    one = falls["residual, ours", "built-in, without residual"]
+    means = [rows[name]["vertex_mm"]["mean"] for name in ("residual, ours", "built-in, without residual")]
+    assert one["vertex_share"] == pytest.approx(1 - means[0] / means[1]) and one["paper_chamfer_share"] == 0.334
+    assert falls["residual, published", "DeepSoRo"]["paper_chamfer_share"] == 0.407
+    assert [row["frames"] for row in said["samples"]] == 2 * [16, 32]
+    page = (files / "page.html").read_text(encoding="utf-8")
+    assert page.count("data:image/") == 4 and "http:" not in page and "<script" not in page
+    for text in ("other data", "DeepSoRo", "number of real samples", "s of training", "over 2 seeds", "−40.7 %"):
+        assert text in page, text
+
+
+def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_told(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    data = SimulatedSet.load("s.npz")
+    near = np.flatnonzero((np.abs(data.command) < 12.0).all(axis=1))
+    points = data.shapes(near).reshape(len(near), -1).astype(float)
+    parts = np.arange(len(near) - 4), np.arange(2), np.arange(len(near) - 4, len(near))
+    trained = train_prior(data.command[near], points, parts, recipe=choices.PRIOR.with_(epochs=2))
+    low, high = np.array(trained.report["command_range"]).T
+    save_bundle(with_prior(MODEL, trained, data.command[near][-4:], points[-4:]), files / "near")
+    assert main(["evaluate", "near", "--set", "s.npz", "--json"]) == 0
+    test = data.command[data.split(choices.SPLIT_SEED).test]
+    outside = ((test < low - 0.05 * (high - low)) | (test > high + 0.05 * (high - low))).any(axis=1)
+    assert 0 < outside.sum() < len(test)
+    (said,) = json.loads(capsys.readouterr().out)["warnings"]
+    assert f"{outside.sum()} of {len(test)} frames ({100 * outside.mean():.0f} %) leave what taught the network" in said
+    # Of a recording, by the residual that it teaches.
+    run, _ = recorded(40, 1)
+    run.at(np.flatnonzero((np.abs(run.command) < 5.0).all(axis=1))).save("narrow.npz")
+    argv = ["--run", "run.npz", "--train", "narrow.npz", "--residual", "modes", "--epochs", "2", "--json"]
+    monkeypatch.setattr(choices, "DEEPSORO_DRAWN", 1)
+    assert main(["evaluate", *argv]) == 0
+    warnings = json.loads(capsys.readouterr().out)["warnings"]
+    assert warnings and all("taught the residual" in text and "frames:" in text for text in warnings)
 
 
 def test_the_papers_figures_are_those_of_its_table():
@@ -73,8 +224,12 @@ def test_the_papers_figures_are_those_of_its_table():
     [
         ([], "give --set SET, --run RUN"),
         (["--truth", "x.npz", "--set", "s.npz"], "goes with --run"),
+        (["--train", "x.npz", "--set", "s.npz"], "goes with --run"),
         (["--set", "s.npz", "--model", "forest"], "there are"),
         (["--run", "r.npz", "--model", "gp"], "give --set"),
+        (["--run", "r.npz", "--seeds", "0"], "give 1 to"),
+        (["--run", "r.npz", "a/one", "b/one"], "one name"),
+        (["--run", "r.npz", "--html", "page.txt"], ".html"),
     ],
 )
 def test_wrong_use_is_said_before_the_work(argv, says, capsys):
@@ -83,9 +238,7 @@ def test_wrong_use_is_said_before_the_work(argv, says, capsys):
 
 
 def test_a_truth_of_another_run_is_refused():
-    from softmap_training.errors import TrainingError
-
     t = np.arange(2.0)
     run = Run(t=t, command=np.zeros((2, 2)), t_seen=t, points=MODEL.rest[:2], start=np.array([0, 1, 2]))
     with pytest.raises(TrainingError, match="give that of this run"):
-        on_run("x", MODEL, run, np.zeros((3, 548, 3)))
+        Recording.of(run, MODEL, np.zeros((3, 548, 3)))

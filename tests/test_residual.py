@@ -66,6 +66,26 @@ def adapted(loaded):
 # --- learned, predicted, carried ----------------------------------------------------------------
 
 
+def test_commands_beyond_those_that_taught_it_are_told(loaded, tmp_path, capsys):
+    u = loaded.command_at(loaded.t_seen)
+    near, _ = adapt(MODEL, loaded.at((np.abs(u) < 6.0).all(axis=1)))
+    save_bundle(near, tmp_path / "near")
+    loaded.save(tmp_path / "run.npz")
+    outside = (np.abs(u) > 6.0 * 1.1).any(axis=1).mean()
+    for verb in ("predict", "compare"):
+        assert main([verb, str(tmp_path / "run.npz"), "--bundle", str(tmp_path / "near")]) == 0
+        said = capsys.readouterr().err
+        assert "leave what taught the residual" in said and "channel 1 from" in said
+        share = int(said.split(" of ")[0].split()[-1]) / loaded.frames
+        assert outside - 0.05 < share < 1.0
+    assert main(["predict", "5,-5", "--bundle", str(tmp_path / "near")]) == 0
+    assert "taught" not in capsys.readouterr().err
+    # A bundle is somebody else's file: what it tells of itself may be anything.
+    odd = replace(near, made_from=dict(near.made_from) | {"residual": {"command_range": [["x"], None]}})
+    save_bundle(odd, tmp_path / "odd")
+    assert main(["predict", "12,12", "--bundle", str(tmp_path / "odd")]) == 0
+
+
 def test_it_takes_the_error_away_and_says_so_held_out(adapted, loaded):
     model, report = adapted
     noise = 0.25 * np.sqrt(3.0)

@@ -12,7 +12,13 @@ from softmap_edge import Run, load_bundle
 from softmap_edge.cli import main
 
 PAGE = (Path(__file__).parents[1] / "docs/training.md").read_text(encoding="utf-8")
-SHORTER = {"sweep": ["--steps", "15"], "train prior": ["--epochs", "600"], "train residual": ["--epochs", "40"]}
+SHORTER = {
+    "sweep": ["--steps", "15"],
+    "train prior": ["--epochs", "600"],
+    "train residual": ["--epochs", "40"],
+    "next --protocol paths": ["--protocol", "validation"],
+    "evaluate": ["--model", "table", "linear", "--seeds", "1", "--epochs", "2"],
+}
 
 
 def test_every_command_works_and_both_errors_fall(tmp_path, monkeypatch):

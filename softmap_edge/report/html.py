@@ -6,8 +6,6 @@ from a file (robot names, sentences, labels) is escaped. The pictures need matpl
 
 from __future__ import annotations
 
-import base64
-import html
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +18,7 @@ from softmap_edge.diagnosis.series import Series
 from softmap_edge.errors import ReportError
 from softmap_edge.report.comparison_text import check_pair
 from softmap_edge.report.numbers import fall, mm, number, percent, tamed
-from softmap_edge.report.style import PAGE, TONES
+from softmap_edge.report.style import PAGE, TONES, escaped, picture, section
 from softmap_edge.report.text import (
     LADDER_NOTE,
     STATIC_ADDED,
@@ -81,7 +79,7 @@ def write_html(
         diagnosis = diagnosis.to_dict() if hasattr(diagnosis, "to_dict") else diagnosis
         check_diagnosis(diagnosis)
     story = Story(given[0] if given else None, given[1] if len(given) > 1 else None, diagnosis, series, floor)
-    figures = _figures()
+    figures = loaded_figures()
     sections = [
         _hero(story),
         _sheet(story),
@@ -94,13 +92,14 @@ def write_html(
         _tip(story, figures),
         _origin(story),
     ]
-    page = PAGE.replace("@TITLE@", _text(_title(story))).replace("@BODY@", "\n".join(s for s in sections if s))
+    page = PAGE.replace("@TITLE@", escaped(_title(story))).replace("@BODY@", "\n".join(s for s in sections if s))
     target = Path(path)
     write_whole(target, page)
     return target
 
 
-def _figures() -> ModuleType:
+def loaded_figures() -> ModuleType:
+    """Return the module of pictures. Raises ReportError when matplotlib is not installed."""
     try:
         from softmap_edge.report import figures
     except ImportError as missing:
@@ -112,23 +111,9 @@ def _figures() -> ModuleType:
     return figures
 
 
-def _text(value: Any) -> str:
-    return html.escape(str(value), quote=True)
-
-
 def _title(story: Story) -> str:
     robot = (story.before.bundle if story.before else {}).get("robot")
     return f"{'Diagnosis' if story.diagnosis else 'Comparison'}{f' of {robot}' if robot else ''}"
-
-
-def _picture(data: bytes, alt: str) -> str:
-    kind = "image/png" if data.startswith(b"\x89PNG") else "image/svg+xml"
-    return f'<img alt="{_text(alt)}" src="data:{kind};base64,{base64.b64encode(data).decode()}">'
-
-
-def _section(title: str, content: str, note: str = "") -> str:
-    caption = f'<p class="note">{note}</p>' if note else ""
-    return f"<section><h2>{_text(title)}</h2>{content}{caption}</section>"
 
 
 def _kind(story: Story) -> str:
@@ -149,16 +134,16 @@ def _hero(story: Story) -> str:
     badge = ""
     if story.diagnosis:
         tone = TONES.get(verdict, "calm")
-        badge = f'<span class="badge {tone}">{_text(VERDICTS.get(verdict, verdict))}</span>'
+        badge = f'<span class="badge {tone}">{escaped(VERDICTS.get(verdict, verdict))}</span>'
     sentence = tamed(story.diagnosis.get("sentence") or "") if story.diagnosis else ""
     cards = "".join(
-        f'<div class="card {tone}"><b>{_text(value)}</b><span>{_text(label)}</span><i>{_text(note)}</i></div>'
+        f'<div class="card {tone}"><b>{escaped(value)}</b><span>{escaped(label)}</span><i>{escaped(note)}</i></div>'
         for label, value, note, tone in _cards(story)
     )
     about = " · ".join(_about(story))
     return (
-        f'<header><p class="eyebrow">SOFTMAP-Edge · {_text(_title(story))}</p>{badge}'
-        f'<h1>{_text(sentence or _sentence(story))}</h1><p class="about">{about}</p></header>'
+        f'<header><p class="eyebrow">SOFTMAP-Edge · {escaped(_title(story))}</p>{badge}'
+        f'<h1>{escaped(sentence or _sentence(story))}</h1><p class="about">{about}</p></header>'
         f'<div class="cards">{cards}</div>'
     )
 
@@ -168,10 +153,10 @@ def _about(story: Story) -> list[str]:
         return []
     model = ", ".join(map(str, (story.after or story.before).bundle.get("effects") or [])) or "none"
     return [
-        f"robot {_text(story.before.bundle.get('robot', '?'))}",
-        f"run of {_text(story.before.run.get('robot', '?'))}, {story.before.frames} frames",
-        f"effects in the model: {_text(model)}",
-        _text(_kind(story)),
+        f"robot {escaped(story.before.bundle.get('robot', '?'))}",
+        f"run of {escaped(story.before.run.get('robot', '?'))}, {story.before.frames} frames",
+        f"effects in the model: {escaped(model)}",
+        escaped(_kind(story)),
     ]
 
 
@@ -234,8 +219,8 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
 def _time(story: Story, figures: ModuleType) -> str:
     if story.series is None:
         return ""
-    picture = _picture(figures.over_time(story.series), "RMS error of each frame over time, before and after")
-    return _section("Error over time", picture, f"RMS over the points of a frame, mm{_short(story)}.")
+    image = picture(figures.over_time(story.series), "RMS error of each frame over time, before and after")
+    return section("Error over time", image, f"RMS over the points of a frame, mm{_short(story)}.")
 
 
 def _sheet(story: Story) -> str:
@@ -245,27 +230,27 @@ def _sheet(story: Story) -> str:
 
     commands = " and every frame at its command" if story.series.command.shape[1] else ""
     note = f"Measured poses{commands}, coloured by their error on one scale{_short(story)}."
-    return _section("Where the error is", _picture(sheet(story.series), "Error of poses and commands"), note)
+    return section("Where the error is", picture(sheet(story.series), "Error of poses and commands"), note)
 
 
 def _body(story: Story, figures: ModuleType) -> str:
     if story.series is None:
         return ""
-    picture = _picture(figures.body(story.series), "RMS error of each point, drawn on the body")
+    image = picture(figures.body(story.series), "RMS error of each point, drawn on the body")
     markers = story.series.triangles is None
     drawn = "markers at their mean places, axes of different scale" if markers else "shape at rest, base left"
     note = f"RMS over all frames of each point, mm, one colour scale, {drawn}{_short(story)}."
-    return _section("Error on the body", picture, note)
+    return section("Error on the body", image, note)
 
 
 def _tip(story: Story, figures: ModuleType) -> str:
     if story.series is None:
         return ""
-    picture = _picture(figures.tip_path(story.series), "Path of the tip, measured and predicted")
+    image = picture(figures.tip_path(story.series), "Path of the tip, measured and predicted")
     rows, t = figures.worst_stretch(story.series), story.series.t_seen
     part = "" if rows.stop - rows.start == len(t) else f", from {t[rows.start]:.0f} to {t[rows.stop - 1]:.0f} s, where "
     part += "the error before is largest (faint: the whole run, measured)" if part else ""
-    return _section("Path of the tip", picture, f"Tip centroid in the base frame, mm{part}{_short(story)}.")
+    return section("Path of the tip", image, f"Tip centroid in the base frame, mm{part}{_short(story)}.")
 
 
 def _ladder(story: Story, figures: ModuleType) -> str:
@@ -273,13 +258,13 @@ def _ladder(story: Story, figures: ModuleType) -> str:
     if not ladder_steps(error):
         return ""
     unit, on = error.get("unit", "mm"), error.get("held_out_on")
-    note = f"{_text(error.get('kind', 'held-out rms'))}{_text(f' on {on}' if on else '')}, {_text(unit)}. "
-    note += f"Floor: {_text(error.get('floor_kind', 'origin not stated'))}. "
+    note = f"{escaped(error.get('kind', 'held-out rms'))}{escaped(f' on {on}' if on else '')}, {escaped(unit)}. "
+    note += f"Floor: {escaped(error.get('floor_kind', 'origin not stated'))}. "
     known = [("Noise floor", error.get("noise_floor")), ("Model's own held-out error", error.get("model_floor"))]
-    note += "".join(f"{name}: {mm(value)} {_text(unit)} RMS. " for name, value in known if number(value) is not None)
+    note += "".join(f"{name}: {mm(value)} {escaped(unit)} RMS. " for name, value in known if number(value) is not None)
     note += LADDER_NOTE
-    return _section(
-        "What each effect removes", _picture(figures.ladder_bars(error), "Error ladder down to the floor"), note
+    return section(
+        "What each effect removes", picture(figures.ladder_bars(error), "Error ladder down to the floor"), note
     )
 
 
@@ -294,21 +279,21 @@ def _effects(story: Story) -> str:
             columns = ("effect", values, "probability<br>fitted", "share of what is explained<br>fitted", moves)
             head = "".join(f"<th>{name}</th>" for name in columns)
             body = "".join(_effect_row(row, judged) for row in rows)
-            parts.append(_section(title, f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"))
+            parts.append(section(title, f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"))
     return "".join(parts)
 
 
 def _effect_row(row: Mapping[str, Any], judged: bool) -> str:
     values = "".join(
-        f"<div><code>{_text(label)}</code> {_text(parameter(value))}"
+        f"<div><code>{escaped(label)}</code> {escaped(parameter(value))}"
         + (' <span class="flag">at its bound</span>' if value.get("at_bound") else "")
         + "</div>"
         for label, value in (row.get("params") or {}).items()
-    ) + "".join(f"<div><small>{_text(line)}</small></div>" for line in again(row))
+    ) + "".join(f"<div><small>{escaped(line)}</small></div>" for line in again(row))
     shift = row.get("displacement_mm") or {}
     return (
-        f"<tr><td><b>{_text(row.get('name', '?'))}</b><br><small>{_text(row.get('family', '?'))} · stage "
-        f"{_text(row.get('stage', '?'))}</small></td><td>{values}</td>"
+        f"<tr><td><b>{escaped(row.get('name', '?'))}</b><br><small>{escaped(row.get('family', '?'))} · stage "
+        f"{escaped(row.get('stage', '?'))}</small></td><td>{values}</td>"
         f"<td>{percent(row.get('probability'))}</td><td>{percent(row.get('share'))}</td>"
         f"<td>{mm(shift.get('fitted'))}{' / ' + mm(shift.get('held_out')) if judged else ''}</td></tr>"
     )
@@ -329,8 +314,8 @@ def _where(story: Story, figures: ModuleType) -> str:
     if not old or not any(len(rows) > 1 for rows in old.values()):
         return ""
     colours = "wide bars before, narrow bars after" if new else "one bar a class"
-    picture = _picture(figures.where_maps(old, new), "Error by condition, before and after")
-    return _section("Error by condition", picture, f"RMS, mm, on one scale; {colours}{_text(kind)}.")
+    image = picture(figures.where_maps(old, new), "Error by condition, before and after")
+    return section("Error by condition", image, f"RMS, mm, on one scale; {colours}{escaped(kind)}.")
 
 
 def _open_questions(story: Story) -> str:
@@ -362,14 +347,14 @@ def _settles(row: Mapping[str, Any]) -> str:
 def _definitions(title: str, rows: Sequence[tuple[Any, Any]]) -> str:
     if not rows:
         return ""
-    inner = "".join(f"<dt>{_text(term)}</dt><dd>{_text(meaning)}</dd>" for term, meaning in rows)
-    return f"<section><h2>{_text(title)}</h2><dl>{inner}</dl></section>"
+    inner = "".join(f"<dt>{escaped(term)}</dt><dd>{escaped(meaning)}</dd>" for term, meaning in rows)
+    return f"<section><h2>{escaped(title)}</h2><dl>{inner}</dl></section>"
 
 
 def _remarks(rows: Sequence[str]) -> str:
     if not rows:
         return ""
-    inner = "".join(f"<li>{_text(tamed(row))}</li>" for row in rows)
+    inner = "".join(f"<li>{escaped(tamed(row))}</li>" for row in rows)
     return f"<section><h2>About the run</h2><ul>{inner}</ul></section>"
 
 
@@ -397,4 +382,4 @@ def _origin(story: Story) -> str:
     }
     known = {name: value for name, value in documents.items() if value}
     text = json.dumps(known, indent=1, ensure_ascii=False, default=str, sort_keys=True)
-    return f"<details><summary>What made this page</summary><pre>{_text(text)}</pre></details>"
+    return f"<details><summary>What made this page</summary><pre>{escaped(text)}</pre></details>"

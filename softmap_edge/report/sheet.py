@@ -83,7 +83,7 @@ def _draw_commands(axes: Axes, series: Series, plane: tuple[int, int], values: F
 
 
 def _draw_poses(axes: Axes, series: Series, moment: str, scale: Normalize) -> None:
-    right, up, towards = _view()
+    right, up, towards = view()
     for pose in sorted(series.poses, key=lambda p: float(np.nanmean(p.points @ towards))):
         values = getattr(pose, moment)
         if series.triangles is None:
@@ -95,7 +95,7 @@ def _draw_poses(axes: Axes, series: Series, moment: str, scale: Normalize) -> No
     axes.set_axis_off()
 
 
-def _view() -> tuple[Floats, Floats, Floats]:
+def view() -> tuple[Floats, Floats, Floats]:
     """Right, up and towards the viewer in the base frame; the rest axis z points down the page."""
     turn, tilt = np.radians(TURN), np.radians(TILT)
     right = np.array([np.cos(turn), np.sin(turn), 0.0])

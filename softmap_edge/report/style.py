@@ -1,4 +1,10 @@
-"""The look of the HTML report: one page template with its style sheet, and the colour of each verdict."""
+"""The look of the HTML pages: one page template with its style sheet, what stands on it, the colour of each verdict."""
+
+from __future__ import annotations
+
+import base64
+import html
+from typing import Any
 
 # Which tone a verdict's badge has: good, warn, bad or calm.
 TONES = {
@@ -65,3 +71,20 @@ pre { white-space: pre-wrap; overflow-wrap: anywhere; }
 </main></body>
 </html>
 """
+
+
+def escaped(value: Any) -> str:
+    """Return a text as HTML that shows it and nothing else."""
+    return html.escape(str(value), quote=True)
+
+
+def picture(data: bytes, alt: str) -> str:
+    """Return a picture (PNG or SVG) as HTML that holds it."""
+    kind = "image/png" if data.startswith(b"\x89PNG") else "image/svg+xml"
+    return f'<img alt="{escaped(alt)}" src="data:{kind};base64,{base64.b64encode(data).decode()}">'
+
+
+def section(title: str, content: str, note: str = "") -> str:
+    """Return a part of the page under its title, with a note below."""
+    caption = f'<p class="note">{note}</p>' if note else ""
+    return f"<section><h2>{escaped(title)}</h2>{content}{caption}</section>"

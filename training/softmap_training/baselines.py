@@ -15,6 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
@@ -33,12 +34,15 @@ NAMES: tuple[Name, ...] = get_args(Name)
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A regressor: `predict` gives points (n, 3N) mm at commands (n, C) mm; `numbers` that were learned."""
+    """A regressor: `predict` gives points (n, 3N) mm at commands (n, C) mm; `numbers` that were learned; `triangles`
+    where its points are no vertices.
+    """
 
     name: Name
     predict: Callable[[Floats], Floats]
     seconds: float
     numbers: int
+    triangles: NDArray[np.int32] | None = None
 
 
 def fit_baseline(
@@ -47,8 +51,12 @@ def fit_baseline(
     points: Floats,
     seed: int = 0,
     told: Callable[[float], None] | None = None,
+    epochs: int | None = None,
+    folder: Path | None = None,
 ) -> Fitted:
     """Fit a regressor to the training part of a set: commands (S, C) mm, points (S, 3N) mm.
+
+    `epochs`, and the `folder` of its checkpoints, are those of the network.
 
     Raises:
         TrainingError: no such regressor, or what it needs is not installed.
@@ -59,14 +67,15 @@ def fit_baseline(
     if name == "deepsoro":
         from softmap_training.deepsoro import fit_deepsoro
 
-        predict, numbers = fit_deepsoro(commands, points, seed, told)
-    else:
-        mean, modes, weights = _modes(points)
-        fits = {"xgboost": _xgboost, "gp": _gp, "table": _table}
-        regress, numbers = fits[name](commands, weights, seed)
+        bodies = list(points.reshape(len(points), -1, 3))
+        made = fit_deepsoro(commands, bodies, len(bodies[0]), seed, None, epochs, folder, told)
+        return Fitted(name, made.predict, made.seconds, made.numbers, made.triangles)
+    mean, modes, weights = _modes(points)
+    fits = {"xgboost": _xgboost, "gp": _gp, "table": _table}
+    regress, numbers = fits[name](commands, weights, seed)
 
-        def predict(u: Floats) -> Floats:
-            return mean + regress(u) @ modes
+    def predict(u: Floats) -> Floats:
+        return mean + regress(u) @ modes
 
     return Fitted(name, predict, time.perf_counter() - ahead, numbers)
 
@@ -96,7 +105,8 @@ def _xgboost(commands: Floats, weights: Floats, seed: int) -> Regressor:
         raise TrainingError("xgboost is not installed: pip install 'softmap-training[baselines]'") from None
     trees = xgboost.XGBRegressor(random_state=seed, n_jobs=1, **choices.XGBOOST)
     trees.fit(commands, weights)
-    return lambda u: np.asarray(trees.predict(u), np.float64), choices.XGBOOST["n_estimators"] * weights.shape[1]
+    nodes = sum(tree.count("\n") for tree in trees.get_booster().get_dump())
+    return lambda u: np.asarray(trees.predict(u), np.float64), nodes
 
 
 def _gp(commands: Floats, weights: Floats, seed: int) -> Regressor:

@@ -8,10 +8,12 @@ What its authors' released files add: widths, dropout and both weights of the re
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 PriorKind = Literal["modes", "published", "published_without_dropout", "laplacian", "arap", "linear"]
 ResidualKind = Literal["modes", "published"]
+PRIORS: tuple[PriorKind, ...] = get_args(PriorKind)
+RESIDUALS: tuple[ResidualKind, ...] = get_args(ResidualKind)
 
 
 @dataclass(frozen=True)
@@ -60,3 +62,6 @@ XGBOOST = {"n_estimators": 300, "max_depth": 6, "learning_rate": 0.1, "tree_meth
 GP_SOME, GP_STEPS, GP_MODES = 400, 40, 6  # shapes, steps of the search and modes that lengths and noise are found on
 DEEPSORO_CODE, DEEPSORO_WIDTH = 64, 128
 DEEPSORO = Recipe(epochs=60, batch=16, rate=1e-3)
+DEEPSORO_DRAWN = 1000  # bodies that an epoch goes through at least: few clouds are shown again and again
+# The error against the number of real samples: shares of the blocks of a recording that teach.
+SHARES = (0.125, 0.25, 0.5, 1.0)

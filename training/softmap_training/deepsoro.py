@@ -3,12 +3,17 @@
     code = g(u),  p' = f₁(grid, code),  p = f₂(p', code)          (FoldingNet, Yang et al. 2018, arXiv:1712.07262)
 
 Wang et al. 2020 (doi:10.1109/LRA.2020.2976320) take the code from a camera inside the robot; here it comes from the
-command, as in the paper's comparison. Widths and training are ours (`choices.py`). Units: mm.
+command, as in the paper's comparison. It is taught by the Chamfer distance to points of the body: all vertices of a
+simulated shape, or the cloud of a recording. Its own surface is the grid, folded. Widths and training are ours
+(`choices.py`). Units: mm. Pinned by tests/test_baselines.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -20,21 +25,31 @@ from softmap_training.chamfer import chamfer
 from softmap_training.fit import Task, fit, seeded
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Decoder:
+    """`predict` gives points (n, 3N) mm at commands (n, C) mm, `triangles` (F, 3) their surface; what it took."""
+
+    predict: Callable[[Floats], Floats]
+    triangles: NDArray[np.int32]
+    numbers: int
+    seconds: float
 
 
 class Folding(nn.Module):
     """Commands (n, C) to points (n, N, 3) mm about `middle`, in units of `size` mm."""
 
-    def __init__(self, commands: Floats, points: Floats) -> None:
+    def __init__(self, commands: Floats, bodies: Sequence[Floats], count: int) -> None:
         super().__init__()
-        shapes = points.reshape(len(points), -1, 3)
-        count, code, wide = shapes.shape[1], choices.DEEPSORO_CODE, choices.DEEPSORO_WIDTH
-        side = int(np.ceil(np.sqrt(count)))
-        across = np.linspace(-1.0, 1.0, side)
+        every = np.concatenate(bodies)
+        code, wide = choices.DEEPSORO_CODE, choices.DEEPSORO_WIDTH
+        across = np.linspace(-1.0, 1.0, _side(count))
         grid = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)[:count]
         fixed = {
             "middle_u": commands.mean(axis=0), "size_u": commands.std(axis=0) + 1e-8,
-            "middle": shapes.mean(axis=(0, 1)), "size": np.array(shapes.std()), "grid": grid,
+            "middle": every.mean(axis=0), "size": np.array(every.std()), "grid": grid,
         }  # fmt: skip
         for name, value in fixed.items():
             self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32))
@@ -54,30 +69,61 @@ class Folding(nn.Module):
 
 
 def fit_deepsoro(
-    commands: Floats, points: Floats, seed: int, told: Callable[[float], None] | None = None,
-    clouds: list[Floats] | None = None,
-) -> tuple[Callable[[Floats], Floats], int]:  # fmt: skip
-    """Return what predicts points (n, 3N) mm, and how many numbers were learned, from commands (S, C) mm and either
-    points (S, 3N) mm or `clouds` (S) of (M, 3) mm.
+    commands: Floats,
+    bodies: Sequence[Floats],
+    count: int,
+    seed: int = 0,
+    held: Indices | None = None,
+    epochs: int | None = None,
+    folder: Path | None = None,
+    told: Callable[[float], None] | None = None,
+) -> Decoder:
+    """Fit a decoder of `count` points to bodies, each (M, 3) mm, at commands (S, C) mm.
+
+    Args:
+        commands, bodies, count: as above.
+        seed: draws the first weights and the order.
+        held: which of them teach nothing and say which epoch is best; without them those that teach say it.
+        epochs: in place of the usual number; one goes through `choices.DEEPSORO_DRAWN` bodies or more.
+        folder: where checkpoints and the log are kept.
+        told: called with the share done.
     """
     seeded(seed)
-    network = Folding(commands, points)
-    targets = clouds or list(points.reshape(len(points), -1, 3))
+    network = Folding(commands, bodies, count)
     u = torch.as_tensor(commands, dtype=torch.float32)
+    tested = np.arange(0, len(u), max(1, len(u) // 40)) if held is None else held
+    taught = np.arange(len(u)) if held is None else np.setdiff1d(np.arange(len(u)), held)
+
+    def off(net: nn.Module, rows: Indices) -> Tensor:
+        return chamfer(net(u[torch.as_tensor(rows)]), [bodies[k] for k in rows]).mean()
 
     def loss(net: nn.Module, some: Tensor) -> Tensor:
-        return chamfer(net(u[some.cpu()]), [targets[k] for k in some.tolist()]).mean()
+        return off(net, taught[some.cpu().numpy()])
 
     def validate(net: nn.Module) -> float:
-        some = torch.arange(0, len(u), max(1, len(u) // 40))
-        return float(loss(net, some))
+        return float(off(net, tested))
 
-    task = Task(network, len(commands), loss, validate)
-    fit(task, choices.DEEPSORO.with_(seed=seed), None, (lambda share, _: told(share)) if told else None)
+    recipe = choices.DEEPSORO.with_(seed=seed, epochs=epochs, passes=math.ceil(choices.DEEPSORO_DRAWN / len(taught)))
+    task = Task(network, len(taught), loss, validate, [commands, *bodies, taught])
+    log = fit(task, recipe, folder, (lambda share, _: told(share)) if told else None)
 
     def predict(v: Floats) -> Floats:
         with torch.no_grad():
             found = network(torch.as_tensor(v, dtype=torch.float32))
         return np.asarray(found.numpy().reshape(len(v), -1), np.float64)
 
-    return predict, sum(p.numel() for p in network.parameters())
+    numbers = sum(p.numel() for p in network.parameters())
+    return Decoder(predict, _cells(count), numbers, sum(row["seconds"] for row in log))
+
+
+def _side(count: int) -> int:
+    return math.ceil(math.sqrt(count))
+
+
+def _cells(count: int) -> NDArray[np.int32]:
+    """Return the triangles (F, 3) of the grid, of which the first `count` points are there."""
+    side = _side(count)
+    at = np.arange(count).reshape(-1)
+    corner = at[(at % side < side - 1) & (at + side + 1 < count)]
+    halves = [(0, 1, side), (1, side + 1, side)]
+    return np.concatenate([corner[:, None] + np.array(half) for half in halves]).astype(np.int32)

@@ -1,26 +1,46 @@
-"""The verb evaluate: bundles and baselines on simulated shapes and on a recording, in one table each."""
+"""The verb evaluate: bundles, and what is fitted beside them, on simulated shapes and on a recording."""
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from softmap_edge import _core
+from softmap_edge import __version__
+from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.npz import read_npz
+from softmap_edge.outside import beyond
+from softmap_edge.run import Run
 from softmap_training import choices
-from softmap_training.baselines import NAMES, fit_baseline
+from softmap_training.baselines import NAMES as BASELINES
 from softmap_training.errors import TrainingError
-from softmap_training.evaluate import PUBLISHED_REAL, SCHEMA, Row, fall, on_run, on_shapes
+from softmap_training.evaluate import (
+    FALLS,
+    PUBLISHED_REAL,
+    SCHEMA,
+    Recording,
+    Row,
+    fall,
+    halfway,
+    on_shapes,
+    size_of,
+    told_these,
+)
+from softmap_training.evaluate_text import lines, samples
+from softmap_training.train_verb import checked_torch
 
 ALL = "all"
-PAPER = (("deepsoro", "DeepSoRo"), ("without residual", "without residual"), ("with residual", "with residual"))
+MODELS = (*choices.PRIORS, *BASELINES)
+MOST_SEEDS = 100
+WITHOUT = ", without residual"
+BETWEEN = "told all nodes of its grid, so judged halfway between them"
 
 
 def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,141 +48,194 @@ def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bundles", nargs="*", metavar="BUNDLE", help="models to judge; the built-in finger without any")
     effects_argument(parser)
     parser.add_argument("--set", metavar="SET", help="simulated shapes (.zarr or .npz): judged on their test part")
+    parser.add_argument(
+        "--model", nargs="+", default=[], metavar="NAME",
+        help=f"fit to the rest of the set and judge beside them: {', '.join(MODELS)}, or all",
+    )  # fmt: skip
     parser.add_argument("--run", metavar="RUN", help="a recording of clouds that taught nothing")
     parser.add_argument("--truth", metavar="FILE", help="its true vertices, of `softmap record --virtual --truth`")
     parser.add_argument(
-        "--model", nargs="+", default=[], metavar="NAME", help=f"fit and judge beside them: {', '.join(NAMES)}, or all"
+        "--train", nargs="+", default=[], metavar="RUN",
+        help="recordings of clouds that teach a decoder, and residuals on the first BUNDLE from growing parts of them",
+    )  # fmt: skip
+    parser.add_argument(
+        "--residual", nargs="+", choices=choices.RESIDUALS, default=list(choices.RESIDUALS),
+        help="which of these residuals to train: ours (modes), the published one; both without it",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0, help="the first that draws what is fitted here (0)")
+    parser.add_argument("--seeds", type=int, default=1, help="how many: mean ± standard deviation over them (1)")
+    parser.add_argument("--epochs", type=int, help="another number of epochs for the networks that are trained here")
+    parser.add_argument("--work", metavar="DIR", help="keep checkpoints there: after a kill the same line goes on")
+    parser.add_argument(
+        "--html", metavar="PAGE", help="write a page of tables and pictures; needs softmap-edge[report]"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the baselines (0)")
 
 
 def evaluate(args: argparse.Namespace) -> int:
     """Judge models and print their tables."""
-    if args.set is None and args.run is None:
-        raise TrainingError("nothing to judge on; give --set SET, --run RUN or both")
-    if args.truth is not None and args.run is None:
-        raise TrainingError("--truth goes with --run")
-    asked = [*NAMES] if ALL in args.model else args.model
-    if wrong := [name for name in asked if name not in NAMES]:
-        raise TrainingError(f"--model {wrong[0]}: there are {', '.join(NAMES)}, and all")
-    if asked and args.set is None:
-        raise TrainingError("--model fits baselines to simulated shapes; give --set SET")
+    asked = _checked(args)
     load_own(args)
+    names = [Path(path).name for path in args.bundles]
+    if len(set(names)) < len(names):
+        raise TrainingError(f"bundles {', '.join(names)}: two of one name would be one row; rename one of the folders")
     models = {Path(path).name: open_model(path) for path in args.bundles} or {"built-in": open_model(None)}
+    shapes: list[Row] = []
+    seen: list[Row] = []
+    curve: list[Row] = []
+    warnings: list[str] = []
+    run = None
+    made_from: dict[str, Any] = {"softmap-edge": __version__, "seeds": _seeds(args)}
     with Bar(args.json) as bar:
-        shapes = [] if args.set is None else _on_set(args, models, asked, bar)
-        seen = [] if args.run is None else _on_run(args, models, bar)
+        if args.set is not None:
+            shapes = _on_set(args, models, asked, bar, warnings)
+            made_from["set"] = args.set
+        if args.run is not None:
+            run = Run.load(args.run)
+            seen, curve = _on_run(args, models, run, bar, warnings)
+            made_from |= {"run": run.hash(), "train": [Run.load(path).hash() for path in args.train]}
+    warnings = list(dict.fromkeys(warnings))
     document: dict[str, Any] = {
         "schema": SCHEMA,
         "simulated": [row.to_dict() for row in shapes],
         "recorded": [row.to_dict() for row in seen],
         "falls": _falls(seen),
+        "samples": [row.to_dict() for row in curve],
         "paper": {"recorded": {n: {"chamfer_mm": {"mean": m, "sd": s}} for n, (m, s) in PUBLISHED_REAL.items()}},
+        "warnings": warnings,
+        "made_from": made_from,
     }
-    print(json.dumps(document) if args.json else "\n".join(_lines(document)))
+    if args.html is not None:
+        from softmap_training.evaluate_page import write_page
+
+        write_page(args.html, document, shapes, seen, curve, None if run is None else np.asarray(run.t_seen))
+    print(json.dumps(document) if args.json else "\n".join([*lines(document), *(f"  ! {w}" for w in warnings)]))
     return 0
 
 
-def _on_set(args: argparse.Namespace, models: dict[str, Any], asked: list[Any], bar: Bar) -> list[Row]:
+def _checked(args: argparse.Namespace) -> list[str]:
+    """Return which models are to be fitted to the set, after checking what was asked for."""
+    if args.set is None and args.run is None:
+        raise TrainingError("nothing to judge on; give --set SET, --run RUN or both")
+    for name in ("truth", "train"):
+        if getattr(args, name) and args.run is None:
+            raise TrainingError(f"--{name} goes with --run")
+    asked = [*MODELS] if ALL in args.model else args.model
+    if wrong := [name for name in asked if name not in MODELS]:
+        raise TrainingError(f"--model {wrong[0]}: there are {', '.join(MODELS)}, and all")
+    if asked and args.set is None:
+        raise TrainingError("--model fits models to simulated shapes; give --set SET")
+    for name, low, high in (("seeds", 1, MOST_SEEDS), ("epochs", 1, 1_000_000), ("seed", 0, 2**32 - MOST_SEEDS)):
+        value = getattr(args, name)
+        if value is not None and not low <= value <= high:
+            raise TrainingError(f"--{name} {value}: give {low} to {high}")
+    check_file("--html", args.html, ".html")
+    if args.html is not None:
+        from softmap_edge.report.html import loaded_figures
+
+        loaded_figures()
+    if asked or args.train:
+        checked_torch()
+    return list(asked)
+
+
+def _seeds(args: argparse.Namespace) -> list[int]:
+    return list(range(args.seed, args.seed + args.seeds))
+
+
+def _plan(args: argparse.Namespace) -> Any:
+    from softmap_training.contenders import Plan
+
+    return Plan(tuple(_seeds(args)), args.epochs, None if args.work is None else Path(args.work))
+
+
+def _on_set(
+    args: argparse.Namespace, models: dict[str, Any], asked: list[str], bar: Callable[[str, float], None],
+    warnings: list[str],
+) -> list[Row]:  # fmt: skip
+    from softmap_edge.solid.finger import Finger
     from softmap_training.simulated import SimulatedSet
 
     data = SimulatedSet.load(args.set)
-    parts = data.split(choices.SPLIT_SEED)
-    every = data.shapes(np.arange(len(data.command))).reshape(len(data.command), -1).astype(np.float64)
-    u, true = np.ascontiguousarray(data.command[parts.test]), every[parts.test]
+    test = data.split(choices.SPLIT_SEED).test
+    u, true = np.ascontiguousarray(data.command[test]), data.shapes(test).reshape(len(test), -1).astype(np.float64)
     rows = []
-    for name, model in models.items():
+    for k, (name, model) in enumerate(models.items()):
+        bar("simulated", k / len(models))
         if model.rest.size != true.shape[1] or model.channels != u.shape[1]:
             raise TrainingError(
                 f"{name}: {model.channels} commands and {len(model.rest)} points, the set has {u.shape[1]} and "
                 f"{true.shape[1] // 3}; judge it on a sweep of its own finger"
             )
         trained = dict(model.made_from.get("prior") or {})
-        told = {"what": trained.get("kind", model.kind)}
-        told |= {key: trained[key] for key in ("seconds", "parameters", "seed") if key in trained}
-        rows.append(on_shapes(name + _nodes(model, u), model.prior.evaluate, u, true, told))
-    for k, name in enumerate(asked):
-        bar("baselines", k / len(asked))
-        fitted = fit_baseline(name, np.ascontiguousarray(data.command[parts.train]), every[parts.train], args.seed)
-        told = {"what": name, "seconds": fitted.seconds, "parameters": fitted.numbers, "seed": args.seed}
-        rows.append(on_shapes(name, fitted.predict, u, true, told))
-    return rows
+        told = {"what": trained.get("kind", model.kind), "parameters": size_of(model.with_residual(None))}
+        told |= {key: trained[key] for key in ("seconds", "seed") if key in trained}
+        at, shapes = u, true
+        if told_these(model, u):
+            at, shapes = halfway(model, u, Finger.from_toml(data.finger))
+            told["judged"] = BETWEEN
+        t = np.arange(float(len(at)))
+        name, base = name + ("" if model.residual is None else WITHOUT), model.with_residual(None)
+        asked_for = Run(t=t, command=at, t_seen=t, command_unit=model.command_unit)
+        warnings += [f"{name}: {note}" for note in beyond(base, asked_for)]
+        rows.append(on_shapes(name, model.prior.evaluate, at, shapes, told, model.triangles))
+    if not asked:
+        return rows
+    from softmap_training.contenders import fitted_to_set
+    from softmap_training.prior import Surface
+
+    surface = Surface.of(next(iter(models.values())))
+    return rows + [fitted_to_set(name, data, surface, _plan(args), bar) for name in asked]
 
 
-def _nodes(model: Any, u: Any) -> str:
-    """Return a remark for a table whose own nodes all these commands (n, C) are: it was told their shapes."""
-    if not isinstance(model.prior, _core.Table):
-        return ""
-    near = [np.abs(u[:, c, None] - axis).min(axis=1).max() for c, axis in enumerate(model.prior.axes)]
-    return " (told these shapes)" if max(near, default=1.0) < 1e-6 else ""
+def _on_run(
+    args: argparse.Namespace, models: dict[str, Any], run: Run, bar: Callable[[str, float], None], warnings: list[str]
+) -> tuple[list[Row], list[Row]]:
+    """Return the rows of the recording, and those of residuals from growing parts of what teaches."""
+    from softmap_training.contenders import Lesson, decoder, residuals, took
 
-
-def _on_run(args: argparse.Namespace, models: dict[str, Any], bar: Bar) -> list[Row]:
-    from softmap_edge.run import Run
-
-    run = Run.load(args.run)
     truth = None if args.truth is None else read_npz(Path(args.truth), SoftmapError).get("vertices")
     if args.truth is not None and truth is None:
         raise TrainingError(f"{args.truth}: no `vertices` in it; give what `softmap record --virtual --truth` wrote")
-    rows = []
-    for k, (name, model) in enumerate(models.items()):
+    bar("registering", 0.0)
+    first, model = next(iter(models.items()))
+    judge = Recording.of(run, model, truth)
+    rows: list[Row] = []
+    curve: list[Row] = []
+    for k, (name, one) in enumerate(models.items()):
         bar("recording", k / len(models))
-        if model.residual is not None:
-            rows.append(on_run(f"{name}, without residual", model.with_residual(None), run, truth))
-        rows.append(on_run(name, model, run, truth))
-    return rows
+        warnings += [f"{name}: {note}" for note in beyond(one, run)]
+        base, trained = one.with_residual(None), one.made_from.get("prior") or {}
+        told = took(base) | {"what": "without residual", "base": name}
+        told |= {key: trained[key] for key in ("seconds", "seed") if key in trained}
+        rows.append(judge.judge(name + WITHOUT, base, told))
+        if one.residual is not None:
+            told = took(one) | {"what": "with residual", "base": name}
+            learned = one.made_from.get("residual") or {}
+            told |= {key: learned[key] for key in ("seconds", "seed", "frames") if key in learned}
+            rows.append(judge.judge(name, one, told))
+    if not args.train:
+        return rows, curve
+    lesson = Lesson.of(model, [Run.load(path) for path in args.train])
+    rows.insert(0, decoder(lesson, judge, _plan(args), bar))
+    for kind in dict.fromkeys(args.residual):
+        parts = residuals(lesson, judge, kind, _plan(args), bar)
+        for row in parts:
+            row.told["base"] = first
+            warnings += [f"{samples(row.told | {'name': row.name})}: {note}" for note in row.told["outside"]]
+        curve += parts
+        rows.append(parts[-1])
+    return rows, curve
 
 
 def _falls(rows: list[Row]) -> list[dict[str, Any]]:
-    """Return by what share each error falls with a residual, beside the paper's."""
-    by_name = {row.name: row for row in rows}
-    pairs = [(name, by_name.get(f"{name}, without residual"), row) for name, row in by_name.items()]
-    return [
-        {
-            "name": name,
-            **{f"{error}_share": fall(before, row, error) for error in row.errors},
-            "paper_chamfer_share": 0.334,
-        }
-        for name, before, row in pairs
-        if before is not None
-    ]
-
-
-def _lines(document: dict[str, Any]) -> list[str]:
-    lines = []
-    for title, key, errors in (
-        ("Simulated shapes that taught nothing", "simulated", ("chamfer", "vertex")),
-        ("Recording", "recorded", ("chamfer", "surface", "vertex")),
-    ):
-        rows = document[key]
-        if not rows:
+    """Return by what share each error falls with a residual, against none and against the decoder, and the paper's."""
+    found = []
+    for row in rows:
+        if row.told["what"] != "with residual":
             continue
-        there = [e for e in errors if f"{e}_mm" in rows[0]]
-        lines += ["", f"{title} (mm, mean ± sd over frames)", f"  {'':<28}" + "".join(f"{e:>18}" for e in there)]
-        for row in rows:
-            cells = "".join(f"{row[f'{e}_mm']['mean']:>10.3f} ± {row[f'{e}_mm']['sd']:<5.3f}" for e in there)
-            lines.append(f"  {row['name']:<28.28}{cells}" + _took(row))
-            if row.get("paper"):
-                cells = "".join(
-                    f"{row['paper'][f'{e}_mm']['mean']:>10.3f} ± {row['paper'][f'{e}_mm']['sd']:<5.3f}" for e in there
-                )
-                lines.append(f"  {'   the paper, other data':<28}{cells}")
-    if document["recorded"]:
-        for name, said in PAPER:
-            mean, sd = PUBLISHED_REAL[name]
-            lines.append(f"  {'   the paper, other data: ' + said:<42}{mean:>7.3f} ± {sd:.3f} chamfer")
-    for row in document["falls"]:
-        shares = ", ".join(
-            f"{key.removesuffix('_share')} {100 * v:.0f} %"
-            for key, v in row.items()
-            if key not in ("name", "paper_chamfer_share")
-        )
-        lines.append(f"  the residual of {row['name']} lowers {shares} (the paper: Chamfer 33 %)")
-    return lines[1:]
-
-
-def _took(row: dict[str, Any]) -> str:
-    told = [f"{row['milliseconds']:.2f} ms"] if "milliseconds" in row else []
-    told += [f"trained {row['seconds']:.0f} s"] if "seconds" in row else []
-    told += [f"{row['parameters']} numbers"] if "parameters" in row else []
-    return "   " + ", ".join(told) if told else ""
+        for other in rows:
+            what = other.told["what"]
+            if what == "deepsoro" or what == "without residual" and other.told["base"] == row.told["base"]:
+                shares = {f"{error}_share": share for error, share in fall(other, row).items()}
+                found.append({"name": row.name, "against": other.name, **shares, "paper_chamfer_share": FALLS[what]})
+    return found

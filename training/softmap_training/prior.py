@@ -14,7 +14,6 @@ Pinned by tests/test_training.py.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from torch import Tensor, nn
 
 from softmap_edge import _core
 from softmap_edge.model import Model
+from softmap_edge.outside import span
 from softmap_edge.registration.register import clamped
 from softmap_training import encodings
 from softmap_training.choices import PRIOR, PRIOR_MODES, PRIOR_WIDTHS, PUBLISHED_PRIOR, PriorKind, Recipe
@@ -108,10 +108,8 @@ def train_prior(
         at = next(net.parameters()).device
         return vertex_error(net(u[torch.as_tensor(validation)].to(at)).cpu().numpy(), points[validation])
 
-    ahead = time.perf_counter()
     task = Task(network, len(train), loss, validate, [commands, points, train])
     log = [] if kind == "linear" else fit(task, recipe, folder, progress, device, tensorboard)
-    seconds = time.perf_counter() - ahead
     content = to_onnx(network, commands.shape[1], {"kind": kind, "seed": str(recipe.seed)})
     apart = checked(network, content, commands[test][:256])
     core = _core.Network(content)
@@ -119,9 +117,10 @@ def train_prior(
         "kind": kind,
         "seed": recipe.seed,
         "epochs": len(log),
-        "seconds": seconds,
+        "seconds": sum(row["seconds"] for row in log),
         "parameters": core.parameters,
         "samples": len(train),
+        "command_range": span(commands[train]),
         "test_vertex_mm": vertex_error(core.evaluate(commands[test]), points[test]),
         "test_rms_mm": rms(core.evaluate(commands[test]) - points[test]),
         "parity_mm": apart,

@@ -25,6 +25,7 @@ from torch import Tensor, nn
 from softmap_edge import _core
 from softmap_edge.folds import run_folds
 from softmap_edge.model import Model
+from softmap_edge.outside import span
 from softmap_edge.registration.clouds import clouds_of
 from softmap_edge.registration.register import Registered, clamped, register
 from softmap_edge.run import Run, known
@@ -139,6 +140,7 @@ def train_residual(
         "held_out_before_mm": _off(frames, held, np.zeros_like(delta)),
         "held_out_after_mm": after,
         "parity_mm": apart,
+        "command_range": span(frames.commands),
     }
     found = base.with_residual({"onnx": np.frombuffer(content, np.uint8)})
     made = dict(base.made_from) | {"residual": {"run": [run.hash()], **report}}

@@ -45,11 +45,7 @@ def train_arguments(parser: argparse.ArgumentParser) -> None:
 
 def train(args: argparse.Namespace) -> int:
     """Train a network and write the bundle that holds it."""
-    try:
-        import onnx  # noqa: F401
-        import torch
-    except ImportError:
-        raise TrainingError("torch or onnx is not installed: pip install 'softmap-training[torch]'") from None
+    torch = checked_torch()
     if args.device == "cuda" and not torch.cuda.is_available():
         raise TrainingError("--device cuda: torch sees no GPU here; leave it out to train on the processor")
     if args.epochs is not None and not 1 <= args.epochs <= 1_000_000:
@@ -70,6 +66,16 @@ def train(args: argparse.Namespace) -> int:
     if args.what == "residual":
         return int(report["held_out_after_mm"] >= report["held_out_before_mm"])
     return 0
+
+
+def checked_torch() -> Any:
+    """Return torch. Raises TrainingError when it or onnx is not installed."""
+    try:
+        import onnx  # noqa: F401
+        import torch
+    except ImportError:
+        raise TrainingError("torch or onnx is not installed: pip install 'softmap-training[torch]'") from None
+    return torch
 
 
 def _prior(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tuple[Any, dict[str, Any]]:

@@ -1,0 +1,215 @@
+"""What `softmap evaluate` fits itself, for one seed or several, and judges beside the bundles.
+
+    on a simulated set    priors and baselines, taught by its training part
+    on a recording        a decoder in the manner of DeepSoRo, taught by the clouds at the model's calibrated commands;
+                          residuals on top of the model, also on growing parts of the recording, whole blocks of it
+
+Which blocks make a part is drawn by the seed, and each part holds the smaller ones. Pinned by tests/test_evaluate.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.folds import run_folds
+from softmap_edge.model import Model
+from softmap_edge.outside import untaught
+from softmap_edge.registration.clouds import clouds_of
+from softmap_edge.registration.register import Registered, register
+from softmap_edge.residual import APART
+from softmap_edge.run import Run
+from softmap_training import baselines, choices
+from softmap_training.deepsoro import fit_deepsoro
+from softmap_training.errors import TrainingError
+from softmap_training.evaluate import Recording, Row, milliseconds, on_shapes, predicting, size_of
+from softmap_training.prior import Surface, train_prior
+from softmap_training.residual import LEAST_FRAMES, train_residual
+from softmap_training.simulated import SimulatedSet
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Progress = Callable[[str, float], None]
+
+NO_CHANCE = ("linear", "xgboost", "table")  # no seed changes these
+ROWS = ("ticks", "present_ticks", "command", "present", "current", "temperature", "load")  # of a run, one a time
+TITLES = {"modes": "residual, ours", "published": "residual, published"}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How contenders are fitted: by which seeds, for how many epochs (None: as usual), and where checkpoints lie."""
+
+    seeds: tuple[int, ...] = (0,)
+    epochs: int | None = None
+    work: Path | None = None
+
+    def of(self, recipe: choices.Recipe, seed: int) -> choices.Recipe:
+        """Return a recipe as planned."""
+        return recipe.with_(epochs=self.epochs, seed=seed)
+
+    def folder(self, *name: object) -> Path | None:
+        """Return where the checkpoints of one training lie."""
+        return None if self.work is None else self.work / "-".join(map(str, name))
+
+
+def fitted_to_set(name: str, data: SimulatedSet, surface: Surface, plan: Plan, bar: Progress) -> Row:
+    """Fit a prior or a baseline to the training part of a set, and judge it on the test part.
+
+    Raises:
+        TrainingError: the set is too small, or what it needs is not installed.
+    """
+    parts = data.split(choices.SPLIT_SEED)
+    points = data.shapes(np.arange(len(data.command))).reshape(len(data.command), -1).astype(np.float64)
+    u, rows = np.ascontiguousarray(data.command), []
+    for seed in plan.seeds[:1] if name in NO_CHANCE else plan.seeds:
+        say, folder = partial(bar, name), plan.folder(name, seed)
+        if name in choices.PRIORS:
+            recipe = plan.of(choices.PRIOR if name == "modes" else choices.PUBLISHED_PRIOR, seed)
+            trained = train_prior(
+                u, points, (parts.train, parts.validation, parts.test), name, surface, recipe, folder,
+                lambda share, _, say=say: say(share),
+            )  # fmt: skip
+            network = _core.Network(trained.content)
+            predict, triangles = network.evaluate, surface.triangles
+            took = {"seconds": trained.report["seconds"], "parameters": network.parameters}
+        else:
+            train = parts.train
+            made = baselines.fit_baseline(name, u[train], points[train], seed, say, plan.epochs, folder)
+            predict, triangles = made.predict, surface.triangles if made.triangles is None else made.triangles
+            took = {"seconds": made.seconds, "parameters": made.numbers}
+        told = {"what": name, "seed": seed, **took}
+        rows.append(on_shapes(name, predict, u[parts.test], points[parts.test], told, triangles))
+    return Row.of_seeds(rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """A recording that teaches: its run, the clouds registered on a model without its residual, blocks of frames."""
+
+    base: Model
+    run: Run
+    registered: Registered
+    blocks: list[Indices]
+
+    @classmethod
+    def of(cls, model: Model, runs: Sequence[Run]) -> Lesson:
+        """Return that of one run of clouds or several.
+
+        Raises:
+            TrainingError: too few frames, or runs that do not go together.
+        """
+        base, run = model.with_residual(None), joined(runs)
+        if run.frames < LEAST_FRAMES:
+            raise TrainingError(f"--train: {run.frames} frames, at least {LEAST_FRAMES} are needed; record more")
+        return cls(base, run, register(base, run), [test for _, test in run_folds(run.t_seen)])
+
+    def part(self, share: float, seed: int) -> Indices:
+        """Return the frames of a share of the blocks, ascending; a seed's larger shares hold its smaller ones."""
+        order = np.random.default_rng(seed).permutation(len(self.blocks))
+        return np.sort(np.concatenate([self.blocks[k] for k in order[: max(1, round(share * len(order)))]]))
+
+
+def decoder(lesson: Lesson, judge: Recording, plan: Plan, bar: Progress) -> Row:
+    """Fit a decoder to the clouds of a lesson, and judge it."""
+    base, rows = lesson.base, []
+    clouds = [np.ascontiguousarray(c[:: max(1, len(c) // choices.SAMPLES)]) for c in clouds_of(lesson.run)]
+    held = np.concatenate(lesson.blocks[:: choices.HELD_OUT])  # as for a residual
+    taught, asked = (_acting(base, run) for run in (lesson.run, judge.run))
+    for seed in plan.seeds:
+        made = fit_deepsoro(
+            taught, clouds, len(base.rest), seed, held, plan.epochs,
+            plan.folder("recording", "deepsoro", seed), partial(bar, "DeepSoRo"),
+        )  # fmt: skip
+        told = {"what": "deepsoro", "seed": seed, "seconds": made.seconds, "parameters": made.numbers}
+        told |= {"milliseconds": milliseconds(made.predict, asked), "frames": lesson.run.frames}
+        shapes = made.predict(asked).reshape(len(asked), -1, 3)
+        rows.append(judge.judge_shapes("DeepSoRo", shapes, made.triangles, told, body=False))
+    return Row.of_seeds(rows)
+
+
+def residuals(lesson: Lesson, judge: Recording, kind: str, plan: Plan, bar: Progress) -> list[Row]:
+    """Train a residual on growing parts of a lesson, and judge each; the last row is taught by all of it.
+
+    A part that is too small for a residual is left out.
+    """
+    found = []
+    for number, share in enumerate(choices.SHARES):
+        rows = []
+        for seed in plan.seeds:
+            bar(TITLES[kind], number / len(choices.SHARES))
+            some = lesson.part(share, seed)
+            if len(some) < LEAST_FRAMES:
+                break
+            recipe = choices.RESIDUAL if kind == "modes" else choices.PUBLISHED_RESIDUAL
+            folder = plan.folder("recording", "residual", kind, f"{share:g}", seed)
+            seen = _some(lesson.registered, some)
+            model, report = train_residual(
+                lesson.base, lesson.run.at(some), kind, plan.of(recipe, seed), folder, registered=seen
+            )
+            told = took(model) | {
+                "what": "with residual", "kind": kind, "seed": seed, "seconds": report["seconds"], "share": share,
+                "frames": len(some), "outside": untaught(model, judge.run),
+            }  # fmt: skip
+            rows.append(judge.judge(TITLES[kind], model, told))
+        if rows:
+            found.append(Row.of_seeds(rows))
+    return found
+
+
+def took(model: Model) -> dict[str, Any]:
+    """Return how long a model takes for one shape, and how many numbers make it."""
+    low, high = model.command_range.T
+    u = np.random.default_rng(0).uniform(low, high, (16, model.channels))
+    return {"milliseconds": milliseconds(predicting(model), u), "parameters": size_of(model)}
+
+
+def joined(runs: Sequence[Run]) -> Run:
+    """Return runs of clouds as one, a minute apart.
+
+    Raises:
+        TrainingError: they are of other channels, units or fields.
+    """
+    first = runs[0]
+    there = [name for name in ROWS if getattr(first, name) is not None]
+    for run in runs:
+        fields = [name for name in ROWS if getattr(run, name) is not None]
+        if fields != there or run.channels != first.channels or run.command_unit != first.command_unit:
+            raise TrainingError(
+                f"--train: a run of {run.channels} channels with {', '.join(fields)} beside one of {first.channels} "
+                f"with {', '.join(there)}; runs that teach together are recorded alike"
+            )
+        if run.points is None:
+            raise TrainingError("--train: a run without clouds (`points`, `start`); give recordings of clouds")
+    if len(runs) == 1:
+        return first
+    begins = np.cumsum([0.0, *(float(run.t[-1] - run.t[0]) + APART for run in runs[:-1])])
+    shifts = [begin - run.t[0] for begin, run in zip(begins, runs)]
+    leans = [np.broadcast_to(run.gravity, (len(run.t), 3)) for run in runs if run.gravity is not None]
+    if leans and len(leans) < len(runs):
+        raise TrainingError("--train: some of the runs declare gravity and some do not; declare it in all")
+    steady = bool(leans) and all((row == leans[0][0]).all() for row in leans)
+    clouds = [cloud for run in runs for cloud in clouds_of(run)]
+    rows: dict[str, Any] = {name: np.concatenate([getattr(run, name) for run in runs]) for name in there}
+    return replace(
+        first, t=np.concatenate([run.t + by for run, by in zip(runs, shifts)]),
+        t_seen=np.concatenate([run.t_seen + by for run, by in zip(runs, shifts)]),
+        gravity=leans[0][0] if steady else np.concatenate(leans) if leans else None, points=np.concatenate(clouds),
+        start=np.concatenate([[0], np.cumsum([len(cloud) for cloud in clouds])]), block=None,
+        **rows,
+    )  # fmt: skip
+
+
+def _acting(model: Model, run: Run) -> Floats:
+    return np.ascontiguousarray(model.acting(model.chain_names, model.chain_params[None], run)[0])
+
+
+def _some(of: Registered, rows: Indices) -> Registered:
+    return replace(of, vertices=of.vertices[rows], support=of.support[rows], frames=[of.frames[k] for k in rows])
