@@ -55,10 +55,10 @@ def shapes_over(panels: Sequence[tuple[str, Row, int]]) -> bytes:
     """
     found = [_apart(row, frame) for _, row, frame in panels]
     scale = Normalize(0.0, float(np.percentile(np.concatenate([away for _, away in found]), TOP)) or 1.0)
-    across = min(ACROSS, len(panels))
+    rows = -(-len(panels) // ACROSS)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDE, 3.5 * -(-len(panels) // across)), layout="constrained")
-        grid = figure.subplots(-(-len(panels) // across), across, squeeze=False)
+        figure = Figure(figsize=(WIDE, 3.5 * rows), layout="constrained")
+        grid = figure.subplots(rows, ACROSS, squeeze=False)
         limits = _limits([row.shapes[frame] for _, row, frame in panels])
         for axes in grid.ravel()[len(panels) :]:
             axes.set_axis_off()
@@ -70,9 +70,10 @@ def shapes_over(panels: Sequence[tuple[str, Row, int]]) -> bytes:
             axes.scatter(seen @ right, seen @ up, c=away[order], s=2.6, cmap=AWAY, norm=scale, linewidths=0, zorder=3)
             axes.set(aspect="equal", xlim=limits[0], ylim=limits[1])
             axes.set_axis_off()
-            axes.set_title(name, fontsize=8.5)
+            axes.set_title(name, fontsize=8)
+        used = grid.ravel()[: len(panels)].tolist()
         bar = figure.colorbar(
-            matplotlib.cm.ScalarMappable(scale, AWAY), ax=grid, shrink=0.6, aspect=30, pad=0.01, extend="max",
+            matplotlib.cm.ScalarMappable(scale, AWAY), ax=used, shrink=0.5, aspect=30, pad=0.03, extend="max",
             label="from the surface, mm",
         )  # fmt: skip
         bar.outline.set_visible(False)
