@@ -29,6 +29,7 @@ COLOURS = (AFTER, "#7b5ea7", "#b8860b", INK, "#5c8001")  # of models with a resi
 BODY = np.array([0.90, 0.92, 0.94])
 AWAY = LinearSegmentedColormap.from_list("away", [AFTER, "#8fb9a8", "#e9c46a", "#e76f51", "#6a1b1a"])
 ACROSS = 4  # panels beside each other
+PANEL, TALL = 2.2, 3.1  # inches: how wide a panel is, and how tall at most
 DRAWN = 1500  # points of a cloud in a picture
 TOP = 90.0  # percentile of the distances that ends the colours: outliers are beyond
 NAMES: Any = {"frameon": False, "borderaxespad": 0.2, "loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 5}
@@ -55,24 +56,27 @@ def shapes_over(panels: Sequence[tuple[str, Row, int]]) -> bytes:
     """
     found = [_apart(row, frame) for _, row, frame in panels]
     scale = Normalize(0.0, float(np.percentile(np.concatenate([away for _, away in found]), TOP)) or 1.0)
-    across = min(ACROSS, len(panels))
+    rows = -(-len(panels) // ACROSS)
+    limits = _limits([row.shapes[frame] for _, row, frame in panels])
+    (left, right), (low, high) = limits
+    tall = min(TALL, PANEL * (high - low) / (right - left)) + 0.45  # inches, with the title
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDE, 3.5 * -(-len(panels) // across)), layout="constrained")
-        grid = figure.subplots(-(-len(panels) // across), across, squeeze=False)
-        limits = _limits([row.shapes[frame] for _, row, frame in panels])
+        figure = Figure(figsize=(WIDE, tall * rows), layout="constrained")
+        grid = figure.subplots(rows, ACROSS, squeeze=False)
         for axes in grid.ravel()[len(panels) :]:
             axes.set_axis_off()
         for axes, (name, row, frame), (points, away) in zip(grid.ravel(), panels, found):
             _surface(axes, row.shapes[frame], row.triangles)
-            right, up, _ = view()
+            across, up, _ = view()
             order = np.argsort(away)
             seen = points[order]
-            axes.scatter(seen @ right, seen @ up, c=away[order], s=2.6, cmap=AWAY, norm=scale, linewidths=0, zorder=3)
+            axes.scatter(seen @ across, seen @ up, c=away[order], s=2.6, cmap=AWAY, norm=scale, linewidths=0, zorder=3)
             axes.set(aspect="equal", xlim=limits[0], ylim=limits[1])
             axes.set_axis_off()
-            axes.set_title(name, fontsize=8.5)
+            axes.set_title(name, fontsize=8)
+        used = grid.ravel()[: len(panels)].tolist()
         bar = figure.colorbar(
-            matplotlib.cm.ScalarMappable(scale, AWAY), ax=grid, shrink=0.6, aspect=30, pad=0.01, extend="max",
+            matplotlib.cm.ScalarMappable(scale, AWAY), ax=used, shrink=0.5, aspect=30, pad=0.03, extend="max",
             label="from the surface, mm",
         )  # fmt: skip
         bar.outline.set_visible(False)

@@ -143,10 +143,10 @@ def _simulated(document: Document, rows: Sequence[Row], figures: Any) -> list[st
     found = [section("Simulated shapes that taught nothing", table, f"{_meaning(document['simulated'])}; {OTHER}.")]
     panels = []
     for row in rows:
-        worst = int(row.errors["vertex"][0].argmax())
-        panels.append((f"{row.name}: {mm(float(row.errors['vertex'][0, worst]))} mm", row, worst))
+        worst = int(row.errors["chamfer"][0].argmax())
+        panels.append((f"{row.name}: {mm(float(row.errors['chamfer'][0, worst]))} mm", row, worst))
     drawn = picture(figures.shapes_over(panels), "The worst simulated shape of each model")
-    note = "Predicted surfaces, and the true vertices by their distance from them; above each its mean vertex error."
+    note = "Predicted surfaces, and the true vertices by their distance from them; above each its Chamfer distance."
     return [*found, section("The worst simulated shape of each model", drawn, note)]
 
 
