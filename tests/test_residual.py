@@ -68,7 +68,7 @@ def adapted(loaded):
 
 def test_commands_beyond_those_that_taught_it_are_told(loaded, tmp_path, capsys):
     u = loaded.command_at(loaded.t_seen)
-    near, _ = adapt(MODEL, loaded.at((np.abs(u) < 6.0).all(axis=1)))
+    near, _ = learn_residual(MODEL, loaded.at((np.abs(u) < 6.0).all(axis=1)))
     save_bundle(near, tmp_path / "near")
     loaded.save(tmp_path / "run.npz")
     outside = (np.abs(u) > 6.0 * 1.1).any(axis=1).mean()
