@@ -11,7 +11,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from softmap_training import choices  # noqa: E402
-from softmap_training.contenders import Lesson, Plan, fitted_to_set, joined, residuals  # noqa: E402
+from softmap_training.contenders import Lesson, Plan, fitted_to_set, residuals  # noqa: E402
 from softmap_training.errors import TrainingError  # noqa: E402
 from softmap_training.evaluate import (  # noqa: E402
     PUBLISHED,
@@ -23,6 +23,7 @@ from softmap_training.evaluate import (  # noqa: E402
     told_these,
 )
 from softmap_training.prior import Surface, train_prior, with_prior  # noqa: E402
+from softmap_training.recordings import joined  # noqa: E402
 from softmap_training.simulated import SimulatedSet  # noqa: E402
 
 from softmap_edge import Run, builtin_model, save_bundle  # noqa: E402
@@ -151,8 +152,18 @@ def test_runs_that_teach_together_are_one_a_minute_apart_and_must_be_alike(files
         joined([run, replace(run, temperature=20.0)])
     with pytest.raises(TrainingError, match="some do not"):
         joined([run, replace(run, gravity=np.array([0.0, 0.0, 1.0]))])
+    bare = replace(run, points=None, start=None)
     with pytest.raises(TrainingError, match="without clouds"):
-        joined([replace(run, points=None, start=None)])
+        Lesson.of(MODEL, [bare])
+    shapes = replace(bare, vertices=MODEL.predict(run), sigma=np.array(0.4))
+    with pytest.raises(TrainingError, match="beside one without"):
+        joined([run, shapes])
+    with pytest.raises(TrainingError, match="`sigma`"):
+        joined([shapes, replace(shapes, sigma=None)])
+    hidden = np.ones((run.frames, len(MODEL.rest)), bool)
+    hidden[:, 7] = False
+    both = joined([shapes, replace(shapes, visible=hidden)])
+    assert both.visible[: run.frames].all() and not both.visible[run.frames :, 7].any() and both.sigma.min() == 0.4
 
 
 def test_the_verb_prints_both_tables_beside_the_papers(files, capsys, monkeypatch):

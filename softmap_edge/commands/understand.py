@@ -240,7 +240,7 @@ def _names(text: str) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def write_page(path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: str) -> None:
+def write_page(path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: str, ways: Any = None) -> None:
     """Write the page about a run seen by one model, or by two where they differ."""
     from softmap_edge.diagnosis.comparison import compare as measure
     from softmap_edge.diagnosis.series import series
@@ -248,7 +248,7 @@ def write_page(path: str, run: Any, before: Any, after: Any, diagnosis: Any, kin
 
     two = after is not None and after is not before
     found = [measure(model, run) for model in ((before, after) if two else (before,))]
-    write_html(path, found, diagnosis, series(run, before, after if two else None, kind))
+    write_html(path, found, diagnosis, series(run, before, after if two else None, kind), ways=ways)
 
 
 def _dropped(model: Any) -> dict[str, Any]:

@@ -44,6 +44,8 @@ class Story:
     diagnosis: Mapping[str, Any] | None
     series: Series | None
     floor: tuple[float, str] | None = None
+    ways: Mapping[str, float | None] | None = None
+    ways_on: str = ""
 
 
 def write_html(
@@ -52,6 +54,7 @@ def write_html(
     diagnosis: Any = None,
     series: Series | None = None,
     floor: tuple[float, str] | None = None,
+    ways: tuple[Mapping[str, float | None], str] | None = None,
 ) -> Path:
     """Write one self-contained HTML page.
 
@@ -60,6 +63,7 @@ def write_html(
         comparison: one comparison, or two of the same run (before, after).
         diagnosis: a Diagnosis or its document softmap.diagnosis/1.
         series: errors over time and over the body (`compare.series`), for the pictures that need them.
+        ways: errors in mm RMS of a model made in several ways, by name, and what they were measured on (`adapt`).
         floor: what no model can go below, mm, and what it is, where that is known better than from the camera's noise.
 
     Returns:
@@ -78,13 +82,16 @@ def write_html(
     if diagnosis is not None:
         diagnosis = diagnosis.to_dict() if hasattr(diagnosis, "to_dict") else diagnosis
         check_diagnosis(diagnosis)
-    story = Story(given[0] if given else None, given[1] if len(given) > 1 else None, diagnosis, series, floor)
+    story = Story(
+        given[0] if given else None, given[1] if len(given) > 1 else None, diagnosis, series, floor, *(ways or ())
+    )
     figures = loaded_figures()
     sections = [
         _hero(story),
         _sheet(story),
         _where(story, figures),
         _ladder(story, figures),
+        _ways(story),
         _effects(story),
         _open_questions(story),
         _time(story, figures),
@@ -266,6 +273,20 @@ def _ladder(story: Story, figures: ModuleType) -> str:
     return section(
         "What each effect removes", picture(figures.ladder_bars(error), "Error ladder down to the floor"), note
     )
+
+
+def _ways(story: Story) -> str:
+    rows = [(name, value) for name, value in (story.ways or {}).items() if value is not None]
+    if not rows:
+        return ""
+    most = max(value for _, value in rows)
+    body = "".join(
+        f"<tr><td>{escaped(name)}</td><td>{mm(value)} mm</td>"
+        f'<td><meter min="0" max="{most:g}" value="{value:g}"></meter></td></tr>'
+        for name, value in rows
+    )
+    note = f"RMS, on {escaped(story.ways_on)}. A residual is a function of the command; physics remembers."
+    return section("Explained in other ways", f"<table><tbody>{body}</tbody></table>", note)
 
 
 def _effects(story: Story) -> str:

@@ -24,13 +24,13 @@ from softmap_edge.model import Model
 from softmap_edge.outside import untaught
 from softmap_edge.registration.clouds import clouds_of
 from softmap_edge.registration.register import Registered, register
-from softmap_edge.residual import APART
 from softmap_edge.run import Run
 from softmap_training import baselines, choices
 from softmap_training.deepsoro import fit_deepsoro
 from softmap_training.errors import TrainingError
 from softmap_training.evaluate import Recording, Row, milliseconds, on_shapes, predicting, size_of
 from softmap_training.prior import Surface, train_prior
+from softmap_training.recordings import joined
 from softmap_training.residual import LEAST_FRAMES, train_residual
 from softmap_training.simulated import SimulatedSet
 
@@ -39,7 +39,6 @@ Indices = NDArray[np.int64]
 Progress = Callable[[str, float], None]
 
 NO_CHANCE = ("linear", "xgboost", "table")  # no seed changes these
-ROWS = ("ticks", "present_ticks", "command", "present", "current", "temperature", "load")  # of a run, one a time
 TITLES = {"modes": "residual, ours", "published": "residual, published"}
 
 
@@ -107,6 +106,8 @@ class Lesson:
             TrainingError: too few frames, or runs that do not go together.
         """
         base, run = model.with_residual(None), joined(runs)
+        if run.points is None:
+            raise TrainingError("--train: a run without clouds (`points`, `start`); give recordings of clouds")
         if run.frames < LEAST_FRAMES:
             raise TrainingError(f"--train: {run.frames} frames, at least {LEAST_FRAMES} are needed; record more")
         return cls(base, run, register(base, run), [test for _, test in run_folds(run.t_seen)])
@@ -169,42 +170,6 @@ def took(model: Model) -> dict[str, Any]:
     low, high = model.command_range.T
     u = np.random.default_rng(0).uniform(low, high, (16, model.channels))
     return {"milliseconds": milliseconds(predicting(model), u), "parameters": size_of(model)}
-
-
-def joined(runs: Sequence[Run]) -> Run:
-    """Return runs of clouds as one, a minute apart.
-
-    Raises:
-        TrainingError: they are of other channels, units or fields.
-    """
-    first = runs[0]
-    there = [name for name in ROWS if getattr(first, name) is not None]
-    for run in runs:
-        fields = [name for name in ROWS if getattr(run, name) is not None]
-        if fields != there or run.channels != first.channels or run.command_unit != first.command_unit:
-            raise TrainingError(
-                f"--train: a run of {run.channels} channels with {', '.join(fields)} beside one of {first.channels} "
-                f"with {', '.join(there)}; runs that teach together are recorded alike"
-            )
-        if run.points is None:
-            raise TrainingError("--train: a run without clouds (`points`, `start`); give recordings of clouds")
-    if len(runs) == 1:
-        return first
-    begins = np.cumsum([0.0, *(float(run.t[-1] - run.t[0]) + APART for run in runs[:-1])])
-    shifts = [begin - run.t[0] for begin, run in zip(begins, runs)]
-    leans = [np.broadcast_to(run.gravity, (len(run.t), 3)) for run in runs if run.gravity is not None]
-    if leans and len(leans) < len(runs):
-        raise TrainingError("--train: some of the runs declare gravity and some do not; declare it in all")
-    steady = bool(leans) and all((row == leans[0][0]).all() for row in leans)
-    clouds = [cloud for run in runs for cloud in clouds_of(run)]
-    rows: dict[str, Any] = {name: np.concatenate([getattr(run, name) for run in runs]) for name in there}
-    return replace(
-        first, t=np.concatenate([run.t + by for run, by in zip(runs, shifts)]),
-        t_seen=np.concatenate([run.t_seen + by for run, by in zip(runs, shifts)]),
-        gravity=leans[0][0] if steady else np.concatenate(leans) if leans else None, points=np.concatenate(clouds),
-        start=np.concatenate([[0], np.cumsum([len(cloud) for cloud in clouds])]), block=None,
-        **rows,
-    )  # fmt: skip
 
 
 def _acting(model: Model, run: Run) -> Floats:

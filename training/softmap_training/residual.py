@@ -6,13 +6,15 @@ Published: a network 64-256-256-64 to all points, Chamfer to the clouds + λ_l2 
 |Δᵢ − Δⱼ|². On clouds of two views it pulls the unseen side through the body and moves what a clamp holds. Ours is
 taught by the registered vertices, each by how well it was seen: Δ is a few modes of what they show beyond the model,
 none of which moves a clamped vertex, weighted by a small network of the command. Validation is on whole blocks of the
-recording; ours then learns from all of it for as long as was best there.
+recordings; ours leaves each out once, then learns from all for as long as was best on average. Friction remembers where
+a command was reached from: a command that is reached from several sides, in several recordings, teaches their mean.
 Pinned by tests/test_residual_network.py.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -36,9 +38,11 @@ from softmap_training.errors import TrainingError
 from softmap_training.export import checked, to_onnx
 from softmap_training.fit import Progress, Task, fit, seeded
 from softmap_training.networks import published_residual, to_modes
+from softmap_training.recordings import joined
 
 Floats = NDArray[np.float64]
 LEAST_FRAMES = 12
+Parts = list[tuple[NDArray[np.int64], NDArray[np.int64]]]  # frames that teach, frames that are held out
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ def frames_of(model: Model, run: Run, registered: Registered | None = None) -> F
 
 def train_residual(
     model: Model,
-    run: Run,
+    run: Run | Sequence[Run],
     kind: choices.ResidualKind = "modes",
     recipe: Recipe | None = None,
     folder: Path | None = None,
@@ -100,7 +104,7 @@ def train_residual(
 
     Args:
         model: stays as it is, an earlier residual aside.
-        run: the recording, of clouds (or vertices; the published one needs clouds), with commands.
+        run: the recording, or several, of clouds (or vertices; the published one needs clouds), with commands.
         kind: "modes" (ours) or "published".
         recipe, folder, progress, device, tensorboard: as for `train_prior`.
         registered: of the clouds, where that was done before.
@@ -108,23 +112,26 @@ def train_residual(
     Raises:
         TrainingError: too few frames, no clouds for the published one, or a checkpoint of something else.
     """
-    base, frames = model.with_residual(None), frames_of(model, run, registered)
+    runs = list(run) if isinstance(run, Sequence) else [run]
+    whole = joined(runs)
+    base, frames = model.with_residual(None), frames_of(model, whole, registered)
     if kind == "published" and not frames.clouds:
         raise TrainingError("the published residual is supervised by clouds; this run holds vertices")
     recipe = recipe or (choices.RESIDUAL if kind == "modes" else choices.PUBLISHED_RESIDUAL)
     seeded(recipe.seed)
-    train, held = _parts(run)
-    held_still = clamped(base)
-    make = _ours if kind == "modes" else _published
+    parts, held_still = _parts(whole), clamped(base)
     ahead = time.perf_counter()
-    network, task = make(base, frames, train, held, held_still)
-    log = fit(task, recipe, folder, progress, device, tensorboard)
-    after = _off(frames, held, _evaluated(network, frames))
-    if kind == "modes":  # as long as was best, now on all frames
-        best = 1 + int(np.argmin([row["validation_mm"] for row in log]))
-        seeded(recipe.seed)
-        network, task = make(base, frames, np.arange(len(frames)), held, held_still)
-        log = fit(task, recipe, folder and folder / "all", progress, device, tensorboard, best)
+    every = np.arange(len(frames))
+    until = None
+    train, held = parts[0]
+    if kind == "modes":  # as long as was best on average for what was left out, then on all frames
+        curve = _left_out(base, frames, parts, held_still, recipe, folder, _share(progress, 0.0, 0.8), device)
+        train, held, until = every, every, 1 + int(np.argmin(curve))
+    seeded(recipe.seed)
+    network, task = (_ours if kind == "modes" else _published)(base, frames, train, held, held_still)
+    say = progress if until is None else _share(progress, 0.8, 1.0)
+    log = fit(task, recipe, folder, say, device, tensorboard, until)
+    after = _off(frames, held, _evaluated(network, frames)) if until is None else float(curve.min())
     seconds = time.perf_counter() - ahead
     content = to_onnx(network, base.channels, {"kind": f"residual, {kind}", "seed": str(recipe.seed)})
     apart = checked(network, content, frames.commands[:256])
@@ -143,18 +150,41 @@ def train_residual(
         "command_range": span(frames.commands),
     }
     found = base.with_residual({"onnx": np.frombuffer(content, np.uint8)})
-    made = dict(base.made_from) | {"residual": {"run": [run.hash()], **report}}
+    made = dict(base.made_from) | {"residual": {"run": [one.hash() for one in runs], **report}}
     return replace(found, made_from=made), report
 
 
-def _parts(run: Run) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the frames that teach and those that are held out: every fourth block of the run."""
-    parts = run_folds(run.t_seen)[:: choices.HELD_OUT]
-    held = np.concatenate([test for _, test in parts])
-    train = np.arange(run.frames)
-    for kept, _ in parts:
-        train = np.intersect1d(train, kept)
-    return train, held
+def _left_out(
+    base: Model, frames: Frames, parts: Parts, still: NDArray[np.int64], recipe: Recipe, folder: Path | None,
+    progress: Progress | None, device: str,
+) -> Floats:  # fmt: skip
+    """Return, for each epoch, the mean distance in mm from the vertices seen in the part that was left out."""
+    curves, patient = [], replace(recipe, patience=recipe.epochs)
+    for number, (train, held) in enumerate(parts):
+        seeded(recipe.seed)
+        task = _ours(base, frames, train, held, still)[1]
+        say = _share(progress, number / len(parts), (number + 1) / len(parts))
+        log = fit(task, patient, folder and folder / f"part{number}", say, device)
+        curves.append([row["validation_mm"] for row in log])
+    return np.asarray(np.average(curves, axis=0, weights=[len(held) for _, held in parts]))
+
+
+def _share(progress: Progress | None, begin: float, end: float) -> Progress | None:
+    """Return what hears of a part of the work as of its share of all of it."""
+    if progress is None:
+        return None
+    return lambda share, line: progress(begin + (end - begin) * share, line)
+
+
+def _parts(run: Run) -> Parts:
+    """Return the frames that teach and those that are held out, HELD_OUT times: every so many blocks of the run."""
+    blocks, found = run_folds(run.t_seen), []
+    for number in range(min(choices.HELD_OUT, len(blocks))):
+        train = np.arange(run.frames)
+        for kept, _ in blocks[number :: choices.HELD_OUT]:
+            train = np.intersect1d(train, kept)
+        found.append((train, np.concatenate([test for _, test in blocks[number :: choices.HELD_OUT]])))
+    return found
 
 
 def _evaluated(network: nn.Sequential, frames: Frames) -> Floats:
@@ -197,9 +227,7 @@ def _ours(
 
     def validate(net: nn.Sequential) -> float:
         rows = torch.as_tensor(held, device=next(net.parameters()).device)
-        distance = off(net, rows).norm(dim=2)
-        weight = w.to(rows.device)[rows]
-        return float((weight * distance).sum() / weight.sum())
+        return float(off(net, rows).norm(dim=2)[w.to(rows.device)[rows] > 0].mean())
 
     return network, Task(network, len(train), loss, validate, [frames.commands, flat, frames.weight, train])
 

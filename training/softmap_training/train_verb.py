@@ -27,7 +27,7 @@ def train_arguments(parser: argparse.ArgumentParser) -> None:
         "coordinates or to rotations; least squares",
     )  # fmt: skip
     residual = what.add_parser("residual", help="from a recording: what the model misses, by command")
-    residual.add_argument("run", help="the recording (.npz), clouds or vertices")
+    residual.add_argument("runs", nargs="+", metavar="run", help="recordings (.npz), clouds or vertices")
     residual.add_argument(
         "--model", choices=get_args(ResidualKind), default="modes", help="ours (default), or the paper's network"
     )
@@ -101,8 +101,9 @@ def _residual(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tupl
     from softmap_training.residual import train_residual
 
     recipe = choices.RESIDUAL if args.model == "modes" else choices.PUBLISHED_RESIDUAL
+    runs = [Run.load(path) for path in args.runs]
     return train_residual(
-        base, Run.load(args.run), args.model, recipe.with_(epochs=args.epochs, seed=args.seed), work,
+        base, runs, args.model, recipe.with_(epochs=args.epochs, seed=args.seed), work,
         lambda share, line: bar("training", share), args.device, tensorboard=args.tensorboard,
     )  # fmt: skip
 
