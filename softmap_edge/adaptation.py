@@ -90,14 +90,17 @@ class Adaptation:
             lines.append(self.diagnosis.sentence)
             lines += [f"  {label:<24} {value:.6g}" for label, value in self.model.params.items()]
         if self.residual is not None:
-            told = self.residual
-            lines.append(
-                f"residual of {told['size_mm']:.2f} mm RMS over the command, learned from {told['frames']} frames"
-                + ("" if self.model.residual is not None else ": left out, it lowers nothing that was held out")
-            )
+            lines.append(_of_residual(self.residual, self.model.residual is not None))
         lines += ["", f"error, mm RMS, {self.error_on}"]
         lines += [f"  {way:<24} {value:.3f}" for way, value in self.error.items() if value is not None]
         return "\n".join([*lines, f"  {100 * self.fall:.0f} % of the error are gone"])
+
+
+def _of_residual(told: dict[str, Any], kept: bool) -> str:
+    if "why" in told:
+        return f"no residual: {told['why']}"
+    line = f"residual of {told['size_mm']:.2f} mm RMS over the command, learned from {told['frames']} frames"
+    return line if kept else f"{line}: left out, it lowers nothing that was held out"
 
 
 def adapt(
@@ -128,23 +131,34 @@ def adapt(
     base = model.with_residual(None)
     if not runs:
         raise SoftmapError("no run is given; an adaptation needs at least one")
+    if held_out is not None and held_out.hash() in [one.hash() for one in runs]:
+        raise SoftmapError("the held-out run is one that teaches, so it judges nothing; give an independent run")
     shown = [_shown(base, one, say) for one in runs]
     base, calibration = _calibrated(base, shown, say)
     found = _missing(base, shown, say) if physics else None
     better = base if found is None else found.model
     say("learning what is left, as a smooth field of the command")
-    model, residual = learn_residual(better, shown)
-    if residual["after_held_out_rms_mm"] >= residual["before_rms_mm"]:
-        model = better
+    rest, residual = _rest(better, shown, found is not None and better.chain_names != base.chain_names)
+    kept = rest is not None and residual["after_held_out_rms_mm"] < residual["before_rms_mm"]
     if held_out is None:
         judge, error, on = shown[0], _on_blocks(found, residual), _blocks(found)
     else:
         judge, on = _shown(base, held_out, say), "a run that taught nothing, points that were seen"
-        alone = learn_residual(base, shown)[0] if found is not None else model
-        last = learn_residual(better, shown)[0] if model is better and found is not None else model
-        ways = [base, alone, None if found is None else better, None if found is None else last]
+        alone = rest if found is None else _rest(base, shown, True)[0]
+        ways = [base, alone, *([None, None] if found is None else [better, rest])]
         error = {way: None if m is None else compare(m, judge).error["rms_mm"] for way, m in zip(WAYS, ways)}
+    model = rest if kept and rest is not None else better
     return Adaptation(model, base, calibration, found, residual, error, on, judge, shown)
+
+
+def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None, dict[str, Any]]:
+    """Return the model with a residual and what is told of it; None and why where runs teach none, if it is spare."""
+    try:
+        return learn_residual(model, runs)
+    except SoftmapError as fault:
+        if not spare:
+            raise
+        return None, {"why": str(fault)}
 
 
 def _shown(model: Model, run: Run, say: Callable[[str], None]) -> Run:
@@ -180,8 +194,9 @@ def _missing(model: Model, runs: Sequence[Run], say: Callable[[str], None]) -> D
 
 
 def _blocks(found: Diagnosis | None) -> str:
-    of = "points that were seen" if found is None else "middles of the body's sections, or markers"
-    return f"blocks of the runs that were left out, {of}"
+    if found is None:
+        return "blocks of the runs that were left out, points that were seen"
+    return "blocks of the runs that were left out, middles of sections or markers; a residual is a polynomial there"
 
 
 def _on_blocks(found: Diagnosis | None, residual: dict[str, Any]) -> dict[str, float | None]:

@@ -13,6 +13,7 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.protocol import Limits, standard_protocol
 from softmap_edge.protocol_virtual import virtual_protocol
 from softmap_edge.run import Run
+from softmap_edge.truth import hide
 from softmap_edge.truth_clouds import TWO
 from softmap_edge.truth_virtual import virtual_finger
 
@@ -101,10 +102,23 @@ def test_what_registration_filled_in_teaches_a_residual_but_judges_nothing(adapt
     )
 
 
+def test_markers_get_their_physics_and_are_told_why_no_residual():
+    truth, protocol = hide(["backlash"], 4), thinned(standard_protocol(2), 3)
+    seen, some = truth.measure(protocol), np.arange(0, len(MODEL.rest), 60)
+    markers = replace(seen, vertices=None, markers=seen.vertices[:, some], marker_rest=MODEL.rest[some])
+    found = adapt(MODEL, markers)
+    assert found.model.chain_names == ("backlash",) and found.model.residual is None and found.fall > 0.7
+    assert "what lies between them is not seen" in str(found) and not found.to_dict()["residual"]["kept"]
+    with pytest.raises(SoftmapError, match="what lies between them"):
+        adapt(MODEL, markers, physics=False)
+
+
 def test_what_cannot_be_adapted_to_is_refused(adapted):
     with pytest.raises(SoftmapError, match="no run is given"):
         adapt(MODEL, [])
     ticks = adapted.runs[0]
+    with pytest.raises(SoftmapError, match="judges nothing"):
+        adapt(MODEL, [ticks], held_out=ticks)
     few = ticks.at(np.arange(5))
     with pytest.raises(SoftmapError, match="held commands|frames"):
         adapt(MODEL, few)
