@@ -56,12 +56,14 @@ def build(args: argparse.Namespace) -> int:
         "bundle": str(args.out),
         "kind": model.kind,
         "vertices": len(model.rest),
+        "handles": len(model.rest if model.handles is None else model.handles),
         "commands": commands,
         "held_out_error_mm": round(model.vertex_error_mm, 4),
         "bytes": size,
     }
+    handles = "" if model.handles is None else f" ({len(model.handles)} handles)"
     text = (
-        f"{args.out}: {model.kind} of {model.robot}, {len(model.rest)} vertices, {commands} "
+        f"{args.out}: {model.kind} of {model.robot}, {len(model.rest)} vertices{handles}, {commands} "
         f"command{'s' if commands != 1 else ''}, own held-out error {model.vertex_error_mm:.2f} mm RMS ({how}), "
         f"{size / 1000:.0f} kB"
     )
