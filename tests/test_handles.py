@@ -35,7 +35,8 @@ def test_the_file_the_bundle_and_the_verb_carry_them(tmp_path, capsys):
     small = FINGER.replace(core=2, layers=10, handles=30)
     (tmp_path / "finger.toml").write_text(small.to_toml(), encoding="utf-8")
     assert Finger.load(tmp_path / "finger.toml") == small
-    assert main(["build", str(tmp_path / "finger.toml"), "--steps", "5", "--out", str(tmp_path / "bundle")]) == 0
+    assert main(["sweep", str(tmp_path / "finger.toml"), "--steps", "5", "--out", str(tmp_path / "sweep.npz")]) == 0
+    assert main(["build", str(tmp_path / "sweep.npz"), "--out", str(tmp_path / "bundle")]) == 0
     assert "(30 handles)" in capsys.readouterr().out
     model = load_bundle(tmp_path / "bundle")
     np.testing.assert_array_equal(model.handles, handles_of(small, model.rest))
@@ -53,6 +54,14 @@ def test_more_than_there_are_vertices_is_refused_before_the_sweep():
     with pytest.raises(FingerError, match=r"template.handles: 549, the template has 548 vertices; give 1 to 548"):
         build_model(FINGER.replace(handles=549), progress=lambda what, share: told.append(what))
     assert not told
+
+
+@pytest.mark.parametrize("verb", ["build", "sweep"])
+def test_the_verbs_refuse_them_in_one_line(verb, tmp_path, capsys):
+    (tmp_path / "finger.toml").write_text(FINGER.replace(core=1, layers=4, handles=900).to_toml(), encoding="utf-8")
+    assert main([verb, str(tmp_path / "finger.toml"), "--steps", "5", "--out", str(tmp_path / "out.npz")]) == 2
+    said = capsys.readouterr().err
+    assert "template.handles: 900" in said and said.count("\n") == 1 and not (tmp_path / "out.npz").exists()
 
 
 def test_all_of_them_as_handles_register_as_before():

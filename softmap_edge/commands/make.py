@@ -142,7 +142,7 @@ def sweep_arguments(parser: argparse.ArgumentParser) -> None:
 
 def sweep(args: argparse.Namespace) -> int:
     """Simulate a grid of commands and write commands and vertices."""
-    from softmap_edge.solid.build import grid_axes
+    from softmap_edge.solid.build import grid_axes, handles_of
     from softmap_edge.solid.simulator import Simulator
 
     _check_steps(args.steps)
@@ -154,8 +154,10 @@ def sweep(args: argparse.Namespace) -> int:
     check_no_run("--out", args.out)
     finger = _finger(args.finger)
     axes = grid_axes(finger, args.steps)
+    simulator = Simulator(finger)
+    handles_of(finger, simulator.template.vertices)  # `build` would refuse its sweep
     with Bar(args.json) as bar:
-        result = Simulator(finger).sweep(axes, progress=lambda share: bar("sweep", share))
+        result = simulator.sweep(axes, progress=lambda share: bar("sweep", share))
     result.save(Path(args.out))
     document = {"schema": "softmap.sweep/1", "sweep": str(args.out), "commands": len(result.command), "failed": 0}
     print(json.dumps(document) if args.json else f"{args.out}: {len(result.command)} commands, none failed")
