@@ -3,7 +3,8 @@
 manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it
 prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes, scale, power and
                 the rest as a table), or a rod
-template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh
+template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh;
+                handles, where not all vertices are
 fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands; `second_…`
                 what loads do beyond
 effects.json    the chain: names and parameters
@@ -81,6 +82,8 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         template |= {"section": model.body.section.astype(np.uint16), "along": model.body.along.astype(np.float32)}
         if model.body.angle is not None:
             template["angle"] = model.body.angle.astype(np.float32)
+    if model.handles is not None:
+        template["handles"] = model.handles.astype(np.uint32)
     write_npz(partial / "template.npz", template)
     if model.calibration is not None:
         files.append("calibration.json")
@@ -125,7 +128,7 @@ def _umask() -> int:
 
 def _schema(model: Model, files: list[str], own: bool) -> int:
     """Return the oldest schema that holds the model; a rod makes its fields itself."""
-    if "calibration.json" in files:
+    if "calibration.json" in files or model.handles is not None:
         return 6
     if model.kind == "network" or "residual.onnx" in files:
         return 5
@@ -224,7 +227,7 @@ def _arrays(folder: Path, manifest: dict[str, Any]) -> dict[str, Arrays]:
                     f"{folder.name}: {name}.npz: '{key}' holds {low:.4g} to {high:.4g}, allowed is "
                     f"{'0 to ' if key == 'form_error_mm' else '±'}{LARGEST:g}; build it again"
                 )
-            if key in ("triangles", "tip") and array.dtype.kind not in "iu":
+            if key in ("triangles", "tip", "handles") and array.dtype.kind not in "iu":
                 raise BundleError(f"{folder.name}: {name}.npz: '{key}' holds {array.dtype}, expected whole numbers")
     between = np.array(manifest["command_range"], float).reshape(-1, 2)
     for file in (name for name in learned if name.endswith(".onnx")):
@@ -281,6 +284,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         input=str(manifest.get("input", "present")),
         made_from=_made_from(manifest),
         body=body,
+        handles=_handles(folder, template["handles"], len(rest)) if "handles" in template else None,
         calibration=_calibration(folder, manifest),
         stiffness_known=bool(manifest.get("stiffness_known", manifest["kind"] != "rod")),
         arrays={"prior": arrays["prior"], "fields": arrays["fields"]},
@@ -307,6 +311,17 @@ def _calibration(folder: Path, manifest: dict[str, Any]) -> Calibration | None:
     if len(found.b) != manifest["channels"]:
         raise BundleError(f"{folder.name}: calibration of {len(found.b)} servos, {manifest['channels']} channels")
     return found
+
+
+def _handles(folder: Path, stored: NDArray[np.generic], points: int) -> NDArray[np.int64]:
+    """Read which vertices are handles; each one once."""
+    handles = np.asarray(stored, np.int64)
+    if handles.ndim != 1 or not len(handles) or not np.all(np.diff(handles, prepend=-1, append=points) > 0):
+        raise BundleError(
+            f"{folder.name}: template 'handles' of shape {handles.shape}, expected 1 to {points} of its vertices 0 to "
+            f"{points - 1}, ascending; build it again"
+        )
+    return handles
 
 
 def _body(folder: Path, template: Arrays, points: int) -> Body:

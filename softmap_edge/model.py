@@ -46,7 +46,8 @@ class Model:
     contents of `prior.npz` and `fields.npz`, from which prior, fields and cables were compiled. `body` says how the
     points lie along a body that does not stand along z or has no mesh. Without `stiffness_known` the fields have a
     nominal scale: loads that a run declares are not applied, and no fitted load is a weight in grams. `residual` is
-    what was learned on top of the prior with these effects (`adapt`); with others it is gone.
+    what was learned on top of the prior with these effects (`adapt`); with others it is gone. `handles` (H,) are the
+    vertices that ask for the cloud in the published registration, ascending; None for all.
     """
 
     kind: str
@@ -73,6 +74,7 @@ class Model:
     arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
     residual: Shape | None = None  # commands (n, C) to flattened points (n, 3N) mm
     calibration: Calibration | None = None  # of the servos: what a run's ticks are in commands
+    handles: NDArray[np.int64] | None = None
     _views: dict[tuple[bytes, bool], views.View] = field(default_factory=dict, init=False, repr=False)
 
     @property

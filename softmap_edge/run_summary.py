@@ -16,6 +16,7 @@ from softmap_edge.diagnosis.conditions import HOME, conditions, orientations
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
 from softmap_edge.run import BASE_MARKERS, Run
+from softmap_edge.views import ROLL_SEEN, laid
 
 SCHEMA = "softmap.check/1"
 FAR = 2.0  # of the extent of what is seen: farther from the origin is no base frame
@@ -52,7 +53,8 @@ def summary(run: Run) -> dict[str, Any]:
         else [_rounded(run.temperature.min()), _rounded(run.temperature.max())],
         "blocks": [] if run.block is None else [str(label) for label in dict.fromkeys(run.block.tolist())],
         **_visits(run),
-        "unknown_fields": sorted(set(run.extra) - {"made_from", "marker_labels", BASE_MARKERS}),
+        "unknown_fields": sorted(set(run.extra) - {"made_from", "marker_labels", BASE_MARKERS, ROLL_SEEN}),
+        "roll_seen": not laid(run),
         "hash": run.hash(),
     }
     document["missing"] = _missing(run, document)
@@ -75,7 +77,8 @@ def sentences(document: dict[str, Any]) -> list[str]:
     rate = "" if d["frame_rate_hz"] is None else f" at {d['frame_rate_hz']:g} Hz"
     each = "" if d["points_per_frame"] is None else f" of {d['points_per_frame']} {d['seen']}"
     part = "" if d["visible_share"] == 1.0 else f", {100 * d['visible_share']:.1f} % visible"
-    lines.append(f"seen      {d['frames']} frames{each}{rate}{part}")
+    roll = "" if d["roll_seen"] else ", roll not measured"
+    lines.append(f"seen      {d['frames']} frames{each}{rate}{part}{roll}")
     if d["points_mm"]:
         ranges = ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, (low, high) in zip("xyz", d["points_mm"]))
         lines.append(f"          {ranges} mm in the base frame")

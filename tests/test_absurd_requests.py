@@ -105,6 +105,27 @@ def test_a_template_with_an_empty_slice_is_refused(tmp_path):
         load_bundle(folder)
 
 
+@pytest.mark.parametrize(
+    ("handles", "says"),
+    [
+        (np.zeros(0, np.uint32), r"shape \(0,\), expected 1 to 548 of its vertices 0 to 547, ascending"),
+        (np.uint32([3, 3, 5]), "ascending"),
+        (np.uint32([5, 3]), "ascending"),
+        (np.uint32([[1, 2]]), r"shape \(1, 2\)"),
+        (np.uint32([7, 548]), "0 to 547"),
+        (np.int32([-1, 4]), "0 to 547"),
+        (np.array(4, np.uint32), r"shape \(\)"),
+        (np.array([1.0, 2.0]), "whole numbers"),
+    ],
+)
+def test_a_template_with_wrong_handles_is_refused(handles, says, tmp_path):
+    folder = save_bundle(replace(builtin_model(), handles=np.array([2, 9])), tmp_path / "bundle")
+    assert list(load_bundle(folder).handles) == [2, 9]
+    replaced(folder, "template.npz", read_npz(folder / "template.npz") | {"handles": handles})
+    with pytest.raises(BundleError, match=says):
+        load_bundle(folder)
+
+
 def test_a_finger_file_of_megabytes_is_refused(tmp_path):
     (tmp_path / "finger.toml").write_text("#" * 2_000_000)
     with pytest.raises(FingerError, match="longer than"):

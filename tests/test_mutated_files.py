@@ -51,7 +51,8 @@ def clouds_sample(folder):
 def finger_sample(folder):
     from softmap_edge.solid import finger
 
-    (folder / "finger.toml").write_text(finger._template(), encoding="utf-8")
+    text = finger._template().replace("#   [template]\n#   handles", "[template]\nhandles")
+    (folder / "finger.toml").write_text(text, encoding="utf-8")
     return folder / "finger.toml"
 
 

@@ -239,15 +239,16 @@ impl PyRegistration {
             .collect()
     }
 
-    /// Register a cloud (M, 3) by the published objective: vertices (N, 3) and rounds.
+    /// Register a cloud (M, 3) by the published objective, with λ as `strength` (N,): vertices (N, 3) and rounds.
     fn published<'py>(
         &self,
         py: Python<'py>,
         cloud: &Bound<'_, PyAny>,
-        strength: f64,
+        strength: &Bound<'_, PyAny>,
         rounds: usize,
     ) -> PyResult<(Bound<'py, PyAny>, usize)> {
         let cloud = points("cloud", cloud)?;
+        let strength = weights("strength", Some(strength), self.template.len())?;
         let (places, rounds) =
             py.detach(|| register_as_published(&self.template.arap, &cloud, strength, rounds))?;
         Ok((rows(py, places)?, rounds))

@@ -56,12 +56,14 @@ def build(args: argparse.Namespace) -> int:
         "bundle": str(args.out),
         "kind": model.kind,
         "vertices": len(model.rest),
+        "handles": len(model.rest if model.handles is None else model.handles),
         "commands": commands,
         "held_out_error_mm": round(model.vertex_error_mm, 4),
         "bytes": size,
     }
+    handles = "" if model.handles is None else f" ({len(model.handles)} handles)"
     text = (
-        f"{args.out}: {model.kind} of {model.robot}, {len(model.rest)} vertices, {commands} "
+        f"{args.out}: {model.kind} of {model.robot}, {len(model.rest)} vertices{handles}, {commands} "
         f"command{'s' if commands != 1 else ''}, own held-out error {model.vertex_error_mm:.2f} mm RMS ({how}), "
         f"{size / 1000:.0f} kB"
     )
@@ -140,7 +142,7 @@ def sweep_arguments(parser: argparse.ArgumentParser) -> None:
 
 def sweep(args: argparse.Namespace) -> int:
     """Simulate a grid of commands and write commands and vertices."""
-    from softmap_edge.solid.build import grid_axes
+    from softmap_edge.solid.build import grid_axes, handles_of
     from softmap_edge.solid.simulator import Simulator
 
     _check_steps(args.steps)
@@ -152,8 +154,10 @@ def sweep(args: argparse.Namespace) -> int:
     check_no_run("--out", args.out)
     finger = _finger(args.finger)
     axes = grid_axes(finger, args.steps)
+    simulator = Simulator(finger)
+    handles_of(finger, simulator.template.vertices)  # `build` would refuse its sweep
     with Bar(args.json) as bar:
-        result = Simulator(finger).sweep(axes, progress=lambda share: bar("sweep", share))
+        result = simulator.sweep(axes, progress=lambda share: bar("sweep", share))
     result.save(Path(args.out))
     document = {"schema": "softmap.sweep/1", "sweep": str(args.out), "commands": len(result.command), "failed": 0}
     print(json.dumps(document) if args.json else f"{args.out}: {len(result.command)} commands, none failed")

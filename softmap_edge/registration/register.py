@@ -2,9 +2,9 @@
 
 `robust` (default): from the shape of the model that is nearest to the cloud, as-rigid-as-possible about that shape,
 data from the cloud to the surface with weights that let outliers go (`rust/geometry/register.rs`). `paper`: the
-published objective, each vertex to its nearest point, from the shape at rest (`rust/geometry/paper.rs`). Base frame,
-mm. What a round finger does about its own axis no cloud tells: the roll of the vertices is that of the start.
-Pinned by tests/test_registration.py.
+published objective, each vertex (of a model with handles, each of these) to its nearest point, from the shape at rest
+(`rust/geometry/paper.rs`). Base frame, mm. What a round finger does about its own axis no cloud tells: the roll of the
+vertices is that of the start. Pinned by tests/test_registration.py, tests/test_handles.py.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def register(model: Model, of: Run | Sequence[Floats], mode: Mode = "robust") ->
     if mode == "robust":
         found = _robust(core, model, of if isinstance(of, Run) else None, clouds)
     else:
-        found = _published(core, clouds)
+        found = _published(core, model, clouds)
     seconds = time.perf_counter() - ahead
     frames = [_row(k, one, mode) for k, one in enumerate(found)]
     used = float(np.median([row["used"] for row in frames]))
@@ -186,12 +186,17 @@ def _robust(core: _core.Registration, model: Model, run: Run | None, clouds: lis
     return found
 
 
-def _published(core: _core.Registration, clouds: list[Floats]) -> list[dict[str, Any]]:
-    found = []
+def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> list[dict[str, Any]]:
+    """Register clouds by the published objective; handles alone ask for points, and points speak for handles alone."""
+    handles = np.arange(len(model.rest)) if model.handles is None else model.handles
+    strength, found = np.zeros(len(model.rest)), []
+    strength[handles] = PAPER_STRENGTH
     for cloud in clouds:
-        vertices, rounds = core.published(cloud, PAPER_STRENGTH, PAPER_ROUNDS)
-        distance, nearest = _core.chamfer(vertices, cloud)["to_template"]
-        support = np.bincount(nearest, minlength=len(vertices)).astype(float)
+        vertices, rounds = core.published(cloud, strength, PAPER_ROUNDS)
+        distance, _ = _core.chamfer(vertices, cloud)["to_template"]
+        _, nearest = _core.chamfer(vertices[handles], cloud)["to_template"]
+        support = np.zeros(len(vertices))
+        support[handles] = np.bincount(nearest, minlength=len(handles))
         rms = float(np.sqrt(np.mean(np.square(distance))))
         found.append(
             dict(vertices=vertices, support=support, rounds=rounds, settled=rounds < PAPER_ROUNDS,

@@ -1,8 +1,8 @@
 """The picture of a calibration: matched commands against the map, and what is left of each over the ticks (SVG).
 
-Left the first two commands: a dot where the map puts a held command, and an arrow towards the one that was matched,
-drawn longer by the factor that is written there. Right, for each servo, what the map leaves of every command. Needs
-matplotlib; imported by `softmap calibrate --plot` only.
+Left the first two commands: a dot where the map puts a held command (a cross where it was set aside), and an arrow
+towards the one that was matched, drawn longer by the factor that is written there. Right, for each servo, what the map
+leaves of every command. Needs matplotlib; imported by `softmap calibrate --plot` only.
 """
 
 from __future__ import annotations
@@ -58,10 +58,11 @@ def _plane(axes: Axes, found: Calibrated) -> None:
     factors = np.array([1, 2, 5, 10, 20, 50, 100, 200, 500, 1000])
     factor = int(factors[factors * max(usual, 1e-12) <= ARROW * width].max(initial=1))
     whole = good & told.all(axis=1)
-    axes.quiver(
-        at[good, 0], at[good, 1], *(factor * step[good]).T, angles="xy", scale_units="xy", scale=1.0, color=AFTER,
-        width=0.004, zorder=2,
-    )  # fmt: skip
+    for rows, colour in ((good, AFTER), (~good, BEFORE)):
+        axes.quiver(
+            at[rows, 0], at[rows, 1], *(factor * step[rows]).T, angles="xy", scale_units="xy", scale=1.0, color=colour,
+            width=0.004, zorder=2,
+        )  # fmt: skip
     axes.plot(*at[whole].T, "o", color=INK, markersize=3.5, linestyle="none", label="held")
     part = good & ~told.all(axis=1)
     axes.plot(*at[part].T, "o", color=INK, markersize=4.0, fillstyle="none", linestyle="none", label="one pair slack")
@@ -89,7 +90,7 @@ def _residuals(axes: Axes, found: Calibrated, servo: int) -> None:
         beyond = np.clip(left[~good], -reach, reach)
         axes.plot(np.repeat(ticks[~good], beyond.shape[1]), beyond.ravel(), "x", color=BEFORE, markersize=5.0,
                   linestyle="none", label="set aside (clipped)", clip_on=False)  # fmt: skip
-    axes.axvline(found.calibration.home[servo], color=FAINT, linewidth=1.2, zorder=0)
+    axes.axvline(found.calibration.home[servo], color=FLOOR, linewidth=1.0, linestyle=":", zorder=0, label="home")
     if servo == 0:
         axes.set_title("what the map leaves of the matched commands")
     axes.set(xlabel=f"servo {servo}, ticks", ylabel=found.calibration.unit, ylim=(-reach, reach))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import FingerError, SoftmapError
 from softmap_edge.features import SECTIONS, tip_of
 from softmap_edge.model import Arrays, Model
 from softmap_edge.npz import packed, unpacked
@@ -58,6 +58,7 @@ def build_model(
     report: Progress = progress or (lambda what, share: None)
     simulator = Simulator(finger)
     grid_axes(finger, steps)
+    handles_of(finger, simulator.template.vertices)
     Simulator(finger.other_mesh())  # the form error needs it: what cannot be built is refused before the sweep
     sweep = simulator.sweep(grid_axes(finger, steps), progress=lambda share: report("sweep", share))
     return from_sweep(finger, simulator, sweep, report, modes)
@@ -118,6 +119,7 @@ def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progr
         command_range=np.array([[axis[0], axis[-1]] for axis in sweep.axes], float).reshape(-1, 2),
         robot=finger.name,
         command_unit=finger.command_unit,
+        handles=handles_of(finger, rest),
         made_from={
             "softmap-edge": __version__,
             "finger": finger.name,
@@ -130,6 +132,28 @@ def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progr
     error, vertex_error, grown = form_error(model, finger, simulator)
     report("form error", 1.0)
     return replace(model, form_error=error, vertex_error_mm=vertex_error, error_per_g_mm=grown)
+
+
+def handles_of(finger: Finger, rest: Floats) -> NDArray[np.int64] | None:
+    """Return which of the vertices `rest` (N, 3) mm are handles, ascending, None for all: first the farthest from the
+    base, then turn by turn the farthest from all before. Raises FingerError if there are fewer vertices.
+    """
+    if finger.handles is None:
+        return None
+    if finger.handles > len(rest):
+        raise FingerError(
+            f"template.handles: {finger.handles}, the template has {len(rest)} vertices; give 1 to {len(rest)}, or "
+            "leave [template] out for all"
+        )
+    places = np.asarray(np.float32(rest), float)  # as a bundle keeps them, so that it can be told again
+    chosen: list[int] = []
+    nearest = np.sum(places**2, axis=1)
+    for _ in range(finger.handles):
+        chosen.append(int(np.argmax(nearest)))
+        distance = np.sum((places - places[chosen[-1]]) ** 2, axis=1)
+        nearest = distance if len(chosen) == 1 else np.minimum(nearest, distance)
+        nearest[chosen] = -1.0
+    return np.sort(np.array(chosen, np.int64))
 
 
 def compress(values: Floats, modes: int) -> Arrays:

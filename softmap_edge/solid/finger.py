@@ -18,6 +18,7 @@ from softmap_edge.solid.bodies import Solid, solid_from
 from softmap_edge.solid.numbers import (
     Pairs,
     Vector,
+    check_count,
     check_keys,
     check_number,
     check_vector,
@@ -50,8 +51,9 @@ class Finger:
     where it is negative) · command_range: (low, high) for each command, in command_unit: "mm" of shortening or "N" of
     tension · cable_stiffness_n_mm · guide_ring_mm, anchor_disc_mm: over what a tendon's forces are spread · regions of
     another modulus · pretension_mm: by how much every tendon is too short at command 0, below zero how slack ·
-    load_at_mm: where a load at the tip hangs at rest, None for the middle of the last tenth · bounds: which
-    numbers a fit to a run may change, and how far (low, high).
+    load_at_mm: where a load at the tip hangs at rest, None for the middle of the last tenth · handles: how many of
+    the template's vertices are handles, None for all · bounds: which numbers a fit to a run may change, and how far
+    (low, high).
     """
 
     name: str
@@ -70,6 +72,7 @@ class Finger:
     regions: tuple[Region, ...] = ()
     pretension_mm: float = 0.0
     load_at_mm: Vector | None = None
+    handles: int | None = None
     bounds: tuple[tuple[str, tuple[float, float]], ...] = ()
 
     @property
@@ -84,6 +87,8 @@ class Finger:
             check_number(field, getattr(self, field), low, high, remedy)
         if self.load_at_mm is not None:
             check_vector("load_at_mm", self.load_at_mm, -2000.0, 2000.0, "give the place in mm where the load hangs")
+        if self.handles is not None:
+            check_count("template.handles", self.handles, 1, _MOST_HANDLES, "without [template] all vertices are")
         if len(self.gravity) != 3 or not all(map(finite, self.gravity)):
             raise FingerError(f"gravity_g: {shown(self.gravity)}; expected three numbers of g, as [0, 0, 1]")
         if (strength := sum(g * g for g in self.gravity) ** 0.5) > 3:
@@ -166,6 +171,7 @@ class Finger:
             f"\n[mounting]\ngravity_g = {listed(self.gravity)}",
             *([] if self.load_at_mm is None else [f"load_at_mm = {listed(self.load_at_mm)}"]),
         ]
+        lines += [] if self.handles is None else [f"\n[template]\nhandles = {self.handles}"]
         lines += [tendon.to_toml() for tendon in self.tendons]
         for pair, limits in zip(self.pairs, self.command_range):
             ranged = f"range_{self.command_unit.lower()} = {listed(limits)}"
@@ -189,6 +195,7 @@ class Finger:
 
 
 _MOST_TEXT = 1_000_000  # characters of a file; the template has 3000
+_MOST_HANDLES = 50_000  # a bundle has no more vertices
 _RANGES = [
     ("young_mpa", 1e-4, 1e5, "soft silicones have 0.1 to 0.6 MPa"),
     ("poisson", 0.01, 0.495, "silicones solve best at 0.45 to 0.48"),
@@ -201,8 +208,8 @@ _RANGES = [
 
 
 def _from_document(document: Mapping[str, Any], folder: Path) -> Finger:
-    needed, optional = ("name", "material", "mounting"), ("profile_mm", "block", "mesh", "cable", "fit", "region")
-    check_keys("", document, needed, (*optional, "tendon", "command"))
+    needed, optional = ("name", "material", "mounting"), ("profile_mm", "block", "mesh", "cable", "fit", "template")
+    check_keys("", document, needed, (*optional, "region", "tendon", "command"))
     solid = solid_from(document, folder)
     material = _table(document, "material", _MATERIAL)
     mounting = _table(document, "mounting", ("gravity_g",), ("load_at_mm",))
@@ -211,6 +218,7 @@ def _from_document(document: Mapping[str, Any], folder: Path) -> Finger:
     if tendons or "cable" in document:
         cable = dict(_table(document, "cable", tuple(_CABLE), ("pretension_mm",)))
     fit = _table(document, "fit", (), _FITTED) if "fit" in document else {}
+    template = _table(document, "template", ("handles",)) if "template" in document else {}
     unit = unit_of(commands)
     return Finger(
         name=document["name"],
@@ -219,6 +227,7 @@ def _from_document(document: Mapping[str, Any], folder: Path) -> Finger:
         **{_CABLE.get(key, key): value for key, value in cable.items()},
         gravity=sequence("gravity_g", mounting["gravity_g"]),
         load_at_mm=sequence("load_at_mm", mounting["load_at_mm"]) if "load_at_mm" in mounting else None,
+        **template,
         tendons=tuple(tendon_from(table, solid, folder) for table in tendons),
         pairs=tuple(sequence("tendons", c["tendons"]) for c in commands),
         command_range=tuple(sequence("range", c[f"range_{unit.lower()}"]) for c in commands),
