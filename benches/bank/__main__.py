@@ -24,7 +24,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "RAYON_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # one process a core; read when NumPy is loaded, below
 
 SIZES = {"null": 300, "single": 300, "pair": 200, "unknown": 100, "removed": 100, "untestable": 100, "rivals": 100}
-SHARES = {("A", "easy"): 0.2, ("A", "real"): 0.4, ("A", "hard"): 0.2, ("B", "real"): 0.2}
+SHARES = {("A", "easy"): 0.2, ("A", "real"): 0.4, ("A", "hard"): 0.2, ("B", "real"): 0.2, ("B", "clouds"): 0.15}
 
 
 def tasks(seeds: str, share: float, kinds: Sequence[str], parts: Sequence[tuple[str, str]]) -> Iterator[Task]:

@@ -71,13 +71,18 @@ class Case:
             visible=None if visible.all() else visible, **kind,
         )  # fmt: skip
 
+    @property
+    def seen_as(self) -> str:
+        """Return what a diagnosis gets to see."""
+        return "clouds" if self.level.clouds else "markers" if self.marked else "vertices"
+
     def to_dict(self) -> dict[str, Any]:
         """Return what was hidden."""
         told = [
             {"name": law.NAME, "params": law.params(), "moved_mm": round(mm, 4)}
             for law, mm in zip(self.laws, self.moved_mm)
         ]
-        return {"case": self.name, "laws": told, "seen": "markers" if self.marked else "vertices"}
+        return {"case": self.name, "laws": told, "seen": self.seen_as}
 
 
 def case(seeds: str, slice_: str, level: str, kind: str, number: int) -> Case:
@@ -95,7 +100,7 @@ def case(seeds: str, slice_: str, level: str, kind: str, number: int) -> Case:
     found.sort(key=lambda pair: order.index(pair[0].NAME))
     return Case(
         name, hardness, kind, body, tuple(law for law, _ in found), small, tuple(mm for _, mm in found),
-        int(rng.integers(2**31)), bool(rng.integers(MARKED) == 0),
+        int(rng.integers(2**31)), bool(rng.integers(MARKED) == 0) and not hardness.clouds,
     )  # fmt: skip
 
 

@@ -23,12 +23,16 @@ import numpy as np
 Row = Mapping[str, Any]
 
 
-def alike(registry: Sequence[Row], orientations: int) -> dict[str, set[str]]:
-    """Return what cannot be told from each effect where no load is declared, itself included."""
+def alike(registry: Sequence[Row], orientations: int, roll: bool = True) -> dict[str, set[str]]:
+    """Return what cannot be told from each effect where no load is declared, itself included.
+
+    `orientations` of the run, and whether it shows the `roll` of the body.
+    """
     found = {effect["name"]: {effect["name"]} for effect in registry}
+    told = {word for word, seen in (("roll", roll), ("orientation", orientations > 1)) if seen}
     for effect in registry:
         for other, resolved_by in effect["alike"].items():
-            if other in found and resolved_by != "roll" and not (resolved_by == "orientation" and orientations > 1):
+            if other in found and resolved_by not in told:
                 found[effect["name"]].add(other)
                 found[other].add(effect["name"])
     return found
@@ -154,6 +158,8 @@ SHARES: tuple[Measure, ...] = (
      _is("untestable", known=None), lambda r: r["cannot"]),
     ("rivals resolved after the suggested experiment", "≥ 97 %",
      _is("rivals"), lambda r: r["at_first"]["asked"] and r["first"]),
+    ("clouds: twist is told as not testable", "100 %",
+     lambda r: r["seen"] == "clouds", lambda r: "twist" in r["not_testable"]),
 )  # fmt: skip
 
 

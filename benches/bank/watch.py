@@ -21,7 +21,10 @@ from benches.bank.rotations import turn
 
 @dataclass(frozen=True)
 class Level:
-    """How hard it is: σ of a point and of the frame, share of points hidden, background, how far a law moves."""
+    """How hard it is: σ of a point and of the frame, share of points hidden, background, how far a law moves.
+
+    `clouds`: cameras see clouds of what is told here (`clouds.py`); their noise, outliers and holes come on top.
+    """
 
     name: str
     point_mm: float
@@ -31,6 +34,7 @@ class Level:
     hidden: float
     background: float
     moves_mm: tuple[float, float]
+    clouds: bool = False
 
 
 LEVELS = {
@@ -39,6 +43,7 @@ LEVELS = {
         Level("easy", 0.15, 0.03, 0.02, 0.0, 0.0, 0.3, (2.0, 4.0)),
         Level("real", 0.30, 0.05, 0.03, 0.03, 0.08, 1.0, (1.2, 3.6)),
         Level("hard", 0.30, 0.05, 0.03, 0.03, 0.08, 1.0, (0.4, 0.95)),
+        Level("clouds", 0.0, 0.05, 0.03, 0.03, 0.0, 1.0, (1.2, 3.6), clouds=True),
     )
 }
 

@@ -7,9 +7,12 @@ import json
 import os
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from softmap_edge.run import Run
 
 Task = tuple[str, str, str, str, int]  # seeds, slice, level, kind, number
 
@@ -17,6 +20,7 @@ Task = tuple[str, str, str, str, int]  # seeds, slice, level, kind, number
 def run_case(task: Task) -> dict[str, Any]:
     """Make one case, diagnose it, judge it."""
     from benches.bank.case import case, judge_protocol, protocol_of
+    from benches.bank.clouds import registered, thinned
     from benches.bank.judge import alike, judged
     from benches.bank.watch import rms
     from softmap_edge import _core
@@ -26,15 +30,22 @@ def run_case(task: Task) -> dict[str, Any]:
     started = time.process_time()
     mine = case(*task)
     model = mine.body.model()
-    run = mine.run(protocol_of(kind, mine.hidden, number))
-    whole = mine.run(protocol_of("single", mine.hidden, number)) if kind == "rivals" else None
+
+    def recorded(told: str) -> Run:
+        protocol = protocol_of(told, mine.hidden, number)
+        if mine.level.clouds:
+            return registered(model, mine.run(thinned(protocol)), mine.seed)
+        return mine.run(protocol)
+
+    run = recorded(kind)
+    whole = recorded("single") if kind == "rivals" else None
     made = time.process_time()
     registry = _core.effects()
     library = [e["name"] for e in registry if kind != "removed" or e["name"] not in mine.hidden]
     expressible = {e["name"] for e in registry if not model.lacking(e["name"])}
     first = diagnose(model, run, effects=library)
     finished = time.process_time()
-    one, several = (alike(registry, orientations) for orientations in (1, 2))
+    one, several = (alike(registry, orientations, roll=not mine.level.clouds) for orientations in (1, 2))
     turned = len(np.unique(run.gravity, axis=0)) > 1
     also = [name for law in mine.laws for name in law.ALSO]
     verdict = judged(mine.hidden, first.to_dict(), several if turned else one, expressible, also)

@@ -57,6 +57,7 @@ impl Default for Recipe {
 /// A finger's surface, ready to be registered.
 pub struct Template {
     pub arap: Arap,
+    /// The triangles that a camera may see: points never lie on the walls of a cavity.
     pub triangles: Vec<[usize; 3]>,
     /// The vertices that the clamp holds.
     pub base: Vec<usize>,
@@ -89,7 +90,9 @@ impl Template {
                 rest.len()
             )));
         }
+        let shown = Surface::new(&rest, &triangles)?.shown();
         let arap = Arap::new(rest, &triangles)?;
+        let triangles = shown.iter().map(|t| triangles[*t]).collect();
         let edges = arap.edges();
         let pairs = (0..edges.len()).flat_map(|i| edges.of(i).map(move |(j, _)| (i, j)));
         let pattern = Pattern::new(edges.len(), pairs.filter(|(i, j)| i > j))?;

@@ -9,6 +9,10 @@ use parry3d_f64::shape::TriMesh;
 /// What a look starts from stands so far off the surface, mm, so that it is not in its own way.
 const OFF: f64 = 1e-3;
 
+/// From where it is asked which triangles can be seen at all: so many directions about z, at these heights above the horizon, rad.
+const AROUND: usize = 24;
+const ABOVE: [f64; 3] = [0.02, 0.5, 1.0];
+
 /// The place of a surface that is nearest to a point.
 #[derive(Debug, Clone, Copy)]
 pub struct Foot {
@@ -79,6 +83,34 @@ impl Surface {
         let from = std::array::from_fn(|c| place[c] + OFF * normal[c]);
         let ray = Ray::new(vector(&from), vector(&sub(eye, from)));
         !self.mesh.intersects_local_ray(&ray, 1.0)
+    }
+
+    /// The triangles that can be seen from beside or above (z), from far away, whatever the order of their corners: not the walls of
+    /// a cavity, nor what stands on the bench. All, where none is.
+    pub fn shown(&self) -> Vec<usize> {
+        let looks: Vec<Vec3> = (0..AROUND)
+            .flat_map(|k| ABOVE.map(|up| (k as f64 / AROUND as f64 * std::f64::consts::TAU, up)))
+            .map(|(turn, up)| [turn.cos() * up.cos(), turn.sin() * up.cos(), up.sin()])
+            .collect();
+        let sees = |middle: Vec3, look: &Vec3| {
+            let from = std::array::from_fn(|c| middle[c] + OFF * look[c]);
+            let ray = Ray::new(vector(&from), vector(look));
+            !self.mesh.intersects_local_ray(&ray, f64::MAX)
+        };
+        let count = self.mesh.indices().len();
+        let found: Vec<usize> = (0..count)
+            .filter(|t| {
+                let corners = self.corners(*t).map(|v| point(self.mesh.vertices()[v]));
+                let middle =
+                    std::array::from_fn(|c| corners.iter().map(|p| p[c]).sum::<f64>() / 3.0);
+                looks.iter().any(|look| sees(middle, look))
+            })
+            .collect();
+        if found.is_empty() {
+            (0..count).collect()
+        } else {
+            found
+        }
     }
 
     /// The place nearest to a point.
@@ -157,6 +189,33 @@ mod tests {
         assert!(surface.sees([1.0, 0.5, 50.0], [1.0, 0.5, 3.0], up));
         assert!(surface.sees([50.0, 0.5, 1.0], [1.5, 0.5, 0.0], up));
         assert!(!surface.sees([1.0, 0.5, -50.0], [1.0, 0.5, 0.0], up));
+    }
+
+    #[test]
+    fn the_walls_of_a_cavity_are_not_shown_whichever_way_they_are_turned() {
+        let corner =
+            |size: f64, k: usize| [k & 1, k >> 1 & 1, k >> 2].map(|b| size * (b as f64 - 0.5));
+        let places: Vec<Vec3> = [4.0, 2.0]
+            .iter()
+            .flat_map(|size| (0..8).map(move |k| corner(*size, k)))
+            .collect();
+        let faces = [
+            [0, 1, 3, 2],
+            [4, 5, 7, 6],
+            [0, 1, 5, 4],
+            [2, 3, 7, 6],
+            [0, 2, 6, 4],
+            [1, 3, 7, 5],
+        ];
+        let triangles: Vec<[usize; 3]> = [0, 8]
+            .iter()
+            .flat_map(|o| faces.map(|f| f.map(|v| v + o)))
+            .flat_map(|[a, b, c, d]| [[a, b, c], [a, d, c]])
+            .collect();
+        let surface = Surface::new(&places, &triangles).unwrap();
+        assert_eq!(surface.shown(), (2..12).collect::<Vec<_>>()); // 0 and 1 are the side on which it stands
+        let alone = Surface::new(&places, &triangles[..2]).unwrap();
+        assert_eq!(alone.shown(), [0, 1]);
     }
 
     #[test]
