@@ -46,7 +46,7 @@ class Adaptation:
     before: Model
     calibration: Calibrated | None
     diagnosis: Diagnosis | None
-    residual: dict[str, Any] | None
+    residual: dict[str, Any]
     error: dict[str, float | None]
     error_on: str
     judge: Run
@@ -78,7 +78,7 @@ class Adaptation:
             },
             "calibration": None if self.calibration is None else self.calibration.to_dict(),
             "diagnosis": None if self.diagnosis is None else self.diagnosis.to_dict(),
-            "residual": None if self.residual is None else {"kept": kept, **self.residual},
+            "residual": {"kept": kept, **self.residual},
             "effects": self.model.params,
         }  # fmt: skip
 
@@ -89,8 +89,7 @@ class Adaptation:
         if self.diagnosis is not None:
             lines.append(self.diagnosis.sentence)
             lines += [f"  {label:<24} {value:.6g}" for label, value in self.model.params.items()]
-        if self.residual is not None:
-            lines.append(_of_residual(self.residual, self.model.residual is not None))
+        lines.append(_of_residual(self.residual, self.model.residual is not None))
         lines += ["", f"error, mm RMS, {self.error_on}"]
         lines += [f"  {way:<24} {value:.3f}" for way, value in self.error.items() if value is not None]
         return "\n".join([*lines, f"  {100 * self.fall:.0f} % of the error are gone"])

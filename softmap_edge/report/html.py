@@ -17,8 +17,9 @@ from softmap_edge.diagnosis.comparison import Comparison
 from softmap_edge.diagnosis.series import Series
 from softmap_edge.errors import ReportError
 from softmap_edge.report.comparison_text import check_pair
+from softmap_edge.report.html_open import open_questions
 from softmap_edge.report.numbers import fall, mm, number, percent, tamed
-from softmap_edge.report.style import PAGE, TONES, escaped, picture, section
+from softmap_edge.report.style import PAGE, TONES, cards, escaped, picture, section
 from softmap_edge.report.text import (
     LADDER_NOTE,
     STATIC_ADDED,
@@ -27,8 +28,6 @@ from softmap_edge.report.text import (
     check_diagnosis,
     ladder_steps,
     parameter,
-    servo_row,
-    untestable_rows,
 )
 from softmap_edge.whole_file import write_whole
 
@@ -93,7 +92,7 @@ def write_html(
         _ladder(story, figures),
         _ways(story),
         _effects(story),
-        _open_questions(story),
+        open_questions(story.diagnosis or {}),
         _time(story, figures),
         _body(story, figures),
         _tip(story, figures),
@@ -143,15 +142,12 @@ def _hero(story: Story) -> str:
         tone = TONES.get(verdict, "calm")
         badge = f'<span class="badge {tone}">{escaped(VERDICTS.get(verdict, verdict))}</span>'
     sentence = tamed(story.diagnosis.get("sentence") or "") if story.diagnosis else ""
-    cards = "".join(
-        f'<div class="card {tone}"><b>{escaped(value)}</b><span>{escaped(label)}</span><i>{escaped(note)}</i></div>'
-        for label, value, note, tone in _cards(story)
-    )
+    shown = cards(_cards(story))
     about = " · ".join(_about(story))
     return (
         f'<header><p class="eyebrow">SOFTMAP-Edge · {escaped(_title(story))}</p>{badge}'
         f'<h1>{escaped(sentence or _sentence(story))}</h1><p class="about">{about}</p></header>'
-        f'<div class="cards">{cards}</div>'
+        f'<div class="cards">{shown}</div>'
     )
 
 
@@ -203,11 +199,11 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
             str(error.get("floor_kind") or "floor"),
             told,
         )
-    cards = [("error before" if new is not None else "error", f"{mm(old)} mm", f"RMS, {note}", "before")]
+    rows = [("error before" if new is not None else "error", f"{mm(old)} mm", f"RMS, {note}", "before")]
     if number(new) is not None and number(old) is not None:
         share = fall(old, new, floor if floor is not None and (story.floor or new > floor) else None)
-        cards.append(("error after", f"{mm(new)} mm", f"RMS, {note}", "after"))
-        cards.append(
+        rows.append(("error after", f"{mm(new)} mm", f"RMS, {note}", "after"))
+        rows.append(
             (
                 "of the removable error gone",
                 percent(share),
@@ -215,12 +211,12 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
                 "after",
             )
         )
-    cards.append(("floor", f"{mm(floor)} mm", origin, "floor"))
+    rows.append(("floor", f"{mm(floor)} mm", origin, "floor"))
     if story.before is not None and story.after is None:
         tip = story.before.error["tip_rms_mm"]
-        cards.insert(1, ("error of the tip", f"{mm(tip)} mm", f"RMS, {told}", "before"))
-        cards.insert(2, ("95 % of points within", f"{mm(story.before.error['p95_mm'])} mm", told, "before"))
-    return cards
+        rows.insert(1, ("error of the tip", f"{mm(tip)} mm", f"RMS, {told}", "before"))
+        rows.insert(2, ("95 % of points within", f"{mm(story.before.error['p95_mm'])} mm", told, "before"))
+    return rows
 
 
 def _time(story: Story, figures: ModuleType) -> str:
@@ -337,61 +333,6 @@ def _where(story: Story, figures: ModuleType) -> str:
     colours = "wide bars before, narrow bars after" if new else "one bar a class"
     image = picture(figures.where_maps(old, new), "Error by condition, before and after")
     return section("Error by condition", image, f"RMS, mm, on one scale; {colours}{escaped(kind)}.")
-
-
-def _open_questions(story: Story) -> str:
-    found = story.diagnosis or {}
-    sets = found.get("rivals") or []
-    rivals = [(" + ".join(map(str, row.get("effects") or ["?"])), tamed(row.get("why", ""))) for row in sets]
-    rows = untestable_rows(found)
-    untestable = [(names, f"{why} — {experiment}" if experiment else why) for names, why, experiment in rows]
-    steps = [(f"{row.get('block', '?')}", _settles(row)) for row in found.get("next") or []]
-    parts = [
-        _definitions("Servos: between command and encoder", [servo_row(row) for row in found.get("servo") or []]),
-        _definitions("Rivals: what explains these data as well", rivals),
-        _definitions("Not testable with these data", untestable),
-        _definitions("Next experiment", steps),
-        _remarks(found.get("remarks") or []),
-        _unexplained(found.get("unexplained") or {}),
-    ]
-    inner = "".join(part for part in parts if part)
-    return f'<div class="columns">{inner}</div>' if inner else ""
-
-
-def _settles(row: Mapping[str, Any]) -> str:
-    settles, apart = row.get("settles"), number(row.get("separation"))
-    named = ", ".join(map(str, settles)) if isinstance(settles, (list, tuple)) else str(settles or "")
-    time = "" if (minutes := number(row.get("minutes"))) is None else f"{minutes:g} min: "
-    return f"{time}settles {named}" + ("" if apart is None else f"; expected separation {apart:.3g} (chi², simulated)")
-
-
-def _definitions(title: str, rows: Sequence[tuple[Any, Any]]) -> str:
-    if not rows:
-        return ""
-    inner = "".join(f"<dt>{escaped(term)}</dt><dd>{escaped(meaning)}</dd>" for term, meaning in rows)
-    return f"<section><h2>{escaped(title)}</h2><dl>{inner}</dl></section>"
-
-
-def _remarks(rows: Sequence[str]) -> str:
-    if not rows:
-        return ""
-    inner = "".join(f"<li>{escaped(tamed(row))}</li>" for row in rows)
-    return f"<section><h2>About the run</h2><ul>{inner}</ul></section>"
-
-
-def _unexplained(left: Mapping[str, Any]) -> str:
-    if not left:
-        return ""
-    by = left.get("predicted_by")
-    named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "nothing that was tried")
-    chi, share = number(left.get("chi2_per_n")), number(left.get("blocked_r2"))
-    rows = [
-        ("size", f"{mm(left.get('rms_mm'))} mm RMS beyond the noise, fitted"),
-        ("against the noise", "–" if chi is None else f"chi² per number {chi:.3g} (1 is noise alone), fitted"),
-        ("predictable share", "–" if share is None else f"R² {share:.2g} on held-out blocks"),
-        ("follows", named),
-    ]
-    return _definitions("Left unexplained", rows)
 
 
 def _origin(story: Story) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+from collections.abc import Iterable
 from typing import Any
 
 # Which tone a verdict's badge has: good, warn, bad or calm.
@@ -82,6 +83,14 @@ def picture(data: bytes, alt: str) -> str:
     """Return a picture (PNG or SVG) as HTML that holds it."""
     kind = "image/png" if data.startswith(b"\x89PNG") else "image/svg+xml"
     return f'<img alt="{escaped(alt)}" src="data:{kind};base64,{base64.b64encode(data).decode()}">'
+
+
+def cards(rows: Iterable[tuple[str, str, str, str]]) -> str:
+    """Return cards as HTML: (label, value, note, tone) of each."""
+    return "".join(
+        f'<div class="card {tone}"><b>{escaped(value)}</b><span>{escaped(label)}</span><i>{escaped(note)}</i></div>'
+        for label, value, note, tone in rows
+    )
 
 
 def section(title: str, content: str, note: str = "") -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.report.numbers import mm
-from softmap_edge.report.style import PAGE, escaped, picture, section
+from softmap_edge.report.style import PAGE, cards, escaped, picture, section
 from softmap_edge.whole_file import write_whole
 from softmap_training.evaluate import FALLS, Row
 from softmap_training.evaluate_text import PAPER, RECORDED, SIMULATED, TOLD, cell, cost, samples, there, title
@@ -61,28 +61,24 @@ def write_page(
 
 
 def _hero(document: Document) -> str:
-    cards = []
+    rows = []
     best = min(document["simulated"], key=lambda row: row["vertex_mm"]["mean"], default=None)
     if best is not None:
         value = f"{mm(best['vertex_mm']['mean'])} mm"
-        cards.append((value, "best on simulated shapes", f"vertex; {best['name']}", "after"))
+        rows.append(("best on simulated shapes", value, f"vertex; {best['name']}", "after"))
     main = _main(document)
     for row in document["falls"]:
         if row["paper_chamfer_share"] == FALLS["without residual"]:
             share = row[f"{main}_share"]
             label = f"{main} error with {row['name']}"
             note = f"against {row['against']}; chamfer {_change(row['chamfer_share'])} (the paper, other data: −33.4 %)"
-            cards.append((_change(share), label, note, "after" if share > 0 else "before"))
-    shown = "".join(
-        f'<div class="card {tone}"><b>{escaped(value)}</b><span>{escaped(label)}</span><i>{escaped(note)}</i></div>'
-        for value, label, note, tone in cards
-    )
+            rows.append((label, _change(share), note, "after" if share > 0 else "before"))
     seeds = document["made_from"]["seeds"]
     about = f"{len(seeds)} seed{'s' * (len(seeds) > 1)} of what is fitted here; mean ± standard deviation over frames"
     return (
         '<header><p class="eyebrow">SOFTMAP-Edge · Evaluation</p>'
         f'<h1>{escaped(_sentence(document))}</h1><p class="about">{escaped(about)}</p></header>'
-        f'<div class="cards">{shown}</div>'
+        f'<div class="cards">{cards(rows)}</div>'
     )
 
 

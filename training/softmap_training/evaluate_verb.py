@@ -91,8 +91,9 @@ def evaluate(args: argparse.Namespace) -> int:
             made_from["set"] = args.set
         if args.run is not None:
             run = Run.load(args.run)
-            seen, curve = _on_run(args, models, run, bar, warnings)
-            made_from |= {"run": run.hash(), "train": [Run.load(path).hash() for path in args.train]}
+            taught = [Run.load(path) for path in args.train]
+            seen, curve = _on_run(args, models, run, taught, bar, warnings)
+            made_from |= {"run": run.hash(), "train": [one.hash() for one in taught]}
     warnings = list(dict.fromkeys(warnings))
     document: dict[str, Any] = {
         "schema": SCHEMA,
@@ -188,7 +189,12 @@ def _on_set(
 
 
 def _on_run(
-    args: argparse.Namespace, models: dict[str, Any], run: Run, bar: Callable[[str, float], None], warnings: list[str]
+    args: argparse.Namespace,
+    models: dict[str, Any],
+    run: Run,
+    taught: list[Run],
+    bar: Callable[[str, float], None],
+    warnings: list[str],
 ) -> tuple[list[Row], list[Row]]:
     """Return the rows of the recording, and those of residuals from growing parts of what teaches."""
     from softmap_training.contenders import Lesson, decoder, residuals, took
@@ -213,9 +219,9 @@ def _on_run(
             learned = one.made_from.get("residual") or {}
             told |= {key: learned[key] for key in ("seconds", "seed", "frames") if key in learned}
             rows.append(judge.judge(name, one, told))
-    if not args.train:
+    if not taught:
         return rows, curve
-    lesson = Lesson.of(model, [Run.load(path) for path in args.train])
+    lesson = Lesson.of(model, taught)
     rows.insert(0, decoder(lesson, judge, _plan(args), bar))
     for kind in dict.fromkeys(args.residual):
         parts = residuals(lesson, judge, kind, _plan(args), bar)
