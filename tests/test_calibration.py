@@ -10,6 +10,7 @@ import pytest
 from softmap_edge import _core, builtin_model, compare, diagnose, learn_residual, load_bundle, save_bundle
 from softmap_edge.alignment.calibration import calibrate
 from softmap_edge.alignment.matching import match
+from softmap_edge.alignment.rigid import rotation
 from softmap_edge.cli import main
 from softmap_edge.errors import BundleError, CalibrationError, RunError
 from softmap_edge.registration.register import ROLL_SEEN
@@ -142,6 +143,23 @@ def test_play_is_told_as_memory_and_as_large_as_it_is():
 def test_a_kink_at_home_is_told_where_it_is():
     found = calibrate(MODEL, record(scattered(5, 50), 5, off=0.05, law=lambda r: r * (1.0 + 0.3 * (r > 0))), home=HOME)
     assert found.departures[0].kind == "kink" and "all servos at home" in found.departures[0].sentence
+
+
+def test_a_turn_about_the_axis_is_told_beside_the_map_and_does_not_bend_it():
+    """Tendons that are turned ask for commands across, which hang slack: matched commands jump over all of it."""
+    turned, play = np.radians(5.0), 0.6
+    run = record(scattered(11, 45), 11, off=0.05, wrong=0.05, play=play)
+    run = replace(run, vertices=run.vertices @ rotation(np.array([0.0, 0.0, turned])).T)
+    found = calibrate(MODEL, run, home=HOME)
+    told = {one.kind: one for one in found.departures}
+    assert set(told) == {"turn", "memory"} and "deg about the axis" in told["turn"].sentence
+    assert told["turn"].size == pytest.approx(5.0, abs=0.3) and told["turn"].better > 0.3
+    off = (found.calibration.A - A) / found.calibration.sigma_A
+    assert np.abs(off).max() < 4.0 and np.abs(found.calibration.A - A).max() < 3e-5
+    as_published = calibrate(MODEL, run, home=HOME, refine=False)
+    assert np.abs(as_published.calibration.A - A).max() > 8e-5
+    straight = calibrate(MODEL, record(scattered(11, 45), 11, off=0.05, wrong=0.05, play=play), home=HOME)
+    assert [one.kind for one in straight.departures] == ["memory"]
 
 
 def test_what_no_form_explains_is_said_as_well():
@@ -341,9 +359,13 @@ def test_the_verb_writes_a_bundle_a_document_and_a_picture(tmp_path, capsys):
 
 
 def test_the_verb_ends_with_one_where_the_relation_is_not_affine(tmp_path, capsys):
+    words = ["calibrate", str(tmp_path / "run.npz"), "--out"]
     record(scattered(8, 45), 8, off=0.05, play=1.0).save(tmp_path / "run.npz")
-    assert main(["calibrate", str(tmp_path / "run.npz"), "--out", str(tmp_path / "out")]) == 1
+    assert main([*words, str(tmp_path / "play")]) == 0  # which no map has, so that it is no fault of this one
     assert "memory" in capsys.readouterr().out
+    record(scattered(8, 45), 8, off=0.05, law=lambda r: r + 0.2 * np.abs(r)).save(tmp_path / "run.npz")
+    assert main([*words, str(tmp_path / "kink")]) == 1
+    assert "a kink of all servos at home" in capsys.readouterr().out
 
 
 def test_a_lean_that_is_declared_is_in_the_shapes_that_are_matched():

@@ -40,6 +40,12 @@ class Fit:
         """Return the commands (n, C) for rows (n, F)."""
         return np.asarray(design @ self.coefficients.T)
 
+    def first(self, features: int) -> Fit:
+        """Return the fit of the first features alone, the others beside them as they were found."""
+        cut = np.arange(self.coefficients.size).reshape(self.coefficients.shape)[:, :features].ravel()
+        covariance = self.covariance[np.ix_(cut, cut)]
+        return Fit(self.coefficients[:, :features], covariance, self.weight, self.scatter)
+
     @property
     def sigma(self) -> Floats:
         """Standard deviations (C, F)."""
@@ -66,7 +72,7 @@ def fit(design: Floats, u: Floats, covariance: Floats, told: Mask) -> Fit:
             scatter = np.maximum(_scatter(left, told, features), floor)
             precision = _precision(np.maximum(scatter**2 - own, floor**2), covariance)
         distance = np.sqrt(np.sum(left * (precision @ left[..., None])[..., 0], axis=1))
-        weight, slope = _weights(distance, limit if redescends else None, told.sum(axis=1))
+        weight, slope = weights(distance, limit if redescends else None, told.sum(axis=1))
         before = theta
         theta = np.linalg.lstsq(*_normal(x, u, weight[:, None, None] * precision), rcond=None)[0]
         settled = bool(np.abs(theta - before).max() <= SETTLED * np.abs(theta).max())
@@ -103,7 +109,7 @@ def _normal(x: Floats, u: Floats, precision: Floats) -> tuple[Floats, Floats]:
     return matrix.transpose(0, 2, 1, 3).reshape(channels * features, -1), right.reshape(-1)
 
 
-def _weights(distance: Floats, limit: float | None, dims: NDArray[np.int64]) -> tuple[Floats, Floats]:
+def weights(distance: Floats, limit: float | None, dims: NDArray[np.int64]) -> tuple[Floats, Floats]:
     """Return weights (n,) of distances in standard deviations, and the mean slope of ψ there; Huber's without limit."""
     if limit is None:
         weight = np.minimum(1.0, HUBER * np.sqrt(np.maximum(dims, 1)) / np.maximum(distance, 1e-300))

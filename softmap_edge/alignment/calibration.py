@@ -1,7 +1,8 @@
 """Calibrate: which command of the model the ticks of the servos are, from a run with ticks and shapes.
 
     frames ─nearest shape─> u* (`matching.py`) ─held commands─> rows (`held.py`) ─robust fit─> u = A (ticks − home) + b
-    (`affine.py`); what is not affine about it (`departures.py`); the error on blocks that were left out
+    (`affine.py`, to start) ─fit to the shapes─> A, b, and a turn about the base's axis beside them where it tells
+    (`map_fit.py`); what is not affine about it (`departures.py`); the error on blocks that were left out
 
 Home is given (the ticks that the bench calls so), or the place that the run dwelt at most often, of several the first:
 its rest. Another home changes b only. Ticks are those of the encoders where the model takes positions and the run has
@@ -20,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.affine import Fit, fit
-from softmap_edge.alignment.departures import Departure, departures
+from softmap_edge.alignment.departures import BESIDE, Departure, departures
 from softmap_edge.alignment.held import Held, Seen, directions, gather, places, visits
-from softmap_edge.alignment.matching import Matches, match
+from softmap_edge.alignment.map_fit import Sights, fit_map, turned_shapes
+from softmap_edge.alignment.matching import Matches, linearised, match
 from softmap_edge.errors import CalibrationError
 from softmap_edge.leaning import gravity_seen, leans
 from softmap_edge.outside import elsewhere
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from softmap_edge.model import Model
 
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 SPARE = 2  # held commands for each coefficient of a channel, at least
 LINE = 0.03  # of their spread: held commands closer to one line than this say nothing across it
@@ -64,8 +67,8 @@ class Calibrated:
 
     @property
     def affine(self) -> bool:
-        """Whether nothing speaks against an affine map."""
-        return not self.departures
+        """Whether nothing speaks against an affine map; a memory and a turn are fitted beside it."""
+        return all(one.kind in BESIDE for one in self.departures)
 
     @property
     def left(self) -> Floats:
@@ -125,7 +128,7 @@ def calibrate(
         model: of this robot, without effects: they come after the calibration.
         run: with `ticks` (T, C) and vertices, markers or clouds at K frames, best at rest, on both sides of home.
         home: (C,) ticks; the run's rest by default. window: (low, high) ticks about home that each servo may take.
-        refine: match between the shapes of a grid; without, as the paper.
+        refine: match between the shapes of a grid, and fit the map to the shapes; without, as the paper.
 
     Returns:
         Calibrated: the model with its calibration, the pairs, and what speaks against an affine map.
@@ -145,25 +148,36 @@ def calibrate(
     if origin.shape != (model.channels,):
         raise CalibrationError(f"--home: {len(origin)} numbers, {model.channels} servos; give the ticks of each")
     _check_design(held, int(matches.edge.sum()), int(len(usable)))
-    away = np.column_stack([held.ticks - origin, np.ones(len(held))])
-    found = fit(away, held.u, held.covariance, held.told)
+    found, turned, plain = _fit(held, origin), list[Departure](), matches
+    if refine:
+        sights, start = Sights(model, shown, held, seen, origin), found.coefficients
+        turned = turned_shapes(sights, start, _blocks(shown, held))
+        there = fit_map(sights, start, bool(turned), np.ones(len(held), bool))
+        matches = linearised(model, shown, matches, seen.frame, there(_design(seen.ticks, origin)), there.turn)
+        found = _fit(gather(seen, matches), origin)
     _check_known(found)
+    way = directions(shown, np.column_stack([ticks, found(_design(ticks, origin))]))
+    ways = gather(seen, matches, way)
+    against = turned + departures(ways, origin, model.command_unit)
+    columns = next((one.columns for one in against if one.columns is not None), None) if refine else None
+    rows = gather(seen, matches) if columns is None else ways
+    found = _fit(rows, origin, columns)
+    matched = gather(seen, plain, None if columns is None else way).u
     calibration = Calibration(
         found.coefficients[:, :-1], found.coefficients[:, -1], origin, found.sigma[:, :-1], found.sigma[:, -1],
-        _held_out(model, shown, held, away, found), run.hash(), len(seen.frame), len(held), window, model.command_unit,
+        _held_out(model, shown, rows, matched, found, origin, columns), run.hash(), len(seen.frame), len(rows), window,
+        model.command_unit,
     )  # fmt: skip
     calibration.usable(model.command_range)  # or says why nothing is
-    way = directions(shown, np.column_stack([ticks, calibration.commands(ticks)]))
-    against = departures(gather(seen, matches, way), origin, model.command_unit)
     notes += (
         [one.sentence for one in against]
         + ([] if against else _unexplained(calibration))
-        + _remarks(model, held, found, matches, calibration)
+        + _remarks(model, rows, found, matches, calibration)
     )
     mae = float(np.median(matches.mae_mm[seen.frame]))
     made = dict(model.made_from) | {"calibration": run.hash()}
     whole = replace(model, calibration=calibration, made_from=made)
-    return Calibrated(whole, calibration, held, found.weight, mae, against, notes)
+    return Calibrated(whole, calibration, rows, found.weight, mae, against, notes)
 
 
 def _check(model: Model, run: Run) -> None:
@@ -258,19 +272,30 @@ def _check_known(found: Fit) -> None:
         )
 
 
-def _held_out(model: Model, run: Run, held: Held, away: Floats, found: Fit) -> dict[str, float]:
+def _design(ticks: Floats, home: Floats) -> Floats:
+    return np.column_stack([ticks - home, np.ones(len(ticks))])
+
+
+def _fit(held: Held, home: Floats, columns: Floats | None = None, use: Mask | slice = slice(None)) -> Fit:
+    """Fit A and b to the rows `use` of held commands; `columns` (n, m) are fitted beside them."""
+    design = _design(held.ticks, home)
+    whole = design if columns is None else np.column_stack([design, columns])
+    return fit(whole[use], held.u[use], held.covariance[use], held.told[use]).first(design.shape[1])
+
+
+def _held_out(
+    model: Model, run: Run, held: Held, matched: Floats, found: Fit, home: Floats, columns: Floats | None
+) -> dict[str, float]:
     """Return the RMS error on blocks that were left out: of a command, and of the shape that it gives, in mm.
 
-    Beside it what the matched commands themselves leave of the same shapes, which no map falls below.
+    Beside it what the `matched` commands (n, C) themselves leave of the same shapes, which no map falls below.
     """
-    sound, off, at = found.weight > 0, np.full(held.u.shape, np.nan), np.full(held.u.shape, np.nan)
-    first = np.array([part[len(part) // 2] for part in held.frames])
-    for test in _blocks(run, first):
-        train = ~test
-        if min(held.told[train].sum(axis=0)) <= away.shape[1]:
-            continue
-        at[test] = fit(away[train], held.u[train], held.covariance[train], held.told[train])(away[test])
-        off[test] = held.u[test] - at[test]
+    sound, at, first = found.weight > 0, np.full(held.u.shape, np.nan), _first(held)
+    count = _design(held.ticks, home).shape[1] + (0 if columns is None else columns.shape[1])
+    for test in _blocks(run, held):
+        if min(held.told[~test].sum(axis=0)) > count:
+            at[test] = _fit(held, home, columns, ~test)(_design(held.ticks[test], home))
+    off = held.u - at
     good = sound & np.isfinite(at).all(axis=1)
     if not good.any():
         raise CalibrationError(f"{len(held)} held commands in blocks of which none can be left out; hold more commands")
@@ -293,12 +318,18 @@ def _held_out(model: Model, run: Run, held: Held, away: Floats, found: Fit) -> d
     return {
         "command": float(np.sqrt(np.mean(told**2))),
         "shape_mm": shape_error(at[order]),
-        "matched_shape_mm": shape_error(held.u[order]),
+        "matched_shape_mm": shape_error(matched[order]),
     }
 
 
-def _blocks(run: Run, frame: NDArray[np.int64]) -> list[NDArray[np.bool_]]:
-    """Return masks of the rows seen first at `frame` that are left out together: labels of the run, or parts of it."""
+def _first(held: Held) -> NDArray[np.int64]:
+    """Return one frame of each held command, from its middle."""
+    return np.array([part[len(part) // 2] for part in held.frames])
+
+
+def _blocks(run: Run, held: Held) -> list[NDArray[np.bool_]]:
+    """Return masks of the held commands that are left out together: labels of the run, or parts of it."""
+    frame = _first(held)
     labels = None if run.block is None else np.asarray(run.block)[frame]
     if labels is None or not 3 <= len(np.unique(labels)) <= len(labels) // 3:
         labels = np.arange(len(frame)) * min(BLOCKS, len(frame)) // max(len(frame), 1)

@@ -6,6 +6,7 @@ Each rival is the affine map with a few columns more; what it is worth is told b
     kink       |r_c − q|            slack, a stop, a tendon that falls loose, at one of a few ticks q
     period     sin, cos 2π r_c / P  an eccentric pulley, once a turn of P ticks
     memory     sign of the last motion of each servo, or of each command: play, friction, hysteresis. No map has it
+    turn       all shapes, about the axis of the base: found with the map (`map_fit.py`), errors in mm, size in degrees
 
 r = ticks − home. A rival counts where the error held out falls by more than WORTH and by CLEAR of its standard errors.
 Limit: what has no such form, and what is smaller than the scatter of the matches. Pinned by tests/test_calibration.py.
@@ -14,7 +15,7 @@ Limit: what has no such form, and what is smaller than the scatter of the matche
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ PLACES = (0.2, 0.35, 0.5, 0.65, 0.8)  # quantiles of the ticks at which a kink i
 FOLDS = 5
 WORTH, CLEAR = 0.15, 3.0
 ALSO = 0.8  # of the gain of the best: rivals of another kind that gain so much explain it as well
+BESIDE = ("memory", "turn")  # kinds that leave the map affine: A and b are fitted beside them
 WRONG = 5.0  # standard deviations beyond which a held command is no measurement, whoever predicts it
 SPARE = 4  # held commands for each coefficient that a rival must have
 
@@ -40,7 +42,7 @@ class Departure:
     """A way in which the map is not affine: `better` is the share by which the error held out falls.
 
     `affine` and `error` are these errors, RMS in the commands' unit; `size` the largest part that is not affine, at the
-    place `ticks` (C,). `sentence` says all that.
+    place `ticks` (C,). `sentence` says all that. `columns` (n, m) of the held commands are those of a memory.
     """
 
     kind: str
@@ -50,6 +52,7 @@ class Departure:
     size: float
     ticks: list[float]
     sentence: str
+    columns: Floats | None = field(default=None, repr=False, compare=False)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a plain dictionary."""
@@ -174,8 +177,10 @@ def _told(
         late = "" if held.still else ", or a delay, since frames are taken in motion"
         sentence = (
             f"memory: the same ticks act {apart:.2g} {unit} apart on the way up and on the way down ({gain}): play, "
-            f"friction or hysteresis{late}, which no map of ticks has; `softmap diagnose` with the new bundle names it"
+            f"friction or hysteresis{late}, which no map of ticks has: A and b are those between the two ways, and "
+            "`softmap diagnose` with the new bundle names it"
         )
     else:
         sentence = f"not affine: {what} ({gain}), up to {size[row]:.2g} {unit} off at ({place}) ticks from home"
-    return Departure(kind, better, before, after, float(size[row]), away[row].tolist(), sentence)
+    columns = design[:, count:] if kind == "memory" else None
+    return Departure(kind, better, before, after, float(size[row]), away[row].tolist(), sentence, columns)

@@ -11,12 +11,14 @@ out of the residuals and of the slopes. Units: mm, and the commands'. Pinned by 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from copy import copy
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.alignment.rigid import rotation
 from softmap_edge.leaning import priors_in
 from softmap_edge.run import known
 from softmap_edge.views import members, roll_seen, without_roll
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
 
 STEPS, MOST_SHAPES = 41, 1700  # of the grid in each channel, and shapes at most; 41 is the grid of our own sweeps
 FEW = 150  # points by which the nearest shape is chosen where it is refined anyway
@@ -72,15 +75,12 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
     Raises:
         RunError: points of another robot or unit.
     """
-    points = np.asarray(model.points_in_mm(run), float)
-    visible = known(run, points)
-    seen = np.where(visible[..., None], points, 0.0)
-    sigma = np.ones(visible.shape) if run.sigma is None else np.broadcast_to(run.sigma, visible.shape)
-    weight = visible / np.maximum(sigma, 1e-6) ** 2
+    seen, weight = weighted(model, run)
+    visible = weight > 0
     families = priors_in(model, run)
     if len(families) > 1:
         return _joined([(rows, match(model, run.at(rows), refine)) for rows, _ in families])
-    shapes = _Shapes(model, run, families[0][1])
+    shapes = Shapes(model, run, families[0][1])
     low, high = model.command_range.T
     grid = _grid(low, high)
     every = slice(None, None, max(1, seen.shape[1] // FEW) if refine else 1)
@@ -91,9 +91,11 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
         part = slice(k, k + each)
         if refine:
             u[part] = _refined(shapes, seen[part], weight[part], u[part], low, high)
-        covariance[part] = _covariance(shapes, seen[part], weight[part], u[part], run.sigma is not None)
+        there, left, _ = _left(shapes, seen[part], weight[part], u[part])
+        slopes = shapes.without_roll(shapes.slopes(u[part]), there, weight[part])
+        covariance[part] = _covariance(shapes.member, slopes, left, weight[part], run.sigma is not None)
     told = _told(shapes, grid, u, low, high)
-    covariance += np.einsum("kc,cd->kcd", ~told * (high - low) ** 2 / 12.0, np.eye(model.channels))
+    covariance += _slack(told, low, high)
     off = np.abs(shapes(u) - seen).sum(axis=2)
     count = visible.sum(axis=1)
     mae = np.where(visible, off, 0.0).sum(axis=1) / np.maximum(3 * count, 1)
@@ -104,6 +106,46 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
     return Matches(u, covariance, mae, np.asarray(edge, np.bool_), told)
 
 
+def linearised(model: Model, run: Run, matches: Matches, frames: Index, commands: Floats, turn: float) -> Matches:
+    """Return the matches, those of some frames (F,) as one step of Gauss and Newton from commands (F, C) gives them.
+
+    What hangs slack where a map puts it stays there, and does not jump over the slack for what the model lacks.
+    `turn` in rad: of all shapes about the axis of the base.
+    """
+    command, covariance, told = matches.command.copy(), matches.covariance.copy(), matches.told.copy()
+    low, high = model.command_range.T
+    some = run.at(frames)
+    for rows, family in priors_in(model, some):
+        shapes = Shapes(model, some, family).turned(turn)
+        each = max(1, CHUNK // (3 * shapes.count * (model.channels + 1)))
+        for part in np.array_split(rows, -(-len(rows) // each)):
+            seen, weight = weighted(model, some.at(part))
+            u, at = commands[part], frames[part]
+            there, left, _ = _left(shapes, seen, weight, u)
+            slopes = shapes.without_roll(shapes.slopes(u), there, weight)
+            pull = np.einsum("kn,knxc,knx->kc", weight, slopes, left, optimize=True)
+            step = np.einsum("kcd,kd->kc", _inverse(_squares(slopes, weight)), pull)
+            left -= np.einsum("knxc,kc->knx", slopes, step)
+            command[at] = u + step
+            covariance[at] = _covariance(shapes.member, slopes, left, weight, some.sigma is not None)
+            told[at] = _told(shapes, _grid(low, high), u, low, high)
+    covariance[frames] += _slack(told[frames], low, high)
+    return replace(matches, command=command, covariance=covariance, told=told)
+
+
+def weighted(model: Model, run: Run) -> tuple[Floats, Floats]:
+    """Return what a run shows of a model's points (K, N, 3), 0 where unseen, and the weight (K, N) of each, 1/mm²."""
+    points = np.asarray(model.points_in_mm(run), float)
+    visible = known(run, points)
+    sigma = np.ones(visible.shape) if run.sigma is None else np.broadcast_to(run.sigma, visible.shape)
+    return np.where(visible[..., None], points, 0.0), visible / np.maximum(sigma, 1e-6) ** 2
+
+
+def _slack(told: Mask, low: Floats, high: Floats) -> Floats:
+    """Return the covariance (K, C, C) of commands that shapes do not tell: that of their whole range."""
+    return np.asarray(np.einsum("kc,cd->kcd", ~told * (high - low) ** 2 / 12.0, np.eye(len(low))))
+
+
 def _joined(parts: list[tuple[NDArray[np.intp], Matches]]) -> Matches:
     """Return the matches of a run's frames from those of its parts, each with its rows."""
     order = np.argsort(np.concatenate([rows for rows, _ in parts]))
@@ -111,25 +153,38 @@ def _joined(parts: list[tuple[NDArray[np.intp], Matches]]) -> Matches:
     return Matches(**{n: np.concatenate([getattr(part, n) for _, part in parts])[order] for n in names})
 
 
-class _Shapes:
-    """The shapes (n, N, 3) of a model at commands (n, C), as a run's points; their slopes, and turns about the body."""
+class Shapes:
+    """The shapes (n, N, 3) of a model at commands (n, C), as a run's points; their slopes, and turns about the body.
+
+    `turn` in rad about the axis of the base; 0 unless it was asked for.
+    """
+
+    turn: Floats | None = None
 
     def __init__(self, model: Model, run: Run, family: Shape) -> None:
         self.family = family
         self.carry = model.view(run).carry
-        count = len(model.rest) if self.carry is None else len(self.carry)
-        section = model.sections if self.carry is None else np.arange(count)
+        self.count = len(model.rest) if self.carry is None else len(self.carry)
+        section = model.sections if self.carry is None else np.arange(self.count)
         self.member = members(section)
         self.roll_seen = roll_seen(model, run) or self.member.shape[1] < 2
 
     def __call__(self, u: Floats) -> Floats:
         points = np.asarray(self.family.evaluate(np.ascontiguousarray(u))).reshape(len(u), -1, 3)
-        return points if self.carry is None else np.asarray(np.einsum("mn,knx->kmx", self.carry, points))
+        points = points if self.carry is None else np.asarray(np.einsum("mn,knx->kmx", self.carry, points))
+        return points if self.turn is None else points @ self.turn.T
+
+    def turned(self, angle: float) -> Shapes:
+        """Return the same shapes turned about the axis of the base by an angle in rad."""
+        other = copy(self)
+        other.turn = rotation(np.array([0.0, 0.0, angle])) if angle else None
+        return other
 
     def slopes(self, u: Floats) -> Floats:
         """Return the slopes (n, N, 3, C)."""
         found = np.asarray(self.family.jacobian(np.ascontiguousarray(u))).reshape(len(u), -1, 3, u.shape[1])
-        return found if self.carry is None else np.asarray(np.einsum("mn,knxc->kmxc", self.carry, found))
+        found = found if self.carry is None else np.asarray(np.einsum("mn,knxc->kmxc", self.carry, found))
+        return found if self.turn is None else np.asarray(np.einsum("ij,knjc->knic", self.turn, found))
 
     def without_roll(self, moved: Floats, points: Floats, weight: Floats) -> Floats:
         """Return displacements (n, N, 3, m) of points (n, N, 3) without the turn of each section that explains most."""
@@ -154,7 +209,7 @@ def _nearest(shapes: Floats, seen: Floats, visible: Mask) -> NDArray[np.intp]:
     return found
 
 
-def _refined(shapes: _Shapes, seen: Floats, weight: Floats, u: Floats, low: Floats, high: Floats) -> Floats:
+def _refined(shapes: Shapes, seen: Floats, weight: Floats, u: Floats, low: Floats, high: Floats) -> Floats:
     """Return the best commands (k, C) within their range, from a start."""
     damping = np.full(len(u), 1e-3)
     points, left, cost = _left(shapes, seen, weight, u)
@@ -176,7 +231,7 @@ def _refined(shapes: _Shapes, seen: Floats, weight: Floats, u: Floats, low: Floa
     return u
 
 
-def _left(shapes: _Shapes, seen: Floats, weight: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
+def _left(shapes: Shapes, seen: Floats, weight: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the shapes (k, N, 3) at commands, what they leave of what was seen, and its weighted squares (k,)."""
     points = shapes(u)
     left = shapes.without_roll((seen - points)[..., None], points, weight)[..., 0]
@@ -187,25 +242,29 @@ def _squares(slopes: Floats, weight: Floats) -> Floats:
     return np.asarray(np.einsum("kn,knxc,knxd->kcd", weight, slopes, slopes, optimize=True))
 
 
-def _covariance(shapes: _Shapes, seen: Floats, weight: Floats, u: Floats, told: bool) -> Floats:
+def _inverse(bend: Floats) -> Floats:
+    """Return the inverses of matrices (k, C, C), of flat ones as good as there is."""
+    eye = np.eye(bend.shape[1])
+    return np.asarray(np.linalg.inv(bend + 1e-6 * np.einsum("kcc->k", bend)[:, None, None] * eye + 1e-12 * eye))
+
+
+def _covariance(member: Floats, slopes: Floats, left: Floats, weight: Floats, told: bool) -> Floats:
     """Return the covariance (k, C, C): of independent noise, or of what is left where whole sections are off together.
 
     `told`: the weights are those of a known noise.
     """
-    points, left, cost = _left(shapes, seen, weight, u)
-    slopes = shapes.without_roll(shapes.slopes(u), points, weight)
-    bend = _squares(slopes, weight)
-    inverse = np.linalg.inv(bend + 1e-6 * np.einsum("kcc->k", bend)[:, None, None] * np.eye(u.shape[1]) + 1e-12)
-    spread = cost / np.maximum(3.0 * (weight > 0).sum(axis=1) - u.shape[1], 1.0)
+    inverse = _inverse(_squares(slopes, weight))
+    cost = np.einsum("kn,knx,knx->k", weight, left, left, optimize=True)
+    spread = cost / np.maximum(3.0 * (weight > 0).sum(axis=1) - slopes.shape[-1], 1.0)
     noise = inverse * (np.maximum(spread, 1.0) if told else spread)[:, None, None]
     each = np.einsum("kn,knxc,knx->knc", weight, slopes, left, optimize=True)
-    parts = np.einsum("ns,knc->ksc", shapes.member, each)
+    parts = np.einsum("ns,knc->ksc", member, each)
     together = inverse @ np.einsum("ksc,ksd->kcd", parts, parts) @ inverse
     larger = np.einsum("kcc->k", together) > np.einsum("kcc->k", noise)
     return np.asarray(np.where(larger[:, None, None], together, noise))
 
 
-def _told(shapes: _Shapes, grid: Floats, u: Floats, low: Floats, high: Floats) -> Mask:
+def _told(shapes: Shapes, grid: Floats, u: Floats, low: Floats, high: Floats) -> Mask:
     """Return which commands (K, C) move the shape, to both sides, as commands of that channel usually do."""
     told, some = np.ones(u.shape, bool), grid[:: max(1, len(grid) // USUAL)]
     for c, step in enumerate(np.diag(STEP * (high - low))):
