@@ -53,7 +53,7 @@ def test_what_the_page_shows_is_what_is_said(reader):
             register(builtin_model(), [wrong])
         said += f"\n{refused.value}"
     shown = [line for language, text in blocks(PAGE) if language == "text" for line in text.splitlines()]
-    assert len(shown) == 19
+    assert len(shown) == 22
     there = worded(said)
     for line in shown:
         assert worded(line) in there, line

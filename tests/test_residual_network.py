@@ -13,6 +13,8 @@ from softmap_training.errors import TrainingError  # noqa: E402
 from softmap_training.residual import frames_of, train_residual  # noqa: E402
 
 from softmap_edge import Run, builtin_model, diagnose, load_bundle, save_bundle  # noqa: E402
+from softmap_edge.alignment.result import in_frame  # noqa: E402
+from softmap_edge.alignment.rigid import Pose, rotation  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.registration.register import clamped, register  # noqa: E402
 from softmap_edge.truth_clouds import TWO  # noqa: E402
@@ -84,6 +86,28 @@ def test_the_published_one_is_taught_by_chamfer_and_moves_what_the_clamp_holds(t
     vertices = replace(run, points=None, start=None, vertices=registered.vertices)
     with pytest.raises(TrainingError, match="supervised by clouds"):
         train_residual(MODEL, vertices, "published")
+
+
+def test_a_base_that_stands_off_is_no_shape(taught, tmp_path, capsys):
+    """Taken for a shape of the finger it would bend what stands straight."""
+    run, true, _ = taught
+    off_by = Pose(rotation(np.radians([1.2, -0.7, 0.0])), np.array([1.0, -0.8, 0.0]))
+    stood = in_frame(run, off_by, np.zeros(6))
+    model, report = train_residual(MODEL, stood)
+    np.testing.assert_allclose(report["base_stood_off"]["transform"]["turn_deg"], [-1.2, 0.7, 0.0], atol=0.3)
+    np.testing.assert_allclose(report["base_stood_off"]["transform"]["shift_mm"], [-1.0, 0.8, 0.0], atol=0.15)
+    as_it_is, _ = train_residual(MODEL, stood, registered=register(MODEL, stood))
+    assert off(model, run, true) < 0.5 * off(as_it_is, run, true)
+    assert train_residual(MODEL, run, recipe=choices.RESIDUAL.with_(epochs=2))[1]["base_stood_off"] is None
+    stood.save(tmp_path / "run.npz")
+    call = ["train", "residual", str(tmp_path / "run.npz"), "--epochs", "2", "--out", str(tmp_path / "out")]
+    assert main(call) == 0 and "softmap align RUN --base clamped" in capsys.readouterr().out
+    assert main(["align", str(tmp_path / "run.npz"), "--base", "clamped", "--out", str(tmp_path / "base.npz")]) == 0
+    assert "clouds near the base" in capsys.readouterr().out
+    again = Run.load(tmp_path / "base.npz")
+    assert np.linalg.norm(again.points - run.points, axis=1).mean() < 0.3
+    assert main(["align", str(tmp_path / "run.npz"), "--out", str(tmp_path / "home.npz")]) == 2
+    assert "give --base clamped" in capsys.readouterr().err
 
 
 def test_what_no_cloud_has_seen_teaches_nothing(taught):

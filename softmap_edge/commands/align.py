@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from softmap_edge.alignment.align import align_base, align_home, clamped_places
-from softmap_edge.alignment.result import base_markers, in_frame
+from softmap_edge.alignment.clouds import align_clouds
+from softmap_edge.alignment.result import Alignment, base_markers, in_frame
 from softmap_edge.alignment.rigid import Pose
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
@@ -52,8 +53,11 @@ def align(args: argparse.Namespace) -> int:
         return _like(args, run)
     if (args.follow_base or args.drop_base) and not args.base:
         raise AlignError(f"--follow-base and --drop-base need base points; {_HOW}")
-    places = _places(args, run) if args.base else {}
-    found = align_base(run, places, args.follow_base) if args.base else align_home(run, _bundle(args))
+    places = _places(args, run) if args.base and run.points is None else {}
+    if run.points is not None:
+        found = _of_clouds(args, run)
+    else:
+        found = align_base(run, places, args.follow_base) if args.base else align_home(run, _bundle(args))
     aligned = found.apply(run)
     if args.drop_base:
         aligned = without(aligned, list(places))
@@ -68,6 +72,15 @@ def align(args: argparse.Namespace) -> int:
 def _bundle(args: argparse.Namespace) -> Any:
     load_own(args)
     return open_model(args.bundle)
+
+
+def _of_clouds(args: argparse.Namespace, run: Run) -> Alignment:
+    """Find the frame of clouds by the body near the clamp."""
+    if args.base != ["clamped"] or args.follow_base or args.drop_base:
+        raise AlignError(
+            f"{args.run}: holds clouds, whose base is told by the body near the clamp: give --base clamped"
+        )
+    return align_clouds(run, _bundle(args))
 
 
 def _like(args: argparse.Namespace, run: Run) -> int:

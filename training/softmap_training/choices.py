@@ -51,6 +51,8 @@ LAMBDA_L2, LAMBDA_LAP = 0.1, 0.05  # released
 # Ours: a few modes of what registration shows beyond the prior.
 RESIDUAL = Recipe(epochs=100, batch=4096, rate=3e-3, last=1e-3, decay=1.0, patience=40, passes=10)
 
+# Its Chamfer over the vertices seen: weight in mm, of a squared distance; clouds of a batch, and points of a cloud.
+LAMBDA_SEEN, SEEN_FRAMES, SEEN_SAMPLES = 0.1, 8, 500
 RESIDUAL_MODES, OUR_RESIDUAL_WIDTHS = 6, (32, 32)
 HELD_OUT = 4  # every so many of the eight blocks of a recording
 

@@ -4,7 +4,9 @@
 
 Published: a network 64-256-256-64 to all points, Chamfer to the clouds + λ_l2 · mean |Δᵢ|² + λ_lap · mean over edges
 |Δᵢ − Δⱼ|². On clouds of two views it pulls the unseen side through the body and moves what a clamp holds. Ours is
-taught by the registered vertices, each by how well it was seen: Δ is a few modes of what they show beyond the model,
+taught by the registered vertices, each by how well it was seen, and by the Chamfer distance of those that were seen
+(which changes little); a base that stands off the frame of the clouds is taken out before, as one
+rigid pose (`alignment/clouds.py`), so that it is no shape: Δ is a few modes of what they show beyond the model,
 none of which moves a clamped vertex, weighted by a small network of the command. Validation is on whole blocks of the
 recordings; ours leaves each out once, then learns from all for as long as was best on average. Friction remembers where
 a command was reached from: a command that is reached from several sides, in several recordings, teaches their mean.
@@ -25,6 +27,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from softmap_edge import _core
+from softmap_edge.alignment.clouds import in_base
 from softmap_edge.folds import run_folds
 from softmap_edge.model import Model
 from softmap_edge.outside import span
@@ -107,14 +110,17 @@ def train_residual(
         run: the recording, or several, of clouds (or vertices; the published one needs clouds), with commands.
         kind: "modes" (ours) or "published".
         recipe, folder, progress, device, tensorboard: as for `train_prior`.
-        registered: of the clouds, where that was done before.
+        registered: of the clouds, where that was done before; the base is then taken to stand where the frame says.
 
     Raises:
         TrainingError: too few frames, no clouds for the published one, or a checkpoint of something else.
     """
     runs = list(run) if isinstance(run, Sequence) else [run]
-    whole = joined(runs)
-    base, frames = model.with_residual(None), frames_of(model, whole, registered)
+    whole, base = joined(runs), model.with_residual(None)
+    stood = None
+    if kind == "modes" and registered is None:
+        whole, stood = in_base(whole, base)
+    frames = frames_of(model, whole, registered)
     if kind == "published" and not frames.clouds:
         raise TrainingError("the published residual is supervised by clouds; this run holds vertices")
     recipe = recipe or (choices.RESIDUAL if kind == "modes" else choices.PUBLISHED_RESIDUAL)
@@ -147,6 +153,7 @@ def train_residual(
         "held_out_before_mm": _off(frames, held, np.zeros_like(delta)),
         "held_out_after_mm": after,
         "parity_mm": apart,
+        "base_stood_off": None if stood is None else stood.to_dict(),
         "command_range": span(frames.commands),
     }
     found = base.with_residual({"onnx": np.frombuffer(content, np.uint8)})
@@ -217,19 +224,29 @@ def _ours(
     y = torch.as_tensor(flat, dtype=torch.float32)
     w = torch.as_tensor(frames.weight / frames.weight[train].mean(), dtype=torch.float32)
     chosen = torch.as_tensor(train)
+    clouds = [_thinned(cloud, choices.SEEN_SAMPLES) for cloud in frames.clouds]
+    points = torch.as_tensor(frames.points, dtype=torch.float32)
 
     def off(net: nn.Sequential, rows: Tensor) -> Tensor:
         return (net(u.to(rows.device)[rows]) - y.to(rows.device)[rows]).reshape(len(rows), -1, 3)
 
     def loss(net: nn.Sequential, some: Tensor) -> Tensor:
         rows = chosen.to(some.device)[some]
-        return (w.to(some.device)[rows] * off(net, rows).square().sum(dim=2)).mean()
+        apart = off(net, rows)
+        from_registered = (w.to(some.device)[rows] * apart.square().sum(dim=2)).mean()
+        at = [n for n, k in enumerate(rows.tolist()) if clouds and frames.weight[k].any()][: choices.SEEN_FRAMES]
+        if not at:
+            return from_registered
+        some_rows, which = rows[at], rows[at].tolist()
+        places = points.to(rows.device)[some_rows] + apart[at] + y.to(rows.device)[some_rows].reshape(len(at), -1, 3)
+        seen = chamfer(places, [clouds[k] for k in which], [frames.weight[k] > 0.0 for k in which])
+        return from_registered + choices.LAMBDA_SEEN * seen.mean()
 
     def validate(net: nn.Sequential) -> float:
         rows = torch.as_tensor(held, device=next(net.parameters()).device)
         return float(off(net, rows).norm(dim=2)[w.to(rows.device)[rows] > 0].mean())
 
-    return network, Task(network, len(train), loss, validate, [frames.commands, flat, frames.weight, train])
+    return network, Task(network, len(train), loss, validate, [frames.commands, flat, frames.weight, *clouds, train])
 
 
 def _published(
@@ -240,7 +257,7 @@ def _published(
     u = torch.as_tensor(frames.commands, dtype=torch.float32)
     points = torch.as_tensor(frames.points, dtype=torch.float32)
     chosen, edges = torch.as_tensor(train), torch.as_tensor(_edges(base.triangles))
-    clouds = [_thinned(cloud) for cloud in frames.clouds]
+    clouds = [_thinned(cloud, choices.SAMPLES) for cloud in frames.clouds]
 
     def corrected(net: nn.Sequential, rows: Tensor) -> tuple[Tensor, Tensor]:
         delta = net(u.to(rows.device)[rows]).reshape(len(rows), -1, 3)
@@ -263,9 +280,9 @@ def _published(
     return network, Task(network, len(train), loss, validate, [frames.commands, frames.points, *clouds, train])
 
 
-def _thinned(cloud: Floats) -> Floats:
-    """Return at most SAMPLES points of a cloud, evenly spread over its rows."""
-    return np.ascontiguousarray(cloud[:: max(1, len(cloud) // choices.SAMPLES)])
+def _thinned(cloud: Floats, most: int) -> Floats:
+    """Return about `most` points of a cloud at most, evenly spread over its rows."""
+    return np.ascontiguousarray(cloud[:: max(1, len(cloud) // most)])
 
 
 def _edges(triangles: NDArray[np.int32]) -> NDArray[np.int64]:
