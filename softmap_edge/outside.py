@@ -1,4 +1,4 @@
-"""Where a run leaves what a model was made from: its commands, loads that are not applied, points out of reach.
+"""Where a run leaves what a model was made from: commands, shapes, loads that are not applied, points out of reach.
 
 A trained prior and a residual tell in `made_from` which commands taught them (`span`); those that act are compared.
 """
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 BEYOND = 0.05  # share of its range by which a command may leave it before a word is said
+UNLIKE = 0.015  # of the robot's length: a shape that is farther from all of its model's is another
 
 
 def beyond(model: Model, run: Run) -> list[str]:
@@ -73,6 +74,23 @@ def untaught(model: Model, run: Run) -> list[str]:
                 f"'{model.robot}': {told}; beyond, it extrapolates"
             )
     return notes
+
+
+def unlike(model: Model, mae: Floats) -> list[str]:
+    """Return a sentence where shapes are like none that the model makes at any command.
+
+    Args:
+        mae: (K,) mm, mean absolute error of each frame to the nearest shape (`alignment/matching.py`); NaN: not known.
+    """
+    known, limit = mae[np.isfinite(mae)], UNLIKE * float(np.linalg.norm(model.rest, axis=1).max())
+    count = int((known > limit).sum())
+    if not count:
+        return []
+    return [
+        f"{count} of {len(known)} shapes ({100 * count / len(known):.0f} %) are like none that '{model.robot}' makes "
+        f"at any command: {limit:.2g} mm off or more, up to {known.max():.2g} (mean absolute error; median of all "
+        f"{np.median(known):.2g}): a contact, a load, another frame; what it says of them is extrapolated"
+    ]
 
 
 def span(commands: Floats) -> list[list[float]]:

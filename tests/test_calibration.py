@@ -167,6 +167,15 @@ def test_what_no_form_explains_is_said_as_well():
     assert found.affine and "less sure than their ± says" in found.warnings[0]
 
 
+def test_shapes_that_the_model_makes_at_no_command_are_counted():
+    run = record(scattered(1), 1)
+    pushed = run.vertices.copy()
+    pushed[4:7, :, 0] += 15.0 * np.sin(2.0 * np.pi * MODEL.rest[:, 2] / np.ptp(MODEL.rest[:, 2]))
+    told = [note for note in calibrate(MODEL, replace(run, vertices=pushed)).warnings if "like none" in note]
+    assert len(told) == 1 and told[0].startswith("3 of 30 shapes (10 %)") and "contact" in told[0], told
+    assert not [note for note in calibrate(MODEL, run).warnings if "like none" in note]
+
+
 def test_home_is_the_place_that_was_dwelt_at_most_often(found):
     own = calibrate(MODEL, record(scattered(1), 1))
     np.testing.assert_array_equal(own.calibration.home, np.rint(HOME))

@@ -27,7 +27,7 @@ from softmap_edge.alignment.map_fit import Sights, fit_map, turned_shapes
 from softmap_edge.alignment.matching import Matches, linearised, match
 from softmap_edge.errors import CalibrationError
 from softmap_edge.leaning import gravity_seen, leans
-from softmap_edge.outside import elsewhere
+from softmap_edge.outside import elsewhere, unlike
 from softmap_edge.registration.register import register
 from softmap_edge.run import Run, known
 from softmap_edge.ticks import Calibration
@@ -42,7 +42,6 @@ SPARE = 2  # held commands for each coefficient of a channel, at least
 LINE = 0.03  # of their spread: held commands closer to one line than this say nothing across it
 KNOWN = 3.0  # standard deviations of its smallest stretch that A must have, to be turned round
 FAR = 0.1  # of the robot's length: shapes that are off by more, mean absolute error, are no shapes of this model
-DOUBTED = 0.03  # of the length, from which that is worth a word
 BLOCKS = 5  # parts of the held commands, in the order they were first met, where a run labels no blocks
 LEANING = 5.0  # deg between the orientations of run and model from which that is worth a word
 UNEXPLAINED = 1.5  # times what the matches leave of the shapes, from which an error held out is worth a word
@@ -223,9 +222,7 @@ def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
             f"{FAR * length:.3g} mm is the most that can be of this robot; align the run to the base (`softmap align "
             "--base`), or give the bundle of this robot"
         )
-    notes = []
-    if mae > DOUBTED * length:
-        notes.append(f"the nearest shapes are {mae:.2g} mm off: is the run in the base frame, is it this robot?")
+    notes = unlike(model, found)
     if run.gravity is not None:
         lean = np.degrees(np.arccos(np.clip(np.atleast_2d(run.gravity) @ model.gravity_reference, -1.0, 1.0)))
         if lean.max() > LEANING and not leans(model, run):

@@ -91,11 +91,11 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording that judges: its clouds, which vertices (K, N) they show, and the true ones where they are known."""
+    """A recording that judges: its clouds, vertices laid onto them (K, N), and the true ones where they are known."""
 
     run: Run
     clouds: list[Floats]
-    visible: Floats
+    laid: Run
     truth: Floats | None = None
 
     @classmethod
@@ -114,7 +114,12 @@ class Recording:
         if truth is not None and truth.shape != wanted:
             raise TrainingError(f"a truth of shape {truth.shape} for {wanted} predicted; give that of this run")
         found = register(model.with_residual(None), run)
-        return cls(run, clouds_of(run), found.visible.astype(np.float64), truth)
+        return cls(run, clouds_of(run), found.run(run), truth)
+
+    @property
+    def visible(self) -> Floats:
+        """Which vertices (K, N) the clouds show: 0 or 1."""
+        return np.asarray(self.laid.visible, np.float64)
 
     def judge(self, name: str, model: Model, told: Mapping[str, Any] | None = None) -> Row:
         """Judge a model."""

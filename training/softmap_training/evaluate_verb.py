@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from softmap_edge import __version__
+from softmap_edge.alignment.matching import match
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.npz import read_npz
-from softmap_edge.outside import beyond
+from softmap_edge.outside import beyond, unlike
 from softmap_edge.run import Run
 from softmap_training import choices
 from softmap_training.baselines import NAMES as BASELINES
@@ -205,6 +206,7 @@ def _on_run(
     bar("registering", 0.0)
     first, model = next(iter(models.items()))
     judge = Recording.of(run, model, truth)
+    warnings += [f"{first}: {note}" for note in unlike(model, match(model, judge.laid).mae_mm)]
     rows: list[Row] = []
     curve: list[Row] = []
     for k, (name, one) in enumerate(models.items()):
