@@ -43,7 +43,7 @@ def adapt(args: argparse.Namespace) -> int:
     print(json.dumps(found.to_dict() | {"bundle": str(folder)}, indent=1) if args.json else f"{folder}\n{found}")
     if args.html:
         kind = "fitted" if held_out is None else "held out"
-        write_page(
-            args.html, found.judge, found.before, found.model, found.diagnosis, kind, (found.error, found.error_on)
-        )
+        left_out = "" if found.model.residual is not None else "; the residual is left out of the bundle"
+        ways = found.error, found.error_on + left_out
+        write_page(args.html, found.judge, found.before, found.model, found.diagnosis, kind, ways)
     return 0 if found.fall > 0.0 else WORSE

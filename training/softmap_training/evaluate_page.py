@@ -87,7 +87,7 @@ def _sentence(document: Document) -> str:
     if document["simulated"]:
         parts.append(f"{len(document['simulated'])} models on simulated shapes that taught nothing")
     if document["recorded"]:
-        parts.append(f"{len(document['recorded'])} on a recording of clouds")
+        parts.append(f"{len(document['recorded'])} models on a recording of clouds")
     return " and ".join(parts) + ", beside the paper's figures"
 
 
