@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from softmap_edge.alignment.calibration import Calibrated, calibrate
+from softmap_edge.alignment.clouds import base_stood_off, in_base
 from softmap_edge.diagnosis.comparison import compare
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
@@ -90,6 +91,9 @@ class Adaptation:
             lines.append(self.diagnosis.sentence)
             lines += [f"  {label:<24} {value:.6g}" for label, value in self.model.params.items()]
         lines.append(_of_residual(self.residual, self.model.residual is not None))
+        physics, both = (self.error[way] for way in WAYS[2:])
+        if self.model.residual is not None and physics is not None and both is not None and both > physics:
+            lines.append("  it does not help on the run that judges")
         lines += ["", f"error, mm RMS, {self.error_on}"]
         lines += [f"  {way:<24} {value:.3f}" for way, value in self.error.items() if value is not None]
         return "\n".join([*lines, f"  {100 * self.fall:.0f} % of the error are gone"])
@@ -132,8 +136,8 @@ def adapt(
         raise SoftmapError("no run is given; an adaptation needs at least one")
     if held_out is not None and held_out.hash() in [one.hash() for one in runs]:
         raise SoftmapError("the held-out run is one that teaches, so it judges nothing; give an independent run")
+    base, calibration = _calibrated(base, runs, say)
     shown = [_shown(base, one, say) for one in runs]
-    base, calibration = _calibrated(base, shown, say)
     found = _missing(base, shown, say) if physics else None
     better = base if found is None else found.model
     say("learning what is left, as a smooth field of the command")
@@ -161,9 +165,12 @@ def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None,
 
 
 def _shown(model: Model, run: Run, say: Callable[[str], None]) -> Run:
-    """Return a run of clouds as vertices of the template, another as it is."""
+    """Return a run of clouds as vertices of the template, in the frame of their base; another as it is."""
     if run.points is None:
         return run
+    run, off = in_base(run, model)
+    if off is not None:
+        say(base_stood_off(off.pose))
     say(f"laying the template onto {run.frames} clouds")
     return register(model, run).run(run)
 

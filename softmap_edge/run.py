@@ -211,7 +211,9 @@ class Run:
             if seen is not None:
                 return seen
         if self.points is not None:
-            raise RunError("points: clouds have no correspondence yet; give vertices or markers")
+            raise RunError(
+                "points: clouds have no correspondence yet; lay a template onto them with `softmap register`"
+            )
         raise RunError("vertices, markers: the run holds neither; record or import what was seen")
 
     def commands(self, source: Source | None = None) -> Array:

@@ -141,6 +141,18 @@ def test_parts_of_a_recording_are_whole_blocks_and_each_holds_the_smaller_ones(f
     np.testing.assert_array_equal(once[-1].errors["vertex"], again[-1].errors["vertex"])
 
 
+def test_a_frame_in_which_nothing_is_seen_is_left_out_of_what_is_seen_alone():
+    run, true = recorded(4, 2)
+    judge = Recording.of(run, MODEL, true)
+    visible = judge.laid.visible.copy()
+    visible[1] = False
+    doubtful = replace(judge, laid=replace(judge.laid, visible=visible))
+    seen, fewer = (one.judge("x", MODEL) for one in (judge, doubtful))
+    assert np.isnan(fewer.errors["visible"][0, 1]) and np.isfinite(fewer.errors["chamfer"]).all()
+    rest = np.delete(seen.errors["visible"][0], 1)
+    assert fewer.to_dict()["visible_mm"]["mean"] == pytest.approx(rest.mean())
+
+
 def test_runs_that_teach_together_are_one_a_minute_apart_and_must_be_alike(files):
     run = Run.load(files / "teaches.npz")
     both = joined([run, replace(run, t=run.t + 100.0, t_seen=run.t_seen + 100.0)])

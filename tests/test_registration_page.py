@@ -13,7 +13,10 @@ from page import blocks, lines
 pytest.importorskip("meshio")
 
 from softmap_edge import Run, builtin_model, load_bundle
-from softmap_edge.alignment.calibration import calibrate
+from softmap_edge.alignment.calibration import _calibrated, calibrate
+from softmap_edge.alignment.clouds import align_clouds
+from softmap_edge.alignment.result import in_frame
+from softmap_edge.alignment.rigid import Pose, rotation, rotation_vector
 from softmap_edge.cli import main
 from softmap_edge.errors import RegistrationError
 from softmap_edge.registration.register import register
@@ -89,6 +92,22 @@ def test_the_calibration_is_as_near_as_the_page_says(reader):
     assert "<svg" in drawn and len(drawn) > 20_000
     document = json.loads((folder / "d.json").read_text(encoding="utf-8"))
     assert "twist" in [one["name"] for one in document["not_testable"]]
+
+
+def test_a_base_that_stands_off_does_not_bend_the_map(reader):
+    folder, _ = reader
+    run, model = Run.load(folder / "grid.npz"), builtin_model()
+    pose = Pose(rotation(np.radians([1.0, -0.6, 0.0])), np.array([1.0, -0.7, 0.0]))
+    off = in_frame(run, pose, np.zeros(6))
+    found, alone = calibrate(model, off), _calibrated(model, off, None, None, True)
+    told, bent = (np.abs(one.calibration.A - PUBLISHED.slope) / np.abs(PUBLISHED.slope) for one in (found, alone))
+    assert told.max() < 0.008 < 0.03 < bent.max(), (told, bent)
+    assert "the base stands off" in found.warnings[0] and found.calibration.run == off.hash()
+    assert not any("the base stands off" in text for text in calibrate(model, run).warnings)
+    back = align_clouds(off, found.model)
+    turn, shift = np.degrees(rotation_vector(back.pose.rotation)), back.pose.shift
+    away = np.abs(np.r_[turn - [-1.0, 0.6, 0.0], shift - [-1.0, 0.7, 0.0]])[[0, 1, 3, 4]]
+    assert np.all(away < 3.0 * back.sigma[[0, 1, 3, 4]]), (away, back.sigma)
 
 
 def test_the_finger_of_the_page_has_its_handles():

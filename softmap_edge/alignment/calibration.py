@@ -4,11 +4,12 @@
     (`affine.py`, to start) ─fit to the shapes─> A, b, and a turn about the base's axis beside them where it tells
     (`map_fit.py`); what is not affine about it (`departures.py`); the error on blocks that were left out
 
-Home is given (the ticks that the bench calls so), or the place that the run dwelt at most often, of several the first:
-its rest. Another home changes b only. Ticks are those of the encoders where the model takes positions and the run has
-them, else those commanded. Left out: commands at the end of the model's range, what hangs slack, frames in motion where
-dwells are enough, rows that do not belong (Tukey). Units: ticks, mm. Limits: what is constant in all shapes (a wrong
-frame, a wrong length) bends A and b; look at what is left of the shapes. Pinned by tests/test_calibration.py.
+Home is given (the ticks that the bench calls so), or the place that the run dwelt at most often, its rest; of several
+that where the model acts least. Another home changes b only. Ticks are those of the encoders where the model takes
+positions and the run has them, else those commanded. Left out: commands at the end of the model's range, what hangs
+slack, frames in motion where dwells are enough, rows that do not belong (Tukey). Units: ticks, mm. Limits: what is
+constant in all shapes (a wrong frame, a wrong length) bends A and b; look at what is left of the shapes. Pinned by
+tests/test_calibration.py.
 """
 
 from __future__ import annotations
@@ -21,16 +22,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.affine import Fit, fit
+from softmap_edge.alignment.clouds import base_stood_off, in_base
 from softmap_edge.alignment.departures import BESIDE, Departure, departures
 from softmap_edge.alignment.held import Held, Seen, directions, gather, places, visits
 from softmap_edge.alignment.map_fit import Sights, fit_map, turned_shapes
 from softmap_edge.alignment.matching import Matches, linearised, match
+from softmap_edge.alignment.rigid import Pose
 from softmap_edge.errors import CalibrationError
 from softmap_edge.leaning import gravity_seen, leans
 from softmap_edge.outside import elsewhere, unlike
 from softmap_edge.registration.register import register
 from softmap_edge.run import Run, known
-from softmap_edge.ticks import Calibration
+from softmap_edge.ticks import LARGEST, Calibration
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -44,6 +47,7 @@ KNOWN = 3.0  # standard deviations of its smallest stretch that A must have, to 
 FAR = 0.1  # of the robot's length: shapes that are off by more, mean absolute error, are no shapes of this model
 BLOCKS = 5  # parts of the held commands, in the order they were first met, where a run labels no blocks
 LEANING = 5.0  # deg between the orientations of run and model from which that is worth a word
+BASE_ROUNDS = 4  # of finding base and map in turn
 UNEXPLAINED = 1.5  # times what the matches leave of the shapes, from which an error held out is worth a word
 SET_ASIDE = 0.2  # share of held commands that do not belong, from which that is worth a word
 
@@ -123,6 +127,8 @@ def calibrate(
 ) -> Calibrated:
     """Find what the ticks of a run are in commands of a model.
 
+    A base that clearly stands off the frame of a run of clouds is taken out first, and told.
+
     Args:
         model: of this robot, without effects: they come after the calibration.
         run: with `ticks` (T, C) and vertices, markers or clouds at K frames, best at rest, on both sides of home.
@@ -135,6 +141,26 @@ def calibrate(
     Raises:
         CalibrationError: no ticks, too few or no independent held commands, shapes that are not this model's.
     """
+    found, there = _calibrated(model, run, home, window, refine), run
+    for _ in range(BASE_ROUNDS if refine else 0):  # a base that stands off bends the map, which then hides some of it
+        there, off = in_base(there, found.model)
+        if off is None:
+            break
+        found = _calibrated(model, there, home, window, refine)
+    if there is run or there.frame is None:
+        return found
+    before = Pose(np.eye(3), np.zeros(3)) if run.frame is None else Pose(run.frame[:, :3], run.frame[:, 3])
+    told = base_stood_off(Pose(there.frame[:, :3], there.frame[:, 3]).after(before.inverse()))
+    calibration = replace(found.calibration, run=run.hash())
+    made: dict[str, Any] = {**found.model.made_from, "calibration": run.hash()}
+    whole = replace(found.model, calibration=calibration, made_from=made)
+    return replace(found, model=whole, calibration=calibration, warnings=[told, *found.warnings])
+
+
+def _calibrated(
+    model: Model, run: Run, home: Sequence[float] | None, window: tuple[float, float] | None, refine: bool
+) -> Calibrated:
+    """Calibrate with a run in the base frame."""
     _check(model, run)
     shown = run if run.points is None else register(model, run).run(run)
     ticks, notes = _ticks(model, shown), list[str]()
@@ -146,6 +172,8 @@ def calibrate(
     origin = _home(shown, ticks, seen, held) if home is None else np.asarray(home, float).reshape(-1)
     if origin.shape != (model.channels,):
         raise CalibrationError(f"--home: {len(origin)} numbers, {model.channels} servos; give the ticks of each")
+    if not np.all(np.abs(origin) <= LARGEST):
+        raise CalibrationError(f"--home: {origin.tolist()} ticks, allowed are numbers within ±{LARGEST:g}")
     _check_design(held, int(matches.edge.sum()), int(len(usable)))
     found, turned, plain = _fit(held, origin), list[Departure](), matches
     if refine:
@@ -204,18 +232,21 @@ def _ticks(model: Model, run: Run) -> Floats:
 
 
 def _home(run: Run, ticks: Floats, seen: Seen, held: Held) -> Floats:
-    """Return the ticks of the place that was dwelt at most often, of several the first."""
+    """Return the ticks of the place that was dwelt at most often, of several that where the model acts least."""
     if not len(held):
         return np.zeros(ticks.shape[1])
     count = visits(run, ticks, seen) if seen.still else np.zeros(int(held.place.max()) + 1)
-    return np.asarray(held.ticks[int(np.argmax(count[held.place]))])
+    often = np.flatnonzero(count[held.place] == count[held.place].max())
+    return np.asarray(held.ticks[often[np.argmin(np.linalg.norm(held.u[often], axis=1))]])
 
 
 def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
     """Say what may be wrong with the matches; refuse shapes that are none of this model."""
     found = matches.mae_mm[np.isfinite(matches.mae_mm)]
+    if not len(found):
+        raise CalibrationError(f"none of {len(matches.mae_mm)} frames shows enough of the robot; show more of it")
     length = float(np.linalg.norm(model.rest, axis=1).max())
-    mae = float(np.median(found)) if len(found) else np.inf
+    mae = float(np.median(found))
     if mae > FAR * length:
         raise CalibrationError(
             f"the nearest shapes of '{model.robot}' are {mae:.3g} mm off (median of {len(found)} frames), "

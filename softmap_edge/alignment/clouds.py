@@ -1,9 +1,10 @@
 """Where the base stands in the frame of clouds: a rigid pose that all frames share, told by the body near the clamp.
 
-    min Σ_k Σ_i ρ(|q_i − S_k|),  q = R p + t    p: points of cloud k near the base, S_k: the surface at its command
+    min Σ_k Σ_i ρ(|q_i − S_k|),  q = R p + t    p: points of cloud k near the base, S_k: the surface at u_k + Δu
 
 Near the clamp a finger hardly bends, whatever the model lacks; a base that stands elsewhere moves all of that alike.
-Roll and height stay as they are: a round body shows neither. Groups of frames say how well the others are known.
+A command that is off by a constant bends it there too, and is fitted beside the pose. Roll and height stay as they
+are: a round body shows neither. Groups of frames say how well the others are known.
 Units: mm, rad; degrees in what is told.
 Limit: what the model lacks within ZONE of the clamp is taken for the frame. Pinned by tests/test_align.py.
 """
@@ -21,6 +22,7 @@ from softmap_edge.alignment.checks import student
 from softmap_edge.alignment.result import Alignment
 from softmap_edge.alignment.rigid import Pose, jacobian, rotation, rotation_vector
 from softmap_edge.errors import AlignError
+from softmap_edge.leaning import priors_in
 from softmap_edge.registration.clouds import clouds_of
 
 if TYPE_CHECKING:
@@ -60,6 +62,7 @@ def align_clouds(run: Run, model: Model) -> Alignment:
     near = model.rest[:, 2] <= low + WIDER * ZONE * height
     numbers = np.cumsum(near) - 1
     triangles = numbers[model.triangles[near[model.triangles].all(axis=1)]].tolist()
+    slopes = _slopes(model, few)[:, near]
     surfaces = [_core.Surface(np.ascontiguousarray(shape[near]), triangles) for shape in shapes]
     zone = low + RIM * height, low + ZONE * height
     within = model.rest[(model.rest[:, 2] >= zone[0]) & (model.rest[:, 2] <= zone[1])]
@@ -74,7 +77,8 @@ def align_clouds(run: Run, model: Model) -> Alignment:
         )
     pose, step = Pose(np.eye(3), np.zeros(3)), np.zeros(6)
     for _ in range(ROUNDS):
-        rows = [_row(pose(cloud), surface, centre, reach) for cloud, surface in zip(clouds, surfaces)]
+        each = zip(clouds, surfaces, shapes[:, near], slopes)
+        rows = [_row(pose(cloud), surface, shape, by, centre, reach) for cloud, surface, shape, by in each]
         found = _Normal.of(rows)
         step = found.step()
         more = rotation(step[:3] / reach)
@@ -110,9 +114,19 @@ def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
     return (found.apply(run), found) if clear else (run, None)
 
 
+def base_stood_off(pose: Pose) -> str:
+    """Say that clouds were taken by a pose into the frame of their base, and what to do with others."""
+    turn, shift = np.degrees(rotation_vector(pose.rotation)), pose.shift
+    turned, shifted = (", ".join(f"{v + 0.0:.2f}" for v in numbers) for numbers in (turn, shift))
+    return (
+        f"the base stands off the frame of the clouds: these were turned by ({turned}) deg and shifted by ({shifted}) "
+        "mm first; do so with every run: softmap align RUN --base clamped --bundle CALIBRATED --out RUN2"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """Normal equations of groups of frames: `bends` (G, 6, 6), `pulls` (G, 6), in mm at the rim of the zone."""
+    """Normal equations of G groups of frames for 6 + C numbers: turns and shifts in mm at the rim, then commands."""
 
     bends: Floats
     pulls: Floats
@@ -124,7 +138,8 @@ class _Normal:
         distance = np.concatenate([d for d, _ in rows])
         scatter = max(TO_SIGMA * float(np.median(distance)), 1e-9)
         groups = np.array_split(np.arange(len(rows)), min(GROUPS, len(rows)))
-        bends, pulls = np.zeros((len(groups), 6, 6)), np.zeros((len(groups), 6))
+        size = rows[0][1].shape[1]
+        bends, pulls = np.zeros((len(groups), size, size)), np.zeros((len(groups), size))
         for g, group in enumerate(groups):
             d, j = (np.concatenate([rows[k][i] for k in group]) for i in (0, 1))
             weight = (1.0 - np.minimum(d / (TUKEY * scatter), 1.0) ** 2) ** 2
@@ -134,21 +149,23 @@ class _Normal:
 
     @property
     def inverse(self) -> Floats:
-        """The inverse (6, 6) of the whole matrix in the directions that are told."""
-        whole = np.zeros((6, 6))
-        whole[np.ix_(TOLD, TOLD)] = np.linalg.pinv(self.bends.sum(axis=0)[np.ix_(TOLD, TOLD)], hermitian=True)
+        """The inverse of the whole matrix in the directions that are told, and for commands."""
+        whole = np.zeros(self.bends.shape[1:])
+        told = np.ix_(*[[*TOLD, *range(6, len(whole))]] * 2)
+        whole[told] = np.linalg.pinv(self.bends.sum(axis=0)[told], hermitian=True)
         return whole
 
     def step(self) -> Floats:
         """Return the step (6,) of Gauss and Newton."""
-        return np.asarray(self.inverse @ self.pulls.sum(axis=0), np.float64)
+        return np.asarray(self.inverse @ self.pulls.sum(axis=0), np.float64)[:6]
 
     def covariance(self) -> Floats:
         """Return the covariance (6, 6) by the noise and by how the groups differ."""
         count = len(self.pulls)
         apart = self.pulls - self.pulls.mean(axis=0)
         wander = self.inverse @ (apart.T @ apart) @ self.inverse * count / max(count - 1, 1)
-        return np.asarray(self.scatter**2 * self.inverse + student(max(count - 1, 1)) ** 2 * wander, np.float64)
+        whole = self.scatter**2 * self.inverse + student(max(count - 1, 1)) ** 2 * wander
+        return np.asarray(whole[:6, :6], np.float64)
 
 
 def _near(cloud: Floats, surface: _core.Surface, centre: Floats, reach: float, zone: tuple[float, float]) -> Floats:
@@ -161,11 +178,27 @@ def _near(cloud: Floats, surface: _core.Surface, centre: Floats, reach: float, z
     return np.ascontiguousarray(some[:: max(1, len(some) // POINTS)])
 
 
-def _row(points: Floats, surface: _core.Surface, centre: Floats, reach: float) -> tuple[Floats, Floats]:
-    """Return the distances (m,) mm of points from a surface, and their slopes (m, 6) by a turn and a shift."""
+def _slopes(model: Model, run: Run) -> Floats:
+    """Return what commands do to the vertices (K, N, 3, C) of each frame."""
+    u = np.ascontiguousarray(model.acting(model.chain_names, model.chain_params[None], run)[0])
+    slopes = np.empty((len(u), *model.rest.shape, model.channels))
+    for rows, family in priors_in(model, run):
+        slopes[rows] = np.asarray(family.jacobian(np.ascontiguousarray(u[rows]))).reshape(-1, *slopes.shape[1:])
+    return slopes
+
+
+def _row(
+    points: Floats, surface: _core.Surface, vertices: Floats, slopes: Floats, centre: Floats, reach: float
+) -> tuple[Floats, Floats]:
+    """Return the distances (m,) mm of points from a surface, and their slopes (m, 6 + C) by turn, shift and commands.
+
+    vertices, slopes: those (N, 3) of the surface, and what commands do to them (N, 3, C).
+    """
     if not len(points):
-        return np.zeros(0), np.zeros((0, 6))
+        return np.zeros(0), np.zeros((0, 6 + slopes.shape[2]))
     places, distance = surface.nearest(np.ascontiguousarray(points))
     away = (points - places) / np.maximum(distance, 1e-12)[:, None]
     arm = points - centre
-    return distance, np.concatenate([np.cross(arm, away) / reach, away], axis=1)
+    nearest = np.argmin(np.linalg.norm(places[:, None] - vertices, axis=2), axis=1)
+    by_command = -np.einsum("mx,mxc->mc", away, slopes[nearest])
+    return distance, np.concatenate([np.cross(arm, away) / reach, away, by_command], axis=1)

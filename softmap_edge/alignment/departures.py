@@ -177,7 +177,7 @@ def _told(
         late = "" if held.still else ", or a delay, since frames are taken in motion"
         sentence = (
             f"memory: the same ticks act {apart:.2g} {unit} apart on the way up and on the way down ({gain}): play, "
-            f"friction or hysteresis{late}, which no map of ticks has: A and b are those between the two ways, and "
+            f"friction or hysteresis{late}. No map of ticks remembers: A and b are those between the two ways, and "
             "`softmap diagnose` with the new bundle names it"
         )
     else:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.affine import SETTLED, TUKEY, WIDER, weights
-from softmap_edge.alignment.departures import CLEAR, WORTH, Departure
+from softmap_edge.alignment.departures import CLEAR, Departure
 from softmap_edge.alignment.held import Held, Seen
 from softmap_edge.alignment.matching import Shapes, weighted
 from softmap_edge.leaning import priors_in
@@ -109,16 +109,18 @@ def turned_shapes(sights: Sights, start: Floats, blocks: list[Mask]) -> list[Dep
                 error[int(turned), test] = sights.error_of(fit_map(sights, start, turned, ~test))[test]
     found = fit_map(sights, start, True, np.ones(sights.rows, bool))
     good = np.flatnonzero((found.weight > 0) & np.isfinite(error).all(axis=0))
+    if len(good) < 2:
+        return []
     gain = error[0, good] ** 2 - error[1, good] ** 2
     before, after = (float(np.sqrt(np.mean(e**2))) for e in error[:, good])
-    clear = gain.mean() > CLEAR * gain.std() / np.sqrt(len(gain)) and 1.0 - after / max(before, EXACT) > WORTH
+    clear = gain.mean() > CLEAR * gain.std() / np.sqrt(len(gain)) and before > EXACT
     if not clear or abs(found.turn) < CLEAR * found.turn_sigma:
         return []
     size, sigma = np.degrees(found.turn), np.degrees(found.turn_sigma)
     sentence = (
-        f"turned: all shapes stand {size:+.1f} ± {sigma:.1f} deg about the axis of the base from where the map puts "
+        f"turned: all shapes stand {size:+.2f} ± {sigma:.2g} deg about the axis of the base from where the map puts "
         f"them (held-out error {before:.2g} → {after:.2g} mm RMS of shape): tendons routed elsewhere about the axis, "
-        "or the roll of the frame. A and b are those beside the turn, which no map of ticks has, and `softmap "
+        "or the roll of the frame. No map of ticks turns shapes: A and b are those without the turn, and `softmap "
         "diagnose` with the new bundle names it"
     )
     away = sights.design[np.flatnonzero(sights.row == good[np.argmax(gain)])[0], :-1]

@@ -73,8 +73,8 @@ class Row:
         several), the worst frame, and what was told.
         """
         found = {
-            f"{name}_mm": {"mean": float(e.mean()), "sd": float(e.std(axis=1).mean()),
-                           "sd_of_seeds": float(e.mean(axis=1).std(ddof=1)) if len(e) > 1 else None,
+            f"{name}_mm": {"mean": float(np.nanmean(e)), "sd": float(np.nanstd(e, axis=1).mean()),
+                           "sd_of_seeds": float(np.nanmean(e, axis=1).std(ddof=1)) if len(e) > 1 else None,
                            "worst": float(e[0].max()), "worst_frame": int(e[0].argmax())}
             for name, e in self.errors.items()
         }  # fmt: skip
@@ -133,8 +133,9 @@ class Recording:
             "chamfer": [_chamfer(s, c) for s, c in zip(shapes, self.clouds)],
             "surface": [_to_surface(s, c, triangles) for s, c in zip(shapes, self.clouds)],
         }
-        if body:
-            found["visible"] = [_chamfer(s, c, v) for s, c, v in zip(shapes, self.clouds, self.visible)]
+        if body and self.visible.any():
+            each = zip(shapes, self.clouds, self.visible)
+            found["visible"] = [_chamfer(s, c, v) if v.any() else np.nan for s, c, v in each]  # NaN: a doubtful frame
         if self.truth is not None:
             found["whole"] = [_chamfer(s, t) for s, t in zip(shapes, self.truth)]
         if self.truth is not None and body:
@@ -198,7 +199,7 @@ def halfway(model: Model, u: Floats, finger: Finger) -> tuple[Floats, Floats]:
 def fall(before: Row, after: Row) -> dict[str, float]:
     """Return by what share each error that both rows have fell from one to the other, of its mean."""
     return {
-        name: 1.0 - float(after.errors[name].mean() / before.errors[name].mean())
+        name: 1.0 - float(np.nanmean(after.errors[name]) / np.nanmean(before.errors[name]))
         for name in before.errors
         if name in after.errors
     }

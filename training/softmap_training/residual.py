@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from softmap_edge import _core
-from softmap_edge.alignment.clouds import in_base
+from softmap_edge.alignment.clouds import base_stood_off, in_base
 from softmap_edge.folds import run_folds
 from softmap_edge.model import Model
 from softmap_edge.outside import span
@@ -153,7 +153,7 @@ def train_residual(
         "held_out_before_mm": _off(frames, held, np.zeros_like(delta)),
         "held_out_after_mm": after,
         "parity_mm": apart,
-        "base_stood_off": None if stood is None else stood.to_dict(),
+        "base_stood_off": None if stood is None else base_stood_off(stood.pose),
         "command_range": span(frames.commands),
     }
     found = base.with_residual({"onnx": np.frombuffer(content, np.uint8)})

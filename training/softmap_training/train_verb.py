@@ -126,10 +126,5 @@ def _told(document: dict[str, Any]) -> str:
             f"frames; moves what the clamp holds by {document['clamp_moves_mm']:.2f} mm"
         )
         if document["base_stood_off"] is not None:
-            pose = document["base_stood_off"]["transform"]
-            turn, shift = (", ".join(f"{v:.2f}" for v in pose[key]) for key in ("turn_deg", "shift_mm"))
-            lines.append(
-                f"  look at: the base stood off the frame of the clouds, and was turned by ({turn}) deg and shifted by "
-                f"({shift}) mm; bring every run into the base frame: softmap align RUN --base clamped"
-            )
+            lines.append(f"  look at: {document['base_stood_off']}")
     return "\n".join(lines)
