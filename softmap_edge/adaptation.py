@@ -102,7 +102,8 @@ class Adaptation:
 def _of_residual(told: dict[str, Any], kept: bool) -> str:
     if "why" in told:
         return f"no residual: {told['why']}"
-    line = f"residual of {told['size_mm']:.2f} mm RMS over the command, learned from {told['frames']} frames"
+    every = "" if told["frames"] == told["of_frames"] else f" of {told['of_frames']}"
+    line = f"residual of {told['size_mm']:.2f} mm RMS over the command, learned from {told['frames']}{every} frames"
     return line if kept else f"{line}: left out, it lowers nothing that was held out"
 
 

@@ -49,9 +49,9 @@ def beyond(model: Model, run: Run) -> list[str]:
 
 def untaught(model: Model, run: Run) -> list[str]:
     """Return a sentence for the trained prior, and one for the residual, that a run takes beyond what taught it."""
-    learned = {"network": model.kind == "network" and "prior", "residual": model.residual is not None and "residual"}
-    ranges = {what: _taught(model, key) for what, key in learned.items() if key}
-    known = {what: found for what, found in ranges.items() if found is not None}
+    learned = {"prior": True, "residual": model.residual is not None}
+    ranges = {part: _taught(model, part) for part, there in learned.items() if there}
+    known = {part: found for part, found in ranges.items() if found is not None}
     if not known or not run.frames:
         return []
     if model.chain_names:

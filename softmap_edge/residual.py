@@ -75,6 +75,7 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, dict[
     found = base.with_residual(arrays)
     report = {
         "frames": len(missed),
+        "of_frames": sum(one.frames for one in runs),
         "modes": count,
         "size_mm": _rms(family_from(arrays).evaluate(commands)),
         "before_rms_mm": _rms(missed, seen),

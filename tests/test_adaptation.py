@@ -66,6 +66,16 @@ def test_the_true_vertices_are_nearer_by_more_than_four_fifths_of_what_can_go(ad
     assert adapted.before.calibration is not None and not adapted.before.chain_names
 
 
+def test_on_paths_with_memory_a_residual_does_not_help():
+    protocols = standard_protocol(2), virtual_protocol("paths", 3, Limits.of(MODEL.command_range))
+    finger = hide(["backlash"], 1)
+    run, paths = (finger.measure(thinned(protocol, every)) for protocol, every in zip(protocols, (3, 9)))
+    found = adapt(MODEL, run, held_out=paths)
+    stood, residual, physics, both = (found.error[way] for way in WAYS)
+    assert residual > 0.9 * stood and physics < 0.3 * stood and both < 1.05 * physics, found.error
+    assert found.model.chain_names == ("backlash",)
+
+
 def test_the_document_holds_every_step(adapted):
     document = json.loads(json.dumps(adapted.to_dict()))
     assert document["schema"] == "softmap.adaptation/1"

@@ -10,9 +10,11 @@ pytest.importorskip("torch")
 from softmap_training import choices, encodings
 from softmap_training.baselines import NAMES, fit_baseline
 from softmap_training.errors import TrainingError
-from softmap_training.prior import Surface, train_prior, vertex_error
+from softmap_training.evaluate import told_these
+from softmap_training.prior import Surface, fit_prior, train_prior, vertex_error, with_prior
 
-from softmap_edge import builtin_model
+from softmap_edge import Run, builtin_model, load_bundle, save_bundle
+from softmap_edge.solid.simulator import tensor_grid
 
 BASE = builtin_model()
 LOW, HIGH = BASE.command_range.T
@@ -81,6 +83,31 @@ def test_a_baseline_learns_and_the_same_seed_gives_the_same(name, monkeypatch):
     else:
         assert vertex_error(found, POINTS[TEST]) < (0.6 if name == "xgboost" else 0.1) * MEAN
     np.testing.assert_array_equal(found, fit_baseline(name, COMMANDS[TRAIN], POINTS[TRAIN]).predict(COMMANDS[TEST]))
+
+
+@pytest.mark.parametrize("name", ["table", "gp", "xgboost"])
+def test_a_regressor_joins_a_bundle_as_a_table_of_its_own_values(name, tmp_path):
+    if name == "xgboost" and importlib.util.find_spec("xgboost") is None:
+        pytest.skip("xgboost-cpu is not installed")
+    made = fit_prior(BASE, COMMANDS, POINTS, (TRAIN, TEST[:20], TEST[20:]), name)
+    model = load_bundle(save_bundle(with_prior(BASE, made, COMMANDS[TEST[20:]], POINTS[TEST[20:]]), tmp_path / name))
+    assert model.kind == "table" and model.made_from["prior"]["kind"] == name
+    assert not told_these(model, tensor_grid(model.prior.axes))  # taught by a part, it is judged on the rest
+    nodes = tensor_grid(model.prior.axes)[::17]
+    alone = fit_baseline(name, COMMANDS[TRAIN], POINTS[TRAIN]).predict(nodes)
+    np.testing.assert_allclose(model.prior.evaluate(nodes), alone, atol=2e-3)
+    found = vertex_error(np.asarray(model.prior.evaluate(COMMANDS[TEST[20:]])), POINTS[TEST[20:]])
+    assert found == pytest.approx(made.report["test_vertex_mm"], rel=1e-3) and found < 0.6 * MEAN
+    t = np.arange(8.0)
+    run = Run(t=t, command=COMMANDS[:8], t_seen=t)
+    assert np.isfinite(model.with_effects(("payload",), {"payload.mass": 10.0}).predict(run)).all()
+
+
+def test_what_is_no_prior_is_said():
+    with pytest.raises(TrainingError, match="no vertices"):
+        fit_prior(BASE, COMMANDS, POINTS, (TRAIN, TEST[:20], TEST[20:]), "deepsoro")
+    with pytest.raises(TrainingError, match="same finger"):
+        fit_prior(BASE, COMMANDS[:, :1], POINTS, (TRAIN, TEST[:20], TEST[20:]), "gp")
 
 
 def test_a_baseline_that_there_is_not_is_said():

@@ -227,7 +227,7 @@ def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_told(files,
     outside = ((test < low - 0.05 * (high - low)) | (test > high + 0.05 * (high - low))).any(axis=1)
     assert 0 < outside.sum() < len(test)
     (said,) = json.loads(capsys.readouterr().out)["warnings"]
-    assert f"{outside.sum()} of {len(test)} frames ({100 * outside.mean():.0f} %) leave what taught the network" in said
+    assert f"{outside.sum()} of {len(test)} frames ({100 * outside.mean():.0f} %) leave what taught the prior" in said
     # Of a recording, by the residual that it teaches.
     run, _ = recorded(40, 1)
     run.at(np.flatnonzero((np.abs(run.command) < 5.0).all(axis=1))).save("narrow.npz")

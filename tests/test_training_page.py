@@ -38,3 +38,6 @@ def test_every_command_works_and_both_errors_fall(tmp_path, monkeypatch):
         np.linalg.norm(load_bundle(name).predict(run) - truth, axis=2).mean() for name in ("calibrated", "corrected")
     ]
     assert off[1] < 0.8 * off[0], off
+    assert main(["train", "prior", "sim.zarr", "--model", "gp", "--bundle", "calibrated", "--out", "gp"]) == 0
+    assert load_bundle("gp").kind == "table" and load_bundle("gp").calibration is not None
+    assert main(["train", "prior", "sim.zarr", "--model", "deepsoro", "--out", "d"]) == 2

@@ -161,7 +161,7 @@ def _played(args: argparse.Namespace, model: Any) -> str:
     if args.protocol:
         return f"; on the virtual finger: `softmap record {args.out} --sim --virtual --out new.npz --truth truth.npz`"
     line = f"softmap record {args.out} --sim{bundle} --out new.npz"
-    return f"; on the simulated finger: `{line}` (with the --hide and --seed of the runs before)"
+    return f"; on the simulated finger: `{line}` (with the --hide or --virtual and the --seed of the runs before)"
 
 
 def _limits(args: argparse.Namespace, model: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Regressors that no bundle holds, to stand beside the networks: commands (n, C) mm to points (n, 3N) mm.
+"""Regressors to stand beside the networks: commands (n, C) mm to points (n, 3N) mm.
 
 xgboost    gradient-boosted trees to the weights of the leading modes of the training shapes (Chen & Guestrin 2016)
 gp         a Gaussian process on each mode: squared-exponential kernel, a length for each command, one noise; lengths
@@ -70,7 +70,7 @@ def fit_baseline(
         bodies = list(points.reshape(len(points), -1, 3))
         made = fit_deepsoro(commands, bodies, len(bodies[0]), seed, None, epochs, folder, told)
         return Fitted(name, made.predict, made.seconds, made.numbers, made.triangles)
-    mean, modes, weights = _modes(points)
+    mean, modes, weights = reduced(points)
     fits = {"xgboost": _xgboost, "gp": _gp, "table": _table}
     regress, numbers = fits[name](commands, weights, seed)
 
@@ -83,7 +83,8 @@ def fit_baseline(
 Regressor = tuple[Callable[[Floats], Floats], int]
 
 
-def _modes(points: Floats) -> tuple[Floats, Floats, Floats]:
+def reduced(points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return mean (3N,), leading modes (m, 3N) and weights (S, m) of points (S, 3N)."""
     mean = points.mean(axis=0)
     left, size, modes = np.linalg.svd(points - mean, full_matrices=False)
     keep = choices.PRIOR_MODES

@@ -173,8 +173,11 @@ def on_shapes(
 
 
 def told_these(model: Model, u: Floats) -> bool:
-    """Return whether a model is a table whose own nodes all these commands (n, C) are: it was told their shapes."""
-    if not isinstance(model.prior, _core.Table) or not len(u):
+    """Return whether a model is a table whose own nodes all these commands (n, C) are: it was told their shapes.
+
+    One that was learned has the nodes, but was taught by the training part alone.
+    """
+    if not isinstance(model.prior, _core.Table) or not len(u) or "prior" in model.made_from:
         return False
     return all(np.abs(u[:, c, None] - axis).min(axis=1).max() < NODE_MM for c, axis in enumerate(model.prior.axes))
 

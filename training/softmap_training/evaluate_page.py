@@ -17,18 +17,11 @@ from softmap_edge.report.numbers import mm
 from softmap_edge.report.style import PAGE, cards, escaped, picture, section
 from softmap_edge.whole_file import write_whole
 from softmap_training.evaluate import FALLS, Row
-from softmap_training.evaluate_text import PAPER, RECORDED, SIMULATED, TOLD, cell, cost, samples, there, title
+from softmap_training.evaluate_text import MEANING, PAPER, RECORDED, SIMULATED, TOLD, cell, cost, samples, there, title
 
 Document = Mapping[str, Any]
 
 OTHER = "grey: the paper's figures, of other data"
-MEANING = {
-    "chamfer": "chamfer: prediction to target + target to prediction, unsquared",
-    "visible": "visible: the same, of the vertices alone that registration finds in the cloud",
-    "surface": "surface: from the points of the cloud to the predicted surface (one-sided)",
-    "whole": "whole body: Chamfer to the true vertices, unseen sides too",
-    "vertex": "vertex: from each vertex to its true place",
-}
 
 
 def write_page(

@@ -12,6 +12,13 @@ Document = Mapping[str, Any]
 PAPER = (("deepsoro", "DeepSoRo"), ("without residual", "without residual"), ("with residual", "with residual"))
 SIMULATED, RECORDED = ("chamfer", "vertex"), ("chamfer", "visible", "surface", "whole", "vertex")
 TOLD = {"whole": "whole body"}  # what a column is called, where that is not its key
+MEANING = {
+    "chamfer": "chamfer: prediction to target + target to prediction, unsquared",
+    "visible": "visible: the same, of the vertices alone that registration finds in the cloud",
+    "surface": "surface: from the points of the cloud to the predicted surface (one-sided)",
+    "whole": "whole body: Chamfer to the true vertices, unseen sides too",
+    "vertex": "vertex: from each vertex to its true place",
+}
 NAME, CELL, SHARE = 32, 17, 12
 
 
@@ -27,6 +34,8 @@ def lines(document: Document) -> list[str]:
             one = document["paper"]["recorded"][name]["chamfer_mm"]
             cells = f"{mm(one['mean'])} ± {mm(one['sd'])}"
             found.append(f"  {'   the paper: ' + said:<{wide}}{cells:>{CELL}}   other data")
+    rows = [*document["simulated"], *document["recorded"]]
+    found += ["", *(f"  {MEANING[error]}" for error in there(rows, RECORDED))]
     if document["falls"]:
         found += _falls(document["falls"])
     if document["samples"]:

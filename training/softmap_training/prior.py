@@ -6,6 +6,7 @@ modes       ours: weights of the leading modes of the training shapes, all in on
 published   the paper's, each output by its own mean and spread; also without its dropout
 laplacian, arap   the paper's layers to the shapes as `encodings.py` tells them, each number by its own mean and spread
 linear      least squares, no training
+table, gp, xgboost   regressors (`baselines.py`), as a table over the axes of the bundle: that is what is judged
 
 Errors are told on the test part of one frozen split, at commands that are not in the training part. The rest of the
 bundle (fields, tendons, effects) stays as it was; a residual goes, it was learned on another prior. Units: mm.
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -24,10 +25,13 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from softmap_edge import _core
-from softmap_edge.model import Model
+from softmap_edge.model import Arrays, Model
+from softmap_edge.npz import unpacked
 from softmap_edge.outside import span
 from softmap_edge.registration.register import clamped
-from softmap_training import encodings
+from softmap_edge.shape_arrays import family_from
+from softmap_edge.solid.simulator import tensor_grid
+from softmap_training import baselines, encodings
 from softmap_training.choices import PRIOR, PRIOR_MODES, PRIOR_WIDTHS, PUBLISHED_PRIOR, PriorKind, Recipe
 from softmap_training.errors import TrainingError
 from softmap_training.export import checked, to_onnx
@@ -38,6 +42,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 PUBLISHED_DROPOUT = 0.1
+NODES = 41  # of an axis, where a bundle has none
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +65,19 @@ class Trained:
 
     network: nn.Sequential
     content: bytes
+    report: dict[str, Any]
+
+    @property
+    def arrays(self) -> Arrays:
+        """What a bundle keeps of it."""
+        return {"onnx": np.frombuffer(self.content, np.uint8)}
+
+
+@dataclass(frozen=True)
+class Tabulated:
+    """A regressor as the arrays of a table, and what is told about it."""
+
+    arrays: Arrays
     report: dict[str, Any]
 
 
@@ -117,15 +135,51 @@ def train_prior(
         "kind": kind,
         "seed": recipe.seed,
         "epochs": len(log),
+        "planned_epochs": len(log) if kind == "linear" else recipe.epochs,
         "seconds": sum(row["seconds"] for row in log),
         "parameters": core.parameters,
-        "samples": len(train),
-        "command_range": span(commands[train]),
-        "test_vertex_mm": vertex_error(core.evaluate(commands[test]), points[test]),
-        "test_rms_mm": rms(core.evaluate(commands[test]) - points[test]),
         "parity_mm": apart,
+        **_judged(commands[train], core.evaluate(commands[test]), points[test]),
     }
     return Trained(network, content, report)
+
+
+def fit_prior(
+    base: Model, commands: Floats, points: Floats, parts: tuple[Indices, Indices, Indices], kind: str, seed: int = 0
+) -> Tabulated:
+    """Fit a regressor from commands (S, C) mm to points (S, 3N) mm, and tabulate it at the nodes of a model's axes.
+
+    Raises:
+        TrainingError: its points are no vertices, another finger's set, or what it needs is not installed.
+    """
+    if kind == "deepsoro":
+        raise TrainingError(
+            "the points of 'deepsoro' are no vertices, so it is no prior of a bundle; judge it with "
+            "`softmap evaluate --set SET --model deepsoro`"
+        )
+    _fits(base, commands.shape[1], points.shape[1])
+    train, _, test = parts
+    fitted = baselines.fit_baseline(cast(baselines.Name, kind), commands[train], points[train], seed)
+    told = unpacked(base.arrays["prior"])
+    axes = [np.asarray(told[f"axis{c}"], np.float64) for c in range(base.channels) if f"axis{c}" in told]
+    axes = axes or [np.linspace(low, high, NODES) for low, high in base.command_range]
+    mean, modes, weights = baselines.reduced(fitted.predict(tensor_grid(axes)))
+    arrays: Arrays = {f"axis{c}": axis for c, axis in enumerate(axes)}
+    arrays |= {"mean": mean.astype(np.float32), "modes": modes.astype(np.float32)}
+    arrays |= {"coefficients": weights.astype(np.float32)}
+    found = family_from(arrays).evaluate(commands[test])
+    report = {"kind": kind, "seed": seed, "seconds": fitted.seconds, "parameters": fitted.numbers}
+    return Tabulated(arrays, report | _judged(commands[train], found, points[test]))
+
+
+def _judged(taught: Floats, found: Floats, points: Floats) -> dict[str, Any]:
+    """Return what is told of a prior by the commands that taught it, and what it makes of the test part."""
+    return {
+        "samples": len(taught),
+        "command_range": span(taught),
+        "test_vertex_mm": vertex_error(found, points),
+        "test_rms_mm": rms(found - points),
+    }
 
 
 def _made(
@@ -158,38 +212,42 @@ def _normalised(last: Any, values: Floats) -> Floats:
     return np.asarray((values - last.shift.numpy()) / last.size.numpy())
 
 
-def with_prior(base: Model, trained: Trained, commands: Floats, points: Floats) -> Model:
+def with_prior(base: Model, trained: Trained | Tabulated, commands: Floats, points: Floats) -> Model:
     """Return a bundle's model with a trained prior in place of its own; `commands` and `points` judge it (test part).
 
-    Its own error grows by that of the network, in squares.
+    Its own error grows by that of what was trained, in squares.
 
     Raises:
-        TrainingError: the network is of other commands or points than the model.
+        TrainingError: the prior is of other commands or points than the model.
     """
-    core = _core.Network(trained.content)
-    if core.size != base.rest.size or core.channels != base.channels or base.kind == "rod":
-        raise TrainingError(
-            f"the network maps {core.channels} commands to {core.size // 3} points, the bundle of '{base.robot}' "
-            f"({base.kind}) {base.channels} to {len(base.rest)}; train it on a sweep of the same finger"
-        )
+    core = family_from(trained.arrays)
+    _fits(base, core.channels, core.size)
     base = base.with_residual(None)
     kept = {
         name: array
         for name, array in base.arrays["prior"].items()
         if name.startswith("axis") or name.removesuffix("_step") == "pull"
     }
-    arrays = dict(base.arrays) | {"prior": kept | {"onnx": np.frombuffer(trained.content, np.uint8)}}
+    arrays = dict(base.arrays) | {"prior": kept | dict(trained.arrays)}
     missed = (core.evaluate(commands) - points).reshape(len(points), -1, 3)
     own = np.sqrt(np.mean(base.feature_map(missed) ** 2, axis=0))
     return replace(
         base,
-        kind="network",
+        kind="network" if isinstance(core, _core.Network) else "table",
         prior=core,
         arrays=arrays,
         form_error=np.hypot(base.form_error, own),
         vertex_error_mm=float(np.hypot(base.vertex_error_mm, rms(missed.reshape(len(points), -1)))),
         made_from=dict(base.made_from) | {"prior": trained.report},
     )
+
+
+def _fits(base: Model, channels: int, size: int) -> None:
+    if size != base.rest.size or channels != base.channels or base.kind == "rod":
+        raise TrainingError(
+            f"the prior maps {channels} commands to {size // 3} points, the bundle of '{base.robot}' "
+            f"({base.kind}) {base.channels} to {len(base.rest)}; train it on a sweep of the same finger"
+        )
 
 
 def vertex_error(found: Floats, points: Floats) -> float:

@@ -146,6 +146,7 @@ def train_residual(
         "kind": kind,
         "seed": recipe.seed,
         "epochs": len(log),
+        "planned_epochs": recipe.epochs,
         "seconds": seconds,
         "frames": len(frames),
         "size_mm": float(np.sqrt(np.mean(np.sum(delta**2, axis=2)))),

@@ -10,6 +10,7 @@ from typing import Any, get_args
 from softmap_edge.commands.output import bundle_arguments, check_bundle
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
+from softmap_training.baselines import NAMES as BASELINES
 from softmap_training.choices import PriorKind, ResidualKind
 from softmap_training.errors import TrainingError
 
@@ -22,9 +23,10 @@ def train_arguments(parser: argparse.ArgumentParser) -> None:
     prior = what.add_parser("prior", help="from a simulated set: commands → shapes")
     prior.add_argument("set", help="simulated shapes of `softmap sweep` (.zarr or .npz)")
     prior.add_argument(
-        "--model", choices=get_args(PriorKind), default="modes",
+        "--model", choices=(*get_args(PriorKind), *BASELINES), default="modes",
         help="ours, to a few modes (default); the paper's network, with dropout or without; its layers to Laplacian "
-        "coordinates or to rotations; least squares",
+        "coordinates or to rotations; least squares; as a table in the bundle: radial functions, a Gaussian process, "
+        "boosted trees",
     )  # fmt: skip
     residual = what.add_parser("residual", help="from a recording: what the model misses, by command")
     residual.add_argument("runs", nargs="+", metavar="run", help="recordings (.npz), clouds or vertices")
@@ -80,19 +82,22 @@ def checked_torch() -> Any:
 
 def _prior(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tuple[Any, dict[str, Any]]:
     from softmap_training import choices
-    from softmap_training.prior import Surface, train_prior, with_prior
+    from softmap_training.prior import Surface, fit_prior, train_prior, with_prior
     from softmap_training.simulated import SimulatedSet
 
     data = SimulatedSet.load(args.set)
     parts = data.split(choices.SPLIT_SEED)
     points = data.shapes(range(len(data.command))).reshape(len(data.command), -1).astype(float)
+    split, judged = (parts.train, parts.validation, parts.test), (data.command[parts.test], points[parts.test])
+    if args.model in BASELINES:
+        fitted = fit_prior(base, data.command, points, split, args.model, args.seed or 0)
+        return with_prior(base, fitted, *judged), fitted.report
     recipe = choices.PRIOR if args.model == "modes" else choices.PUBLISHED_PRIOR
     trained = train_prior(
-        data.command, points, (parts.train, parts.validation, parts.test), args.model, Surface.of(base),
-        recipe.with_(epochs=args.epochs, seed=args.seed), work, lambda share, line: bar("training", share), args.device,
-        args.tensorboard,
+        data.command, points, split, args.model, Surface.of(base), recipe.with_(epochs=args.epochs, seed=args.seed),
+        work, lambda share, line: bar("training", share), args.device, args.tensorboard,
     )  # fmt: skip
-    return with_prior(base, trained, data.command[parts.test], points[parts.test]), trained.report
+    return with_prior(base, trained, *judged), trained.report
 
 
 def _residual(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tuple[Any, dict[str, Any]]:
@@ -110,10 +115,15 @@ def _residual(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tupl
 
 def _told(document: dict[str, Any]) -> str:
     """Return what is said of a training on a terminal."""
-    lines = [
-        f"{document['bundle']}: {document['what']} network ({document['kind']}), {document['epochs']} epochs in "
-        f"{document['seconds']:.0f} s; torch, onnxruntime and the core agree to {document['parity_mm']:.1g} mm"
-    ]
+    head, took = f"{document['bundle']}: {document['what']}", f"{document['seconds']:.0f} s"
+    lines = [f"{head} table ({document['kind']}), {took}"]
+    if "parity_mm" in document:
+        done, planned = document["epochs"], document["planned_epochs"]
+        epochs = f"{done} epochs" if done == planned else f"{done} of {planned} epochs (more help no held-out frame)"
+        lines = [
+            f"{head} network ({document['kind']}), {epochs} in {took}; torch, onnxruntime and the core agree to "
+            f"{document['parity_mm']:.1g} mm"
+        ]
     if document["what"] == "prior":
         lines.append(
             f"  {document['test_vertex_mm']:.3f} mm from the simulated vertices, mean of the test part (held out); "
