@@ -4,8 +4,8 @@
     diagnose ─> add what is missing ─> learn a residual of the rest ─> judge, each alone and both together
 
 A residual is a function of the command alone. What depends on how a command was reached it cannot learn, and what it
-can stands in for physics only under the conditions of its runs; so it comes last, and stays only where it lowers the
-error on blocks that were left out. Rivals of what is added are told: on these runs they would do as well.
+can stands in for physics only under the conditions of its runs; so it comes last, and stays only where it surely lowers
+the error on blocks that were left out. Rivals of what is added are told: on these runs they would do as well.
 Calibration is fitted without the effects, so that gain, offset or coupling found after it may be a correction of it.
 Units: mm. Pinned by tests/test_adaptation.py.
 """
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 SCHEMA = "softmap.adaptation/1"
 WAYS = ("as it stood", "residual alone", "physics alone", "physics, then residual")
 FAULT = "measurement_fault"
+SURE = 2.0  # standard errors by which a residual lowers the error on left-out blocks; a smaller gain is noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +105,7 @@ def _of_residual(told: dict[str, Any], kept: bool) -> str:
         return f"no residual: {told['why']}"
     every = "" if told["frames"] == told["of_frames"] else f" of {told['of_frames']}"
     line = f"residual of {told['size_mm']:.2f} mm RMS over the command, learned from {told['frames']}{every} frames"
-    return line if kept else f"{line}: left out, it lowers nothing that was held out"
+    return line if kept else f"{line}: left out, it does not surely lower what was held out"
 
 
 def adapt(
@@ -143,7 +144,7 @@ def adapt(
     better = base if found is None else found.model
     say("learning what is left, as a smooth field of the command")
     rest, residual = _rest(better, shown, found is not None and better.chain_names != base.chain_names)
-    kept = rest is not None and residual["after_held_out_rms_mm"] < residual["before_rms_mm"]
+    kept = rest is not None and residual["gain_in_se"] > SURE
     if held_out is None:
         judge, error, on = shown[0], _on_blocks(found, residual), _blocks(found)
     else:
