@@ -283,3 +283,6 @@ def test_adapt_and_what_becomes_of_the_residual(tmp_path, loaded, capsys):
     assert main(["add", "payload", "--from", out, "--bundle", bundle, "--out", str(tmp_path / "c")]) == 0
     assert "is dropped; `softmap adapt` learns it again" in capsys.readouterr().out
     assert load_bundle(tmp_path / "c").residual is None and load_bundle(bundle).residual is not None
+    assert main(["remove", "residual", "--bundle", bundle, "--out", str(tmp_path / "bare")]) == 0
+    assert load_bundle(tmp_path / "bare").residual is None
+    assert main(["remove", "residual", "--bundle", str(tmp_path / "bare"), "--out", str(tmp_path / "no")]) == 2

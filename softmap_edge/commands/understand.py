@@ -16,6 +16,7 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.own_effect import check_hashes
 from softmap_edge.whole_file import write_whole
 
+RESIDUAL = "residual"
 NUMBERS = {
     "restored": "the rod's own numbers are again what they were before the effect was added",
     "kept": "the rod's own numbers stay as they were fitted with the effect, since this bundle does not hold those of "
@@ -134,24 +135,27 @@ def add(args: argparse.Namespace) -> int:
 
 def remove_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap remove`."""
-    parser.add_argument("name", metavar="NAME[,NAME]", help="the effects to remove")
+    parser.add_argument("name", metavar="NAME[,NAME]", help="the effects to remove, or `residual`")
     parser.add_argument("--bundle", required=True, metavar="DIR", help="the model")
     effects_argument(parser)
     bundle_arguments(parser)
 
 
 def remove(args: argparse.Namespace) -> int:
-    """Write a bundle without some of its effects."""
+    """Write a bundle without some of its effects, or without its residual."""
     check_bundle(args.out, args.force)
     load_own(args)
     model, names = open_model(args.bundle), _names(args.name)
+    known = [*model.chain_names, *([] if model.residual is None else [RESIDUAL])]
     for name in names:
-        if name not in model.chain_names:
-            held = ", ".join(model.chain_names) or "none"
-            raise SoftmapError(f"the model has no effect '{name}'; it has {held}")
-    rest = tuple(n for n in model.chain_names if n not in names)
+        if name not in known:
+            raise SoftmapError(f"the model has no effect '{name}'; it has {', '.join(known) or 'none'}")
+    gone = [name for name in names if name != RESIDUAL]
+    if not gone:
+        return _write(args, model.with_residual(None), {"removed": names})
+    rest = tuple(n for n in model.chain_names if n not in gone)
     params = {label: v for label, v in model.params.items() if label.split(".")[0] in rest}
-    law = model.changes(names) and not model.changes(rest)
+    law = model.changes(gone) and not model.changes(rest)
     numbers = {"numbers": "restored" if model.restorable else "kept"} if law else {}
     return _write(args, model.with_effects(rest, params), {"removed": names} | numbers | _dropped(model))
 
