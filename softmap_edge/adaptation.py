@@ -16,7 +16,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from softmap_edge.alignment.calibration import Calibrated, calibrate
+from softmap_edge.alignment.calibrated import Calibrated
+from softmap_edge.alignment.calibration import calibrate
 from softmap_edge.alignment.clouds import base_stood_off, in_base
 from softmap_edge.diagnosis.comparison import compare
 from softmap_edge.diagnosis.diagnose import diagnose

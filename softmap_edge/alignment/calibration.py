@@ -15,15 +15,16 @@ tests/test_calibration.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.affine import Fit, fit
+from softmap_edge.alignment.calibrated import Calibrated
 from softmap_edge.alignment.clouds import base_stood_off, in_base
-from softmap_edge.alignment.departures import BESIDE, Departure, departures
+from softmap_edge.alignment.departures import Departure, departures
 from softmap_edge.alignment.held import Held, Seen, directions, gather, places, visits
 from softmap_edge.alignment.map_fit import Sights, fit_map, turned_shapes
 from softmap_edge.alignment.matching import Matches, linearised, match
@@ -50,72 +51,6 @@ LEANING = 5.0  # deg between the orientations of run and model from which that i
 BASE_ROUNDS = 4  # of finding base and map in turn
 UNEXPLAINED = 1.5  # times what the matches leave of the shapes, from which an error held out is worth a word
 SET_ASIDE = 0.2  # share of held commands that do not belong, from which that is worth a word
-
-
-@dataclass(frozen=True, eq=False)
-class Calibrated:
-    """A calibration found: `model` carries it, `held` are the rows it was fitted to, `departures` why it is not affine.
-
-    `weight` (n,) of each row is 0 where it does not belong; `mae_mm` is what the matches leave of the shapes, median.
-    Prints itself; `to_dict()` is softmap.calibration/1, with more than a bundle keeps.
-    """
-
-    model: Model
-    calibration: Calibration
-    held: Held
-    weight: Floats
-    mae_mm: float
-    departures: list[Departure]
-    warnings: list[str]
-
-    @property
-    def affine(self) -> bool:
-        """Whether nothing speaks against an affine map; a memory and a turn are fitted beside it."""
-        return all(one.kind in BESIDE for one in self.departures)
-
-    @property
-    def left(self) -> Floats:
-        """What the map leaves of the matched commands (n, C); NaN where a command was not told."""
-        return np.where(self.held.told, self.held.u - self.calibration.commands(self.held.ticks), np.nan)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the document softmap.calibration/1 with the matched pairs and what speaks against it."""
-        found, pairs = self.calibration, zip(self.held.u.tolist(), self.held.told.tolist())
-        return found.to_dict() | {
-            "affine": self.affine,
-            "departures": [one.to_dict() for one in self.departures],
-            "matched": {
-                "ticks": self.held.ticks.tolist(),
-                "command": [[v if k else None for v, k in zip(*row)] for row in pairs],
-                "frames": [len(part) for part in self.held.frames],
-                "weight": self.weight.tolist(),
-                "mae_mm": self.mae_mm,
-            },
-            "usable_commands": found.usable(self.model.command_range).tolist(),
-            "warnings": list(self.warnings),
-        }
-
-    def __str__(self) -> str:
-        c, n = self.calibration, len(self.held)
-        rows = []
-        for i, unit in enumerate(c.b):
-            a = "".join(f"{v:13.6f} ± {s:<8.6f}" for v, s in zip(c.A[i], c.sigma_A[i]))
-            rows.append(f"  u{i} {a}   b {unit:8.3f} ± {c.sigma_b[i]:.3f} {c.unit}   home {c.home[i]:.7g} ticks")
-        wrong = int((self.weight == 0).sum())
-        aside = f", {wrong} of them set aside" if wrong else ""
-        error = c.held_out
-        lines = [
-            f"Calibrated: u = A (ticks − home) + b, from {c.frames} frames at {n} "
-            f"{'held commands' if self.held.still else 'places, in motion'}{aside}",
-            f"  A, {c.unit}/tick",
-            *rows,
-            f"  condition of A {c.condition:.2f}; held out: {error['command']:.3g} {c.unit} of command, "
-            f"{error['shape_mm']:.3g} mm of shape, of which the matches leave {error['matched_shape_mm']:.3g} mm",
-        ]
-        if c.window is not None:
-            span = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in c.usable(self.model.command_range))
-            lines.append(f"  usable with {c.window[0]:g} to {c.window[1]:g} ticks about home: {span} {c.unit}")
-        return "\n".join([*lines, *(f"  look at: {text}" for text in self.warnings)])
 
 
 def calibrate(

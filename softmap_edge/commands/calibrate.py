@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from softmap_edge.alignment.calibration import Calibrated
+from softmap_edge.alignment.calibrated import Calibrated
 from softmap_edge.alignment.calibration import calibrate as find
 from softmap_edge.bundle import save_bundle
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
