@@ -93,8 +93,8 @@ class Adaptation:
             lines.append(self.diagnosis.sentence)
             lines += [f"  {label:<24} {value:.6g}" for label, value in self.model.params.items()]
         lines.append(_of_residual(self.residual, self.model.residual is not None))
-        physics, both = (self.error[way] for way in WAYS[2:])
-        if self.model.residual is not None and physics is not None and both is not None and both > physics:
+        alone = self.error[WAYS[2] if self.model.chain_names != self.before.chain_names else WAYS[0]]
+        if self.model.residual is not None and alone is not None and self.last > alone:
             lines.append("  it does not help on the run that judges")
         lines += ["", f"error, mm RMS, {self.error_on}"]
         lines += [f"  {way:<24} {value:.3f}" for way, value in self.error.items() if value is not None]

@@ -26,6 +26,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -297,7 +298,10 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     nameless = [name for name in names if name in own_effect.loaded() and name not in manifest.get("own_effects", {})]
     if nameless:
         raise BundleError(f"{folder.name}: its chain has '{nameless[0]}', code that its manifest does not name")
-    return model.with_effects(names, params).with_residual(arrays.get("residual"))
+    model = model.with_effects(names, params)
+    if "residual" not in arrays:
+        return model
+    return replace(model.with_residual(arrays["residual"]), made_from=_made_from(manifest))
 
 
 def _calibration(folder: Path, manifest: dict[str, Any]) -> Calibration | None:

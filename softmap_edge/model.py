@@ -174,7 +174,8 @@ class Model:
         """
         kept = {name: group for name, group in self.arrays.items() if name != "residual"}
         if arrays is None:
-            return self if self.residual is None else replace(self, arrays=kept, residual=None)
+            made = {name: told for name, told in self.made_from.items() if name != "residual"}
+            return replace(self, arrays=kept, residual=None, made_from=made)
         residual = family_from(arrays)
         _core.Sum(self.prior, residual)  # agrees, or says so
         return replace(self, arrays=kept | {"residual": dict(arrays)}, residual=residual)

@@ -108,6 +108,28 @@ def test_what_is_no_prior_is_said():
         fit_prior(BASE, COMMANDS, POINTS, (TRAIN, TEST[:20], TEST[20:]), "deepsoro")
     with pytest.raises(TrainingError, match="same finger"):
         fit_prior(BASE, COMMANDS[:, :1], POINTS, (TRAIN, TEST[:20], TEST[20:]), "gp")
+    other = np.asarray(BASE.prior.evaluate(np.ascontiguousarray(COMMANDS[:, ::-1])))  # tendons at other sides
+    damaged = np.where(np.arange(len(POINTS))[:, None] == 3, 1e30, POINTS)
+    parts = TRAIN, TEST[:20], TEST[20:]
+    for points, said in ((other, "another finger or material"), (damaged, "is damaged"), (0 * POINTS, "mm from those")):
+        with pytest.raises(TrainingError, match=said):
+            fit_prior(BASE, COMMANDS, points, parts, "gp")
+    with pytest.raises(TrainingError, match="4, 0 and 1 samples"):
+        fit_prior(BASE, COMMANDS[:5], POINTS[:5], (np.arange(4), np.arange(0), np.arange(4, 5)), "gp")
+
+
+def test_a_prior_replaced_again_has_the_error_of_the_last_alone_and_no_wider_range():
+    near = np.flatnonzero((np.abs(COMMANDS) < 6.0).all(axis=1))
+    parts = near[:-8], near[-8:-4], near[-4:]
+    judged = COMMANDS[parts[2]], POINTS[parts[2]]
+    made = fit_prior(BASE, COMMANDS, POINTS, parts, "table")
+    once = with_prior(BASE, made, *judged)
+    bad = with_prior(BASE, fit_prior(BASE, COMMANDS, POINTS, (near[:3], *parts[1:]), "table"), *judged)
+    assert bad.vertex_error_mm > 2 * once.vertex_error_mm
+    again = with_prior(bad, made, *judged)
+    assert again.vertex_error_mm == pytest.approx(once.vertex_error_mm)
+    np.testing.assert_allclose(again.form_error, once.form_error)
+    assert (np.abs(once.command_range) <= 6.0).all()
 
 
 def test_a_baseline_that_there_is_not_is_said():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from robots import HANGING, Rod, arc, measured, rings
 
-from softmap_edge import Run, build_model, load_bundle, save_bundle
+from softmap_edge import Run, build_model, diagnose, load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.elsewhere.build import model_from_file
 from softmap_edge.errors import SoftmapError
@@ -198,6 +198,19 @@ def test_three_channels_and_uneven_axes_are_a_table_and_six_are_scattered():
     pulled = u[:, :2] + u[:, 2:4] + 0.3 * u[:, 4:]
     model = model_from_array(u, arc(pulled, PLACE, OFFSET), command_unit="deg")
     assert model.kind == "scattered" and model.command_unit == "deg" and 0.01 < model.vertex_error_mm < 3.0
+
+
+def test_one_channel_is_diagnosed_without_what_lies_between_channels():
+    u = np.linspace(-12.0, 12.0, 25)[:, None]
+    model = model_from_array(u, arc(np.pad(u, ((0, 0), (0, 1))), PLACE, OFFSET))
+    t = np.arange(0.0, 120.0, 0.4)
+    command = (8.0 * np.sin(0.35 * t) * np.clip(1.5 * np.sin(0.11 * t), -1.0, 1.0))[:, None]
+    run = Run(t=t, command=command, t_seen=t)
+    worn = model.with_effects(("backlash",), np.array([1.5]))
+    noise = np.random.default_rng(1).normal(size=(len(t), *model.rest.shape)) * 0.2
+    found = diagnose(model, replace(run, vertices=worn.predict(run) + noise))
+    assert [e["name"] for e in found.effects] == ["backlash"], found.sentence
+    assert "coupling" in {row["name"] for row in found.not_testable}
 
 
 def test_a_sweep_of_this_simulator_builds_exactly_as_its_finger(tmp_path):

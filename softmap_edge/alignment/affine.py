@@ -60,7 +60,8 @@ def fit(design: Floats, u: Floats, covariance: Floats, told: Mask) -> Fit:
     """
     count, features = design.shape
     size = np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-300)
-    x, freedom = design / size, count / max(count - features, 1)
+    known = int(told.sum())
+    x, freedom = design / size, known / max(known - features * u.shape[1], 1)
     own = np.nanmedian(np.where(told, np.einsum("ncc->nc", covariance), np.nan), axis=0)
     floor = NO_SCATTER * np.maximum(np.ptp(u, axis=0), 1e-12)
     theta = np.linalg.lstsq(*_normal(x, u, _precision(floor**2, covariance)), rcond=None)[0]
@@ -80,7 +81,7 @@ def fit(design: Floats, u: Floats, covariance: Floats, told: Mask) -> Fit:
             break
         redescends |= settled or k == ROUNDS // 2
     bend = float(np.mean(slope[told.any(axis=1)]))
-    wide = float(np.sum((weight * distance) ** 2) / max(told.sum(), 1)) * freedom
+    wide = float(np.sum((weight * distance) ** 2) / max(known, 1)) * freedom
     spread = max(1.0, wide / max(bend, 0.1) ** 2)
     inverse = np.linalg.pinv(_normal(x, u, precision)[0], hermitian=True) * spread
     scale = np.tile(size, u.shape[1])

@@ -153,7 +153,7 @@ def fit_map(sights: Sights, start: Floats, turned: bool, use: Mask) -> MapFit:
 
     error, rho, matrix, scores, steep = at(theta)
     for _ in range(ROUNDS):
-        step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix) + 1e-30), scores.sum(axis=0))
+        step = np.linalg.lstsq(matrix + damping * np.diag(np.diag(matrix) + 1e-30), scores.sum(axis=0))[0]
         tried = at(theta + step)
         if (rho * tried[0] ** 2).sum() > (1.0 + 1e-9) * (rho * error**2).sum():
             damping = max(8.0 * damping, 1e-3)

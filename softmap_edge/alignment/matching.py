@@ -102,7 +102,7 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
     lost = count < max(3.0, LEAST_SEEN * visible.shape[1])
     u[lost], covariance[lost], mae[lost] = np.nan, np.nan, np.nan
     reach = EDGE * (high - low)
-    edge = ((u <= low + reach) | (u >= high - reach)).any(axis=1)
+    edge = (told & ((u <= low + reach) | (u >= high - reach))).any(axis=1)  # what hangs slack may be anywhere
     return Matches(u, covariance, mae, np.asarray(edge, np.bool_), told)
 
 

@@ -157,7 +157,8 @@ def remove(args: argparse.Namespace) -> int:
     params = {label: v for label, v in model.params.items() if label.split(".")[0] in rest}
     law = model.changes(gone) and not model.changes(rest)
     numbers = {"numbers": "restored" if model.restorable else "kept"} if law else {}
-    return _write(args, model.with_effects(rest, params), {"removed": names} | numbers | _dropped(model))
+    dropped = {} if RESIDUAL in names else _dropped(model)
+    return _write(args, model.with_effects(rest, params), {"removed": names} | numbers | dropped)
 
 
 def refit_arguments(parser: argparse.ArgumentParser) -> None:
@@ -280,7 +281,7 @@ def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
     if "relative_to" in report:
         print("what was added is relative to a reference run: what the model misses on that run it misses still")
     if "residual" in report:
-        print("the residual was learned without this and is dropped; `softmap adapt` learns it again")
+        print("the residual was learned beside other effects and is dropped; `softmap adapt` learns it again")
     if "before_rms_mm" in report:
         before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
         print(f"error {before:.3f} mm RMS (as the bundle stood) -> {after:.3f} mm RMS (held out)")

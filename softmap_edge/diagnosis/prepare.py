@@ -46,6 +46,9 @@ def candidates_of(
         missing = record.missing(registry[name].get("needs", []))
         if record.model.channels == 0 and (registry[name]["role"] == "channel" or not record.layout((name,)).labels):
             impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
+        elif not record.layout((name,)).labels:
+            why = f"it is between channels, and the model has {record.model.channels}"
+            impossible.append(Untestable(name, why, "a robot of more channels", 0.0))
         elif name in lawless:
             why = "the tendons of this model do not push, or it knows none: there is no such law to change"
             impossible.append(Untestable(name, why, "a model learned with a robot.toml whose tendons push", 0.0))

@@ -27,7 +27,7 @@ from torch import Tensor, nn
 from softmap_edge import _core
 from softmap_edge.model import Arrays, Model
 from softmap_edge.npz import unpacked
-from softmap_edge.outside import span
+from softmap_edge.outside import BEYOND, UNLIKE, span
 from softmap_edge.registration.register import clamped
 from softmap_edge.shape_arrays import family_from
 from softmap_edge.solid.simulator import tensor_grid
@@ -43,6 +43,8 @@ Indices = NDArray[np.int64]
 
 PUBLISHED_DROPOUT = 0.1
 NODES = 41  # of an axis, where a bundle has none
+COMPARED, OWN = 64, 3.0  # shapes that are compared with the bundle's, and times its own error that they may be off more
+BIGGEST = 10.0  # times the robot's length from its base: a point there is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +112,7 @@ def train_prior(
         TrainingError: too few samples, or a checkpoint of something else.
     """
     train, validation, test = parts
-    if min(len(train), len(validation), len(test)) < 2:
-        raise TrainingError(f"parts of {len(train)}, {len(validation)} and {len(test)} samples; sweep more commands")
+    _enough(parts)
     recipe = recipe or (PRIOR if kind == "modes" else PUBLISHED_PRIOR)
     seeded(recipe.seed)
     network, targets, fixed = _made(kind, commands, points, train, surface)
@@ -157,7 +158,8 @@ def fit_prior(
             "the points of 'deepsoro' are no vertices, so it is no prior of a bundle; judge it with "
             "`softmap evaluate --set SET --model deepsoro`"
         )
-    _fits(base, commands.shape[1], points.shape[1])
+    check_set(base, commands, points)
+    _enough(parts)
     train, _, test = parts
     fitted = baselines.fit_baseline(cast(baselines.Name, kind), commands[train], points[train], seed)
     told = unpacked(base.arrays["prior"])
@@ -220,14 +222,15 @@ def with_prior(base: Model, trained: Trained | Tabulated, commands: Floats, poin
     Raises:
         TrainingError: the prior is of other commands or points than the model.
     """
-    core = family_from(trained.arrays)
-    _fits(base, core.channels, core.size)
+    check_set(base, commands, points)
+    core, told = family_from(trained.arrays), base.arrays["prior"]
     base = base.with_residual(None)
     kept = {
-        name: array
-        for name, array in base.arrays["prior"].items()
-        if name.startswith("axis") or name.removesuffix("_step") == "pull"
+        name: array for name, array in told.items() if name.startswith("axis") or name.removesuffix("_step") == "pull"
     }
+    form = np.asarray(told.get("form_before", base.form_error), np.float64)  # its own, not that of one trained earlier
+    error = float(told.get("error_before_mm", base.vertex_error_mm))
+    kept |= {"form_before": form, "error_before_mm": np.array(error)}
     arrays = dict(base.arrays) | {"prior": kept | dict(trained.arrays)}
     missed = (core.evaluate(commands) - points).reshape(len(points), -1, 3)
     own = np.sqrt(np.mean(base.feature_map(missed) ** 2, axis=0))
@@ -236,18 +239,57 @@ def with_prior(base: Model, trained: Trained | Tabulated, commands: Floats, poin
         kind="network" if isinstance(core, _core.Network) else "table",
         prior=core,
         arrays=arrays,
-        form_error=np.hypot(base.form_error, own),
-        vertex_error_mm=float(np.hypot(base.vertex_error_mm, rms(missed.reshape(len(points), -1)))),
+        form_error=np.hypot(form, own),
+        vertex_error_mm=float(np.hypot(error, rms(missed.reshape(len(points), -1)))),
+        command_range=_taught(base, np.asarray(trained.report["command_range"])),
         made_from=dict(base.made_from) | {"prior": trained.report},
     )
 
 
-def _fits(base: Model, channels: int, size: int) -> None:
+def check_set(base: Model, commands: Floats, points: Floats) -> None:
+    """Refuse shapes (S, 3N) mm at commands (S, C) that are not of the finger of a bundle."""
+    channels, size = commands.shape[1], points.shape[1]
     if size != base.rest.size or channels != base.channels or base.kind == "rod":
         raise TrainingError(
             f"the prior maps {channels} commands to {size // 3} points, the bundle of '{base.robot}' "
             f"({base.kind}) {base.channels} to {len(base.rest)}; train it on a sweep of the same finger"
         )
+    some = np.unique(np.linspace(0, len(points) - 1, COMPARED).astype(int))
+    missed = (base.prior.evaluate(np.ascontiguousarray(commands[some])) - points[some]).reshape(len(some), -1, 3)
+    off = float(np.median(np.linalg.norm(missed, axis=2).mean(axis=1)))
+    length = float(np.linalg.norm(base.rest, axis=1).max())
+    most = UNLIKE * length + OWN * base.vertex_error_mm
+    if not off <= most:
+        raise TrainingError(
+            f"the shapes are {off:.3g} mm from those of '{base.robot}' at the same commands (median of {len(some)}), "
+            f"up to {most:.2g} mm are its own: another finger or material; build the bundle of theirs (`softmap build`)"
+        )
+    largest = float(np.abs(points).max())
+    if not largest < BIGGEST * length:
+        raise TrainingError(
+            f"a point of the set is {largest:.3g} mm from the base of a robot of {length:.3g} mm: it is damaged; make "
+            "it again (`softmap sweep`)"
+        )
+    if not np.ptp(points, axis=0).any():
+        raise TrainingError(f"all {len(points)} shapes of the set are the same; sweep commands that move the finger")
+
+
+def _enough(parts: tuple[Indices, Indices, Indices]) -> None:
+    if min(map(len, parts)) < 2:
+        told = " and ".join(", ".join(str(len(part)) for part in parts).rsplit(", ", 1))
+        raise TrainingError(f"parts of {told} samples; sweep more commands")
+
+
+def _taught(base: Model, taught: Floats) -> Floats:
+    """Return the range (C, 2) of commands of a bundle, cut to what taught its prior where that is clearly narrower."""
+    low, high = base.command_range.T
+    slack = BEYOND * (high - low)
+    return np.column_stack(
+        [
+            np.where(taught[:, 0] > low + slack, taught[:, 0], low),
+            np.where(taught[:, 1] < high - slack, taught[:, 1], high),
+        ]
+    )
 
 
 def vertex_error(found: Floats, points: Floats) -> float:

@@ -82,12 +82,13 @@ def checked_torch() -> Any:
 
 def _prior(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tuple[Any, dict[str, Any]]:
     from softmap_training import choices
-    from softmap_training.prior import Surface, fit_prior, train_prior, with_prior
+    from softmap_training.prior import Surface, check_set, fit_prior, train_prior, with_prior
     from softmap_training.simulated import SimulatedSet
 
     data = SimulatedSet.load(args.set)
     parts = data.split(choices.SPLIT_SEED)
     points = data.shapes(range(len(data.command))).reshape(len(data.command), -1).astype(float)
+    check_set(base, data.command, points)
     split, judged = (parts.train, parts.validation, parts.test), (data.command[parts.test], points[parts.test])
     if args.model in BASELINES:
         fitted = fit_prior(base, data.command, points, split, args.model, args.seed or 0)
