@@ -315,6 +315,11 @@ def _remarks(model: Model, held: Held, found: Fit, matches: Matches, calibration
     notes = []
     if not held.still:
         notes.append("too few dwells: frames are taken in motion, where delays and play are in A and b; hold commands")
+    few, enough = int(held.told.sum(axis=0).min()), 2 * SPARE * (held.ticks.shape[1] + 1)
+    if few < enough:
+        notes.append(
+            f"{few} held commands are few: A and b may be farther off than their ± says; hold {enough} or more"
+        )
     wrong = int((found.weight == 0).sum())
     if wrong > SET_ASIDE * len(held):
         notes.append(f"{wrong} of {len(held)} held commands do not belong to the map that the others make")
