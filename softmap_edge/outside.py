@@ -27,7 +27,8 @@ def beyond(model: Model, run: Run) -> list[str]:
     and for loads that it cannot apply.
     """
     u, notes = model.commands(run), []
-    for c, (low, high) in enumerate(model.command_range if len(u) else ()):
+    said = _taught(model, "prior") is not None  # of a trained prior by `untaught`, once
+    for c, (low, high) in enumerate(model.command_range if len(u) and not said else ()):
         least, most = float(u[:, c].min()), float(u[:, c].max())
         slack = BEYOND * (high - low)
         if least < low - slack or most > high + slack:
