@@ -24,7 +24,7 @@ from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import CalibrationError, SoftmapError
 from softmap_edge.registration.register import register
-from softmap_edge.residual import learn_residual
+from softmap_edge.residual import ROWS, learn_residual
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -42,7 +42,8 @@ class Adaptation:
 
     `before` is the model that was adapted, with its calibration; `error` holds RMS distances in mm of the four WAYS
     on what taught none of them, None where one was not tried; `fall` by which share the error fell. `judge` is what
-    it was measured on, `runs` what taught, all as vertices. Prints itself; `to_dict()` is softmap.adaptation/1.
+    it was measured on, `runs` what taught; clouds are vertices there. Prints itself; `to_dict()` is
+    softmap.adaptation/1.
     """
 
     model: Model
@@ -56,10 +57,14 @@ class Adaptation:
     runs: list[Run]
 
     @property
+    def added(self) -> bool:
+        """Whether physics was added."""
+        return self.model.chain_names != self.before.chain_names
+
+    @property
     def last(self) -> float:
         """The error in mm RMS of the model as it is now."""
-        physics, residual = self.model.chain_names != self.before.chain_names, self.model.residual is not None
-        value = self.error[WAYS[2 * physics + residual]]
+        value = self.error[WAYS[2 * self.added + (self.model.residual is not None)]]
         assert value is not None
         return value
 
@@ -93,19 +98,21 @@ class Adaptation:
             lines.append(self.diagnosis.sentence)
             lines += [f"  {label:<24} {value:.6g}" for label, value in self.model.params.items()]
         lines.append(_of_residual(self.residual, self.model.residual is not None))
-        alone = self.error[WAYS[2] if self.model.chain_names != self.before.chain_names else WAYS[0]]
+        alone = self.error[WAYS[2 * self.added]]
         if self.model.residual is not None and alone is not None and self.last > alone:
             lines.append("  it does not help on the run that judges")
         lines += ["", f"error, mm RMS, {self.error_on}"]
         lines += [f"  {way:<24} {value:.3f}" for way, value in self.error.items() if value is not None]
-        return "\n".join([*lines, f"  {100 * self.fall:.0f} % of the error are gone"])
+        share = f"{100 * abs(self.fall):.0f} %"
+        lines.append(f"  {share} of the error are gone" if self.fall >= 0 else f"  the error is {share} larger")
+        return "\n".join([*lines, *(f"  look at: {text}" for text in self.residual.get("warnings", []))])
 
 
 def _of_residual(told: dict[str, Any], kept: bool) -> str:
     if "why" in told:
         return f"no residual: {told['why']}"
-    every = "" if told["frames"] == told["of_frames"] else f" of {told['of_frames']}"
-    line = f"residual of {told['size_mm']:.2f} mm RMS over the command, learned from {told['frames']}{every} frames"
+    every = "" if told["frames"] == told["of_frames"] else f" of {told['of_frames']} (whole ones, {ROWS} at most)"
+    line = f"residual of {told['size_mm']:.2f} mm RMS over the command, learned from {told['frames']} frames{every}"
     return line if kept else f"{line}: left out, it does not surely lower what was held out"
 
 
@@ -144,7 +151,8 @@ def adapt(
     found = _missing(base, shown, say) if physics else None
     better = base if found is None else found.model
     say("learning what is left, as a smooth field of the command")
-    rest, residual = _rest(better, shown, found is not None and better.chain_names != base.chain_names)
+    added = better.chain_names != base.chain_names
+    rest, residual = _rest(better, shown, added)
     kept = rest is not None and residual["gain_in_se"] > SURE
     if held_out is None:
         judge, error, on = shown[0], _on_blocks(found, residual), _blocks(found)

@@ -291,6 +291,14 @@ class Model:
         chain = _core.Chain(list(names), self.channels)
         return self.view(run).predictor.acting(chain, params, inputs or self.inputs(run))
 
+    def acts(self, run: Run) -> Floats:
+        """Return what the model's own effects make of the commands, (K, C) at the seen times."""
+        if self.chain_names:
+            return np.ascontiguousarray(self.acting(self.chain_names, self.chain_params[None], run)[0])
+        u = self.commands(run)  # without a predictor, which a network's table of features would be made for
+        rows = [np.interp(run.t_seen, run.t, channel) for channel in u.T]
+        return np.ascontiguousarray(np.reshape(rows, (self.channels, run.frames)).T)
+
     def slopes(
         self, names: Sequence[str], params: Floats, step: Floats, run: Run, inputs: _core.Inputs | None = None
     ) -> Floats:

@@ -55,11 +55,7 @@ def untaught(model: Model, run: Run) -> list[str]:
     known = {part: found for part, found in ranges.items() if found is not None}
     if not known or not run.frames:
         return []
-    if model.chain_names:
-        u = model.acting(model.chain_names, model.chain_params[None], run)[0]
-    else:  # spares a network's table of features
-        rows = model.commands(run)
-        u = np.column_stack([np.interp(run.t_seen, run.t, rows[:, c]) for c in range(model.channels)])
+    u = model.acts(run)
     notes = []
     for what, (low, high) in known.items():
         outside = (u < low - BEYOND * (high - low)) | (u > high + BEYOND * (high - low))

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.elsewhere.scattered import fit_scattered
+from softmap_edge.elsewhere.scattered import fit_scattered, half_range
 from softmap_edge.errors import SoftmapError
 from softmap_edge.folds import Folds, run_folds
 from softmap_edge.outside import span
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
+Missed = tuple[Floats, Floats, NDArray[np.bool_]]  # commands (S, C), what is missed (S, 3N) mm, points seen (S, N)
 
 MODES = 8  # of what is missed, at most
 PREDICTED = 0.1  # of the mean square of a mode's weights on held-out blocks: with less it is noise, and dropped
@@ -44,6 +45,7 @@ ROWS, NUMBERS = 600, 40_000_000  # frames, and numbers of them (320 MB), at most
 LAID_SEEN = 0.3  # share of the vertices that a cloud must show for its frame to be whole
 LEAST_FRAMES, LEAST_PLACES = 30, 3  # frames that show every point; different commands for each channel and one more
 APART = 60.0  # s between runs, so that none is held out with another
+LEAST_ALIKE, WORSE = 8, 1.1  # frames of a run at commands of the others, and times its error, to be told as a stranger
 CLOSE = 0.002  # of half the range of the commands: nearer commands are one place
 STILL = 1e-3  # of the largest motion: points of the prior that move less are held
 
@@ -65,7 +67,8 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, dict[
     """
     base = model.with_residual(None)
     runs = list(run) if isinstance(run, Sequence) else [run]
-    commands, missed, seen, times = _missed(base, runs)
+    each, times = _missed(base, runs)
+    commands, missed, seen = (np.concatenate(rows) for rows in zip(*each))
     taught = missed * ~_still(base, commands)
     parts = run_folds(times)
     count = _predicted(commands, taught, parts)
@@ -84,16 +87,40 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, dict[
         "after_held_out_rms_mm": _rms(left, seen),
         "gain_in_se": float(np.mean(gains) / max(np.std(gains, ddof=1) / np.sqrt(len(gains)), 1e-12)),
         "command_range": span(commands),
+        "warnings": strangers(each),
     }
     made = dict(base.made_from) | {"residual": {"run": [one.hash() for one in runs], **report}}
     return replace(found, made_from=made), report
 
 
-def _missed(base: Model, runs: Sequence[Run]) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
-    """Return of whole frames: commands that act (S, C), what is missed (S, 3N) mm, points seen (S, N), times (S,) s."""
+def strangers(runs: Sequence[Missed]) -> list[str]:
+    """Say which of several runs miss other things than the rest, so that what the rest teaches makes them worse."""
+    notes = []
+    for k, (commands, missed, seen) in enumerate(runs if len(runs) > 1 else ()):
+        others = [run for number, run in enumerate(runs) if number != k]
+        u, theirs, _ = (np.concatenate(rows) for rows in zip(*others))
+        within = np.flatnonzero(((commands >= u.min(axis=0)) & (commands <= u.max(axis=0))).all(axis=1))
+        some = np.unique(np.linspace(0, len(u) - 1, min(len(u), ROWS)).astype(int))
+        if len(within) < LEAST_ALIKE or not seen[within].any():
+            continue
+        try:
+            rest = family_from(_fitted(u[some], theirs[some], MODES)).evaluate(np.ascontiguousarray(commands[within]))
+        except SoftmapError:  # too few different commands to say
+            continue
+        before, after = (_rms(left, seen[within]) for left in (missed[within], missed[within] - rest))
+        if after > WORSE * before:
+            notes.append(
+                f"run {k + 1} of {len(runs)}: what the model misses on the other runs makes this one worse "
+                f"({before:.2f} → {after:.2f} mm RMS): another robot, load or orientation; teach with runs of one state"
+            )
+    return notes
+
+
+def _missed(base: Model, runs: Sequence[Run]) -> tuple[list[Missed], Floats]:
+    """Return of the whole frames of each run what is missed, and the times (S,) s of all."""
     if not runs:
         raise SoftmapError("no run is given; a residual is learned from at least one")
-    commands, missed, shown, times, end = [], [], [], [], 0.0
+    each, times, end = list[Missed](), list[Floats](), 0.0
     room = max(LEAST_FRAMES, min(ROWS, NUMBERS // base.rest.size) // len(runs))
     for run in runs:
         seen = base.points_in_mm(run)
@@ -108,11 +135,9 @@ def _missed(base: Model, runs: Sequence[Run]) -> tuple[Floats, Floats, NDArray[n
         some = run.at(whole[np.unique(np.linspace(0, len(whole) - 1, min(len(whole), room)).astype(int))])
         if not some.frames:
             continue
-        acting = base.acting(base.chain_names, base.chain_params[None], some)[0]
-        commands.append(np.ascontiguousarray(acting))
         points = base.points_in_mm(some)
-        missed.append((points - base.predict(some)).reshape(some.frames, -1))
-        shown.append(known(some, points))
+        missed = (points - base.predict(some)).reshape(some.frames, -1)
+        each.append((base.acts(some), missed, known(some, points)))
         times.append(some.t_seen - some.t_seen[0] + end)
         end = float(times[-1][-1]) + APART
     frames = sum(len(t) for t in times)
@@ -121,7 +146,7 @@ def _missed(base: Model, runs: Sequence[Run]) -> tuple[Floats, Floats, NDArray[n
             f"{frames} frames show every point, at least {LEAST_FRAMES} are needed to learn a residual; record more, "
             "or from a side from which all is seen"
         )
-    return np.concatenate(commands), np.concatenate(missed), np.concatenate(shown), np.concatenate(times)
+    return each, np.concatenate(times)
 
 
 def _still(base: Model, commands: Floats) -> NDArray[np.bool_]:
@@ -159,7 +184,7 @@ def _fitted(commands: Floats, taught: Floats, count: int) -> Arrays:
 
 def _fitted_weights(commands: Floats, weights: Floats) -> Arrays:
     """Return the arrays of a scattered family, less its modes, for weights (S, m) at commands (S, C)."""
-    scale = np.maximum(0.5 * np.ptp(commands, axis=0), 1e-9)
+    scale = half_range(commands)
     _, first, place = np.unique(np.round(commands / scale / CLOSE), axis=0, return_index=True, return_inverse=True)
     place, wanted = place.reshape(-1), LEAST_PLACES * (commands.shape[1] + 1)
     if len(first) < wanted:
@@ -173,13 +198,7 @@ def _fitted_weights(commands: Floats, weights: Floats) -> Arrays:
     middle = np.zeros((len(first), commands.shape[1]))
     np.add.at(middle, place, commands)
     order = np.argsort(first)  # as they were recorded: neighbours in time vouch for one another
-    fit = fit_scattered((middle / count)[order], (sums / count)[order], NODES)
-    return {
-        "nodes": fit.nodes,
-        "scale": fit.scale,
-        "power": np.array(fit.power),
-        "coefficients": fit.coefficients,
-    }
+    return fit_scattered((middle / count)[order], (sums / count)[order], NODES).arrays
 
 
 def _rms(numbers: Floats, seen: NDArray[np.bool_] | None = None) -> float:

@@ -11,7 +11,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from softmap_training import choices  # noqa: E402
-from softmap_training.contenders import Lesson, Plan, fitted_to_set, residuals  # noqa: E402
+from softmap_training.contenders import Plan, fitted_to_set, residuals  # noqa: E402
 from softmap_training.errors import TrainingError  # noqa: E402
 from softmap_training.evaluate import (  # noqa: E402
     PUBLISHED,
@@ -23,11 +23,15 @@ from softmap_training.evaluate import (  # noqa: E402
     told_these,
 )
 from softmap_training.prior import Surface, train_prior, with_prior  # noqa: E402
-from softmap_training.recordings import joined  # noqa: E402
+from softmap_training.recordings import Lesson  # noqa: E402
 from softmap_training.simulated import SimulatedSet  # noqa: E402
 
 from softmap_edge import Run, builtin_model, save_bundle  # noqa: E402
+from softmap_edge.alignment.result import in_frame  # noqa: E402
+from softmap_edge.alignment.rigid import Pose, rotation  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
+from softmap_edge.errors import RunError  # noqa: E402
+from softmap_edge.residual import learn_residual  # noqa: E402
 from softmap_edge.solid.finger import Finger  # noqa: E402
 from softmap_edge.solid.simulator import Simulator  # noqa: E402
 from softmap_edge.truth_clouds import FULL, TWO  # noqa: E402
@@ -122,12 +126,12 @@ def test_a_prior_of_two_seeds_is_one_row_and_what_no_seed_changes_is_fitted_once
 
 def test_parts_of_a_recording_are_whole_blocks_and_each_holds_the_smaller_ones(files, tmp_path):
     lesson = Lesson.of(MODEL, [Run.load(files / "teaches.npz")])
-    parts = [lesson.part(share, 3) for share in choices.SHARES]
+    parts = [lesson.share(share, 3) for share in choices.SHARES]
     assert [len(part) for part in parts] == [4, 8, 16, 32]
     for small, large in zip(parts[:-1], parts[1:]):
         assert set(small) < set(large)
     assert all(set(block) <= set(parts[1]) or not set(block) & set(parts[1]) for block in lesson.blocks)
-    assert set(lesson.part(0.25, 4)) != set(parts[1])
+    assert set(lesson.share(0.25, 4)) != set(parts[1])
     run, true = recorded(4, 2)
     judge = Recording.of(run, MODEL, true)
     found = residuals(lesson, judge, "modes", Plan(), lambda what, share: None)
@@ -151,31 +155,47 @@ def test_a_frame_in_which_nothing_is_seen_is_left_out_of_what_is_seen_alone():
     assert np.isnan(fewer.errors["visible"][0, 1]) and np.isfinite(fewer.errors["chamfer"]).all()
     rest = np.delete(seen.errors["visible"][0], 1)
     assert fewer.to_dict()["visible_mm"]["mean"] == pytest.approx(rest.mean())
+    assert fewer.to_dict()["visible_mm"]["worst"] == rest.max()
+    json.dumps(fewer.to_dict(), allow_nan=False)
 
 
-def test_runs_that_teach_together_are_one_a_minute_apart_and_must_be_alike(files):
+def test_runs_that_teach_together_are_one_lesson_a_minute_apart(files):
     run = Run.load(files / "teaches.npz")
-    both = joined([run, replace(run, t=run.t + 100.0, t_seen=run.t_seen + 100.0)])
-    assert both.frames == 2 * run.frames and len(both.t) == 2 * len(run.t)
-    assert both.t[len(run.t)] - both.t[len(run.t) - 1] == pytest.approx(60.0)
-    np.testing.assert_array_equal(both.points[len(run.points) :], run.points)
-    np.testing.assert_allclose(MODEL.predict(both)[run.frames :], MODEL.predict(run))
-    with pytest.raises(TrainingError, match="recorded alike"):
-        joined([run, replace(run, temperature=20.0)])
-    with pytest.raises(TrainingError, match="some do not"):
-        joined([run, replace(run, gravity=np.array([0.0, 0.0, 1.0]))])
     bare = replace(run, points=None, start=None)
-    with pytest.raises(TrainingError, match="without clouds"):
+    with pytest.raises(TrainingError, match="no clouds and no vertices"):
         Lesson.of(MODEL, [bare])
-    shapes = replace(bare, vertices=MODEL.predict(run), sigma=np.array(0.4))
-    with pytest.raises(TrainingError, match="beside one without"):
-        joined([run, shapes])
-    with pytest.raises(TrainingError, match="`sigma`"):
-        joined([shapes, replace(shapes, sigma=None)])
     hidden = np.ones((run.frames, len(MODEL.rest)), bool)
     hidden[:, 7] = False
-    both = joined([shapes, replace(shapes, visible=hidden)])
-    assert both.visible[: run.frames].all() and not both.visible[run.frames :, 7].any() and both.sigma.min() == 0.4
+    sigma = np.array(0.4)
+    shapes = replace(bare, vertices=MODEL.predict(run) + 1.0, sigma=sigma, visible=hidden)
+    later = replace(run, t=run.t + 100.0, t_seen=run.t_seen + 100.0, temperature=20.0)  # need not be recorded alike
+    both = Lesson.of(MODEL, [later, shapes])
+    assert len(both) == 2 * run.frames and not both.of_clouds and both.runs == [later.hash(), shapes.hash()]
+    assert both.times[run.frames] - both.times[run.frames - 1] == pytest.approx(60.0)
+    np.testing.assert_array_equal(np.concatenate(both.clouds), run.points)
+    np.testing.assert_allclose(both.points[run.frames :], MODEL.predict(run))
+    taught = both.weight[run.frames :] > 0
+    assert not taught[:, 7].any() and taught.sum() == taught.size - len(taught)
+    assert both.weight[run.frames :].max() == pytest.approx(1 / sigma**2)
+    np.testing.assert_array_equal(both.vertices[run.frames :, 7], both.points[run.frames :, 7])
+    markers = shapes.vertices[:, ::200]
+    with pytest.raises(TrainingError, match="markers, which do not show"):
+        Lesson.of(MODEL, replace(bare, markers=markers, marker_rest=markers[0]))
+    with pytest.raises(RunError, match="wrong units"):
+        Lesson.of(MODEL, replace(bare, vertices=0.1 * shapes.vertices))
+    with pytest.raises(RunError, match="points"):
+        Lesson.of(MODEL, replace(shapes, vertices=shapes.vertices[:, 1:], visible=hidden[:, 1:]))
+
+
+def test_a_run_of_another_robot_among_those_that_teach_is_told():
+    mine, other = (replace(recorded(40, seed)[0], points=None, start=None) for seed in (1, 2))
+    rest = MODEL.prior.evaluate(np.zeros((1, 2))).reshape(-1, 3)
+    bent = 0.001 * rest[:, 2:] ** 2 * np.array([1.0, 0.5, 0.0])
+    shapes = [replace(run, vertices=MODEL.predict(run) + sign * bent) for run, sign in ((mine, 1.0), (other, -1.0))]
+    said = Lesson.of(MODEL, shapes).remarks
+    assert len(said) == 2 and "run 1 of 2" in said[0] and "another robot, load or orientation" in said[1]
+    assert Lesson.of(MODEL, [shapes[0], replace(other, vertices=MODEL.predict(other) + 0.8 * bent)]).remarks == []
+    assert learn_residual(MODEL, shapes)[1]["warnings"] == said
 
 
 def test_the_verb_prints_both_tables_beside_the_papers(files, capsys, monkeypatch):
@@ -231,11 +251,34 @@ def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_told(files,
     # Of a recording, by the residual that it teaches.
     run, _ = recorded(40, 1)
     run.at(np.flatnonzero((np.abs(run.command) < 5.0).all(axis=1))).save("narrow.npz")
-    argv = ["--run", "run.npz", "--train", "narrow.npz", "--residual", "modes", "--epochs", "2", "--json"]
-    monkeypatch.setattr(choices, "DEEPSORO_DRAWN", 1)
+    argv = [
+        "--run",
+        "run.npz",
+        "--train",
+        "narrow.npz",
+        "--residual",
+        "modes",
+        "--no-decoder",
+        "--epochs",
+        "2",
+        "--json",
+    ]
     assert main(["evaluate", *argv]) == 0
-    warnings = json.loads(capsys.readouterr().out)["warnings"]
+    said = json.loads(capsys.readouterr().out)
+    early, *warnings = said["warnings"]
+    assert "--epochs 2" in early and [row["name"] for row in said["recorded"]][-1] == "residual, ours"
+    assert not any(row["what"] == "deepsoro" for row in said["recorded"])
     assert warnings and all("taught the residual" in text and "frames:" in text for text in warnings)
+
+
+def test_clouds_whose_base_stands_off_are_judged_in_the_frame_of_their_base(files):
+    """So that what is compared is the shape, and the true vertices, which are in that frame, fit."""
+    run, true = recorded(24, 5)
+    stood = in_frame(run, Pose(rotation(np.radians([1.2, -0.7, 0.0])), np.array([1.0, -0.8, 0.0])), np.zeros(6))
+    there, moved = (Recording.of(one, MODEL, true) for one in (run, stood))
+    assert there.remarks == [] and "softmap align" in moved.remarks[0]
+    exact = [judge.judge("x", OFF).errors["surface"].mean() for judge in (there, moved)]
+    assert exact[1] < exact[0] + 0.1
 
 
 def test_the_papers_figures_are_those_of_its_table():

@@ -180,7 +180,7 @@ def _near(cloud: Floats, surface: _core.Surface, centre: Floats, reach: float, z
 
 def _slopes(model: Model, run: Run) -> Floats:
     """Return what commands do to the vertices (K, N, 3, C) of each frame."""
-    u = np.ascontiguousarray(model.acting(model.chain_names, model.chain_params[None], run)[0])
+    u = model.acts(run)
     slopes = np.empty((len(u), *model.rest.shape, model.channels))
     for rows, family in priors_in(model, run):
         slopes[rows] = np.asarray(family.jacobian(np.ascontiguousarray(u[rows]))).reshape(-1, *slopes.shape[1:])

@@ -33,7 +33,6 @@ Mask = NDArray[np.bool_]
 
 EACH, MOST = 3, 600  # frames of a held command, and of all of them, that are fitted to
 ROUNDS = 30
-MIDDLE = (0.674, 1.177, 1.538)  # median length of a normal vector of 1, 2, 3 numbers
 EXACT = 1e-6  # mm: closer than this is no scatter to be judged by
 
 
@@ -178,7 +177,12 @@ def _weights(bend: Floats, pull: Floats, row: NDArray[np.int64], use: Mask) -> t
     np.add.at(g, row, pull / per[row, None])
     h += (1e-6 * np.einsum("kcc->k", h)[:, None, None] + 1e-300) * np.eye(channels)
     distance = np.sqrt(np.maximum(np.einsum("kc,kc->k", g, np.linalg.solve(h, g[..., None])[..., 0]), 0.0))
-    scatter = max(float(np.median(distance[use])) / MIDDLE[min(channels, len(MIDDLE)) - 1], EXACT)
+    scatter = max(float(np.median(distance[use])) / _middle(channels), EXACT)
     limit = TUKEY + WIDER * (channels - 1)
     weight, slope = weights(distance / scatter, limit, np.full(len(use), channels))
     return np.where(use, weight, 0.0), max(float(slope[use].mean()), 0.1)
+
+
+def _middle(count: int) -> float:
+    """Return the median length of a normal vector of so many numbers (Wilson & Hilferty 1931, to 2 %)."""
+    return float(np.sqrt(count * (1.0 - 2.0 / (9.0 * count)) ** 3))

@@ -88,12 +88,7 @@ def model_from_shapes(sweep: ShapeSweep, source: dict[str, Any] | None = None, p
     values = (flat - prior["mean"].astype(float)) @ prior["modes"].astype(float).T
     if sweep.axes is None:
         fit = fit_scattered(sweep.command, values)
-        prior |= {
-            "nodes": fit.nodes,
-            "scale": fit.scale,
-            "power": np.array([fit.power]),
-            "coefficients": fit.coefficients,
-        }
+        prior |= fit.arrays
         left, rows = fit.left_out, fit.tested
         how = {"kernel": f"r^{fit.power}", "smoothing": fit.smoothing, "nodes": len(fit.nodes)}
         notes += _gaps(fit.reach)
@@ -265,7 +260,7 @@ def _fields(sweep: ShapeSweep, line: Centreline, shape: Any, stiffness: Stiffnes
         together = fit_scattered(commands, np.concatenate(list(values.values()), axis=1))
         parts = np.split(together.coefficients, len(values), axis=1)
         values = dict(zip(values, parts))
-        arrays |= {"nodes": together.nodes, "scale": together.scale, "power": np.array([together.power])}
+        arrays |= {name: array for name, array in together.arrays.items() if name != "coefficients"}
     kind = np.float32 if sweep.axes is not None else np.float64  # weights of radial basis functions cancel
     return arrays | {f"coefficients_{name}": value.astype(kind) for name, value in values.items()}
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ ROWS = 2500  # commands at most that a fit looks at, spread evenly over the file
 TESTS = 300  # rows that are left out one by one
 FOLLOWING = 0.5  # of the rows: when so many are nearest to the row before or after them, they are a path
 BLOCKS = 20  # tested along a path, each with half a block on either side left out too
+NARROW = 1e-6  # half of what a command goes over that never moves
 POWERS = (1, 3)
 SMOOTHINGS = tuple(10.0**k for k in range(-9, 2))  # λ over the largest squared singular value
 PAIRS, PAIRS_SEED = 500, 5
@@ -56,11 +58,17 @@ class ScatteredFit:
     tested: NDArray[np.intp]
     reach: float
 
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What a family of shapes is made from, less its mean and modes (`shape_arrays.py`)."""
+        kept = {"nodes": self.nodes, "scale": self.scale, "coefficients": self.coefficients}
+        return kept | {"power": np.array(self.power)}
+
 
 def fit_scattered(commands: Floats, values: Floats, most: int = NODES) -> ScatteredFit:
     """Fit `values` (S, m) at commands (S, C), no command given twice, at most `most` nodes."""
     rows = np.arange(len(commands)) if len(commands) <= ROWS else np.linspace(0, len(commands) - 1, ROWS).astype(int)
-    scale = np.maximum(0.5 * np.ptp(commands, axis=0), 1e-9)
+    scale = half_range(commands)
     q, values = commands[rows] / scale, values[rows]
     reach = gap(q)
     groups = _groups(q, reach)
@@ -82,6 +90,12 @@ def fit_scattered(commands: Floats, values: Floats, most: int = NODES) -> Scatte
                 best = error, fit
     assert best is not None
     return best[1]
+
+
+def half_range(commands: Floats) -> Floats:
+    """Return half of what each command (S, C) goes over; 1 for one that never moves, which then tells nothing."""
+    half = 0.5 * np.ptp(commands, axis=0)
+    return np.where(half > NARROW, half, 1.0)
 
 
 def gap(q: Floats) -> float:

@@ -21,7 +21,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.elsewhere.scattered import fit_scattered
+from softmap_edge.elsewhere.scattered import fit_scattered, half_range
 from softmap_edge.shape_arrays import family_from
 from softmap_training import choices
 from softmap_training.errors import TrainingError
@@ -35,10 +35,9 @@ NAMES: tuple[Name, ...] = get_args(Name)
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """A regressor: `predict` gives points (n, 3N) mm at commands (n, C) mm; `numbers` that were learned; `triangles`
-    where its points are no vertices.
+    (F, 3) where its points are no vertices.
     """
 
-    name: Name
     predict: Callable[[Floats], Floats]
     seconds: float
     numbers: int
@@ -68,8 +67,7 @@ def fit_baseline(
         from softmap_training.deepsoro import fit_deepsoro
 
         bodies = list(points.reshape(len(points), -1, 3))
-        made = fit_deepsoro(commands, bodies, len(bodies[0]), seed, None, epochs, folder, told)
-        return Fitted(name, made.predict, made.seconds, made.numbers, made.triangles)
+        return fit_deepsoro(commands, bodies, len(bodies[0]), seed, None, epochs, folder, told)
     mean, modes, weights = reduced(points)
     fits = {"xgboost": _xgboost, "gp": _gp, "table": _table}
     regress, numbers = fits[name](commands, weights, seed)
@@ -77,7 +75,16 @@ def fit_baseline(
     def predict(u: Floats) -> Floats:
         return mean + regress(u) @ modes
 
-    return Fitted(name, predict, time.perf_counter() - ahead, numbers)
+    return Fitted(predict, time.perf_counter() - ahead, numbers)
+
+
+def check_prior(kind: str) -> None:
+    """Refuse what is no prior of a bundle."""
+    if kind == "deepsoro":
+        raise TrainingError(
+            "the points of 'deepsoro' are no vertices, so it is no prior of a bundle; judge it with "
+            "`softmap evaluate --set SET --model deepsoro`"
+        )
 
 
 Regressor = tuple[Callable[[Floats], Floats], int]
@@ -93,9 +100,8 @@ def reduced(points: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _table(commands: Floats, weights: Floats, seed: int) -> Regressor:
     fit = fit_scattered(commands, weights)
-    arrays = {"nodes": fit.nodes, "scale": fit.scale, "power": np.array(fit.power), "coefficients": fit.coefficients}
     count = weights.shape[1]
-    shape = family_from(arrays | {"mean": np.zeros(count), "modes": np.eye(count)})
+    shape = family_from(fit.arrays | {"mean": np.zeros(count), "modes": np.eye(count)})
     return lambda u: np.asarray(shape.evaluate(np.ascontiguousarray(u))), fit.coefficients.size
 
 
@@ -114,7 +120,7 @@ def _gp(commands: Floats, weights: Floats, seed: int) -> Regressor:
     from scipy.linalg import cho_solve
     from scipy.optimize import minimize
 
-    middle, half = commands.mean(axis=0), 0.5 * np.ptp(commands, axis=0)
+    middle, half = commands.mean(axis=0), half_range(commands)
     q, scale = (commands - middle) / half, weights.std(axis=0)
     y = weights / scale  # the first modes are signal, the last round-off: these tell no lengths
     telling = y[:, : choices.GP_MODES]

@@ -42,3 +42,8 @@ def chamfer(points: Tensor, clouds: Sequence[Floats], seen: Sequence[Floats | No
     """
     result: Tensor = _Chamfer.apply(points, clouds, [None] * len(clouds) if seen is None else seen)
     return result
+
+
+def thinned(cloud: Floats, most: int) -> Floats:
+    """Return about `most` points of a cloud at most, evenly spread over its rows."""
+    return np.ascontiguousarray(cloud[:: max(1, len(cloud) // most)])

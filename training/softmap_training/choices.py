@@ -29,7 +29,7 @@ class Recipe:
     rate: float
     last: float = 0.01
     decay: float = 0.0
-    patience: int = 10_000
+    patience: int = 1_000_000
     seed: int = 0
     passes: int = 1
 
@@ -49,7 +49,7 @@ PUBLISHED_RESIDUAL = Recipe(epochs=150, batch=8, rate=1e-3, patience=40)
 RESIDUAL_WIDTHS, RESIDUAL_DROPOUT = (64, 256, 256, 64), 0.1  # released
 LAMBDA_L2, LAMBDA_LAP = 0.1, 0.05  # released
 # Ours: a few modes of what registration shows beyond the prior.
-RESIDUAL = Recipe(epochs=100, batch=4096, rate=3e-3, last=1e-3, decay=1.0, patience=40, passes=10)
+RESIDUAL = Recipe(epochs=100, batch=4096, rate=3e-3, last=1e-3, decay=1.0, passes=10)
 
 # Its Chamfer over the vertices seen: weight in mm, of a squared distance; clouds of a batch, and points of a cloud.
 LAMBDA_SEEN, SEEN_FRAMES, SEEN_SAMPLES = 0.1, 8, 500
@@ -67,3 +67,13 @@ DEEPSORO = Recipe(epochs=60, batch=16, rate=1e-3)
 DEEPSORO_DRAWN = 1000  # bodies that an epoch goes through at least: few clouds are shown again and again
 # The error against the number of real samples: shares of the blocks of a recording that teach.
 SHARES = (0.125, 0.25, 0.5, 1.0)
+
+
+def prior_recipe(kind: PriorKind) -> Recipe:
+    """Return how a prior is trained."""
+    return PRIOR if kind == "modes" else PUBLISHED_PRIOR
+
+
+def residual_recipe(kind: ResidualKind) -> Recipe:
+    """Return how a residual is trained."""
+    return RESIDUAL if kind == "modes" else PUBLISHED_RESIDUAL

@@ -9,33 +9,26 @@ Which blocks make a part is drawn by the seed, and each part holds the smaller o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.folds import run_folds
 from softmap_edge.model import Model
 from softmap_edge.outside import untaught
-from softmap_edge.registration.clouds import clouds_of
-from softmap_edge.registration.register import Registered, register
-from softmap_edge.run import Run
 from softmap_training import baselines, choices
+from softmap_training.chamfer import thinned
 from softmap_training.deepsoro import fit_deepsoro
-from softmap_training.errors import TrainingError
 from softmap_training.evaluate import Recording, Row, milliseconds, on_shapes, predicting, size_of
 from softmap_training.prior import Surface, train_prior
-from softmap_training.recordings import joined
-from softmap_training.residual import LEAST_FRAMES, train_residual
+from softmap_training.recordings import LEAST_FRAMES, Lesson
+from softmap_training.residual import train_residual
 from softmap_training.simulated import SimulatedSet
 
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Progress = Callable[[str, float], None]
 
 NO_CHANCE = ("linear", "xgboost", "table")  # no seed changes these
@@ -71,7 +64,7 @@ def fitted_to_set(name: str, data: SimulatedSet, surface: Surface, plan: Plan, b
     for seed in plan.seeds[:1] if name in NO_CHANCE else plan.seeds:
         say, folder = partial(bar, name), plan.folder(name, seed)
         if name in choices.PRIORS:
-            recipe = plan.of(choices.PRIOR if name == "modes" else choices.PUBLISHED_PRIOR, seed)
+            recipe = plan.of(choices.prior_recipe(name), seed)
             trained = train_prior(
                 u, points, (parts.train, parts.validation, parts.test), name, surface, recipe, folder,
                 lambda share, _, say=say: say(share),
@@ -89,54 +82,24 @@ def fitted_to_set(name: str, data: SimulatedSet, surface: Surface, plan: Plan, b
     return Row.of_seeds(rows)
 
 
-@dataclass(frozen=True, eq=False)
-class Lesson:
-    """A recording that teaches: its run, the clouds registered on a model without its residual, blocks of frames."""
-
-    base: Model
-    run: Run
-    registered: Registered
-    blocks: list[Indices]
-
-    @classmethod
-    def of(cls, model: Model, runs: Sequence[Run]) -> Lesson:
-        """Return that of one run of clouds or several.
-
-        Raises:
-            TrainingError: too few frames, or runs that do not go together.
-        """
-        base, run = model.with_residual(None), joined(runs)
-        if run.points is None:
-            raise TrainingError("--train: a run without clouds (`points`, `start`); give recordings of clouds")
-        if run.frames < LEAST_FRAMES:
-            raise TrainingError(f"--train: {run.frames} frames, at least {LEAST_FRAMES} are needed; record more")
-        return cls(base, run, register(base, run), [test for _, test in run_folds(run.t_seen)])
-
-    def part(self, share: float, seed: int) -> Indices:
-        """Return the frames of a share of the blocks, ascending; a seed's larger shares hold its smaller ones."""
-        order = np.random.default_rng(seed).permutation(len(self.blocks))
-        return np.sort(np.concatenate([self.blocks[k] for k in order[: max(1, round(share * len(order)))]]))
-
-
 def decoder(lesson: Lesson, judge: Recording, plan: Plan, bar: Progress) -> Row:
     """Fit a decoder to the clouds of a lesson, and judge it."""
     base, rows = lesson.base, []
-    clouds = [np.ascontiguousarray(c[:: max(1, len(c) // choices.SAMPLES)]) for c in clouds_of(lesson.run)]
-    held = np.concatenate(lesson.blocks[:: choices.HELD_OUT])  # as for a residual
-    taught, asked = (_acting(base, run) for run in (lesson.run, judge.run))
+    clouds = [thinned(cloud, choices.SAMPLES) for cloud in lesson.clouds]
+    held, asked = lesson.parts[0][1], base.acts(judge.run)  # held out as for a residual
     for seed in plan.seeds:
         made = fit_deepsoro(
-            taught, clouds, len(base.rest), seed, held, plan.epochs,
+            lesson.commands, clouds, len(base.rest), seed, held, plan.epochs,
             plan.folder("recording", "deepsoro", seed), partial(bar, "DeepSoRo"),
         )  # fmt: skip
         told = {"what": "deepsoro", "seed": seed, "seconds": made.seconds, "parameters": made.numbers}
-        told |= {"milliseconds": milliseconds(made.predict, asked), "frames": lesson.run.frames}
+        told |= {"milliseconds": milliseconds(made.predict, asked), "frames": len(lesson)}
         shapes = made.predict(asked).reshape(len(asked), -1, 3)
         rows.append(judge.judge_shapes("DeepSoRo", shapes, made.triangles, told, body=False))
     return Row.of_seeds(rows)
 
 
-def residuals(lesson: Lesson, judge: Recording, kind: str, plan: Plan, bar: Progress) -> list[Row]:
+def residuals(lesson: Lesson, judge: Recording, kind: choices.ResidualKind, plan: Plan, bar: Progress) -> list[Row]:
     """Train a residual on growing parts of a lesson, and judge each; the last row is taught by all of it.
 
     A part that is too small for a residual is left out.
@@ -146,15 +109,12 @@ def residuals(lesson: Lesson, judge: Recording, kind: str, plan: Plan, bar: Prog
         rows = []
         for seed in plan.seeds:
             bar(TITLES[kind], number / len(choices.SHARES))
-            some = lesson.part(share, seed)
+            some = lesson.share(share, seed)
             if len(some) < LEAST_FRAMES:
                 break
-            recipe = choices.RESIDUAL if kind == "modes" else choices.PUBLISHED_RESIDUAL
+            recipe = plan.of(choices.residual_recipe(kind), seed)
             folder = plan.folder("recording", "residual", kind, f"{share:g}", seed)
-            seen = _some(lesson.registered, some)
-            model, report = train_residual(
-                lesson.base, lesson.run.at(some), kind, plan.of(recipe, seed), folder, registered=seen
-            )
+            model, report = train_residual(lesson.base, lesson.at(some), kind, recipe, folder)
             told = took(model) | {
                 "what": "with residual", "kind": kind, "seed": seed, "seconds": report["seconds"], "share": share,
                 "frames": len(some), "outside": untaught(model, judge.run),
@@ -170,11 +130,3 @@ def took(model: Model) -> dict[str, Any]:
     low, high = model.command_range.T
     u = np.random.default_rng(0).uniform(low, high, (16, model.channels))
     return {"milliseconds": milliseconds(predicting(model), u), "parameters": size_of(model)}
-
-
-def _acting(model: Model, run: Run) -> Floats:
-    return np.ascontiguousarray(model.acting(model.chain_names, model.chain_params[None], run)[0])
-
-
-def _some(of: Registered, rows: Indices) -> Registered:
-    return replace(of, vertices=of.vertices[rows], support=of.support[rows], frames=[of.frames[k] for k in rows])

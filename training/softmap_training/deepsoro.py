@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,21 +20,13 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from softmap_training import choices
+from softmap_training.baselines import Fitted
 from softmap_training.chamfer import chamfer
 from softmap_training.fit import Task, fit, seeded
+from softmap_training.networks import spread
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class Decoder:
-    """`predict` gives points (n, 3N) mm at commands (n, C) mm, `triangles` (F, 3) their surface; what it took."""
-
-    predict: Callable[[Floats], Floats]
-    triangles: NDArray[np.int32]
-    numbers: int
-    seconds: float
 
 
 class Folding(nn.Module):
@@ -48,7 +39,7 @@ class Folding(nn.Module):
         across = np.linspace(-1.0, 1.0, _side(count))
         grid = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)[:count]
         fixed = {
-            "middle_u": commands.mean(axis=0), "size_u": commands.std(axis=0) + 1e-8,
+            "middle_u": commands.mean(axis=0), "size_u": spread(commands),
             "middle": every.mean(axis=0), "size": np.array(every.std()), "grid": grid,
         }  # fmt: skip
         for name, value in fixed.items():
@@ -77,7 +68,7 @@ def fit_deepsoro(
     epochs: int | None = None,
     folder: Path | None = None,
     told: Callable[[float], None] | None = None,
-) -> Decoder:
+) -> Fitted:
     """Fit a decoder of `count` points to bodies, each (M, 3) mm, at commands (S, C) mm.
 
     Args:
@@ -113,7 +104,7 @@ def fit_deepsoro(
         return np.asarray(found.numpy().reshape(len(v), -1), np.float64)
 
     numbers = sum(p.numel() for p in network.parameters())
-    return Decoder(predict, _cells(count), numbers, sum(row["seconds"] for row in log))
+    return Fitted(predict, sum(row["seconds"] for row in log), numbers, _cells(count))
 
 
 def _side(count: int) -> int:

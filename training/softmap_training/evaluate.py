@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.alignment.clouds import base_stood_off, in_base
 from softmap_edge.model import Model
 from softmap_edge.registration.clouds import clouds_of
 from softmap_edge.registration.register import register
@@ -75,7 +76,7 @@ class Row:
         found = {
             f"{name}_mm": {"mean": float(np.nanmean(e)), "sd": float(np.nanstd(e, axis=1).mean()),
                            "sd_of_seeds": float(np.nanmean(e, axis=1).std(ddof=1)) if len(e) > 1 else None,
-                           "worst": float(e[0].max()), "worst_frame": int(e[0].argmax())}
+                           "worst": float(np.nanmax(e[0])), "worst_frame": int(np.nanargmax(e[0]))}
             for name, e in self.errors.items()
         }  # fmt: skip
         return {"name": self.name, "seeds": len(next(iter(self.errors.values()))), **found, **self.told}
@@ -97,10 +98,11 @@ class Recording:
     clouds: list[Floats]
     laid: Run
     truth: Floats | None = None
+    remarks: list[str] = field(default_factory=list)
 
     @classmethod
     def of(cls, run: Run, model: Model, truth: Floats | None = None) -> Recording:
-        """Return that of a run of clouds; a model without its residual finds what they show.
+        """Return that of a run of clouds, in the frame of its base; a model without its residual finds what they show.
 
         Args:
             run: that taught nothing.
@@ -113,8 +115,10 @@ class Recording:
         wanted = (run.frames, *model.rest.shape)
         if truth is not None and truth.shape != wanted:
             raise TrainingError(f"a truth of shape {truth.shape} for {wanted} predicted; give that of this run")
-        found = register(model.with_residual(None), run)
-        return cls(run, clouds_of(run), found.run(run), truth)
+        base = model.with_residual(None)
+        run, stood = in_base(run, base)
+        remarks = [] if stood is None else [base_stood_off(stood.pose)]
+        return cls(run, clouds_of(run), register(base, run).run(run), truth, remarks)
 
     @property
     def visible(self) -> Floats:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from softmap_edge.report.numbers import mm
 from softmap_edge.report.style import PAGE, cards, escaped, picture, section
 from softmap_edge.whole_file import write_whole
-from softmap_training.evaluate import FALLS, Row
+from softmap_training.evaluate import Row
 from softmap_training.evaluate_text import MEANING, PAPER, RECORDED, SIMULATED, TOLD, cell, cost, samples, there, title
 
 Document = Mapping[str, Any]
@@ -61,10 +61,11 @@ def _hero(document: Document) -> str:
         rows.append(("best on simulated shapes", value, f"vertex; {best['name']}", "after"))
     main = _main(document)
     for row in document["falls"]:
-        if row["paper_chamfer_share"] == FALLS["without residual"]:
+        if row["what"] == "without residual":
             share = row[f"{main}_share"]
             label = f"{main} error with {row['name']}"
-            note = f"against {row['against']}; chamfer {_change(row['chamfer_share'])} (the paper, other data: −33.4 %)"
+            paper = _change(row["paper_chamfer_share"])
+            note = f"against {row['against']}; chamfer {_change(row['chamfer_share'])} (the paper, other data: {paper})"
             rows.append((label, _change(share), note, "after" if share > 0 else "before"))
     seeds = document["made_from"]["seeds"]
     about = f"{len(seeds)} seed{'s' * (len(seeds) > 1)} of what is fitted here; mean ± standard deviation over frames"

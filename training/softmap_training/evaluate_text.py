@@ -6,11 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from softmap_edge.report.numbers import mm
+from softmap_training.evaluate import ERRORS
 
 Document = Mapping[str, Any]
 
 PAPER = (("deepsoro", "DeepSoRo"), ("without residual", "without residual"), ("with residual", "with residual"))
-SIMULATED, RECORDED = ("chamfer", "vertex"), ("chamfer", "visible", "surface", "whole", "vertex")
+SIMULATED, RECORDED = ("chamfer", "vertex"), ERRORS
 TOLD = {"whole": "whole body"}  # what a column is called, where that is not its key
 MEANING = {
     "chamfer": "chamfer: prediction to target + target to prediction, unsquared",

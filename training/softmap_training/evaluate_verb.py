@@ -63,6 +63,7 @@ def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
         "--residual", nargs="+", choices=choices.RESIDUALS, default=list(choices.RESIDUALS),
         help="which of these residuals to train: ours (modes), the published one; both without it",
     )  # fmt: skip
+    parser.add_argument("--no-decoder", action="store_true", help="no decoder beside them; it takes longest")
     parser.add_argument("--seed", type=int, default=0, help="the first that draws what is fitted here (0)")
     parser.add_argument("--seeds", type=int, default=1, help="how many: mean ± standard deviation over them (1)")
     parser.add_argument("--epochs", type=int, help="another number of epochs for the networks that are trained here")
@@ -198,7 +199,8 @@ def _on_run(
     warnings: list[str],
 ) -> tuple[list[Row], list[Row]]:
     """Return the rows of the recording, and those of residuals from growing parts of what teaches."""
-    from softmap_training.contenders import Lesson, decoder, residuals, took
+    from softmap_training.contenders import decoder, residuals, took
+    from softmap_training.recordings import Lesson
 
     truth = None if args.truth is None else read_npz(Path(args.truth), SoftmapError).get("vertices")
     if args.truth is not None and truth is None:
@@ -206,6 +208,7 @@ def _on_run(
     bar("registering", 0.0)
     first, model = next(iter(models.items()))
     judge = Recording.of(run, model, truth)
+    warnings += [f"--run: {note}" for note in judge.remarks]
     warnings += [f"{first}: {note}" for note in unlike(model, match(model, judge.laid).mae_mm)]
     rows: list[Row] = []
     curve: list[Row] = []
@@ -224,7 +227,13 @@ def _on_run(
     if not taught:
         return rows, curve
     lesson = Lesson.of(model, taught)
-    rows.insert(0, decoder(lesson, judge, _plan(args), bar))
+    if not lesson.of_clouds:
+        raise TrainingError("--train: a run without clouds (`points`, `start`); give recordings of clouds")
+    warnings += [f"--train: {note}" for note in lesson.remarks]
+    if args.epochs is not None:
+        warnings.append(f"--epochs {args.epochs}: what is trained here has other epochs than its recipe asks for")
+    if not args.no_decoder:
+        rows.insert(0, decoder(lesson, judge, _plan(args), bar))
     for kind in dict.fromkeys(args.residual):
         parts = residuals(lesson, judge, kind, _plan(args), bar)
         for row in parts:
@@ -245,5 +254,6 @@ def _falls(rows: list[Row]) -> list[dict[str, Any]]:
             what = other.told["what"]
             if what == "deepsoro" or what == "without residual" and other.told["base"] == row.told["base"]:
                 shares = {f"{error}_share": share for error, share in fall(other, row).items()}
-                found.append({"name": row.name, "against": other.name, **shares, "paper_chamfer_share": FALLS[what]})
+                told = {"name": row.name, "against": other.name, "what": what}
+                found.append(told | shares | {"paper_chamfer_share": FALLS[what]})
     return found

@@ -15,6 +15,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from softmap_edge.elsewhere.scattered import NARROW, half_range
+
 Floats = NDArray[np.float64]
 
 PUBLISHED_WIDTHS = (256, 512, 1024, 512, 256)
@@ -46,9 +48,15 @@ class Modes(nn.Module):
         return self.mean + x @ self.modes
 
 
+def spread(commands: Floats) -> Floats:
+    """Return the standard deviation of each command (S, C); 1 for one that never moves, which then tells nothing."""
+    size = commands.std(axis=0)
+    return np.where(size > NARROW, size + EPSILON, 1.0)
+
+
 def published_prior(commands: Floats, points: Floats, dropout: float = 0.1) -> nn.Sequential:
     """Return the paper's prior, normalised by a set of commands (S, C) mm and points (S, 3N) mm."""
-    layers: list[nn.Module] = [Scale(commands.mean(axis=0), commands.std(axis=0) + EPSILON)]
+    layers: list[nn.Module] = [Scale(commands.mean(axis=0), spread(commands))]
     width = commands.shape[1]
     for wide in PUBLISHED_WIDTHS:
         layers += [nn.Linear(width, wide), nn.BatchNorm1d(wide), nn.ReLU(), nn.Dropout(dropout)]
@@ -71,7 +79,7 @@ def mode_prior(commands: Floats, points: Floats, widths: Sequence[int], count: i
 
 def published_residual(commands: Floats, size: int, widths: Sequence[int], dropout: float) -> nn.Sequential:
     """Return the residual as its authors released it: 64-256-256-64, LayerNorm, GELU, dropout, to 3N numbers in mm."""
-    layers: list[nn.Module] = [Scale(commands.mean(axis=0), commands.std(axis=0) + EPSILON)]
+    layers: list[nn.Module] = [Scale(commands.mean(axis=0), spread(commands))]
     width = commands.shape[1]
     for wide in widths:
         layers += [nn.Linear(width, wide), nn.LayerNorm(wide), nn.GELU(), nn.Dropout(dropout)]
@@ -84,7 +92,7 @@ def published_residual(commands: Floats, size: int, widths: Sequence[int], dropo
 
 def to_modes(commands: Floats, mean: Floats, modes: Floats, widths: Sequence[int]) -> nn.Sequential:
     """Return GELU layers of `widths` from commands (S, C) mm to weights of `modes` (m, 3N) mm about `mean` (3N,)."""
-    half, middle = 0.5 * np.ptp(commands, axis=0), 0.5 * (commands.max(axis=0) + commands.min(axis=0))
+    half, middle = half_range(commands), 0.5 * (commands.max(axis=0) + commands.min(axis=0))
     layers: list[nn.Module] = [Scale(middle, half)]
     width = commands.shape[1]
     for wide in widths:

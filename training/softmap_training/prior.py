@@ -32,7 +32,7 @@ from softmap_edge.registration.register import clamped
 from softmap_edge.shape_arrays import family_from
 from softmap_edge.solid.simulator import tensor_grid
 from softmap_training import baselines, encodings
-from softmap_training.choices import PRIOR, PRIOR_MODES, PRIOR_WIDTHS, PUBLISHED_PRIOR, PriorKind, Recipe
+from softmap_training.choices import PRIOR_MODES, PRIOR_WIDTHS, PriorKind, Recipe, prior_recipe
 from softmap_training.errors import TrainingError
 from softmap_training.export import checked, to_onnx
 from softmap_training.fit import Progress, Task, fit, seeded
@@ -113,7 +113,7 @@ def train_prior(
     """
     train, validation, test = parts
     _enough(parts)
-    recipe = recipe or (PRIOR if kind == "modes" else PUBLISHED_PRIOR)
+    recipe = recipe or prior_recipe(kind)
     seeded(recipe.seed)
     network, targets, fixed = _made(kind, commands, points, train, surface)
     u, wanted = (torch.as_tensor(array, dtype=torch.float32) for array in (commands, targets))
@@ -153,11 +153,7 @@ def fit_prior(
     Raises:
         TrainingError: its points are no vertices, another finger's set, or what it needs is not installed.
     """
-    if kind == "deepsoro":
-        raise TrainingError(
-            "the points of 'deepsoro' are no vertices, so it is no prior of a bundle; judge it with "
-            "`softmap evaluate --set SET --model deepsoro`"
-        )
+    baselines.check_prior(kind)
     check_set(base, commands, points)
     _enough(parts)
     train, _, test = parts
@@ -170,7 +166,8 @@ def fit_prior(
     arrays |= {"mean": mean.astype(np.float32), "modes": modes.astype(np.float32)}
     arrays |= {"coefficients": weights.astype(np.float32)}
     found = family_from(arrays).evaluate(commands[test])
-    report = {"kind": kind, "seed": seed, "seconds": fitted.seconds, "parameters": fitted.numbers}
+    report = {"kind": kind, "seed": seed, "seconds": fitted.seconds}
+    report["parameters"] = sum(array.size for array in arrays.values())
     return Tabulated(arrays, report | _judged(commands[train], found, points[test]))
 
 

@@ -1,69 +1,128 @@
-"""Recordings of clouds or vertices that teach together, as one run. Pinned by tests/test_evaluate.py."""
+"""Recordings that teach on top of a model, as one lesson: what the model makes of each frame, and what was seen.
+
+Clouds are brought into the frame of their base where it clearly stands off (`alignment/clouds.py`), and the template is
+laid onto them, run by run. Units: mm. Pinned by tests/test_evaluate.py and tests/test_residual_network.py.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from softmap_edge.alignment.clouds import base_stood_off, in_base
+from softmap_edge.alignment.matching import weighted
+from softmap_edge.folds import Folds, run_folds
+from softmap_edge.model import Model
 from softmap_edge.registration.clouds import clouds_of
-from softmap_edge.residual import APART
+from softmap_edge.registration.register import register
+from softmap_edge.residual import APART, strangers
 from softmap_edge.run import Run
+from softmap_training import choices
 from softmap_training.errors import TrainingError
 
-ROWS = ("ticks", "present_ticks", "command", "present", "current", "temperature", "load")  # of a run, one a time
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+LEAST_FRAMES = 12
+ROWS = ("commands", "points", "vertices", "weight", "times")  # of a lesson, one a frame
 
 
-def joined(runs: Sequence[Run]) -> Run:
-    """Return runs of clouds, or of vertices, as one, a minute apart.
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What K frames teach on top of `base`, a model without its residual.
 
-    Raises:
-        TrainingError: they are of other channels, units or fields, or show neither.
+    `commands` (K, C) act, and the model makes `points` (K, N, 3) mm of them. `clouds` (m, 3) mm were seen, empty where
+    vertices were recorded; `vertices` (K, N, 3) mm are these or those laid onto clouds, each with its `weight` (K, N)
+    in 1/mm², 0 where it was not seen. `times` (K,) s are of all runs, whose hashes are `runs`; `remarks`: to be told.
     """
-    first = runs[0]
-    there = [name for name in ROWS if getattr(first, name) is not None]
-    for run in runs:
-        fields = [name for name in ROWS if getattr(run, name) is not None]
-        if fields != there or run.channels != first.channels or run.command_unit != first.command_unit:
-            raise TrainingError(
-                f"a run of {run.channels} channels with {', '.join(fields)} beside one of {first.channels} "
-                f"with {', '.join(there)}; runs that teach together are recorded alike"
-            )
-        if (run.points is None) != (first.points is None) or (run.vertices is None) != (first.vertices is None):
-            raise TrainingError("a run of clouds beside one without; `softmap register` makes vertices of clouds")
-    if len(runs) == 1:
-        return first
-    begins = np.cumsum([0.0, *(float(run.t[-1] - run.t[0]) + APART for run in runs[:-1])])
-    shifts = [begin - run.t[0] for begin, run in zip(begins, runs)]
-    leans = [np.broadcast_to(run.gravity, (len(run.t), 3)) for run in runs if run.gravity is not None]
-    if leans and len(leans) < len(runs):
-        raise TrainingError("some of the runs declare gravity and some do not; declare it in all")
-    steady = bool(leans) and all((row == leans[0][0]).all() for row in leans)
-    rows: dict[str, Any] = {name: np.concatenate([getattr(run, name) for run in runs]) for name in there}
-    return replace(
-        first, t=np.concatenate([run.t + by for run, by in zip(runs, shifts)]),
-        t_seen=np.concatenate([run.t_seen + by for run, by in zip(runs, shifts)]),
-        gravity=leans[0][0] if steady else np.concatenate(leans) if leans else None, block=None,
-        **rows, **_seen(runs),
-    )  # fmt: skip
+
+    base: Model
+    commands: Floats
+    points: Floats
+    clouds: list[Floats]
+    vertices: Floats
+    weight: Floats
+    times: Floats
+    runs: list[str]
+    remarks: list[str]
+
+    @classmethod
+    def of(cls, model: Model, runs: Run | Sequence[Run]) -> Lesson:
+        """Return that of recordings of clouds or vertices.
+
+        Args:
+            model: with the effects that it has; an earlier residual is left out.
+            runs: one or several, with commands, or with ticks where the model is calibrated.
+
+        Raises:
+            TrainingError: fewer than LEAST_FRAMES frames, or runs that show no surface.
+            RunError: a run of another robot or unit.
+        """
+        base, every = model.with_residual(None), [runs] if isinstance(runs, Run) else list(runs)
+        frames = sum(run.frames for run in every)
+        if frames < LEAST_FRAMES:
+            raise TrainingError(f"{frames} frames, at least {LEAST_FRAMES} are needed to learn a residual; record more")
+        each = [_of_run(base, run) for run in every]
+        begins = np.cumsum([0.0, *(float(np.ptp(one.times)) + APART for one in each[:-1])])
+        times = [one.times - one.times[0] + begin for one, begin in zip(each, begins)]
+        rows = {name: np.concatenate([getattr(one, name) for one in each]) for name in ROWS}
+        missed = [(one.commands, (one.vertices - one.points).reshape(len(one), -1), one.weight > 0) for one in each]
+        return cls(
+            base, **rows | {"times": np.concatenate(times)}, clouds=[cloud for one in each for cloud in one.clouds],
+            runs=[run.hash() for run in every],
+            remarks=[remark for one in each for remark in one.remarks] + strangers(missed),
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.commands)
+
+    @property
+    def of_clouds(self) -> bool:
+        """Whether every frame shows a cloud."""
+        return all(map(len, self.clouds))
+
+    @property
+    def blocks(self) -> list[Indices]:
+        """Frames that are drawn, or held out, together."""
+        return [test for _, test in run_folds(self.times)]
+
+    @property
+    def parts(self) -> Folds:
+        """Frames that teach and those that are held out, `choices.HELD_OUT` times: every so many blocks."""
+        folds, found = run_folds(self.times), []
+        for number in range(min(choices.HELD_OUT, len(folds))):
+            train, some = np.arange(len(self)), folds[number :: choices.HELD_OUT]
+            for kept, _ in some:
+                train = np.intersect1d(train, kept)
+            found.append((train, np.concatenate([test for _, test in some])))
+        return found
+
+    def at(self, rows: Indices) -> Lesson:
+        """Return the lesson of some frames."""
+        return replace(self, clouds=[self.clouds[k] for k in rows], **{n: getattr(self, n)[rows] for n in ROWS})
+
+    def share(self, share: float, seed: int) -> Indices:
+        """Return the frames of a share of the blocks, ascending; a seed's larger shares hold its smaller ones."""
+        blocks = self.blocks
+        order = np.random.default_rng(seed).permutation(len(blocks))
+        return np.sort(np.concatenate([blocks[k] for k in order[: max(1, round(share * len(order)))]]))
 
 
-def _seen(runs: Sequence[Run]) -> dict[str, Any]:
-    """Return what runs of one kind show, one after the other."""
-    if runs[0].points is not None:
-        clouds = [cloud for run in runs for cloud in clouds_of(run)]
-        start = np.concatenate([[0], np.cumsum([len(cloud) for cloud in clouds])])
-        return {"points": np.concatenate([np.zeros((0, 3)), *clouds]), "start": start}
-    vertices = [run.seen_points for run in runs]
-    visible = [np.ones(v.shape[:2], bool) if run.visible is None else run.visible for v, run in zip(vertices, runs)]
-    sigma = [run.sigma for run in runs if run.sigma is not None]
-    if sigma and len(sigma) < len(runs):
-        raise TrainingError("some of the runs give `sigma` and some do not; give it in all or in none")
-    each = [np.broadcast_to(s, v.shape[:2]) for s, v in zip(sigma, vertices)]
-    return {
-        "vertices": np.concatenate(vertices),
-        "visible": np.concatenate(visible),
-        "sigma": np.concatenate(each) if each else None,
-    }
+def _of_run(base: Model, run: Run) -> Lesson:
+    """Return what one run teaches."""
+    if not run.frames or run.markers is not None or (run.points is None and run.vertices is None):
+        shown = "markers, which do not show the surface" if run.markers is not None else "no clouds and no vertices"
+        raise TrainingError(f"a run of {run.frames} frames shows {shown}; a residual network is learned from these")
+    there, stood = in_base(run, base)
+    points = np.asarray(base.predict(there))
+    if there.points is None:
+        clouds = [np.zeros((0, 3))] * there.frames
+        seen, weight = weighted(base, there)
+        vertices = np.where(weight[..., None] > 0, seen, points)
+    else:
+        clouds, found = clouds_of(there), register(base, there)
+        vertices, weight = found.vertices, weighted(base, found.run(there))[1]
+    remarks = [] if stood is None else [base_stood_off(stood.pose)]
+    return Lesson(base, base.acts(there), points, clouds, vertices, weight, there.t_seen, [run.hash()], remarks)

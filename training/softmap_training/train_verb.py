@@ -11,9 +11,11 @@ from softmap_edge.commands.output import bundle_arguments, check_bundle
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_training.baselines import NAMES as BASELINES
+from softmap_training.baselines import check_prior
 from softmap_training.choices import PriorKind, ResidualKind
 from softmap_training.errors import TrainingError
 
+FITTED = ("linear", *BASELINES)  # at once, without epochs
 WORK = ".training"  # what the folder of checkpoints and logs ends in, beside the bundle
 
 
@@ -47,6 +49,7 @@ def train_arguments(parser: argparse.ArgumentParser) -> None:
 
 def train(args: argparse.Namespace) -> int:
     """Train a network and write the bundle that holds it."""
+    _check_fitted(args)
     torch = checked_torch()
     if args.device == "cuda" and not torch.cuda.is_available():
         raise TrainingError("--device cuda: torch sees no GPU here; leave it out to train on the processor")
@@ -59,15 +62,28 @@ def train(args: argparse.Namespace) -> int:
     check_bundle(args.out, args.force)
     load_own(args)
     base = open_model(args.bundle)
-    work = Path(args.work or f"{Path(args.out)}{WORK}")
+    work = None if args.model in FITTED else Path(args.work or f"{Path(args.out)}{WORK}")
+    resumed = work is not None and any(work.rglob("checkpoint.pt"))
     with Bar(args.json) as bar:
         model, report = (_prior if args.what == "prior" else _residual)(args, base, work, bar)
     save_bundle(model, args.out)
-    document = {"schema": "softmap.train/1", "bundle": args.out, "what": args.what, "work": str(work), **report}
+    document = {"schema": "softmap.train/1", "bundle": args.out, "what": args.what, "resumed": resumed, **report}
+    document |= {} if work is None else {"work": str(work)}
     print(json.dumps(document) if args.json else _told(document))
     if args.what == "residual":
         return int(report["held_out_after_mm"] >= report["held_out_before_mm"])
     return 0
+
+
+def _check_fitted(args: argparse.Namespace) -> None:
+    """Refuse what a model that is fitted at once does not use."""
+    given = {"--epochs": args.epochs, "--work": args.work, "--tensorboard": args.tensorboard}
+    given |= {"--device": args.device if args.device != "cpu" else None}
+    unused = [name for name, value in given.items() if value]
+    if args.model in FITTED and unused:
+        raise TrainingError(f"{', '.join(unused)}: '{args.model}' is fitted at once, without epochs; leave that out")
+    if args.what == "prior":
+        check_prior(args.model)
 
 
 def checked_torch() -> Any:
@@ -80,7 +96,7 @@ def checked_torch() -> Any:
     return torch
 
 
-def _prior(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tuple[Any, dict[str, Any]]:
+def _prior(args: argparse.Namespace, base: Any, work: Path | None, bar: Bar) -> tuple[Any, dict[str, Any]]:
     from softmap_training import choices
     from softmap_training.prior import Surface, check_set, fit_prior, train_prior, with_prior
     from softmap_training.simulated import SimulatedSet
@@ -93,7 +109,7 @@ def _prior(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tuple[A
     if args.model in BASELINES:
         fitted = fit_prior(base, data.command, points, split, args.model, args.seed or 0)
         return with_prior(base, fitted, *judged), fitted.report
-    recipe = choices.PRIOR if args.model == "modes" else choices.PUBLISHED_PRIOR
+    recipe = choices.prior_recipe(args.model)
     trained = train_prior(
         data.command, points, split, args.model, Surface.of(base), recipe.with_(epochs=args.epochs, seed=args.seed),
         work, lambda share, line: bar("training", share), args.device, args.tensorboard,
@@ -101,16 +117,16 @@ def _prior(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tuple[A
     return with_prior(base, trained, *judged), trained.report
 
 
-def _residual(args: argparse.Namespace, base: Any, work: Path, bar: Bar) -> tuple[Any, dict[str, Any]]:
+def _residual(args: argparse.Namespace, base: Any, work: Path | None, bar: Bar) -> tuple[Any, dict[str, Any]]:
     from softmap_edge.run import Run
     from softmap_training import choices
     from softmap_training.residual import train_residual
 
-    recipe = choices.RESIDUAL if args.model == "modes" else choices.PUBLISHED_RESIDUAL
+    recipe = choices.residual_recipe(args.model)
     runs = [Run.load(path) for path in args.runs]
     return train_residual(
         base, runs, args.model, recipe.with_(epochs=args.epochs, seed=args.seed), work,
-        lambda share, line: bar("training", share), args.device, tensorboard=args.tensorboard,
+        lambda share, line: bar("training", share), args.device, args.tensorboard,
     )  # fmt: skip
 
 
@@ -136,6 +152,9 @@ def _told(document: dict[str, Any]) -> str:
             f"(mean distance from the vertices that were seen, held-out frames); learned from {document['frames']} "
             f"frames; moves what the clamp holds by {document['clamp_moves_mm']:.2f} mm"
         )
-        if document["base_stood_off"] is not None:
-            lines.append(f"  look at: {document['base_stood_off']}")
+        lines += [f"  look at: {text}" for text in document["warnings"]]
+        if document["held_out_after_mm"] >= document["held_out_before_mm"]:
+            lines.append("  look at: it does not lower the error of what was held out")
+    if document["resumed"]:
+        lines.append(f"  went on from what a training before had left in {document['work']}")
     return "\n".join(lines)
