@@ -334,6 +334,7 @@ def test_a_run_in_ticks_is_compared_predicted_diagnosed_and_adapted_to_like_the_
         )
     taught, same = (learn_residual(model, run)[1] for run in (ticks, mm))
     np.testing.assert_allclose(taught.pop("command_range"), same.pop("command_range"), rtol=1e-6)
+    assert taught.pop("warnings") == same.pop("warnings") == []
     assert taught == pytest.approx(same, rel=1e-6)
 
 
