@@ -215,7 +215,7 @@ def test_hidden_points_do_not_count():
 def test_noise_floor_from_dwells(sigma):
     found = compare(lean(lambda run, p: 4.0), triangle(noise=sigma))
     assert found.noise_floor_mm == pytest.approx(np.sqrt(3) * sigma, rel=0.05)  # 80 pairs of 40 points: 1.5 %
-    assert "dwell" in found.made_from["noise_floor"]
+    assert "dwell" in found.made_from["noise_floor"] and not found.floor_is_bound
 
 
 def test_noise_floor_from_repeated_commands():
@@ -225,7 +225,7 @@ def test_noise_floor_from_repeated_commands():
     run = record(t, np.column_stack([u1, 0 * t]), np.arange(2.0, 119.0, 3.0), noise=0.2)
     found = compare(lean(), run)
     assert found.noise_floor_mm == pytest.approx(np.sqrt(3) * 0.2, rel=0.1)
-    assert "repeatedly" in found.made_from["noise_floor"]
+    assert "repeatedly" in found.made_from["noise_floor"] and found.floor_is_bound
 
 
 def test_noise_floor_without_replicates_says_so():
@@ -234,7 +234,7 @@ def test_noise_floor_without_replicates_says_so():
     bare = replace(lean(), triangles=np.zeros((0, 3), int))
     found = compare(bare, record(t, u, np.arange(0, 29, 0.1), noise=0.1))
     assert found.noise_floor_mm == pytest.approx(np.sqrt(3) * 0.1, rel=0.1)
-    assert "no replicates" in found.made_from["noise_floor"] and "upper bound" in found.made_from["noise_floor"]
+    assert "no replicates" in found.made_from["noise_floor"] and found.floor_is_bound
     few = record(t, u, np.arange(0, 0.5, 0.1), noise=0.1)
     state = conditions(few, few.command)
     value, why = noise_floor(state, few.vertices, np.ones(few.vertices.shape[:2], bool), few.vertices)

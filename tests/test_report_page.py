@@ -1,6 +1,7 @@
 """The page of a report: it is whole, loads nothing, trusts nobody, and its pictures show what they should."""
 
 import copy
+import html
 import os
 import re
 import subprocess
@@ -11,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_compare import record
 from test_report import DIAGNOSIS, compared, page
 
 from softmap_edge.diagnosis.comparison import compare
@@ -50,6 +52,21 @@ def test_a_floor_that_is_known_stands_for_the_noise(pair, tmp_path):
     text = page(write_html(tmp_path / "page.html", [before, after], None, given, (floor, "the twin")))
     old, new = before.error["rms_mm"], after.error["rms_mm"]
     assert f"<b>{100 * (old - new) / (old - floor):.0f} %</b>" in text and "<i>the twin</i>" in text
+
+
+def test_a_floor_that_is_an_upper_bound_is_called_one(pair, tmp_path):
+    from softmap_edge.report.figures import over_time
+
+    run, worse, _, before, _ = pair
+    t = np.arange(0, 30.0, 0.02)
+    moving = record(t, np.column_stack([10 * np.sin(t), 8 * np.cos(0.7 * t)]), np.arange(0, 29, 0.1), noise=0.05)
+    bare = replace(worse, triangles=np.zeros((0, 3), int))
+    for model, on, bound in ((worse, run, False), (bare, moving, True)):
+        found, seen = compare(model, on), series(on, model)
+        text = page(write_html(tmp_path / f"{bound}.html", found, None, seen))
+        assert ("the camera&#x27;s noise is at most " in text) == (b"camera noise: at most" in over_time(seen)) == bound
+        assert f"<i>noise, RMS; {html.escape(found.floor_kind)}</i>" in text
+        assert ("upper bound" in text) == bound
 
 
 def test_no_label_of_a_condition_is_cut_off(monkeypatch):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.conditions import Cell, cells, conditions
-from softmap_edge.diagnosis.floor import noise_floor, rms
+from softmap_edge.diagnosis.floor import BOUND, noise_floor, rms
 from softmap_edge.errors import ComparisonError
 from softmap_edge.run import Run, known
 from softmap_edge.views import members, roll_seen, without_roll
@@ -64,6 +64,16 @@ class Comparison:
         from softmap_edge.report.comparison_text import comparison_text
 
         return comparison_text(self)
+
+    @property
+    def floor_kind(self) -> str:
+        """What the noise floor was taken from."""
+        return str(self.made_from.get("noise_floor", "origin not stated"))
+
+    @property
+    def floor_is_bound(self) -> bool:
+        """Whether the noise floor holds more than noise."""
+        return self.floor_kind.endswith(BOUND)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document softmap.comparison/1: plain numbers, strings, lists and dicts."""

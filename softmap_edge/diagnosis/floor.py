@@ -1,7 +1,8 @@
 """The noise floor of a run: how far a seen point is from its own mean when nothing but the camera changes.
 
 1. successive frames of one uninterrupted dwell:  sqrt(mean |x(k+1) - x(k)|² / 2), which slow creep hardly inflates
-2. else settled frames of the same command:       sqrt(pooled variance), where the robot's memory counts as noise
+2. else settled frames of the same command:       sqrt(pooled variance), where the robot's memory counts as noise:
+                                                  an upper bound
 3. else roughness of the residual over the body:  what (1, x, y) times a polynomial of degree 5 in z leaves in a frame
 4. else second differences of the residual:       sqrt(mean |r(k) - (r(k-1) + r(k+1))/2|² / 1.5), an upper bound
 
@@ -27,6 +28,7 @@ SETTLED = 0.5  # s after the last motion from which a frame counts as a replicat
 MIN_PAIRS = 15  # fewer replicates say nothing about the noise
 DEGREE = 5  # along the body, of the smooth part of a residual
 SAME = 0.01  # of the largest command: closer than this counts as the same command
+BOUND = "an upper bound"  # how the origin of a floor ends that noise alone does not reach
 
 
 def noise_floor(
@@ -55,7 +57,7 @@ def noise_floor(
     whole = visible[1:-1] & visible[2:] & visible[:-2]
     if not whole.any():
         return None, "not known: no replicates, and no point is visible in three successive frames"
-    return rms(bend[whole] / 1.5), "no replicates: from the residual's high-frequency part, an upper bound"
+    return rms(bend[whole] / 1.5), f"no replicates: from the residual's high-frequency part, {BOUND}"
 
 
 def rms(squares: Floats) -> float:
@@ -77,7 +79,9 @@ def replicates(state: Conditions, seen: Floats, visible: Mask) -> tuple[float, s
     if sum(len(group) - 1 for group in groups) >= MIN_PAIRS:
         value = _within(groups, seen, visible)
         if value is not None:
-            return value, f"{len(groups)} commands seen repeatedly; what the robot remembers counts as noise here"
+            return value, (
+                f"{len(groups)} commands seen repeatedly; what the robot remembers counts as noise here: {BOUND}"
+            )
     return None
 
 

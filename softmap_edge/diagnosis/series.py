@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.comparison import aligned, mean_root, template, tips
 from softmap_edge.diagnosis.conditions import conditions
-from softmap_edge.diagnosis.floor import noise_floor
+from softmap_edge.diagnosis.floor import BOUND, noise_floor
 from softmap_edge.errors import ComparisonError
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ class Series:
     template: Floats  # (N, 3) where the points are drawn
     triangles: NDArray[np.int64] | None  # (F, 3); None for markers
     noise_floor_mm: float | None
+    floor_is_bound: bool
     tip_seen: Floats  # (K, 3)
     tip_before: Floats  # (K, 3)
     tip_after: Floats | None  # (K, 3)
@@ -88,7 +89,7 @@ def series(run: Run, before: Model, after: Model | None = None, kind: str = "hel
         tip_after = tips(after, predicted_after, seen, visible)[1]
     drawn, triangles = _drawn(before, seen, visible)
     state = conditions(run, before.commands(run))
-    floor, _ = noise_floor(state, seen, visible, predicted, template(before, seen))
+    floor, kind_of_floor = noise_floor(state, seen, visible, predicted, template(before, seen))
     return Series(
         kind=kind,
         t_seen=np.asarray(run.t_seen, float),
@@ -99,6 +100,7 @@ def series(run: Run, before: Model, after: Model | None = None, kind: str = "hel
         template=drawn,
         triangles=triangles,
         noise_floor_mm=floor,
+        floor_is_bound=kind_of_floor.endswith(BOUND),
         tip_seen=tip_seen,
         tip_before=tip_before,
         tip_after=tip_after,

@@ -57,7 +57,7 @@ def comparison_text(comparison: Comparison) -> str:
     scale = max(error[key] for _, key in named)
     lines += [f"  {label:<12}{mm(error[key]):>7}  {bar(error[key], scale)}" for label, key in named]
     lines.append(f"  {'noise floor':<12}{mm(floor):>7}  {bar(floor or 0.0, scale)}")
-    lines += folded(f"floor: {comparison.made_from.get('noise_floor', 'origin not stated')}", 2)
+    lines += folded(f"floor: {comparison.floor_kind}", 2)
     lines += ["", f"Where the error is (RMS mm; full bar = {mm(_top([comparison]))} mm)"]
     scale = _top([comparison])
     for name, rows in comparison.where.items():
@@ -145,7 +145,7 @@ def _pair_sentence(old: float, new: float, floor: float | None) -> str:
     share, removable = fall(old, new), fall(old, new, floor) if floor and new > floor else None
     text = f"The error falls from {mm(old)} to {mm(new)} mm RMS ({percent(share)})"
     return text + (
-        f"; of what lies above the camera's noise, {percent(removable)} is gone." if removable is not None else "."
+        f"; of what lies above the noise floor, {percent(removable)} is gone." if removable is not None else "."
     )
 
 

@@ -82,7 +82,7 @@ def over_time(series: Series) -> bytes:
             axes.fill_between(t, after, color=AFTER, alpha=0.22, linewidth=0)
             axes.plot(t, after, color=AFTER, linewidth=1.3, label=f"after: {mm(rms(series.after))} mm rms")
         if series.noise_floor_mm is not None:
-            label = f"camera noise: {mm(series.noise_floor_mm)} mm"
+            label = f"camera noise: {'at most ' * series.floor_is_bound}{mm(series.noise_floor_mm)} mm"
             axes.axhline(series.noise_floor_mm, color=FLOOR, linewidth=1.0, linestyle=(0, (4, 3)), label=label)
         axes.set(xlabel="time, s", ylabel="RMS error of a frame, mm", ylim=(0, None))
         axes.margins(x=0.005)

@@ -171,8 +171,8 @@ def _sentence(story: Story) -> str:
     told = {"held out": "a run that was not fitted", "fitted": "the run that was fitted"}.get(kind, "nothing is fitted")
     if story.after is None:
         text = f"The model is off by {mm(old)} mm RMS over {story.before.frames} frames ({told})"
-        floor = story.before.noise_floor_mm
-        return text + (f"; the camera's noise is {mm(floor)} mm." if floor is not None else ".")
+        floor, most = story.before.noise_floor_mm, "at most " * story.before.floor_is_bound
+        return text + (f"; the camera's noise is {most}{mm(floor)} mm." if floor is not None else ".")
     new = story.after.error["rms_mm"]
     if new > old:
         return f"The error rises from {mm(old)} to {mm(new)} mm RMS ({told}): the second model is worse on this run."
@@ -186,7 +186,7 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
     new: Any
     if story.before is not None:
         old, new = story.before.error["rms_mm"], story.after.error["rms_mm"] if story.after else None
-        floor, origin = story.floor or (story.before.noise_floor_mm, "camera noise, RMS")
+        floor, origin = story.floor or (story.before.noise_floor_mm, f"noise, RMS; {story.before.floor_kind}")
         kind = story.series.kind if story.series else ""
         told = {"held out": "a run not fitted", "fitted": "the run fitted"}.get(kind, "this run")
         note = f"all points, {told}"
