@@ -1,11 +1,14 @@
 """Point clouds from files: every format as its writers write it, and what is no cloud is said in one line."""
 
+import json
 import struct
 
 import meshio
 import numpy as np
 import pytest
 
+from softmap_edge import builtin_model
+from softmap_edge.cli import main
 from softmap_edge.errors import RegistrationError, RunError
 from softmap_edge.registration.clouds import clouds_of, read_clouds
 from softmap_edge.run import Run
@@ -126,3 +129,59 @@ def test_a_run_without_clouds_is_refused(tmp_path):
     run.save(tmp_path / "run.npz")
     with pytest.raises(RegistrationError, match="without clouds"):
         read_clouds([tmp_path / "run.npz"])
+
+
+def test_a_run_of_several_clouds_beside_other_files_is_refused(tmp_path):
+    run = Run(t=np.arange(3.0), command=np.zeros((3, 2)), t_seen=np.arange(2.0), points=POINTS, start=[0, 50, 200])
+    run.save(tmp_path / "run.npz")
+    np.savez(tmp_path / "one.npz", points=POINTS)
+    np.savez(tmp_path / "timeless.npz", points=POINTS, start=[0, 50, 200])
+    for files in (["one.npz", "run.npz"], ["run.npz", "one.npz"], ["run.npz", "run.npz"]):
+        with pytest.raises(RegistrationError, match=r"run\.npz: a run of 2 clouds.*give it alone, or one cloud a file"):
+            read_clouds([tmp_path / file for file in files])
+    with pytest.raises(RegistrationError, match=r"timeless\.npz: `start` of 2 clouds without `t_seen`"):
+        read_clouds([tmp_path / "timeless.npz"])
+    run.at([1]).save(tmp_path / "single.npz")
+    assert [len(c) for c in clouds_of(read_clouds([tmp_path / "one.npz", tmp_path / "single.npz"]))] == [200, 150]
+
+
+@pytest.mark.parametrize(
+    "header, order, note",
+    [
+        ("y,x,z", [1, 0, 2], ""),
+        ("# Z [mm],X [mm],Y [mm]", [2, 0, 1], ""),
+        ('red,"z_mm","y_mm","x_mm"', [None, 2, 1, 0], ""),
+        ("nx;X;Y;Z;vx", [None, 0, 1, 2, None], ""),
+        ("Points:0,Points:1,Points:2", [0, 1, 2], "names no x, y, z; the first three columns are taken"),
+    ],
+)
+def test_columns_are_those_that_the_header_names(header, order, note, tmp_path):
+    rows = np.column_stack([np.full(len(POINTS), 7.0) if k is None else POINTS[:, k] for k in order])
+    np.savetxt(tmp_path / "c.csv", rows, delimiter=";" if ";" in header else ",", header=header, comments="")
+    notes = []
+    np.testing.assert_allclose(clouds_of(read_clouds([tmp_path / "c.csv"], notes))[0], POINTS)
+    assert len(notes) == bool(note) and note in "".join(notes)
+
+
+@pytest.mark.parametrize(
+    "header, says", [("x,y,depth", "not each"), ("x,y,z,x", "not each"), ("x_m,y_m,z_m", "says m;")]
+)
+def test_a_header_of_other_columns_or_units_is_refused(header, says, tmp_path):
+    rows = POINTS if header.count(",") == 2 else np.column_stack([POINTS, POINTS[:, 0]])
+    np.savetxt(tmp_path / "c.csv", rows, delimiter=",", header=header, comments="")
+    with pytest.raises(RegistrationError, match=says):
+        read_clouds([tmp_path / "c.csv"])
+
+
+def test_points_that_are_left_out_are_told(tmp_path, capsys):
+    cloud = builtin_model().prior.evaluate(np.array([[4.0, -2.0]])).reshape(-1, 3)
+    cloud[:30] = np.nan
+    files = [str(tmp_path / f"{k}.csv") for k in range(7)]
+    for path in files:
+        np.savetxt(path, cloud, delimiter=",")
+    assert main(["register", *files, "--out", str(tmp_path / "run.npz")]) == 0
+    said = capsys.readouterr().out
+    assert f"look at: 4.csv: 30 of {len(cloud)} points are not finite and are left out\n  and 2 more" in said
+    assert "5.csv" not in said
+    assert main(["register", *files, "--out", str(tmp_path / "again.npz"), "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["notes"]) == 7

@@ -8,6 +8,7 @@ import json
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.registration.clouds import read_clouds
+from softmap_edge.registration.register import TOLD
 from softmap_edge.registration.register import register as lay
 
 POOR = 1  # exit code where a frame has warnings
@@ -32,12 +33,15 @@ def register(args: argparse.Namespace) -> int:
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)
     load_own(args)
-    model, run = open_model(args.bundle), read_clouds(args.clouds)
+    notes: list[str] = []
+    model, run = open_model(args.bundle), read_clouds(args.clouds, notes)
     found = lay(model, run, args.mode)
     vertices = found.run(run)
     vertices.save(args.out)
     if args.json:
-        print(json.dumps(found.to_dict() | {"out": args.out, "hash": vertices.hash()}))
+        print(json.dumps(found.to_dict() | {"notes": notes, "out": args.out, "hash": vertices.hash()}))
     else:
-        print(f"{found}\nwritten to {args.out}")
+        lines = [f"  look at: {note}" for note in notes[:TOLD]]
+        lines += [f"  and {len(notes) - TOLD} more such files (--json)"] if len(notes) > TOLD else []
+        print("\n".join([str(found), *lines, f"written to {args.out}"]))
     return POOR if any(row["warnings"] for row in found.frames) else 0
