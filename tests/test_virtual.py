@@ -10,6 +10,7 @@ from logs import published
 from benches import moe
 from softmap_edge import _core
 from softmap_edge.cli import main
+from softmap_edge.commands.experiment import _ahead
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.command_file import read_commands, write_commands
 from softmap_edge.npz import read_npz
@@ -273,7 +274,8 @@ def test_the_verbs_write_commands_a_run_and_its_truth_apart(tmp_path, capsys):
     (tmp_path / "finger.toml").write_text(FINGER.to_toml())
     out = {name: str(tmp_path / name) for name in ("grid.csv", "few.csv", "run.npz", "truth.npz")}
     assert main(["next", "--protocol", "grid", "--out", out["grid.csv"]]) == 0
-    assert "49 frames" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "49 frames" in told and "its --seed draws the finger, not the commands: one for all its runs" in told
     made, robot = read_commands(out["grid.csv"])
     write_commands(out["few.csv"], thinned(made, 3), robot)
     argv = ["record", out["few.csv"], "--sim", "--virtual", "--finger", str(tmp_path / "finger.toml"), "--seed", "4"]
@@ -281,6 +283,13 @@ def test_the_verbs_write_commands_a_run_and_its_truth_apart(tmp_path, capsys):
     told = json.loads(capsys.readouterr().out)
     assert told["virtual"] and told["simulated"] and told["truth"] == out["truth.npz"]
     run, truth = Run.load(out["run.npz"]), read_npz(tmp_path / "truth.npz")
+    assert _ahead(made, False, True) == ("a recording of 1.8 minutes; solving its 49 frames one by one: about 12 s")
+    assert _ahead(replace(made, t_seen=np.arange(480.0)), False, True).endswith(
+        "480 frames one by one: about 2 minutes"
+    )
+    assert main([*argv, "--out", str(tmp_path / "spoken.npz")]) == 0
+    assert "a recording of 1.8 minutes; solving its 3 frames one by one\n" in capsys.readouterr().err
+    assert _ahead(made, True, False).endswith("a minute or two; then its 49 frames one by one")
     assert truth["vertices"].shape == (3, len(truth["rest"]), 3) and run.frames == 3 and run.command is None
     assert json.loads(str(truth["drawn"]))["seed"] == 4 and str(truth["schema"]) == "softmap.virtual/1"
     for wrong, says in (

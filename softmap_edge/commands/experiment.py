@@ -17,6 +17,7 @@ from softmap_edge.npz import write_npz
 from softmap_edge.own_effect import check_hashes
 from softmap_edge.whole_file import read_document
 
+FRAME_S = 0.25  # s in which one core solves a frame of the built-in finger (docs/record.md)
 BOTH = (
     "  play it twice ({:.1f} minutes in all): as the run was, and as the reference run was; then\n"
     "  `softmap diagnose RUN NEW --reference REFERENCE --reference NEW_REFERENCE`"
@@ -159,7 +160,10 @@ def _played(args: argparse.Namespace, model: Any) -> str:
         return ""
     bundle = "" if args.bundle is None else f" --bundle {args.bundle}"
     if args.protocol:
-        return f"; on the virtual finger: `softmap record {args.out} --sim --virtual --out new.npz --truth truth.npz`"
+        line = f"softmap record {args.out} --sim --virtual --out new.npz --truth truth.npz"
+        return (
+            f"; on the virtual finger: `{line}` (its --seed draws the finger, not the commands: one for all its runs)"
+        )
     line = f"softmap record {args.out} --sim{bundle} --out new.npz"
     return f"; on the simulated finger: `{line}` (with the --hide or --virtual and the --seed of the runs before)"
 
@@ -230,8 +234,7 @@ def record(args: argparse.Namespace) -> int:
     seed = seed if args.seed is None else args.seed
     check_hidden(names, seed)
     if not args.json:
-        hidden = "finding how strong the hidden effects are, then " if names else ""
-        print(f"{hidden}solving {len(made.t_seen)} frames one by one: minutes", file=sys.stderr)
+        print(_ahead(made, bool(names), args.finger is None), file=sys.stderr)
     with Bar(args.json) as bar:
         before = WATCH.set(lambda share: bar("solving", share))
         try:
@@ -250,6 +253,17 @@ def record(args: argparse.Namespace) -> int:
     said = f"{run}\n{'virtual, ' if args.virtual else ''}simulated; written to {args.out}{apart}"
     print(json.dumps(document, ensure_ascii=False) if args.json else said)
     return 0
+
+
+def _ahead(made: Any, hidden: bool, builtin: bool) -> str:
+    """Say what is recorded, and how long that takes to solve where the finger is known."""
+    seconds = FRAME_S * made.frames
+    long = f": about {seconds:.0f} s" if seconds < 100.0 else f": about {seconds / 60.0:.0f} minutes"
+    first = "first how strong the hidden effects are, a minute or two; then " if hidden else ""
+    return (
+        f"a recording of {made.minutes:.1f} minutes; solving {first}its {made.frames} frames one by one"
+        f"{long if builtin else ''}"
+    )
 
 
 def _measured(args: argparse.Namespace, made: Any, finger: Any, names: list[str], seed: int) -> tuple[Any, Any]:
