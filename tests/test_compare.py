@@ -169,6 +169,25 @@ def test_every_condition_holds_every_frame_once():
                 assert cell.low <= cell.high
 
 
+def test_no_two_classes_of_a_condition_bear_one_name():
+    """Warmth within a tenth of a degree and a clock that counts since 1970 need more digits than three."""
+    run = triangle(temperature=np.linspace(23.11, 23.14, 1251))
+    run.t, run.t_seen = run.t + 1.7e9, run.t_seen + 1.7e9
+    for name, row in cells(conditions(run, run.command)).items():
+        assert len({cell.label for cell in row}) == len(row), name
+        bounds = [cell.label.split(" … ") for cell in row if " … " in cell.label]
+        assert all(low != high.split(" ")[0] for low, high in bounds), bounds
+
+
+def test_commands_as_large_as_one_another_are_one_class():
+    """A servo that went to its end at once, then again to within a tick."""
+    t = np.arange(0, 25.0001, 0.02)
+    u = np.column_stack([11.97 + 0.03 * t / 25.0, 0 * t])
+    run = record(t, u, np.arange(0.0, 25.0, 0.1))
+    assert [cell.label for cell in cells(conditions(run, run.command))["history"]] == ["12 mm"]
+    assert "largest past" not in str(compare(lean(), run))
+
+
 def test_conditions_of_a_known_motion():
     run = triangle()
     state = conditions(run, run.command)

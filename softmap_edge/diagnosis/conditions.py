@@ -23,6 +23,7 @@ WINDOW_SAMPLES, WINDOW_SHORTEST, WINDOW_LONGEST = 3.0, 0.1, 0.5  # velocity wind
 STILL = 0.005  # of the largest command span, per second: slower than this is not a motion
 NEAR = np.cos(np.radians(20.0))  # orientations within 20 degrees count as one
 TURNED = 0.02  # change of the unit gravity vector between frames, about a degree: another orientation
+ALIKE = 0.02  # of the largest: commands nearer to one another than this are one size
 HOME = 0.1  # of the largest |command|: closer to zero than this is "home"
 DWELL_EDGES = (0.0, 0.5, 2.0, 5.0, 10.0, 30.0)  # s, from the moment when the command stopped
 FINE_CHANNELS = 3  # up to here a command's cells are thirds of its range, beyond only its sign
@@ -118,7 +119,7 @@ def cells(state: Conditions, unit: str = "mm") -> dict[str, list[Cell]]:
             *_ranges(state.speed, _edges(state.speed[state.moving], 3), f"{unit}/s", state.moving),
         ],
         "dwell": [Cell("moving", None, 0.0, state.moving), *_dwells(state)],
-        "history": _ranges(state.history, _steps(state.history, 4), unit),
+        "history": _ranges(state.history, _sizes(state.history, 4), unit),
         "command": _commands(state, unit),
         "time": _ranges(state.time, _steps(state.time, 8), "s"),
     }
@@ -183,16 +184,29 @@ def _steps(values: Floats, count: int) -> Floats:
     return np.unique(np.linspace(float(np.min(values)), float(np.max(values)), count + 1))
 
 
+def _sizes(values: Floats, count: int) -> Floats:
+    """Bounds as those of `_steps`; one class where a servo's ticks are all that tells the values apart."""
+    largest = float(np.max(values, initial=0.0))
+    alike = len(values) > 0 and float(np.ptp(values)) <= ALIKE * largest
+    return np.array([float(f"{largest:.3g}")]) if alike else _steps(values, count)
+
+
+def _told(edges: Floats) -> list[str]:
+    """Bounds as texts of three digits, or of as many as it takes to tell them apart."""
+    kinds = len(np.unique(edges))
+    return next(told for digits in range(3, 18) if len(set(told := [f"{e:.{digits}g}" for e in edges])) == kinds)
+
+
 def _ranges(values: Floats, edges: Floats, unit: str, among: Mask | None = None) -> list[Cell]:
     among = np.ones(len(values), bool) if among is None else among
     if len(edges) == 1:
         return [Cell(f"{edges[0]:g} {unit}", float(edges[0]), float(edges[0]), among)]
     if len(edges) == 0 or edges[-1] <= edges[0]:
         return []
-    which = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    which, told = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2), _told(edges)
     return [
-        Cell(f"{low:.3g} … {high:.3g} {unit}", float(low), float(high), among & (which == k))
-        for k, (low, high) in enumerate(zip(edges[:-1], edges[1:]))
+        Cell(f"{told[k]} … {told[k + 1]} {unit}", float(edges[k]), float(edges[k + 1]), among & (which == k))
+        for k in range(len(edges) - 1)
     ]
 
 
