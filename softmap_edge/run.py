@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 Source = Literal["goal", "present"]
 MAX_NUMBERS = 1 << 26  # of a run: 40 000 frames of 548 vertices
 BASE_MARKERS = "base_markers"  # the field in which an import keeps markers (K, B, 3) mm that are fixed to the base
+ROLL_SEEN = "roll_seen"  # a field: whether a run shows what the body does about its own axis
+OURS = {BASE_MARKERS, ROLL_SEEN, "made_by", "made_from", "marker_labels"}  # fields of `extra` that our own verbs write
 
 
 def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:

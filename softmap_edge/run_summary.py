@@ -15,19 +15,22 @@ from softmap_edge.diagnosis.advice import Word, advice
 from softmap_edge.diagnosis.conditions import HOME, conditions, orientations
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
-from softmap_edge.run import BASE_MARKERS, Run
-from softmap_edge.views import ROLL_SEEN, laid
+from softmap_edge.run import BASE_MARKERS, OURS, Run
+from softmap_edge.ticks import converted
+from softmap_edge.views import laid
 
 SCHEMA = "softmap.check/1"
 FAR = 2.0  # of the extent of what is seen: farther from the origin is no base frame
 SAME_PLACE = 0.02  # of a channel's range
 
 
-def summary(run: Run) -> dict[str, Any]:
+def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     """Return what a run holds, with units in the keys; `missing` and `warnings` are sentences.
 
-    `can_tell` and `cannot_tell` are lists of `{about, tells, text, remedy, minutes}` (`advice.Word`).
+    `can_tell` and `cannot_tell` are lists of `{about, tells, text, remedy, minutes}` (`advice.Word`). A `model` with a
+    calibration says what the ticks of the run are in commands. Raises CalibrationError where it is of other servos.
     """
+    run = converted(model, recorded)
     kind = next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None)
     seen = None if kind is None else getattr(run, kind)
     document: dict[str, Any] = {
@@ -36,6 +39,7 @@ def summary(run: Run) -> dict[str, Any]:
         "rows": len(run.t),
         "duration_s": _rounded(run.t[-1] - run.t[0]),
         "rate_hz": _rate(run.t),
+        "calibrated": recorded.ticks is not None and run.ticks is None,
         "command_unit": "ticks" if run.ticks is not None else run.command_unit,
         "command_range": _ranges(run),
         "frames": run.frames,
@@ -53,9 +57,9 @@ def summary(run: Run) -> dict[str, Any]:
         else [_rounded(run.temperature.min()), _rounded(run.temperature.max())],
         "blocks": [] if run.block is None else [str(label) for label in dict.fromkeys(run.block.tolist())],
         **_visits(run),
-        "unknown_fields": sorted(set(run.extra) - {"made_from", "marker_labels", BASE_MARKERS, ROLL_SEEN}),
+        "unknown_fields": sorted(set(run.extra) - OURS),
         "roll_seen": not laid(run),
-        "hash": run.hash(),
+        "hash": recorded.hash(),
     }
     document["missing"] = _missing(run, document)
     words = advice(run, document["home_visits"])
@@ -72,6 +76,8 @@ def sentences(document: dict[str, Any]) -> list[str]:
     lines = [f"robot     {d['robot'] or 'not named'}"]
     rate = "" if d["rate_hz"] is None else f" at {d['rate_hz']:g} Hz"
     lines.append(f"commands  {d['channels']} channels, {d['rows']} rows over {d['duration_s']:g} s{rate}")
+    if d["calibrated"]:
+        lines.append("          ticks, as commands by the calibration of the bundle")
     for c, (low, high) in enumerate(d["command_range"]):
         lines.append(f"          channel {c}: {low:g} to {high:g} {unit}")
     rate = "" if d["frame_rate_hz"] is None else f" at {d['frame_rate_hz']:g} Hz"
@@ -187,7 +193,7 @@ def _missing(run: Run, document: dict[str, Any]) -> list[str]:
     if run.markers is not None and run.marker_rest is None:
         gaps.append("marker_rest: the rest place of the markers has to come from the model")
     if run.sigma is None:
-        gaps.append("sigma: the noise of the points is estimated from repeats")
+        gaps.append("sigma: the noise of the points comes from repeats alone, with nothing to check it by")
     return gaps
 
 

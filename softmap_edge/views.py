@@ -18,13 +18,12 @@ from softmap_edge import _core
 from softmap_edge.errors import RunError
 from softmap_edge.features import FeatureMap, attach, marker_features, other_unit, seen_residual
 from softmap_edge.predictors import projected
+from softmap_edge.run import ROLL_SEEN, Run
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
-    from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
-ROLL_SEEN = "roll_seen"  # field of a run: whether it shows what the body does about its own axis
 
 
 @dataclass(frozen=True, eq=False)

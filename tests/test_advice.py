@@ -8,10 +8,12 @@ import pytest
 
 from softmap_edge import Run, builtin_model, effects, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.advice import advice
+from softmap_edge.diagnosis.advice import advice, asked
 from softmap_edge.protocol import Limits, standard_protocol
 from softmap_edge.report.numbers import WIDTH
+from softmap_edge.run import OURS
 from softmap_edge.run_summary import sentences, summary
+from softmap_edge.ticks import ERRORS, Calibration
 
 SIDEWAYS = (0.6, 0.0, 0.8)
 
@@ -137,6 +139,26 @@ def test_markers_on_the_base_are_counted_and_are_no_unknown_field():
     assert any("3 markers on the base" in line for line in sentences(found))
 
 
+@pytest.mark.parametrize("name", sorted(OURS))
+def test_fields_that_our_own_verbs_write_are_no_unknown_ones(name):
+    held = {"base_markers": np.zeros((standard_protocol().frames, 3, 3)), "roll_seen": np.array(False)}
+    found = summary(full(extra={name: held.get(name, np.array(["a"] * 12)), "wind": np.zeros(2)}))
+    assert found["unknown_fields"] == ["wind"] and "kept      wind (not known" in "\n".join(sentences(found))
+
+
+def test_check_and_diagnosis_agree_on_a_noise_that_is_declared_alone():
+    """A declared sigma is held against repeats; where there are none the noise is a guess, as a diagnosis says."""
+    p = standard_protocol()
+    run = full(command=triangle(p.t), sigma=np.array(0.3))
+    word = answers(run)["noise"]
+    assert (
+        not word["tells"] and "only guessed; the 0.3 mm a coordinate that a run declares are not taken" in word["text"]
+    )
+    assert any(word["text"] in remark for remark in asked([full(), run], 400, False))
+    assert "declares" not in answers(replace(run, sigma=None))["noise"]["text"]
+    assert "only guessed" not in str(asked([run], 400, True)) and answers(full(sigma=np.array(0.3)))["noise"]["tells"]
+
+
 def test_orientations_count_where_something_is_seen():
     run = sideways_after(10.0)
     assert told_of(run, "orientation") and not told_of(run.at(run.t_seen < 9.0), "orientation")
@@ -237,6 +259,23 @@ def test_every_candidate_has_its_line(bundle, tmp_path, capsys):
     assert main(["check", str(tmp_path / "run.npz"), "--bundle", bundle]) == 0
     text = capsys.readouterr().out
     assert all((f"+ {name}" in text) == (name not in hidden) for name in found)
+
+
+def test_a_calibrated_bundle_says_what_the_ticks_are(bundle, tmp_path, capsys):
+    run, home, b = recorded(standard_protocol()), np.array([1500.0, 1800.0]), np.zeros(2)
+    one = np.eye(2)
+    calibration = Calibration(0.005 * one, b, home, one, b, dict.fromkeys(ERRORS, 0.0), "none", 1, 1)
+    told = replace(run, command=None, ticks=np.rint(run.command / 0.005 + home).astype(int))
+    told.save(tmp_path / "ticks.npz")
+    own = str(save_bundle(replace(builtin_model(), calibration=calibration), tmp_path / "own"))
+    assert main(["check", str(tmp_path / "ticks.npz"), "--bundle", own]) == 0
+    text = capsys.readouterr().out
+    assert "missing   command" not in text and "ticks, as commands by the calibration of the bundle" in text
+    with_it, without = summary(told, replace(builtin_model(), calibration=calibration)), summary(told)
+    assert with_it["hash"] == without["hash"] == told.hash() and with_it["command_unit"] == "mm"
+    np.testing.assert_allclose(with_it["command_range"], summary(run)["command_range"], atol=0.003)
+    assert with_it["home_visits"] == summary(run)["home_visits"] > without["home_visits"]
+    assert any("only ticks are given" in line for line in without["missing"])
 
 
 def test_effects_that_a_poor_run_cannot_show_are_named_with_the_experiment(bundle, tmp_path, capsys):

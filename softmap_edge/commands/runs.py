@@ -165,11 +165,12 @@ def _existing(path: str) -> Path:
 
 def _run(path: Path, bundle: str | None) -> dict[str, Any]:
     run = Run.load(path)
-    document = summary(run)
-    if bundle is not None:
+    model = None if bundle is None else open_model(bundle)
+    document = summary(run, model)
+    if model is not None:
         from softmap_edge.diagnosis.diagnose import showing
 
-        document["effects"] = showing(open_model(bundle), run)
+        document["effects"] = showing(model, run)
     return document
 
 

@@ -79,17 +79,23 @@ def asked(runs: Sequence[Run], frames: int, replicates: bool) -> list[str]:
     """
     words = [_enough(frames), *_drive(np.concatenate([_commanded(run) for run in runs]))]
     if not replicates:
-        words.append(_NO_REPLICATES)
+        words.append(_guessed(next((run.sigma for run in runs if run.sigma is not None), None)))
     if any(run.gravity is None for run in runs):
         words.append(_orientation(next(run for run in runs if run.gravity is None)))
     poor = [f"these data cannot tell {word.text}; {word.remedy}" for word in words if not word.tells]
     return list(dict.fromkeys(poor))
 
 
-_NO_REPLICATES = Word(
-    "noise", False, "noise from physics of the same size: too little is seen twice, so the noise is only guessed",
-    f"rest at home and at two other places for 10 s each, with {DWELL_FRAMES} frames or more each time", 1.0,
-)  # fmt: skip
+def _guessed(sigma: Floats | None) -> Word:
+    """Say that the noise is a guess: a declared `sigma` is held against repeats (`sound.py`), never taken for them."""
+    told = ""
+    if sigma is not None:
+        told = f"; the {np.median(sigma):.2g} mm a coordinate that a run declares are not taken for it"
+    return Word(
+        "noise", False,
+        f"noise from physics of the same size: too little is seen twice, so the noise is only guessed{told}",
+        f"rest at home and at two other places for 10 s each, with {DWELL_FRAMES} frames or more each time", 1.0,
+    )  # fmt: skip
 
 
 def _enough(frames: int) -> Word:
@@ -110,11 +116,7 @@ def _noise(run: Run, state: Conditions) -> Word:
     found = dwelt(state, np.where(visible[..., None], seen, 0.0), visible) if run.channels else None
     if found is not None:
         return Word("noise", True, f"noise from physics: the noise is {found[0]:.2g} mm, from {found[1]}")
-    if run.sigma is not None:
-        return Word(
-            "noise", True, f"noise from physics: the run declares {float(np.median(run.sigma)):.2g} mm a coordinate"
-        )
-    return _NO_REPLICATES
+    return _guessed(run.sigma)
 
 
 def _home(run: Run, visits: int) -> Word:
