@@ -9,10 +9,9 @@ from softmap_edge.bundle import builtin_model
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.protocol import standard_protocol
 from softmap_edge.registration.register import register
-from softmap_edge.run import Run
+from softmap_edge.run import ROLL_SEEN, Run
 from softmap_edge.truth import hide
 from softmap_edge.truth_clouds import TWO
-from softmap_edge.views import ROLL_SEEN
 
 MODEL = builtin_model()
 THIN = 2  # every second frame of the standard protocol

@@ -17,7 +17,7 @@ from softmap_edge.npz import write_npz
 from softmap_edge.own_effect import check_hashes
 from softmap_edge.whole_file import read_document
 
-FRAME_S = 0.25  # s in which one core solves a frame of the built-in finger (docs/record.md)
+FRAME_S = 0.25  # s, at most, in which one core solved a frame of the built-in finger
 BOTH = (
     "  play it twice ({:.1f} minutes in all): as the run was, and as the reference run was; then\n"
     "  `softmap diagnose RUN NEW --reference REFERENCE --reference NEW_REFERENCE`"
