@@ -17,7 +17,6 @@ from softmap_edge.npz import write_npz
 from softmap_edge.own_effect import check_hashes
 from softmap_edge.whole_file import read_document
 
-FRAME_S = 0.25  # s, at most, in which one core solved a frame of the built-in finger
 BOTH = (
     "  play it twice ({:.1f} minutes in all): as the run was, and as the reference run was; then\n"
     "  `softmap diagnose RUN NEW --reference REFERENCE --reference NEW_REFERENCE`"
@@ -234,7 +233,7 @@ def record(args: argparse.Namespace) -> int:
     seed = seed if args.seed is None else args.seed
     check_hidden(names, seed)
     if not args.json:
-        print(_ahead(made, bool(names), args.finger is None), file=sys.stderr)
+        print(_ahead(made, bool(names)), file=sys.stderr)
     with Bar(args.json) as bar:
         before = WATCH.set(lambda share: bar("solving", share))
         try:
@@ -255,15 +254,10 @@ def record(args: argparse.Namespace) -> int:
     return 0
 
 
-def _ahead(made: Any, hidden: bool, builtin: bool) -> str:
-    """Say what is recorded, and how long that takes to solve where the finger is known."""
-    seconds = FRAME_S * made.frames
-    long = f": about {seconds:.0f} s" if seconds < 100.0 else f": about {seconds / 60.0:.0f} minutes"
-    first = "first how strong the hidden effects are, a minute or two; then " if hidden else ""
-    return (
-        f"a recording of {made.minutes:.1f} minutes; solving {first}its {made.frames} frames one by one"
-        f"{long if builtin else ''}"
-    )
+def _ahead(made: Any, hidden: bool) -> str:
+    """Say how long the recording would be, and what is solved for it; the bar tells how long that takes."""
+    first = "finding how strong the hidden effects are, then " if hidden else ""
+    return f"a recording of {made.minutes:.1f} minutes; {first}solving its {made.frames} frames one by one"
 
 
 def _measured(args: argparse.Namespace, made: Any, finger: Any, names: list[str], seed: int) -> tuple[Any, Any]:
