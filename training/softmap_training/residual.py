@@ -140,7 +140,7 @@ def _evaluated(network: nn.Sequential, lesson: Lesson) -> Floats:
 
 
 def _off(lesson: Lesson, some: NDArray[np.int64], delta: Floats) -> float:
-    """Return the mean distance in mm from the vertices that were seen, on some lesson."""
+    """Return the mean distance in mm from the vertices that were seen, on some frames."""
     distance = np.linalg.norm(lesson.vertices[some] - lesson.points[some] - delta[some], axis=2)
     seen = lesson.weight[some] > 0
     return float(distance[seen].mean())
