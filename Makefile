@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 UV := $(BIN)/uv pip install --python $(BIN)/python --quiet
 OUT ?= out
 
-RUST := $(shell find rust -name '*.rs') Cargo.toml Cargo.lock
+RUST := $(shell find rust -name '*.rs') Cargo.toml Cargo.lock rust/servo/Cargo.toml
 
 .PHONY: demo build test lint bench bank prove docs wheel data builtin clean test-rust test-python
 
@@ -21,7 +21,7 @@ test:
 	$(MAKE) test-python
 
 test-rust:
-	cargo test --locked --quiet
+	cargo test --workspace --locked --quiet
 
 # One worker a core, each with one thread.
 test-python: $(VENV)/.test
@@ -30,7 +30,7 @@ test-python: $(VENV)/.test
 # rustfmt by file: `cargo fmt` does not see the modules that a macro declares (rust/effects/mod.rs).
 lint: $(VENV)/.lint
 	rustfmt --check --edition 2024 $(filter %.rs,$(RUST))
-	cargo clippy --locked --all-targets --quiet -- -D warnings
+	cargo clippy --workspace --locked --all-targets --quiet -- -D warnings
 	cargo clippy --locked --features python --quiet -- -D warnings
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -47,7 +47,7 @@ bank: $(VENV)/.test
 	$(BIN)/python -m benches.bank --seeds $(SEEDS) --share $(SHARE) --out $(OUT)/bank
 
 prove: $(VENV)/.test
-	cargo test --locked --release --quiet -- --include-ignored
+	cargo test --workspace --locked --release --quiet -- --include-ignored
 	$(BIN)/python -m pytest
 
 docs: $(VENV)/.test

@@ -1,0 +1,276 @@
+//! Servos and their registers, as data: another model is one line of `MODELS`, another family one more `Layout`.
+//!
+//! Source: the control tables of the Dynamixel X-series in ROBOTIS' e-Manual (XL330, XC330, XL430, XM430, XM540).
+
+/// A register: where it begins and how many bytes it has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Register {
+    pub name: &'static str,
+    pub address: u16,
+    pub size: u16,
+    /// Kept without power; writable while torque is off only.
+    pub eeprom: bool,
+    pub writable: bool,
+}
+
+impl Register {
+    /// The first byte behind it.
+    pub const fn end(&self) -> u16 {
+        self.address + self.size
+    }
+}
+
+const fn kept(name: &'static str, address: u16, size: u16) -> Register {
+    Register {
+        name,
+        address,
+        size,
+        eeprom: true,
+        writable: true,
+    }
+}
+
+const fn ram(name: &'static str, address: u16, size: u16) -> Register {
+    Register {
+        eeprom: false,
+        ..kept(name, address, size)
+    }
+}
+
+const fn told(name: &'static str, address: u16, size: u16) -> Register {
+    Register {
+        writable: false,
+        ..ram(name, address, size)
+    }
+}
+
+/// The registers that are used here, by what they are for.
+#[derive(Debug)]
+pub struct Layout {
+    pub model_number: Register,
+    pub firmware: Register,
+    pub id: Register,
+    pub baud_rate: Register,
+    pub return_delay: Register,
+    pub drive_mode: Register,
+    pub operating_mode: Register,
+    pub shadow_id: Register,
+    pub homing_offset: Register,
+    pub temperature_limit: Register,
+    pub max_voltage: Register,
+    pub min_voltage: Register,
+    pub pwm_limit: Register,
+    pub current_limit: Register,
+    pub velocity_limit: Register,
+    pub max_position: Register,
+    pub min_position: Register,
+    pub startup: Register,
+    pub shutdown: Register,
+    pub torque_enable: Register,
+    pub led: Register,
+    pub status_return: Register,
+    pub hardware_error: Register,
+    pub bus_watchdog: Register,
+    pub goal_pwm: Register,
+    pub goal_current: Register,
+    pub profile_acceleration: Register,
+    pub profile_velocity: Register,
+    pub goal_position: Register,
+    pub realtime_tick: Register,
+    pub moving: Register,
+    pub present_pwm: Register,
+    pub present_current: Register,
+    pub present_velocity: Register,
+    pub present_position: Register,
+    pub present_voltage: Register,
+    pub present_temperature: Register,
+}
+
+pub const X_SERIES: Layout = Layout {
+    model_number: Register {
+        writable: false,
+        ..kept("model number", 0, 2)
+    },
+    firmware: Register {
+        writable: false,
+        ..kept("firmware version", 6, 1)
+    },
+    id: kept("id", 7, 1),
+    baud_rate: kept("baud rate", 8, 1),
+    return_delay: kept("return delay time", 9, 1),
+    drive_mode: kept("drive mode", 10, 1),
+    operating_mode: kept("operating mode", 11, 1),
+    shadow_id: kept("secondary id", 12, 1),
+    homing_offset: kept("homing offset", 20, 4),
+    temperature_limit: kept("temperature limit", 31, 1),
+    max_voltage: kept("max voltage limit", 32, 2),
+    min_voltage: kept("min voltage limit", 34, 2),
+    pwm_limit: kept("PWM limit", 36, 2),
+    current_limit: kept("current limit", 38, 2),
+    velocity_limit: kept("velocity limit", 44, 4),
+    max_position: kept("max position limit", 48, 4),
+    min_position: kept("min position limit", 52, 4),
+    startup: kept("startup configuration", 60, 1),
+    shutdown: kept("shutdown", 63, 1),
+    torque_enable: ram("torque enable", 64, 1),
+    led: ram("LED", 65, 1),
+    status_return: ram("status return level", 68, 1),
+    hardware_error: told("hardware error status", 70, 1),
+    bus_watchdog: ram("bus watchdog", 98, 1),
+    goal_pwm: ram("goal PWM", 100, 2),
+    goal_current: ram("goal current", 102, 2),
+    profile_acceleration: ram("profile acceleration", 108, 4),
+    profile_velocity: ram("profile velocity", 112, 4),
+    goal_position: ram("goal position", 116, 4),
+    realtime_tick: told("realtime tick", 120, 2),
+    moving: told("moving", 122, 1),
+    present_pwm: told("present PWM", 124, 2),
+    present_current: told("present current", 126, 2),
+    present_velocity: told("present velocity", 128, 4),
+    present_position: told("present position", 132, 4),
+    present_voltage: told("present input voltage", 144, 2),
+    present_temperature: told("present temperature", 146, 1),
+};
+
+/// Operating modes (register 11).
+pub mod mode {
+    pub const POSITION: u8 = 3;
+    pub const EXTENDED_POSITION: u8 = 4;
+    pub const CURRENT_BASED_POSITION: u8 = 5;
+}
+
+/// Bits of the hardware error status (register 70).
+pub const HARDWARE_ERRORS: [(u8, &str); 5] = [
+    (0x01, "input voltage"),
+    (0x04, "overheating"),
+    (0x08, "motor encoder"),
+    (0x10, "electrical shock"),
+    (0x20, "overload"),
+];
+
+/// What a status says of an instruction (its lower seven bits).
+pub const STATUS_ERRORS: [(u8, &str); 7] = [
+    (1, "could not process the packet"),
+    (2, "does not know the instruction"),
+    (3, "received a wrong checksum"),
+    (4, "was given a value out of range"),
+    (5, "was given too short a value"),
+    (6, "was given a value beyond a limit"),
+    (7, "refuses access: read only, or torque is on"),
+];
+/// The bit of a status that says: read the hardware error status.
+pub const ALERT: u8 = 0x80;
+
+/// Ticks of a turn of the servo's horn.
+pub const TICKS_PER_TURN: i32 = 4096;
+
+/// Baud rates by the code in register 8.
+pub const BAUD_RATES: [u32; 8] = [
+    9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000,
+];
+
+/// Below it, a servo with a homing offset keeps running when its watchdog trips in extended position mode.
+pub const FIRMWARE_CLEAR: u8 = 42;
+
+/// A kind of servo.
+#[derive(Debug, PartialEq)]
+pub struct Model {
+    pub number: u16,
+    pub name: &'static str,
+    /// The highest code of `BAUD_RATES` that it knows.
+    pub fastest: u8,
+    /// mA a step of its current registers; 0 where it measures none and caps none (no mode 5: its PWM is the cap).
+    pub current_unit: f64,
+    /// Largest current limit, in steps.
+    pub current_limit: u16,
+    /// °C at which it shuts down as delivered.
+    pub temperature_limit: u8,
+    /// Volts between which it runs as delivered.
+    pub voltage: (f64, f64),
+    /// Fastest turn as delivered, steps of 0.229 revolutions a minute.
+    pub velocity_limit: u16,
+    /// Errors that shut it down as delivered.
+    pub shutdown: u8,
+}
+
+impl Model {
+    /// Whether current is measured and capped.
+    pub fn has_current(&self) -> bool {
+        self.current_unit > 0.0
+    }
+
+    /// The mode that it is driven in: turns are counted, and current is capped where that can be.
+    pub fn driven_in(&self) -> u8 {
+        if self.has_current() {
+            mode::CURRENT_BASED_POSITION
+        } else {
+            mode::EXTENDED_POSITION
+        }
+    }
+
+    pub fn layout(&self) -> &'static Layout {
+        &X_SERIES
+    }
+}
+
+const fn x(
+    number: u16,
+    name: &'static str,
+    fastest: u8,
+    (current_unit, current_limit): (f64, u16),
+    (temperature_limit, voltage): (u8, (f64, f64)),
+    velocity_limit: u16,
+    shutdown: u8,
+) -> Model {
+    Model {
+        number,
+        name,
+        fastest,
+        current_unit,
+        current_limit,
+        temperature_limit,
+        voltage,
+        velocity_limit,
+        shutdown,
+    }
+}
+
+const SMALL: (u8, (f64, f64)) = (70, (3.5, 7.0));
+const SMALL_12: (u8, (f64, f64)) = (70, (5.5, 14.0));
+const LARGE: (u8, (f64, f64)) = (80, (9.5, 16.0));
+
+pub const MODELS: [Model; 11] = [
+    x(1190, "XL330-M077", 6, (1.0, 1750), SMALL, 1620, 53),
+    x(1200, "XL330-M288", 6, (1.0, 1750), SMALL, 445, 53),
+    x(1230, "XC330-M181", 6, (1.0, 2352), SMALL, 545, 52),
+    x(1240, "XC330-M288", 6, (1.0, 2352), SMALL, 350, 52),
+    x(1210, "XC330-T181", 6, (1.0, 910), SMALL_12, 510, 52),
+    x(1220, "XC330-T288", 6, (1.0, 910), SMALL_12, 320, 52),
+    x(1060, "XL430-W250", 7, (0.0, 0), (72, (6.0, 14.0)), 265, 52),
+    x(1030, "XM430-W210", 7, (2.69, 1193), LARGE, 330, 52),
+    x(1020, "XM430-W350", 7, (2.69, 1193), LARGE, 350, 52),
+    x(1130, "XM540-W150", 7, (2.69, 2047), LARGE, 230, 52),
+    x(1120, "XM540-W270", 7, (2.69, 2047), LARGE, 128, 52),
+];
+
+/// The servo of a model number.
+pub fn model(number: u16) -> Option<&'static Model> {
+    MODELS.iter().find(|model| model.number == number)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_model_is_found_by_its_number_alone() {
+        for expected in &MODELS {
+            assert_eq!(model(expected.number), Some(expected));
+            let capped = expected.driven_in() == mode::CURRENT_BASED_POSITION;
+            assert_eq!(capped, expected.name != "XL430-W250");
+            assert!(usize::from(expected.fastest) < BAUD_RATES.len());
+            assert_eq!(expected.layout().goal_position.end(), 120);
+        }
+        assert_eq!(model(0), None);
+    }
+}
