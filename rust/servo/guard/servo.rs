@@ -1,0 +1,110 @@
+//! What is known of one servo, and what is wrong with it.
+
+use super::limits::{Axis, Limits};
+use super::time::{Stamp, Time};
+use super::{Cause, Feedback, Health};
+
+/// Ticks by which a position may move without time: noise of the encoder, and when it was read.
+const LOOSE: f64 = 64.0;
+/// Seconds for which a servo's own clock may stand: it counts ms, and is read with each answer.
+const CLOCK_STANDS: f64 = 0.1;
+/// Seconds from torque on until a servo that reports none is believed; its health is to be asked for at least that often.
+const SWITCHING: f64 = 0.5;
+/// The share of its cap that a servo draws at most while it is at it.
+const AT_CAP: f64 = 1.25;
+
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Servo {
+    /// Ticks; none until it is heard.
+    pub position: Option<f64>,
+    /// °C.
+    pub temperature: f64,
+    pub health: Option<Health>,
+    /// Its position moved as no servo can.
+    pub lost: bool,
+    clock: u16,
+    heard: Stamp,
+    ticked: Stamp,
+    /// When position, current and voltage were last as they should be.
+    followed: Stamp,
+    light: Stamp,
+    powered: Stamp,
+}
+
+impl Servo {
+    /// Take in an answer; `goal` is where it is sent while torque is on.
+    pub fn hear(&mut self, said: &Feedback, axis: &Axis, time: &Time, goal: Option<f64>) {
+        let position = f64::from(said.position);
+        if let Some(before) = self.position {
+            if said.clock == self.clock && time.since(self.ticked) > CLOCK_STANDS {
+                return;
+            }
+            self.lost |= (position - before).abs() > axis.fastest * time.since(self.heard) + LOOSE;
+        }
+        if said.clock != self.clock || self.position.is_none() {
+            (self.clock, self.ticked) = (said.clock, time.now);
+        }
+        self.position = Some(position);
+        self.temperature = if said.temperature.is_nan() {
+            f64::INFINITY
+        } else {
+            said.temperature
+        };
+        self.health = said.health.or(self.health);
+        self.heard = time.now;
+        if goal.is_none_or(|goal| (position - goal).abs() <= axis.following) {
+            self.followed = time.now;
+        }
+        let most = axis.current.unwrap_or(f64::INFINITY) * AT_CAP;
+        if goal.is_none() || said.current.is_none_or(|current| current.abs() <= most) {
+            self.light = time.now;
+        }
+        if said.voltage >= axis.voltage.0 && said.voltage <= axis.voltage.1 {
+            self.powered = time.now;
+        }
+    }
+
+    /// Torque goes on: what it was before counts no more. Returns where it stands.
+    pub fn start(&mut self, time: &Time) -> Option<f64> {
+        (self.followed, self.light) = (time.now, time.now);
+        if let Some(health) = &mut self.health {
+            health.torque = true;
+        }
+        self.position
+    }
+
+    /// The gravest thing that is wrong. `engaged`: since when torque is on, if it is; `homed`: whether home is known.
+    pub fn ill(
+        &self,
+        axis: &Axis,
+        limits: &Limits,
+        time: &Time,
+        engaged: Option<Stamp>,
+        homed: bool,
+    ) -> Option<Cause> {
+        let active = engaged.is_some();
+        let unheard = time.since(self.heard);
+        let lasts = |since: Stamp| time.since(since) - unheard > limits.grace;
+        let is = |what: fn(&Health) -> bool| self.health.as_ref().is_some_and(what);
+        let switched = engaged.is_some_and(|since| time.since(since) > SWITCHING);
+        let checks = [
+            (self.lost && (homed || active), Cause::Lost),
+            (is(|health| health.hardware != 0), Cause::Hardware),
+            (
+                self.position.is_none() || unheard > limits.silent,
+                Cause::Silent,
+            ),
+            (active && is(|health| health.tripped), Cause::Tripped),
+            (switched && is(|health| !health.torque), Cause::Dropped),
+            (active && lasts(self.followed), Cause::Following),
+            (active && lasts(self.light), Cause::Overload),
+            (lasts(self.powered), Cause::Voltage),
+            (self.temperature >= axis.hot, Cause::Hot),
+            (unheard > limits.late, Cause::Late),
+        ];
+        checks
+            .iter()
+            .find(|(wrong, _)| *wrong)
+            .map(|(_, cause)| *cause)
+    }
+}
