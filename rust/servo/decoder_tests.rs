@@ -74,8 +74,12 @@ proptest! {
         decoder.push(&sent);
         decoder.push(&status(4, &[7]));
         decoder.push(&status(5, &[8]));
-        let found: Vec<u8> = all(&mut decoder, LONGEST).iter().map(|packet| packet.0).collect();
-        prop_assert_eq!(found, vec![4, 5]);
+        let found = all(&mut decoder, LONGEST);
+        let ids: Vec<u8> = found.iter().map(|packet| packet.0).filter(|id| *id != 3).collect();
+        prop_assert_eq!(ids, vec![4, 5]);
+        // A shorter length may meet a checksum by chance; nobody asked for that many bytes.
+        let believed = found.iter().find(|packet| packet.0 == 3);
+        prop_assert!(believed.is_none_or(|packet| matches!(place, 5 | 6) && packet.2.len() != data.len() + 1));
     }
 }
 

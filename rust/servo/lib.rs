@@ -1,9 +1,12 @@
 //! The servo side of the robot: Dynamixel Protocol 2.0, its registers and bus, and the guard that every goal passes.
 //!
-//! No clock is read here and, once set up, nothing is allocated: whoever runs the loop brings the time.
+//! But for the serial port no clock is read here and, but for the emulator, nothing is allocated once it is set up.
 
+pub mod bus;
 pub mod crc;
 pub mod decoder;
+pub mod emulator;
 pub mod guard;
 pub mod packet;
 pub mod registers;
+pub mod serial;

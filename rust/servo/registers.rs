@@ -164,6 +164,9 @@ pub const ALERT: u8 = 0x80;
 /// Ticks of a turn of the servo's horn.
 pub const TICKS_PER_TURN: i32 = 4096;
 
+/// Goals in modes that count turns lie within this many ticks either way: 256 turns.
+pub const FARTHEST_GOAL: i32 = 1_048_575;
+
 /// Baud rates by the code in register 8.
 pub const BAUD_RATES: [u32; 8] = [
     9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000,

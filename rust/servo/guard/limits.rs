@@ -60,8 +60,8 @@ pub struct BadLimit(pub String);
 
 /// Servos that one loop drives at most.
 pub const MOST_SERVOS: usize = 32;
-/// Ticks that a goal may be away from 0: 256 turns either way, as the servos themselves allow.
-pub const FARTHEST: i32 = 1_048_575;
+/// Ticks that a goal may be away from 0, as the servos themselves allow.
+pub const FARTHEST: i32 = crate::registers::FARTHEST_GOAL;
 
 impl Limits {
     /// The same limits, or what is wrong with them.

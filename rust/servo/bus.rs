@@ -1,0 +1,323 @@
+//! A half-duplex bus of servos: one question at a time, answers matched to it, each servo's result by itself.
+//!
+//! Rules, each from a fault that is seen in practice: input is discarded before a question is sent; after a time-out the
+//! bus listens for one worst reply time before it asks again, so that a late answer is never taken for the next one; an
+//! answer counts only with the id, length and instruction that were asked for; a silent servo does not take the others'
+//! answers with it; what was not heard is never 0. All deadlines are of a monotonic clock that the port brings.
+
+use crate::decoder::{Decoder, fast_slots};
+use crate::packet::{BROADCAST, CLEAR_TURNS, Full, HEAD, LONGEST, Packet, instruction};
+use crate::registers::{ALERT, STATUS_ERRORS};
+
+/// Bytes to and from a bus, and the clock that deadlines are of.
+pub trait Port {
+    /// ns since some start; never goes back.
+    fn now(&self) -> u64;
+    /// Send all of `bytes`, or fail by `until`.
+    fn send(&mut self, bytes: &[u8], until: u64) -> Result<(), PortFault>;
+    /// Wait for bytes until `until`; 0 of them if none came.
+    fn receive(&mut self, into: &mut [u8], until: u64) -> Result<usize, PortFault>;
+    /// Forget what was received and not read.
+    fn discard(&mut self) -> Result<(), PortFault>;
+}
+
+/// What is wrong with a port.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum PortFault {
+    #[error("the port is gone: unplugged, or its adapter was reset")]
+    Gone,
+    #[error("the port takes no more bytes")]
+    Stuck,
+    #[error("the port failed (error {0} of the system)")]
+    System(i32),
+}
+
+/// Why a question has no answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Fault {
+    #[error("no answer")]
+    Silent,
+    /// The error of the status, without the alert bit.
+    #[error("the servo {}", refusal(*.0))]
+    Refused(u8),
+    #[error("{0}")]
+    Port(#[from] PortFault),
+    #[error("{0}")]
+    Full(#[from] Full),
+}
+
+fn refusal(error: u8) -> &'static str {
+    let known = STATUS_ERRORS.iter().find(|(code, _)| *code == error);
+    known.map_or("answered with an unknown error", |(_, meaning)| meaning)
+}
+
+/// What came of one servo.
+pub type Heard = Result<Answer, Fault>;
+
+/// An answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Answer {
+    /// The servo has a hardware error: read its status.
+    pub alert: bool,
+}
+
+/// How questions went.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counts {
+    pub asked: u64,
+    pub silent: u64,
+    pub damaged: u64,
+    pub skipped: u64,
+}
+
+/// ns that a servo takes to answer beyond its return delay, and an adapter to hand bytes over.
+pub const SLACK: u64 = 2_000_000;
+
+/// A bus at a port.
+pub struct Bus<P> {
+    port: P,
+    baud: u32,
+    /// ns between question and answer besides the wire.
+    slack: u64,
+    /// Until when answers to older questions may still come.
+    quiet: u64,
+    decoder: Decoder,
+    counts: Counts,
+}
+
+impl<P: Port> Bus<P> {
+    /// A bus at `port`; `slack` is the longest return delay and hand-over in ns (`SLACK`).
+    pub fn new(port: P, baud: u32, slack: u64) -> Bus<P> {
+        Bus {
+            port,
+            baud,
+            slack,
+            quiet: 0,
+            decoder: Decoder::default(),
+            counts: Counts::default(),
+        }
+    }
+
+    pub fn port(&mut self) -> &mut P {
+        &mut self.port
+    }
+
+    pub fn counts(&self) -> Counts {
+        Counts {
+            damaged: self.decoder.damaged,
+            skipped: self.decoder.skipped,
+            ..self.counts
+        }
+    }
+
+    /// ns that `bytes` take on the wire: ten bits each.
+    pub fn wire(&self, bytes: usize) -> u64 {
+        bytes as u64 * 10_000_000_000 / u64::from(self.baud)
+    }
+
+    /// Ask `id` for its model number and firmware.
+    pub fn ping(&mut self, id: u8) -> Result<(u16, u8), Fault> {
+        let mut data = [0; 3];
+        self.ask(id, instruction::PING, &[], &mut data)?;
+        Ok((u16::from_le_bytes([data[0], data[1]]), data[2]))
+    }
+
+    /// Read the registers from `address` on into `data`.
+    pub fn read(&mut self, id: u8, address: u16, data: &mut [u8]) -> Heard {
+        let [a, b] = address.to_le_bytes();
+        let [c, d] = (data.len() as u16).to_le_bytes();
+        self.ask(id, instruction::READ, &[&[a, b, c, d]], data)
+    }
+
+    /// Write `data` to the registers from `address` on.
+    pub fn write(&mut self, id: u8, address: u16, data: &[u8]) -> Heard {
+        self.ask(
+            id,
+            instruction::WRITE,
+            &[&address.to_le_bytes(), data],
+            &mut [],
+        )
+    }
+
+    /// Restart a servo: its RAM and, in modes that count turns, its turns are lost.
+    pub fn reboot(&mut self, id: u8) -> Heard {
+        self.ask(id, instruction::REBOOT, &[], &mut [])
+    }
+
+    /// Set the present position back to within one turn; while the servo stands only.
+    pub fn clear_turns(&mut self, id: u8) -> Heard {
+        self.ask(id, instruction::CLEAR, &[&CLEAR_TURNS], &mut [])
+    }
+
+    /// Write `data` (one `size` after another) to each of `ids`; nobody answers.
+    pub fn sync_write(
+        &mut self,
+        ids: &[u8],
+        address: u16,
+        size: usize,
+        data: &[u8],
+    ) -> Result<(), Fault> {
+        let mut buffer = [0; LONGEST];
+        let mut packet = Packet::new(&mut buffer, BROADCAST, instruction::SYNC_WRITE);
+        packet.word(address);
+        packet.word(size as u16);
+        for (id, data) in ids.iter().zip(data.chunks_exact(size.max(1))) {
+            packet.byte(*id);
+            packet.bytes(data);
+        }
+        let packet = packet.finish()?;
+        self.send(packet)
+    }
+
+    /// Read `size` bytes from `address` on of each of `ids` into `data`; `heard` says of each what came of it.
+    ///
+    /// `fast` asks for all answers in one packet, which firmware 45 and later can do.
+    pub fn sync_read(
+        &mut self,
+        ids: &[u8],
+        address: u16,
+        size: usize,
+        data: &mut [u8],
+        heard: &mut [Heard],
+        fast: bool,
+    ) -> Result<(), Fault> {
+        let mut buffer = [0; LONGEST];
+        let asked = if fast {
+            instruction::FAST_SYNC_READ
+        } else {
+            instruction::SYNC_READ
+        };
+        let mut packet = Packet::new(&mut buffer, BROADCAST, asked);
+        packet.word(address);
+        packet.word(size as u16);
+        packet.bytes(ids);
+        let packet = packet.finish()?;
+        heard.fill(Err(Fault::Silent));
+        self.send(packet)?;
+        let bytes = packet.len() + ids.len() * longest(size);
+        let until = self.port.now()
+            + self.wire(bytes)
+            + self.slack * if fast { 1 } else { ids.len() as u64 };
+        let found = if fast {
+            self.collect_fast(ids, size, data, heard, until)
+        } else {
+            self.collect(ids, size, data, heard, until)
+        };
+        self.note(heard);
+        found
+    }
+
+    /// Ask one servo, its answer's data into `data`.
+    fn ask(&mut self, id: u8, instruction: u8, parameters: &[&[u8]], data: &mut [u8]) -> Heard {
+        let mut buffer = [0; LONGEST];
+        let mut packet = Packet::new(&mut buffer, id, instruction);
+        parameters.iter().for_each(|part| packet.bytes(part));
+        let packet = packet.finish()?;
+        self.send(packet)?;
+        let until = self.port.now() + self.wire(packet.len() + longest(data.len())) + self.slack;
+        let mut heard = [Err(Fault::Silent)];
+        let found = self.collect(&[id], data.len(), data, &mut heard, until);
+        self.note(&heard);
+        found.and(heard[0])
+    }
+
+    fn note(&mut self, heard: &[Heard]) {
+        let silent = heard
+            .iter()
+            .filter(|one| **one == Err(Fault::Silent))
+            .count() as u64;
+        self.counts.asked += heard.len() as u64;
+        self.counts.silent += silent;
+        if silent > 0 {
+            self.quiet = self.port.now() + self.wire(heard.len() * longest(0)) + self.slack;
+        }
+    }
+
+    fn send(&mut self, packet: &[u8]) -> Result<(), Fault> {
+        let mut lost = [0; 256];
+        while self.port.now() < self.quiet && self.port.receive(&mut lost, self.quiet)? > 0 {}
+        self.port.discard()?;
+        self.decoder.clear();
+        let until = self.port.now() + self.wire(packet.len()) + self.slack;
+        Ok(self.port.send(packet, until)?)
+    }
+
+    fn collect(
+        &mut self,
+        ids: &[u8],
+        size: usize,
+        data: &mut [u8],
+        heard: &mut [Heard],
+        until: u64,
+    ) -> Result<(), Fault> {
+        let mut some = [0; 256];
+        let mut missing = ids.len();
+        while missing > 0 {
+            let count = self.port.receive(&mut some, until)?;
+            if count == 0 {
+                break;
+            }
+            self.decoder.push(&some[..count]);
+            while let Some(packet) = self.decoder.next(longest(size)) {
+                let place = ids.iter().position(|id| *id == packet.id);
+                let (Some(place), Some((error, body))) = (place, packet.status()) else {
+                    continue;
+                };
+                let refused = error & !ALERT != 0;
+                if heard[place] != Err(Fault::Silent) || !refused && body.len() != size {
+                    continue;
+                }
+                heard[place] = if refused {
+                    Err(Fault::Refused(error & !ALERT))
+                } else {
+                    data[place * size..(place + 1) * size].copy_from_slice(body);
+                    Ok(Answer {
+                        alert: error & ALERT != 0,
+                    })
+                };
+                missing -= 1;
+            }
+        }
+        Ok(())
+    }
+
+    fn collect_fast(
+        &mut self,
+        ids: &[u8],
+        size: usize,
+        data: &mut [u8],
+        heard: &mut [Heard],
+        until: u64,
+    ) -> Result<(), Fault> {
+        let mut some = [0; 256];
+        let mut found = 0;
+        while found < ids.len() {
+            let count = self.port.receive(&mut some, until)?;
+            if count == 0 {
+                break;
+            }
+            self.decoder.push(&some[..count]);
+            for (place, error, body) in fast_slots(self.decoder.waiting(), ids, size).skip(found) {
+                found = place + 1;
+                data[place * size..found * size].copy_from_slice(body);
+                let refused = error & !ALERT;
+                heard[place] = match refused {
+                    0 => Ok(Answer {
+                        alert: error & ALERT != 0,
+                    }),
+                    _ => Err(Fault::Refused(refused)),
+                };
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Bytes of the longest answer with `size` bytes of data: stuffing adds one in three at most.
+const fn longest(size: usize) -> usize {
+    HEAD + 4 + size + size / 3 + 1
+}
+
+#[cfg(test)]
+#[path = "bus_tests.rs"]
+mod tests;

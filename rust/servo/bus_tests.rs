@@ -1,0 +1,164 @@
+use super::*;
+use crate::emulator::pty::Terminal;
+use crate::emulator::servo::RESET;
+use crate::emulator::tests::{FINE, bus, engaged, servos};
+use crate::emulator::{Emulator, Faults};
+use crate::registers::X_SERIES;
+use crate::serial::{OpenFault, Serial};
+
+#[test]
+fn a_silent_servo_does_not_take_the_other_s_answer_with_it() {
+    for fast in [false, true] {
+        let mut bus = bus(&[1, 2, 3]);
+        bus.port().emulator.servos[1].broken.mute = true;
+        let (mut data, mut heard) = ([0xAA; 12], [FINE; 3]);
+        bus.sync_read(&[1, 2, 3], 132, 4, &mut data, &mut heard, fast)
+            .unwrap();
+        assert_eq!(heard[0], FINE);
+        assert_eq!(heard[1], Err(Fault::Silent));
+        // In one packet nothing follows a silent servo.
+        assert_eq!(heard[2], if fast { Err(Fault::Silent) } else { FINE });
+        assert_eq!(data[..4], 2000i32.to_le_bytes());
+        assert_eq!(data[4..8], [0xAA; 4], "no data are no zeros");
+        assert_eq!(bus.counts().silent, if fast { 2 } else { 1 });
+    }
+}
+
+#[test]
+fn a_late_answer_is_never_taken_for_the_next_one() {
+    let mut bus = bus(&[1]);
+    bus.port().emulator.set_faults(Faults {
+        slow: 0.003,
+        ..Faults::default()
+    });
+    let mut data = [0; 4];
+    assert_eq!(bus.read(1, 132, &mut data), Err(Fault::Silent));
+    bus.port().emulator.set_faults(Faults::default());
+    // The answer to the position comes now; the limit must not be it.
+    assert_eq!(bus.read(1, X_SERIES.max_position.address, &mut data), FINE);
+    assert_eq!(i32::from_le_bytes(data), 4095);
+}
+
+#[test]
+fn refusals_are_told_by_what_they_mean() {
+    let mut bus = engaged(&[1]);
+    let refused = |error| Err(Fault::Refused(error));
+    assert_eq!(
+        bus.write(1, X_SERIES.operating_mode.address, &[4]),
+        refused(7)
+    );
+    assert_eq!(
+        bus.write(1, X_SERIES.present_position.address, &[0; 4]),
+        refused(7)
+    );
+    assert_eq!(
+        bus.write(1, X_SERIES.goal_position.address, &[0; 3]),
+        refused(5)
+    );
+    assert_eq!(
+        bus.write(
+            1,
+            X_SERIES.goal_position.address,
+            &2_000_000i32.to_le_bytes()
+        ),
+        refused(6)
+    );
+    assert_eq!(
+        bus.write(1, X_SERIES.torque_enable.address, &[2]),
+        refused(4)
+    );
+    let text = Fault::Refused(7).to_string();
+    assert!(text.contains("read only"), "{text}");
+    assert!(Fault::Refused(99).to_string().contains("unknown"));
+    bus.port().emulator.servos[0].fail(0x20);
+    let mut torque = [9];
+    assert_eq!(
+        bus.read(1, X_SERIES.torque_enable.address, &mut torque),
+        Ok(Answer { alert: true })
+    );
+    assert_eq!(torque, [0]);
+    assert_eq!(
+        bus.write(1, X_SERIES.torque_enable.address, &[1]),
+        refused(7)
+    );
+    assert_eq!(bus.reboot(1), Ok(Answer { alert: false }));
+    bus.port().wait(RESET + 0.1);
+    assert_eq!(bus.write(1, X_SERIES.torque_enable.address, &[1]), FINE);
+}
+
+#[test]
+fn junk_and_damage_cost_answers_but_never_make_one() {
+    let mut bus = engaged(&[1, 2]);
+    let faults = Faults {
+        junk: 0.2,
+        damage: 0.05,
+        ..Faults::default()
+    };
+    bus.port().emulator.set_faults(faults);
+    let (mut age, mut worst, mut kept) = ([0; 2], 0, 0);
+    for turn in 0..5000 {
+        let (mut data, mut heard) = ([0; 8], [FINE; 2]);
+        bus.sync_read(&[1, 2], 132, 4, &mut data, &mut heard, false)
+            .unwrap();
+        for k in 0..2 {
+            age[k] = if heard[k].is_ok() { 0 } else { age[k] + 1 };
+            kept += u32::from(age[k] <= 3);
+            worst = worst.max(age[k]);
+            if heard[k].is_ok() {
+                assert_eq!(data[4 * k..4 * k + 4], 2000i32.to_le_bytes(), "turn {turn}");
+            }
+        }
+    }
+    assert!(
+        kept >= 9990 && worst >= 1,
+        "{kept} of 10000, {worst} at worst"
+    );
+    assert!(bus.counts().damaged > 100 && bus.counts().skipped > 1000);
+}
+
+#[test]
+fn a_pseudo_terminal_is_a_serial_port() {
+    let mut terminal = Terminal::open(Emulator::new(servos(&[1, 2]), 1_000_000, 3)).unwrap();
+    let path = terminal.path().to_owned();
+    let mut bus = Bus::new(
+        Serial::open(&path, 1_000_000).unwrap(),
+        1_000_000,
+        20_000_000,
+    );
+    assert_eq!(bus.ping(1), Ok((1200, 46)));
+    assert_eq!(
+        Serial::open(&path, 1_000_000).err(),
+        Some(OpenFault::Busy(path.clone()))
+    );
+    let (mut data, mut heard) = ([0; 54], [FINE; 2]);
+    for fast in [false, true] {
+        bus.sync_read(&[1, 2], 120, 27, &mut data, &mut heard, fast)
+            .unwrap();
+        assert_eq!(heard, [FINE; 2]);
+    }
+    terminal.emulator().servos[0].broken.mute = true;
+    assert_eq!(bus.ping(1), Err(Fault::Silent));
+    assert_eq!(bus.ping(2), Ok((1200, 46)));
+    drop(bus);
+    let mut slow = Bus::new(Serial::open(&path, 57_600).unwrap(), 57_600, 20_000_000);
+    assert_eq!(
+        slow.ping(2),
+        Err(Fault::Silent),
+        "another rate is not understood"
+    );
+    terminal.unplug();
+    assert_eq!(slow.ping(2), Err(Fault::Port(PortFault::Gone)));
+    drop(slow);
+    assert_eq!(
+        Serial::open(&path, 57_600).err(),
+        Some(OpenFault::Missing(path))
+    );
+    assert_eq!(
+        Serial::open("/dev/null", 57_600).err(),
+        Some(OpenFault::NoTerminal("/dev/null".into()))
+    );
+    assert_eq!(
+        Serial::open("/tmp", 57_600).err(),
+        Some(OpenFault::NoTerminal("/tmp".into()))
+    );
+}

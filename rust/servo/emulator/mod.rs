@@ -1,0 +1,339 @@
+//! A bus of emulated servos: bytes in, bytes out at the time at which they would be on the wire, faults on command.
+//!
+//! It speaks the packets of `packet.rs` with real timing: ten bits a byte at the servos' baud rate, return delay, answers
+//! of several servos one after the other. Time comes from outside, so that tests run as fast as they can and the
+//! pseudo-terminal (`pty.rs`) in real time. What it is for: every fault of docs/safety.md, without breaking a servo.
+
+pub mod pty;
+pub mod servo;
+mod table;
+
+use std::collections::VecDeque;
+
+use crate::crc::crc;
+use crate::decoder::Decoder;
+use crate::packet::{BROADCAST, CLEAR_TURNS, HEADER, LONGEST, Packet, instruction};
+use crate::registers::BAUD_RATES;
+use servo::Servo;
+use table::refusal;
+
+/// What the wire does to answers; probabilities from 0 to 1.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Faults {
+    /// An answer is lost.
+    pub drop: f64,
+    /// A byte of an answer is changed.
+    pub damage: f64,
+    /// Up to eight random bytes come before an answer.
+    pub junk: f64,
+    /// s by which each answer is later.
+    pub slow: f64,
+    /// Nothing has power: no answer, and a reset when it comes back.
+    pub unpowered: bool,
+}
+
+/// Servos on a wire.
+#[derive(Debug, Clone)]
+pub struct Emulator {
+    pub servos: Vec<Servo>,
+    faults: Faults,
+    decoder: Decoder,
+    /// The master's baud rate.
+    baud: u32,
+    /// Answers and when they are complete, s.
+    answers: VecDeque<(f64, Vec<u8>)>,
+    free: f64,
+    seed: u64,
+}
+
+impl Emulator {
+    /// Servos heard at `baud`; faults are drawn from `seed`.
+    pub fn new(servos: Vec<Servo>, baud: u32, seed: u64) -> Emulator {
+        Emulator {
+            servos,
+            faults: Faults::default(),
+            decoder: Decoder::default(),
+            baud,
+            answers: VecDeque::new(),
+            free: 0.0,
+            seed: seed.wrapping_mul(2).wrapping_add(1),
+        }
+    }
+
+    /// The master speaks at another rate from now on.
+    pub fn set_baud(&mut self, baud: u32) {
+        self.baud = baud;
+    }
+
+    pub fn faults(&self) -> Faults {
+        self.faults
+    }
+
+    pub fn set_faults(&mut self, faults: Faults) {
+        if self.faults.unpowered && !faults.unpowered {
+            self.servos.iter_mut().for_each(Servo::boot);
+        }
+        self.faults = faults;
+    }
+
+    /// Bytes that the master sent at `now` s.
+    pub fn hear(&mut self, bytes: &[u8], now: f64) {
+        self.decoder.push(bytes);
+        let wire = bytes.len() as f64 * 10.0 / f64::from(self.baud);
+        self.free = self.free.max(now + wire);
+        self.run(now);
+        while let Some(packet) = self.decoder.next(LONGEST) {
+            let (id, asked, parameters) =
+                (packet.id, packet.instruction, packet.parameters.to_vec());
+            if !self.faults.unpowered {
+                self.obey(id, asked, &parameters);
+            }
+        }
+    }
+
+    /// The next bytes that are complete by `now` s.
+    pub fn speak(&mut self, now: f64) -> Option<Vec<u8>> {
+        match self.answers.front() {
+            Some((due, _)) if *due <= now => self.answers.pop_front().map(|(_, bytes)| bytes),
+            _ => None,
+        }
+    }
+
+    /// When the next bytes are complete, s.
+    pub fn due(&self) -> Option<f64> {
+        self.answers.front().map(|(due, _)| *due)
+    }
+
+    /// Let the servos move until `now` s.
+    pub fn run(&mut self, now: f64) {
+        let dead = self.faults.unpowered;
+        for servo in &mut self.servos {
+            if dead && servo.torque() {
+                servo.boot();
+            }
+            servo.run(now);
+        }
+    }
+
+    fn obey(&mut self, id: u8, asked: u8, parameters: &[u8]) {
+        let baud = self.baud;
+        let hears = |servo: &Servo| servo.awake() && BAUD_RATES[servo.baud()] == baud;
+        self.servos
+            .iter_mut()
+            .filter(|servo| hears(servo))
+            .for_each(Servo::feed);
+        let word = |at: usize| {
+            let bytes = parameters.get(at..at + 2)?;
+            Some(u16::from_le_bytes([bytes[0], bytes[1]]))
+        };
+        let (first, second) = (word(0).unwrap_or(0), word(2).unwrap_or(0));
+        let rest = |from: usize| parameters.get(from..).unwrap_or(&[]);
+        match asked {
+            instruction::SYNC_WRITE => {
+                for one in rest(4).chunks_exact(usize::from(second) + 1) {
+                    self.each(one[0], hears, |servo| servo.write(first, &one[1..]).is_ok());
+                }
+            }
+            instruction::SYNC_READ => {
+                for one in rest(4) {
+                    self.answer(*one, asked, hears, |servo| servo.read(first, second));
+                }
+            }
+            instruction::FAST_SYNC_READ => self.answer_fast(rest(4), first, second, hears),
+            instruction::BULK_READ => {
+                for one in parameters.chunks_exact(5) {
+                    let (address, size) = ([one[1], one[2]], [one[3], one[4]]);
+                    let (address, size) = (u16::from_le_bytes(address), u16::from_le_bytes(size));
+                    self.answer(one[0], asked, hears, |servo| servo.read(address, size));
+                }
+            }
+            instruction::BULK_WRITE => {
+                let mut left = parameters;
+                while left.len() >= 5 {
+                    let (address, size) = (
+                        u16::from_le_bytes([left[1], left[2]]),
+                        u16::from_le_bytes([left[3], left[4]]),
+                    );
+                    let Some(data) = left.get(5..5 + usize::from(size)) else {
+                        break;
+                    };
+                    self.each(left[0], hears, |servo| servo.write(address, data).is_ok());
+                    left = &left[5 + usize::from(size)..];
+                }
+            }
+            instruction::STATUS => {}
+            _ if id == BROADCAST => {
+                let mut ids: Vec<u8> = self.servos.iter().map(Servo::id).collect();
+                ids.sort_unstable();
+                ids.dedup();
+                for one in ids {
+                    match asked {
+                        instruction::PING => {
+                            self.answer(one, asked, hears, |servo| servo.read(0, 7).map(firmware))
+                        }
+                        _ => {
+                            self.each(one, hears, |servo| single(servo, asked, parameters).is_ok())
+                        }
+                    }
+                }
+            }
+            _ => self.answer(id, asked, hears, |servo| single(servo, asked, parameters)),
+        }
+    }
+
+    /// Let each servo called `id` act; whether it did, nobody hears.
+    fn each(
+        &mut self,
+        id: u8,
+        hears: impl Fn(&Servo) -> bool,
+        mut act: impl FnMut(&mut Servo) -> bool,
+    ) {
+        for servo in self
+            .servos
+            .iter_mut()
+            .filter(|servo| servo.id() == id && hears(servo))
+        {
+            act(servo);
+        }
+    }
+
+    /// Let each servo called `id` act and answer; two of one id talk over each other.
+    fn answer(
+        &mut self,
+        id: u8,
+        asked: u8,
+        hears: impl Fn(&Servo) -> bool,
+        mut act: impl FnMut(&mut Servo) -> Result<Vec<u8>, u8>,
+    ) {
+        let mut spoken: Option<Vec<u8>> = None;
+        let mut delay = 0.0;
+        for servo in self
+            .servos
+            .iter_mut()
+            .filter(|servo| servo.id() == id && hears(servo))
+        {
+            delay = servo.return_delay();
+            // Asked before: a reset changes what it answers.
+            let answers = servo.answers(asked);
+            let done = act(servo);
+            if !answers {
+                continue;
+            }
+            let (error, data) = match &done {
+                Ok(data) => (0, &data[..]),
+                Err(error) => (*error, &[][..]),
+            };
+            let mut buffer = [0; LONGEST];
+            let mut packet = Packet::new(&mut buffer, id, instruction::STATUS);
+            packet.byte(error | servo.alert());
+            packet.bytes(data);
+            let Ok(bytes) = packet.finish() else { continue };
+            spoken = Some(match spoken {
+                Some(other) => other.iter().zip(bytes).map(|(a, b)| a & b).collect(),
+                None => bytes.to_vec(),
+            });
+        }
+        if let Some(bytes) = spoken {
+            self.say(bytes, delay);
+        }
+    }
+
+    /// One packet of all; from a silent servo on nothing follows.
+    fn answer_fast(&mut self, ids: &[u8], address: u16, size: u16, hears: impl Fn(&Servo) -> bool) {
+        let length = ids.len() * (usize::from(size) + 4) + 1;
+        let mut bytes = HEADER.to_vec();
+        bytes.push(BROADCAST);
+        bytes.extend((length as u16).to_le_bytes());
+        bytes.push(instruction::STATUS);
+        let empty = bytes.len();
+        let mut delay = 0.0;
+        for id in ids {
+            let Some(servo) = self
+                .servos
+                .iter()
+                .find(|servo| servo.id() == *id && hears(servo))
+            else {
+                break;
+            };
+            let Ok(data) = servo.read(address, size) else {
+                break;
+            };
+            delay = servo.return_delay();
+            bytes.push(servo.alert());
+            bytes.push(*id);
+            bytes.extend(data);
+            bytes.extend(crc(0, &bytes).to_le_bytes());
+        }
+        if bytes.len() > empty {
+            self.say(bytes, delay);
+        }
+    }
+
+    fn say(&mut self, mut bytes: Vec<u8>, delay: f64) {
+        if self.chance(self.faults.damage) {
+            let place = self.below(bytes.len());
+            bytes[place] ^= 1 << self.below(8);
+        }
+        if self.chance(self.faults.junk) {
+            let junk: Vec<u8> = (0..=self.below(8)).map(|_| self.below(256) as u8).collect();
+            bytes.splice(0..0, junk);
+        }
+        let lost = self.chance(self.faults.drop);
+        self.free += delay + self.faults.slow + bytes.len() as f64 * 10.0 / f64::from(self.baud);
+        if !lost {
+            self.answers.push_back((self.free, bytes));
+        }
+    }
+
+    fn chance(&mut self, share: f64) -> bool {
+        share > 0.0 && (self.below(1 << 30) as f64) < share * f64::from(1 << 30)
+    }
+
+    /// A number below `count`, from a linear congruence (Knuth, TAOCP 2, 3.3.4).
+    fn below(&mut self, count: usize) -> usize {
+        self.seed = self
+            .seed
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        ((self.seed >> 33) as usize * count) >> 31
+    }
+}
+
+/// What one servo does when it is asked by itself.
+fn single(servo: &mut Servo, asked: u8, parameters: &[u8]) -> Result<Vec<u8>, u8> {
+    let word = |at: usize| {
+        parameters
+            .get(at..at + 2)
+            .map(|bytes| u16::from_le_bytes([bytes[0], bytes[1]]))
+    };
+    let address = || word(0).ok_or(refusal::LENGTH);
+    let data = parameters.get(2..).unwrap_or(&[]);
+    match asked {
+        instruction::PING => servo.read(0, 7).map(firmware),
+        instruction::READ => servo.read(address()?, word(2).ok_or(refusal::LENGTH)?),
+        instruction::WRITE => servo.write(address()?, data).map(|()| vec![]),
+        instruction::REG_WRITE => {
+            servo.register_write(address()?, data);
+            Ok(vec![])
+        }
+        instruction::ACTION => {
+            servo.action();
+            Ok(vec![])
+        }
+        instruction::REBOOT => {
+            servo.boot();
+            Ok(vec![])
+        }
+        instruction::CLEAR if parameters == CLEAR_TURNS => servo.clear().map(|()| vec![]),
+        _ => Err(2),
+    }
+}
+
+/// Model number and firmware of the first registers.
+fn firmware(registers: Vec<u8>) -> Vec<u8> {
+    vec![registers[0], registers[1], registers[6]]
+}
+
+#[cfg(test)]
+#[path = "tests.rs"]
+pub(crate) mod tests;

@@ -1,0 +1,117 @@
+//! The emulated bus at a pseudo-terminal, in real time, by a thread of its own: any master opens it like a serial port.
+//!
+//! The master's baud rate is that of the terminal's settings, so that a wrong one is met by silence, as on a real bus.
+
+use std::os::fd::OwnedFd;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Instant;
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{Mode, OFlags, open};
+use rustix::io::{Errno, read, write};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+
+use super::Emulator;
+
+/// ns for which the thread sleeps at most: servos move while nobody speaks.
+const NAP: i64 = 2_000_000;
+
+/// An emulator that runs at a pseudo-terminal until it is dropped.
+pub struct Terminal {
+    emulator: Arc<Mutex<Emulator>>,
+    path: String,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Terminal {
+    /// Open a pseudo-terminal and serve it.
+    pub fn open(emulator: Emulator) -> Result<Terminal, Errno> {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+        grantpt(&master)?;
+        unlockpt(&master)?;
+        let path = ptsname(&master, vec![])?.to_string_lossy().into_owned();
+        // Kept open, so that the terminal lives on between two masters.
+        let slave = open(
+            path.as_str(),
+            OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC,
+            Mode::empty(),
+        )?;
+        let mut settings = tcgetattr(&slave)?;
+        settings.make_raw();
+        settings.set_speed(57_600)?;
+        tcsetattr(&slave, OptionalActions::Now, &settings)?;
+        let emulator = Arc::new(Mutex::new(emulator));
+        let stop = Arc::new(AtomicBool::new(false));
+        let (shared, stopped) = (emulator.clone(), stop.clone());
+        let thread = std::thread::spawn(move || serve(&shared, &stopped, &master, &slave));
+        Ok(Terminal {
+            emulator,
+            path,
+            stop,
+            thread: Some(thread),
+        })
+    }
+
+    /// The device to open.
+    pub fn path(&self) -> &str {
+        &self.path
+    }
+
+    /// The emulator, which stands still meanwhile.
+    pub fn emulator(&self) -> MutexGuard<'_, Emulator> {
+        self.emulator.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Pull the plug: whoever has the port open finds it gone.
+    pub fn unplug(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // A panic of the thread has been printed; the terminal is closed either way.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        self.unplug();
+    }
+}
+
+fn serve(emulator: &Mutex<Emulator>, stop: &AtomicBool, master: &OwnedFd, slave: &OwnedFd) {
+    let begin = Instant::now();
+    let mut bytes = [0; 1024];
+    while !stop.load(Ordering::Relaxed) {
+        let mut ready = [PollFd::new(master, PollFlags::IN)];
+        let due = {
+            let mut emulator = emulator.lock().unwrap_or_else(PoisonError::into_inner);
+            let now = begin.elapsed().as_secs_f64();
+            while let Some(answer) = emulator.speak(now) {
+                // A master that does not read loses what it was told, as on a wire.
+                let _ = write(master, &answer);
+            }
+            emulator.run(now);
+            emulator
+                .due()
+                .map(|due| ((due - now) * 1e9).max(0.0) as i64)
+        };
+        let nap = Timespec {
+            tv_sec: 0,
+            tv_nsec: due.unwrap_or(NAP).min(NAP),
+        };
+        if !matches!(poll(&mut ready, Some(&nap)), Ok(count) if count > 0) {
+            continue;
+        }
+        if let Ok(count) = read(master, &mut bytes) {
+            let mut emulator = emulator.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Ok(settings) = tcgetattr(slave) {
+                emulator.set_baud(settings.output_speed());
+            }
+            emulator.hear(&bytes[..count], begin.elapsed().as_secs_f64());
+        }
+    }
+}

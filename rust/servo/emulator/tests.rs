@@ -1,0 +1,323 @@
+use super::servo::{Motion, RESET};
+use super::*;
+use crate::bus::{Answer, Bus, Fault, Heard, Port, PortFault, SLACK};
+use crate::registers::{ALERT, MODELS, X_SERIES, mode, model};
+
+/// The emulator as a port whose time passes only when somebody waits.
+pub(crate) struct Virtual {
+    pub(crate) emulator: Emulator,
+    now: u64,
+}
+
+impl Virtual {
+    fn seconds(&self) -> f64 {
+        self.now as f64 * 1e-9
+    }
+
+    pub(crate) fn wait(&mut self, seconds: f64) {
+        self.now += (seconds * 1e9) as u64;
+        let now = self.seconds();
+        self.emulator.run(now);
+    }
+}
+
+impl Port for Virtual {
+    fn now(&self) -> u64 {
+        self.now
+    }
+
+    fn send(&mut self, bytes: &[u8], _until: u64) -> Result<(), PortFault> {
+        let now = self.seconds();
+        self.emulator.hear(bytes, now);
+        Ok(())
+    }
+
+    fn receive(&mut self, into: &mut [u8], until: u64) -> Result<usize, PortFault> {
+        let due = self.emulator.due().map(|due| (due * 1e9).ceil() as u64 + 1);
+        self.now = due.map_or(until, |due| due.min(until)).max(self.now);
+        let Some(bytes) = self.emulator.speak(self.seconds()) else {
+            return Ok(0);
+        };
+        into[..bytes.len()].copy_from_slice(&bytes);
+        Ok(bytes.len())
+    }
+
+    fn discard(&mut self) -> Result<(), PortFault> {
+        while self.emulator.speak(self.seconds()).is_some() {}
+        Ok(())
+    }
+}
+
+fn motion() -> Motion {
+    Motion {
+        delay: 0.01,
+        lag: 0.03,
+        load: vec![(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)],
+    }
+}
+
+pub(crate) fn servos(ids: &[u8]) -> Vec<Servo> {
+    let one = |id: &u8| Servo::new(model(1200).unwrap(), *id, 3, 2000.0, motion());
+    ids.iter().map(one).collect()
+}
+
+pub(crate) fn bus(ids: &[u8]) -> Bus<Virtual> {
+    let emulator = Emulator::new(servos(ids), 1_000_000, 1);
+    Bus::new(Virtual { emulator, now: 0 }, 1_000_000, SLACK)
+}
+
+pub(crate) const FINE: Heard = Ok(Answer { alert: false });
+
+pub(crate) fn position(bus: &mut Bus<Virtual>, id: u8) -> i32 {
+    let mut data = [0; 4];
+    assert_eq!(bus.read(id, 132, &mut data), FINE);
+    i32::from_le_bytes(data)
+}
+
+/// Ready to be driven, torque on.
+pub(crate) fn engaged(ids: &[u8]) -> Bus<Virtual> {
+    let mut bus = bus(ids);
+    for id in ids {
+        assert_eq!(
+            bus.write(
+                *id,
+                X_SERIES.operating_mode.address,
+                &[mode::CURRENT_BASED_POSITION]
+            ),
+            FINE
+        );
+        assert_eq!(bus.write(*id, X_SERIES.torque_enable.address, &[1]), FINE);
+    }
+    bus
+}
+
+fn goals(bus: &mut Bus<Virtual>, ids: &[u8], goals: &[i32]) {
+    let data: Vec<u8> = goals.iter().flat_map(|goal| goal.to_le_bytes()).collect();
+    bus.sync_write(ids, X_SERIES.goal_position.address, 4, &data)
+        .unwrap();
+}
+
+#[test]
+fn goes_where_it_is_sent_with_delay_and_lag() {
+    let mut bus = engaged(&[1, 2]);
+    goals(&mut bus, &[1, 2], &[2300, 1700]);
+    bus.port().wait(0.006);
+    assert_eq!((position(&mut bus, 1), position(&mut bus, 2)), (2000, 2000));
+    bus.port().wait(0.03);
+    let part = f64::from(position(&mut bus, 1) - 2000) / 300.0;
+    assert!((0.5..0.8).contains(&part), "{part} after one time constant");
+    bus.port().wait(0.5);
+    assert_eq!((position(&mut bus, 1), position(&mut bus, 2)), (2300, 1700));
+    let mut current = [0; 2];
+    assert_eq!(
+        bus.read(1, X_SERIES.present_current.address, &mut current),
+        FINE
+    );
+    let drawn = i16::from_le_bytes(current);
+    assert!(
+        (119..=120).contains(&drawn),
+        "{drawn} mA where the table says 120"
+    );
+}
+
+#[test]
+fn current_caps_the_pull_and_torque_off_lets_go() {
+    let mut bus = engaged(&[1]);
+    assert_eq!(
+        bus.write(1, X_SERIES.goal_current.address, &200i16.to_le_bytes()),
+        FINE
+    );
+    goals(&mut bus, &[1], &[2900]);
+    bus.port().wait(2.0);
+    let held = position(&mut bus, 1);
+    assert!(
+        (2480..=2500).contains(&held),
+        "stands at {held}, where 200 mA carry no more"
+    );
+    assert_eq!(bus.write(1, X_SERIES.torque_enable.address, &[0]), FINE);
+    bus.port().wait(1.0);
+    let free = position(&mut bus, 1);
+    assert!((free - 2000).abs() < 60, "slack at {free}");
+}
+
+#[test]
+fn the_watchdog_stops_and_holds() {
+    let mut bus = engaged(&[1]);
+    assert_eq!(bus.write(1, X_SERIES.bus_watchdog.address, &[5]), FINE);
+    goals(&mut bus, &[1], &[2600]);
+    bus.port().wait(0.3);
+    assert!(bus.port().emulator.servos[0].tripped());
+    let stood = position(&mut bus, 1);
+    assert!(bus.port().emulator.servos[0].torque());
+    goals(&mut bus, &[1], &[2000]);
+    bus.port().wait(0.5);
+    assert_eq!(position(&mut bus, 1), stood, "goals are read only now");
+    assert_eq!(
+        bus.write(1, X_SERIES.goal_position.address, &2000i32.to_le_bytes()),
+        Err(Fault::Refused(4))
+    );
+    assert_eq!(bus.write(1, X_SERIES.bus_watchdog.address, &[0]), FINE);
+    goals(&mut bus, &[1], &[2000]);
+    bus.port().wait(0.5);
+    assert_eq!(position(&mut bus, 1), 2000);
+}
+
+#[test]
+fn turns_are_lost_by_a_reset_and_by_power() {
+    let mut bus = engaged(&[1]);
+    bus.port().emulator.servos[0] = Servo::new(
+        model(1200).unwrap(),
+        1,
+        3,
+        2000.0,
+        Motion {
+            load: vec![],
+            ..motion()
+        },
+    );
+    assert_eq!(
+        bus.write(
+            1,
+            X_SERIES.operating_mode.address,
+            &[mode::EXTENDED_POSITION]
+        ),
+        FINE
+    );
+    assert_eq!(bus.write(1, X_SERIES.torque_enable.address, &[1]), FINE);
+    goals(&mut bus, &[1], &[9000]);
+    bus.port().wait(3.0);
+    assert_eq!(position(&mut bus, 1), 9000);
+    bus.port().emulator.set_faults(Faults {
+        unpowered: true,
+        ..Faults::default()
+    });
+    bus.port().wait(0.1);
+    assert_eq!(bus.ping(1), Err(Fault::Silent));
+    bus.port().emulator.set_faults(Faults::default());
+    bus.port().wait(RESET + 0.1);
+    assert_eq!(position(&mut bus, 1), 9000 - 2 * 4096);
+    assert!(!bus.port().emulator.servos[0].torque());
+}
+
+#[test]
+fn every_model_is_heard_at_the_rate_it_has() {
+    for (k, model) in MODELS.iter().enumerate() {
+        let emulator = Emulator::new(
+            vec![Servo::new(model, 7, 1, 0.0, motion())],
+            57_600,
+            k as u64,
+        );
+        let mut bus = Bus::new(Virtual { emulator, now: 0 }, 57_600, SLACK);
+        assert_eq!(bus.ping(7), Ok((model.number, 46)));
+        assert_eq!(bus.ping(8), Err(Fault::Silent));
+        bus.port().emulator.set_baud(1_000_000);
+        assert_eq!(bus.ping(7), Err(Fault::Silent));
+        let (mut data, mut heard) = ([0; 600], [FINE; 300]);
+        let ids: Vec<u8> = (0..300).map(|k| k as u8).collect();
+        let full = bus.sync_read(
+            &[&ids[..], &ids, &ids, &ids].concat(),
+            0,
+            2,
+            &mut data,
+            &mut heard,
+            false,
+        );
+        assert!(matches!(full, Err(Fault::Full(_))));
+    }
+}
+
+#[test]
+fn other_instructions_of_the_protocol_do_what_they_say() {
+    let mut bus = engaged(&[1, 2]);
+    let port = bus.port();
+    let mut buffer = [0; LONGEST];
+    let mut say = |port: &mut Virtual, id, asked, parameters: &[u8]| {
+        let sent = crate::packet::packet(&mut buffer, id, asked, parameters)
+            .unwrap()
+            .to_vec();
+        port.send(&sent, 0).unwrap();
+        port.wait(0.5);
+        let mut answers = Decoder::default();
+        while let Some(bytes) = port.emulator.speak(port.seconds()) {
+            answers.push(&bytes);
+        }
+        let mut found = vec![];
+        while let Some(packet) = answers.next(LONGEST) {
+            found.push((packet.id, packet.parameters.to_vec()));
+        }
+        found
+    };
+    assert_eq!(
+        say(port, BROADCAST, instruction::PING, &[]),
+        vec![(1, vec![0, 0xB0, 4, 46]), (2, vec![0, 0xB0, 4, 46])]
+    );
+    let goal = [&116u16.to_le_bytes()[..], &2100i32.to_le_bytes()].concat();
+    assert_eq!(
+        say(port, 1, instruction::REG_WRITE, &goal),
+        vec![(1, vec![0])]
+    );
+    assert_eq!(port.emulator.servos[0].angle(), 2000.0);
+    assert_eq!(say(port, BROADCAST, instruction::ACTION, &[]), vec![]);
+    assert_eq!(port.emulator.servos[0].angle().round(), 2100.0);
+    let bulk = [&[2, 116, 0, 4, 0][..], &1900i32.to_le_bytes()].concat();
+    assert_eq!(say(port, BROADCAST, instruction::BULK_WRITE, &bulk), vec![]);
+    let read = say(
+        port,
+        BROADCAST,
+        instruction::BULK_READ,
+        &[1, 132, 0, 4, 0, 2, 132, 0, 2, 0],
+    );
+    assert_eq!(read, vec![(1, vec![0, 52, 8, 0, 0]), (2, vec![0, 108, 7])]);
+    assert_eq!(say(port, 1, 0x77, &[]), vec![(1, vec![2])]);
+    assert_eq!(say(port, 1, instruction::READ, &[1]), vec![(1, vec![5])]);
+    assert_eq!(
+        say(port, 1, instruction::READ, &[250, 0, 9, 0]),
+        vec![(1, vec![4])]
+    );
+    assert_eq!(
+        say(port, 1, instruction::CLEAR, &[1, 2]),
+        vec![(1, vec![2])]
+    );
+    assert_eq!(
+        say(port, 1, instruction::CLEAR, &CLEAR_TURNS),
+        vec![(1, vec![0])]
+    );
+    assert_eq!(
+        say(port, 1, instruction::WRITE, &[68, 0, 1]),
+        vec![(1, vec![0])]
+    );
+    assert_eq!(say(port, 1, instruction::WRITE, &[65, 0, 1]), vec![]);
+    assert_eq!(
+        say(port, 1, instruction::READ, &[65, 0, 1, 0]),
+        vec![(1, vec![0, 1])]
+    );
+    port.emulator.servos[1].set_id(1);
+    port.emulator.servos[1].heat(60.0);
+    assert_eq!(
+        say(port, 1, instruction::READ, &[146, 0, 1, 0]),
+        vec![],
+        "two of one id talk over each other"
+    );
+    port.emulator.servos[1].supply(2.0);
+    port.emulator.servos[1].fail(1);
+    assert_eq!(port.emulator.servos[1].alert(), ALERT);
+    assert_eq!(port.emulator.faults(), Faults::default());
+}
+
+#[test]
+fn an_encoder_that_stands_lets_the_motor_run_away_and_a_torn_tendon_carries_nothing() {
+    let mut bus = engaged(&[1, 2]);
+    bus.port().emulator.servos[0].broken.stuck = true;
+    bus.port().emulator.servos[1].broken.torn = true;
+    goals(&mut bus, &[1, 2], &[2100, 2900]);
+    bus.port().wait(1.0);
+    assert_eq!(position(&mut bus, 1), 2000);
+    assert!(bus.port().emulator.servos[0].angle() > 2500.0);
+    assert_eq!(position(&mut bus, 2), 2900);
+    let mut current = [9; 2];
+    assert_eq!(
+        bus.read(2, X_SERIES.present_current.address, &mut current),
+        FINE
+    );
+    assert_eq!(current, [0; 2]);
+}
