@@ -13,6 +13,8 @@ use crate::registers::{ALERT, STATUS_ERRORS};
 pub trait Port {
     /// ns since some start; never goes back.
     fn now(&self) -> u64;
+    /// Sleep until `until`; not at all if it has passed.
+    fn wait(&mut self, until: u64);
     /// Send all of `bytes`, or fail by `until`.
     fn send(&mut self, bytes: &[u8], until: u64) -> Result<(), PortFault>;
     /// Wait for bytes until `until`; 0 of them if none came.
@@ -308,6 +310,9 @@ impl<P: Port> Bus<P> {
                     _ => Err(Fault::Refused(refused)),
                 };
             }
+        }
+        if found < ids.len() && !self.decoder.waiting().is_empty() {
+            self.decoder.damaged += 1;
         }
         Ok(())
     }

@@ -82,7 +82,7 @@ fn refusals_are_told_by_what_they_mean() {
         refused(7)
     );
     assert_eq!(bus.reboot(1), Ok(Answer { alert: false }));
-    bus.port().wait(RESET + 0.1);
+    bus.port().pass(RESET + 0.1);
     assert_eq!(bus.write(1, X_SERIES.torque_enable.address, &[1]), FINE);
 }
 

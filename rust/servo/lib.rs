@@ -3,8 +3,10 @@
 //! But for the serial port no clock is read here and, but for the emulator, nothing is allocated once it is set up.
 
 pub mod bus;
+pub mod control;
 pub mod crc;
 pub mod decoder;
+pub mod drive;
 pub mod emulator;
 pub mod guard;
 pub mod packet;

@@ -8,6 +8,7 @@ use rustix::io::{Errno, read, write};
 use rustix::termios::{
     ControlModes, OptionalActions, QueueSelector, ioctl_tiocexcl, tcflush, tcgetattr, tcsetattr,
 };
+use rustix::thread::clock_nanosleep_absolute;
 use rustix::time::{ClockId, clock_gettime};
 
 use crate::bus::{Port, PortFault};
@@ -74,7 +75,7 @@ impl Serial {
     }
 
     /// Wait for `what` until `until`: whether it came.
-    fn wait(&self, what: PollFlags, until: u64) -> Result<bool, PortFault> {
+    fn ready(&self, what: PollFlags, until: u64) -> Result<bool, PortFault> {
         loop {
             let left = until.saturating_sub(monotonic());
             let left = Timespec {
@@ -98,12 +99,20 @@ impl Port for Serial {
         monotonic()
     }
 
+    fn wait(&mut self, until: u64) {
+        let until = Timespec {
+            tv_sec: (until / 1_000_000_000) as i64,
+            tv_nsec: (until % 1_000_000_000) as i64,
+        };
+        while clock_nanosleep_absolute(ClockId::Monotonic, &until) == Err(Errno::INTR) {}
+    }
+
     fn send(&mut self, mut bytes: &[u8], until: u64) -> Result<(), PortFault> {
         while !bytes.is_empty() {
             match write(&self.file, bytes) {
                 Ok(count) => bytes = &bytes[count..],
                 Err(Errno::AGAIN) => {
-                    if !self.wait(PollFlags::OUT, until)? {
+                    if !self.ready(PollFlags::OUT, until)? {
                         return Err(PortFault::Stuck);
                     }
                 }
@@ -121,7 +130,7 @@ impl Port for Serial {
                 Ok(0) => return Err(PortFault::Gone),
                 Ok(count) => return Ok(count),
                 Err(Errno::AGAIN) => {
-                    if !self.wait(PollFlags::IN, until)? {
+                    if !self.ready(PollFlags::IN, until)? {
                         return Ok(0);
                     }
                 }

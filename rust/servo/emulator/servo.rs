@@ -108,7 +108,7 @@ impl Servo {
             servo.table.set(register, value);
         }
         servo.boot();
-        servo.asleep = 0.0;
+        servo.wake();
         servo
     }
 
@@ -205,6 +205,11 @@ impl Servo {
         self.table
             .set(layout.goal_current, self.table.get(layout.current_limit));
         self.stay();
+    }
+
+    /// It has started already.
+    pub fn wake(&mut self) {
+        self.asleep = self.time;
     }
 
     /// Its goal is where it stands.

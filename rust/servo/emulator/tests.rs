@@ -6,7 +6,7 @@ use crate::registers::{ALERT, MODELS, X_SERIES, mode, model};
 /// The emulator as a port whose time passes only when somebody waits.
 pub(crate) struct Virtual {
     pub(crate) emulator: Emulator,
-    now: u64,
+    pub(crate) now: u64,
 }
 
 impl Virtual {
@@ -14,7 +14,7 @@ impl Virtual {
         self.now as f64 * 1e-9
     }
 
-    pub(crate) fn wait(&mut self, seconds: f64) {
+    pub(crate) fn pass(&mut self, seconds: f64) {
         self.now += (seconds * 1e9) as u64;
         let now = self.seconds();
         self.emulator.run(now);
@@ -24,6 +24,12 @@ impl Virtual {
 impl Port for Virtual {
     fn now(&self) -> u64 {
         self.now
+    }
+
+    fn wait(&mut self, until: u64) {
+        self.now = self.now.max(until);
+        let now = self.seconds();
+        self.emulator.run(now);
     }
 
     fn send(&mut self, bytes: &[u8], _until: u64) -> Result<(), PortFault> {
@@ -101,12 +107,12 @@ fn goals(bus: &mut Bus<Virtual>, ids: &[u8], goals: &[i32]) {
 fn goes_where_it_is_sent_with_delay_and_lag() {
     let mut bus = engaged(&[1, 2]);
     goals(&mut bus, &[1, 2], &[2300, 1700]);
-    bus.port().wait(0.006);
+    bus.port().pass(0.006);
     assert_eq!((position(&mut bus, 1), position(&mut bus, 2)), (2000, 2000));
-    bus.port().wait(0.03);
+    bus.port().pass(0.03);
     let part = f64::from(position(&mut bus, 1) - 2000) / 300.0;
     assert!((0.5..0.8).contains(&part), "{part} after one time constant");
-    bus.port().wait(0.5);
+    bus.port().pass(0.5);
     assert_eq!((position(&mut bus, 1), position(&mut bus, 2)), (2300, 1700));
     let mut current = [0; 2];
     assert_eq!(
@@ -128,14 +134,14 @@ fn current_caps_the_pull_and_torque_off_lets_go() {
         FINE
     );
     goals(&mut bus, &[1], &[2900]);
-    bus.port().wait(2.0);
+    bus.port().pass(2.0);
     let held = position(&mut bus, 1);
     assert!(
         (2480..=2500).contains(&held),
         "stands at {held}, where 200 mA carry no more"
     );
     assert_eq!(bus.write(1, X_SERIES.torque_enable.address, &[0]), FINE);
-    bus.port().wait(1.0);
+    bus.port().pass(1.0);
     let free = position(&mut bus, 1);
     assert!((free - 2000).abs() < 60, "slack at {free}");
 }
@@ -145,12 +151,12 @@ fn the_watchdog_stops_and_holds() {
     let mut bus = engaged(&[1]);
     assert_eq!(bus.write(1, X_SERIES.bus_watchdog.address, &[5]), FINE);
     goals(&mut bus, &[1], &[2600]);
-    bus.port().wait(0.3);
+    bus.port().pass(0.3);
     assert!(bus.port().emulator.servos[0].tripped());
     let stood = position(&mut bus, 1);
     assert!(bus.port().emulator.servos[0].torque());
     goals(&mut bus, &[1], &[2000]);
-    bus.port().wait(0.5);
+    bus.port().pass(0.5);
     assert_eq!(position(&mut bus, 1), stood, "goals are read only now");
     assert_eq!(
         bus.write(1, X_SERIES.goal_position.address, &2000i32.to_le_bytes()),
@@ -158,7 +164,7 @@ fn the_watchdog_stops_and_holds() {
     );
     assert_eq!(bus.write(1, X_SERIES.bus_watchdog.address, &[0]), FINE);
     goals(&mut bus, &[1], &[2000]);
-    bus.port().wait(0.5);
+    bus.port().pass(0.5);
     assert_eq!(position(&mut bus, 1), 2000);
 }
 
@@ -185,16 +191,16 @@ fn turns_are_lost_by_a_reset_and_by_power() {
     );
     assert_eq!(bus.write(1, X_SERIES.torque_enable.address, &[1]), FINE);
     goals(&mut bus, &[1], &[9000]);
-    bus.port().wait(3.0);
+    bus.port().pass(3.0);
     assert_eq!(position(&mut bus, 1), 9000);
     bus.port().emulator.set_faults(Faults {
         unpowered: true,
         ..Faults::default()
     });
-    bus.port().wait(0.1);
+    bus.port().pass(0.1);
     assert_eq!(bus.ping(1), Err(Fault::Silent));
     bus.port().emulator.set_faults(Faults::default());
-    bus.port().wait(RESET + 0.1);
+    bus.port().pass(RESET + 0.1);
     assert_eq!(position(&mut bus, 1), 9000 - 2 * 4096);
     assert!(!bus.port().emulator.servos[0].torque());
 }
@@ -236,7 +242,7 @@ fn other_instructions_of_the_protocol_do_what_they_say() {
             .unwrap()
             .to_vec();
         port.send(&sent, 0).unwrap();
-        port.wait(0.5);
+        port.pass(0.5);
         let mut answers = Decoder::default();
         while let Some(bytes) = port.emulator.speak(port.seconds()) {
             answers.push(&bytes);
@@ -310,7 +316,7 @@ fn an_encoder_that_stands_lets_the_motor_run_away_and_a_torn_tendon_carries_noth
     bus.port().emulator.servos[0].broken.stuck = true;
     bus.port().emulator.servos[1].broken.torn = true;
     goals(&mut bus, &[1, 2], &[2100, 2900]);
-    bus.port().wait(1.0);
+    bus.port().pass(1.0);
     assert_eq!(position(&mut bus, 1), 2000);
     assert!(bus.port().emulator.servos[0].angle() > 2500.0);
     assert_eq!(position(&mut bus, 2), 2900);

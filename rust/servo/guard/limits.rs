@@ -59,7 +59,7 @@ pub struct Limits {
 pub struct BadLimit(pub String);
 
 /// Servos that one loop drives at most.
-pub const MOST_SERVOS: usize = 32;
+pub const MOST_SERVOS: usize = 16;
 /// Ticks that a goal may be away from 0, as the servos themselves allow.
 pub const FARTHEST: i32 = crate::registers::FARTHEST_GOAL;
 

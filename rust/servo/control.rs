@@ -1,0 +1,254 @@
+//! The control loop: hear, plan, guard, send, record, once a period at absolute times, without allocation or lock.
+//!
+//! Newest target wins. A period that is missed is counted and skipped, never made up. What the user sends are commands of
+//! the finger (mm); how they become ticks is the planner's, which also hears what was really sent (its effects remember).
+
+use crate::bus::{Fault, Port};
+use crate::drive::Drive;
+use crate::guard::reversals::{Budget, Reversals};
+use crate::guard::{Feedback, Guard, Input, MOST_SERVOS, Message, Output, Request};
+
+/// s between two looks at the servos' health.
+const EXAMINE: f64 = 0.2;
+
+/// Commands to ticks.
+pub trait Plan {
+    /// Commands that it takes.
+    fn channels(&self) -> usize;
+    /// The ticks (one a servo) that bring about `command` (mm) now; not finite where there are none.
+    fn ticks(&mut self, command: &[f64], ticks: &mut [f64]);
+    /// One period has passed with `ticks` (goals, or positions without torque).
+    fn passed(&mut self, ticks: &[i32], period: f64);
+}
+
+/// What came from the user since the last period.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Orders {
+    /// Something was heard.
+    pub heard: bool,
+    /// Pressed in all that was heard.
+    pub deadman: bool,
+    /// The newest command, mm.
+    pub command: Option<[f64; MOST_SERVOS]>,
+    /// ns at which it was sent.
+    pub sent: u64,
+    pub request: Option<Request>,
+    pub emergency: bool,
+}
+
+/// Where orders come from.
+pub trait Mailbox {
+    /// What has come, without waiting.
+    fn collect(&mut self) -> Orders;
+}
+
+/// All of one period: what the guard was told and what it said. A recording of it replays bit for bit.
+#[derive(Debug, Clone, Copy)]
+pub struct Entry {
+    /// ns.
+    pub now: u64,
+    pub orders: Orders,
+    pub targets: [f64; MOST_SERVOS],
+    pub feedback: [Option<Feedback>; MOST_SERVOS],
+    pub output: Output,
+    pub goals: [i32; MOST_SERVOS],
+    /// ns by which the period began late, and that it took.
+    pub late: u64,
+    pub took: u64,
+    /// The bus failed.
+    pub fault: Option<Fault>,
+}
+
+/// Where entries go.
+pub trait Record {
+    /// Take one, without waiting.
+    fn take(&mut self, entry: &Entry);
+}
+
+/// Counts of what went late.
+#[derive(Debug, Clone)]
+pub struct Timing {
+    pub ticks: u64,
+    pub overruns: u64,
+    /// Ticks by how late they began, and commands by their age: 1 µs times powers of two.
+    pub late: [u64; 32],
+    pub age: [u64; 32],
+}
+
+impl Timing {
+    fn note(bins: &mut [u64; 32], ns: u64) {
+        let bin = (64 - (ns / 1000).leading_zeros() as usize).min(31);
+        bins[bin] += 1;
+    }
+
+    /// The upper edge (µs) of the bin in which the share `q` of `bins` ends.
+    pub fn quantile(bins: &[u64; 32], q: f64) -> f64 {
+        let wanted = (q * bins.iter().sum::<u64>() as f64).ceil();
+        let mut sum = 0.0;
+        for (bin, count) in bins.iter().enumerate() {
+            sum += *count as f64;
+            if sum >= wanted {
+                return (1u64 << bin) as f64;
+            }
+        }
+        f64::INFINITY
+    }
+}
+
+/// The loop and what it is made of.
+pub struct Control<P, L, M, R> {
+    pub drive: Drive<P>,
+    pub guard: Guard,
+    pub plan: L,
+    pub mailbox: M,
+    pub record: R,
+    timing: Timing,
+    budget: Budget,
+    channels: Vec<Reversals>,
+    command: Vec<f64>,
+    targets: Vec<f64>,
+    positions: Vec<i32>,
+    period: u64,
+    due: u64,
+    since_examined: f64,
+}
+
+impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
+    /// Put a loop together; its first period begins when it is first stepped.
+    pub fn new(
+        drive: Drive<P>,
+        guard: Guard,
+        plan: L,
+        mailbox: M,
+        record: R,
+        budget: Budget,
+    ) -> Control<P, L, M, R> {
+        let (servos, channels) = (guard.limits().axes.len(), plan.channels());
+        Control {
+            period: (guard.limits().period * 1e9) as u64,
+            timing: Timing {
+                ticks: 0,
+                overruns: 0,
+                late: [0; 32],
+                age: [0; 32],
+            },
+            channels: vec![Reversals::new(0.0, &budget); channels],
+            command: vec![0.0; channels],
+            targets: vec![0.0; servos],
+            positions: guard.limits().axes.iter().map(|axis| axis.home).collect(),
+            due: 0,
+            since_examined: f64::INFINITY,
+            drive,
+            guard,
+            plan,
+            mailbox,
+            record,
+            budget,
+        }
+    }
+
+    pub fn timing(&self) -> &Timing {
+        &self.timing
+    }
+
+    /// Wait for the next period and do it.
+    pub fn step(&mut self) -> Output {
+        let begun = self.begin();
+        let late = begun - self.due;
+        let orders = self.mailbox.collect();
+        let period = self.guard.limits().period;
+        let mut fault = None;
+        self.since_examined += period;
+        if self.since_examined >= EXAMINE || self.drive.alert() {
+            self.since_examined = 0.0;
+            fault = self.drive.examine().err();
+        }
+        let mut feedback = [None; MOST_SERVOS];
+        match self.drive.sense() {
+            Ok(heard) => feedback[..heard.len()].copy_from_slice(heard),
+            Err(failed) => fault = Some(failed),
+        }
+        let target = orders
+            .command
+            .is_some_and(|command| self.target(&command, period));
+        if target {
+            Timing::note(&mut self.timing.age, begun.saturating_sub(orders.sent));
+        }
+        let output = self.guard.tick(&Input {
+            now: begun,
+            feedback: &feedback[..self.targets.len()],
+            message: orders.heard.then_some(Message {
+                deadman: orders.deadman,
+                goal: target.then_some(&self.targets),
+            }),
+            request: orders.request,
+            emergency: orders.emergency,
+        });
+        let sent = self
+            .drive
+            .command(output.torque, self.guard.goals(), self.guard.currents());
+        fault = fault.or(sent.err());
+        for (position, said) in self.positions.iter_mut().zip(&feedback) {
+            *position = said.map_or(*position, |said| said.position);
+        }
+        let passed = if output.torque {
+            self.guard.goals()
+        } else {
+            &self.positions
+        };
+        self.plan.passed(passed, period);
+        let mut entry = Entry {
+            now: begun,
+            orders,
+            targets: [f64::NAN; MOST_SERVOS],
+            feedback,
+            output,
+            goals: [0; MOST_SERVOS],
+            late,
+            took: self.drive.bus().port().now() - begun,
+            fault,
+        };
+        if target {
+            entry.targets[..self.targets.len()].copy_from_slice(&self.targets);
+        }
+        entry.goals[..self.targets.len()].copy_from_slice(self.guard.goals());
+        self.record.take(&entry);
+        output
+    }
+
+    /// Wait until a period is due, skip those that are missed; the time.
+    fn begin(&mut self) -> u64 {
+        let port = self.drive.bus().port();
+        let now = port.now();
+        if self.due == 0 {
+            self.due = now;
+        } else {
+            self.due += self.period;
+            let missed = now.saturating_sub(self.due) / self.period;
+            self.due += missed * self.period;
+            self.timing.overruns += missed;
+        }
+        port.wait(self.due);
+        let begun = port.now();
+        self.timing.ticks += 1;
+        Timing::note(&mut self.timing.late, begun - self.due);
+        begun
+    }
+
+    /// The ticks of `command`, its reversals within their budget; false where there are none to be had.
+    fn target(&mut self, command: &[f64; MOST_SERVOS], period: f64) -> bool {
+        for (k, channel) in self.channels.iter_mut().enumerate() {
+            self.command[k] = if command[k].is_finite() {
+                channel.step(command[k], period, &self.budget)
+            } else {
+                f64::NAN
+            };
+        }
+        self.plan.ticks(&self.command, &mut self.targets);
+        true
+    }
+}
+
+#[cfg(test)]
+#[path = "control_tests.rs"]
+mod tests;

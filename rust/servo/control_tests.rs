@@ -1,0 +1,384 @@
+use super::*;
+use crate::bus::Bus;
+use crate::drive::Member;
+use crate::emulator::servo::{Motion, Servo};
+use crate::emulator::tests::Virtual;
+use crate::emulator::{Emulator, Faults};
+use crate::guard::{Axis, Cause, Limits, State};
+use crate::registers::{X_SERIES, mode, model};
+
+/// Commands in mm to ticks, 280 a mm about home.
+struct Linear;
+
+impl Plan for Linear {
+    fn channels(&self) -> usize {
+        2
+    }
+
+    fn ticks(&mut self, command: &[f64], ticks: &mut [f64]) {
+        ticks
+            .iter_mut()
+            .zip(command)
+            .for_each(|(tick, mm)| *tick = 2000.0 + 280.0 * mm);
+    }
+
+    fn passed(&mut self, _ticks: &[i32], _period: f64) {}
+}
+
+#[derive(Default)]
+struct Script(Orders);
+
+impl Mailbox for Script {
+    fn collect(&mut self) -> Orders {
+        let orders = self.0;
+        self.0.request = None;
+        orders
+    }
+}
+
+#[derive(Default)]
+struct Log(Vec<Entry>);
+
+impl Record for Log {
+    fn take(&mut self, entry: &Entry) {
+        self.0.push(*entry);
+    }
+}
+
+type Bench = Control<Virtual, Linear, Script, Log>;
+
+const PERIOD: f64 = 0.005;
+const IDS: [u8; 2] = [1, 2];
+
+fn limits() -> Limits {
+    let axis = Axis {
+        home: 2000,
+        low: 1000,
+        high: 3000,
+        slew: 2000.0,
+        acceleration: 20_000.0,
+        current: Some(600.0),
+        fastest: 8000.0,
+        following: 300.0,
+        warm: 50.0,
+        hot: 60.0,
+        voltage: (4.0, 6.5),
+    };
+    let limits = Limits {
+        period: PERIOD,
+        axes: vec![axis; 2],
+        stale: 0.1,
+        hold: 0.5,
+        slacken: 3.0,
+        late: 0.02,
+        silent: 0.2,
+        grace: 0.2,
+        ramp: 0.2,
+        jump: (100.0, 800.0),
+        jog_travel: 200.0,
+        jog_slew: 200.0,
+        jog_current: 150.0,
+    };
+    limits.checked().unwrap()
+}
+
+fn bench() -> Bench {
+    let model = model(1200).unwrap();
+    let motion = Motion {
+        delay: 0.01,
+        lag: 0.03,
+        load: vec![(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)],
+    };
+    let servos = IDS.map(|id| Servo::new(model, id, 3, 2000.0, motion.clone()));
+    let emulator = Emulator::new(servos.to_vec(), 1_000_000, 5);
+    let mut bus = Bus::new(Virtual { emulator, now: 1 }, 1_000_000, 1_000_000);
+    for id in IDS {
+        bus.write(
+            id,
+            X_SERIES.operating_mode.address,
+            &[mode::CURRENT_BASED_POSITION],
+        )
+        .unwrap();
+        bus.write(id, X_SERIES.return_delay.address, &[0]).unwrap();
+    }
+    let drive = Drive::new(bus, &IDS.map(|id| Member { id, model }), true, 100.0);
+    let budget = Budget {
+        band: 0.02,
+        rate: 5.0,
+        burst: 5.0,
+    };
+    Control::new(
+        drive,
+        Guard::new(limits()),
+        Linear,
+        Script::default(),
+        Log::default(),
+        budget,
+    )
+}
+
+impl Bench {
+    fn run(&mut self, seconds: f64) -> Output {
+        let ticks = (seconds / PERIOD).round() as usize;
+        (0..ticks.max(1)).map(|_| self.step()).last().unwrap()
+    }
+
+    fn ask(&mut self, request: Request) -> Output {
+        self.mailbox.0.request = Some(request);
+        self.step()
+    }
+
+    fn drive_to(&mut self, mm: [f64; 2]) {
+        let mut command = [0.0; MOST_SERVOS];
+        command[..2].copy_from_slice(&mm);
+        self.mailbox.0 = Orders {
+            heard: true,
+            deadman: true,
+            command: Some(command),
+            sent: self.drive.bus().port().now(),
+            ..Orders::default()
+        };
+    }
+
+    fn emulator(&mut self) -> &mut Emulator {
+        &mut self.drive.bus().port().emulator
+    }
+
+    fn angles(&mut self) -> Vec<f64> {
+        self.emulator().servos.iter().map(Servo::angle).collect()
+    }
+}
+
+/// Engaged, standing at (1, −1) mm.
+fn engaged() -> Bench {
+    let mut bench = bench();
+    bench.run(0.3);
+    for request in [Request::Connect, Request::Home, Request::Arm] {
+        let output = bench.ask(request);
+        assert_eq!(output.denied, None, "{request:?}");
+    }
+    bench.drive_to([0.0, 0.0]);
+    assert_eq!(bench.ask(Request::Engage).state, State::Engaged);
+    bench.drive_to([1.0, -1.0]);
+    bench.run(1.5);
+    bench
+}
+
+/// Steps until `state`, in s.
+fn until(bench: &mut Bench, state: State, most: f64) -> f64 {
+    for tick in 0..(most / PERIOD) as usize {
+        if bench.step().state == state {
+            return (tick + 1) as f64 * PERIOD;
+        }
+    }
+    panic!(
+        "{state:?} is not reached in {most} s but {:?}",
+        bench.guard.state()
+    );
+}
+
+#[test]
+fn a_day_s_work_from_off_to_slack() {
+    let mut bench = engaged();
+    let angles = bench.angles();
+    assert!(
+        (angles[0] - 2280.0).abs() < 2.0 && (angles[1] - 1720.0).abs() < 2.0,
+        "{angles:?}"
+    );
+    let first = bench
+        .record
+        .0
+        .iter()
+        .find(|entry| entry.output.torque)
+        .unwrap();
+    assert_eq!(
+        first.goals[..2],
+        [2000, 2000],
+        "torque comes on where the servos stand"
+    );
+    assert_eq!(bench.ask(Request::Stop).state, State::SafeStop);
+    until(&mut bench, State::Ready, 2.0);
+    bench.run(0.3);
+    assert!(bench.emulator().servos.iter().all(|servo| !servo.torque()));
+    let angles = bench.angles();
+    assert!(
+        angles.iter().all(|angle| (angle - 2000.0).abs() < 60.0),
+        "{angles:?}"
+    );
+    assert_eq!(bench.timing().overruns, 0);
+}
+
+#[test]
+fn a_user_who_says_nothing_more_is_held_then_slackened() {
+    let mut bench = engaged();
+    bench.mailbox.0 = Orders::default();
+    let held = until(&mut bench, State::Hold, 1.0);
+    assert!((0.09..=0.12).contains(&held), "{held}");
+    bench.drive_to([1.0, -1.0]);
+    assert_eq!(bench.step().state, State::Engaged);
+    bench.mailbox.0 = Orders::default();
+    until(&mut bench, State::SafeStop, 1.0);
+    until(&mut bench, State::Ready, 2.0);
+}
+
+#[test]
+fn each_fault_of_a_servo_ends_without_torque_in_its_time() {
+    type Break = fn(&mut Emulator);
+    let faults: [(&str, Break, Cause, f64); 8] = [
+        (
+            "mute",
+            |e| e.servos[1].broken.mute = true,
+            Cause::Silent,
+            0.25,
+        ),
+        (
+            "no power",
+            |e| {
+                e.set_faults(Faults {
+                    unpowered: true,
+                    ..e.faults()
+                })
+            },
+            Cause::Silent,
+            0.25,
+        ),
+        ("reset", |e| e.servos[1].boot(), Cause::Silent, 0.25),
+        (
+            "overload",
+            |e| e.servos[1].fail(0x20),
+            Cause::Hardware,
+            0.05,
+        ),
+        ("voltage", |e| e.servos[1].supply(3.0), Cause::Voltage, 1.5),
+        ("heat", |e| e.servos[1].heat(70.0), Cause::Hot, 1.5),
+        (
+            "lost turns",
+            |e| {
+                e.servos[1].boot();
+                e.servos[1].wake();
+            },
+            Cause::Dropped,
+            0.5,
+        ),
+        (
+            "exchanged",
+            |e| {
+                e.servos[0].set_id(2);
+                e.servos[1].set_id(1);
+            },
+            Cause::Lost,
+            0.1,
+        ),
+    ];
+    for (name, breaks, cause, within) in faults {
+        let mut bench = engaged();
+        breaks(bench.emulator());
+        let took = until(&mut bench, State::Fault, within);
+        assert_eq!(bench.guard.state(), State::Fault);
+        let last = bench.record.0.last().unwrap().output;
+        assert_eq!((last.cause, last.torque), (cause, false), "{name}");
+        assert!(took <= within, "{name}: {took}");
+        bench.emulator().set_faults(Faults::default());
+        bench.run(0.5);
+        assert!(
+            bench
+                .emulator()
+                .servos
+                .iter()
+                .filter(|servo| servo.awake())
+                .all(|servo| !servo.torque()),
+            "{name}"
+        );
+        assert_ne!(bench.ask(Request::Engage).denied, None, "{name} is latched");
+    }
+}
+
+#[test]
+fn an_encoder_that_stands_is_released_before_it_pulls_far() {
+    let mut bench = engaged();
+    bench.emulator().servos[0].broken.stuck = true;
+    bench.drive_to([2.5, -1.0]);
+    until(&mut bench, State::Fault, 1.0);
+    assert_eq!(
+        bench.record.0.last().unwrap().output.cause,
+        Cause::Following
+    );
+    bench.run(0.5);
+    assert!((bench.angles()[0] - 2000.0).abs() < 60.0);
+}
+
+#[test]
+fn glitches_end_nothing() {
+    let mut bench = engaged();
+    bench.emulator().set_faults(Faults {
+        junk: 0.2,
+        damage: 0.05,
+        ..Faults::default()
+    });
+    let begun = bench.record.0.len();
+    for tick in 0..20_000 {
+        let mm = (f64::from(tick) * PERIOD * 2.0).sin();
+        bench.drive_to([mm, -mm]);
+        bench.step();
+    }
+    let entries = &bench.record.0[begun..];
+    let (mut age, mut kept) = ([0; 2], 0);
+    for entry in entries {
+        for k in 0..2 {
+            age[k] = if entry.feedback[k].is_some() {
+                0
+            } else {
+                age[k] + 1
+            };
+            kept += usize::from(age[k] <= 3);
+        }
+        assert!(matches!(entry.output.state, State::Engaged | State::Hold));
+    }
+    assert!(kept as f64 >= 0.999 * 2.0 * entries.len() as f64, "{kept}");
+    assert_eq!(bench.timing().overruns, 0);
+    assert!(bench.drive.bus().counts().damaged > 500);
+}
+
+#[test]
+fn missed_periods_are_counted_and_skipped() {
+    let mut bench = engaged();
+    let (ticks, before) = (bench.timing().ticks, bench.drive.bus().port().now());
+    bench.drive.bus().port().pass(0.0512);
+    bench.run(0.1);
+    assert_eq!(bench.timing().overruns, 9);
+    assert_eq!(bench.timing().ticks, ticks + 20);
+    let passed = bench.drive.bus().port().now() - before;
+    assert!((145_000_000..155_000_000).contains(&passed), "{passed}");
+    assert!(Timing::quantile(&bench.timing().late, 0.5) <= 1.0);
+    assert!(Timing::quantile(&bench.timing().late, 1.0) >= 1000.0);
+}
+
+#[test]
+fn a_recording_replays_bit_for_bit() {
+    let mut bench = engaged();
+    bench.emulator().set_faults(Faults {
+        damage: 0.1,
+        ..Faults::default()
+    });
+    for tick in 0..2000 {
+        let mm = (f64::from(tick) * PERIOD * 3.0).sin();
+        bench.drive_to([2.0 * mm, f64::NAN * f64::from(tick % 400 == 0)]);
+        bench.step();
+    }
+    let mut guard = Guard::new(limits());
+    for entry in &bench.record.0 {
+        let goal = entry.orders.command.map(|_| &entry.targets[..2]);
+        let output = guard.tick(&Input {
+            now: entry.now,
+            feedback: &entry.feedback[..2],
+            message: entry.orders.heard.then_some(Message {
+                deadman: entry.orders.deadman,
+                goal,
+            }),
+            request: entry.orders.request,
+            emergency: entry.orders.emergency,
+        });
+        assert_eq!(output, entry.output);
+        assert_eq!(guard.goals(), &entry.goals[..2]);
+    }
+}

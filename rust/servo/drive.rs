@@ -1,0 +1,190 @@
+//! The servos of one robot on a bus: what the loop reads and writes each period, with what each model needs.
+//!
+//! Goals and currents are written before torque, so that nothing jumps when it comes on; torque off is written until each
+//! servo has said that it has none. The bus watchdog runs while torque is on: a servo that hears nothing stops by itself.
+
+use crate::bus::{Answer, Bus, Fault, Heard, Port};
+use crate::guard::{Feedback, Health};
+use crate::registers::{Model, Register, X_SERIES};
+
+/// From its own clock to its temperature: what is read each period.
+const SENSED: (u16, usize) = (X_SERIES.realtime_tick.address, 27);
+/// From torque to the bus watchdog: what is read less often.
+const HEALTH: (u16, usize) = (X_SERIES.torque_enable.address, 35);
+/// ms of a step of the bus watchdog.
+const WATCHDOG_STEP: f64 = 20.0;
+/// A tripped bus watchdog, as it is read.
+const TRIPPED: u8 = 0xFF;
+
+/// A servo on the bus.
+#[derive(Debug, Clone, Copy)]
+pub struct Member {
+    pub id: u8,
+    pub model: &'static Model,
+}
+
+/// All servos of a robot.
+pub struct Drive<P> {
+    bus: Bus<P>,
+    ids: Vec<u8>,
+    models: Vec<&'static Model>,
+    fast: bool,
+    watchdog: u8,
+    data: Vec<u8>,
+    heard: Vec<Heard>,
+    feedback: Vec<Option<Feedback>>,
+    health: Vec<Option<Health>>,
+    /// What was written last: whether torque is on, and the current in steps.
+    torque: bool,
+    currents: Vec<i16>,
+    alert: bool,
+}
+
+impl<P: Port> Drive<P> {
+    /// Drive `members`; `fast` reads all in one answer, `watchdog` in ms is how long a servo goes on without hearing.
+    pub fn new(bus: Bus<P>, members: &[Member], fast: bool, watchdog: f64) -> Drive<P> {
+        let count = members.len();
+        Drive {
+            bus,
+            ids: members.iter().map(|member| member.id).collect(),
+            models: members.iter().map(|member| member.model).collect(),
+            fast,
+            watchdog: (watchdog / WATCHDOG_STEP).ceil().clamp(1.0, 127.0) as u8,
+            data: vec![0; count * HEALTH.1],
+            heard: vec![Ok(Answer { alert: false }); count],
+            feedback: vec![None; count],
+            health: vec![None; count],
+            torque: false,
+            currents: vec![i16::MIN; count],
+            alert: false,
+        }
+    }
+
+    pub fn bus(&mut self) -> &mut Bus<P> {
+        &mut self.bus
+    }
+
+    /// What came of each servo the last time.
+    pub fn heard(&self) -> &[Heard] {
+        &self.heard
+    }
+
+    /// Whether a servo has reported that its hardware error status should be read.
+    pub fn alert(&self) -> bool {
+        self.alert
+    }
+
+    /// Read what each servo senses; none of a servo that was not heard.
+    pub fn sense(&mut self) -> Result<&[Option<Feedback>], Fault> {
+        self.feedback.fill(None);
+        self.read(SENSED)?;
+        for (k, heard) in self.heard.iter().enumerate() {
+            let Ok(answer) = heard else { continue };
+            self.alert |= answer.alert;
+            let bytes = &self.data[k * SENSED.1..(k + 1) * SENSED.1];
+            let word = |register: Register| {
+                let at = usize::from(register.address - SENSED.0);
+                [bytes[at], bytes[at + 1]]
+            };
+            let at = usize::from(X_SERIES.present_position.address - SENSED.0);
+            let position = [bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]];
+            let unit = self.models[k].current_unit;
+            let steps = i16::from_le_bytes(word(X_SERIES.present_current));
+            self.feedback[k] = Some(Feedback {
+                position: i32::from_le_bytes(position),
+                clock: u16::from_le_bytes(word(X_SERIES.realtime_tick)),
+                current: self.models[k]
+                    .has_current()
+                    .then_some(f64::from(steps) * unit),
+                voltage: f64::from(u16::from_le_bytes(word(X_SERIES.present_voltage))) / 10.0,
+                temperature: f64::from(bytes[SENSED.1 - 1]),
+                health: self.health[k].take(),
+            });
+        }
+        Ok(&self.feedback)
+    }
+
+    /// Read of each servo what it says of itself; it comes with the next feedback.
+    pub fn examine(&mut self) -> Result<(), Fault> {
+        self.read(HEALTH)?;
+        self.alert = false;
+        for (k, heard) in self.heard.iter().enumerate() {
+            if heard.is_err() {
+                continue;
+            }
+            let byte = |register: Register| {
+                self.data[k * HEALTH.1 + usize::from(register.address - HEALTH.0)]
+            };
+            self.health[k] = Some(Health {
+                hardware: byte(X_SERIES.hardware_error),
+                torque: byte(X_SERIES.torque_enable) == 1,
+                tripped: byte(X_SERIES.bus_watchdog) == TRIPPED,
+            });
+        }
+        Ok(())
+    }
+
+    /// Write goals (ticks) and currents (mA) under torque, or torque off.
+    pub fn command(
+        &mut self,
+        torque: bool,
+        goals: &[i32],
+        currents: &[Option<f64>],
+    ) -> Result<(), Fault> {
+        if !torque {
+            self.torque = false;
+            self.each(X_SERIES.torque_enable, |_| 0)?;
+            return self.each(X_SERIES.bus_watchdog, |_| 0);
+        }
+        let models = &self.models;
+        let steps = |k: usize| currents[k].map(|most: f64| (most / models[k].current_unit) as i16);
+        let changed =
+            (0..goals.len()).any(|k| steps(k).is_some_and(|steps| steps != self.currents[k]));
+        if changed || !self.torque {
+            (0..goals.len()).for_each(|k| self.currents[k] = steps(k).unwrap_or(i16::MIN));
+            self.caps()?;
+        }
+        self.each(X_SERIES.goal_position, |k| goals[k])?;
+        if !self.torque {
+            let watchdog = i32::from(self.watchdog);
+            self.each(X_SERIES.bus_watchdog, |_| watchdog)?;
+            self.each(X_SERIES.torque_enable, |_| 1)?;
+            // Switching torque on may set the goal to where the servo stands.
+            self.each(X_SERIES.goal_position, |k| goals[k])?;
+            self.torque = true;
+        }
+        Ok(())
+    }
+
+    /// Write the caps of those that have one.
+    fn caps(&mut self) -> Result<(), Fault> {
+        for k in 0..self.ids.len() {
+            if self.currents[k] != i16::MIN {
+                let bytes = self.currents[k].to_le_bytes();
+                self.bus.sync_write(
+                    &self.ids[k..k + 1],
+                    X_SERIES.goal_current.address,
+                    2,
+                    &bytes,
+                )?;
+            }
+        }
+        Ok(())
+    }
+
+    fn each(&mut self, register: Register, value: impl Fn(usize) -> i32) -> Result<(), Fault> {
+        let size = usize::from(register.size);
+        for k in 0..self.ids.len() {
+            self.data[k * size..(k + 1) * size].copy_from_slice(&value(k).to_le_bytes()[..size]);
+        }
+        let all = self.ids.len() * size;
+        self.bus
+            .sync_write(&self.ids, register.address, size, &self.data[..all])
+    }
+
+    fn read(&mut self, (address, size): (u16, usize)) -> Result<(), Fault> {
+        let data = &mut self.data[..self.ids.len() * size];
+        self.bus
+            .sync_read(&self.ids, address, size, data, &mut self.heard, self.fast)
+    }
+}
