@@ -59,6 +59,10 @@ class NoEquilibriumError(SimulationError):
     """The simulator found no equilibrium; the message says where, how far off, and what to try."""
 
 
+class ServoError(SoftmapError):
+    """A servo or its port does not do what was asked."""
+
+
 class CoreError(SoftmapError, ValueError):
     """The compiled core was asked for something impossible."""
 

@@ -13,6 +13,7 @@ mod predict;
 mod registry;
 mod rod;
 mod scattered;
+mod servo;
 mod shape;
 mod table;
 mod watch;
@@ -78,6 +79,10 @@ mod _core {
     use super::rod::{PyRod, PyRodField, monomial_degrees, monomials};
     #[pymodule_export]
     use super::scattered::PyScattered;
+    #[pymodule_export]
+    use super::servo::{
+        PyEmulatedBus, PyServoBus, servo_models, servo_packet, servo_packets, servo_registers,
+    };
     #[pymodule_export]
     use super::shape::{PyShape, PySum};
     #[pymodule_export]

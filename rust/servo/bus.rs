@@ -6,7 +6,7 @@
 //! answers with it; what was not heard is never 0. All deadlines are of a monotonic clock that the port brings.
 
 use crate::decoder::{Decoder, fast_slots};
-use crate::packet::{BROADCAST, CLEAR_TURNS, Full, HEAD, LONGEST, Packet, instruction};
+use crate::packet::{BROADCAST, CLEAR_TURNS, Full, HEAD, HIGHEST_ID, LONGEST, Packet, instruction};
 use crate::registers::{ALERT, STATUS_ERRORS};
 
 /// Bytes to and from a bus, and the clock that deadlines are of.
@@ -72,6 +72,9 @@ pub struct Counts {
     pub skipped: u64,
 }
 
+/// ns that a servo waits for each lower id when everybody is asked.
+const PAUSE: u64 = 3_000_000;
+
 /// ns that a servo takes to answer beyond its return delay, and an adapter to hand bytes over.
 pub const SLACK: u64 = 2_000_000;
 
@@ -122,6 +125,41 @@ impl<P: Port> Bus<P> {
         let mut data = [0; 3];
         self.ask(id, instruction::PING, &[], &mut data)?;
         Ok((u16::from_le_bytes([data[0], data[1]]), data[2]))
+    }
+
+    /// Ask every servo for its model number and firmware; each answers after those of lower ids.
+    pub fn ping_all(&mut self, mut found: impl FnMut(u8, u16, u8)) -> Result<(), Fault> {
+        let mut buffer = [0; LONGEST];
+        let packet = Packet::new(&mut buffer, BROADCAST, instruction::PING).finish()?;
+        self.send(packet)?;
+        let count = usize::from(HIGHEST_ID) + 1;
+        let until = self.port.now()
+            + self.wire(packet.len() + count * longest(3))
+            + count as u64 * PAUSE
+            + self.slack;
+        let mut some = [0; 256];
+        loop {
+            let received = self.port.receive(&mut some, until)?;
+            if received == 0 {
+                return Ok(());
+            }
+            self.decoder.push(&some[..received]);
+            while let Some(packet) = self.decoder.next(longest(3)) {
+                if let Some((_, [low, high, firmware])) = packet.status() {
+                    found(packet.id, u16::from_le_bytes([*low, *high]), *firmware);
+                }
+            }
+        }
+    }
+
+    /// Write `data` to the registers from `address` on of everybody; nobody answers.
+    pub fn write_all(&mut self, address: u16, data: &[u8]) -> Result<(), Fault> {
+        let mut buffer = [0; LONGEST];
+        let mut packet = Packet::new(&mut buffer, BROADCAST, instruction::WRITE);
+        packet.word(address);
+        packet.bytes(data);
+        let packet = packet.finish()?;
+        self.send(packet)
     }
 
     /// Read the registers from `address` on into `data`.

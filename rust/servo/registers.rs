@@ -44,46 +44,61 @@ const fn told(name: &'static str, address: u16, size: u16) -> Register {
     }
 }
 
-/// The registers that are used here, by what they are for.
-#[derive(Debug)]
-pub struct Layout {
-    pub model_number: Register,
-    pub firmware: Register,
-    pub id: Register,
-    pub baud_rate: Register,
-    pub return_delay: Register,
-    pub drive_mode: Register,
-    pub operating_mode: Register,
-    pub shadow_id: Register,
-    pub homing_offset: Register,
-    pub temperature_limit: Register,
-    pub max_voltage: Register,
-    pub min_voltage: Register,
-    pub pwm_limit: Register,
-    pub current_limit: Register,
-    pub velocity_limit: Register,
-    pub max_position: Register,
-    pub min_position: Register,
-    pub startup: Register,
-    pub shutdown: Register,
-    pub torque_enable: Register,
-    pub led: Register,
-    pub status_return: Register,
-    pub hardware_error: Register,
-    pub bus_watchdog: Register,
-    pub goal_pwm: Register,
-    pub goal_current: Register,
-    pub profile_acceleration: Register,
-    pub profile_velocity: Register,
-    pub goal_position: Register,
-    pub realtime_tick: Register,
-    pub moving: Register,
-    pub present_pwm: Register,
-    pub present_current: Register,
-    pub present_velocity: Register,
-    pub present_position: Register,
-    pub present_voltage: Register,
-    pub present_temperature: Register,
+/// A layout, and all its registers in a row.
+macro_rules! layout {
+    ($($name:ident)*) => {
+        /// The registers that are used here, by what they are for.
+        #[derive(Debug)]
+        pub struct Layout {
+            $(pub $name: Register,)*
+        }
+
+        impl Layout {
+            pub fn all(&self) -> impl Iterator<Item = &Register> {
+                [$(&self.$name),*].into_iter()
+            }
+        }
+    };
+}
+
+layout! {
+    model_number
+    firmware
+    id
+    baud_rate
+    return_delay
+    drive_mode
+    operating_mode
+    shadow_id
+    homing_offset
+    temperature_limit
+    max_voltage
+    min_voltage
+    pwm_limit
+    current_limit
+    velocity_limit
+    max_position
+    min_position
+    startup
+    shutdown
+    torque_enable
+    led
+    status_return
+    hardware_error
+    bus_watchdog
+    goal_pwm
+    goal_current
+    profile_acceleration
+    profile_velocity
+    goal_position
+    realtime_tick
+    moving
+    present_pwm
+    present_current
+    present_velocity
+    present_position
+    present_voltage
+    present_temperature
 }
 
 pub const X_SERIES: Layout = Layout {

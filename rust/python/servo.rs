@@ -1,0 +1,357 @@
+//! Binding of the servo crate: packets, the bus, and the emulated one.
+
+use pyo3::import_exception;
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+use softmap_servo::bus::{Bus, Fault, SLACK};
+use softmap_servo::decoder::Decoder;
+use softmap_servo::emulator::pty::Terminal;
+use softmap_servo::emulator::servo::{Motion, Servo};
+use softmap_servo::emulator::{Emulator, Faults};
+use softmap_servo::packet::{HIGHEST_ID, LONGEST, packet};
+use softmap_servo::registers::{BAUD_RATES, MODELS, model};
+use softmap_servo::serial::{Serial, monotonic};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+import_exception!(softmap_edge.errors, ServoError);
+
+fn trouble(fault: impl ToString) -> PyErr {
+    ServoError::new_err(fault.to_string())
+}
+
+/// The packet that asks `id` for `instruction` with `parameters`.
+#[pyfunction]
+pub fn servo_packet<'py>(
+    py: Python<'py>,
+    id: u8,
+    instruction: u8,
+    parameters: &[u8],
+) -> PyResult<Bound<'py, PyBytes>> {
+    let mut buffer = [0; LONGEST];
+    let sent = packet(&mut buffer, id, instruction, parameters).map_err(trouble)?;
+    Ok(PyBytes::new(py, sent))
+}
+
+/// The packets (id, instruction, parameters) in a stream of bytes.
+#[pyfunction]
+pub fn servo_packets<'py>(py: Python<'py>, stream: &[u8]) -> Vec<(u8, u8, Bound<'py, PyBytes>)> {
+    let mut decoder = Decoder::default();
+    let mut found = vec![];
+    for bytes in stream.chunks(LONGEST) {
+        decoder.push(bytes);
+        while let Some(packet) = decoder.next(LONGEST) {
+            found.push((
+                packet.id,
+                packet.instruction,
+                PyBytes::new(py, packet.parameters),
+            ));
+        }
+    }
+    found
+}
+
+/// Names and numbers of each servo that is known.
+#[pyfunction]
+pub fn servo_models<'py>(py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    let one = |model: &softmap_servo::registers::Model| {
+        let told = PyDict::new(py);
+        told.set_item("name", model.name)?;
+        told.set_item("number", model.number)?;
+        told.set_item("baud_rates", &BAUD_RATES[..=usize::from(model.fastest)])?;
+        told.set_item(
+            "current_unit_mA",
+            model.has_current().then_some(model.current_unit),
+        )?;
+        told.set_item(
+            "current_limit_mA",
+            model
+                .has_current()
+                .then_some(model.current_unit * f64::from(model.current_limit)),
+        )?;
+        told.set_item("temperature_limit_C", model.temperature_limit)?;
+        told.set_item("voltage_V", model.voltage)?;
+        told.set_item(
+            "fastest_ticks_per_s",
+            f64::from(model.velocity_limit) * 0.229 * 4096.0 / 60.0,
+        )?;
+        told.set_item("operating_mode", model.driven_in())?;
+        Ok(told)
+    };
+    MODELS.iter().map(one).collect()
+}
+
+/// Address, size and whether it is kept without power, of each register that is used, by its name.
+#[pyfunction]
+pub fn servo_registers<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+    let told = PyDict::new(py);
+    for register in softmap_servo::registers::X_SERIES.all() {
+        let name = register.name.replace(' ', "_").to_lowercase();
+        told.set_item(name, (register.address, register.size, register.eeprom))?;
+    }
+    Ok(told)
+}
+
+/// A bus of servos at a serial port, for setting up; nobody else can open the port meanwhile.
+#[pyclass(name = "ServoBus", module = "softmap_edge._core", frozen)]
+pub struct PyServoBus {
+    bus: Mutex<Option<Bus<Serial>>>,
+}
+
+impl PyServoBus {
+    fn ask<T: Send>(
+        &self,
+        py: Python<'_>,
+        what: impl FnOnce(&mut Bus<Serial>) -> Result<T, Fault> + Send,
+    ) -> PyResult<T> {
+        let done = py.detach(|| {
+            let mut bus = self.bus.lock().unwrap_or_else(PoisonError::into_inner);
+            bus.as_mut().map(what)
+        });
+        done.ok_or_else(|| trouble("the port is closed; open it again"))?
+            .map_err(trouble)
+    }
+}
+
+#[pymethods]
+impl PyServoBus {
+    /// Open `port` at `baud`; `slack` is how long (s) an answer may take beyond its bytes.
+    #[new]
+    #[pyo3(signature = (port, baud, slack=0.02))]
+    fn new(port: &str, baud: u32, slack: f64) -> PyResult<PyServoBus> {
+        if !(0.0005..=1.0).contains(&slack) {
+            return Err(trouble(format!(
+                "slack is {slack} s; allowed is 0.0005 to 1 s"
+            )));
+        }
+        let serial = Serial::open(port, baud).map_err(trouble)?;
+        let bus = Bus::new(serial, baud, ((slack * 1e9) as u64).max(SLACK / 4));
+        Ok(PyServoBus {
+            bus: Mutex::new(Some(bus)),
+        })
+    }
+
+    /// Close the port.
+    fn close(&self, py: Python<'_>) {
+        py.detach(|| {
+            drop(
+                self.bus
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .take(),
+            )
+        });
+    }
+
+    /// Model number and firmware of a servo; None if it does not answer.
+    fn ping(&self, py: Python<'_>, id: u8) -> PyResult<Option<(u16, u8)>> {
+        self.ask(py, |bus| match bus.ping(id) {
+            Err(Fault::Silent) => Ok(None),
+            other => other.map(Some),
+        })
+    }
+
+    /// Every servo (id, model number, firmware) that answers at this rate; takes some seconds.
+    fn scan(&self, py: Python<'_>) -> PyResult<Vec<(u8, u16, u8)>> {
+        self.ask(py, |bus| {
+            let mut found = vec![];
+            bus.ping_all(|id, number, firmware| found.push((id, number, firmware)))?;
+            Ok(found)
+        })
+    }
+
+    /// `size` bytes from `address` on.
+    fn read<'py>(
+        &self,
+        py: Python<'py>,
+        id: u8,
+        address: u16,
+        size: usize,
+    ) -> PyResult<Bound<'py, PyBytes>> {
+        if !(1..=256).contains(&size) {
+            return Err(trouble(format!(
+                "{size} bytes of registers; allowed are 1 to 256"
+            )));
+        }
+        let mut data = vec![0; size];
+        self.ask(py, |bus| bus.read(id, address, &mut data))?;
+        Ok(PyBytes::new(py, &data))
+    }
+
+    /// Write bytes from `address` on.
+    fn write(&self, py: Python<'_>, id: u8, address: u16, data: &[u8]) -> PyResult<()> {
+        self.ask(py, |bus| bus.write(id, address, data).map(drop))
+    }
+
+    /// Restart a servo: turns and RAM are lost.
+    fn reboot(&self, py: Python<'_>, id: u8) -> PyResult<()> {
+        self.ask(py, |bus| bus.reboot(id).map(drop))
+    }
+
+    /// Set the present position back to within one turn.
+    fn clear_turns(&self, py: Python<'_>, id: u8) -> PyResult<()> {
+        self.ask(py, |bus| bus.clear_turns(id).map(drop))
+    }
+
+    /// Switch the torque of every servo off, whether or not it answers.
+    fn release(&self, py: Python<'_>) -> PyResult<()> {
+        self.ask(py, |bus| bus.write_all(64, &[0]))
+    }
+}
+
+/// Servos at a pseudo-terminal with a tendon behind each, and faults on command.
+#[pyclass(name = "EmulatedBus", module = "softmap_edge._core", frozen)]
+pub struct PyEmulatedBus {
+    terminal: Mutex<Terminal>,
+}
+
+impl PyEmulatedBus {
+    fn terminal(&self) -> MutexGuard<'_, Terminal> {
+        self.terminal.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn with<T>(&self, servo: usize, act: impl FnOnce(&mut Servo) -> T) -> PyResult<T> {
+        let terminal = self.terminal();
+        let mut emulator = terminal.emulator();
+        let count = emulator.servos.len();
+        let found = emulator.servos.get_mut(servo).map(act);
+        found.ok_or_else(|| trouble(format!("no servo {servo}; there are 0 to {}", count - 1)))
+    }
+}
+
+#[pymethods]
+impl PyEmulatedBus {
+    /// `servos` are (id, model number, baud rate, ticks of the horn); `delay` and `lag` in s; `load` are (ticks, mA) of
+    /// each, ascending.
+    #[new]
+    #[pyo3(signature = (servos, load, *, delay=0.02, lag=0.04, seed=0))]
+    fn new(
+        servos: Vec<(u8, u16, u32, f64)>,
+        load: Vec<Vec<(f64, f64)>>,
+        delay: f64,
+        lag: f64,
+        seed: u64,
+    ) -> PyResult<PyEmulatedBus> {
+        let times = [delay, lag].iter().all(|time| (0.0..=1.0).contains(time));
+        if servos.is_empty() || servos.len() != load.len() || !times {
+            return Err(trouble(format!(
+                "{} servos with {} loads, delay {delay} s, lag {lag} s; one load a servo and times from 0 to 1 s are allowed",
+                servos.len(),
+                load.len()
+            )));
+        }
+        let mut made = vec![];
+        for ((id, number, baud, angle), load) in servos.into_iter().zip(load) {
+            let kind = model(number)
+                .ok_or_else(|| trouble(format!("no servo of model number {number} is known")))?;
+            let code = BAUD_RATES[..=usize::from(kind.fastest)]
+                .iter()
+                .position(|rate| *rate == baud);
+            let code =
+                code.ok_or_else(|| trouble(format!("{} has no rate of {baud} baud", kind.name)))?;
+            if id > HIGHEST_ID
+                || !angle.is_finite()
+                || load
+                    .iter()
+                    .any(|(tick, drawn)| !tick.is_finite() || !drawn.is_finite())
+            {
+                return Err(trouble(format!(
+                    "servo id {id} at {angle} ticks: ids go to {HIGHEST_ID}, numbers are finite"
+                )));
+            }
+            made.push(Servo::new(
+                kind,
+                id,
+                code as u8,
+                angle,
+                Motion { delay, lag, load },
+            ));
+        }
+        let terminal = Terminal::open(Emulator::new(made, 57_600, seed)).map_err(trouble)?;
+        Ok(PyEmulatedBus {
+            terminal: Mutex::new(terminal),
+        })
+    }
+
+    /// The device to open.
+    #[getter]
+    fn path(&self) -> String {
+        self.terminal().path().to_owned()
+    }
+
+    /// What the wire does to answers: chances that one is lost, damaged or follows junk, s that it is late, and no power.
+    #[pyo3(signature = (*, drop=0.0, damage=0.0, junk=0.0, slow=0.0, unpowered=false))]
+    fn faults(
+        &self,
+        drop: f64,
+        damage: f64,
+        junk: f64,
+        slow: f64,
+        unpowered: bool,
+    ) -> PyResult<()> {
+        if ![drop, damage, junk, slow]
+            .iter()
+            .all(|share| (0.0..=1.0).contains(share))
+        {
+            return Err(trouble(
+                "faults are chances from 0 to 1, and slow from 0 to 1 s",
+            ));
+        }
+        self.terminal().emulator().set_faults(Faults {
+            drop,
+            damage,
+            junk,
+            slow,
+            unpowered,
+        });
+        Ok(())
+    }
+
+    /// Break a servo, or mend it: it is mute, its encoder stands, its tendon is torn.
+    #[pyo3(signature = (servo, *, mute=false, stuck=false, torn=false))]
+    fn damage(&self, servo: usize, mute: bool, stuck: bool, torn: bool) -> PyResult<()> {
+        self.with(servo, |servo| {
+            (servo.broken.mute, servo.broken.stuck, servo.broken.torn) = (mute, stuck, torn)
+        })
+    }
+
+    /// Reset a servo, as a dip of its supply does.
+    fn reset(&self, servo: usize) -> PyResult<()> {
+        self.with(servo, Servo::boot)
+    }
+
+    /// Let a servo report hardware errors (bits of register 70).
+    fn fail(&self, servo: usize, bits: u8) -> PyResult<()> {
+        self.with(servo, |servo| servo.fail(bits))
+    }
+
+    /// Set a servo's temperature, °C.
+    fn heat(&self, servo: usize, temperature: f64) -> PyResult<()> {
+        self.with(servo, |servo| servo.heat(temperature))
+    }
+
+    /// Set a servo's supply, V.
+    fn supply(&self, servo: usize, volts: f64) -> PyResult<()> {
+        self.with(servo, |servo| servo.supply(volts))
+    }
+
+    /// Give a servo another id.
+    fn rename(&self, servo: usize, id: u8) -> PyResult<()> {
+        self.with(servo, |servo| servo.set_id(id))
+    }
+
+    /// Pull the plug of the port.
+    fn unplug(&self, py: Python<'_>) {
+        py.detach(|| self.terminal().unplug());
+    }
+
+    /// The time (s, monotonic clock), and of each servo how far its horn has turned (ticks), whether it has torque and whether its watchdog tripped.
+    fn state(&self) -> (f64, Vec<(f64, bool, bool)>) {
+        let terminal = self.terminal();
+        let emulator = terminal.emulator();
+        let one = |servo: &Servo| (servo.angle(), servo.torque(), servo.tripped());
+        (
+            monotonic() as f64 * 1e-9,
+            emulator.servos.iter().map(one).collect(),
+        )
+    }
+}
