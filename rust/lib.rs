@@ -6,6 +6,7 @@ pub mod answer;
 mod cables;
 pub mod complementarity;
 pub mod contact;
+pub mod control;
 mod cubic;
 mod dense;
 pub mod effects;

@@ -39,6 +39,8 @@ __all__ = [
     "Surface",
     "Table",
     "chamfer",
+    "check_limits",
+    "control_loop",
     "effects",
     "forget",
     "monomial_degrees",
@@ -139,6 +141,23 @@ class ServoBus:
     def reboot(self, id: int) -> None: ...
     def clear_turns(self, id: int) -> None: ...
     def release(self) -> None: ...
+
+def check_limits(table: dict[str, Any]) -> None: ...
+def control_loop(
+    orders: int,
+    reports: int,
+    *,
+    port: str,
+    baud: int,
+    servos: Sequence[Sequence[int]],
+    limits: dict[str, Any],
+    inverse: Sequence[float],
+    b: Sequence[float],
+    home: Sequence[float],
+    budget: Sequence[float],
+    fast: bool = True,
+    slack: float = 0.002,
+) -> None: ...
 
 @final
 class EmulatedBus:

@@ -2,6 +2,7 @@
 
 mod arrays;
 mod cables;
+mod control;
 mod effects;
 mod elastic;
 mod fem;
@@ -57,6 +58,8 @@ fn at_work<T: Send>(
 mod _core {
     #[pymodule_export]
     use super::cables::{PyCables, PySecond};
+    #[pymodule_export]
+    use super::control::{check_limits, control_loop};
     #[pymodule_export]
     use super::effects::PyChain;
     #[pymodule_export]

@@ -15,7 +15,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 import_exception!(softmap_edge.errors, ServoError);
 
-fn trouble(fault: impl ToString) -> PyErr {
+pub fn trouble(fault: impl ToString) -> PyErr {
     ServoError::new_err(fault.to_string())
 }
 

@@ -57,6 +57,8 @@ pub struct Entry {
     pub took: u64,
     /// The bus failed.
     pub fault: Option<Fault>,
+    /// Periods that were missed so far.
+    pub overruns: u64,
 }
 
 /// Where entries go.
@@ -111,6 +113,7 @@ pub struct Control<P, L, M, R> {
     period: u64,
     due: u64,
     since_examined: f64,
+    fault: Option<Fault>,
 }
 
 impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
@@ -138,6 +141,7 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
             positions: guard.limits().axes.iter().map(|axis| axis.home).collect(),
             due: 0,
             since_examined: f64::INFINITY,
+            fault: None,
             drive,
             guard,
             plan,
@@ -149,6 +153,11 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
 
     pub fn timing(&self) -> &Timing {
         &self.timing
+    }
+
+    /// How the bus failed in the last period.
+    pub fn fault(&self) -> Option<Fault> {
+        self.fault
     }
 
     /// Wait for the next period and do it.
@@ -188,6 +197,7 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
             .drive
             .command(output.torque, self.guard.goals(), self.guard.currents());
         fault = fault.or(sent.err());
+        self.fault = fault;
         for (position, said) in self.positions.iter_mut().zip(&feedback) {
             *position = said.map_or(*position, |said| said.position);
         }
@@ -207,6 +217,7 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
             late,
             took: self.drive.bus().port().now() - begun,
             fault,
+            overruns: self.timing.overruns,
         };
         if target {
             entry.targets[..self.targets.len()].copy_from_slice(&self.targets);

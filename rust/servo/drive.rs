@@ -74,6 +74,12 @@ impl<P: Port> Drive<P> {
         self.alert
     }
 
+    /// Whether each servo has said, when it was examined last, that it has no torque.
+    pub fn released(&self) -> bool {
+        let said = |health: &Option<Health>| health.is_some_and(|health| !health.torque);
+        self.health.iter().all(said)
+    }
+
     /// Read what each servo senses; none of a servo that was not heard.
     pub fn sense(&mut self) -> Result<&[Option<Feedback>], Fault> {
         self.feedback.fill(None);

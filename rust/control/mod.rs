@@ -1,0 +1,193 @@
+//! The control loop as a process of its own: orders in through a pipe, reports out through another, servos at a port.
+//!
+//! The loop itself is `softmap_servo::control`; here it gets real time, signals, and a thread that does what may take long:
+//! it writes reports (and the recording) from a ring that the loop never waits for. When the orders' pipe closes, whoever
+//! sent them is gone: hold, slacken, torque off. SIGINT and SIGTERM slacken at once. Whatever ends the loop, a panic too,
+//! torque off is sent last.
+
+pub mod pipe;
+pub mod plan;
+mod realtime;
+mod report;
+
+use std::os::fd::OwnedFd;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use softmap_servo::bus::{Bus, Fault, PortFault};
+use softmap_servo::control::{Control, Plan, Record};
+use softmap_servo::drive::{Drive, Member};
+use softmap_servo::guard::reversals::Budget;
+use softmap_servo::guard::{Guard, Limits, Request};
+use softmap_servo::serial::Serial;
+
+use crate::error::{Result, invalid};
+use pipe::PipeMailbox;
+use report::{Reporter, Ring};
+
+/// ms after which a servo stops by itself when it hears nothing: several periods, and well before anybody would wait.
+const WATCHDOG: f64 = 100.0;
+/// Entries that the reporting thread may lag behind: seconds, at any rate.
+const RING: usize = 4096;
+/// s for which torque off is repeated at the end.
+const FAREWELL: f64 = 0.5;
+
+/// What a loop is made of.
+pub struct Setup {
+    pub port: String,
+    pub baud: u32,
+    pub members: Vec<Member>,
+    /// All servos answer in one packet (firmware 45 and later).
+    pub fast: bool,
+    /// s that an answer may take beyond its bytes.
+    pub slack: f64,
+    pub limits: Limits,
+    pub budget: Budget,
+}
+
+/// Run until the orders end or a signal comes; reports go to `reports`.
+pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -> Result<()> {
+    let servos = setup.members.len();
+    if servos != setup.limits.axes.len() {
+        return Err(invalid(format!(
+            "{servos} servos with limits for {}",
+            setup.limits.axes.len()
+        )));
+    }
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, stop.clone())
+            .map_err(|fault| invalid(format!("signal {signal} cannot be handled: {fault}")))?;
+    }
+    let serial =
+        Serial::open(&setup.port, setup.baud).map_err(|fault| invalid(fault.to_string()))?;
+    let slack = (setup.slack * 1e9) as u64;
+    let mut drive = Drive::new(
+        Bus::new(serial, setup.baud, slack),
+        &setup.members,
+        setup.fast,
+        WATCHDOG,
+    );
+    found_as_said(&mut drive, &setup.members)?;
+    let mailbox = PipeMailbox::new(orders, plan.channels());
+    let (sender, receiver) = rtrb::RingBuffer::new(RING);
+    let warnings = realtime::warnings();
+    let reporter = Reporter::start(receiver, reports, servos, &warnings);
+    let guard = Guard::new(setup.limits);
+    let record = Ring::new(sender);
+    let mut control = Farewell(Control::new(
+        drive,
+        guard,
+        plan,
+        mailbox,
+        record,
+        setup.budget,
+    ));
+    realtime::enter();
+    let ended = run(&mut control.0, &stop);
+    let (timing, lost) = (control.0.timing().clone(), control.0.record.lost());
+    drop(control);
+    reporter.finish(ended, &timing, lost);
+    Ok(())
+}
+
+/// Why a loop ended, for the last report.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ended {
+    /// Whoever sent orders is gone.
+    Alone,
+    /// A signal came.
+    Signal,
+    /// The port is gone.
+    Port,
+}
+
+fn run<L: Plan, R: Record>(
+    control: &mut Control<Serial, L, PipeMailbox, R>,
+    stop: &AtomicBool,
+) -> Ended {
+    loop {
+        let signalled = stop.load(Ordering::Relaxed);
+        if signalled {
+            control.mailbox.ask(Request::Stop);
+        }
+        let output = control.step();
+        if output.torque {
+            continue;
+        }
+        if signalled {
+            return Ended::Signal;
+        }
+        if control.mailbox.closed() {
+            return Ended::Alone;
+        }
+        if control.fault() == Some(Fault::Port(PortFault::Gone)) {
+            return Ended::Port;
+        }
+    }
+}
+
+/// Refuse servos that are not what they are said to be, or whose torque is on.
+fn found_as_said(drive: &mut Drive<Serial>, members: &[Member]) -> Result<()> {
+    for Member { id, model } in members {
+        let told = drive.bus().ping(*id);
+        let (number, _) = told.map_err(|fault| {
+            invalid(format!(
+                "servo {id}: {fault}; check power, wiring and baud rate"
+            ))
+        })?;
+        if number != model.number {
+            let found =
+                softmap_servo::registers::model(number).map_or("another model", |found| found.name);
+            return Err(invalid(format!(
+                "servo {id} is {found} ({number}), expected {} ({})",
+                model.name, model.number
+            )));
+        }
+        let (mut head, mut torque) = ([0; 64], [0]);
+        let register = |fault: Fault| invalid(format!("servo {id}: {fault}"));
+        drive.bus().read(*id, 0, &mut head).map_err(register)?;
+        drive
+            .bus()
+            .read(*id, model.layout().torque_enable.address, &mut torque)
+            .map_err(register)?;
+        let offset = model.layout().homing_offset.address as usize;
+        if torque[0] != 0 {
+            return Err(invalid(format!(
+                "servo {id} has torque already: another program drives it, or one died; `softmap servo off` releases it"
+            )));
+        }
+        let mode = head[model.layout().operating_mode.address as usize];
+        if mode != model.driven_in() || head[offset..offset + 4] != [0; 4] {
+            return Err(invalid(format!(
+                "servo {id} is in mode {mode} with homing offset {:?}, expected mode {} and none; run `softmap servo setup`",
+                i32::from_le_bytes([
+                    head[offset],
+                    head[offset + 1],
+                    head[offset + 2],
+                    head[offset + 3]
+                ]),
+                model.driven_in()
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// Torque off is the last that the servos hear.
+struct Farewell<L: Plan, R: Record>(Control<Serial, L, PipeMailbox, R>);
+
+impl<L: Plan, R: Record> Drop for Farewell<L, R> {
+    fn drop(&mut self) {
+        let drive = &mut self.0.drive;
+        let until = softmap_servo::serial::monotonic() + (FAREWELL * 1e9) as u64;
+        while softmap_servo::serial::monotonic() < until {
+            // A port that is gone takes nothing; the servos' own watchdogs stop them then.
+            let sent = drive.command(false, &[], &[]);
+            let known = drive.examine().is_ok() && drive.released();
+            if known || sent.is_err() {
+                break;
+            }
+        }
+    }
+}

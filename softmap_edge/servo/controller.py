@@ -1,0 +1,310 @@
+"""Drive a robot from Python: a context manager around the process of the control loop.
+
+    with Controller(rig, calibration, limits) as robot:
+        robot.engage()
+        for u in path:
+            done = robot.target(u)   # mm in, what will be done out; call it at least every `stale` seconds
+            time.sleep(0.02)
+
+Python sends commands, never ticks; the loop guards them (docs/safety.md) and never waits for Python. A program that
+stops calling `target` is held, then slackened; one that ends or is killed likewise. Should the loop's own process die
+or freeze, the servos stop by their watchdogs and this side switches their torque off. Pinned by tests/test_controller.py.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import ServoError
+from softmap_edge.servo.rig import Rig
+from softmap_edge.ticks import Calibration
+
+Floats = NDArray[np.float64]
+Report = dict[str, Any]
+
+REQUESTS = ("connect", "home", "arm", "engage", "hold", "stop", "acknowledge", "disconnect", "commission")
+BUDGET = (0.02, 4.0, 4.0)  # mm that a goal comes back before its servo turns, turns a second, turns at once
+STARTS = 10.0  # s until the loop's process has said something
+FROZEN = 0.6  # s without a report after which the loop's process is taken to be frozen
+ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
+
+
+class Controller:
+    """The servos of `rig` driven within `limits` (`loop_limits`), commands mapped to ticks by `calibration`.
+
+    Entering starts the loop, proves that the servos are what the rig says, and goes to READY: home is taken to be
+    proved by whoever enters. Leaving slackens and switches torque off, whatever happened.
+
+    Raises:
+        ServoError: the loop cannot start or a request is denied; the message says why.
+    """
+
+    def __init__(
+        self, rig: Rig, calibration: Calibration, limits: Mapping[str, Any], *, budget: tuple[float, ...] = BUDGET
+    ) -> None:
+        count = len(rig.servos)
+        if len(calibration.b) != count or len(limits["servos"]) != count:
+            raise ServoError(
+                f"the rig has {count} servos, the calibration {len(calibration.b)}, the limits "
+                f"{len(limits['servos'])}; they must agree"
+            )
+        self.rig, self.calibration, self.limits = rig, calibration, dict(limits)
+        self._budget = budget
+        self._last: Report = {}
+        self._end: Report = {}
+        self._heard = threading.Condition()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._orders = -1
+        self._command: Floats | None = None
+        self._reported = 0.0
+
+    def __enter__(self) -> Self:
+        self._start()
+        try:
+            self._wait(self._heard_all, STARTS, "the servos say nothing")
+            for request in ("connect", "home", "arm"):
+                self.request(request)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def state(self) -> str:
+        """Where the guard stands: `off`, `connected`, `homed`, `ready`, `engaged`, `hold`, `safe_stop`, `fault`, …"""
+        self._rescue_if_needed()
+        return str(self._last.get("state", "off"))
+
+    @property
+    def report(self) -> Report:
+        """The newest report of the loop (softmap.loop/1)."""
+        return dict(self._last)
+
+    @property
+    def ended(self) -> Report:
+        """The last report: why the loop ended and how it kept its time; empty while it runs."""
+        return dict(self._end)
+
+    def request(self, name: str, seconds: float = 3.0) -> None:
+        """Ask for `connect`, `home`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.
+
+        Raises:
+            ServoError: no such request, it was denied, or the loop did not answer.
+        """
+        if name not in REQUESTS:
+            raise ServoError(f"no request '{name}'; there are {', '.join(REQUESTS)}")
+        reached = {"connect": "connected", "home": "homed", "arm": "ready", "disconnect": "off"}.get(name)
+        with self._heard:
+            self._last.pop("denied", None)
+            before = self._last.get("state")
+        engages = name == "engage"
+        self._send(self._command if engages else None, deadman=engages, request=REQUESTS.index(name) + 1)
+        if name in ("stop", "hold"):
+            return
+        self._wait(
+            lambda: self._last.get("denied") or self._last.get("state") not in (before, None),
+            seconds,
+            f"'{name}' was not answered",
+        )
+        if denied := self._last.get("denied"):
+            raise ServoError(f"'{name}' is denied in state {before}: {_why(denied)}")
+        if reached is not None and self._last["state"] != reached:
+            raise ServoError(f"'{name}' led to {self._last['state']} ({self._last['cause']}), expected {reached}")
+
+    def engage(self, u: ArrayLike | None = None) -> Floats:
+        """Switch torque on where the finger stands and go to `u` (C,) mm, by default straight.
+
+        Returns what will be done.
+
+        Raises:
+            ServoError: it is denied.
+        """
+        straight = self.calibration.b if u is None else np.asarray(u, float)
+        done = self._target(straight)
+        self.request("engage")
+        return done
+
+    def target(self, u: ArrayLike) -> Floats:
+        """Send the command `u` (C,) mm; returns the one that will be done: nearest within the window of the servos.
+
+        It counts as a pressed deadman: whoever stops calling it lets go.
+
+        Raises:
+            ServoError: the guard is in no state that follows commands; the message says which and why.
+        """
+        state = self.state
+        if state not in ("engaged", "hold"):
+            raise ServoError(f"the robot is in state {state} ({self._last.get('cause')}); engage it first")
+        return self._target(np.asarray(u, float))
+
+    def release(self) -> None:
+        """Let go of the deadman: the guard holds, then slackens."""
+        self._send(deadman=False)
+
+    def close(self) -> None:
+        """Slacken, switch torque off, end the loop; whatever fails, torque off is sent."""
+        process = self._process
+        if process is None:
+            return
+        try:
+            if self._last.get("state") in ACTIVE:
+                self._send(request=REQUESTS.index("stop") + 1)
+                with self._heard:
+                    self._heard.wait_for(
+                        lambda: self._last.get("state") not in ACTIVE or self._frozen(),
+                        float(self.limits["slacken"]) + 2.0,
+                    )
+        finally:
+            self._process = None
+            os.close(self._orders)
+            try:
+                process.wait(3.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            self._reader.join(3.0)
+            if process.returncode != 0 and "error" not in self._last:
+                self._rescue()
+
+    # --- the loop's process -------------------------------------------------------------
+
+    def _start(self) -> None:
+        orders, self._orders = os.pipe()
+        mine, reports = os.pipe()
+        os.set_blocking(self._orders, False)
+        setup = {
+            "port": self.rig.port,
+            "baud": self.rig.baud,
+            "servos": self.rig.numbers,
+            "limits": self.limits,
+            "inverse": np.linalg.inv(self.calibration.A).reshape(-1).tolist(),
+            "b": self.calibration.b.tolist(),
+            "home": self.calibration.home.tolist(),
+            "budget": self._budget,
+        }
+        # Its own session: a Ctrl-C in the terminal is for this side, which slackens and ends it in order.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "softmap_edge.servo.loop", str(orders), str(reports)],
+            stdin=subprocess.PIPE,
+            pass_fds=(orders, reports),
+            start_new_session=True,
+        )
+        os.close(orders)
+        os.close(reports)
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(setup).encode())
+        self._process.stdin.close()
+        self._reported = time.monotonic()
+        self._reader = threading.Thread(target=self._read, args=(mine,), daemon=True)
+        self._reader.start()
+
+    def _read(self, pipe: int) -> None:
+        with open(pipe, encoding="utf-8") as lines:
+            for line in lines:
+                document = json.loads(line)
+                with self._heard:
+                    self._reported = time.monotonic()
+                    if "ended" in document:
+                        self._end = document
+                    else:
+                        denied = self._last.get("denied")
+                        self._last |= document
+                        self._last["denied"] = document.get("denied") or denied
+                    self._heard.notify_all()
+        with self._heard:
+            self._last.setdefault("gone", "the process of the control loop has ended")
+            self._heard.notify_all()
+
+    def _heard_all(self) -> bool:
+        position = self._last.get("position")
+        return position is not None and None not in position
+
+    def _wait(self, what: Callable[[], Any], seconds: float, said: str) -> None:
+        with self._heard:
+            self._heard.wait_for(lambda: what() or "error" in self._last or "gone" in self._last, seconds)
+            if "error" in self._last:
+                raise ServoError(str(self._last["error"]))
+            if "gone" in self._last:
+                self._rescue_if_needed()
+                raise ServoError(f"{self._last['gone']}; torque is off")
+            if not what():
+                raise ServoError(f"{said} within {seconds:g} s (bus: {self._last.get('bus')}); check power and wiring")
+
+    def _send(self, command: Floats | None = None, *, deadman: bool = False, request: int = 0) -> None:
+        numbers = np.zeros(len(self.rig.servos)) if command is None else command
+        flags = (1 if deadman else 0) | (4 if command is not None else 0)
+        frame = struct.pack(f"<BB6xQ{len(numbers)}d", flags, request, time.monotonic_ns(), *numbers)
+        try:
+            os.write(self._orders, frame)
+        except (BlockingIOError, BrokenPipeError):
+            self._rescue_if_needed()
+
+    def _target(self, u: Floats) -> Floats:
+        if u.shape != self.calibration.b.shape:
+            raise ServoError(f"a command of shape {u.shape}, expected {self.calibration.b.shape}")
+        self._command = u
+        self._send(u, deadman=True)
+        low, high = (np.array([one[side] for one in self.limits["servos"]], float) for side in ("low", "high"))
+        away = np.linalg.solve(self.calibration.A, u - self.calibration.b)
+        ticks = np.clip(self.calibration.home + away, low, high)
+        return np.asarray(self.calibration.A @ (ticks - self.calibration.home) + self.calibration.b)
+
+    # --- when the loop itself fails -----------------------------------------------------
+
+    def _frozen(self) -> bool:
+        return time.monotonic() - self._reported > FROZEN
+
+    def _rescue_if_needed(self) -> None:
+        process = self._process
+        if process is None or "rescued" in self._last or "error" in self._last:
+            return
+        if process.poll() is not None or self._frozen():
+            process.kill()
+            process.wait()
+            self._rescue()
+
+    def _rescue(self) -> None:
+        """Switch torque off from here: the loop is gone, and the servos hold by their watchdogs."""
+        said = "the control loop died or froze; its servos were released from here"
+        try:
+            bus = _core.ServoBus(self.rig.port, self.rig.baud)
+            try:
+                for _ in range(5):
+                    bus.release()
+            finally:
+                bus.close()
+        except ServoError as fault:
+            said = f"the control loop died or froze, and the servos could not be released ({fault}): switch them off"
+        with self._heard:
+            self._last |= {"state": "fault", "cause": "loop", "torque": False, "rescued": said}
+            self._heard.notify_all()
+
+
+def _why(denied: str) -> str:
+    """Return a sentence for what the loop's report says of a denied request."""
+    kind, _, of = denied.rstrip(")").partition("(")
+    return {
+        "from": f"not allowed in state {of}",
+        "trouble": f"something is wrong: {of}",
+        "torque": "a servo has torque; `softmap servo off` releases it",
+        "outside": "a servo stands outside its window; home it again",
+        "undriven": "no fresh target, or the deadman is not pressed",
+    }.get(kind, denied)

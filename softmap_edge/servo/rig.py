@@ -1,0 +1,111 @@
+"""One bench: where its servos are and where home is, kept on the machine that drives them (`rig.toml`).
+
+A bundle is somebody else's file; what belongs to a bench never travels with it. Pinned by tests/test_controller.py.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+from softmap_edge import _core
+from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.toml_table import TomlTable
+from softmap_edge.whole_file import MOST_TEXT, write_whole
+
+SCHEMA = "softmap.rig/1"
+MOST_SERVOS = 16
+FARTHEST = 1_048_575  # ticks: 256 turns
+
+
+@dataclass(frozen=True)
+class RigServo:
+    """A servo: its id on the bus, its model's name, and the tick at which the finger is straight (None: not proved)."""
+
+    id: int
+    model: str
+    home: int | None = None
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A port, its baud rate, and the servos in the order of the commands.
+
+    Raises:
+        ServoError: two servos of one id, an unknown model, none or too many servos.
+    """
+
+    port: str
+    baud: int
+    servos: tuple[RigServo, ...]
+
+    def __post_init__(self) -> None:
+        known = {entry["name"]: entry for entry in _core.servo_models()}
+        ids = [servo.id for servo in self.servos]
+        if not 1 <= len(ids) <= MOST_SERVOS:
+            raise ServoError(f"the rig has {len(ids)} servos; allowed are 1 to {MOST_SERVOS}")
+        for servo in self.servos:
+            if servo.model not in known:
+                raise ServoError(f"servo {servo.id}: no model '{servo.model}' is known; there are {', '.join(known)}")
+            if ids.count(servo.id) > 1 or not 0 <= servo.id <= 252:
+                raise ServoError(f"servo id {servo.id} stands twice or beyond 252; give each servo one of its own")
+            if self.baud not in known[servo.model]["baud_rates"]:
+                raise ServoError(f"servo {servo.id}, a {servo.model}, has no rate of {self.baud} baud")
+
+    @property
+    def numbers(self) -> list[tuple[int, int]]:
+        """Id and model number of each servo."""
+        known = {entry["name"]: entry["number"] for entry in _core.servo_models()}
+        return [(servo.id, known[servo.model]) for servo in self.servos]
+
+    def to_toml(self) -> str:
+        """Return the text of `rig.toml`."""
+        lines = [f'schema = "{SCHEMA}"', f"port = {_quoted(self.port)}", f"baud = {self.baud}"]
+        for servo in self.servos:
+            lines += ["", "[[servo]]", f"id = {servo.id}", f'model = "{servo.model}"']
+            lines += [] if servo.home is None else [f"home = {servo.home}"]
+        return "\n".join(lines) + "\n"
+
+    def write(self, path: str | Path) -> None:
+        """Write `rig.toml`, whole or not at all."""
+        write_whole(path, self.to_toml())
+
+
+def read_rig(path: str | Path) -> Rig:
+    """Read a `rig.toml`.
+
+    Raises:
+        ServoError: it is missing, no TOML, of another schema, or an entry is not what it has to be.
+    """
+    file = Path(path)
+    try:
+        if file.stat().st_size > MOST_TEXT:
+            raise ServoError(f"{file}: too large for a rig")
+        table = TomlTable(tomllib.loads(file.read_text("utf-8")), str(file))
+        table.choice("schema", (SCHEMA,), "")
+        port, baud = table.get("port", (str,), ""), table.whole("baud", 57_600, 9_600, 4_500_000)
+        servos = []
+        for k, entry in enumerate(table.get("servo", (list,), [])):
+            one = TomlTable(entry, f"{file}: servo {k + 1}")
+            id = one.whole("id", None, 0, 252)
+            if id is None:
+                raise ServoError(f"{file}: servo {k + 1} has no id; `softmap servo scan` finds it")
+            servos.append(RigServo(id, one.get("model", (str,), ""), one.whole("home", None, -FARTHEST, FARTHEST)))
+        if not port or baud is None:
+            raise ServoError(f"{file}: no port; `softmap servo scan` finds it")
+        return Rig(port, baud, tuple(servos))
+    except OSError as fault:
+        raise ServoError(f"{file}: {fault.strerror}; make it with `softmap servo setup`") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        raise ServoError(f"{file}: no TOML ({fault!s:.80})") from None
+    except ServoError:
+        raise
+    except SoftmapError as fault:
+        raise ServoError(str(fault)) from None
+
+
+def _quoted(text: str) -> str:
+    """Return a TOML string of one line."""
+    plain = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in plain) + '"'

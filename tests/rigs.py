@@ -1,0 +1,58 @@
+"""An emulated bench for tests: two servos set up to be driven, at a pseudo-terminal."""
+
+from contextlib import contextmanager
+
+import numpy as np
+
+from softmap_edge import _core
+from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.rig import Rig, RigServo
+from softmap_edge.ticks import Calibration
+
+MODEL, NUMBER, BAUD, HOME = "XL330-M288", 1200, 1_000_000, 2000
+WINDOW = (-900.0, 900.0)
+LOAD = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]
+TICKS_PER_MM = 280.0
+
+
+def calibration():
+    """Return a map of 280 ticks a mm about HOME."""
+    scale = np.eye(2) / TICKS_PER_MM
+    error = dict(command=0.0, shape_mm=0.0, matched_shape_mm=0.0)
+    return Calibration(
+        scale, np.zeros(2), np.full(2, float(HOME)), 0 * scale, np.zeros(2), error, "made for tests", 0, 0, WINDOW
+    )
+
+
+def set_up(path, ids=(1, 2)):
+    """Do what `softmap servo setup` does: mode 5, no return delay."""
+    bus = _core.ServoBus(path, BAUD)
+    for id in ids:
+        bus.write(id, 64, b"\x00")
+        bus.write(id, 11, b"\x05")
+        bus.write(id, 9, b"\x00")
+    bus.close()
+
+
+@contextmanager
+def bench(rate=200.0, **changes):
+    """Give an emulated bus, its rig and its limits."""
+    servos = [(id, NUMBER, BAUD, float(HOME)) for id in (1, 2)]
+    bus = _core.EmulatedBus(servos, [LOAD, LOAD], delay=0.01, lag=0.03, seed=3)
+    set_up(bus.path)
+    rig = Rig(bus.path, BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))
+    limits = loop_limits([servo_limits(MODEL, HOME, WINDOW)] * 2, rate, **changes)
+    try:
+        yield bus, rig, limits
+    finally:
+        bus.unplug()
+
+
+def torque(bus):
+    """Return whether any servo has torque."""
+    return any(on for _, on, _ in bus.state()[1])
+
+
+def angles(bus):
+    """Return how far the horns have really turned, ticks."""
+    return np.array([angle for angle, _, _ in bus.state()[1]])

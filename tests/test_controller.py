@@ -1,0 +1,274 @@
+"""The control loop in its own process, on emulated servos: it follows, and whatever dies, the finger ends slack."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, set_up, torque
+
+from softmap_edge import _core
+from softmap_edge.errors import ServoError
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.rig import Rig, RigServo, read_rig
+
+
+def hold_for(robot, u, seconds):
+    """Send the command `u` for some seconds."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        robot.target(u)
+        time.sleep(0.02)
+
+
+def wait_for(what, seconds):
+    """Wait until `what()`; the seconds it took."""
+    begin = time.monotonic()
+    while not what():
+        assert time.monotonic() - begin < seconds, f"not within {seconds} s"
+        time.sleep(0.01)
+    return time.monotonic() - begin
+
+
+def test_follows_targets_and_ends_slack():
+    with bench() as (bus, rig, limits):
+        with Controller(rig, calibration(), limits) as robot:
+            assert robot.state == "ready" and not torque(bus)
+            assert robot.engage() == pytest.approx([0.0, 0.0])
+            assert robot.state == "engaged" and torque(bus)
+            assert robot.target([1.0, -1.0]) == pytest.approx([1.0, -1.0])
+            assert robot.target([9.0, -1.0]) == pytest.approx([900 / TICKS_PER_MM, -1.0]), "what will be done"
+            hold_for(robot, [1.0, -1.0], 1.2)
+            assert angles(bus) == pytest.approx(HOME + TICKS_PER_MM * np.array([1.0, -1.0]), abs=2.0)
+        assert not torque(bus)
+        assert np.abs(angles(bus) - HOME).max() < 60.0
+        assert robot.ended["ended"] == "alone" and robot.ended["lost"] == 0
+        assert robot.ended["ticks"] > 200 and robot.ended["late_us"]["p50"] < 5000
+
+
+def test_who_stops_calling_is_held_then_slackened():
+    with bench(hold=0.4) as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
+        robot.engage()
+        hold_for(robot, [1.0, 0.0], 0.8)
+        wait_for(lambda: robot.state == "hold", 1.0)
+        assert torque(bus)
+        robot.target([1.0, 0.0])
+        wait_for(lambda: robot.state == "engaged", 0.5)
+        wait_for(lambda: robot.state == "safe_stop", 1.5)
+        wait_for(lambda: robot.state == "ready" and not torque(bus), 3.0)
+        with pytest.raises(ServoError, match="in state ready .*engage it first"):
+            robot.target([0.0, 0.0])
+
+
+def test_a_request_that_is_denied_says_why():
+    with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
+        with pytest.raises(ServoError, match="'home' is denied in state ready: not allowed in state ready"):
+            robot.request("home")
+        with pytest.raises(ServoError, match="no request 'fly'"):
+            robot.request("fly")
+        with pytest.raises(ServoError, match="shape"):
+            robot.engage([1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    "name, breaks",
+    [
+        ("silent", lambda bus: bus.damage(1, mute=True)),
+        ("silent", lambda bus: bus.faults(unpowered=True)),
+        ("hardware", lambda bus: bus.fail(1, 0x20)),
+        ("hot", lambda bus: bus.heat(0, 69.0)),
+        ("voltage", lambda bus: bus.supply(0, 2.9)),
+    ],
+)
+def test_a_fault_ends_without_torque(name, breaks):
+    with bench() as (bus, rig, limits):
+        with Controller(rig, calibration(), limits) as robot:
+            robot.engage()
+            hold_for(robot, [1.0, 1.0], 0.6)
+            breaks(bus)
+            for _ in range(200):
+                if robot.state == "fault":
+                    break
+                with contextlib.suppress(ServoError):
+                    robot.target([1.0, 1.0])
+                time.sleep(0.02)
+            assert robot.state == "fault" and robot.report["cause"] == name
+            with pytest.raises(ServoError, match="in state fault"):
+                robot.target([0.0, 0.0])
+        bus.damage(1)
+        assert not bus.state()[1][0][1], "the servo that hears has no torque"
+
+
+def test_an_unplugged_port_ends_the_loop_with_a_reason():
+    with bench() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
+        robot.engage()
+        bus.unplug()
+        wait_for(lambda: robot.state == "fault" and robot.ended, 5.0)
+        assert robot.ended["ended"] == "port"
+
+
+PROGRAM = """
+import sys, time
+sys.path.insert(0, {tests!r})
+from rigs import calibration, WINDOW, MODEL, HOME, BAUD
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.rig import Rig, RigServo
+rig = Rig({path!r}, BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))
+limits = loop_limits([servo_limits(MODEL, HOME, WINDOW)] * 2, 200.0, hold=0.4)
+with Controller(rig, calibration(), limits) as robot:
+    robot.engage()
+    print(robot._process.pid, flush=True)
+    while True:
+        robot.target([1.0, -1.0])
+        time.sleep(0.02)
+"""
+
+
+@pytest.fixture
+def program():
+    """Start a user's program in a process of its own on an emulated bus; gives bus, process, and the loop's pid."""
+    with bench() as (bus, _, _):
+        text = PROGRAM.format(tests=str(Path(__file__).parent), path=bus.path)
+        user = subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        loop = int(user.stdout.readline())
+        wait_for(lambda: np.abs(angles(bus) - HOME).min() > 250, 5.0)
+        try:
+            yield bus, user, loop
+        finally:
+            user.kill()
+            user.wait()
+            user.stdout.close()
+            user.stderr.close()
+
+
+def alive(pid):
+    """Return whether a process is there."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_kill_9_of_the_program_holds_then_slackens(program):
+    bus, user, loop = program
+    user.kill()
+    user.wait()
+    time.sleep(0.2)
+    assert torque(bus), "held first"
+    assert np.abs(angles(bus) - HOME).min() > 200
+    took = wait_for(lambda: not torque(bus), 4.0)
+    assert took > 0.3 and np.abs(angles(bus) - HOME).max() < 80, "slackened before torque went off"
+    wait_for(lambda: not alive(loop), 3.0)
+
+
+def test_an_interrupt_ends_the_program_in_order(program):
+    bus, user, loop = program
+    user.send_signal(signal.SIGINT)
+    assert user.wait(10) != 0
+    assert not torque(bus) and np.abs(angles(bus) - HOME).max() < 80
+    assert b"KeyboardInterrupt" in user.stderr.read()
+    wait_for(lambda: not alive(loop), 3.0)
+
+
+def test_sigterm_of_the_loop_slackens(program):
+    bus, _, loop = program
+    os.kill(loop, signal.SIGTERM)
+    wait_for(lambda: not torque(bus), 4.0)
+    assert np.abs(angles(bus) - HOME).max() < 80
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_loop_that_dies_or_freezes_is_released_from_here(program, how):
+    bus, user, loop = program
+    os.kill(loop, how)
+    wait_for(lambda: not torque(bus), 2.0)
+    user.wait(10)
+    assert b"engage it first" in user.stderr.read()
+
+
+def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so(program):
+    bus, user, loop = program
+    user.send_signal(signal.SIGSTOP)  # cannot rescue
+    os.kill(loop, signal.SIGKILL)
+    wait_for(lambda: all(tripped for _, _, tripped in bus.state()[1]), 1.0)
+    at = angles(bus)
+    time.sleep(0.3)
+    assert torque(bus) and angles(bus) == pytest.approx(at, abs=1.0), "it stands where it was"
+    user.kill()
+    user.wait()
+    rig = Rig(bus.path, 1_000_000, tuple(RigServo(id, "XL330-M288", HOME) for id in (1, 2)))
+    limits = loop_limits([servo_limits("XL330-M288", HOME, (-900, 900))] * 2)
+    with pytest.raises(ServoError, match="servo 1 has torque already: another program drives it, or one died"):
+        Controller(rig, calibration(), limits).__enter__()
+
+
+def test_servos_that_are_not_as_said_are_refused():
+    with bench() as (bus, rig, limits):
+        ours = _core.ServoBus(bus.path, rig.baud)
+        ours.write(2, 64, b"\x01")
+        ours.close()
+        with pytest.raises(ServoError, match="servo 2 has torque already"):
+            Controller(rig, calibration(), limits).__enter__()
+        set_up(bus.path)
+        ours = _core.ServoBus(bus.path, rig.baud)
+        ours.write(1, 11, b"\x03")
+        ours.close()
+        with pytest.raises(ServoError, match="servo 1 is in mode 3 .* `softmap servo setup`"):
+            Controller(rig, calibration(), limits).__enter__()
+        set_up(bus.path)
+        other = Rig(rig.port, rig.baud, (RigServo(1, "XM430-W210"), rig.servos[1]))
+        with pytest.raises(ServoError, match=r"servo 1 is XL330-M288 \(1200\), expected XM430-W210"):
+            Controller(other, calibration(), limits).__enter__()
+        absent = Rig(rig.port, rig.baud, (RigServo(7, "XL330-M288"), rig.servos[1]))
+        with pytest.raises(ServoError, match="servo 7: no answer; check power"):
+            Controller(absent, calibration(), limits).__enter__()
+        with pytest.raises(ServoError, match="no such port"):
+            Controller(Rig("/dev/ttyNONE", rig.baud, rig.servos), calibration(), limits).__enter__()
+
+
+def test_limits_that_make_no_sense_are_refused():
+    one = servo_limits("XL330-M288", 0, (-500, 500))
+    for changes, said in (
+        ({"stale": 60.0}, "stale is 60 s; allowed is"),
+        ({"late": float("nan")}, "late is NaN s"),
+        ({"fly": 1.0}, "no limit 'fly'"),
+    ):
+        with pytest.raises(ServoError, match=said):
+            loop_limits([one], **changes)
+    with pytest.raises(ServoError, match="servo 1: slew is 90000 ticks/s"):
+        loop_limits([one | {"slew": 90_000.0}])
+    with pytest.raises(ServoError, match="a rate of 5 a second"):
+        loop_limits([one], rate=5)
+    with pytest.raises(ServoError, match="no servo 'XL1'"):
+        servo_limits("XL1", 0, (-1, 1))
+
+
+def test_a_rig_survives_its_file(tmp_path):
+    rig = Rig('/dev/tty "odd"', 1_000_000, (RigServo(3, "XL330-M288", -5), RigServo(4, "XM430-W210")))
+    rig.write(tmp_path / "rig.toml")
+    assert read_rig(tmp_path / "rig.toml") == rig
+    for text, said in (
+        ("schema = 1", "expected text"),
+        ('schema = "softmap.rig/1"\nbaud = 57600', "no port"),
+        ('schema = "softmap.rig/1"\nport = "x"\n[[servo]]\nmodel = "XL330-M288"', "servo 1 has no id"),
+        ('schema = "softmap.rig/1"\nport = "x"\nbaud = 1000000\n[[servo]]\nid = 1\nmodel = "Y"', "no model 'Y'"),
+        ('schema = "softmap.rig/1"\nport = "x"', "0 servos"),
+        ("[", "no TOML"),
+    ):
+        (tmp_path / "bad.toml").write_text(text)
+        with pytest.raises(ServoError, match=said):
+            read_rig(tmp_path / "bad.toml")
+    with pytest.raises(ServoError, match="make it with `softmap servo setup`"):
+        read_rig(tmp_path / "none.toml")
+    with pytest.raises(ServoError, match="stands twice"):
+        Rig("x", 57_600, (RigServo(1, "XL330-M288"), RigServo(1, "XL330-M288")))
+    with pytest.raises(ServoError, match="no rate of 4500000"):
+        Rig("x", 4_500_000, (RigServo(1, "XL330-M288"),))
