@@ -1,7 +1,6 @@
 """The control loop in its own process, on emulated servos: it follows, and whatever dies, the finger ends slack."""
 
 import contextlib
-import contextlib
 import os
 import signal
 import subprocess
