@@ -8,7 +8,8 @@
 
 Python sends commands, never ticks; the loop guards them (docs/safety.md) and never waits for Python. A program that
 stops calling `target` is held, then slackened; one that ends or is killed likewise. Should the loop's own process die
-or freeze, the servos stop by their watchdogs and this side switches their torque off. Pinned by tests/test_controller.py.
+or freeze, the servos stop by their watchdogs and this side switches their torque off.
+Pinned by tests/test_controller.py.
 """
 
 from __future__ import annotations
