@@ -45,7 +45,9 @@ __all__ = [
     "forget",
     "monomial_degrees",
     "monomials",
+    "read_recording",
     "register",
+    "replay",
     "servo_models",
     "servo_packet",
     "servo_packets",
@@ -157,7 +159,11 @@ def control_loop(
     budget: Sequence[float],
     fast: bool = True,
     slack: float = 0.002,
+    record: str | None = None,
+    setup: str = "",
 ) -> None: ...
+def read_recording(path: str) -> list[tuple[str, int, bytes]]: ...
+def replay(table: dict[str, Any], periods: Sequence[tuple[Any, ...]]) -> list[tuple[str, str, bool, list[int]]]: ...
 
 @final
 class EmulatedBus:

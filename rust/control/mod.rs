@@ -8,9 +8,11 @@
 pub mod pipe;
 pub mod plan;
 mod realtime;
-mod report;
+pub mod recording;
+pub(crate) mod report;
 
 use std::os::fd::OwnedFd;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -19,10 +21,11 @@ use softmap_servo::control::{Control, Plan, Record};
 use softmap_servo::drive::{Drive, Member};
 use softmap_servo::guard::reversals::Budget;
 use softmap_servo::guard::{Guard, Limits, Request};
-use softmap_servo::serial::Serial;
+use softmap_servo::serial::{Serial, monotonic};
 
 use crate::error::{Result, invalid};
 use pipe::PipeMailbox;
+use recording::Recording;
 use report::{Reporter, Ring};
 
 /// ms after which a servo stops by itself when it hears nothing: several periods, and well before anybody would wait.
@@ -43,6 +46,8 @@ pub struct Setup {
     pub slack: f64,
     pub limits: Limits,
     pub budget: Budget,
+    /// A file that the loop is recorded to, and the JSON document that says what it was made of.
+    pub record: Option<(PathBuf, String)>,
 }
 
 /// Run until the orders end or a signal comes; reports go to `reports`.
@@ -72,7 +77,12 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
     let mailbox = PipeMailbox::new(orders, plan.channels());
     let (sender, receiver) = rtrb::RingBuffer::new(RING);
     let warnings = realtime::warnings();
-    let reporter = Reporter::start(receiver, reports, servos, &warnings);
+    let sizes = (servos, plan.channels());
+    let begin = |(path, setup): (PathBuf, String)| {
+        Recording::begin(&path, &setup, monotonic(), sizes.0, sizes.1)
+    };
+    let recording = setup.record.map(begin).transpose()?;
+    let reporter = Reporter::start(receiver, reports, recording, sizes, &warnings);
     let guard = Guard::new(setup.limits);
     let record = Ring::new(sender);
     let mut control = Farewell(Control::new(
@@ -180,8 +190,8 @@ struct Farewell<L: Plan, R: Record>(Control<Serial, L, PipeMailbox, R>);
 impl<L: Plan, R: Record> Drop for Farewell<L, R> {
     fn drop(&mut self) {
         let drive = &mut self.0.drive;
-        let until = softmap_servo::serial::monotonic() + (FAREWELL * 1e9) as u64;
-        while softmap_servo::serial::monotonic() < until {
+        let until = monotonic() + (FAREWELL * 1e9) as u64;
+        while monotonic() < until {
             // A port that is gone takes nothing; the servos' own watchdogs stop them then.
             let sent = drive.command(false, &[], &[]);
             let known = drive.examine().is_ok() && drive.released();

@@ -16,6 +16,7 @@ use softmap_servo::control::{Entry, Record, Timing};
 use softmap_servo::guard::State;
 
 use super::Ended;
+use super::recording::Recording;
 
 /// How often the thread looks at the ring.
 const LOOK: Duration = Duration::from_millis(5);
@@ -52,11 +53,12 @@ pub struct Reporter {
 }
 
 impl Reporter {
-    /// Report what comes out of `ring` to `pipe`; `warnings` first.
+    /// Report what comes out of `ring` to `pipe`, and record it; `warnings` first.
     pub fn start(
         mut ring: rtrb::Consumer<Entry>,
         pipe: OwnedFd,
-        servos: usize,
+        mut recording: Option<Recording>,
+        (servos, commands): (usize, usize),
         warnings: &[String],
     ) -> Reporter {
         if let Ok(flags) = fcntl_getfl(&pipe) {
@@ -72,6 +74,13 @@ impl Reporter {
             loop {
                 let last = stopped.load(Ordering::Relaxed);
                 while let Ok(entry) = ring.pop() {
+                    if let Some(Err(fault)) =
+                        recording.as_mut().map(|open| open.add(&entry, commands))
+                    {
+                        // A disk that is full ends the recording, not the loop.
+                        recording = None;
+                        say(&pipe, &unrecorded(&fault.to_string()));
+                    }
                     let output = &entry.output;
                     let news =
                         state != Some(output.state) || output.denied.is_some() || output.refused;
@@ -83,6 +92,9 @@ impl Reporter {
                     }
                 }
                 if last {
+                    if let Some(Err(fault)) = recording.map(Recording::end) {
+                        say(&pipe, &unrecorded(&fault.to_string()));
+                    }
                     return pipe;
                 }
                 std::thread::sleep(LOOK);
@@ -125,13 +137,17 @@ impl Reporter {
     }
 }
 
+fn unrecorded(fault: &str) -> String {
+    format!("{{\"schema\": \"softmap.loop/1\", \"unrecorded\": {fault:?}}}\n")
+}
+
 /// Write a line that fits into the pipe whole; false if there is no room for it now.
 fn say(pipe: &OwnedFd, line: &str) -> bool {
     write(pipe, line.as_bytes()) != Err(Errno::AGAIN)
 }
 
 /// A name of the guard's in small letters with underscores.
-fn name(of: impl Debug) -> String {
+pub(crate) fn name(of: impl Debug) -> String {
     let mut small = String::new();
     for letter in format!("{of:?}").chars() {
         if letter.is_uppercase() && !small.is_empty() && !small.ends_with(['(', '_']) {
@@ -142,16 +158,32 @@ fn name(of: impl Debug) -> String {
     small
 }
 
+/// A text of JSON, or null.
+pub(super) fn quoted(text: Option<String>) -> String {
+    text.map_or("null".to_owned(), |text| format!("{text:?}"))
+}
+
+/// Add `"key": [...]`, null where there is no finite number.
+pub(super) fn list(
+    line: &mut String,
+    key: &str,
+    count: usize,
+    number: &dyn Fn(usize) -> Option<f64>,
+) {
+    // Writing to a String cannot fail.
+    let _ = write!(line, ", \"{key}\": [");
+    for k in 0..count {
+        let between = if k == 0 { "" } else { ", " };
+        let _ = match number(k).filter(|number| number.is_finite()) {
+            Some(number) => write!(line, "{between}{number}"),
+            None => write!(line, "{between}null"),
+        };
+    }
+    line.push(']');
+}
+
 fn document(line: &mut String, entry: &Entry, servos: usize) {
     let output = &entry.output;
-    let quoted = |text: Option<String>| text.map_or("null".to_owned(), |text| format!("{text:?}"));
-    let list = |line: &mut String, key: &str, number: &dyn Fn(usize) -> Option<f64>| {
-        let numbers: Vec<String> = (0..servos)
-            .map(|k| number(k).map_or("null".to_owned(), |number| number.to_string()))
-            .collect();
-        // Writing to a String cannot fail.
-        let _ = write!(line, ", \"{key}\": [{}]", numbers.join(", "));
-    };
     let active = output.state != State::Off && output.torque;
     let _ = write!(
         line,
@@ -173,11 +205,17 @@ fn document(line: &mut String, entry: &Entry, servos: usize) {
         entry.overruns,
     );
     let sensed = |k: usize| entry.feedback[k];
-    list(line, "goal", &|k| active.then(|| f64::from(entry.goals[k])));
-    list(line, "position", &|k| Some(f64::from(sensed(k)?.position)));
-    list(line, "current_mA", &|k| sensed(k)?.current);
-    list(line, "temperature_C", &|k| Some(sensed(k)?.temperature));
-    list(line, "voltage_V", &|k| Some(sensed(k)?.voltage));
+    list(line, "goal", servos, &|k| {
+        active.then(|| f64::from(entry.goals[k]))
+    });
+    list(line, "position", servos, &|k| {
+        Some(f64::from(sensed(k)?.position))
+    });
+    list(line, "current_mA", servos, &|k| sensed(k)?.current);
+    list(line, "temperature_C", servos, &|k| {
+        Some(sensed(k)?.temperature)
+    });
+    list(line, "voltage_V", servos, &|k| Some(sensed(k)?.voltage));
     line.push_str("}\n");
 }
 

@@ -2,14 +2,15 @@
 
 use super::servo::trouble;
 use crate::control::plan::Linear;
-use crate::control::{Setup, serve};
+use crate::control::{Setup, recording, report, serve};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 use softmap_servo::drive::Member;
 use softmap_servo::guard::reversals::Budget;
-use softmap_servo::guard::{Axis, Limits};
+use softmap_servo::guard::{Axis, Feedback, Guard, Health, Input, Limits, Message};
 use softmap_servo::registers::model;
 use std::os::fd::{FromRawFd, OwnedFd, RawFd};
+use std::path::PathBuf;
 
 fn number(from: &Bound<'_, PyDict>, name: &str) -> PyResult<f64> {
     let value = from
@@ -92,9 +93,10 @@ pub fn check_limits(table: &Bound<'_, PyDict>) -> PyResult<()> {
 /// Run the control loop in this process until its orders end: `orders` and `reports` are descriptors of pipes.
 ///
 /// `servos` are (id, model number); `inverse` (C, C) ticks a mm, `b` (C,) mm and `home` (C,) ticks are the calibration's;
-/// `budget` is that of reversals: band (mm), turns a second, turns at once.
+/// `budget` is that of reversals: band (mm), turns a second, turns at once; `record` a file to record to, `setup` the
+/// document that begins it.
 #[pyfunction]
-#[pyo3(signature = (orders, reports, *, port, baud, servos, limits, inverse, b, home, budget, fast=true, slack=0.002))]
+#[pyo3(signature = (orders, reports, *, port, baud, servos, limits, inverse, b, home, budget, fast=true, slack=0.002, record=None, setup=""))]
 pub fn control_loop(
     py: Python<'_>,
     orders: RawFd,
@@ -109,6 +111,8 @@ pub fn control_loop(
     budget: [f64; 3],
     fast: bool,
     slack: f64,
+    record: Option<PathBuf>,
+    setup: &str,
 ) -> PyResult<()> {
     let member = |[id, number]: [u16; 2]| {
         let id = u8::try_from(id).map_err(|_| trouble(format!("servo id {id} is beyond 252")))?;
@@ -116,7 +120,8 @@ pub fn control_loop(
             .ok_or_else(|| trouble(format!("no servo of model number {number} is known")))?;
         Ok(Member { id, model })
     };
-    let setup = Setup {
+    let made = Setup {
+        record: record.map(|path| (path, setup.to_owned())),
         port,
         baud,
         members: servos.into_iter().map(member).collect::<PyResult<_>>()?,
@@ -133,6 +138,88 @@ pub fn control_loop(
     // SAFETY: the caller opened both for this loop alone and hands them over.
     let (orders, reports) =
         unsafe { (OwnedFd::from_raw_fd(orders), OwnedFd::from_raw_fd(reports)) };
-    py.detach(|| serve(setup, plan, orders, reports))
+    py.detach(|| serve(made, plan, orders, reports))
         .map_err(trouble)
+}
+
+/// The messages (topic, ns, bytes) of a recording, those before the cut of one that was cut short.
+#[pyfunction]
+pub fn read_recording<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+) -> PyResult<Vec<(String, u64, Bound<'py, PyBytes>)>> {
+    let found = py.detach(|| recording::read(&path))?;
+    Ok(found
+        .into_iter()
+        .map(|(topic, now, bytes)| (topic, now, PyBytes::new(py, &bytes)))
+        .collect())
+}
+
+/// One servo's feedback of a period: position, clock, current, voltage, temperature, and (hardware, torque, tripped).
+type Sensed = (i32, u16, Option<f64>, f64, f64, Option<(u8, bool, bool)>);
+/// A period: now, feedback, (deadman, targets) if something was heard, request, emergency.
+type Told = (
+    u64,
+    Vec<Option<Sensed>>,
+    Option<(bool, Option<Vec<f64>>)>,
+    Option<String>,
+    bool,
+);
+
+/// What was decided in a period: state, cause, torque, goals.
+type Decided = (String, String, bool, Vec<i32>);
+
+/// Let a guard of `table` decide `periods` again; state, cause, torque, and goals of each.
+#[pyfunction]
+pub fn replay(
+    py: Python<'_>,
+    table: &Bound<'_, PyDict>,
+    periods: Vec<Told>,
+) -> PyResult<Vec<Decided>> {
+    let limits = limits(table)?;
+    let count = limits.axes.len();
+    if let Some(period) = periods.iter().find(|period| period.1.len() != count) {
+        return Err(trouble(format!(
+            "a period with {} servos, the limits are of {count}",
+            period.1.len()
+        )));
+    }
+    Ok(py.detach(|| {
+        let mut guard = Guard::new(limits);
+        let decide = |(now, sensed, message, request, emergency): &Told| {
+            let feedback: Vec<_> = sensed.iter().map(|one| one.map(feedback)).collect();
+            let output = guard.tick(&Input {
+                now: *now,
+                feedback: &feedback,
+                message: message.as_ref().map(|(deadman, goal)| Message {
+                    deadman: *deadman,
+                    goal: goal.as_deref(),
+                }),
+                request: request.as_deref().and_then(recording::request),
+                emergency: *emergency,
+            });
+            (
+                report::name(output.state),
+                report::name(output.cause),
+                output.torque,
+                guard.goals().to_vec(),
+            )
+        };
+        periods.iter().map(decide).collect()
+    }))
+}
+
+fn feedback((position, clock, current, voltage, temperature, health): Sensed) -> Feedback {
+    Feedback {
+        position,
+        clock,
+        current,
+        voltage,
+        temperature,
+        health: health.map(|(hardware, torque, tripped)| Health {
+            hardware,
+            torque,
+            tripped,
+        }),
+    }
 }

@@ -59,7 +59,7 @@ mod _core {
     #[pymodule_export]
     use super::cables::{PyCables, PySecond};
     #[pymodule_export]
-    use super::control::{check_limits, control_loop};
+    use super::control::{check_limits, control_loop, read_recording, replay};
     #[pymodule_export]
     use super::effects::PyChain;
     #[pymodule_export]

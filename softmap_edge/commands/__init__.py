@@ -26,6 +26,7 @@ VERBS: list[Verb] = [
     Verb("align", "set up", "camera or mocap frame → base frame", "softmap_edge.commands.align"),
     Verb("register", "set up", "point clouds → vertices of the template", "softmap_edge.commands.register"),
     Verb("calibrate", "set up", "servo ticks → commands of a model", "softmap_edge.commands.calibrate"),
+    Verb("servo", "set up", "find, read, set up, release or emulate servos", "softmap_edge.commands.servo"),
     Verb("check", "look", "is this run or bundle sound", "softmap_edge.commands.runs"),
     Verb("show", "look", "what is in a run or bundle", "softmap_edge.commands.runs"),
     Verb("predict", "look", "shapes for commands", "softmap_edge.commands.look"),
@@ -37,6 +38,7 @@ VERBS: list[Verb] = [
     Verb("remove", "understand", "remove an effect from a bundle", "softmap_edge.commands.understand"),
     Verb("refit", "understand", "fit the effects of a bundle again", "softmap_edge.commands.understand"),
     Verb("record", "move", "play a command file, on the simulated finger", "softmap_edge.commands.experiment"),
+    Verb("replay", "move", "a recording of the loop, decided again", "softmap_edge.commands.servo"),
 ]
 
 # Verbs of distributions that may not be installed, and what to install for each.

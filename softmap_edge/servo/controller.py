@@ -22,13 +22,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from softmap_edge import _core
+from softmap_edge import __version__, _core
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.rig import Rig
 from softmap_edge.ticks import Calibration
@@ -47,14 +48,21 @@ class Controller:
     """The servos of `rig` driven within `limits` (`loop_limits`), commands mapped to ticks by `calibration`.
 
     Entering starts the loop, proves that the servos are what the rig says, and goes to READY: home is taken to be
-    proved by whoever enters. Leaving slackens and switches torque off, whatever happened.
+    proved by whoever enters. Leaving slackens and switches torque off, whatever happened. With `record` all that the
+    loop hears, decides and sends goes to that file, which must not exist (`recording.py`).
 
     Raises:
         ServoError: the loop cannot start or a request is denied; the message says why.
     """
 
     def __init__(
-        self, rig: Rig, calibration: Calibration, limits: Mapping[str, Any], *, budget: tuple[float, ...] = BUDGET
+        self,
+        rig: Rig,
+        calibration: Calibration,
+        limits: Mapping[str, Any],
+        *,
+        budget: tuple[float, ...] = BUDGET,
+        record: str | Path | None = None,
     ) -> None:
         count = len(rig.servos)
         if len(calibration.b) != count or len(limits["servos"]) != count:
@@ -63,7 +71,7 @@ class Controller:
                 f"{len(limits['servos'])}; they must agree"
             )
         self.rig, self.calibration, self.limits = rig, calibration, dict(limits)
-        self._budget = budget
+        self._budget, self._record = budget, None if record is None else Path(record)
         self._last: Report = {}
         self._end: Report = {}
         self._heard = threading.Condition()
@@ -188,6 +196,8 @@ class Controller:
     # --- the loop's process -------------------------------------------------------------
 
     def _start(self) -> None:
+        if self._record is not None and self._record.exists():
+            raise ServoError(f"{self._record} exists; give another name to record to")
         orders, self._orders = os.pipe()
         mine, reports = os.pipe()
         os.set_blocking(self._orders, False)
@@ -201,6 +211,9 @@ class Controller:
             "home": self.calibration.home.tolist(),
             "budget": self._budget,
         }
+        if self._record is not None:
+            about = {"schema": "softmap.setup/1", "softmap": __version__, "calibration": self.calibration.to_dict()}
+            setup |= {"record": str(self._record.absolute()), "setup": json.dumps(about | setup)}
         # Its own session: a Ctrl-C in the terminal is for this side, which slackens and ends it in order.
         self._process = subprocess.Popen(
             [sys.executable, "-m", "softmap_edge.servo.loop", str(orders), str(reports)],

@@ -1,0 +1,249 @@
+"""The verbs servo and replay: servos found, read, set up and released; the emulated ones; a recording decided again."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from softmap_edge import _core
+from softmap_edge.commands.output import check_file
+from softmap_edge.errors import ServoError
+from softmap_edge.servo import commission
+from softmap_edge.servo.recording import read_recording
+from softmap_edge.servo.rig import MOST_SERVOS, Rig, RigServo, read_rig
+
+OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise
+
+
+def servo_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `servo` and of what it does."""
+    what = parser.add_subparsers(dest="what", required=True, metavar="scan|read|setup|off|emulate")
+    _bus(what.add_parser("scan", help="find ports, baud rates and servos"))
+    _bus(one := what.add_parser("read", help="what a servo is, and what keeps it from being driven"))
+    one.add_argument("--id", type=int, metavar="ID", help="one servo; all that answer without it")
+    _bus(one := what.add_parser("setup", help="make one servo ready, and note it in a rig.toml"))
+    one.add_argument("--id", type=int, metavar="ID", help="its id now, where several servos are connected")
+    one.add_argument("--new-id", type=int, metavar="ID", help="the id it gets")
+    one.add_argument("--new-baud", type=int, metavar="BAUD", help="the baud rate it gets")
+    one.add_argument("--rig", metavar="rig.toml", help="add it to this bench")
+    _bus(one := what.add_parser("off", help="switch the torque of every servo off"))
+    one.add_argument("--rig", metavar="rig.toml", help="the bench whose port it is")
+    one = what.add_parser("emulate", help="two emulated servos at a pseudo-terminal; faults on standard input")
+    one.add_argument("--model", default="XL330-M288", metavar="NAME", help="their model (XL330-M288)")
+    one.add_argument("--baud", type=int, default=1_000_000, metavar="BAUD", help="their rate (1000000)")
+    one.add_argument("--servos", type=int, default=2, metavar="N", help="how many (2), ids from 1")
+    one.add_argument("--rig", metavar="rig.toml", help="write the bench that they are")
+    one.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn by chance")
+    _json(one)
+
+
+def _bus(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--port", metavar="PORT", help="a serial port; every one of this machine without it")
+    parser.add_argument("--baud", type=int, metavar="BAUD", help="one rate; every known one without it")
+    _json(parser)
+
+
+def _json(parser: argparse.ArgumentParser) -> None:
+    # The verb has it too; what stands before the sub-verb is not to be overruled by a default behind it.
+    parser.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
+
+
+def servo(args: argparse.Namespace) -> int:
+    """Do what was asked for with servos; 0 when all is well."""
+    return {"scan": _scan, "read": _read, "setup": _setup, "off": _off, "emulate": _emulate}[args.what](args)
+
+
+def _ports(args: argparse.Namespace) -> list[str]:
+    found = [args.port] if args.port else commission.ports()
+    if not found:
+        raise ServoError("no serial port on this machine; connect the adapter, or give --port")
+    return found
+
+
+def _scan(args: argparse.Namespace) -> int:
+    found = []
+    for port in _ports(args):
+        for servo in commission.scan(port, args.baud):
+            found.append(servo)
+            if not args.json:
+                print(servo)
+    if args.json:
+        print(json.dumps({"schema": "softmap.servos/1", "servos": [_told(servo) for servo in found]}))
+    elif not found:
+        print("no servo answers; check its power and wiring")
+    return 0 if found else OTHERWISE
+
+
+def _told(servo: commission.Found) -> dict[str, Any]:
+    name = servo.model["name"] if servo.model else None
+    return dict(
+        port=servo.port, baud=servo.baud, id=servo.id, model=name, model_number=servo.number, firmware=servo.firmware
+    )
+
+
+def _find(args: argparse.Namespace) -> list[commission.Found]:
+    """Return the servos that are meant."""
+    found = [servo for port in _ports(args) for servo in commission.scan(port, args.baud)]
+    if args.id is not None:
+        found = [servo for servo in found if servo.id == args.id]
+    if not found:
+        which = "no servo" if args.id is None else f"no servo of id {args.id}"
+        raise ServoError(f"{which} answers; check power and wiring, `softmap servo scan` lists what does")
+    return found
+
+
+def _read(args: argparse.Namespace) -> int:
+    documents, well = [], True
+    for servo in _find(args):
+        with commission.opened(servo.port, servo.baud) as bus:
+            values = commission.registers(bus, servo.id)
+        said = commission.complaints(servo, values)
+        well &= not said
+        documents.append(_told(servo) | {"registers": values, "complaints": said})
+        if not args.json:
+            print(servo)
+            print("\n".join(f"  {name.replace('_', ' '):<24} {value}" for name, value in values.items()))
+            print("\n".join(f"  ! {line}" for line in said) or "  ready to be driven")
+    if args.json:
+        print(json.dumps({"schema": "softmap.servos/1", "servos": documents}))
+    return 0 if well else OTHERWISE
+
+
+def _setup(args: argparse.Namespace) -> int:
+    check_file("--rig", args.rig, ".toml")
+    found = _find(args)
+    if len(found) > 1:
+        ids = ", ".join(str(servo.id) for servo in found)
+        raise ServoError(f"{len(found)} servos answer (ids {ids}); connect one at a time, or say which with --id")
+    old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
+    done = commission.set_up(found[0], args.new_id, args.new_baud)
+    if args.rig:
+        _noted(done, old).write(args.rig)
+    if args.json:
+        print(json.dumps({"schema": "softmap.servos/1", "servos": [_told(done)], "rig": args.rig}))
+    else:
+        print(f"{done}: ready to be driven" + (f", noted in {args.rig}" if args.rig else ""))
+    return 0
+
+
+def _noted(done: commission.Found, old: Rig | None) -> Rig:
+    """Return the bench with the servo that was set up; it keeps its place if it is there."""
+    assert done.model is not None
+    new = RigServo(done.id, done.model["name"])
+    if old is None:
+        return Rig(done.port, done.baud, (new,))
+    if old.baud != done.baud:
+        raise ServoError(
+            f"the bench runs at {old.baud} baud, servo {done.id} at {done.baud}; give --new-baud {old.baud}"
+        )
+    others = [servo for servo in old.servos if servo.id != done.id]
+    return Rig(done.port, done.baud, (*others, new))
+
+
+def _off(args: argparse.Namespace) -> int:
+    port, baud = args.port, args.baud
+    if args.rig:
+        rig = read_rig(args.rig)
+        port, baud = port or rig.port, baud or rig.baud
+    args.port = port
+    for name in _ports(args):
+        commission.release(name, baud)
+        if not args.json:
+            print(f"{name}: torque off was sent")
+    if args.json:
+        print(json.dumps({"schema": "softmap.servos/1", "released": _ports(args)}))
+    return 0
+
+
+def _emulate(args: argparse.Namespace) -> int:
+    check_file("--rig", args.rig, ".toml")
+    models = {model["name"]: model for model in _core.servo_models()}
+    if args.model not in models:
+        raise ServoError(f"no servo '{args.model}' is known; there are {', '.join(models)}")
+    if not 1 <= args.servos <= MOST_SERVOS:
+        raise ServoError(f"{args.servos} servos; allowed are 1 to {MOST_SERVOS}")
+    pull = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]
+    servos = [(id, models[args.model]["number"], args.baud, 2000.0) for id in range(1, args.servos + 1)]
+    bus = _core.EmulatedBus(servos, [pull] * args.servos, seed=args.seed)
+    try:
+        if args.rig:
+            Rig(bus.path, args.baud, tuple(RigServo(id, args.model) for id, *_ in servos)).write(args.rig)
+        if args.json:
+            print(json.dumps({"schema": "softmap.emulated/1", "port": bus.path, "baud": args.baud}), flush=True)
+        else:
+            print(f"{bus.path} at {args.baud} baud, ids 1 to {args.servos}; {FAULTS}", flush=True)
+        for line in sys.stdin:
+            if fault := line.split():
+                try:
+                    _break(bus, fault)
+                except (ServoError, ValueError) as said:
+                    print(f"{line.strip()}: {said}; {FAULTS}", file=sys.stderr)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        bus.unplug()
+    return 0
+
+
+FAULTS = (
+    "faults, one a line: mute|stuck|torn|mend|reset SERVO · heat SERVO °C · supply SERVO V · fail SERVO BITS · "
+    "rename SERVO ID · drop|damage|junk|slow SHARE · unpowered 0|1 · unplug (SERVO from 0)"
+)
+
+
+def _break(bus: _core.EmulatedBus, fault: list[str]) -> None:
+    """Do one line of faults."""
+    name, *numbers = fault
+    if name == "unplug" and not numbers:
+        bus.unplug()
+    elif name in ("mute", "stuck", "torn") and len(numbers) == 1:
+        bus.damage(int(numbers[0]), **{name: True})
+    elif name == "mend" and len(numbers) == 1:
+        bus.damage(int(numbers[0]))
+    elif name == "reset" and len(numbers) == 1:
+        bus.reset(int(numbers[0]))
+    elif name in ("heat", "supply") and len(numbers) == 2:
+        getattr(bus, name)(int(numbers[0]), float(numbers[1]))
+    elif name in ("fail", "rename") and len(numbers) == 2:
+        getattr(bus, name)(int(numbers[0]), int(numbers[1], 0))
+    elif name in ("drop", "damage", "junk", "slow") and len(numbers) == 1:
+        share = float(numbers[0])
+        bus.faults(
+            drop=share * (name == "drop"),
+            damage=share * (name == "damage"),
+            junk=share * (name == "junk"),
+            slow=share * (name == "slow"),
+        )
+    elif name == "unpowered" and len(numbers) == 1:
+        bus.faults(unpowered=int(numbers[0]) == 1)
+    else:
+        raise ValueError("no such fault")
+
+
+def replay_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `replay`."""
+    parser.add_argument("recording", help="what the control loop recorded (.mcap)")
+    parser.add_argument("--run", metavar="FILE.npz", help="write it as a run as well")
+
+
+def replay(args: argparse.Namespace) -> int:
+    """Let the guard decide a recording again; 1 if it decides otherwise anywhere."""
+    check_file("--run", args.run, ".npz")
+    recording = read_recording(args.recording)
+    differ = recording.replay()
+    if args.run:
+        recording.run().save(args.run)
+    first, last = recording.periods[0], recording.periods[-1]
+    seconds = (last["now"] - first["now"]) * 1e-9
+    if args.json:
+        document = {"schema": "softmap.replay/1", "periods": len(recording.periods), "seconds": seconds}
+        print(json.dumps(document | {"otherwise": differ, "run": args.run}))
+    else:
+        said = "every one decided alike" if not differ else f"{len(differ)} decided otherwise, the first is {differ[0]}"
+        print(f"{args.recording}: {len(recording.periods)} periods in {seconds:.1f} s, {said}")
+        if args.run:
+            print(f"{args.run}: written")
+    return OTHERWISE if differ else 0

@@ -1,0 +1,210 @@
+"""Set servos up on a bench: find them, read them, make them ready to be driven.
+
+Sources: the X-series control tables and the traps of facts/robot.md: turns are counted in modes 4 and 5 only, a homing
+offset makes a watchdog dangerous on old firmware, a return delay costs bus time. Pinned by tests/test_servo_verbs.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from softmap_edge import _core
+from softmap_edge.errors import ServoError
+
+Model = dict[str, Any]
+
+PATTERNS = ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*")
+FAST = 45  # firmware from which all servos answer in one packet
+OLD = 38  # firmware below which there is no bus watchdog
+NO_SHADOW = 255
+ALWAYS = 2  # status return level: every question is answered
+HARDWARE = {
+    0x01: "input voltage",
+    0x04: "overheating",
+    0x08: "motor encoder",
+    0x10: "electrical shock",
+    0x20: "overload",
+}
+MODES = {
+    0: "current", 1: "velocity", 3: "position", 4: "extended position", 5: "current-based position", 16: "PWM",
+}  # fmt: skip
+SIGNED = ("homing_offset", "goal_position", "present_position", "present_current", "present_velocity", "present_pwm",
+          "goal_current", "goal_pwm")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Found:
+    """A servo that answered: where, and what it is."""
+
+    port: str
+    baud: int
+    id: int
+    number: int
+    firmware: int
+
+    @property
+    def model(self) -> Model | None:
+        """What is known of its model."""
+        return next((model for model in _core.servo_models() if model["number"] == self.number), None)
+
+    def __str__(self) -> str:
+        name = self.model["name"] if self.model else f"unknown model {self.number}"
+        return f"{self.port} at {self.baud} baud: id {self.id}, {name}, firmware {self.firmware}"
+
+
+def ports(root: Path = Path("/dev")) -> list[str]:
+    """Return the serial ports of this machine, each once, by their lasting names where they have one."""
+    seen: dict[Path, str] = {}
+    for pattern in PATTERNS:
+        for file in sorted(root.glob(pattern)):
+            seen.setdefault(file.resolve(), str(file))
+    return list(seen.values())
+
+
+@contextmanager
+def opened(port: str, baud: int) -> Iterator[_core.ServoBus]:
+    """Open a bus and close it again."""
+    bus = _core.ServoBus(port, baud)
+    try:
+        yield bus
+    finally:
+        bus.close()
+
+
+def rates() -> list[int]:
+    """Return every baud rate that some servo knows, the usual ones first."""
+    every = sorted({rate for model in _core.servo_models() for rate in model["baud_rates"]})
+    usual = [57_600, 1_000_000]
+    return usual + [rate for rate in every if rate not in usual]
+
+
+def scan(port: str, baud: int | None = None) -> Iterator[Found]:
+    """Give every servo that answers at `port`, at one rate or at all of them.
+
+    Raises:
+        ServoError: the port cannot be opened; a rate that the adapter lacks is passed over.
+    """
+    for rate in rates() if baud is None else [baud]:
+        try:
+            with opened(port, rate) as bus:
+                for id, number, firmware in bus.scan():
+                    yield Found(port, rate, id, number, firmware)
+        except ServoError as fault:
+            if baud is not None or "baud" not in str(fault):
+                raise
+
+
+def registers(bus: _core.ServoBus, id: int) -> dict[str, int]:
+    """Return the value of each register that is used, by its name.
+
+    Raises:
+        ServoError: the servo does not answer.
+    """
+    table = _core.servo_registers()
+    low, high = bus.read(id, 0, 64), bus.read(id, 64, 83)
+    memory = low + high
+    return {
+        name: int.from_bytes(memory[address : address + size], "little", signed=name in SIGNED and size > 1)
+        for name, (address, size, _) in table.items()
+    }
+
+
+def wanted(model: Model) -> dict[str, int]:
+    """Return what a servo's registers must hold to be driven."""
+    return {
+        "operating_mode": model["operating_mode"],
+        "homing_offset": 0,
+        "return_delay_time": 0,
+        "drive_mode": 0,
+        "secondary_id": NO_SHADOW,
+        "status_return_level": ALWAYS,
+        "startup_configuration": 0,
+    }
+
+
+def complaints(found: Found, values: dict[str, int]) -> list[str]:
+    """Return what keeps a servo from being driven, a sentence each."""
+    model = found.model
+    if model is None:
+        return [f"model {found.number} is not known; known are {', '.join(m['name'] for m in _core.servo_models())}"]
+    said = []
+    for name, value in wanted(model).items():
+        if values[name] != value:
+            note = f" ({MODES.get(values[name], 'unknown')})" if name == "operating_mode" else ""
+            said.append(f"{name.replace('_', ' ')} is {values[name]}{note}, needed is {value}; `softmap servo setup`")
+    if values["hardware_error_status"]:
+        bits = [text for bit, text in HARDWARE.items() if values["hardware_error_status"] & bit]
+        said.append(f"it reports {', '.join(bits) or values['hardware_error_status']}; find the cause, then restart it")
+    if values["torque_enable"]:
+        said.append("its torque is on; `softmap servo off` releases it")
+    if found.firmware < OLD:
+        said.append(f"its firmware {found.firmware} has no bus watchdog; update it to {FAST} with Dynamixel Wizard")
+    return said
+
+
+def set_up(found: Found, new_id: int | None = None, new_baud: int | None = None) -> Found:
+    """Make one servo ready to be driven and prove it by reading back; returns it as it is then.
+
+    Raises:
+        ServoError: its model is unknown, the id or rate is not one it can have, or it keeps other values.
+    """
+    model = found.model
+    if model is None:
+        raise ServoError(str(found) + ": this model is not known and is left as it is")
+    id = found.id if new_id is None else new_id
+    baud = found.baud if new_baud is None else new_baud
+    if not 0 <= id <= 252:
+        raise ServoError(f"id {id}; allowed are 0 to 252")
+    if baud not in model["baud_rates"]:
+        raise ServoError(
+            f"{model['name']} has no rate of {baud} baud; it has {', '.join(map(str, model['baud_rates']))}"
+        )
+    table = _core.servo_registers()
+
+    def write(bus: _core.ServoBus, at: int, name: str, value: int) -> None:
+        address, size, _ = table[name]
+        bus.write(at, address, value.to_bytes(size, "little", signed=value < 0))
+
+    with opened(found.port, found.baud) as bus:
+        if id != found.id and bus.ping(id) is not None:
+            raise ServoError(f"id {id} is taken by another servo on this bus; connect one servo at a time")
+        write(bus, found.id, "torque_enable", 0)
+        for name, value in wanted(model).items():
+            write(bus, found.id, name, value)
+        if id != found.id:
+            write(bus, found.id, "id", id)
+        if baud != found.baud:
+            # Its answer may come at the new rate already: what counts is that it is found there.
+            try:
+                write(bus, id, "baud_rate", model["baud_rates"].index(baud))
+            except ServoError as fault:
+                if "no answer" not in str(fault):
+                    raise
+    now = Found(found.port, baud, id, found.number, found.firmware)
+    with opened(now.port, baud) as bus:
+        if bus.ping(id) is None:
+            raise ServoError(f"{now} does not answer after it was set up; scan again")
+        left = complaints(now, registers(bus, id))
+    if left:
+        raise ServoError(f"{now}: {'; '.join(left)}")
+    return now
+
+
+def release(port: str, baud: int | None = None) -> None:
+    """Switch the torque of every servo at `port` off, at one rate or at all of them; told three times.
+
+    Raises:
+        ServoError: the port cannot be opened.
+    """
+    for rate in rates() if baud is None else [baud]:
+        try:
+            with opened(port, rate) as bus:
+                for _ in range(3):
+                    bus.release()
+        except ServoError as fault:
+            if baud is not None or "baud" not in str(fault):
+                raise

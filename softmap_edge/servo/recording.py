@@ -1,0 +1,158 @@
+"""A recording of the control loop: read, replayed through the guard, or taken as a run.
+
+The compiled loop writes it (`rust/control/recording.rs`): plain MCAP, JSON a period, readable to the last message when
+it was cut short. A recording is somebody else's file: what is damaged ends it with a reason. Pinned by
+tests/test_recording.py.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.run import Run
+from softmap_edge.ticks import Calibration
+
+Document = dict[str, Any]
+SETUP, LOOP = "/setup", "/loop"
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a loop was made of, and each of its periods (softmap.loop as in the file's schema)."""
+
+    file: Path
+    setup: Document
+    periods: list[Document]
+
+    @property
+    def limits(self) -> Document:
+        """The limits that the guard kept to."""
+        return dict(self.setup["limits"])
+
+    def replay(self) -> list[int]:
+        """Let the same guard decide every period again; returns the periods in which it decides otherwise.
+
+        Raises:
+            RunError: a period is not of this form.
+        """
+        try:
+            again = _core.replay(self.limits, self._told())
+        except (TypeError, ValueError, OverflowError) as fault:
+            raise RunError(f"{self.file}: damaged ({fault!s:.60}); record again") from None
+        differ = []
+        for k, (period, (state, cause, torque, goals)) in enumerate(zip(self.periods, again)):
+            said = [goal if torque else None for goal in goals]
+            if (state, cause, torque, said) != (period["state"], period["cause"], period["torque"], period["goal"]):
+                differ.append(k)
+        return differ
+
+    def run(self) -> Run:
+        """Return it as a run: goals and positions in ticks, currents, the hottest servo; nothing is seen.
+
+        Periods before torque first came on are left out; without torque a goal is where the servo stands.
+
+        Raises:
+            RunError: torque was never on, or a servo was not heard before it was.
+        """
+        self._told()
+        first = next((k for k, period in enumerate(self.periods) if period["torque"]), None)
+        if first is None:
+            raise RunError(f"{self.file}: torque was never on, so nothing was driven; record while the finger moves")
+        kept = self.periods[first:]
+        columns = {
+            key: _filled([period[key] for period in kept], [period[key] for period in self.periods[:first]])
+            for key in ("position", "current_mA", "temperature_C")
+        }
+        if np.isnan(columns["position"]).any():
+            raise RunError(f"{self.file}: a servo was not heard before torque came on; record again")
+        goals = np.array([[np.nan if goal is None else goal for goal in period["goal"]] for period in kept], float)
+        goals = np.where(np.isnan(goals), columns["position"], goals)
+        now = np.array([period["now"] for period in kept], np.int64)
+        current = columns["current_mA"]
+        return Run(
+            t=(now - now[0]) * 1e-9,
+            ticks=goals.astype(np.int64),
+            present_ticks=columns["position"].astype(np.int64),
+            current=None if np.isnan(current).any() else current,
+            temperature=columns["temperature_C"].max(axis=1),
+        )
+
+    @property
+    def calibration(self) -> Calibration:
+        """The map between ticks and mm that was driven with."""
+        return Calibration.from_dict(self.setup["calibration"])
+
+    def _told(self) -> list[tuple[Any, ...]]:
+        """Return what the guard was told in each period, as `_core.replay` takes it.
+
+        Raises:
+            RunError: a period is not of this form.
+        """
+        told = []
+        for k, period in enumerate(self.periods):
+            try:
+                told.append(_told(period))
+                if [str, str, bool, list] != [type(period[key]) for key in ("state", "cause", "torque", "goal")]:
+                    raise TypeError("state")
+                if len(period["goal"]) != len(self.periods[0]["goal"]):
+                    raise ValueError("goal")
+            except (ValueError, KeyError, TypeError, AttributeError, IndexError) as fault:
+                raise RunError(f"{self.file}: period {k} is damaged ({fault!s:.40}); record again") from None
+        return told
+
+
+def _told(period: Document) -> tuple[Any, ...]:
+    """Return one period, as `_core.replay` takes it."""
+    sensed: list[Any] = []
+    for k, position in enumerate(period["position"]):
+        if position is None:
+            sensed.append(None)
+            continue
+        health = None
+        if period.get("hardware") is not None and period["hardware"][k] is not None:
+            health = (period["hardware"][k], period["has_torque"][k] == 1, period["tripped"][k] == 1)
+        rest = [period[key][k] for key in ("current_mA", "voltage_V", "temperature_C")]
+        sensed.append((int(position), int(period["clock"][k]), *rest, health))
+    target = period.get("target")
+    goal = None if target is None else [float("nan") if tick is None else float(tick) for tick in target]
+    message = (period["deadman"], goal) if period["heard"] else None
+    return period["now"], sensed, message, period["request"], period["emergency"]
+
+
+def read_recording(path: str | Path) -> Recording:
+    """Read a recording; of one that was cut short, all periods that are whole.
+
+    Raises:
+        RunError: no recording of a loop, or damaged.
+    """
+    file = Path(path)
+    try:
+        messages = _core.read_recording(str(file))
+        documents = [(topic, json.loads(message)) for topic, _, message in messages]
+        setup = next((document for topic, document in documents if topic == SETUP), None)
+        periods = [document for topic, document in documents if topic == LOOP]
+        if setup is None or not isinstance(setup.get("limits"), dict) or not periods:
+            raise RunError(f"{file}: holds no periods of a control loop; give what `softmap` recorded")
+        return Recording(file, setup, periods)
+    except RunError:
+        raise
+    except SoftmapError as fault:
+        raise RunError(str(fault)) from None
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as fault:
+        raise RunError(f"{file}: damaged ({type(fault).__name__} {fault!s:.60}); record again") from None
+
+
+def _filled(rows: list[list[float | None]], before: list[list[float | None]]) -> NDArray[np.float64]:
+    """Return (T, C) numbers, each missing one as the last that was there, also `before` the first row."""
+    whole = np.array([[np.nan if value is None else value for value in row] for row in before + rows], float)
+    at = np.where(np.isnan(whole), 0, np.arange(len(whole))[:, None])
+    last = np.maximum.accumulate(at, axis=0)
+    return np.asarray(np.take_along_axis(whole, last, axis=0)[len(before) :])

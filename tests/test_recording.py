@@ -1,0 +1,125 @@
+"""A recording replays bit for bit, is a run, and is readable wherever it was cut."""
+
+import contextlib
+import io
+import json
+import struct
+import time
+
+import numpy as np
+import pytest
+from mcap.exceptions import EndOfFile, McapError
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+from rigs import HOME, TICKS_PER_MM, bench, calibration
+
+from softmap_edge import _core
+from softmap_edge.errors import RunError, ServoError
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.recording import Recording, read_recording
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Record some seconds of driving with damaged answers and refused targets."""
+    file = tmp_path_factory.mktemp("recording") / "drive.mcap"
+    with bench(200.0) as (bus, rig, limits), Controller(rig, calibration(), limits, record=file) as robot:
+        robot.engage()
+        bus.faults(damage=0.05, junk=0.1)
+        begin = time.monotonic()
+        while (t := time.monotonic() - begin) < 2.5:
+            u = np.array([np.sin(3 * t), np.nan if 1.0 < t < 1.1 else np.cos(2 * t) - 1])
+            robot._send(u, deadman=True)
+            time.sleep(0.015)
+    return file
+
+
+def test_replays_bit_for_bit(recorded):
+    recording = read_recording(recorded)
+    assert len(recording.periods) > 400
+    assert any(period["refused"] for period in recording.periods)
+    assert any(None in period["position"] for period in recording.periods)
+    assert recording.replay() == []
+    moved = [period for period in recording.periods if period["torque"] and period["goal"][0] != HOME]
+    moved[10]["goal"][0] += 1
+    assert len(recording.replay()) == 1, "a single tick is seen"
+
+
+def test_nothing_is_recorded_over(tmp_path):
+    file = tmp_path / "old.mcap"
+    file.write_text("kept")
+    with bench() as (_, rig, limits), pytest.raises(ServoError, match="old.mcap exists; give another name"):
+        Controller(rig, calibration(), limits, record=file).__enter__()
+    assert file.read_text() == "kept"
+
+
+def test_is_a_run(recorded):
+    run = read_recording(recorded).run()
+    assert run.ticks.shape == run.present_ticks.shape and run.channels == 2
+    assert np.ptp(run.ticks[:, 0]) > 1.5 * TICKS_PER_MM
+    lag = np.abs(run.ticks - run.present_ticks).max()
+    assert 5 < lag < 400
+    assert (np.diff(run.t) > 0).all()
+
+
+def stream(data):
+    """Return the loop messages that the `mcap` package's stream reader finds."""
+    found = []
+    with contextlib.suppress(EndOfFile, McapError, struct.error):
+        found.extend(record.data for record in StreamReader(data).records if isinstance(record, Message))
+    return found
+
+
+def test_a_file_cut_anywhere_gives_every_whole_message(recorded, tmp_path):
+    whole = recorded.read_bytes()
+    everything = [message for _, _, message in _core.read_recording(str(recorded))]
+    rng = np.random.default_rng(0)
+    ends, at = [], 0
+    for message in everything:
+        at = whole.index(message, at) + len(message)
+        ends.append(at)
+    file = tmp_path / "cut.mcap"
+    for cut in [*rng.integers(ends[0], len(whole), 60), *ends[:5], *(np.array(ends[:5]) - 1)]:
+        file.write_bytes(whole[:cut])
+        expected = everything[: int(np.searchsorted(ends, cut, side="right"))]
+        assert [message for _, _, message in _core.read_recording(str(file))] == expected
+        assert stream(io.BytesIO(whole[:cut])) == expected
+
+
+def test_damaged_recordings_end_with_a_line(recorded, tmp_path):
+    file = tmp_path / "bad.mcap"
+    whole = bytearray(recorded.read_bytes())
+    rng = np.random.default_rng(1)
+    for _ in range(60):
+        bad = whole.copy()
+        for place in rng.integers(0, len(bad), 20):
+            bad[place] = rng.integers(256)
+        file.write_bytes(bad)
+        try:
+            read_recording(file).replay()
+        except RunError as fault:
+            assert "bad.mcap" in str(fault)
+    periods = [{"state": "engaged"}, {"now": "x"}, [], 3]
+    for period in periods:
+        broken = Recording(file, {"limits": {}}, [period])
+        with pytest.raises(RunError, match="bad.mcap: period 0 is damaged"):
+            broken.replay()
+        with pytest.raises(RunError, match="bad.mcap: period 0 is damaged"):
+            broken.run()
+    for content, said in (
+        (b"", "holds no periods"),
+        (b"x" * 100, "holds no periods"),
+        (bytes(whole[:60]), "holds no periods"),
+    ):
+        file.write_bytes(content)
+        with pytest.raises(RunError, match=said):
+            read_recording(file)
+    with pytest.raises(RunError, match="none.mcap"):
+        read_recording(tmp_path / "none.mcap")
+
+
+def test_the_setup_says_what_made_it(recorded):
+    recording = read_recording(recorded)
+    assert recording.setup["schema"] == "softmap.setup/1"
+    assert pytest.approx(np.eye(2) / TICKS_PER_MM) == recording.calibration.A
+    assert json.dumps(recording.setup)

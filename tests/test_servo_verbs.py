@@ -1,0 +1,159 @@
+"""Servos found, set up, read and released from the command line, on an emulated bus; a recording decided again."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from rigs import bench, calibration, torque
+
+from softmap_edge import _core
+from softmap_edge.cli import main
+from softmap_edge.run import Run
+from softmap_edge.servo import commission
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.recording import read_recording
+from softmap_edge.servo.rig import RigServo, read_rig
+
+XL330, XL430 = 1200, 1060
+
+
+@pytest.fixture
+def fresh():
+    """Give a bus with one servo as it is delivered: id 1 at 57 600 baud, mode 3."""
+    bus = _core.EmulatedBus([(1, XL330, 57_600, 500.0)], [[]], seed=1)
+    yield bus
+    bus.unplug()
+
+
+def said(capsys, *argv):
+    """Run a verb with --json; its exit code and document."""
+    code = main([*argv, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_a_new_servo_is_found_at_its_rate_and_made_ready(fresh, capsys, tmp_path):
+    code, document = said(capsys, "servo", "scan", "--port", fresh.path)
+    assert code == 0 and document["servos"] == [
+        dict(port=fresh.path, baud=57_600, id=1, model="XL330-M288", model_number=XL330, firmware=46)
+    ]
+    code, document = said(capsys, "servo", "read", "--port", fresh.path, "--baud", "57600")
+    (one,) = document["servos"]
+    assert code == 1 and one["registers"]["present_position"] == 500
+    assert any("operating mode is 3 (position), needed is 5" in line for line in one["complaints"])
+    rig = tmp_path / "rig.toml"
+    argv = [
+        "servo",
+        "setup",
+        "--port",
+        fresh.path,
+        "--baud",
+        "57600",
+        "--new-id",
+        "2",
+        "--new-baud",
+        "1000000",
+        "--rig",
+        str(rig),
+    ]
+    code, document = said(capsys, *argv)
+    assert code == 0 and document["servos"][0]["id"] == 2 and document["servos"][0]["baud"] == 1_000_000
+    assert read_rig(rig).servos == (RigServo(2, "XL330-M288"),)
+    code, document = said(capsys, "servo", "read", "--port", fresh.path, "--id", "2", "--baud", "1000000")
+    assert code == 0 and document["servos"][0]["complaints"] == []
+    assert main(["servo", "read", "--port", fresh.path, "--baud", "1000000"]) == 0
+    assert "ready to be driven" in capsys.readouterr().out
+
+
+def test_one_servo_at_a_time_is_set_up(capsys, tmp_path):
+    with bench() as (bus, rig, _):
+        assert main(["servo", "setup", "--port", bus.path, "--baud", "1000000"]) == 2
+        assert "2 servos answer (ids 1, 2); connect one at a time, or say which with --id" in capsys.readouterr().err
+        argv = ["servo", "setup", "--port", bus.path, "--baud", "1000000", "--id"]
+        assert main([*argv, "1", "--new-id", "2"]) == 2
+        assert "id 2 is taken by another servo" in capsys.readouterr().err
+        file = str(tmp_path / "rig.toml")
+        assert main([*argv, "1", "--rig", file]) == 0 and main([*argv, "2", "--rig", file]) == 0
+        assert [servo.id for servo in read_rig(file).servos] == [1, 2] and read_rig(file).port == rig.port
+        assert main([*argv, "1", "--new-baud", "9600", "--rig", file]) == 2
+        assert "the bench runs at 1000000 baud" in capsys.readouterr().err
+        assert main([*argv, "9"]) == 2
+        assert "no servo of id 9 answers" in capsys.readouterr().err
+
+
+def test_a_servo_without_current_is_driven_in_extended_position():
+    bus = _core.EmulatedBus([(1, XL430, 57_600, 0.0)], [[]])
+    (found,) = commission.scan(bus.path, 57_600)
+    done = commission.set_up(found)
+    with commission.opened(done.port, done.baud) as port:
+        assert commission.registers(port, 1)["operating_mode"] == 4
+    bus.unplug()
+
+
+def test_torque_goes_off_whoever_left_it_on(capsys, tmp_path):
+    with bench() as (bus, rig, _):
+        ours = _core.ServoBus(bus.path, rig.baud)
+        for id in (1, 2):
+            ours.write(id, 64, b"\x01")
+        ours.close()
+        assert torque(bus)
+        rig.write(tmp_path / "rig.toml")
+        assert main(["servo", "off", "--rig", str(tmp_path / "rig.toml")]) == 0
+        time.sleep(0.05)  # the bytes are on their way
+        assert not torque(bus)
+        assert "torque off was sent" in capsys.readouterr().out
+
+
+def test_bad_ports_have_their_line(capsys, tmp_path):
+    for argv, line in (
+        (["servo", "scan", "--port", str(tmp_path / "none")], "no such port"),
+        (["servo", "off", "--rig", str(tmp_path / "rig.toml")], "make it with `softmap servo setup`"),
+        (["servo", "emulate", "--model", "XL1"], "no servo 'XL1' is known"),
+        (["servo", "emulate", "--servos", "99"], "99 servos; allowed are 1 to 16"),
+    ):
+        assert main(argv) == 2
+        assert line in capsys.readouterr().err
+
+
+def test_ports_are_listed_once_by_their_lasting_name(tmp_path):
+    (tmp_path / "serial/by-id").mkdir(parents=True)
+    (tmp_path / "ttyUSB0").touch()
+    (tmp_path / "ttyACM1").touch()
+    (tmp_path / "serial/by-id/usb-FTDI").symlink_to(tmp_path / "ttyUSB0")
+    assert commission.ports(tmp_path) == [str(tmp_path / "serial/by-id/usb-FTDI"), str(tmp_path / "ttyACM1")]
+
+
+def test_an_emulated_bench_takes_faults_from_standard_input(tmp_path):
+    rig = tmp_path / "rig.toml"
+    argv = [str(Path(sys.executable).with_name("softmap")), "servo", "emulate", "--rig", str(rig), "--json"]
+    with subprocess.Popen(
+        argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        port = json.loads(process.stdout.readline())["port"]
+        assert read_rig(rig).port == port
+        with commission.opened(port, 1_000_000) as bus:
+            assert bus.ping(2) == (XL330, 46)
+            process.stdin.write("mute 1\nfly 3\nheat 0 60\n")
+            process.stdin.flush()
+            assert "no such fault; faults, one a line" in process.stderr.readline()
+            begin = time.monotonic()
+            while commission.registers(bus, 1)["present_temperature"] < 55:
+                assert time.monotonic() - begin < 5.0
+            assert bus.ping(2) is None
+        _, _ = process.communicate()
+        assert process.returncode == 0
+
+
+def test_a_recording_is_decided_again_and_written_as_a_run(tmp_path, capsys):
+    file, out = tmp_path / "drive.mcap", tmp_path / "drive.npz"
+    with bench() as (_, rig, limits), Controller(rig, calibration(), limits, record=file) as robot:
+        robot.engage([0.5, 0.0])
+    code, document = said(capsys, "replay", str(file), "--run", str(out))
+    assert code == 0 and document["otherwise"] == [] and document["periods"] > 5
+    assert Run.load(out).hash() == read_recording(file).run().hash()
+    assert main(["replay", str(file)]) == 0
+    assert "every one decided alike" in capsys.readouterr().out
+    assert main(["replay", str(out)]) == 2
+    assert "holds no periods of a control loop" in capsys.readouterr().err
