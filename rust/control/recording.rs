@@ -221,6 +221,8 @@ fn document(line: &mut String, entry: &Entry, servos: usize, commands: usize) {
     );
     if let Some(command) = &orders.command {
         list(line, "command", commands, &|k| Some(command[k]));
+    }
+    if entry.aimed {
         list(line, "target", servos, &|k| Some(entry.targets[k]));
     }
     list(line, "goal", servos, &|k| {

@@ -157,11 +157,14 @@ pub fn read_recording<'py>(
 
 /// One servo's feedback of a period: position, clock, current, voltage, temperature, and (hardware, torque, tripped).
 type Sensed = (i32, u16, Option<f64>, f64, f64, Option<(u8, bool, bool)>);
-/// A period: now, feedback, (deadman, targets) if something was heard, request, emergency.
+/// A period: now, feedback, whether the deadman was pressed if it was heard, targets, whether they are new, request,
+/// emergency.
 type Told = (
     u64,
     Vec<Option<Sensed>>,
-    Option<(bool, Option<Vec<f64>>)>,
+    Option<bool>,
+    Option<Vec<f64>>,
+    bool,
     Option<String>,
     bool,
 );
@@ -186,15 +189,16 @@ pub fn replay(
     }
     Ok(py.detach(|| {
         let mut guard = Guard::new(limits);
-        let decide = |(now, sensed, message, request, emergency): &Told| {
+        let decide = |(now, sensed, deadman, targets, new, request, emergency): &Told| {
             let feedback: Vec<_> = sensed.iter().map(|one| one.map(feedback)).collect();
             let output = guard.tick(&Input {
                 now: *now,
                 feedback: &feedback,
-                message: message.as_ref().map(|(deadman, goal)| Message {
-                    deadman: *deadman,
-                    goal: goal.as_deref(),
+                message: deadman.map(|deadman| Message {
+                    deadman,
+                    goal: targets.as_deref().filter(|_| *new),
                 }),
+                again: targets.as_deref().filter(|_| !*new),
                 request: request.as_deref().and_then(recording::request),
                 emergency: *emergency,
             });

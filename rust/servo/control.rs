@@ -48,6 +48,8 @@ pub struct Entry {
     /// ns.
     pub now: u64,
     pub orders: Orders,
+    /// Whether a command was ever heard, and its ticks now.
+    pub aimed: bool,
     pub targets: [f64; MOST_SERVOS],
     pub feedback: [Option<Feedback>; MOST_SERVOS],
     pub output: Output,
@@ -107,6 +109,8 @@ pub struct Control<P, L, M, R> {
     timing: Timing,
     budget: Budget,
     channels: Vec<Reversals>,
+    /// The newest command as it was sent, and as it is aimed at, mm.
+    wanted: Option<[f64; MOST_SERVOS]>,
     command: Vec<f64>,
     targets: Vec<f64>,
     positions: Vec<i32>,
@@ -136,6 +140,7 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
                 age: [0; 32],
             },
             channels: vec![Reversals::new(0.0, &budget); channels],
+            wanted: None,
             command: vec![0.0; channels],
             targets: vec![0.0; servos],
             positions: guard.limits().axes.iter().map(|axis| axis.home).collect(),
@@ -177,19 +182,20 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
             Ok(heard) => feedback[..heard.len()].copy_from_slice(heard),
             Err(failed) => fault = Some(failed),
         }
-        let target = orders
-            .command
-            .is_some_and(|command| self.target(&command, period));
-        if target {
+        if let Some(command) = &orders.command {
+            self.wanted = Some(*command);
             Timing::note(&mut self.timing.age, begun.saturating_sub(orders.sent));
         }
+        self.aim(period);
+        let goal = self.wanted.is_some().then_some(&self.targets[..]);
         let output = self.guard.tick(&Input {
             now: begun,
             feedback: &feedback[..self.targets.len()],
             message: orders.heard.then_some(Message {
                 deadman: orders.deadman,
-                goal: target.then_some(&self.targets),
+                goal: goal.filter(|_| orders.command.is_some()),
             }),
+            again: goal.filter(|_| orders.command.is_none()),
             request: orders.request,
             emergency: orders.emergency,
         });
@@ -210,6 +216,7 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
         let mut entry = Entry {
             now: begun,
             orders,
+            aimed: self.wanted.is_some(),
             targets: [f64::NAN; MOST_SERVOS],
             feedback,
             output,
@@ -219,9 +226,7 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
             fault,
             overruns: self.timing.overruns,
         };
-        if target {
-            entry.targets[..self.targets.len()].copy_from_slice(&self.targets);
-        }
+        entry.targets[..self.targets.len()].copy_from_slice(&self.targets);
         entry.goals[..self.targets.len()].copy_from_slice(self.guard.goals());
         self.record.take(&entry);
         output
@@ -246,17 +251,18 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
         begun
     }
 
-    /// The ticks of `command`, its reversals within their budget; false where there are none to be had.
-    fn target(&mut self, command: &[f64; MOST_SERVOS], period: f64) -> bool {
-        for (k, channel) in self.channels.iter_mut().enumerate() {
-            self.command[k] = if command[k].is_finite() {
-                channel.step(command[k], period, &self.budget)
+    /// The ticks of the newest command, its reversals within their budget; the planner's effects go on meanwhile.
+    fn aim(&mut self, period: f64) {
+        let Some(wanted) = &self.wanted else { return };
+        for ((channel, command), mm) in self.channels.iter_mut().zip(&mut self.command).zip(wanted)
+        {
+            *command = if mm.is_finite() {
+                channel.step(*mm, period, &self.budget)
             } else {
                 f64::NAN
             };
         }
         self.plan.ticks(&self.command, &mut self.targets);
-        true
     }
 }
 

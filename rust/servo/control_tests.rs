@@ -340,6 +340,27 @@ fn glitches_end_nothing() {
 }
 
 #[test]
+fn reversals_are_counted_by_time_whatever_the_rate_of_commands() {
+    let mut bench = engaged();
+    let begun = bench.channels[0].turned;
+    for tick in 0..2000 {
+        // A hand that trembles by 0.4 mm five times a second, heard 33 times a second.
+        if tick % 6 == 0 {
+            bench.drive_to([
+                1.0 + 0.2 * (f64::from(tick) * PERIOD * 5.0 * std::f64::consts::TAU).sin(),
+                -1.0,
+            ]);
+        } else {
+            bench.mailbox.0 = Orders::default();
+        }
+        bench.step();
+    }
+    // 10 s at 5 a second and 5 at once; the hand turns 100 times.
+    let turned = bench.channels[0].turned - begun;
+    assert!((45..=56).contains(&turned), "{turned}");
+}
+
+#[test]
 fn missed_periods_are_counted_and_skipped() {
     let mut bench = engaged();
     let (ticks, before) = (bench.timing().ticks, bench.drive.bus().port().now());
@@ -367,14 +388,16 @@ fn a_recording_replays_bit_for_bit() {
     }
     let mut guard = Guard::new(limits());
     for entry in &bench.record.0 {
-        let goal = entry.orders.command.map(|_| &entry.targets[..2]);
+        let goal = entry.aimed.then_some(&entry.targets[..2]);
+        let new = entry.orders.command.is_some();
         let output = guard.tick(&Input {
             now: entry.now,
             feedback: &entry.feedback[..2],
             message: entry.orders.heard.then_some(Message {
                 deadman: entry.orders.deadman,
-                goal,
+                goal: goal.filter(|_| new),
             }),
+            again: goal.filter(|_| !new),
             request: entry.orders.request,
             emergency: entry.orders.emergency,
         });

@@ -123,8 +123,8 @@ def _told(period: Document) -> tuple[Any, ...]:
         sensed.append((int(position), int(period["clock"][k]), *rest, health))
     target = period.get("target")
     goal = None if target is None else [float("nan") if tick is None else float(tick) for tick in target]
-    message = (period["deadman"], goal) if period["heard"] else None
-    return period["now"], sensed, message, period["request"], period["emergency"]
+    deadman = bool(period["deadman"]) if period["heard"] else None
+    return period["now"], sensed, deadman, goal, "command" in period, period["request"], period["emergency"]
 
 
 def read_recording(path: str | Path) -> Recording:

@@ -4,7 +4,7 @@ use super::limits::{Axis, FARTHEST, Limits};
 use super::path::{Bounds, Path};
 use super::servo::Servo;
 use super::time::{Stamp, Time};
-use super::{Cause, Denied, Input, Message, Output, Reaction, Request, State};
+use super::{Cause, Denied, Input, Output, Reaction, Request, State};
 
 /// The state machine and the paths of the goals.
 #[derive(Debug, Clone)]
@@ -102,10 +102,7 @@ impl Guard {
                 self.servos[k].hear(said, &self.limits.axes[k], &self.time, goal);
             }
         }
-        let (mut refused, mut jumped) = (false, false);
-        if let Some(message) = input.message {
-            (refused, jumped) = self.listen(&message);
-        }
+        let (refused, jumped) = self.listen(input);
         let trouble = self.trouble(input.emergency);
         if let Some((cause, servo)) = trouble {
             self.react(cause, servo);
@@ -130,11 +127,14 @@ impl Guard {
         }
     }
 
-    /// Take in a message: whether its goal was refused, and whether it jumped.
-    fn listen(&mut self, message: &Message<'_>) -> (bool, bool) {
-        self.rearm &= message.deadman;
-        self.deadman = (message.deadman, self.time.now);
-        let Some(goal) = message.goal else {
+    /// Take in what is asked: whether a goal was refused, and whether it jumped.
+    fn listen(&mut self, input: &Input<'_>) -> (bool, bool) {
+        if let Some(message) = &input.message {
+            self.rearm &= message.deadman;
+            self.deadman = (message.deadman, self.time.now);
+        }
+        let new = input.message.and_then(|message| message.goal);
+        let Some(goal) = new.or(input.again) else {
             return (false, false);
         };
         let sound = goal.len() == self.targets.len()
@@ -145,12 +145,17 @@ impl Guard {
             .zip(&self.targets)
             .map(|(tick, before)| if follows { (tick - before).abs() } else { 0.0 })
             .fold(0.0, f64::max);
-        self.refused = !sound || jump > self.limits.jump.1;
-        if self.refused {
+        let refused = !sound || jump > self.limits.jump.1;
+        if new.is_some() {
+            self.refused = refused;
+        }
+        if refused {
             return (true, false);
         }
         self.targets.copy_from_slice(goal);
-        self.fresh = Some(self.time.now);
+        if new.is_some() {
+            self.fresh = Some(self.time.now);
+        }
         (false, jump > self.limits.jump.0)
     }
 

@@ -242,6 +242,8 @@ pub struct Input<'a> {
     /// Of each servo, what was heard since the last tick.
     pub feedback: &'a [Option<Feedback>],
     pub message: Option<Message<'a>>,
+    /// Without a new goal: the last one as the planner has it now. No news, so that it keeps nothing going.
+    pub again: Option<&'a [f64]>,
     pub request: Option<Request>,
     /// The emergency stop is pressed, or its line is dead.
     pub emergency: bool,
