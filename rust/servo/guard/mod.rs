@@ -8,6 +8,10 @@
 //! Reactions to every fault: docs/safety.md. Time-outs run by the clock and by counted periods, whichever is sooner: a
 //! clock that stands still or jumps back stretches none.
 
+#[cfg(test)]
+mod checker;
+#[cfg(test)]
+mod fuzz;
 pub mod limits;
 mod machine;
 pub mod path;
