@@ -2,6 +2,8 @@
 //!
 //! Nothing here knows Python except the `python` module, which only converts and forwards.
 
+#[cfg(test)]
+mod allocations;
 pub mod answer;
 mod cables;
 pub mod complementarity;

@@ -4,6 +4,7 @@
 //! expanded to the M numbers, and the whole is seen through linear maps (vertices → features).
 
 use crate::error::{Result, invalid};
+use crate::room::with_few;
 use std::sync::Arc;
 
 /// Modes up to this number are blended on the stack.
@@ -155,14 +156,15 @@ impl Modes {
 
     /// Write the slopes (M, `channels`) to `out`; `weigh` adds those of the m weights by each channel.
     pub fn jacobian(&self, channels: usize, out: &mut [f64], weigh: impl Fn(usize, &mut [f64])) {
-        let mut column = vec![0.0; self.size()];
-        for c in 0..channels {
-            column.fill(0.0);
-            self.add(&mut column, |weights| weigh(c, weights));
-            for (row, slope) in out.chunks_exact_mut(channels).zip(&column) {
-                row[c] = *slope;
+        with_few(self.size(), |column| {
+            for c in 0..channels {
+                column.fill(0.0);
+                self.add(column, |weights| weigh(c, weights));
+                for (row, slope) in out.chunks_exact_mut(channels).zip(column.iter()) {
+                    row[c] = *slope;
+                }
             }
-        }
+        });
     }
 
     /// Few weights live on the stack.

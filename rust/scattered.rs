@@ -9,6 +9,7 @@
 
 use crate::error::{Result, invalid};
 use crate::modes::{Modes, accumulate};
+use crate::room::with_few;
 use crate::shape::Shape;
 
 /// No scale is smaller, in command units: a division by it must stay finite.
@@ -136,16 +137,19 @@ impl Scattered {
 
     /// Call `add(node, r, q − q_node)` for every node.
     fn visit(&self, u: &[f64], mut add: impl FnMut(usize, f64, &[f64])) {
-        let q: Vec<f64> = u.iter().zip(&self.scale).map(|(u, s)| u / s).collect();
-        let mut apart = vec![0.0; q.len()];
-        for (i, node) in self.nodes.chunks_exact(q.len()).enumerate() {
-            let mut square = 0.0;
-            for c in 0..q.len() {
-                apart[c] = q[c] - node[c];
-                square += apart[c] * apart[c];
+        with_few(2 * u.len(), |work| {
+            let (q, apart) = work.split_at_mut(u.len());
+            let both = u.iter().zip(&self.scale);
+            q.iter_mut().zip(both).for_each(|(q, (u, s))| *q = u / s);
+            for (i, node) in self.nodes.chunks_exact(q.len()).enumerate() {
+                let mut square = 0.0;
+                for c in 0..q.len() {
+                    apart[c] = q[c] - node[c];
+                    square += apart[c] * apart[c];
+                }
+                add(i, square.sqrt(), apart);
             }
-            add(i, square.sqrt(), &apart);
-        }
+        });
     }
 }
 

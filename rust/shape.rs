@@ -5,8 +5,18 @@
 //! asks for tables, to sum them faster).
 
 use crate::error::{Result, invalid};
+use crate::modes::accumulate;
 use crate::table::Table;
 use std::sync::Arc;
+
+/// Room that a shape works in and keeps for the next time: what asks at every tick of a loop allocates at the first alone.
+#[derive(Debug, Default)]
+pub struct Work {
+    pub singles: Vec<f32>,
+    pub doubles: Vec<f64>,
+    /// What a sum adds.
+    more: Vec<f64>,
+}
 
 /// A map from commands to shape numbers.
 pub trait Shape: Send + Sync {
@@ -40,6 +50,13 @@ pub trait Shape: Send + Sync {
     /// The same shape with one of `numbers` multiplied by a factor; none if it has no such number.
     fn with_number(&self, _name: &str, _factor: f64) -> Option<Arc<dyn Shape>> {
         None
+    }
+
+    /// Both at once: the outputs (M,) and the slopes (M, C). Families that a control loop asks allocate nothing here once `work` has
+    /// grown; of the rods, those with elastic tendons do.
+    fn with_slopes(&self, u: &[f64], values: &mut [f64], slopes: &mut [f64], _work: &mut Work) {
+        self.eval(u, values);
+        self.jacobian(u, slopes);
     }
 
     /// The slopes d out[m] / d u[c] at `u`, written to `out[m * C + c]`, shape (M, C).
@@ -120,6 +137,17 @@ impl Shape for Sum {
         out.iter_mut()
             .zip(more)
             .for_each(|(sum, value)| *sum += value);
+    }
+
+    fn with_slopes(&self, u: &[f64], values: &mut [f64], slopes: &mut [f64], work: &mut Work) {
+        self.prior.with_slopes(u, values, slopes, work);
+        let mut more = std::mem::take(&mut work.more);
+        more.resize(values.len() + slopes.len(), 0.0);
+        let (value, slope) = more.split_at_mut(values.len());
+        self.residual.with_slopes(u, value, slope, work);
+        accumulate(values, value, 1.0);
+        accumulate(slopes, slope, 1.0);
+        work.more = more;
     }
 }
 

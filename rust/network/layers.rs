@@ -1,19 +1,25 @@
-//! Layers at work on several numbers side by side: commands, or one command and its tangents.
+//! Layers at work on a few columns side by side: commands, or one command and its tangents.
+//!
+//! Weights are packed [rows/32][columns][32], so that one pass reads them once, in order; a number of each column is broadcast
+//! against them, and all sums of a block stay in registers (`GROUP`). Every sum goes over its inputs in order, however many
+//! columns stand beside it, so that a command has the same numbers alone and in a batch.
 
-use std::f64::consts::{FRAC_1_SQRT_2, PI};
+use pulp::Simd;
+use std::f32::consts::{FRAC_1_SQRT_2, LN_2, LOG2_E};
 
-/// Commands, or a command and its tangents, that run side by side.
-pub const LANES: usize = 8;
-/// Rows of a layer that are summed at a time.
-const ROWS: usize = 4;
+/// Columns that run side by side at most.
+pub const COLUMNS: usize = 8;
+/// Rows of a layer whose weights lie together.
+const BLOCK: usize = 32;
+/// Numbers that a reduction sums side by side.
+const SUMS: usize = 8;
 
-pub(super) type Lanes = [f32; LANES];
-
-/// y = W x + b, W row by row.
+/// y = W x + b.
 #[derive(Debug, Clone)]
 pub(super) struct Linear {
+    pub rows: usize,
     pub columns: usize,
-    pub weights: Vec<f32>,
+    packed: Vec<f32>,
     pub bias: Vec<f32>,
 }
 
@@ -23,87 +29,283 @@ pub(crate) enum Activation {
     Gelu,
 }
 
-impl Linear {
+/// N columns of numbers, each `stride` after the other.
+pub(super) struct Columns<'a, const N: usize> {
+    pub numbers: &'a mut [f32],
+    pub stride: usize,
+    /// Whether columns beyond the first are tangents of it.
+    pub tangents: bool,
+}
+
+impl<const N: usize> Columns<'_, N> {
     #[inline(always)]
-    /// W x, and b times what `biased` says of each lane.
-    pub fn apply(&self, x: &[Lanes], biased: &Lanes, out: &mut [Lanes]) {
-        let blocks = out
-            .chunks_mut(ROWS)
-            .zip(self.weights.chunks(ROWS * self.columns))
-            .zip(self.bias.chunks(ROWS));
-        for ((out, weights), bias) in blocks {
-            let mut sums = [[0.0f32; LANES]; ROWS];
-            if out.len() == ROWS {
-                let (one, rest) = weights.split_at(self.columns);
-                let (two, rest) = rest.split_at(self.columns);
-                let (three, four) = rest.split_at(self.columns);
-                for ((((x, a), b), c), d) in x.iter().zip(one).zip(two).zip(three).zip(four) {
-                    for k in 0..LANES {
-                        sums[0][k] += a * x[k];
-                        sums[1][k] += b * x[k];
-                        sums[2][k] += c * x[k];
-                        sums[3][k] += d * x[k];
-                    }
-                }
-            } else {
-                for (sum, row) in sums.iter_mut().zip(weights.chunks(self.columns)) {
-                    for (x, w) in x.iter().zip(row) {
-                        (0..LANES).for_each(|k| sum[k] += w * x[k]);
-                    }
-                }
+    fn column(&mut self, n: usize, width: usize) -> &mut [f32] {
+        &mut self.numbers[n * self.stride..][..width]
+    }
+
+    /// How much of a constant a column gets: its slope is 0.
+    #[inline(always)]
+    fn constant(&self, n: usize) -> f32 {
+        if self.tangents && n > 0 { 0.0 } else { 1.0 }
+    }
+}
+
+/// How far apart the columns of a network lie: no power of two, which would meet in one place of the cache.
+pub(super) fn stride(widest: usize) -> usize {
+    widest.next_multiple_of(BLOCK) + BLOCK / 2
+}
+
+impl Linear {
+    /// Take `weights` (rows, columns) row by row, and as many numbers of `bias` as rows.
+    pub fn new(columns: usize, weights: &[f64], bias: &[f64]) -> Linear {
+        let rows = bias.len();
+        let mut layer = Linear {
+            rows,
+            columns,
+            packed: vec![0.0; rows.next_multiple_of(BLOCK) * columns],
+            bias: bias.iter().map(|b| *b as f32).collect(),
+        };
+        for (i, weight) in weights.iter().enumerate() {
+            *layer.weight_mut(i / columns, i % columns) = *weight as f32;
+        }
+        layer
+    }
+
+    fn place(&self, row: usize, column: usize) -> usize {
+        (row / BLOCK * self.columns + column) * BLOCK + row % BLOCK
+    }
+
+    pub fn weight(&self, row: usize, column: usize) -> f32 {
+        self.packed[self.place(row, column)]
+    }
+
+    pub fn weight_mut(&mut self, row: usize, column: usize) -> &mut f32 {
+        let place = self.place(row, column);
+        &mut self.packed[place]
+    }
+
+    /// Write W x + b of every column to `out`, beyond the last row up to the end of its block zeros.
+    #[inline(always)]
+    pub fn apply<S: Simd, const N: usize>(&self, simd: S, x: &Columns<N>, out: &mut Columns<N>) {
+        // As many sums as there are registers for, or as the plain loops of a processor without any can keep.
+        match (S::F32_LANES, N) {
+            (16, ..=4) => self.sums::<S, N, 2>(simd, x, out),
+            (16, _) => self.sums::<S, N, 1>(simd, x, out),
+            (8, ..=3) => self.sums::<S, N, 4>(simd, x, out),
+            (8, 4) => self.sums::<S, N, 2>(simd, x, out),
+            (8, _) => self.sums::<S, N, 1>(simd, x, out),
+            (4, ..=3) => self.sums::<S, N, 8>(simd, x, out),
+            (4, 4) => self.sums::<S, N, 4>(simd, x, out),
+            (4, _) => self.sums::<S, N, 2>(simd, x, out),
+            (_, ..=4) => self.sums::<S, N, 8>(simd, x, out),
+            _ => self.sums::<S, N, 4>(simd, x, out),
+        }
+        for n in 0..N {
+            let constant = x.constant(n);
+            let column = out.column(n, self.rows);
+            for r in 0..self.rows {
+                column[r] += constant * self.bias[r];
             }
-            for ((out, sum), bias) in out.iter_mut().zip(&sums).zip(bias) {
-                (0..LANES).for_each(|k| out[k] = sum[k] + bias * biased[k]);
+        }
+    }
+
+    /// W x of every column, V vectors of rows at a time.
+    #[inline(always)]
+    fn sums<S: Simd, const N: usize, const V: usize>(
+        &self,
+        simd: S,
+        x: &Columns<N>,
+        out: &mut Columns<N>,
+    ) {
+        let together = V * S::F32_LANES;
+        let inputs: [&[f32]; N] =
+            std::array::from_fn(|n| &x.numbers[n * x.stride..][..self.columns]);
+        for (b, block) in self.packed.chunks_exact(BLOCK * self.columns).enumerate() {
+            for first in (0..BLOCK).step_by(together) {
+                let mut sums = [[simd.splat_f32s(0.0); V]; N];
+                for k in 0..self.columns {
+                    let row = &block[k * BLOCK + first..][..together];
+                    let (weights, _) = S::as_simd_f32s(row);
+                    for n in 0..N {
+                        let input = simd.splat_f32s(inputs[n][k]);
+                        for v in 0..V {
+                            sums[n][v] = simd.mul_add_e_f32s(weights[v], input, sums[n][v]);
+                        }
+                    }
+                }
+                for n in 0..N {
+                    let start = n * out.stride + b * BLOCK + first;
+                    let (rows, _) = S::as_mut_simd_f32s(&mut out.numbers[start..][..together]);
+                    rows.copy_from_slice(&sums[n]);
+                }
             }
         }
     }
 }
 
 impl Activation {
-    /// Value and slope.
-    pub fn at(self, x: f32) -> (f32, f32) {
+    /// Change the first `width` numbers of every column; tangents by the slope at the value.
+    #[inline(always)]
+    pub(super) fn apply<const N: usize>(self, x: &mut Columns<N>, width: usize) {
         match self {
-            Activation::Relu if x > 0.0 => (x, 1.0),
-            Activation::Relu => (0.0, if x == 0.0 { 1.0 } else { 0.0 }),
-            Activation::Gelu => {
-                let wide = f64::from(x);
-                let below = 0.5 * (1.0 + libm::erf(wide * FRAC_1_SQRT_2));
-                let density = (-0.5 * wide * wide).exp() / (2.0 * PI).sqrt();
-                ((wide * below) as f32, (below + wide * density) as f32)
-            }
+            Activation::Relu => each(
+                x,
+                width,
+                #[inline(always)]
+                // At the kink the slope above it.
+                |v| (v.max(0.0), if v >= 0.0 { 1.0 } else { 0.0 }),
+            ),
+            Activation::Gelu => each(
+                x,
+                width,
+                #[inline(always)]
+                |v| {
+                    let (below, density) = normal(v);
+                    (v * below, below + v * density)
+                },
+            ),
         }
-    }
-
-    /// Lane 0 is the value, those after it up to `count` are slopes.
-    pub fn with_slopes(self, lanes: &mut Lanes, count: usize) {
-        let (value, slope) = self.at(lanes[0]);
-        lanes[0] = value;
-        lanes[1..count].iter_mut().for_each(|v| *v *= slope);
     }
 }
 
-/// Take the mean from every lane and divide it by its standard deviation; tangents go with lane 0.
-pub(super) fn normalise(x: &mut [Lanes], epsilon: f32, tangents: bool) {
-    let count = x.len() as f32;
-    let mut mean = [0.0f32; LANES];
-    x.iter()
-        .for_each(|v| (0..LANES).for_each(|k| mean[k] += v[k] / count));
-    x.iter_mut()
-        .for_each(|v| (0..LANES).for_each(|k| v[k] -= mean[k]));
-    let with = |k: usize| if tangents { 0 } else { k };
-    let mut squares = [0.0f32; LANES];
-    x.iter()
-        .for_each(|v| (0..LANES).for_each(|k| squares[k] += v[k] * v[with(k)] / count));
-    let part: Lanes = std::array::from_fn(|k| 1.0 / (squares[with(k)] + epsilon).sqrt());
-    for v in x.iter_mut() {
-        let value = v[0];
-        for k in 0..LANES {
-            let along = if tangents && k > 0 {
-                value * squares[k] * part[0] * part[0]
-            } else {
-                0.0
-            };
-            v[k] = (v[k] - along) * part[k];
+/// Replace every value by that of `law`, its tangents by themselves times the slope of `law`.
+#[inline(always)]
+fn each<const N: usize>(x: &mut Columns<N>, width: usize, law: impl Fn(f32) -> (f32, f32)) {
+    let (stride, tangents) = (x.stride, x.tangents);
+    if tangents {
+        let (values, rest) = x.numbers.split_at_mut(stride);
+        // Some at a time, whose slopes stay where they are used.
+        let mut slopes = [0.0f32; BLOCK];
+        for (b, values) in values[..width].chunks_mut(BLOCK).enumerate() {
+            for (value, slope) in values.iter_mut().zip(&mut slopes) {
+                (*value, *slope) = law(*value);
+            }
+            for n in 1..N {
+                let column = &mut rest[(n - 1) * stride + b * BLOCK..][..values.len()];
+                for (tangent, slope) in column.iter_mut().zip(&slopes) {
+                    *tangent *= slope;
+                }
+            }
+        }
+    } else {
+        for n in 0..N {
+            for value in x.column(n, width) {
+                *value = law(*value).0;
+            }
         }
     }
+}
+
+/// The share of a standard normal distribution below `x`, and its density there; to 3e-7.
+///
+/// erf by the rational function of Eigen (Guennebaud et al., https://eigen.tuxfamily.org, MathFunctionsImpl.h), exp by its
+/// series about the nearest power of two: plain arithmetic, which compiles to vectors.
+#[inline(always)]
+pub(super) fn normal(x: f32) -> (f32, f32) {
+    const DENSITY: f32 = 0.398_942_3; // of x = 0
+    const ABOVE: [f32; 7] = [
+        -2.726_142_3e-10,
+        2.770_681_5e-8,
+        -2.101_024e-6,
+        -5.692_506_4e-5,
+        -7.349_906_3e-4,
+        -2.954_6e-3,
+        -1.609_603_3e-2,
+    ];
+    const UNDER: [f32; 5] = [
+        -1.456_607_2e-5,
+        -2.133_740_6e-4,
+        -1.682_827e-3,
+        -7.373_329e-3,
+        -1.426_473_9e-2,
+    ];
+    let z = (x * FRAC_1_SQRT_2).clamp(-4.0, 4.0);
+    let square = z * z;
+    let (mut above, mut under) = (ABOVE[0], UNDER[0]);
+    for k in 1..ABOVE.len() {
+        above = above * square + ABOVE[k];
+    }
+    for k in 1..UNDER.len() {
+        under = under * square + UNDER[k];
+    }
+    let below = 0.5 + 0.5 * (z * above / under);
+    (below, DENSITY * exponential((-0.5 * x * x).max(-80.0)))
+}
+
+/// e^x for −80 ≤ x ≤ 0.
+#[inline(always)]
+fn exponential(x: f32) -> f32 {
+    const SERIES: [f32; 6] = [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0];
+    const ROUNDS: f32 = 12_582_912.0; // 1.5 · 2²³: a number added to it loses its fraction
+    let rounded = x * LOG2_E + ROUNDS;
+    let power = rounded - ROUNDS;
+    // ln 2 in two parts, the first of few digits.
+    let rest = (x - power * 0.693_359_4) - power * (LN_2 - 0.693_359_4);
+    let mut sum = SERIES[0];
+    for k in 1..SERIES.len() {
+        sum = sum * rest + SERIES[k];
+    }
+    let whole = f32::from_bits((rounded.to_bits() << 23).wrapping_add(1.0f32.to_bits()));
+    (sum * rest + 1.0) * whole
+}
+
+/// y = s x + t, number by number.
+#[inline(always)]
+pub(super) fn affine<const N: usize>(x: &mut Columns<N>, scale: &[f32], shift: &[f32]) {
+    for n in 0..N {
+        let constant = x.constant(n);
+        let column = x.column(n, scale.len());
+        for i in 0..scale.len() {
+            column[i] = scale[i] * column[i] + constant * shift[i];
+        }
+    }
+}
+
+/// Take the mean from the first `width` numbers of every column and divide them by their standard deviation; tangents go
+/// with the first column: with y = (x − m)/σ, dy = (dx − mean(dx) − y·mean(y·dx))/σ.
+#[inline(always)]
+pub(super) fn normalise<const N: usize>(x: &mut Columns<N>, width: usize, epsilon: f32) {
+    let part = 1.0 / width as f32;
+    for n in 0..N {
+        let column = x.column(n, width);
+        let mean = part * dot(column, None);
+        column.iter_mut().for_each(|v| *v -= mean);
+    }
+    let factor = |variance: f32| 1.0 / (variance + epsilon).sqrt();
+    if !x.tangents {
+        for n in 0..N {
+            let column = x.column(n, width);
+            let factor = factor(part * dot(column, Some(column)));
+            column.iter_mut().for_each(|v| *v *= factor);
+        }
+        return;
+    }
+    let (values, rest) = x.numbers.split_at_mut(x.stride);
+    let values = &mut values[..width];
+    let factor = factor(part * dot(values, Some(values)));
+    values.iter_mut().for_each(|v| *v *= factor);
+    for n in 1..N {
+        let column = &mut rest[(n - 1) * x.stride..][..width];
+        let along = part * dot(column, Some(values));
+        for (v, value) in column.iter_mut().zip(values.iter()) {
+            *v = (*v - along * value) * factor;
+        }
+    }
+}
+
+/// Σ a·b, or Σ a.
+#[inline(always)]
+fn dot(a: &[f32], b: Option<&[f32]>) -> f32 {
+    let mut sums = [0.0f32; SUMS];
+    let b = b.map(|b| &b[..a.len()]);
+    let whole = a.len() - a.len() % SUMS;
+    for first in (0..whole).step_by(SUMS) {
+        for k in 0..SUMS {
+            sums[k] += a[first + k] * b.map_or(1.0, |b| b[first + k]);
+        }
+    }
+    for i in whole..a.len() {
+        sums[i - whole] += a[i] * b.map_or(1.0, |b| b[i]);
+    }
+    sums.iter().sum()
 }

@@ -4,18 +4,20 @@
 //!
 //! with Relu, Gelu (Hendrycks & Gimpel 2016, arXiv:1606.08415) or a normalised layer (Ba et al. 2016, arXiv:1607.06450) as a_k. Constants
 //! before and after a linear layer are folded into it in double precision when the file is read (`onnx.rs`); the layers then run in single
-//! precision, several commands side by side, or one command with its slopes (a tangent for each channel) in the same pass.
+//! precision, several commands side by side, or one command with its slopes (a tangent for each channel) in the same pass (`layers.rs`),
+//! with the widest vectors that this processor has. A pass reads the weights once and takes little longer than that; nothing is allocated
+//! where it may keep its room (`Shape::with_slopes`).
 //! Limits: values are right to some 1e-6 of the size of the outputs; at a kink of Relu the slope is that of the side above.
 
 mod layers;
 mod onnx;
 
-pub use layers::LANES;
-use layers::{Activation, Lanes, Linear, normalise};
+pub use layers::COLUMNS;
+use layers::{Activation, Columns, Linear, affine, normalise};
 
 use crate::error::{Result, invalid};
-use crate::modes::wide;
-use crate::shape::Shape;
+use crate::shape::{Shape, Work};
+use pulp::{Arch, Simd, WithSimd};
 
 /// A layer as it stands in a file.
 pub(crate) enum Layer {
@@ -144,7 +146,7 @@ impl Network {
     /// Numbers that were trained.
     pub fn parameters(&self) -> usize {
         let of = |step: &Step| match step {
-            Step::Linear(layer) => layer.weights.len() + layer.bias.len(),
+            Step::Linear(layer) => layer.rows * (layer.columns + 1),
             _ => 0,
         };
         self.steps.iter().map(of).sum()
@@ -170,52 +172,114 @@ impl Network {
                 .sum()
         };
         let columns = last.columns;
-        let rows = (0..count * columns)
-            .map(|k| through(&|i| last.weights[i * columns + k % columns], k / columns) as f32);
-        let (rows, bias) = (
-            rows.collect(),
-            (0..count).map(|m| (through(&|i| last.bias[i], m) + offset[m]) as f32),
-        );
-        let bias = bias.collect();
-        *last = Linear {
-            columns,
-            weights: rows,
-            bias,
-        };
+        let rows: Vec<f64> = (0..count * columns)
+            .map(|k| through(&|i| last.weight(i, k % columns), k / columns))
+            .collect();
+        let bias: Vec<f64> = (0..count)
+            .map(|m| through(&|i| last.bias[i], m) + offset[m])
+            .collect();
+        *last = Linear::new(columns, &rows, &bias);
         found.size = count;
-        found.widest = found.widest.max(count);
+        found.widest = found.widths().max().unwrap_or(0);
         Ok(found)
     }
 
-    /// Run all layers on `x`, `count` lanes of which are asked for; as `tangents` lane 0 is the value and the others slopes.
-    fn run(&self, x: &mut Vec<Lanes>, biased: &Lanes, count: usize, tangents: bool) {
-        x.reserve(self.widest);
-        let mut next: Vec<Lanes> = Vec::with_capacity(self.widest);
-        for step in &self.steps {
+    /// Numbers between its layers, and at both ends.
+    fn widths(&self) -> impl Iterator<Item = usize> {
+        let rows = self.steps.iter().filter_map(|step| match step {
+            Step::Linear(layer) => Some(layer.rows),
+            _ => None,
+        });
+        rows.chain([self.channels])
+    }
+
+    /// Run `N` columns, of which `first(n, c)` is input c of column n; `take(n, outputs)` is given what comes out.
+    #[inline(always)]
+    fn columns<const N: usize>(
+        &self,
+        tangents: bool,
+        singles: &mut Vec<f32>,
+        first: impl Fn(usize, usize) -> f64,
+        mut take: impl FnMut(usize, &[f32]),
+    ) {
+        let stride = layers::stride(self.widest);
+        if singles.len() < 2 * N * stride {
+            singles.resize(2 * N * stride, 0.0);
+        }
+        let (x, next) = singles[..2 * N * stride].split_at_mut(N * stride);
+        for n in 0..N {
+            (0..self.channels).for_each(|c| x[n * stride + c] = first(n, c) as f32);
+        }
+        let found = Arch::new().dispatch(Pass::<N> {
+            steps: &self.steps,
+            width: self.channels,
+            x: Columns {
+                numbers: x,
+                stride,
+                tangents,
+            },
+            next: Columns {
+                numbers: next,
+                stride,
+                tangents,
+            },
+        });
+        (0..N).for_each(|n| take(n, &found[n * stride..][..self.size]));
+    }
+
+    /// The outputs at up to `COLUMNS` commands.
+    fn some(&self, rows: &[f64], out: &mut [f64], singles: &mut Vec<f32>) {
+        let (channels, size, count) = (self.channels, self.size, rows.len() / self.channels);
+        // Where fewer commands are given than run, the last one runs again.
+        let first = |n: usize, c: usize| rows[n.min(count - 1) * channels + c];
+        let take = |n: usize, found: &[f32]| {
+            if n < count {
+                let row = out[n * size..(n + 1) * size].iter_mut();
+                row.zip(found).for_each(|(out, v)| *out = f64::from(*v));
+            }
+        };
+        match count {
+            1 => self.columns::<1>(false, singles, first, take),
+            2 => self.columns::<2>(false, singles, first, take),
+            3 => self.columns::<3>(false, singles, first, take),
+            4 => self.columns::<4>(false, singles, first, take),
+            _ => self.columns::<COLUMNS>(false, singles, first, take),
+        }
+    }
+}
+
+/// One run through all layers.
+struct Pass<'a, const N: usize> {
+    steps: &'a [Step],
+    width: usize,
+    x: Columns<'a, N>,
+    next: Columns<'a, N>,
+}
+
+impl<'a, const N: usize> WithSimd for Pass<'a, N> {
+    type Output = &'a [f32];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> &'a [f32] {
+        let Pass {
+            steps,
+            mut width,
+            mut x,
+            mut next,
+        } = self;
+        for step in steps {
             match step {
                 Step::Linear(layer) => {
-                    next.clear();
-                    next.resize(layer.bias.len(), [0.0; LANES]);
-                    wide(
-                        #[inline(always)]
-                        || layer.apply(x, biased, &mut next),
-                    );
-                    std::mem::swap(x, &mut next);
+                    layer.apply(simd, &x, &mut next);
+                    width = layer.rows;
+                    std::mem::swap(&mut x, &mut next);
                 }
-                Step::Activation(of) if tangents => {
-                    x.iter_mut().for_each(|v| of.with_slopes(v, count))
-                }
-                Step::Activation(of) => x
-                    .iter_mut()
-                    .for_each(|v| v[..count].iter_mut().for_each(|v| *v = of.at(*v).0)),
-                Step::Normalise { epsilon } => normalise(x, *epsilon, tangents),
-                Step::Affine { scale, shift } => {
-                    for ((v, s), t) in x.iter_mut().zip(scale).zip(shift) {
-                        (0..LANES).for_each(|k| v[k] = v[k] * s + t * biased[k]);
-                    }
-                }
+                Step::Activation(of) => of.apply(&mut x, width),
+                Step::Normalise { epsilon } => normalise(&mut x, width, *epsilon),
+                Step::Affine { scale, shift } => affine(&mut x, scale, shift),
             }
         }
+        x.numbers
     }
 }
 
@@ -229,50 +293,47 @@ impl Shape for Network {
     }
 
     fn eval(&self, u: &[f64], out: &mut [f64]) {
-        self.eval_rows(u, out);
+        self.some(u, out, &mut vec![]);
     }
 
     fn eval_rows(&self, rows: &[f64], out: &mut [f64]) {
-        let each = LANES * self.channels;
-        for (rows, out) in rows.chunks(each).zip(out.chunks_mut(LANES * self.size)) {
-            let count = rows.len() / self.channels;
-            let mut x: Vec<Lanes> = (0..self.channels)
-                .map(|c| {
-                    std::array::from_fn(|k| {
-                        if k < count {
-                            rows[k * self.channels + c] as f32
-                        } else {
-                            0.0
-                        }
-                    })
-                })
-                .collect();
-            self.run(&mut x, &[1.0; LANES], count, false);
-            for k in 0..count {
-                (0..self.size).for_each(|m| out[k * self.size + m] = f64::from(x[m][k]));
-            }
+        let (each, mut singles) = (COLUMNS * self.channels, vec![]);
+        for (rows, out) in rows.chunks(each).zip(out.chunks_mut(COLUMNS * self.size)) {
+            self.some(rows, out, &mut singles);
         }
     }
 
     fn jacobian(&self, u: &[f64], out: &mut [f64]) {
-        let mut biased = [0.0; LANES];
-        biased[0] = 1.0;
-        for first in (0..self.channels).step_by(LANES - 1) {
-            let some = (self.channels - first).min(LANES - 1);
-            let along = |c: usize, k: usize| {
-                if k > 0 && c == first + k - 1 {
-                    1.0
-                } else {
-                    0.0
-                }
+        let mut values = vec![0.0; self.size];
+        self.with_slopes(u, &mut values, out, &mut Work::default());
+    }
+
+    /// One pass where there are up to seven channels.
+    fn with_slopes(&self, u: &[f64], values: &mut [f64], slopes: &mut [f64], work: &mut Work) {
+        let channels = self.channels;
+        for c in (0..channels).step_by(COLUMNS - 1) {
+            let some = (channels - c).min(COLUMNS - 1);
+            let first = |n: usize, k: usize| match n.checked_sub(1) {
+                None => u[k],
+                Some(n) => f64::from(k == c + n),
             };
-            let mut x: Vec<Lanes> = (0..self.channels)
-                .map(|c| std::array::from_fn(|k| if k == 0 { u[c] as f32 } else { along(c, k) }))
-                .collect();
-            self.run(&mut x, &biased, some + 1, true);
-            for (m, lanes) in x.iter().enumerate() {
-                (0..some)
-                    .for_each(|k| out[m * self.channels + first + k] = f64::from(lanes[k + 1]));
+            let take = |n: usize, found: &[f32]| match n.checked_sub(1) {
+                None => {
+                    let both = values.iter_mut().zip(found);
+                    both.for_each(|(out, v)| *out = f64::from(*v));
+                }
+                Some(n) if n < some => {
+                    for (row, v) in slopes.chunks_exact_mut(channels).zip(found) {
+                        row[c + n] = f64::from(*v);
+                    }
+                }
+                Some(_) => {}
+            };
+            match some {
+                1 => self.columns::<2>(true, &mut work.singles, first, take),
+                2 => self.columns::<3>(true, &mut work.singles, first, take),
+                3 => self.columns::<4>(true, &mut work.singles, first, take),
+                _ => self.columns::<COLUMNS>(true, &mut work.singles, first, take),
             }
         }
     }
@@ -304,11 +365,7 @@ fn folded(
             row.iter_mut().zip(&before.scale).for_each(|(w, s)| *w *= s);
         }
     }
-    Linear {
-        columns,
-        weights: weights.iter().map(|w| *w as f32).collect(),
-        bias: bias.iter().map(|b| *b as f32).collect(),
-    }
+    Linear::new(columns, &weights, &bias)
 }
 
 /// What waits after the last of `steps`: s (W x + b) + t as one layer, else a step of its own.
@@ -322,9 +379,11 @@ fn settle(steps: &mut Vec<Step>, after: Option<Waiting>) {
         });
         return;
     };
-    for (r, row) in layer.weights.chunks_exact_mut(layer.columns).enumerate() {
-        row.iter_mut()
-            .for_each(|w| *w = (f64::from(*w) * after.scale[r]) as f32);
+    for r in 0..layer.rows {
+        for c in 0..layer.columns {
+            let weight = layer.weight_mut(r, c);
+            *weight = (f64::from(*weight) * after.scale[r]) as f32;
+        }
         layer.bias[r] = (f64::from(layer.bias[r]) * after.scale[r] + after.shift[r]) as f32;
     }
 }

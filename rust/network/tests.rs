@@ -1,7 +1,9 @@
 //! The layers against plain loops in double precision, slopes against differences, and files that are refused.
 
+use super::layers::normal;
 use super::{Activation, Layer, Network};
-use crate::shape::Shape;
+use crate::allocations::allocations;
+use crate::shape::{Shape, Work};
 
 fn numbers(seed: u64, count: usize, size: f64) -> Vec<f64> {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
@@ -168,5 +170,59 @@ fn what_does_not_fit_together_is_refused() {
     assert!(Network::new(vec![Layer::Shift(vec![0.0; 3]), linear(1, 3, 2)]).is_err());
     for file in [&b"no file"[..], &[], &[0x3a, 0x00]] {
         assert!(Network::read(file).is_err());
+    }
+}
+
+#[test]
+fn the_bell_curve_is_that_of_double_precision() {
+    for k in -12_000..=12_000 {
+        let x = k as f32 * 1e-3;
+        let wide = f64::from(x);
+        let (below, density) = normal(x);
+        let truth = 0.5 * (1.0 + libm::erf(wide / 2f64.sqrt()));
+        let bell = (-0.5 * wide * wide).exp() / (2.0 * std::f64::consts::PI).sqrt();
+        // Five units in the last place of 1, three of the density.
+        assert!(
+            (f64::from(below) - truth).abs() < 3e-7,
+            "{x}: {below} {truth}"
+        );
+        assert!(
+            (f64::from(density) - bell).abs() < 2e-7 * (bell + 0.1),
+            "{x}"
+        );
+    }
+    assert!((normal(f32::MAX).0 - 1.0).abs() < 3e-7 && normal(f32::MAX).1 < 1e-30);
+    assert!(normal(f32::NAN).0.is_nan());
+}
+
+/// The widths of the published prior, to M outputs: 1.74 million numbers where M is 1644.
+fn published(size: usize) -> Network {
+    let widths = [2, 256, 512, 1024, 512, 256, size];
+    let mut layers = vec![Layer::Shift(vec![1.0, -2.0]), Layer::Scale(vec![0.1; 2])];
+    for (seed, pair) in widths.windows(2).enumerate() {
+        if seed > 0 {
+            layers.push(Layer::Activation(Activation::Relu));
+        }
+        layers.push(linear(seed as u64, pair[1], pair[0]));
+    }
+    Network::new(layers).unwrap()
+}
+
+#[test]
+fn values_with_slopes_are_those_of_each_and_allocate_once() {
+    for (network, count) in [(Network::new(layers()).unwrap(), 6), (published(300), 300)] {
+        let (weights, offset) = (numbers(9, count * 3, 0.2), vec![1.0, -2.0, 3.0]);
+        let tip = network.project(&weights, &offset).unwrap();
+        let mut work = Work::default();
+        let (mut values, mut slopes) = ([0.0; 3], [0.0; 6]);
+        tip.with_slopes(&[1.0, 1.0], &mut values, &mut slopes, &mut work);
+        for u in numbers(8, 2 * 9, 12.0).chunks(2) {
+            let asked = allocations(|| tip.with_slopes(u, &mut values, &mut slopes, &mut work));
+            assert_eq!(asked, 0);
+            let (mut value, mut slope) = ([0.0; 3], [0.0; 6]);
+            tip.eval(u, &mut value);
+            tip.jacobian(u, &mut slope);
+            assert_eq!((values, slopes), (value, slope));
+        }
     }
 }

@@ -1,18 +1,19 @@
 //! Binding of every shape: evaluation and slopes of a batch of commands, outside the interpreter's lock.
 
 use crate::Error;
-use crate::network::LANES;
+use crate::network::COLUMNS;
 use crate::room::zeros;
-use crate::shape::{Shape, Sum};
+use crate::shape::{Shape, Sum, Work};
 use numpy::{
-    IntoPyArray, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods,
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2,
+    PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Commands that one thread takes at a time.
-const TOGETHER: usize = LANES;
+const TOGETHER: usize = COLUMNS;
 
 /// A map from commands to numbers; `Rod` and `RodField` are of this kind.
 #[pyclass(name = "Shape", module = "softmap_edge._core", subclass, frozen)]
@@ -34,6 +35,9 @@ impl PyShape {
         Ok(u.as_array().iter().copied().collect())
     }
 }
+
+/// Numbers (M,) and slopes (M, C).
+type Slopes<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>);
 
 #[pymethods]
 impl PyShape {
@@ -64,6 +68,10 @@ impl PyShape {
             (self.inner.clone(), self.inner.channels(), self.inner.size());
         let mut out = zeros("an answer (commands, outputs)", &[n, size])?;
         let out = py.detach(move || {
+            if n <= TOGETHER {
+                shape.eval_rows(&rows, &mut out); // waking a thread costs more
+                return out;
+            }
             out.par_chunks_mut((TOGETHER * size).max(1))
                 .enumerate()
                 .for_each(|(i, out)| {
@@ -73,6 +81,25 @@ impl PyShape {
             out
         });
         out.into_pyarray(py).reshape([n, size])
+    }
+
+    /// Numbers (M,) and slopes (M, C) at one command `u` (C,), from one pass.
+    fn with_slopes<'py>(&self, py: Python<'py>, u: Vec<f64>) -> PyResult<Slopes<'py>> {
+        let (channels, size) = (self.inner.channels(), self.inner.size());
+        if u.len() != channels {
+            return Err(Error::Invalid(format!(
+                "a command of {} numbers, expected {channels}",
+                u.len()
+            ))
+            .into());
+        }
+        let mut values = zeros("an answer (outputs)", &[size])?;
+        let mut slopes = zeros("an answer (outputs, channels)", &[size, channels])?;
+        let mut work = Work::default();
+        self.inner
+            .with_slopes(&u, &mut values, &mut slopes, &mut work);
+        let slopes = slopes.into_pyarray(py).reshape([size, channels])?;
+        Ok((values.into_pyarray(py), slopes))
     }
 
     /// Slopes (n, M, C) at commands `u` (n, C).

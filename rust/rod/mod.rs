@@ -26,7 +26,7 @@ pub use polynomial::Monomials;
 
 use crate::error::{Result, invalid};
 use crate::room::with_few;
-use crate::shape::Shape;
+use crate::shape::{Shape, Work};
 use crate::vector::{add, scaled};
 use polynomial::Polynomial;
 
@@ -184,13 +184,29 @@ impl Shape for Rod {
     }
 
     fn jacobian(&self, u: &[f64], out: &mut [f64]) {
+        self.slopes(u, out, &mut vec![]);
+    }
+
+    fn with_slopes(&self, u: &[f64], values: &mut [f64], slopes: &mut [f64], work: &mut Work) {
+        self.eval(u, values);
+        self.slopes(u, slopes, &mut work.doubles);
+    }
+}
+
+impl Rod {
+    fn slopes(&self, u: &[f64], out: &mut [f64], work: &mut Vec<f64>) {
         let (c, chords) = (self.channels(), self.chords());
         let n = 2 * chords;
-        let (mut q, mut v, mut dv) = (vec![0.0; c], vec![0.0; n], vec![0.0; n * c]);
-        self.normalised(u, &mut q);
-        self.angles.slopes(&q, &mut v, &mut dv);
-        let (mut lengths, mut dl) = (vec![0.0; chords], vec![0.0; chords * n]);
-        self.lengths.slopes(&v, &mut lengths, &mut dl);
+        let inside = self.angles.work().max(self.lengths.work());
+        work.resize(c + n + n * c + chords + chords * n + inside, 0.0);
+        let (q, rest) = work.split_at_mut(c);
+        let (v, rest) = rest.split_at_mut(n);
+        let (dv, rest) = rest.split_at_mut(n * c);
+        let (lengths, rest) = rest.split_at_mut(chords);
+        let (dl, inside) = rest.split_at_mut(chords * n);
+        self.normalised(u, q);
+        self.angles.slopes(q, v, dv, inside);
+        self.lengths.slopes(v, lengths, dl, inside);
         for j in 0..c {
             let mut slope = [0.0; 3];
             for k in 0..chords {

@@ -144,15 +144,17 @@ impl Polynomial {
         }
     }
 
-    /// Values at `x` as `eval`, and d out / d x as `slopes[o * variables + j]`.
-    pub(super) fn slopes(&self, x: &[f64], out: &mut [f64], slopes: &mut [f64]) {
+    /// Numbers that `slopes` works in.
+    pub(super) fn work(&self) -> usize {
+        self.monomials.len() * (1 + self.monomials.variables)
+    }
+
+    /// Values at `x` as `eval`, and d out / d x as `slopes[o * variables + j]`; `work` is overwritten.
+    pub(super) fn slopes(&self, x: &[f64], out: &mut [f64], slopes: &mut [f64], work: &mut [f64]) {
         let n = x.len();
-        let (mut phi, mut rise) = (
-            vec![0.0; self.monomials.len()],
-            vec![0.0; self.monomials.len() * n],
-        );
-        self.sum(x, &mut phi, out);
-        self.monomials.slopes(x, &phi, &mut rise);
+        let (phi, rise) = work[..self.work()].split_at_mut(self.monomials.len());
+        self.sum(x, phi, out);
+        self.monomials.slopes(x, phi, rise);
         slopes.fill(0.0);
         for (slopes, rows) in slopes.chunks_mut(BLOCK * n).zip(&self.blocks) {
             for (rise, row) in rise.chunks_exact(n).zip(&rows[1..]) {
