@@ -32,6 +32,8 @@ use report::{Reporter, Ring};
 const WATCHDOG: f64 = 100.0;
 /// Entries that the reporting thread may lag behind: seconds, at any rate.
 const RING: usize = 4096;
+/// Questions that are repeated before a servo is said not to answer.
+const TRIES: usize = 9;
 /// s for which torque off is repeated at the end.
 const FAREWELL: f64 = 0.5;
 
@@ -137,10 +139,24 @@ fn run<L: Plan, R: Record>(
     }
 }
 
+/// Ask again where there is no answer: one glitch is no absence.
+fn patiently<T>(
+    mut ask: impl FnMut() -> std::result::Result<T, Fault>,
+) -> std::result::Result<T, Fault> {
+    let mut answer = ask();
+    for _ in 0..TRIES {
+        if !matches!(answer, Err(Fault::Silent)) {
+            break;
+        }
+        answer = ask();
+    }
+    answer
+}
+
 /// Refuse servos that are not what they are said to be, or whose torque is on.
 fn found_as_said(drive: &mut Drive<Serial>, members: &[Member]) -> Result<()> {
     for Member { id, model } in members {
-        let told = drive.bus().ping(*id);
+        let told = patiently(|| drive.bus().ping(*id));
         let (number, _) = told.map_err(|fault| {
             invalid(format!(
                 "servo {id}: {fault}; check power, wiring and baud rate"
@@ -156,11 +172,9 @@ fn found_as_said(drive: &mut Drive<Serial>, members: &[Member]) -> Result<()> {
         }
         let (mut head, mut torque) = ([0; 64], [0]);
         let register = |fault: Fault| invalid(format!("servo {id}: {fault}"));
-        drive.bus().read(*id, 0, &mut head).map_err(register)?;
-        drive
-            .bus()
-            .read(*id, model.layout().torque_enable.address, &mut torque)
-            .map_err(register)?;
+        patiently(|| drive.bus().read(*id, 0, &mut head)).map_err(register)?;
+        let enabled = model.layout().torque_enable.address;
+        patiently(|| drive.bus().read(*id, enabled, &mut torque)).map_err(register)?;
         let offset = model.layout().homing_offset.address as usize;
         if torque[0] != 0 {
             return Err(invalid(format!(

@@ -12,3 +12,4 @@ pub mod guard;
 pub mod packet;
 pub mod registers;
 pub mod serial;
+pub mod urgent;

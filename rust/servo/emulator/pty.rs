@@ -15,7 +15,10 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
 use super::Emulator;
+use crate::urgent::urgent;
 
+/// Below that of a control loop.
+const PRIORITY: i32 = 40;
 /// ns for which the thread sleeps at most: servos move while nobody speaks.
 const NAP: i64 = 2_000_000;
 
@@ -83,6 +86,8 @@ impl Drop for Terminal {
 }
 
 fn serve(emulator: &Mutex<Emulator>, stop: &AtomicBool, master: &OwnedFd, slave: &OwnedFd) {
+    // Servos do not wait for the computer that drives them; where this is not granted, they answer late while it is busy.
+    urgent(PRIORITY);
     let begin = Instant::now();
     let mut bytes = [0; 1024];
     while !stop.load(Ordering::Relaxed) {
