@@ -17,6 +17,7 @@ pub mod fem;
 pub mod fields;
 pub mod geometry;
 mod grid;
+pub mod inverse;
 pub mod loads;
 pub mod modes;
 pub mod network;

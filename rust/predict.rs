@@ -16,7 +16,7 @@ use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
 use crate::fields::Fields;
 use crate::grid::Nodes;
-use crate::loads::{CONTACT, CURVE, FIELDS, TENDON, name};
+use crate::loads::{CONTACT, CURVE, Coefficients, FIELDS, TENDON, name};
 use crate::room::zeros;
 use crate::second::Second;
 use crate::shape::Shape;
@@ -293,26 +293,38 @@ impl Predictor {
             Load::Recurs(number) => acting.body(number).add(u, scratch, out),
             Load::Other => {
                 let loads = self.coefficients(job, b, k)?;
-                let Scratch {
-                    nodes,
-                    place,
-                    weights,
-                    field,
-                    work,
-                } = scratch;
-                let there: [bool; CURVE] = std::array::from_fn(|f| loads[f] != 0.0);
-                self.answer.at(u, nodes, &there, place, work);
-                self.answer
-                    .weigh(&loads[..TENDON], loads[TENDON], place, weights, work);
-                if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {
-                    let cables = self.answer.cables_at(place);
-                    let cables = cables.map(|(cables, at)| (cables, at, &work.beyond[..]));
-                    contact.stop(u, &loads, cables, weights);
-                }
-                fields.add(u, nodes, weights, field, out);
+                self.under(fields, &loads, u, scratch, out);
             }
         }
         Ok(())
+    }
+
+    /// Add to `out` what loads do at the command `u` that acts.
+    fn under(
+        &self,
+        fields: &Fields,
+        loads: &Coefficients,
+        u: &[f64],
+        scratch: &mut Scratch,
+        out: &mut [f64],
+    ) {
+        let Scratch {
+            nodes,
+            place,
+            weights,
+            field,
+            work,
+        } = scratch;
+        let there: [bool; CURVE] = std::array::from_fn(|f| loads[f] != 0.0);
+        self.answer.at(u, nodes, &there, place, work);
+        self.answer
+            .weigh(&loads[..TENDON], loads[TENDON], place, weights, work);
+        if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {
+            let cables = self.answer.cables_at(place);
+            let cables = cables.map(|(cables, at)| (cables, at, &work.beyond[..]));
+            contact.stop(u, loads, cables, weights);
+        }
+        fields.add(u, nodes, weights, field, out);
     }
 
     /// Whether a coefficient means something to this body: its field is there, or it is that of cables.
@@ -371,6 +383,10 @@ mod loads;
 mod shared;
 #[path = "predict_slopes.rs"]
 mod slopes;
+#[path = "predict_still.rs"]
+mod still;
+
+pub use still::still;
 
 #[cfg(test)]
 #[path = "predict_tests.rs"]

@@ -110,7 +110,7 @@ impl<'a> Job<'a> {
 
 impl Body {
     /// The same with some of the prior's own numbers multiplied, in its fields as well.
-    fn changed(&self, factors: &[(&'static str, f64)]) -> Result<Body> {
+    pub(super) fn changed(&self, factors: &[(&'static str, f64)]) -> Result<Body> {
         let mut body = self.clone();
         for (name, factor) in factors.iter().filter(|(_, factor)| *factor != 1.0) {
             let prior = body.prior.with_number(name, *factor).ok_or_else(|| {

@@ -8,6 +8,7 @@
 use super::job::Job;
 use super::{NEGLIGIBLE, Predictor, Scratch};
 use crate::answer::Answer;
+use crate::effects::{Chain, Context};
 use crate::error::Result;
 use crate::fields::Fields;
 use crate::loads::{CONTACT, Coefficients, FIELDS, GRAVITY, TENDON, TIP_FORCE, weight};
@@ -160,13 +161,23 @@ impl Predictor {
         Ok(Some(body))
     }
 
-    /// Coefficients of the fields for a set at a frame, what the run declares among them; a field that is wanted but absent is
-    /// an error.
+    /// Coefficients of the fields for a set at a frame.
     pub(super) fn coefficients(&self, job: &Job, b: usize, k: usize) -> Result<Coefficients> {
-        let (width, context) = (job.chain.width(), job.context(b, k));
+        let width = job.chain.width();
         let set = &job.params[b * width..(b + 1) * width];
-        let u = job.at(job.group[b], k);
-        let mut sum = job.chain.coefficients(set, u, context);
+        self.loads_at(job.chain, set, job.at(job.group[b], k), job.context(b, k))
+    }
+
+    /// Coefficients of the fields where `u` acts, what the context declares among them; a field that is wanted but absent is
+    /// an error.
+    pub(super) fn loads_at(
+        &self,
+        chain: &Chain,
+        params: &[f64],
+        u: &[f64],
+        context: &Context,
+    ) -> Result<Coefficients> {
+        let mut sum = chain.coefficients(params, u, context);
         if self.declared {
             let force = weight(context.load, context.gravity);
             for i in 0..3 {
@@ -178,7 +189,7 @@ impl Predictor {
             if value.abs() <= NEGLIGIBLE {
                 *value = 0.0;
             } else if !self.has(f) {
-                return Err(self.absent(job.chain, f, *value));
+                return Err(self.absent(chain, f, *value));
             }
         }
         Ok(sum)

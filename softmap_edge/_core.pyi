@@ -20,11 +20,13 @@ __all__ = [
     "EmulatedBus",
     "FIELDS",
     "Inputs",
+    "Inverse",
     "LOADS",
     "MODULI",
     "Mesh",
     "Network",
     "Predictor",
+    "Reach",
     "Registration",
     "Rod",
     "RodField",
@@ -154,10 +156,11 @@ def control_loop(
     baud: int,
     servos: Sequence[Sequence[int]],
     limits: dict[str, Any],
-    inverse: Sequence[float],
+    slope: Sequence[float],
     b: Sequence[float],
     home: Sequence[float],
     budget: Sequence[float],
+    chain: Mapping[str, Any] | None = None,
     fast: bool = True,
     slack: float = 0.002,
     record: str | None = None,
@@ -316,6 +319,9 @@ class Predictor:
         second: Second | None = None,
     ) -> Self: ...
     def through(self, weights: _Floats) -> Predictor | None: ...
+    def still(
+        self, chain: Chain, params: _Floats, gravity: _Floats, load: float = 0.0, temperature: float = ...
+    ) -> Shape: ...
     def predict(self, chain: Chain, params: _Floats, inputs: Inputs) -> _Floats: ...
     def acting(self, chain: Chain, params: _Floats, inputs: Inputs) -> _Floats: ...
     def slopes(self, chain: Chain, params: _Floats, inputs: Inputs, step: _Floats) -> _Floats: ...
@@ -332,6 +338,32 @@ class Inputs:
         temperature: _Floats | None = None,
         cameras: _Floats | None = None,
     ) -> Self: ...
+
+@final
+class Reach:
+    def __new__(cls, shape: Shape, low: Sequence[float], high: Sequence[float], axes: Sequence[bool]) -> Self: ...
+    @property
+    def samples(self) -> tuple[_Floats, _Floats]: ...
+    def path(
+        self, targets: _Floats, start: Sequence[float] | None = None, published: bool = False
+    ) -> tuple[_Floats, _Floats, _Floats, NDArray[np.int64]]: ...
+
+@final
+class Inverse:
+    def __new__(
+        cls,
+        chain: Chain,
+        params: _Floats,
+        low: Sequence[float],
+        high: Sequence[float],
+        gravity: _Floats,
+        load: float = 0.0,
+        temperature: float = ...,
+    ) -> Self: ...
+    def settle(self, u: _Floats) -> _Floats: ...
+    def command(self, wanted: _Floats, dt: float) -> tuple[_Floats, float]: ...
+    def passed(self, u: _Floats, dt: float) -> _Floats: ...
+    def path(self, wanted: _Floats, t: _Floats) -> tuple[_Floats, _Floats]: ...
 
 @final
 class Mesh:

@@ -20,7 +20,7 @@ from softmap_edge import _core, views
 from softmap_edge.errors import SoftmapError
 from softmap_edge.features import Body, FeatureMap, marker_features, section_features, upright
 from softmap_edge.outside import check_commands
-from softmap_edge.predictors import Contact, Shape, stations, whole
+from softmap_edge.predictors import Contact, Shape, stations, tip, whole
 from softmap_edge.shape_arrays import family_from
 from softmap_edge.ticks import Calibration, converted
 
@@ -126,6 +126,20 @@ class Model:
     def contact(self) -> Contact | None:
         """Where an obstacle can stop the body."""
         return stations(self)
+
+    @cached_property
+    def tip_shape(self) -> Shape:
+        """The tip (3,) mm of what acts: the middle of the `tip_indices`, as the model hangs, unloaded
+        (`predictors.tip`)."""
+        return tip(self, self.gravity_reference, 0.0, float("nan"))
+
+    def tip(self, acting: Floats) -> Floats:
+        """Return the tip (n, 3) mm in the base frame where `acting` (n, C) mm acts; nothing is sensed."""
+        return np.asarray(self.tip_shape.evaluate(np.asarray(acting, float)))
+
+    def tip_jacobian(self, acting: Floats) -> Floats:
+        """Return the slopes (n, 3, C) of the tip, mm per mm, where `acting` (n, C) mm acts."""
+        return np.asarray(self.tip_shape.jacobian(np.asarray(acting, float)))
 
     def lacking(self, name: str) -> list[str]:
         """Return what this model lacks that the effect `name` acts through.

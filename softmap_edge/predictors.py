@@ -49,14 +49,32 @@ def stations(model: Model) -> Contact | None:
     return *_through(model, FeatureMap(weights, np.ones(len(weights), bool), np.arange(len(weights)))), reach
 
 
+def tip(model: Model, gravity: Floats, load: float, temperature: float) -> Shape:
+    """Return the tip (3,) mm as a shape of what acts, in the base frame, under the model's own shape effects.
+
+    A network stays one: its slopes are exact.
+
+    Args:
+        gravity: (3,) unit vector, base frame. load: g at the tip. temperature: °C, NaN where it is not known.
+    """
+    weights = np.zeros((1, len(model.rest)))
+    weights[0, model.tip_indices] = 1.0 / len(model.tip_indices)
+    mapping = FeatureMap(weights, np.ones(1, bool), np.zeros(1, np.int64))
+    prior, fields, cables, second = _through(model, mapping, tables=False)
+    predictor = _predictor(model, prior, fields, mapping.positions, cables, second)
+    return predictor.still(model.chain, model.chain_params, gravity, load, temperature)
+
+
 def _through(
-    model: Model, mapping: FeatureMap
+    model: Model, mapping: FeatureMap, tables: bool = True
 ) -> tuple[Shape, dict[str, Shape], _core.Cables | None, _core.Second | None]:
-    """Return prior with residual, fields, cables and second order as seen through a linear map."""
+    """Return prior with residual, fields, cables and second order as seen through a linear map; networks as
+    `tables`."""
     matrix, zero = mapping.matrix(), np.zeros(3 * len(mapping.weights))
-    prior = _seen(model, model.prior.project(matrix, zero))
-    if model.residual is not None:
-        prior = _core.Sum(prior, _seen(model, model.residual.project(matrix, zero)))
+    seen = [shape.project(matrix, zero) for shape in (model.prior, model.residual) if shape is not None]
+    prior, *residual = [_seen(model, shape) for shape in seen] if tables else seen
+    if residual:
+        prior = _core.Sum(prior, *residual)
     fields = {name: shape.project(matrix, zero) for name, shape in model.fields.items()}
     cables = None if model.cables is None else model.cables.project(matrix, zero)
     return prior, fields, cables, None if model.second is None else model.second.project(matrix)

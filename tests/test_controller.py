@@ -114,7 +114,8 @@ def test_an_unplugged_port_ends_the_loop_with_a_reason():
 
 
 PROGRAM = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever starts the tests in the background ignores it
 sys.path.insert(0, {tests!r})
 from rigs import calibration, WINDOW, MODEL, HOME, BAUD
 from softmap_edge.servo.controller import Controller

@@ -175,11 +175,29 @@ impl Chain {
     pub fn init(&self, params: &[f64], u: &[f64]) -> Result<Vec<f64>> {
         self.stepwise()?;
         let (mut state, mut x) = (vec![0.0; self.memory], u.to_vec());
+        self.settle(params, &mut x, &mut state);
+        Ok(state)
+    }
+
+    /// The same in the caller's room: `x` (C,) held forever is changed to what acts then, `state` is that equilibrium.
+    pub fn settle(&self, params: &[f64], x: &mut [f64], state: &mut [f64]) {
+        state.fill(0.0);
         for (link, law) in self.channel_links() {
             let memory = &mut state[link.state.clone()];
-            law.settle(&params[link.params.clone()], &mut x, memory);
+            law.settle(&params[link.params.clone()], x, memory);
         }
-        Ok(state)
+    }
+
+    /// The channel effects that are not of one family, and their part of `params` (P,).
+    pub fn without(&self, params: &[f64], family: &str) -> Result<(Chain, Vec<f64>)> {
+        let stays = |link: &&Link| {
+            link.effect.law.role() == "channel" && link.effect.declaration.family != family
+        };
+        let links: Vec<&Link> = self.links.iter().filter(stays).collect();
+        let name = |link: &&Link| link.effect.declaration.name.to_string();
+        let chain = Chain::new(&links.iter().map(name).collect::<Vec<_>>(), self.channels)?;
+        let own = |link: &&Link| params[link.params.clone()].to_vec();
+        Ok((chain, links.iter().flat_map(own).collect()))
     }
 
     /// Advance one sample: `x` (C,) is changed to what acts, `state` remembers.

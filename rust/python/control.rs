@@ -1,8 +1,11 @@
 //! Binding of the control loop's process.
 
+use super::inverse::inverted;
 use super::servo::trouble;
-use crate::control::plan::Linear;
+use crate::control::plan::Map;
 use crate::control::{Setup, recording, report, serve};
+use crate::effects::Chain;
+use crate::inverse::chain::Inverse;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use softmap_servo::drive::Member;
@@ -90,13 +93,34 @@ pub fn check_limits(table: &Bound<'_, PyDict>) -> PyResult<()> {
     limits(table).map(drop)
 }
 
+/// The effects between commands and what acts.
+fn through(from: &Bound<'_, PyDict>) -> PyResult<Inverse> {
+    let missing = |name: &str| trouble(format!("the chain's '{name}' is missing"));
+    let get = |name: &str| from.get_item(name)?.ok_or_else(|| missing(name));
+    let low: Vec<f64> = get("low")?.extract()?;
+    let chain = Chain::new(&get("names")?.extract::<Vec<String>>()?, low.len())?;
+    let (params, gravity) = (get("params")?, get("gravity")?);
+    // What is not known is not a number, which JSON has none of.
+    let temperature: Option<f64> = get("temperature")?.extract()?;
+    inverted(
+        &chain,
+        &params,
+        low,
+        get("high")?.extract()?,
+        &gravity,
+        get("load")?.extract()?,
+        temperature.unwrap_or(f64::NAN),
+    )
+}
+
 /// Run the control loop in this process until its orders end: `orders` and `reports` are descriptors of pipes.
 ///
-/// `servos` are (id, model number); `inverse` (C, C) ticks a mm, `b` (C,) mm and `home` (C,) ticks are the calibration's;
+/// `servos` are (id, model number); `slope` (C, C) mm a tick, `b` (C,) mm and `home` (C,) ticks are the calibration's; with a
+/// `chain` (names, params, low and high (C,) mm, gravity, load, temperature) commands are what should act through it;
 /// `budget` is that of reversals: band (mm), turns a second, turns at once; `record` a file to record to, `setup` the
 /// document that begins it.
 #[pyfunction]
-#[pyo3(signature = (orders, reports, *, port, baud, servos, limits, inverse, b, home, budget, fast=true, slack=0.002, record=None, setup=""))]
+#[pyo3(signature = (orders, reports, *, port, baud, servos, limits, slope, b, home, budget, chain=None, fast=true, slack=0.002, record=None, setup=""))]
 pub fn control_loop(
     py: Python<'_>,
     orders: RawFd,
@@ -105,10 +129,11 @@ pub fn control_loop(
     baud: u32,
     servos: Vec<[u16; 2]>,
     limits: &Bound<'_, PyDict>,
-    inverse: Vec<f64>,
+    slope: Vec<f64>,
     b: Vec<f64>,
     home: Vec<f64>,
     budget: [f64; 3],
+    chain: Option<&Bound<'_, PyDict>>,
     fast: bool,
     slack: f64,
     record: Option<PathBuf>,
@@ -134,7 +159,8 @@ pub fn control_loop(
             burst: budget[2],
         },
     };
-    let plan = Linear::new(inverse, b, home)?;
+    let chain = chain.map(through).transpose()?;
+    let plan = Map::new(slope, b, home, chain, made.limits.period)?;
     // SAFETY: the caller opened both for this loop alone and hands them over.
     let (orders, reports) =
         unsafe { (OwnedFd::from_raw_fd(orders), OwnedFd::from_raw_fd(reports)) };

@@ -7,6 +7,7 @@ mod effects;
 mod elastic;
 mod fem;
 mod geometry;
+mod inverse;
 mod mesh;
 mod network;
 mod own;
@@ -68,6 +69,8 @@ mod _core {
     use super::fem::Solid;
     #[pymodule_export]
     use super::geometry::{PyRegistration, PySurface, chamfer};
+    #[pymodule_export]
+    use super::inverse::{PyInverse, PyReach};
     #[pymodule_export]
     use super::mesh::Mesh;
     #[pymodule_export]

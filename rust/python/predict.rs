@@ -6,8 +6,8 @@ use super::cables::{PyCables, PySecond};
 use super::effects::{Maybe, PyChain, Value, record, vector};
 use super::shape::PyShape;
 use crate::contact::Contact;
-use crate::effects::Conditions;
-use crate::predict::Predictor;
+use crate::effects::{Conditions, Context};
+use crate::predict::{Predictor, still};
 use crate::shape::Shape;
 use crate::{Error, Result};
 use numpy::{IntoPyArray, PyArray3, PyArray4, PyArrayMethods};
@@ -27,7 +27,7 @@ type Stations<'py> = (
 /// Commands → chain → prior and fields → sensing, batched: what every fit calls.
 #[pyclass(name = "Predictor", module = "softmap_edge._core", frozen)]
 pub struct PyPredictor {
-    predictor: Predictor,
+    predictor: Arc<Predictor>,
 }
 
 #[pymethods]
@@ -76,12 +76,13 @@ impl PyPredictor {
         if let Some(contact) = contact {
             predictor = predictor.with_contact(contact);
         }
+        let predictor = if declared_loads {
+            predictor
+        } else {
+            predictor.without_declared_loads()
+        };
         Ok(PyPredictor {
-            predictor: if declared_loads {
-                predictor
-            } else {
-                predictor.without_declared_loads()
-            },
+            predictor: Arc::new(predictor),
         })
     }
 
@@ -97,7 +98,34 @@ impl PyPredictor {
             .into());
         }
         let predictor = py.detach(|| self.predictor.through(&weights.data, forms))?;
-        Ok(predictor.map(|predictor| PyPredictor { predictor }))
+        Ok(predictor.map(|predictor| PyPredictor {
+            predictor: Arc::new(predictor),
+        }))
+    }
+
+    /// The outputs (3V) as a shape of what acts, in a world that stays as it is: a chain's shape and prior effects with `params` (P,),
+    /// gravity (3,), load (g), temperature (°C). Channel and sensing effects are left out.
+    #[pyo3(signature = (chain, params, gravity, load=0.0, temperature=f64::NAN))]
+    fn still(
+        &self,
+        chain: PyRef<'_, PyChain>,
+        params: Value<'_, '_>,
+        gravity: Value<'_, '_>,
+        load: f64,
+        temperature: f64,
+    ) -> PyResult<PyShape> {
+        let params = floats("params", params, &[("P", Some(chain.chain.width()))])?.data;
+        let gravity = vector("gravity", gravity)?;
+        let context = Context {
+            t: 0.0,
+            dt: 0.0,
+            gravity,
+            load,
+            temperature,
+            seen_for: 0.0,
+        };
+        let inner = still(&self.predictor, &chain.chain, &params, context)?;
+        Ok(PyShape { inner })
     }
 
     /// Frames (B, K, V, 3) for params (B, P) on inputs.
@@ -109,7 +137,7 @@ impl PyPredictor {
         inputs: PyRef<'py, PyInputs>,
     ) -> PyResult<Bound<'py, PyArray4<f64>>> {
         let (params, sets) = asked(&chain, params, &inputs)?;
-        let (body, inner, on) = (&self.predictor, &chain.chain, &*inputs);
+        let (body, inner, on) = (&*self.predictor, &chain.chain, &*inputs);
         let out = at_work(py, inner, || {
             body.predict(inner, &params, &on.u, &on.world, &on.t_seen)
         })?;
@@ -126,7 +154,7 @@ impl PyPredictor {
         inputs: PyRef<'py, PyInputs>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let (params, sets) = asked(&chain, params, &inputs)?;
-        let (body, inner, on) = (&self.predictor, &chain.chain, &*inputs);
+        let (body, inner, on) = (&*self.predictor, &chain.chain, &*inputs);
         let out = at_work(py, inner, || {
             body.acting(inner, &params, &on.u, &on.world, &on.t_seen)
         })?;
@@ -144,7 +172,7 @@ impl PyPredictor {
         step: Value<'_, 'py>,
     ) -> PyResult<Bound<'py, PyArray4<f64>>> {
         let (params, _) = asked(&chain, params, &inputs)?;
-        let (body, inner, on) = (&self.predictor, &chain.chain, &*inputs);
+        let (body, inner, on) = (&*self.predictor, &chain.chain, &*inputs);
         let step = floats("step", step, &[("C", None)])?.data;
         let out = at_work(py, inner, || {
             body.slopes(inner, &params, &step, &on.u, &on.world, &on.t_seen)

@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import __version__, _core
 from softmap_edge.errors import ServoError
+from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo.rig import Rig
 from softmap_edge.ticks import Calibration
 
@@ -47,9 +48,11 @@ ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
 class Controller:
     """The servos of `rig` driven within `limits` (`loop_limits`), commands mapped to ticks by `calibration`.
 
-    Entering starts the loop, proves that the servos are what the rig says, and goes to READY: home is taken to be
-    proved by whoever enters. Leaving slackens and switches torque off, whatever happened. With `record` all that the
-    loop hears, decides and sends goes to that file, which must not exist (`recording.py`).
+    With `kinematics` (`motion.kinematics`) commands are what should act: the loop undoes the effects of its model,
+    delays aside, from what was really sent. Entering starts the loop, proves that the servos are what the rig says,
+    and goes to READY: home is taken to be proved by whoever enters. Leaving slackens and switches torque off,
+    whatever happened. With `record` all that the loop hears, decides and sends goes to that file, which must not
+    exist (`recording.py`).
 
     Raises:
         ServoError: the loop cannot start or a request is denied; the message says why.
@@ -61,6 +64,7 @@ class Controller:
         calibration: Calibration,
         limits: Mapping[str, Any],
         *,
+        kinematics: Kinematics | None = None,
         budget: tuple[float, ...] = BUDGET,
         record: str | Path | None = None,
     ) -> None:
@@ -71,6 +75,9 @@ class Controller:
                 f"{len(limits['servos'])}; they must agree"
             )
         self.rig, self.calibration, self.limits = rig, calibration, dict(limits)
+        if kinematics is not None and kinematics.model.channels != count:
+            raise ServoError(f"the model takes {kinematics.model.channels} commands, the rig has {count} servos")
+        self.kinematics = kinematics
         self._budget, self._record = budget, None if record is None else Path(record)
         self._last: Report = {}
         self._end: Report = {}
@@ -206,10 +213,11 @@ class Controller:
             "baud": self.rig.baud,
             "servos": self.rig.numbers,
             "limits": self.limits,
-            "inverse": np.linalg.inv(self.calibration.A).reshape(-1).tolist(),
+            "slope": self.calibration.A.reshape(-1).tolist(),
             "b": self.calibration.b.tolist(),
             "home": self.calibration.home.tolist(),
             "budget": self._budget,
+            "chain": None if self.kinematics is None else self.kinematics.document(),
         }
         if self._record is not None:
             about = {"schema": "softmap.setup/1", "softmap": __version__, "calibration": self.calibration.to_dict()}
@@ -276,6 +284,8 @@ class Controller:
             raise ServoError(f"a command of shape {u.shape}, expected {self.calibration.b.shape}")
         self._command = u
         self._send(u, deadman=True)
+        if self.kinematics is not None and self.kinematics.model.chain_names:
+            return np.clip(u, *self.kinematics.acting_bounds.T)
         low, high = (np.array([one[side] for one in self.limits["servos"]], float) for side in ("low", "high"))
         away = np.linalg.solve(self.calibration.A, u - self.calibration.b)
         ticks = np.clip(self.calibration.home + away, low, high)

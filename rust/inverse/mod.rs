@@ -1,0 +1,81 @@
+//! Inverse kinematics: what must act so that the tip is where it should be, and what must be commanded so that it acts.
+//!
+//! `solve.rs` finds the one by bounded Levenberg–Marquardt on the tip's own slopes; `published.rs` as the paper does it;
+//! `chain.rs` the other, by bracketing one sample of the chain of effects, which the control loop does every period.
+
+pub mod chain;
+pub mod published;
+pub mod solve;
+
+use crate::shape::{Shape, Work};
+use std::sync::Arc;
+
+/// Outputs of a tip: x, y, z mm.
+pub const PLACE: usize = 3;
+
+/// The squared distance (mm²) between a tip and where it should be, along the axes that count.
+pub struct Distance {
+    shape: Arc<dyn Shape>,
+    axes: [bool; PLACE],
+    place: [f64; PLACE],
+    slopes: Vec<f64>,
+    work: Work,
+    /// How often the tip was asked.
+    pub asked: usize,
+}
+
+impl Distance {
+    fn new(shape: Arc<dyn Shape>, axes: [bool; PLACE]) -> Distance {
+        Distance {
+            slopes: vec![0.0; PLACE * shape.channels()],
+            shape,
+            axes,
+            place: [0.0; PLACE],
+            work: Work::default(),
+            asked: 0,
+        }
+    }
+
+    fn apart(&self, target: &[f64; PLACE]) -> [f64; PLACE] {
+        std::array::from_fn(|i| {
+            if self.axes[i] {
+                self.place[i] - target[i]
+            } else {
+                0.0
+            }
+        })
+    }
+
+    /// At the command `u`.
+    pub fn at(&mut self, u: &[f64], target: &[f64; PLACE]) -> f64 {
+        self.asked += 1;
+        self.shape.eval(u, &mut self.place);
+        self.apart(target).iter().map(|d| d * d).sum()
+    }
+
+    /// The same, with half its slopes `gradient` (C,) = Jᵀr and `normal` (C, C) = JᵀJ.
+    pub fn with_slopes(
+        &mut self,
+        u: &[f64],
+        target: &[f64; PLACE],
+        gradient: &mut [f64],
+        normal: &mut [f64],
+    ) -> f64 {
+        self.asked += 1;
+        self.shape
+            .with_slopes(u, &mut self.place, &mut self.slopes, &mut self.work);
+        let (apart, channels) = (self.apart(target), u.len());
+        gradient.fill(0.0);
+        normal.fill(0.0);
+        for i in (0..PLACE).filter(|i| self.axes[*i]) {
+            let row = &self.slopes[i * channels..(i + 1) * channels];
+            for (a, slope) in row.iter().enumerate() {
+                gradient[a] += slope * apart[i];
+                for (b, other) in row.iter().enumerate() {
+                    normal[a * channels + b] += slope * other;
+                }
+            }
+        }
+        apart.iter().map(|d| d * d).sum()
+    }
+}

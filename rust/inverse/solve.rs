@@ -1,0 +1,362 @@
+//! Where the tip can go within bounds, and what must act so that it is there.
+//!
+//! Levenberg–Marquardt on the exact slopes of the tip (Marquardt 1963; damping after Nielsen 1999, IMM-REP-1999-05), commands held
+//! within their bounds by an active set: one that stands at a bound and is pushed beyond it stays there. A path goes on from its
+//! last waypoint. A single point, and a waypoint that is not reached, begin at the nearest of many places that were looked at
+//! beforehand, several far apart ones, so that a fold of the workspace is no trap. What cannot be reached ends at the nearest
+//! point found, with its distance. Limit: where tendons fall slack the tip of an interpolated sweep folds back by micrometres within
+//! some tenths of a mm of command; a target in such a fold is missed by those. Pinned by the tests at the foot and by tests/test_inverse.py.
+
+use super::{Distance, PLACE};
+use crate::dense::eliminate;
+use crate::error::{Result, invalid};
+use crate::shape::Shape;
+use std::sync::Arc;
+
+/// mm below which a place is reached: a tick of a servo moves a tip by more than a hundred times as much.
+pub const REACHED: f64 = 1e-4;
+/// mm at which a search ends, of the distance and of a step.
+const CLOSE: f64 = 1e-6;
+const ROUNDS: usize = 60;
+/// Starts of a search that begins anew, and how far apart they are, as a share of the ranges.
+const STARTS: usize = 4;
+const APART: f64 = 0.2;
+/// Places that are looked at beforehand: a grid for few commands, else points that fill space.
+const GRID: [usize; 4] = [1, 33, 17, 9];
+const FILLING: usize = 1024;
+
+/// A tip within bounds of what acts.
+pub struct Reach {
+    shape: Arc<dyn Shape>,
+    low: Vec<f64>,
+    high: Vec<f64>,
+    axes: [bool; PLACE],
+    samples: Vec<f64>,
+    places: Vec<f64>,
+}
+
+/// What was found for one target.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Found {
+    /// What must act (C,) mm.
+    pub u: Vec<f64>,
+    /// Where the tip then is.
+    pub place: [f64; PLACE],
+    /// mm to the target, along the axes that count.
+    pub distance: f64,
+    /// How often the tip was asked.
+    pub asked: usize,
+}
+
+impl Reach {
+    /// A tip `shape` (three outputs) whose commands stay within `low` and `high` (C,); only the `axes` of a target count.
+    pub fn new(
+        shape: Arc<dyn Shape>,
+        low: Vec<f64>,
+        high: Vec<f64>,
+        axes: [bool; PLACE],
+    ) -> Result<Reach> {
+        let channels = shape.channels();
+        if shape.size() != PLACE {
+            return Err(invalid(format!(
+                "a tip has {PLACE} outputs, this shape has {}",
+                shape.size()
+            )));
+        }
+        if channels == 0 || low.len() != channels || high.len() != channels {
+            return Err(invalid(format!(
+                "bounds of {} and {} numbers for {channels} commands; give one each, and at least one command",
+                low.len(),
+                high.len()
+            )));
+        }
+        let turned =
+            |c: &usize| !(low[*c].is_finite() && high[*c].is_finite() && low[*c] <= high[*c]);
+        if let Some(c) = (0..channels).find(turned) {
+            return Err(invalid(format!(
+                "bounds of command {c} are {} and {} mm; finite numbers, low first, are wanted",
+                low[c], high[c]
+            )));
+        }
+        if !axes.contains(&true) {
+            return Err(invalid("no axis counts; name at least one of x, y, z"));
+        }
+        let samples = sampled(&low, &high);
+        let mut places = vec![0.0; samples.len() / channels * PLACE];
+        shape.eval_rows(&samples, &mut places);
+        Ok(Reach {
+            shape,
+            low,
+            high,
+            axes,
+            samples,
+            places,
+        })
+    }
+
+    pub fn channels(&self) -> usize {
+        self.low.len()
+    }
+
+    /// Commands (S, C) that were looked at beforehand, and where the tip is there (S, 3).
+    pub fn looked_at(&self) -> (&[f64], &[f64]) {
+        (&self.samples, &self.places)
+    }
+
+    pub(super) fn tip(&self) -> Distance {
+        Distance::new(self.shape.clone(), self.axes)
+    }
+
+    pub(super) fn bounds(&self) -> (&[f64], &[f64]) {
+        (&self.low, &self.high)
+    }
+
+    /// What must act so that the tip is nearest to `target`, a single point, or one that follows `from`.
+    pub fn solve(&self, target: &[f64; PLACE], from: Option<&[f64]>) -> Found {
+        let mut search = Search::new(self);
+        let mut best: Option<Found> = from.map(|u| search.from(u, target));
+        let reached = |best: &Option<Found>| best.as_ref().is_some_and(|b| b.distance <= REACHED);
+        let starts = if reached(&best) {
+            vec![]
+        } else {
+            self.starts(target)
+        };
+        for start in starts {
+            let found = search.from(&start, target);
+            // A waypoint leaves its branch for what is really nearer, not for a tie.
+            if best
+                .as_ref()
+                .is_none_or(|best| found.distance < best.distance - REACHED)
+            {
+                best = Some(found);
+            }
+            if reached(&best) {
+                break;
+            }
+        }
+        let mut best = best.unwrap_or_else(|| unreachable!("there is always a start"));
+        best.asked = search.tip.asked;
+        best
+    }
+
+    /// The same for one target after the other (T, 3), each from where the last one was found.
+    pub fn path(&self, targets: &[f64], from: Option<&[f64]>) -> Vec<Found> {
+        let mut found: Vec<Found> = Vec::with_capacity(targets.len() / PLACE);
+        for target in targets.chunks_exact(PLACE) {
+            let target = &[target[0], target[1], target[2]];
+            let before = found.last().map(|last| last.u.clone());
+            found.push(self.solve(target, before.as_deref().or(from)));
+        }
+        found
+    }
+
+    /// The nearest places that were looked at, far apart from each other.
+    fn starts(&self, target: &[f64; PLACE]) -> Vec<Vec<f64>> {
+        let away = |place: &[f64]| -> f64 {
+            let axes = (0..PLACE).filter(|i| self.axes[*i]);
+            axes.map(|i| (place[i] - target[i]).powi(2)).sum()
+        };
+        let mut order: Vec<(f64, usize)> =
+            self.places.chunks_exact(PLACE).map(away).zip(0..).collect();
+        order.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let channels = self.channels();
+        let at = |i: usize| &self.samples[i * channels..(i + 1) * channels];
+        let mut starts: Vec<Vec<f64>> = vec![];
+        for (_, i) in order {
+            let far = |other: &Vec<f64>| {
+                (0..channels)
+                    .any(|c| (at(i)[c] - other[c]).abs() > APART * (self.high[c] - self.low[c]))
+            };
+            if starts.iter().all(far) {
+                starts.push(at(i).to_vec());
+                if starts.len() == STARTS {
+                    break;
+                }
+            }
+        }
+        starts
+    }
+}
+
+/// A grid for up to three commands, beyond that points of Halton's sequence (1960).
+fn sampled(low: &[f64], high: &[f64]) -> Vec<f64> {
+    let channels = low.len();
+    let at = |c: usize, share: f64| low[c] + share * (high[c] - low[c]);
+    if let Some(each) = GRID.get(channels) {
+        let count = each.pow(channels as u32);
+        let node = |i: usize, c: usize| i / each.pow(c as u32) % each;
+        let share = |i: usize, c: usize| node(i, c) as f64 / (each - 1) as f64;
+        return (0..count * channels)
+            .map(|k| at(k % channels, share(k / channels, k % channels)))
+            .collect();
+    }
+    let bases: Vec<usize> = (2..)
+        .filter(|n| (2..*n).all(|d| n % d != 0))
+        .take(channels)
+        .collect();
+    let halton = |mut i: usize, base: usize| {
+        let (mut share, mut part) = (0.0, 1.0 / base as f64);
+        while i > 0 {
+            share += part * (i % base) as f64;
+            (i, part) = (i / base, part / base as f64);
+        }
+        share
+    };
+    let mut points: Vec<f64> = (0..channels).map(|c| at(c, 0.5)).collect();
+    for i in 1..FILLING {
+        points.extend((0..channels).map(|c| at(c, halton(i, bases[c]))));
+    }
+    points
+}
+
+/// A search and its room.
+struct Search<'a> {
+    reach: &'a Reach,
+    tip: Distance,
+    gradient: Vec<f64>,
+    normal: Vec<f64>,
+    system: Vec<f64>,
+    trial: Vec<f64>,
+    free: Vec<usize>,
+}
+
+impl Search<'_> {
+    fn new(reach: &Reach) -> Search<'_> {
+        let channels = reach.channels();
+        Search {
+            reach,
+            tip: reach.tip(),
+            gradient: vec![0.0; channels],
+            normal: vec![0.0; channels * channels],
+            system: vec![0.0; channels * (channels + 1)],
+            trial: vec![0.0; channels],
+            free: vec![],
+        }
+    }
+
+    fn from(&mut self, start: &[f64], target: &[f64; PLACE]) -> Found {
+        let channels = self.reach.channels();
+        let bounds = self.reach.low.iter().zip(&self.reach.high);
+        let mut u: Vec<f64> = start
+            .iter()
+            .zip(bounds)
+            .map(|(u, (l, h))| {
+                if u.is_finite() {
+                    u.clamp(*l, *h)
+                } else {
+                    0.5 * (l + h)
+                }
+            })
+            .collect();
+        let (mut gradient, mut normal) = (
+            std::mem::take(&mut self.gradient),
+            std::mem::take(&mut self.normal),
+        );
+        let mut now = self.tip.with_slopes(&u, target, &mut gradient, &mut normal);
+        let mut place = self.tip.place;
+        let largest = |normal: &[f64]| {
+            (0..channels)
+                .map(|c| normal[c * channels + c])
+                .fold(0.0, f64::max)
+        };
+        let (mut damping, mut growth) = (1e-3 * largest(&normal).max(1e-12), 2.0);
+        for _ in 0..ROUNDS {
+            if now.sqrt() <= CLOSE || !self.step(&u, &gradient, &normal, damping) {
+                break;
+            }
+            let moved = |c: usize| self.trial[c] - u[c];
+            let longest = (0..channels).map(|c| moved(c).abs()).fold(0.0, f64::max);
+            if longest <= CLOSE {
+                break;
+            }
+            // By how much the linearised distance falls.
+            let promised: f64 = (0..channels)
+                .map(|a| {
+                    let bent: f64 = (0..channels)
+                        .map(|b| normal[a * channels + b] * moved(b))
+                        .sum();
+                    -moved(a) * (2.0 * gradient[a] + bent)
+                })
+                .sum();
+            let there = self.tip.at(&self.trial, target);
+            if there < now {
+                let gain = if promised > 0.0 {
+                    (now - there) / promised
+                } else {
+                    1.0
+                };
+                damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(1.0 / 3.0, 2.0);
+                growth = 2.0;
+                u.copy_from_slice(&self.trial);
+                now = self.tip.with_slopes(&u, target, &mut gradient, &mut normal);
+                place = self.tip.place;
+            } else {
+                damping *= growth;
+                growth *= 2.0;
+                if damping > 1e12 * largest(&normal).max(1e-12) {
+                    break;
+                }
+            }
+        }
+        (self.gradient, self.normal) = (gradient, normal);
+        Found {
+            u,
+            place,
+            distance: now.sqrt(),
+            asked: 0,
+        }
+    }
+
+    /// Write the next trial; false where there is nowhere to go.
+    fn step(&mut self, u: &[f64], gradient: &[f64], normal: &[f64], damping: f64) -> bool {
+        let (low, high) = (&self.reach.low, &self.reach.high);
+        let channels = u.len();
+        self.free.clear();
+        self.free.extend((0..channels).filter(|c| {
+            let held = (u[*c] <= low[*c] && gradient[*c] > 0.0)
+                || (u[*c] >= high[*c] && gradient[*c] < 0.0);
+            !held
+        }));
+        self.trial.copy_from_slice(u);
+        // Commands whose step ends beyond a bound stop there; the others are solved again without them.
+        while !self.free.is_empty() {
+            let n = self.free.len();
+            let rows = &mut self.system[..n * (n + 1)];
+            for (r, a) in self.free.iter().enumerate() {
+                let row = &mut rows[r * (n + 1)..(r + 1) * (n + 1)];
+                for (k, b) in self.free.iter().enumerate() {
+                    row[k] = normal[a * channels + b];
+                }
+                row[r] += damping;
+                // What those that stopped already do.
+                let held = (0..channels).filter(|b| !self.free.contains(b));
+                let known: f64 = held
+                    .map(|b| normal[a * channels + b] * (self.trial[b] - u[b]))
+                    .sum();
+                row[n] = -gradient[*a] - known;
+            }
+            if !eliminate(rows, n) {
+                return false;
+            }
+            let mut stopped = None;
+            for (r, c) in self.free.iter().enumerate() {
+                let to = u[*c] + rows[r * (n + 1) + n];
+                self.trial[*c] = to.clamp(low[*c], high[*c]);
+                if stopped.is_none() && (to < low[*c] || to > high[*c]) {
+                    stopped = Some(r);
+                }
+            }
+            match stopped {
+                None => return true,
+                Some(r) => {
+                    self.free.remove(r);
+                }
+            }
+        }
+        self.trial != u
+    }
+}
+
+#[cfg(test)]
+#[path = "solve_tests.rs"]
+mod tests;

@@ -1,0 +1,1 @@
+"""Where the tip should go: inverse kinematics, paths and their timing, tracking."""

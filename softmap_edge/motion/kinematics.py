@@ -1,0 +1,211 @@
+"""Inverse kinematics of the tip: what must act, and what must be commanded so that it acts.
+
+    kinematics = Kinematics(model)
+    kinematics.solve([[5.0, 0.0, 95.0]]).distance     # 0 within reach, else mm to the nearest point of it
+    plan = kinematics.plan(targets, t)                # a timed path through the effects of the model
+
+Targets are in the base frame; sensing effects never enter. What acts stays within the model's range, commands within
+that and the tick window of its calibration. A delay and a lag are previewed along the path, all other effects of the
+chain are inverted sample by sample (`rust/inverse/`). Pinned by tests/test_kinematics.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import SoftmapError
+from softmap_edge.model import Model
+from softmap_edge.predictors import tip
+
+Floats = NDArray[np.float64]
+
+AXES = "xyz"
+METHODS = ("exact", "paper")
+REACHED = 0.01  # mm: below this a target counts as reached; folds of an interpolated sweep hide some micrometres
+PREVIEWED = {"latency": "delay", "lag": "tau"}  # effects of the path, not of a sample, and what tells how late they are
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What was found for targets (T, 3): `acting` (T, C) mm, the tip there (T, 3), `distance` (T,) mm along the axes
+    that count, and how often the model was asked (T,)."""
+
+    acting: Floats
+    tip: Floats
+    distance: Floats
+    asked: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A timed path: at `t` (T,) s the tip should be at `targets` (T, 3) mm.
+
+    `acting` (T, C) mm brings it there; `commands` (T, C) mm, sent at `t`, make that act through the effects, `tip`
+    (T, 3) is where the model then expects it, `distance` (T,) mm from the target along the axes that count.
+    `unreachable` (T,) are the distances of the targets from what can be reached at all.
+    """
+
+    t: Floats
+    targets: Floats
+    acting: Floats
+    commands: Floats
+    tip: Floats
+    distance: Floats
+    unreachable: Floats
+
+
+class Kinematics:
+    """Inverse kinematics of a model's tip in a world that stays as it is.
+
+    Args:
+        model: with its effects. gravity: (3,) unit vector, by default as the model hangs. load: g at the tip.
+        temperature: °C. axes: which of a target's coordinates count, as "xy".
+
+    Raises:
+        SoftmapError: no such axes, a model without commands, an effect that cannot be inverted (a user's own), a
+        field that
+            an effect needs and the model lacks.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        gravity: ArrayLike | None = None,
+        load: float = 0.0,
+        temperature: float = float("nan"),
+        axes: str = AXES,
+    ) -> None:
+        if not axes or set(axes) - set(AXES) or len(set(axes)) < len(axes):
+            raise SoftmapError(f"axes '{axes}'; name some of x, y and z, each once")
+        if model.channels == 0:
+            raise SoftmapError(f"the model of '{model.robot}' takes no commands: nothing moves its tip")
+        self.model, self.axes = model, axes
+        self._world = (model.gravity_reference if gravity is None else np.asarray(gravity, float), load, temperature)
+        self.tip = model.tip_shape if gravity is None and not load else tip(model, *self._world)
+        reach = np.asarray(model.command_range, float)
+        self.bounds = reach if model.calibration is None else model.calibration.usable(reach)
+        self._chain = self.inverse()
+
+    def inverse(self) -> _core.Inverse:
+        """Return the chain of the model's effects to be inverted step by step, at rest."""
+        low, high = self.bounds.T
+        return _core.Inverse(self.model.chain, self.model.chain_params, low.tolist(), high.tolist(), *self._world)
+
+    def document(self) -> dict[str, Any] | None:
+        """Return what the control loop needs to undo the effects, None where there are none to undo."""
+        if not self.model.chain_names:
+            return None
+        gravity, load, temperature = self._world
+        return {
+            "names": list(self.model.chain_names),
+            "params": np.asarray(self.model.chain_params).tolist(),
+            "low": self.bounds[:, 0].tolist(),
+            "high": self.bounds[:, 1].tolist(),
+            "gravity": np.asarray(gravity, float).tolist(),
+            "load": load,
+            "temperature": None if np.isnan(temperature) else temperature,
+        }
+
+    @cached_property
+    def acting_bounds(self) -> Floats:
+        """The range (C, 2) mm of what acts: that of the model, as far as commands reach it one at a time, held for
+        long."""
+        home = np.clip(np.zeros(self.model.channels), *self.bounds.T)
+        ends = []
+        for c, side in np.ndindex(self.model.channels, 2):
+            command = home.copy()
+            command[c] = self.bounds[c, side]
+            ends.append(self._chain.settle(command))
+        found = np.array(ends + [self._chain.settle(home)])
+        low, high = np.asarray(self.model.command_range, float).T
+        return np.stack([np.maximum(found.min(axis=0), low), np.minimum(found.max(axis=0), high)], axis=1)
+
+    @cached_property
+    def reach(self) -> _core.Reach:
+        """What the tip can reach."""
+        low, high = self.acting_bounds.T
+        return _core.Reach(self.tip, low.tolist(), high.tolist(), [axis in self.axes for axis in AXES])
+
+    def solve(self, targets: ArrayLike, start: ArrayLike | None = None, method: str = "exact") -> Solved:
+        """Return what must act for each of `targets` (T, 3) mm, one after the other.
+
+        Args:
+            start: (C,) mm, where the first search begins; by default all over the range. method: `exact`, or
+            `paper`: the
+                paper's grid, Nelder-Mead and Adam, to compare with.
+
+        Raises:
+            SoftmapError: targets of another shape or not finite, no such method.
+        """
+        points = _points(targets)
+        if method not in METHODS:
+            raise SoftmapError(f"no method '{method}'; there are {', '.join(METHODS)}")
+        first = None if start is None else np.asarray(start, float).tolist()
+        return Solved(*self.reach.path(points, first, method == "paper"))
+
+    def plan(self, targets: ArrayLike, t: ArrayLike, start: ArrayLike | None = None, method: str = "exact") -> Plan:
+        """Return the commands that lead the tip through `targets` (T, 3) mm at times `t` (T,) s, effects undone.
+
+        The finger has rested at home, or at the command `start` (C,) mm, for long before the first of them.
+
+        Raises:
+            SoftmapError: as `solve`, or times that do not rise.
+        """
+        points, t = _points(targets), np.asarray(t, float)
+        if t.shape != (len(points),) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
+            raise SoftmapError(f"times of shape {t.shape} for {len(points)} targets; give each one, and let them rise")
+        solved = self.solve(points, None, method)
+        self._chain.settle(np.zeros(self.model.channels) if start is None else np.asarray(start, float))
+        commands, acts = self._chain.path(self.early(solved.acting, t), t)
+        expected = np.asarray(self.tip.evaluate(self.late(acts, t)))
+        counts = [axis in self.axes for axis in AXES]
+        distance = np.linalg.norm((expected - points)[:, counts], axis=1)
+        return Plan(t, points, solved.acting, commands, expected, distance, solved.distance)
+
+    @property
+    def delays(self) -> tuple[float, float]:
+        """Seconds by which the model's effects answer late: a pure delay, and a lag (its time constant)."""
+        told = [self.model.params.get(f"{name}.{number}", 0.0) for name, number in PREVIEWED.items()]
+        return float(told[0]), float(told[1])
+
+    def early(self, acting: Floats, t: Floats) -> Floats:
+        """Return what is to be asked at `t` so that `acting` (T, C) comes in time through delay and lag.
+
+        u(t) = x(t + delay) + tau x'(t + delay), linear between samples, held beyond the last.
+        """
+        delay, tau = self.delays
+        if not delay and not tau:
+            return acting
+        asked = acting + tau * np.gradient(acting, t, axis=0) if len(t) > 1 else acting
+        return np.stack([np.interp(t + delay, t, column) for column in asked.T], axis=1)
+
+    def late(self, asked: Floats, t: Floats) -> Floats:
+        """Return what delay and lag make (T, C) of what is `asked` at `t`: the model's own effects of those names."""
+        names = [name for name in PREVIEWED if name in self.model.chain_names]
+        if not names:
+            return asked
+        chain = _core.Chain(names, self.model.channels)
+        params = np.array([self.model.params[label] for label in chain.labels])
+        return np.asarray(chain.rollout(params[None], asked, t)[0])
+
+    def reaches(self, targets: ArrayLike) -> NDArray[np.bool_]:
+        """Return which of `targets` (T, 3) mm the tip can reach, to `REACHED` mm along the axes that count."""
+        points = _points(targets)
+        return np.array([self.solve(point[None]).distance[0] <= REACHED for point in points], bool)
+
+
+def _points(targets: ArrayLike) -> Floats:
+    points = np.asarray(targets, float)
+    if points.ndim != 2 or points.shape[1:] != (3,):
+        raise SoftmapError(f"targets of shape {points.shape}, expected (T, 3): x, y, z in mm, base frame")
+    if not np.isfinite(points).all():
+        wrong = int(np.argmin(np.isfinite(points).all(axis=1)))
+        raise SoftmapError(f"target {wrong} is {points[wrong].tolist()}; finite numbers in mm are wanted")
+    return points
