@@ -163,7 +163,7 @@ class Kinematics:
             raise SoftmapError(f"times of shape {t.shape} for {len(points)} targets; give each one, and let them rise")
         solved = self.solve(points, None, method)
         self._chain.settle(np.zeros(self.model.channels) if start is None else np.asarray(start, float))
-        commands, acts = self._chain.path(self.early(solved.acting, t), t)
+        commands, acts = self._chain.path(early(solved.acting, t, *self.delays), t)
         expected = np.asarray(self.tip.evaluate(self.late(acts, t)))
         counts = [axis in self.axes for axis in AXES]
         distance = np.linalg.norm((expected - points)[:, counts], axis=1)
@@ -174,17 +174,6 @@ class Kinematics:
         """Seconds by which the model's effects answer late: a pure delay, and a lag (its time constant)."""
         told = [self.model.params.get(f"{name}.{number}", 0.0) for name, number in PREVIEWED.items()]
         return float(told[0]), float(told[1])
-
-    def early(self, acting: Floats, t: Floats) -> Floats:
-        """Return what is to be asked at `t` so that `acting` (T, C) comes in time through delay and lag.
-
-        u(t) = x(t + delay) + tau x'(t + delay), linear between samples, held beyond the last.
-        """
-        delay, tau = self.delays
-        if not delay and not tau:
-            return acting
-        asked = acting + tau * np.gradient(acting, t, axis=0) if len(t) > 1 else acting
-        return np.stack([np.interp(t + delay, t, column) for column in asked.T], axis=1)
 
     def late(self, asked: Floats, t: Floats) -> Floats:
         """Return what delay and lag make (T, C) of what is `asked` at `t`: the model's own effects of those names."""
@@ -199,6 +188,17 @@ class Kinematics:
         """Return which of `targets` (T, 3) mm the tip can reach, to `REACHED` mm along the axes that count."""
         points = _points(targets)
         return np.array([self.solve(point[None]).distance[0] <= REACHED for point in points], bool)
+
+
+def early(acting: Floats, t: Floats, delay: float, lag: float) -> Floats:
+    """Return what is to be asked at `t` (T,) s so that `acting` (T, C) comes in time through a delay and a lag (s).
+
+    u(t) = x(t + delay) + lag x'(t + delay), linear between samples, held beyond the last.
+    """
+    if (not delay and not lag) or len(t) < 2:
+        return acting
+    asked = acting + lag * np.gradient(acting, t, axis=0)
+    return np.stack([np.interp(t + delay, t, column) for column in asked.T], axis=1)
 
 
 def _points(targets: ArrayLike) -> Floats:

@@ -110,6 +110,11 @@ class Controller:
         return str(self._last.get("state", "off"))
 
     @property
+    def recording(self) -> Path | None:
+        """The file that is recorded to; it can be read while it grows."""
+        return self._record
+
+    @property
     def report(self) -> Report:
         """The newest report of the loop (softmap.loop/1)."""
         return dict(self._last)

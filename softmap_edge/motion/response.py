@@ -1,0 +1,56 @@
+"""How late servos are: what lies between the goals that are sent and the positions that come back.
+
+Each servo as a pure delay and a lag behind it (the library's own `latency` and `lag`), by least squares on a grid that is
+refined once; what counts is the shape of the motion, so that a constant miss is left out. Pinned by tests/test_track.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+
+Floats = NDArray[np.float64]
+
+LONGEST = (0.5, 0.4)  # s of delay and of lag that are looked at
+MOVES = 30.0  # ticks that a servo must move to tell anything
+
+
+def fit_response(t: Floats, goal: Floats, position: Floats) -> tuple[float, float] | None:
+    """Return delay and lag (s) of `position` (T, C) behind `goal` (T, C) ticks at `t` (T,) s; None where nothing moves.
+
+    One pair for all servos: the median of those that move.
+    """
+    found = []
+    for asked, told in zip(goal.T, position.T):
+        if np.ptp(asked) < MOVES or np.ptp(told) < MOVES / 2:
+            continue
+        delay, lag, steps = 0.25, 0.2, (0.25, 0.2)
+        for _ in range(3):
+            delays = np.clip(np.linspace(delay - steps[0], delay + steps[0], 26), 0.0, LONGEST[0])
+            lags = np.clip(np.linspace(lag - steps[1], lag + steps[1], 21), 0.0, LONGEST[1])
+            sets = np.stack(np.meshgrid(delays, lags, indexing="ij"), axis=-1).reshape(-1, 2)
+            made = _core.Chain(["latency", "lag"], 1).rollout(sets, asked[:, None], t)[..., 0]
+            miss = made - told
+            best = int(np.argmin(np.var(miss, axis=1)))
+            delay, lag = map(float, sets[best])
+            steps = (steps[0] / 10, steps[1] / 8)
+        found.append((delay, lag))
+    if not found:
+        return None
+    middle = np.median(found, axis=0)
+    return float(middle[0]), float(middle[1])
+
+
+def response_of(periods: Sequence[Mapping[str, Any]]) -> tuple[float, float] | None:
+    """Return delay and lag of the servos from periods of a recording in which goals were sent and all were heard."""
+    whole = [p for p in periods if p["torque"] and None not in p["goal"] and None not in p["position"]]
+    if len(whole) < 50:
+        return None
+    t = np.array([p["now"] for p in whole], float) * 1e-9
+    goal, position = (np.array([p[key] for p in whole], float) for key in ("goal", "position"))
+    return fit_response(t - t[0], goal, position)

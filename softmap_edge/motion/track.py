@@ -1,0 +1,217 @@
+"""Lead the tip along a figure: the path, its timing, the commands, the run on servos, and how far off it was.
+
+The servos' own answer (delay, lag) is measured at the start by a small move and previewed; the effects of the model are
+undone in the control loop, from what was really sent. Where a camera sees the tip, what is left can be fed back
+(`observe`). Pinned by tests/test_track.py.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import SoftmapError
+from softmap_edge.motion.curves import even, figure
+from softmap_edge.motion.kinematics import AXES, Kinematics, Plan, early
+from softmap_edge.motion.response import response_of
+from softmap_edge.motion.timing import timed
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.finger import Frame, on_host
+from softmap_edge.servo.recording import read_recording
+from softmap_edge.ticks import Calibration
+
+Floats = NDArray[np.float64]
+
+PATH_POINTS = 600  # of a figure at which it is timed
+LEAD = 2.0  # s of the way from rest to the figure, at least
+SENT = 100.0  # commands a second
+SETTLED = 1.5  # s after engaging and after the figure
+PROBE = (0.5, 3.0)  # mm and s of the move that measures the servos
+GAIN = 1.2  # 1/s with which what is seen is fed back
+MOST_BACK = 5.0  # mm that feedback may add
+
+
+@dataclass(frozen=True)
+class Course:
+    """A plan and which of its waypoints (T,) are the figure's, the others lead to it; `quickest` s the figure could take."""
+
+    plan: Plan
+    counts: NDArray[np.bool_]
+    quickest: float
+
+
+def course(
+    kinematics: Kinematics,
+    name: str,
+    *,
+    amplitude: float,
+    duration: float,
+    rate: float,
+    slew: Sequence[float],
+    acceleration: Sequence[float],
+    calibration: Calibration,
+    method: str = "exact",
+) -> Course:
+    """Plan a figure about the tip at rest, in the first two of the axes that count.
+
+    Args:
+        name: a figure or a file (`curves.figure`). amplitude: mm. duration: s, stretched where the limits ask for more.
+        rate: waypoints a second. slew, acceleration: (C,) of the servos, in ticks. calibration: commands to ticks.
+
+    Raises:
+        SoftmapError: a rate or duration that is none, fewer than two axes, or as `figure`.
+    """
+    if not (0 < duration <= 3600 and 1 <= rate <= 1000):
+        raise SoftmapError(f"{duration:g} s at {rate:g} waypoints a second; up to 3600 s and 1 to 1000 are allowed")
+    plane = [AXES.index(axis) for axis in kinematics.axes][:2]
+    if len(plane) < 2:
+        raise SoftmapError(f"axes '{kinematics.axes}': a figure needs two, as xy")
+    rest = np.asarray(kinematics.tip.evaluate(np.zeros((1, kinematics.model.channels))))[0]
+
+    def placed(points: Floats) -> Floats:
+        whole = np.tile(rest, (len(points), 1))
+        whole[:, plane] += points
+        return whole
+
+    line = figure(name, amplitude)
+    way = placed(even(line, PATH_POINTS))
+    lead = placed(even(np.stack([np.zeros(2), line[0]]), max(3, PATH_POINTS // 4)))
+    back = np.linalg.inv(calibration.A).T
+
+    def waypoints(points: Floats, least: float) -> tuple[Floats, float]:
+        acting = kinematics.solve(points, method="exact").acting
+        profile = timed(acting @ back, slew, acceleration, least)
+        t = np.arange(0.0, profile.t[-1] + 1e-9, 1.0 / rate)
+        along = np.linspace(0.0, 1.0, len(points))
+        targets = np.stack([np.interp(profile.at(t), along, column) for column in points.T], axis=1)
+        return targets, profile.quickest
+
+    (to, _), (figures, quickest) = waypoints(lead, LEAD), waypoints(way, duration)
+    targets = np.concatenate([to, figures])
+    plan = kinematics.plan(targets, np.arange(len(targets)) / rate, method=method)
+    return Course(plan, np.arange(len(targets)) >= len(to), quickest)
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What happened: where the tip was seen `tip` (K, 3) mm at `t` (K,) s of the plan, where it should have been then
+    `target` (K, 3), and how far off `error` (K,) mm along the axes that count; `response` (delay, lag) s of the servos."""
+
+    t: Floats
+    target: Floats
+    tip: Floats
+    error: Floats
+    response: tuple[float, float]
+
+
+def track(
+    robot: Controller,
+    kinematics: Kinematics,
+    course: Course,
+    seen: Callable[[], list[Frame]] | None = None,
+    *,
+    observe: bool = False,
+) -> Tracked:
+    """Drive a course on an entered `robot` that records, and judge it by what `seen` tells.
+
+    Raises:
+        SoftmapError: the robot records nothing, feedback without a camera, or the guard stopped.
+    """
+    if robot.recording is None or (observe and seen is None):
+        raise SoftmapError("tracking needs a robot that records, and a camera where what it sees is fed back")
+    home = np.zeros(kinematics.model.channels)
+    robot.engage(home)
+    _play(robot, lambda t: home, SETTLED)
+    _play(robot, lambda t: _probe(t, len(home)), PROBE[1] + SETTLED)
+    told = response_of(read_recording(robot.recording).periods)
+    delay, lag = (0.0, 0.0) if told is None else told
+    plan = course.plan
+    asked = early(plan.acting, plan.t, delay + kinematics.delays[0], lag + kinematics.delays[1])
+    feedback = _Feedback(kinematics, plan, time.monotonic()) if observe else None
+
+    def command(t: float) -> Floats:
+        u = np.array([np.interp(t, plan.t, column) for column in asked.T])
+        if feedback is not None and seen is not None:
+            u = u + feedback(u, seen())
+        return u
+
+    begun = time.monotonic()
+    if feedback is not None:
+        feedback.begun = begun
+    _play(robot, command, float(plan.t[-1]) + 1.0 / SENT)
+    frames = [] if seen is None else _kept(seen, begun + plan.t[-1])
+    _play(robot, lambda t: asked[-1], SETTLED)
+    return _judged(kinematics, course, frames, begun, (delay, lag))
+
+
+def _play(robot: Controller, command: Callable[[float], Floats], seconds: float) -> None:
+    """Send what `command` says at each time since now, `SENT` times a second."""
+    begun = due = time.monotonic()
+    while (now := time.monotonic()) - begun < seconds:
+        robot.target(command(now - begun))
+        due = max(due + 1.0 / SENT, now)
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def _probe(t: float, channels: int) -> Floats:
+    if t > PROBE[1]:
+        return np.zeros(channels)
+    rise = np.sin(np.pi * t / PROBE[1]) ** 2
+    return np.array([PROBE[0] * rise * np.sin(2 * np.pi * (1.0 + 0.3 * (c % 3)) * t) for c in range(channels)])
+
+
+def _kept(seen: Callable[[], list[Frame]], until: float) -> list[Frame]:
+    """Return all frames once those of `until` have arrived, or 0.3 s later."""
+    while time.monotonic() < until + 0.3:
+        time.sleep(0.02)
+    return seen()
+
+
+def _tips(kinematics: Kinematics, frames: Sequence[Frame]) -> Floats:
+    index = kinematics.model.tip_indices
+    return np.array([frame.points[index].mean(axis=0) for frame in frames]).reshape(-1, 3)
+
+
+def _counted(kinematics: Kinematics) -> NDArray[np.bool_]:
+    return np.array([axis in kinematics.axes for axis in AXES])
+
+
+def _judged(
+    kinematics: Kinematics, course: Course, frames: Sequence[Frame], begun: float, response: tuple[float, float]
+) -> Tracked:
+    t = on_host(frames) - begun
+    plan = course.plan
+    first = plan.t[course.counts][0]
+    during = (t >= first) & (t <= plan.t[-1])
+    t, tip = t[during], _tips(kinematics, frames)[during]
+    target = np.stack([np.interp(t, plan.t, column) for column in plan.targets.T], axis=1)
+    error = np.linalg.norm((tip - target)[:, _counted(kinematics)], axis=1)
+    return Tracked(t, target, tip, error, response)
+
+
+class _Feedback:
+    """An integral of what is seen to be off, as a change of what should act."""
+
+    def __init__(self, kinematics: Kinematics, plan: Plan, begun: float) -> None:
+        self._kinematics, self._plan, self.begun = kinematics, plan, begun
+        self._sum, self._last = np.zeros(3), -np.inf
+        self._counts = _counted(kinematics)
+
+    def __call__(self, u: Floats, frames: Sequence[Frame]) -> Floats:
+        if frames and frames[-1].stamp > self._last:
+            recent = frames[-300:]
+            t = on_host(recent) - self.begun
+            fresh = [k for k, frame in enumerate(recent) if frame.stamp > self._last and t[k] >= 0]
+            for k in fresh:
+                plan = self._plan
+                target = np.array([np.interp(t[k], plan.t, column) for column in plan.targets.T])
+                off = np.where(self._counts, target - _tips(self._kinematics, [recent[k]])[0], 0.0)
+                step = recent[k].stamp - self._last if np.isfinite(self._last) else 0.0
+                self._sum = np.clip(self._sum + GAIN * min(step, 0.1) * off, -MOST_BACK, MOST_BACK)
+                self._last = recent[k].stamp
+        slopes = np.asarray(self._kinematics.tip.jacobian(u[None]))[0][self._counts]
+        return np.asarray(np.linalg.lstsq(slopes, self._sum[self._counts], rcond=0.05)[0])

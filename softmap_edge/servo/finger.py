@@ -1,0 +1,193 @@
+"""A finger behind emulated servos: what a camera would see of it while real packets drive it.
+
+Horns wind tendons by the robot's own map; what hides between is one of the truth's laws (`truth_laws.py`, never the effect
+library); the shape is the model's without its effects. Frames come with a clock of their own, some of it off. A stand-in
+for hardware, never called real. Pinned by tests/test_emulated_finger.py.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import product
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import ServoError
+from softmap_edge.model import Model
+from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.rig import Rig, RigServo
+from softmap_edge.ticks import Calibration
+from softmap_edge.truth import check_hidden
+from softmap_edge.truth_laws import LAWS, Law
+from softmap_edge.truth_named import NAMED
+from softmap_edge.truth_stream import streamed
+
+Floats = NDArray[np.float64]
+
+RATE = 200.0  # looks at the horns a second
+FRAMES = 30.0  # frames a second
+LATE = (0.02, 0.01)  # s from a frame to whoever asks: at least, and at random beyond
+NOISE = 0.1  # mm, each coordinate of each point
+DRIFT = 30e-6  # of the camera's clock against the host's
+KEPT = 9000  # frames: five minutes
+SERVO, BAUD = "XL330-M288", 1_000_000
+ANSWER = (0.19, 0.05)  # s: delay and lag of the trunk's servos, commands against encoders of its recording
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What a camera saw: `stamp` s by its own clock, `arrived` s by the host's monotonic one, `points` (N, 3) mm."""
+
+    stamp: float
+    arrived: float
+    points: Floats
+
+
+def hidden_laws(names: Sequence[str], channels: int, seed: int, strength: float = 1.0) -> list[Law]:
+    """Return laws of commands to hide, drawn from `seed`, `strength` times as strong as they come.
+
+    Raises:
+        SoftmapError: an unknown or repeated name, or a law that moves no command.
+    """
+    check_hidden(names, seed)
+    known = {**LAWS, **NAMED}
+    laws = []
+    for name in names:
+        law = known[name].draw(np.random.default_rng([seed, list(known).index(name)]), channels).scaled(strength)
+        if type(law).command is Law.command:
+            raise ServoError(f"'{name}' moves no tendon; what lies between servo and finger can hide here")
+        laws.append(law)
+    return laws
+
+
+class EmulatedFinger:
+    """A finger on the horns of `bus`, seen by a camera, from entering to leaving.
+
+    Args:
+        bus: emulated servos, in the order of the commands. model: whose prior gives the shape. calibration: the true map
+            of ticks. laws: what hides between horn and body (`hidden_laws`). seed: of noise and clock.
+    """
+
+    def __init__(
+        self,
+        bus: _core.EmulatedBus,
+        model: Model,
+        calibration: Calibration,
+        laws: Sequence[Law] = (),
+        *,
+        noise_mm: float = NOISE,
+        seed: int = 0,
+    ) -> None:
+        channels = len(calibration.b)
+        if model.channels != channels or len(bus.state()[1]) != channels:
+            raise ServoError(
+                f"{len(bus.state()[1])} servos, a map of {channels} and a model of {model.channels} commands; they must agree"
+            )
+        self._bus, self._model, self._map = bus, model, calibration
+        self._step, self._noise = streamed(laws), noise_mm
+        self._rng = np.random.default_rng(seed)
+        self._zero = time.monotonic() - float(self._rng.uniform(5.0, 500.0))  # where the camera's clock began
+        self._drift = DRIFT * float(self._rng.uniform(-1.0, 1.0))
+        self._signs = np.ones(channels)
+        self._frames: deque[Frame] = deque(maxlen=KEPT)
+        self._acting: deque[tuple[float, Floats]] = deque(maxlen=int(KEPT * RATE / FRAMES))
+        self._taken = -np.inf
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._live, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._done.set()
+        self._thread.join(2.0)
+
+    def tendon(self, channel: int, sign: float) -> None:
+        """Change how a horn pulls from now on: 1 as it should, -1 the wrong way, 0 for a broken tendon."""
+        self._signs[channel] = sign
+
+    def seen(self) -> list[Frame]:
+        """Return the frames that have arrived, oldest first, at most the last `KEPT`."""
+        now = time.monotonic()
+        return [frame for frame in list(self._frames) if frame.arrived <= now]
+
+    def acting(self) -> tuple[Floats, Floats]:
+        """Return what truly acted: times (T,) s, monotonic, and (T, C) mm. No robot tells that."""
+        known = list(self._acting)
+        return np.array([t for t, _ in known]), np.array([u for _, u in known])
+
+    def _live(self) -> None:
+        last, due = -np.inf, time.monotonic()
+        while not self._done.is_set():
+            now, horns = self._bus.state()
+            angles = np.array([angle for angle, _, _ in horns])
+            u = self._map.A @ (self._signs * (angles - self._map.home)) + self._map.b
+            if now > last:
+                acting = self._step(now, u)
+                self._acting.append((now, acting))
+                if now - self._taken >= 1.0 / FRAMES:
+                    self._take(now, acting)
+                last = now
+            due += 1.0 / RATE
+            self._done.wait(max(0.0, due - time.monotonic()))
+
+    def _take(self, now: float, acting: Floats) -> None:
+        self._taken = now
+        points = np.asarray(self._model.prior.evaluate(acting[None])).reshape(-1, 3)
+        seen = points + self._noise * self._rng.normal(size=points.shape)
+        late = LATE[0] + LATE[1] * float(self._rng.exponential())
+        self._frames.append(Frame((now - self._zero) * (1.0 + self._drift), now + late, seen))
+
+
+@contextmanager
+def emulated_bench(
+    model: Model, calibration: Calibration, laws: Sequence[Law] = (), *, rate: float = 200.0, seed: int = 0
+) -> Iterator[tuple[_core.EmulatedBus, Rig, dict[str, Any], EmulatedFinger]]:
+    """Give an emulated bus set up to be driven, its rig, its limits, and a finger on it.
+
+    Servos answer as late as those of the trunk did (0.19 s, lag 0.05 s: commands against encoders of its recording).
+    """
+    numbers = {entry["name"]: entry["number"] for entry in _core.servo_models()}
+    ids = range(1, model.channels + 1)
+    homes = [round(float(home)) for home in calibration.home]
+    servos = [(id, numbers[SERVO], BAUD, float(home)) for id, home in zip(ids, homes)]
+    bus = _core.EmulatedBus(servos, [[(h - 1000.0, -400.0), (h, 0.0), (h + 1000.0, 400.0)] for h in homes],
+                            delay=ANSWER[0], lag=ANSWER[1], seed=seed)  # fmt: skip
+    try:
+        window = calibration.window or _window(model, calibration)
+        driver = _core.ServoBus(bus.path, BAUD)
+        for id in ids:  # as `softmap servo setup` leaves them
+            for address, value in ((64, b"\x00"), (11, b"\x05"), (9, b"\x00")):
+                driver.write(id, address, value)
+        driver.close()
+        rig = Rig(bus.path, BAUD, tuple(RigServo(id, SERVO, home) for id, home in zip(ids, homes)))
+        limits = loop_limits([servo_limits(SERVO, home, window) for home in homes], rate)
+        with EmulatedFinger(bus, model, calibration, laws, seed=seed) as finger:
+            yield bus, rig, limits, finger
+    finally:
+        bus.unplug()
+
+
+def _window(model: Model, calibration: Calibration) -> tuple[float, float]:
+    """Return ticks about home that hold the model's whole range."""
+    corners = np.array(list(product(*np.asarray(model.command_range, float))))
+    away = calibration.ticks(corners) - calibration.home
+    return float(away.min()), float(away.max())
+
+
+def on_host(frames: Sequence[Frame]) -> Floats:
+    """Return when frames were taken (K,) s by the host's clock, as far as a host can know: the quickest came at once."""
+    stamps, arrived = (np.array([getattr(frame, name) for frame in frames]) for name in ("stamp", "arrived"))
+    return np.asarray(stamps + np.min(arrived - stamps)) if len(frames) else stamps
