@@ -45,11 +45,14 @@ def moved(robot, u, seconds):
 
 def test_a_camera_sees_the_finger_that_packets_drive(model):
     laws = hidden_laws(["backlash"], 2, 1)
-    with bench() as (bus, rig, limits), EmulatedFinger(bus, model, calibration(), laws, seed=4) as finger:
-        with Controller(rig, calibration(), limits) as robot:
-            robot.engage()
-            moved(robot, [1.8, -1.2], 2.5)
-            frames, (t, acting) = finger.seen(), finger.acting()
+    with (
+        bench() as (bus, rig, limits),
+        EmulatedFinger(bus, model, calibration(), laws, seed=4) as finger,
+        Controller(rig, calibration(), limits) as robot,
+    ):
+        robot.engage()
+        moved(robot, [1.8, -1.2], 2.5)
+        frames, (_, acting) = finger.seen(), finger.acting()
     stamps = np.array([frame.stamp for frame in frames])
     host = on_host(frames)
     assert np.ptp(stamps) * FRAMES * 0.8 < len(frames) <= np.ptp(stamps) * FRAMES * 1.1 + 2

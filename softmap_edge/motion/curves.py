@@ -1,7 +1,7 @@
 """Figures that a tip can be led along: letters, circle, figure of eight, and polylines from CSV or SVG.
 
-A figure is a polyline (n, 2) in a plane, x to the right, y up, its middle at the origin, its larger half side 1; corners
-are corners. The letters' strokes are ours, drawn without lifting. Pinned by tests/test_curves.py.
+A figure is a polyline (n, 2) in a plane, x to the right, y up, its middle at the origin, its larger half side 1;
+corners are corners. The letters' strokes are ours, drawn without lifting. Pinned by tests/test_curves.py.
 """
 
 from __future__ import annotations
@@ -85,7 +85,9 @@ def even(points: Floats, count: int) -> Floats:
 def _points_of(file: Path, suffix: str) -> Floats:
     try:
         if file.stat().st_size > MOST_TEXT:
-            raise SoftmapError(f"{file}: {file.stat().st_size >> 10} KB, figures of up to {MOST_TEXT >> 10} KB are read")
+            raise SoftmapError(
+                f"{file}: {file.stat().st_size >> 10} KB, figures of up to {MOST_TEXT >> 10} KB are read"
+            )
         text = file.read_text("utf-8-sig")
     except OSError as fault:
         raise SoftmapError(f"{file}: {fault.strerror}") from None
@@ -124,7 +126,9 @@ def _svg(file: Path, text: str) -> list[tuple[float, float]]:
     for element in root.iter():
         kind = element.tag.rpartition("}")[2] if isinstance(element.tag, str) else ""
         if kind in ("path", "polyline", "polygon", "line") and (element.get("transform") or ""):
-            raise SoftmapError(f"{file}: its first curve has a transform; apply it in the drawing program and save again")
+            raise SoftmapError(
+                f"{file}: its first curve has a transform; apply it in the drawing program and save again"
+            )
         if kind == "path":
             points = _path(file, element.get("d", ""))
         elif kind in ("polyline", "polygon"):
@@ -189,7 +193,8 @@ def _path(file: Path, d: str) -> list[tuple[float, float]]:
 
 def _commands(file: Path, d: str) -> Iterator[tuple[str, list[float]]]:
     """Yield each command of a path with its numbers."""
-    command, numbers = "", []
+    command = ""
+    numbers: list[float] = []
     for letter, number in (*_TOKEN.findall(d), ("", "")):
         if letter or not number:
             if numbers:

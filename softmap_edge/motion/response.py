@@ -1,7 +1,8 @@
 """How late servos are: what lies between the goals that are sent and the positions that come back.
 
-Each servo as a pure delay and a lag behind it (the library's own `latency` and `lag`), by least squares on a grid that is
-refined once; what counts is the shape of the motion, so that a constant miss is left out. Pinned by tests/test_track.py.
+Each servo as a pure delay and a lag behind it (the library's own `latency` and `lag`), by least squares on a grid
+that is refined once; what counts is the shape of the motion, so that a constant miss is left out. Pinned by
+tests/test_track.py.
 """
 
 from __future__ import annotations

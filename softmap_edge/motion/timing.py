@@ -1,9 +1,9 @@
 """When to be where: a path timed within the slew and acceleration limits of the servos.
 
-The path's parameter s runs from 0 to 1; with x = ṡ² a servo at q(s) ticks moves at q'·√x and is accelerated by q''·x + q'·s̈.
-Half of the acceleration is kept for each term, so that no limit is ever passed; a forward and a backward sweep over s give
-the quickest such profile (as Bobrow, Dubowsky & Gibson 1985, coarser), which is then slowed evenly to the duration that
-was asked for. Pinned by tests/test_timing.py.
+The path's parameter s runs from 0 to 1; with x = ṡ² a servo at q(s) ticks moves at q'·√x and is accelerated by q''·x
++ q'·s̈. Half of the acceleration is kept for each term, so that no limit is ever passed; a forward and a backward
+sweep over s give the quickest such profile (as Bobrow, Dubowsky & Gibson 1985, coarser), which is then slowed evenly
+to the duration that was asked for. Pinned by tests/test_timing.py.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ SHARE = 0.8  # of the limits that a plan uses: the guard's paths need the rest t
 
 @dataclass(frozen=True)
 class Profile:
-    """Times `t` (N,) s at which the even parameters s (N,) in [0, 1] are passed; `quickest` s is how fast it could be."""
+    """Times `t` (N,) s at which the even parameters s (N,) in [0, 1] are passed; `quickest` s is how fast it could
+    be."""
 
     t: Floats
     quickest: float

@@ -20,7 +20,7 @@ from softmap_edge.motion.kinematics import AXES, Kinematics, Plan, early
 from softmap_edge.motion.response import response_of
 from softmap_edge.motion.timing import timed
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.finger import Frame, on_host
+from softmap_edge.servo.finger import FRAMES, Frame, on_host
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.ticks import Calibration
 
@@ -31,13 +31,14 @@ LEAD = 2.0  # s of the way from rest to the figure, at least
 SENT = 100.0  # commands a second
 SETTLED = 1.5  # s after engaging and after the figure
 PROBE = (0.5, 3.0)  # mm and s of the move that measures the servos
-GAIN = 1.2  # 1/s with which what is seen is fed back
+AVERAGED = 0.2  # s over which what is seen to be off is averaged before it is fed back
 MOST_BACK = 5.0  # mm that feedback may add
 
 
 @dataclass(frozen=True)
 class Course:
-    """A plan and which of its waypoints (T,) are the figure's, the others lead to it; `quickest` s the figure could take."""
+    """A plan and which of its waypoints (T,) are the figure's, the others lead to it; `quickest` s the figure could
+    take."""
 
     plan: Plan
     counts: NDArray[np.bool_]
@@ -99,7 +100,8 @@ def course(
 @dataclass(frozen=True)
 class Tracked:
     """What happened: where the tip was seen `tip` (K, 3) mm at `t` (K,) s of the plan, where it should have been then
-    `target` (K, 3), and how far off `error` (K,) mm along the axes that count; `response` (delay, lag) s of the servos."""
+    `target` (K, 3), and how far off `error` (K,) mm along the axes that count; `response` (delay, lag) s of the
+    servos."""
 
     t: Floats
     target: Floats
@@ -131,17 +133,15 @@ def track(
     delay, lag = (0.0, 0.0) if told is None else told
     plan = course.plan
     asked = early(plan.acting, plan.t, delay + kinematics.delays[0], lag + kinematics.delays[1])
-    feedback = _Feedback(kinematics, plan, time.monotonic()) if observe else None
+    feedback = _Feedback(kinematics, plan, sum((delay, lag, *kinematics.delays))) if observe else None
+    begun = time.monotonic()
 
     def command(t: float) -> Floats:
         u = np.array([np.interp(t, plan.t, column) for column in asked.T])
         if feedback is not None and seen is not None:
-            u = u + feedback(u, seen())
+            u = u + feedback(u, t, begun, seen())
         return u
 
-    begun = time.monotonic()
-    if feedback is not None:
-        feedback.begun = begun
     _play(robot, command, float(plan.t[-1]) + 1.0 / SENT)
     frames = [] if seen is None else _kept(seen, begun + plan.t[-1])
     _play(robot, lambda t: asked[-1], SETTLED)
@@ -194,24 +194,33 @@ def _judged(
 
 
 class _Feedback:
-    """An integral of what is seen to be off, as a change of what should act."""
+    """What is seen to be off, as a change of what should act: a disturbance observer.
 
-    def __init__(self, kinematics: Kinematics, plan: Plan, begun: float) -> None:
-        self._kinematics, self._plan, self.begun = kinematics, plan, begun
-        self._sum, self._last = np.zeros(3), -np.inf
+    What a frame shows beyond the target and beyond the corrections that had reached the tip by then is the disturbance;
+    averaged over `AVERAGED` s it is taken back at once. The corrections under way are known, so the servos' answer does
+    not have to be waited for. What comes and goes within that answer, as at a reversal, is not caught.
+    """
+
+    def __init__(self, kinematics: Kinematics, plan: Plan, late: float) -> None:
+        self._kinematics, self._plan, self._late = kinematics, plan, late
+        self._off, self._last = np.zeros(3), -np.inf
         self._counts = _counted(kinematics)
+        self._asked: list[tuple[float, Floats]] = [(-np.inf, np.zeros(3))]
 
-    def __call__(self, u: Floats, frames: Sequence[Frame]) -> Floats:
-        if frames and frames[-1].stamp > self._last:
-            recent = frames[-300:]
-            t = on_host(recent) - self.begun
-            fresh = [k for k, frame in enumerate(recent) if frame.stamp > self._last and t[k] >= 0]
-            for k in fresh:
-                plan = self._plan
-                target = np.array([np.interp(t[k], plan.t, column) for column in plan.targets.T])
-                off = np.where(self._counts, target - _tips(self._kinematics, [recent[k]])[0], 0.0)
-                step = recent[k].stamp - self._last if np.isfinite(self._last) else 0.0
-                self._sum = np.clip(self._sum + GAIN * min(step, 0.1) * off, -MOST_BACK, MOST_BACK)
-                self._last = recent[k].stamp
+    def __call__(self, u: Floats, t: float, begun: float, frames: Sequence[Frame]) -> Floats:
+        """Return by how much (C,) mm what should act changes at `t` s of the plan."""
+        recent = frames[-300:]
+        for frame, taken in zip(recent, on_host(recent) - begun):
+            if frame.stamp <= self._last or taken < 0:
+                continue
+            plan = self._plan
+            target = np.array([np.interp(taken, plan.t, column) for column in plan.targets.T])
+            there = next(c for then, c in reversed(self._asked) if then <= taken - self._late)
+            off = np.where(self._counts, _tips(self._kinematics, [frame])[0] - target - there, 0.0)
+            step = frame.stamp - self._last if np.isfinite(self._last) else 1.0 / FRAMES
+            self._off += (1.0 - np.exp(-step / AVERAGED)) * (off - self._off)
+            self._last = frame.stamp
+        correction = np.clip(-self._off, -MOST_BACK, MOST_BACK)
+        self._asked.append((t, correction))
         slopes = np.asarray(self._kinematics.tip.jacobian(u[None]))[0][self._counts]
-        return np.asarray(np.linalg.lstsq(slopes, self._sum[self._counts], rcond=0.05)[0])
+        return np.asarray(np.linalg.lstsq(slopes, correction[self._counts], rcond=0.05)[0])

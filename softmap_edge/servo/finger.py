@@ -1,8 +1,8 @@
 """A finger behind emulated servos: what a camera would see of it while real packets drive it.
 
-Horns wind tendons by the robot's own map; what hides between is one of the truth's laws (`truth_laws.py`, never the effect
-library); the shape is the model's without its effects. Frames come with a clock of their own, some of it off. A stand-in
-for hardware, never called real. Pinned by tests/test_emulated_finger.py.
+Horns wind tendons by the robot's own map; what hides between is one of the truth's laws (`truth_laws.py`, never the
+effect library); the shape is the model's without its effects. Frames come with a clock of their own, some of it off.
+A stand-in for hardware, never called real. Pinned by tests/test_emulated_finger.py.
 """
 
 from __future__ import annotations
@@ -73,7 +73,8 @@ class EmulatedFinger:
     """A finger on the horns of `bus`, seen by a camera, from entering to leaving.
 
     Args:
-        bus: emulated servos, in the order of the commands. model: whose prior gives the shape. calibration: the true map
+        bus: emulated servos, in the order of the commands. model: whose prior gives the shape. calibration: the true
+        map
             of ticks. laws: what hides between horn and body (`hidden_laws`). seed: of noise and clock.
     """
 
@@ -90,7 +91,8 @@ class EmulatedFinger:
         channels = len(calibration.b)
         if model.channels != channels or len(bus.state()[1]) != channels:
             raise ServoError(
-                f"{len(bus.state()[1])} servos, a map of {channels} and a model of {model.channels} commands; they must agree"
+                f"{len(bus.state()[1])} servos, a map of {channels} and a model of {model.channels} commands; they "
+                "must agree"
             )
         self._bus, self._model, self._map = bus, model, calibration
         self._step, self._noise = streamed(laws), noise_mm
@@ -188,6 +190,7 @@ def _window(model: Model, calibration: Calibration) -> tuple[float, float]:
 
 
 def on_host(frames: Sequence[Frame]) -> Floats:
-    """Return when frames were taken (K,) s by the host's clock, as far as a host can know: the quickest came at once."""
+    """Return when frames were taken (K,) s by the host's clock, as far as a host can know: the quickest came at
+    once."""
     stamps, arrived = (np.array([getattr(frame, name) for frame in frames]) for name in ("stamp", "arrived"))
     return np.asarray(stamps + np.min(arrived - stamps)) if len(frames) else stamps

@@ -1,0 +1,190 @@
+"""The verb that leads the tip along a figure."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softmap_edge.bundle import builtin_model
+from softmap_edge.commands.output import check_file
+from softmap_edge.commands.own import open_model
+from softmap_edge.errors import SoftmapError
+from softmap_edge.model import Model
+from softmap_edge.motion.curves import FIGURES
+from softmap_edge.motion.kinematics import METHODS, Kinematics
+from softmap_edge.motion.track import Course, Tracked, course
+from softmap_edge.motion.track import track as follow
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.finger import EmulatedFinger, emulated_bench, hidden_laws
+from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.rig import Rig, read_rig
+from softmap_edge.ticks import Calibration
+from softmap_edge.whole_file import write_whole
+
+TICKS_PER_MM = 280.0  # of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
+HOME = 2048.0
+RATE = 100.0  # periods a second of the loop
+
+
+def track_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `track`."""
+    parser.add_argument("figure", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y) or FILE.svg")
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="whose model and effects are used (default: the built-in finger)"
+    )
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--sim", action="store_true", help="on an emulated robot: real packets, simulated finger")
+    where.add_argument("--rig", metavar="FILE.toml", help="on the servos of this rig")
+    where.add_argument("--plan", action="store_true", help="plan only, nothing moves")
+    parser.add_argument("--amplitude", type=float, default=8.0, metavar="MM", help="half of the larger side (8)")
+    parser.add_argument("--duration", type=float, default=20.0, metavar="S", help="of the figure, at least (20)")
+    parser.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="waypoints a second (30)")
+    parser.add_argument("--axes", default="xy", help="the plane of the figure, and what of the tip counts (xy)")
+    parser.add_argument("--method", choices=METHODS, default="exact", help="how inverse kinematics is solved")
+    parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out, to compare")
+    parser.add_argument("--observe", action="store_true", help="feed back what the camera sees of the tip (--sim)")
+    parser.add_argument(
+        "--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides: backlash,creep"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="--sim: of what is hidden and of noise")
+    parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
+    parser.add_argument("--picture", metavar="FILE.svg", help="draw it")
+
+
+def track(args: argparse.Namespace) -> int:
+    """Lead the tip along a figure, judge it, draw it."""
+    check_file("--record", args.record, ".mcap")
+    check_file("--picture", args.picture, ".svg")
+    if args.record and Path(args.record).exists():
+        raise SoftmapError(f"--record {args.record}: it exists; give another name")
+    if args.hidden and not args.sim:
+        raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
+    if args.observe and not args.sim:
+        raise SoftmapError("--observe: only the emulated finger has a camera here; give --sim with it")
+    whole = builtin_model() if args.bundle is None else open_model(args.bundle)
+    model = whole.with_effects([], np.zeros(0)) if args.no_effects else whole
+    calibration = whole.calibration or _plain(whole, args.sim or args.plan)
+    kinematics = Kinematics(model, axes=args.axes)
+    tracked = None
+    with tempfile.TemporaryDirectory() as folder, _robot(args, whole, calibration) as (rig, limits, finger):
+        servos = limits["servos"]
+        planned = course(
+            kinematics,
+            args.figure,
+            amplitude=args.amplitude,
+            duration=args.duration,
+            rate=args.rate,
+            slew=[one["slew"] for one in servos],
+            acceleration=[one["acceleration"] for one in servos],
+            calibration=calibration,
+            method=args.method,
+        )
+        if rig is not None:
+            record = Path(args.record or Path(folder) / "track.mcap")
+            with Controller(rig, calibration, limits, kinematics=kinematics, record=record) as robot:
+                seen = None if finger is None else finger.seen
+                tracked = follow(robot, kinematics, planned, seen, observe=args.observe)
+    if args.picture:
+        _draw(args.picture, kinematics, planned, tracked)
+    document = _document(args, kinematics, planned, tracked)
+    print(json.dumps(document) if args.json else _text(document))
+    return 0
+
+
+@contextlib.contextmanager
+def _robot(
+    args: argparse.Namespace, model: Model, calibration: Calibration
+) -> Iterator[tuple[Rig | None, dict[str, Any], EmulatedFinger | None]]:
+    """Give rig, limits and, of an emulated robot, the finger."""
+    if args.sim:
+        laws = hidden_laws([name for name in args.hidden.split(",") if name], model.channels, args.seed)
+        with emulated_bench(model, calibration, laws, rate=RATE, seed=args.seed) as (_, rig, limits, finger):
+            yield rig, limits, finger
+        return
+    if args.plan:
+        yield None, {"servos": [servo_limits("XL330-M288", 0, (-1000.0, 1000.0))] * model.channels}, None
+        return
+    rig = read_rig(args.rig)
+    missing = [str(servo.id) for servo in rig.servos if servo.home is None]
+    if missing or calibration.window is None:
+        what = f"servo {', '.join(missing)} has no home" if missing else "the calibration has no window of ticks"
+        raise SoftmapError(f"{args.rig}: {what}; nothing can be driven safely before that is known")
+    servos = [servo_limits(servo.model, servo.home or 0, calibration.window) for servo in rig.servos]
+    yield rig, loop_limits(servos, RATE), None
+
+
+def _plain(model: Model, allowed: bool) -> Calibration:
+    if not allowed:
+        raise SoftmapError("the bundle holds no calibration of the servos; make one with `softmap calibrate`")
+    scale, zero = np.eye(model.channels) / TICKS_PER_MM, np.zeros(model.channels)
+    error = {"command": 0.0, "shape_mm": 0.0, "matched_shape_mm": 0.0}
+    return Calibration(scale, zero, zero + HOME, 0 * scale, zero, error, "an emulated robot's own map", 0, 0, None)
+
+
+def _draw(path: str, kinematics: Kinematics, planned: Course, tracked: Tracked | None) -> None:
+    try:
+        from softmap_edge.report.track_figure import track_figure
+    except ImportError:
+        raise SoftmapError("--picture needs matplotlib: pip install 'softmap-edge[report]'") from None
+    write_whole(path, track_figure(kinematics, planned, tracked))
+
+
+def _document(
+    args: argparse.Namespace, kinematics: Kinematics, planned: Course, tracked: Tracked | None
+) -> dict[str, Any]:
+    plan, counts = planned.plan, planned.counts
+    seen = tracked is not None and len(tracked.error) > 0
+    return {
+        "schema": "softmap.track/1",
+        "figure": args.figure,
+        "amplitude_mm": args.amplitude,
+        "axes": args.axes,
+        "method": args.method,
+        "effects": list(kinematics.model.chain_names),
+        "waypoints": int(counts.sum()),
+        "seconds": float(plan.t[-1] - plan.t[counts][0]),
+        "quickest_s": planned.quickest,
+        "unreachable_mm": float(plan.unreachable[counts].max()),
+        "expected_mm": _numbers(plan.distance[counts]),
+        "seen_mm": _numbers(tracked.error) if seen and tracked is not None else None,
+        "servos_s": None if tracked is None else dict(zip(("delay", "lag"), tracked.response)),
+        "observed": args.observe,
+        "record": args.record,
+        "picture": args.picture,
+    }
+
+
+def _numbers(error: Any) -> dict[str, float]:
+    return {"mean": float(np.mean(error)), "sd": float(np.std(error)), "max": float(np.max(error)), "n": len(error)}
+
+
+def _text(told: dict[str, Any]) -> str:
+    def numbers(name: str) -> str:
+        return "{mean:.2f} ± {sd:.2f} mm, at most {max:.2f} mm, {n} times".format(**told[name])
+
+    lines = [
+        f"{told['figure']}: {told['waypoints']} waypoints in {told['seconds']:.1f} s, {told['quickest_s']:.1f} s at "
+        f"least; effects undone: {', '.join(told['effects']) or 'none'}"
+    ]
+    if told["unreachable_mm"] > 0.01:
+        lines.append(
+            f"part of it is out of reach, by up to {told['unreachable_mm']:.2f} mm: the nearest points are taken"
+        )
+    lines.append(f"the model expects the tip off by {numbers('expected_mm')}")
+    if told["servos_s"]:
+        lines.append(
+            "servos answer {delay:.3f} s late, with a lag of {lag:.3f} s: previewed".format(**told["servos_s"])
+        )
+    if told["seen_mm"]:
+        lines.append(f"the camera saw it off by     {numbers('seen_mm')}")
+    elif told["servos_s"]:
+        lines.append("no camera: how far off it really was is not known")
+    lines += [f"{told[name]}: written" for name in ("record", "picture") if told[name]]
+    return "\n".join(lines)

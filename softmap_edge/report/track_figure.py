@@ -1,0 +1,80 @@
+"""The picture of a tracked figure: where the tip should go, where it went, what it can reach, and how far off it was
+(SVG).
+
+Needs matplotlib; imported by `softmap track --picture` only.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from softmap_edge.motion.kinematics import AXES
+from softmap_edge.report.figures import AFTER, BEFORE, FAINT, FLOOR, INK, STYLE, WIDE, svg
+
+if TYPE_CHECKING:
+    from softmap_edge.motion.kinematics import Kinematics
+    from softmap_edge.motion.track import Course, Tracked
+
+Floats = NDArray[np.float64]
+
+FINE = 49  # places along each of two commands at which reach is drawn
+
+
+def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None) -> bytes:
+    """Draw a course, and what was seen of it if anything was (SVG)."""
+    seen = tracked is not None and len(tracked.t) > 0
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDE, 4.4), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
+        across, up = (AXES.index(axis) for axis in kinematics.axes[:2])
+        _reach(left, kinematics, across, up)
+        plan = course.plan
+        wanted = plan.targets[course.counts]
+        left.plot(wanted[:, across], wanted[:, up], color=INK, linewidth=2.4, label="wanted")
+        if seen and tracked is not None:
+            left.plot(tracked.tip[:, across], tracked.tip[:, up], color=AFTER, linewidth=1.2, label="seen")
+            right.plot(tracked.t, tracked.error, color=AFTER, linewidth=1.2, label="seen")
+        else:
+            expected = plan.tip[course.counts]
+            left.plot(expected[:, across], expected[:, up], color=AFTER, linewidth=1.2, label="expected")
+        out = plan.unreachable[course.counts] > 0.01
+        if out.any():
+            left.plot(wanted[out, across], wanted[out, up], ".", color=BEFORE, markersize=4, label="out of reach")
+        left.set(xlabel=f"{AXES[across]}, mm", ylabel=f"{AXES[up]}, mm", aspect="equal")
+        _closer(left, [line.get_xydata() for line in left.lines if line.get_label() != "edge of reach"])
+        left.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
+        right.plot(plan.t[course.counts], plan.distance[course.counts], color=FLOOR, linewidth=1.0, label="expected")
+        right.set(xlabel="time, s", ylabel="tip off by, mm")
+        right.set_ylim(bottom=0.0)
+        right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
+        return svg(figure)
+
+
+def _closer(axes: Axes, paths: list[Any]) -> None:
+    """Show paths and some of what is around them."""
+    points = np.concatenate([np.asarray(path, float) for path in paths])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, half = (low + high) / 2, 0.8 * float((high - low).max())
+    axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
+
+
+def _reach(axes: Axes, kinematics: Kinematics, across: int, up: int) -> None:
+    """Draw where the tip can go."""
+    bounds = kinematics.acting_bounds
+    if len(bounds) != 2:
+        places, _ = kinematics.reach.samples
+        axes.plot(places[:, across], places[:, up], ".", color=FAINT, markersize=3, zorder=0, label="within reach")
+        return
+    sides = [np.linspace(low, high, FINE) for low, high in bounds.tolist()]
+    grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1)
+    places = np.asarray(kinematics.tip.evaluate(grid.reshape(-1, 2))).reshape(FINE, FINE, 3)
+    x, y = places[..., across], places[..., up]
+    axes.pcolormesh(x, y, np.zeros((FINE, FINE)), cmap=matplotlib.colors.ListedColormap([FAINT]), shading="gouraud")
+    edge = np.concatenate([places[0], places[:, -1], places[-1, ::-1], places[::-1, 0]])
+    axes.plot(edge[:, across], edge[:, up], color=FLOOR, linewidth=0.8, label="edge of reach")

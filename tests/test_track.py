@@ -1,0 +1,138 @@
+"""Figures tracked on an emulated robot: with what it hides and without, through what was found, with feedback."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigs import calibration
+
+from softmap_edge import Run, SoftmapError, _core, builtin_model, diagnose
+from softmap_edge.cli import main
+from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.motion.response import fit_response
+from softmap_edge.motion.track import course, track
+from softmap_edge.protocol import standard_protocol
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.finger import ANSWER, emulated_bench, hidden_laws
+from softmap_edge.servo.limits import ACCELERATION, SLEW
+from softmap_edge.servo.recording import read_recording
+
+MAP = replace(calibration(), window=None)
+LIMITS = {"slew": [SLEW] * 2, "acceleration": [ACCELERATION] * 2, "calibration": MAP}
+HIDDEN = ["backlash", "creep"]
+
+
+@pytest.fixture(scope="module")
+def model():
+    return builtin_model()
+
+
+def test_the_answer_of_servos_is_found_from_goals_and_positions():
+    t = np.arange(0.0, 4.0, 0.01)
+    goal = 2000 + np.stack([140 * np.sin(6 * t), 140 * np.sin(8 * t + 1)], axis=1)
+    chain = _core.Chain(["latency", "lag"], 2)
+    position = chain.rollout(np.array([[0.123, 0.07]]), goal, t)[0] + 3.0
+    position = np.round(position + np.random.default_rng(0).normal(0, 1, goal.shape))
+    delay, lag = fit_response(t, goal, position)
+    assert abs(delay - 0.123) < 0.004 and abs(lag - 0.07) < 0.006
+    assert fit_response(t, 0 * goal, position) is None
+
+
+def test_a_course_goes_from_rest_through_the_figure_within_the_limits(model):
+    kinematics = Kinematics(model, axes="xy")
+    made = course(kinematics, "H", amplitude=10.0, duration=5.0, rate=50.0, **LIMITS)
+    plan, rest = made.plan, model.tip(np.zeros((1, 2)))[0]
+    np.testing.assert_allclose(plan.targets[0], rest, atol=1e-6)
+    figure = plan.targets[made.counts] - rest
+    assert np.abs(figure[:, 1]).max() == pytest.approx(10.0, abs=0.05) and np.ptp(figure[:, 2]) == 0
+    assert plan.unreachable.max() < 0.01 and plan.distance.max() < 0.01
+    speed = np.abs(np.diff(MAP.ticks(plan.commands), axis=0)) * 50.0
+    assert speed.max() < SLEW
+    hasty = course(kinematics, "H", amplitude=10.0, duration=0.5, rate=50.0, **LIMITS)
+    assert hasty.quickest > 0.5 and hasty.plan.t[-1] - hasty.plan.t[hasty.counts][0] >= hasty.quickest - 0.03
+
+
+def found(model, laws):
+    """Return the model with what a diagnosis of a recording of that finger names."""
+    p = standard_protocol(2)
+    acting = p.command
+    for law in laws:
+        acting = law.command(p.t, acting)
+    seen = np.stack([np.interp(p.t_seen, p.t, column) for column in acting.T], axis=1)
+    points = np.asarray(model.prior.evaluate(seen)).reshape(len(seen), -1, 3)
+    points = points + np.random.default_rng(0).normal(0, 0.1, points.shape)
+    answer = diagnose(model, Run(t=p.t, command=p.command, t_seen=p.t_seen, vertices=points))
+    assert {entry["name"] for entry in answer.effects} == set(HIDDEN)
+    return answer.added(model, HIDDEN)
+
+
+def tracked(model, laws, folder, name, observe=False):
+    """Track an S on an emulated finger; returns the mean error, mm, and what was measured of the servos."""
+    kinematics = Kinematics(model, axes="xy")
+    made = course(kinematics, "S", amplitude=8.0, duration=12.0, rate=50.0, **LIMITS)
+    record = folder / f"{name}.mcap"
+    with (
+        emulated_bench(model, MAP, laws, rate=100.0) as (_, rig, limits, finger),
+        Controller(rig, MAP, limits, kinematics=kinematics, record=record) as robot,
+    ):
+        told = track(robot, kinematics, made, finger.seen, observe=observe)
+    assert len(told.error) > 300
+    assert read_recording(record).replay() == []
+    return float(told.error.mean()), told.response
+
+
+def test_through_the_found_effects_the_error_falls_and_with_feedback_further(model, tmp_path):
+    laws = hidden_laws(HIDDEN, 2, 3, 0.6)
+    known = found(model, laws)
+    floor, response = tracked(model, [], tmp_path, "nothing hidden")
+    np.testing.assert_allclose(response, ANSWER, atol=0.015)
+    plain, _ = tracked(model, laws, tmp_path, "plain")
+    through, _ = tracked(known, laws, tmp_path, "through")
+    observed, _ = tracked(known, laws, tmp_path, "observed", observe=True)
+    assert floor < 0.2 and plain > 1.5
+    assert (plain - through) / (plain - floor) >= 0.6
+    assert observed < through
+
+
+def test_the_verb_tracks_on_an_emulated_robot_and_draws(tmp_path, capsys):
+    files = [str(tmp_path / name) for name in ("o.svg", "o.mcap")]
+    options = ["--amplitude", "5", "--duration", "4", "--rate", "20", "--json"]
+    assert main(["track", "O", "--sim", "--picture", files[0], "--record", files[1], *options]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["schema"] == "softmap.track/1" and told["waypoints"] == 81 and told["seen_mm"]["mean"] < 0.3
+    assert (tmp_path / "o.svg").read_bytes().startswith(b"<?xml") and read_recording(files[1]).periods
+
+
+def test_the_verb_plans_without_a_robot_and_says_what_is_out_of_reach(capsys):
+    assert main(["track", "circle", "--plan", "--amplitude", "70"]) == 0
+    said = capsys.readouterr().out
+    assert "out of reach" in said and "no camera" not in said
+
+
+@pytest.mark.parametrize(
+    "options, said",
+    [
+        (["Q", "--plan"], "no figure 'Q'"),
+        (["S", "--plan", "--axes", "x"], "a figure needs two"),
+        (["S", "--plan", "--amplitude", "-3"], "an amplitude of -3"),
+        (["S", "--plan", "--rate", "0"], "waypoints a second"),
+        (["S", "--plan", "--observe"], "give --sim with it"),
+        (["S", "--sim", "--hidden", "gravity"], "moves no tendon"),
+        (["S", "--rig", "none.toml"], "no calibration"),
+    ],
+)
+def test_what_cannot_be_tracked_is_refused(options, said, capsys):
+    assert main(["track", *options]) != 0
+    assert said in capsys.readouterr().err
+
+
+def test_feedback_without_a_camera_and_tracking_without_a_record_are_refused(model, tmp_path):
+    kinematics = Kinematics(model, axes="xy")
+    made = course(kinematics, "O", amplitude=5.0, duration=2.0, rate=20.0, **LIMITS)
+    with (
+        emulated_bench(model, MAP) as (_, rig, limits, finger),
+        Controller(rig, MAP, limits) as robot,
+        pytest.raises(SoftmapError, match="records"),
+    ):
+        track(robot, kinematics, made, finger.seen)
