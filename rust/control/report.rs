@@ -12,8 +12,9 @@ use std::time::{Duration, Instant};
 
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::io::{Errno, write};
-use softmap_servo::control::{Entry, Record, Timing};
+use softmap_servo::control::{Entry, Record};
 use softmap_servo::guard::State;
+use softmap_servo::timing::Timing;
 
 use super::Ended;
 use super::recording::Recording;

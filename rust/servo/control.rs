@@ -7,6 +7,7 @@ use crate::bus::{Fault, Port};
 use crate::drive::Drive;
 use crate::guard::reversals::{Budget, Reversals};
 use crate::guard::{Feedback, Guard, Input, MOST_SERVOS, Message, Output, Request};
+use crate::timing::Timing;
 
 /// s between two looks at the servos' health.
 const EXAMINE: f64 = 0.2;
@@ -69,36 +70,6 @@ pub trait Record {
     fn take(&mut self, entry: &Entry);
 }
 
-/// Counts of what went late.
-#[derive(Debug, Clone)]
-pub struct Timing {
-    pub ticks: u64,
-    pub overruns: u64,
-    /// Ticks by how late they began, and commands by their age: 1 µs times powers of two.
-    pub late: [u64; 32],
-    pub age: [u64; 32],
-}
-
-impl Timing {
-    fn note(bins: &mut [u64; 32], ns: u64) {
-        let bin = (64 - (ns / 1000).leading_zeros() as usize).min(31);
-        bins[bin] += 1;
-    }
-
-    /// The upper edge (µs) of the bin in which the share `q` of `bins` ends.
-    pub fn quantile(bins: &[u64; 32], q: f64) -> f64 {
-        let wanted = (q * bins.iter().sum::<u64>() as f64).ceil();
-        let mut sum = 0.0;
-        for (bin, count) in bins.iter().enumerate() {
-            sum += *count as f64;
-            if sum >= wanted {
-                return (1u64 << bin) as f64;
-            }
-        }
-        f64::INFINITY
-    }
-}
-
 /// The loop and what it is made of.
 pub struct Control<P, L, M, R> {
     pub drive: Drive<P>,
@@ -133,12 +104,7 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
         let (servos, channels) = (guard.limits().axes.len(), plan.channels());
         Control {
             period: (guard.limits().period * 1e9) as u64,
-            timing: Timing {
-                ticks: 0,
-                overruns: 0,
-                late: [0; 32],
-                age: [0; 32],
-            },
+            timing: Timing::default(),
             channels: vec![Reversals::new(0.0, &budget); channels],
             wanted: None,
             command: vec![0.0; channels],

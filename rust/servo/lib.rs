@@ -12,4 +12,5 @@ pub mod guard;
 pub mod packet;
 pub mod registers;
 pub mod serial;
+pub mod timing;
 pub mod urgent;
