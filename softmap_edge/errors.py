@@ -63,6 +63,10 @@ class ServoError(SoftmapError):
     """A servo or its port does not do what was asked."""
 
 
+class TeleopError(SoftmapError):
+    """Camera, hand or landmarks cannot be had, or what teleoperation needs is not installed."""
+
+
 class CoreError(SoftmapError, ValueError):
     """The compiled core was asked for something impossible."""
 

@@ -1,0 +1,1 @@
+"""From a camera to commands: pictures, the landmarks of a hand, its own frame, and what of it drives the finger."""

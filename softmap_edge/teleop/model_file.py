@@ -1,0 +1,158 @@
+"""The file `hand_landmarker.task`, which mediapipe needs and does not ship: built from an older wheel of it, or copied.
+
+A task file is a plain (stored) zip of two networks in TFLite's form. Google's wheel 0.10.18 of mediapipe (Apache 2.0)
+holds them; the landmarks are those of the published task file. Whatever is given was made by somebody else: sizes are
+bounded before anything is read, nothing is unpacked to a disk, and only what has the right form is written. The
+checksum is kept beside the file, in the form of `sha256sum`, and asked each time. Pinned by tests/test_model_file.py.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from softmap_edge.errors import TeleopError
+from softmap_edge.whole_file import beside, write_whole
+
+DETECTOR, LANDMARKS = "hand_detector.tflite", "hand_landmarks_detector.tflite"
+IN_WHEEL = {
+    DETECTOR: "mediapipe/modules/palm_detection/palm_detection_full.tflite",
+    LANDMARKS: "mediapipe/modules/hand_landmark/hand_landmark_full.tflite",
+}
+WHEEL = (
+    "pip download mediapipe==0.10.18 --no-deps --python-version 3.11 "
+    "--platform manylinux2014_x86_64 --only-binary :all:"
+)
+# The task file that is built from the wheel 0.10.18, byte for byte.
+KNOWN = {"ef3f184fa8d5e6905ea4770282627d6937975119af763054312d05985c059bda": "mediapipe 0.10.18"}
+LARGEST_SOURCE = 256 << 20  # bytes; wheels of mediapipe have some 40 MB
+LARGEST_NETWORK = 32 << 20  # bytes; the larger of the two has 5.5 MB
+MOST_MEMBERS = 20_000  # of a wheel, which has some 700
+
+
+@dataclass(frozen=True)
+class HandModel:
+    """A task file that is whole: where it is, its SHA-256, and what it is known as (empty where it is not)."""
+
+    path: Path
+    sha256: str
+    known_as: str
+
+    def __str__(self) -> str:
+        return f"{self.path}: sha256 {self.sha256} ({self.known_as or 'not one that is known here'})"
+
+
+def default_path() -> Path:
+    """Return where the model is looked for unless a path is given: in the user's data folder."""
+    home = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local/share"
+    return Path(home) / "softmap" / "hand_landmarker.task"
+
+
+def fetch_model(source: str | Path, to: str | Path | None = None, *, force: bool = False) -> HandModel:
+    """Build the task file from a wheel of mediapipe 0.10.18, or copy a task file; write its checksum beside it.
+
+    Args:
+        source: the wheel or task file; told apart by what they hold, not by their names.
+        to: the file to write, `default_path()` without; its folder is made.
+        force: replace a file that is there.
+
+    Raises:
+        TeleopError: the source is neither, too large, damaged, or `to` is there already.
+    """
+    target = default_path() if to is None else Path(to)
+    networks, is_task = _networks(Path(source))
+    if target.exists() and not force:
+        raise TeleopError(f"{target}: is there already; force replaces it, or give another name")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with beside(target) as partial:
+            if is_task:
+                partial.write_bytes(Path(source).read_bytes())
+            else:
+                with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as task:
+                    for name, network in networks.items():
+                        task.writestr(zipfile.ZipInfo(name), network)  # without a date: the same bytes each time
+            sha256 = hashlib.sha256(partial.read_bytes()).hexdigest()
+            _record(target).unlink(missing_ok=True)  # never the old checksum beside the new file
+        write_whole(_record(target), f"{sha256}  {target.name}\n")
+    except OSError as cause:
+        raise TeleopError(f"{target}: cannot be written ({cause.strerror or cause}); give another place") from None
+    return check_model(target)
+
+
+def check_model(path: str | Path) -> HandModel:
+    """Return the task file at `path` if it is whole and is the one whose checksum lies beside it.
+
+    Raises:
+        TeleopError: it is absent, no task file, or not the file that its checksum was written for.
+    """
+    file = Path(path)
+    if not file.exists():
+        raise TeleopError(
+            f"{file}: no model of hands; get the wheel with '{WHEEL}' and run softmap teleop --fetch-model FROM"
+        )
+    _networks(file)
+    with file.open("rb") as stream:
+        sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+    record = _record(file)
+    if record.is_file():
+        with record.open("rb") as stream:
+            said = stream.read(64).decode("ascii", "replace")
+        if said != sha256:
+            raise TeleopError(
+                f"{file}: SHA-256 {sha256[:16]}…, but {record.name} says {said[:16]!r}…; fetch the model again"
+            )
+    return HandModel(file, sha256, KNOWN.get(sha256, ""))
+
+
+def _record(file: Path) -> Path:
+    return file.with_name(file.name + ".sha256")
+
+
+def _networks(file: Path) -> tuple[dict[str, bytes], bool]:
+    """Return the two networks in a wheel or task file by their names in a task file, and whether it is one."""
+    if not file.is_file():
+        raise TeleopError(f"{file}: no such file; give a wheel of mediapipe 0.10.18, or a hand_landmarker.task")
+    size = file.stat().st_size
+    if size > LARGEST_SOURCE:
+        raise TeleopError(f"{file}: {size >> 20} MB, at most {LARGEST_SOURCE >> 20} MB are read")
+    try:
+        with zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+            names = [member.filename for member in members]
+            if len(names) > MOST_MEMBERS or len(set(names)) < len(names):
+                raise TeleopError(f"{file}: {len(names)} entries, up to {MOST_MEMBERS} of different names are read")
+            if set(names) == {DETECTOR, LANDMARKS}:
+                if any(member.compress_type != zipfile.ZIP_STORED for member in members):
+                    raise TeleopError(
+                        f"{file}: its networks are compressed, which mediapipe cannot read; fetch it anew"
+                    )
+                places = {DETECTOR: DETECTOR, LANDMARKS: LANDMARKS}
+            elif set(IN_WHEEL.values()) <= set(names):
+                places = IN_WHEEL
+            else:
+                raise TeleopError(
+                    f"{file}: holds no model of hands; give a wheel of mediapipe 0.10.18 ('{WHEEL}'), or a task file "
+                    f"of {DETECTOR} and {LANDMARKS}"
+                )
+            networks = {name: _network(file, archive, place) for name, place in places.items()}
+            return networks, places is not IN_WHEEL
+    except TeleopError:
+        raise
+    except Exception as fault:  # zipfile, zlib, struct, codecs: whatever a damaged archive meets
+        raise TeleopError(
+            f"{file}: is no zip archive, or a damaged one ({type(fault).__name__}: {fault!s:.60}); get it again"
+        ) from None
+
+
+def _network(file: Path, archive: zipfile.ZipFile, place: str) -> bytes:
+    with archive.open(place) as stream:
+        content = stream.read(LARGEST_NETWORK + 1)  # never more, whatever the entry says of itself
+    if len(content) > LARGEST_NETWORK:
+        raise TeleopError(f"{file}: {place} has more than {LARGEST_NETWORK >> 20} MB; no network of hands does")
+    if content[4:8] != b"TFL3":
+        raise TeleopError(f"{file}: {place} is no network in TFLite's form; get it again")
+    return content
