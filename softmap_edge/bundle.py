@@ -49,7 +49,8 @@ from softmap_edge.whole_file import MOST_TEXT
 _MAX_BYTES = 256 << 20
 SAFETY = "safety.toml"
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
-_PERHAPS = ("prior.onnx", "residual.onnx", "residual.npz", "calibration.json", SAFETY)  # those that it may name beside them
+# Those that its manifest may name beside them.
+_PERHAPS = ("prior.onnx", "residual.onnx", "residual.npz", "calibration.json", SAFETY)
 Trust = Callable[[Path, str], bool]
 _MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
 
@@ -335,7 +336,9 @@ def _safety(folder: Path, manifest: dict[str, Any]) -> Safety | None:
         return None
     file, reach = folder / SAFETY, np.array(manifest["command_range"], float).reshape(-1, 2)
     if file.stat().st_size > MOST_TEXT or not len(reach):
-        raise BundleError(f"{folder.name}: {SAFETY} of {file.stat().st_size} bytes for {len(reach)} commands; remove it")
+        raise BundleError(
+            f"{folder.name}: {SAFETY} of {file.stat().st_size} bytes for {len(reach)} commands; copy it again"
+        )
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:

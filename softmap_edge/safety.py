@@ -36,7 +36,9 @@ JUMP = 0.25  # of the window: what a target jumps at most without being told
 MOST_LOOKS = 700  # commands of the window at which tension and strain are looked at
 LEAST_LOOKS = 3  # along each command
 DAMAGED = 4.0  # mm/mm: a strain that no surface has
-USUAL = {"stale": 0.25, "hold": 2.0, "slacken": 5.0, "ramp": 1.0, "band": 0.02, "turns": 4.0, "burst": 4.0}
+STALE, HOLD, SLACKEN, RAMP = 0.25, 2.0, 5.0, 1.0  # s
+BAND = 0.02 / 32.0  # of the window: of 32 mm what a still hand's noise stays below
+TURNS_A_SECOND, BURST = 4.0, 4.0
 # What a file may say, in s, 1 and 1/s; lengths are bounded by the window itself.
 TIMES = {"stale": (0.02, 2.0), "hold": (0.05, 60.0), "slacken": (0.1, 60.0), "ramp": (0.0, 10.0)}
 TURNS = {"turns": (0.1, 50.0), "burst": (1.0, 50.0)}
@@ -160,9 +162,13 @@ def _read(top: TomlTable, reach: Floats, unit: str) -> Safety:
         acceleration=_needed(command, "acceleration", 1e-4 * width, 2000.0 * width),
         jump=(told, refused),
         tension=tendon.number("tension_n", None, 1e-3, max(1e-3, highest)),
-        **{name: _needed(times, name, *bounds) for name, bounds in TIMES.items()},
+        stale=_needed(times, "stale", *TIMES["stale"]),
+        hold=_needed(times, "hold", *TIMES["hold"]),
+        slacken=_needed(times, "slacken", *TIMES["slacken"]),
+        ramp=_needed(times, "ramp", *TIMES["ramp"]),
         band=_needed(reversal, "band", 0.0, 0.1 * width),
-        **{name: _needed(reversal, name, *bounds) for name, bounds in TURNS.items()},
+        turns=_needed(reversal, "turns", *TURNS["turns"]),
+        burst=_needed(reversal, "burst", *TURNS["burst"]),
         assumes=assumes,
         simulated={name: value for name, value in found.items() if value is not None},
     )
@@ -217,8 +223,14 @@ def derived(model: Model, modulus: float | None = None) -> Safety | None:
         jump=(_digits(JUMP * width), _digits(width)),
         tension=_digits(MARGIN * tension) if tension else None,
         assumes=_assumes(model, tension, modulus),
+        stale=STALE,
+        hold=HOLD,
+        slacken=SLACKEN,
+        ramp=RAMP,
+        band=_digits(BAND * width),
+        turns=TURNS_A_SECOND,
+        burst=BURST,
         simulated=simulated,
-        **USUAL,
     )
 
 
