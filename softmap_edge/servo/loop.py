@@ -21,7 +21,9 @@ def main() -> int:
     told = os.dup(reports)  # the loop closes its own
     try:
         setup = json.load(sys.stdin)
-        if setup.get("heartbeat") is not None:
+        if setup["gpio"] is not None:
+            setup["gpio"] = tuple(setup["gpio"])
+        if setup["heartbeat"] is not None:
             host, port, key_file, timeout = setup["heartbeat"]
             setup["heartbeat"] = host, port, read_key(key_file), timeout
         _core.control_loop(orders, reports, **setup)
