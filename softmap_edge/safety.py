@@ -82,7 +82,7 @@ class Safety:
         low, high = np.maximum(low, self.low), np.minimum(high, self.high)
         if np.any(low >= high):
             return None
-        told, refused = (min(jump, float(np.max(high - low))) for jump in self.jump)
+        told, refused = (min(jump, float(np.ptp(reach, axis=1).max())) for jump in self.jump)
         return replace(self, low=tuple(low.tolist()), high=tuple(high.tolist()), jump=(told, refused))
 
     def to_toml(self) -> str:
@@ -220,7 +220,7 @@ def derived(model: Model, modulus: float | None = None) -> Safety | None:
         high=tuple(high.tolist()),
         slew=_digits(width / CROSSING),
         acceleration=_digits(START * width / CROSSING),
-        jump=(_digits(JUMP * width), _digits(width)),
+        jump=(_digits(JUMP * width), float(_inward(np.array([width]))[0])),
         tension=_digits(MARGIN * tension) if tension else None,
         assumes=_assumes(model, tension, modulus),
         stale=STALE,
