@@ -161,6 +161,8 @@ def control_loop(
     home: Sequence[float],
     budget: Sequence[float],
     chain: Mapping[str, Any] | None = None,
+    gpio: tuple[str, int, bool] | None = None,
+    heartbeat: tuple[str, int, bytes, float] | None = None,
     fast: bool = True,
     slack: float = 0.002,
     record: str | None = None,

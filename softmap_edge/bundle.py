@@ -15,7 +15,8 @@ NAME_step       beside an array of whole numbers NAME in an archive: NAME counts
 NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run only where whoever
                 loads the bundle has loaded that very file before (`load_effect`), or says so when asked
 calibration.json   what the ticks of the servos are in commands (`softmap calibrate`), if that is known
-safety.toml     joined when the bench has it
+safety.toml     what the finger may be asked (`safety.py`); may be edited: another hash than the manifest's is told, and
+                every limit is checked whatever its hash
 """
 
 from __future__ import annotations
@@ -40,12 +41,16 @@ from softmap_edge.manifest import LARGEST, finite_number, load_manifest, read_js
 from softmap_edge.model import Arrays, Model
 from softmap_edge.network import read_network
 from softmap_edge.npz import read_npz, write_npz
+from softmap_edge.safety import Safety, derived, read_safety
 from softmap_edge.shape_arrays import cables_from, family_from, fields_from, second_from
 from softmap_edge.ticks import Calibration
+from softmap_edge.whole_file import MOST_TEXT
 
 _MAX_BYTES = 256 << 20
+SAFETY = "safety.toml"
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
-_PERHAPS = ("prior.onnx", "residual.onnx", "residual.npz", "calibration.json")  # those that it may name beside them
+# Those that its manifest may name beside them.
+_PERHAPS = ("prior.onnx", "residual.onnx", "residual.npz", "calibration.json", SAFETY)
 Trust = Callable[[Path, str], bool]
 _MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
 
@@ -89,6 +94,11 @@ def save_bundle(model: Model, path: str | Path) -> Path:
     if model.calibration is not None:
         files.append("calibration.json")
         (partial / files[-1]).write_text(json.dumps(model.calibration.to_dict(), indent=1) + "\n")
+    if model.safety is not None:
+        files.append(SAFETY)
+        narrowed = model.safety.within(model.command_range) or derived(model)
+        assert narrowed is not None  # a model with limits has commands
+        (partial / SAFETY).write_text(narrowed.to_toml(), encoding="utf-8")
     own = [effect for name, effect in own_effect.loaded().items() if name in model.chain_names]
     for effect in own:
         (partial / f"{effect.name}.py").write_bytes(effect.source)
@@ -129,6 +139,8 @@ def _umask() -> int:
 
 def _schema(model: Model, files: list[str], own: bool) -> int:
     """Return the oldest schema that holds the model; a rod makes its fields itself."""
+    if SAFETY in files:
+        return 7
     if "calibration.json" in files or model.handles is not None:
         return 6
     if model.kind == "network" or "residual.onnx" in files:
@@ -170,7 +182,7 @@ def load_bundle(path: str | Path, trust: Trust | None = None) -> Model:
     for name in (*_FILES, *_named(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))):
         if not (folder / name).is_file():
             raise BundleError(f"{folder.name}: {name} is missing; copy the whole bundle folder again")
-        if _sha256(folder / name) != (manifest["sha256"] | _own_hashes(manifest)).get(name):
+        if name != SAFETY and _sha256(folder / name) != (manifest["sha256"] | _own_hashes(manifest)).get(name):
             raise BundleError(
                 f"{folder.name}: {name} is not the file that the manifest names (hash differs); copy it again"
             )
@@ -287,6 +299,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         body=body,
         handles=_handles(folder, template["handles"], len(rest)) if "handles" in template else None,
         calibration=_calibration(folder, manifest),
+        safety=_safety(folder, manifest),
         stiffness_known=bool(manifest.get("stiffness_known", manifest["kind"] != "rod")),
         arrays={"prior": arrays["prior"], "fields": arrays["fields"]},
     )
@@ -315,6 +328,23 @@ def _calibration(folder: Path, manifest: dict[str, Any]) -> Calibration | None:
     if len(found.b) != manifest["channels"]:
         raise BundleError(f"{folder.name}: calibration of {len(found.b)} servos, {manifest['channels']} channels")
     return found
+
+
+def _safety(folder: Path, manifest: dict[str, Any]) -> Safety | None:
+    """Read what the finger may be asked, if the manifest names it."""
+    if SAFETY not in _named(manifest):
+        return None
+    file, reach = folder / SAFETY, np.array(manifest["command_range"], float).reshape(-1, 2)
+    if file.stat().st_size > MOST_TEXT or not len(reach):
+        raise BundleError(
+            f"{folder.name}: {SAFETY} of {file.stat().st_size} bytes for {len(reach)} commands; copy it again"
+        )
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise BundleError(f"{folder.name}: {SAFETY} is no text; copy it again") from None
+    read = read_safety(text, reach, str(manifest.get("command_unit", "mm")), f"{folder.name}: {SAFETY}")
+    return replace(read, edited=_sha256(file) != manifest["sha256"][SAFETY])
 
 
 def _handles(folder: Path, stored: NDArray[np.generic], points: int) -> NDArray[np.int64]:

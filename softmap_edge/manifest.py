@@ -15,8 +15,8 @@ from softmap_edge import own_effect
 from softmap_edge.errors import BundleError, brief
 
 # 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a residual; 5: networks;
-# 6: a calibration, handles
-SCHEMA = 6
+# 6: a calibration, handles; 7: limits (safety.toml)
+SCHEMA = 7
 KINDS = ("table", "scattered", "network", "rod")
 LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
 

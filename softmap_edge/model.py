@@ -27,6 +27,7 @@ from softmap_edge.ticks import Calibration, converted
 if TYPE_CHECKING:
     from softmap_edge.rod.elastic import Change, ElasticParameters
     from softmap_edge.run import Run
+    from softmap_edge.safety import Safety
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
@@ -75,6 +76,7 @@ class Model:
     residual: Shape | None = None  # commands (n, C) to flattened points (n, 3N) mm
     calibration: Calibration | None = None  # of the servos: what a run's ticks are in commands
     handles: NDArray[np.int64] | None = None
+    safety: Safety | None = None  # what the finger may be asked; a model of before has none
     _views: dict[tuple[bytes, bool], views.View] = field(default_factory=dict, init=False, repr=False)
 
     @property

@@ -10,7 +10,7 @@ A calibration is somebody else's file: shapes, finiteness, size and whether A ha
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ SCHEMA = "softmap.calibration/1"
 ERRORS = ("command", "shape_mm", "matched_shape_mm")
 LARGEST = 1e7  # ticks, mm: beyond any servo, as for a run
 MOST_SERVOS = 64
+TURN = 4096  # ticks
 SINGULAR = 1e6  # condition of A from which it has no inverse of use
 
 
@@ -94,6 +95,12 @@ class Calibration:
         """Return the ticks (n, C) of commands (n, C), to the nearest whole tick."""
         away = np.linalg.solve(self.A, (np.asarray(commands, float) - self.b).T).T
         return np.rint(self.home + away).astype(np.int64)
+
+    def turned(self, home: ArrayLike) -> Calibration:
+        """Return the map with its home moved by whole turns of the servos, to within half a turn of `home` (C,) ticks:
+        after their power was off, servos count turns anew."""
+        turns = np.rint((np.asarray(home, float) - self.home) / TURN)
+        return replace(self, home=self.home + TURN * turns) if turns.any() else self
 
     def usable(self, reach: ArrayLike) -> Floats:
         """Return a range [l, h] (C, 2) of commands all of whose combinations lie in the window: `reach` (C, 2), shrunk.

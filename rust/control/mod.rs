@@ -5,6 +5,9 @@
 //! sent them is gone: hold, slacken, torque off. SIGINT and SIGTERM slacken at once. Whatever ends the loop, a panic too,
 //! torque off is sent last.
 
+pub mod emergency;
+pub mod gpio;
+pub mod heartbeat;
 pub mod pipe;
 pub mod plan;
 mod realtime;
@@ -24,6 +27,7 @@ use softmap_servo::guard::{Guard, Limits, Request};
 use softmap_servo::serial::{Serial, monotonic};
 
 use crate::error::{Result, invalid};
+use emergency::Emergency;
 use pipe::PipeMailbox;
 use recording::Recording;
 use report::{Reporter, Ring};
@@ -48,6 +52,8 @@ pub struct Setup {
     pub slack: f64,
     pub limits: Limits,
     pub budget: Budget,
+    /// The emergency stops of the bench, beside the one in the orders.
+    pub stops: Emergency,
     /// A file that the loop is recorded to, and the JSON document that says what it was made of.
     pub record: Option<(PathBuf, String)>,
 }
@@ -76,7 +82,7 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
         WATCHDOG,
     );
     found_as_said(&mut drive, &setup.members)?;
-    let mailbox = PipeMailbox::new(orders, plan.channels());
+    let mailbox = PipeMailbox::new(orders, plan.channels(), setup.stops);
     let (sender, receiver) = rtrb::RingBuffer::new(RING);
     let warnings = realtime::warnings();
     let sizes = (servos, plan.channels());

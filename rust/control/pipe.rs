@@ -2,7 +2,8 @@
 //!
 //!   flags (u8: 1 deadman, 2 emergency, 4 command) · request (u8, 0 none) · 6 zeros · sent (u64 ns) · command (C f64, mm)
 //!
-//! The newest command wins. A deadman that was released in any frame is released; each request counts, one a period.
+//! The newest command wins. A deadman that was released in any frame is released, an emergency stop that was pressed in any is
+//! pressed (until a later frame without it); each request counts, one a period. The bench's own emergency stops are asked too.
 
 use std::collections::VecDeque;
 use std::os::fd::OwnedFd;
@@ -11,6 +12,9 @@ use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::io::{Errno, read};
 use softmap_servo::control::{Mailbox, Orders};
 use softmap_servo::guard::{MOST_SERVOS, Request};
+use softmap_servo::serial::monotonic;
+
+use super::emergency::Emergency;
 
 const HEAD: usize = 16;
 /// Bytes that are taken at a time.
@@ -25,12 +29,13 @@ pub struct PipeMailbox {
     bytes: Vec<u8>,
     requests: VecDeque<Request>,
     emergency: bool,
+    stops: Emergency,
     closed: bool,
 }
 
 impl PipeMailbox {
-    /// Read from `pipe`, commands of `channels` numbers.
-    pub fn new(pipe: OwnedFd, channels: usize) -> PipeMailbox {
+    /// Read from `pipe`, commands of `channels` numbers; `stops` are the emergency stops of the bench.
+    pub fn new(pipe: OwnedFd, channels: usize, stops: Emergency) -> PipeMailbox {
         if let Ok(flags) = fcntl_getfl(&pipe) {
             // Were it refused, the loop would wait for orders: then it holds, and slackens.
             let _ = fcntl_setfl(&pipe, flags | OFlags::NONBLOCK);
@@ -41,6 +46,7 @@ impl PipeMailbox {
             bytes: Vec::with_capacity(2 * SOME),
             requests: VecDeque::with_capacity(WAITING),
             emergency: false,
+            stops,
             closed: false,
         }
     }
@@ -81,6 +87,7 @@ impl Mailbox for PipeMailbox {
         let mut orders = Orders {
             heard: self.closed || whole > 0,
             deadman: !self.closed && whole > 0,
+            emergency: self.stops.pressed(monotonic()),
             ..Orders::default()
         };
         for at in (0..whole).step_by(size) {
@@ -88,6 +95,7 @@ impl Mailbox for PipeMailbox {
             let number = |at: usize| std::array::from_fn::<u8, 8, _>(|k| frame[at + k]);
             orders.deadman &= frame[0] & 1 != 0;
             self.emergency = frame[0] & 2 != 0;
+            orders.emergency |= self.emergency;
             if frame[0] & 4 != 0 {
                 let mut command = [f64::NAN; MOST_SERVOS];
                 for (k, place) in command.iter_mut().enumerate().take(self.channels) {
@@ -104,7 +112,7 @@ impl Mailbox for PipeMailbox {
             }
         }
         self.bytes.drain(..whole);
-        orders.emergency = self.emergency;
+        orders.emergency |= self.emergency;
         orders.request = self.requests.pop_front();
         orders
     }
@@ -126,7 +134,7 @@ mod tests {
     #[test]
     fn the_newest_command_wins_and_nothing_else_is_lost() {
         let (reader, writer) = pipe().unwrap();
-        let mut mailbox = PipeMailbox::new(reader, 2);
+        let mut mailbox = PipeMailbox::new(reader, 2, Emergency::default());
         let nothing = mailbox.collect();
         assert!(!nothing.heard && nothing.command.is_none() && nothing.request.is_none());
         let frames = [
@@ -161,6 +169,13 @@ mod tests {
             mailbox.collect().emergency,
             "pressed until it is told otherwise"
         );
+        write(
+            &writer,
+            &[frame(3, 0, 0, [0.0; 2]), frame(1, 0, 0, [0.0; 2])].concat(),
+        )
+        .unwrap();
+        assert!(mailbox.collect().emergency, "pressed in one of two");
+        assert!(!mailbox.collect().emergency, "and released since");
         mailbox.ask(Request::Stop);
         drop(writer);
         let last = mailbox.collect();
@@ -171,7 +186,7 @@ mod tests {
     #[test]
     fn a_flood_is_survived() {
         let (reader, writer) = pipe().unwrap();
-        let mut mailbox = PipeMailbox::new(reader, 2);
+        let mut mailbox = PipeMailbox::new(reader, 2, Emergency::default());
         let flood = frame(5, 5, 1, [0.5, 0.5]).repeat(1000);
         write(&writer, &flood).unwrap();
         let asked = (0..40)

@@ -189,7 +189,7 @@ fn document(line: &mut String, entry: &Entry, servos: usize) {
     let _ = write!(
         line,
         "{{\"schema\": \"softmap.loop/1\", \"t\": {}, \"state\": \"{}\", \"cause\": \"{}\", \"servo\": {}, \"torque\": {}, \
-         \"denied\": {}, \"refused\": {}, \"jumped\": {}, \"outside\": {}, \"slowed\": {}, \"bus\": {}, \"overruns\": {}",
+         \"denied\": {}, \"emergency\": {}, \"refused\": {}, \"jumped\": {}, \"outside\": {}, \"slowed\": {}, \"bus\": {}, \"overruns\": {}",
         entry.now as f64 * 1e-9,
         name(output.state),
         name(output.cause),
@@ -198,6 +198,7 @@ fn document(line: &mut String, entry: &Entry, servos: usize) {
             .map_or("null".to_owned(), |servo| servo.to_string()),
         output.torque,
         quoted(output.denied.map(name)),
+        entry.orders.emergency,
         output.refused,
         output.jumped,
         output.outside,

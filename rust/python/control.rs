@@ -2,6 +2,9 @@
 
 use super::inverse::inverted;
 use super::servo::trouble;
+use crate::control::emergency::{Button, Emergency};
+use crate::control::gpio::Gpio;
+use crate::control::heartbeat::Heartbeat;
 use crate::control::plan::Map;
 use crate::control::{Setup, recording, report, serve};
 use crate::effects::Chain;
@@ -117,10 +120,11 @@ fn through(from: &Bound<'_, PyDict>) -> PyResult<Inverse> {
 ///
 /// `servos` are (id, model number); `slope` (C, C) mm a tick, `b` (C,) mm and `home` (C,) ticks are the calibration's; with a
 /// `chain` (names, params, low and high (C,) mm, gravity, load, temperature) commands are what should act through it;
-/// `budget` is that of reversals: band (mm), turns a second, turns at once; `record` a file to record to, `setup` the
+/// `budget` is that of reversals: band (mm), turns a second, turns at once; emergency stops are `gpio` (chip, line, pressed when
+/// low) and `heartbeat` (host, port, key, s between beats at most); `record` a file to record to, `setup` the
 /// document that begins it.
 #[pyfunction]
-#[pyo3(signature = (orders, reports, *, port, baud, servos, limits, slope, b, home, budget, chain=None, fast=true, slack=0.002, record=None, setup=""))]
+#[pyo3(signature = (orders, reports, *, port, baud, servos, limits, slope, b, home, budget, chain=None, gpio=None, heartbeat=None, fast=true, slack=0.002, record=None, setup=""))]
 pub fn control_loop(
     py: Python<'_>,
     orders: RawFd,
@@ -134,6 +138,8 @@ pub fn control_loop(
     home: Vec<f64>,
     budget: [f64; 3],
     chain: Option<&Bound<'_, PyDict>>,
+    gpio: Option<(String, u32, bool)>,
+    heartbeat: Option<(String, u16, Vec<u8>, f64)>,
     fast: bool,
     slack: f64,
     record: Option<PathBuf>,
@@ -145,7 +151,18 @@ pub fn control_loop(
             .ok_or_else(|| trouble(format!("no servo of model number {number} is known")))?;
         Ok(Member { id, model })
     };
+    let button = gpio
+        .map(|(chip, line, low)| {
+            Gpio::open(&chip, line).map(|line| Button::new(Box::new(line), low))
+        })
+        .transpose()
+        .map_err(trouble)?;
+    let heart = heartbeat
+        .map(|(host, port, key, timeout)| Heartbeat::open(&host, port, &key, timeout))
+        .transpose()
+        .map_err(trouble)?;
     let made = Setup {
+        stops: Emergency::new(button, heart),
         record: record.map(|path| (path, setup.to_owned())),
         port,
         baud,

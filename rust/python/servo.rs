@@ -74,6 +74,8 @@ pub fn servo_models<'py>(py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
             "fastest_ticks_per_s",
             f64::from(model.velocity_limit) * 0.229 * 4096.0 / 60.0,
         )?;
+        told.set_item("stall_torque_Nm", model.stall.0)?;
+        told.set_item("stall_current_mA", model.stall.1)?;
         told.set_item("operating_mode", model.driven_in())?;
         Ok(told)
     };

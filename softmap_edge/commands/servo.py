@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.commands.output import check_file
+from softmap_edge.commands.servo_heartbeat import heartbeat, heartbeat_arguments
+from softmap_edge.commands.servo_limits import limits, limits_arguments
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import commission
 from softmap_edge.servo.recording import read_recording
@@ -20,7 +23,7 @@ OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise
 
 def servo_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo` and of what it does."""
-    what = parser.add_subparsers(dest="what", required=True, metavar="scan|read|setup|off|emulate")
+    what = parser.add_subparsers(dest="what", required=True, metavar="scan|read|setup|off|emulate|limits|heartbeat")
     _bus(what.add_parser("scan", help="find ports, baud rates and servos"))
     _bus(one := what.add_parser("read", help="what a servo is, and what keeps it from being driven"))
     one.add_argument("--id", type=int, metavar="ID", help="one servo; all that answer without it")
@@ -38,6 +41,10 @@ def servo_arguments(parser: argparse.ArgumentParser) -> None:
     one.add_argument("--rig", metavar="rig.toml", help="write the bench that they are")
     one.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn by chance")
     _json(one)
+    limits_arguments(one := what.add_parser("limits", help="every limit in force on a bench, and who set it"))
+    _json(one)
+    heartbeat_arguments(one := what.add_parser("heartbeat", help="be the emergency stop of a robot elsewhere"))
+    _json(one)
 
 
 def _bus(parser: argparse.ArgumentParser) -> None:
@@ -53,7 +60,8 @@ def _json(parser: argparse.ArgumentParser) -> None:
 
 def servo(args: argparse.Namespace) -> int:
     """Do what was asked for with servos; 0 when all is well."""
-    return {"scan": _scan, "read": _read, "setup": _setup, "off": _off, "emulate": _emulate}[args.what](args)
+    done = {"scan": _scan, "read": _read, "setup": _setup, "off": _off, "emulate": _emulate}
+    return (done | {"limits": limits, "heartbeat": heartbeat})[args.what](args)
 
 
 def _ports(args: argparse.Namespace) -> list[str]:
@@ -140,7 +148,7 @@ def _noted(done: commission.Found, old: Rig | None) -> Rig:
             f"the bench runs at {old.baud} baud, servo {done.id} at {done.baud}; give --new-baud {old.baud}"
         )
     others = [servo for servo in old.servos if servo.id != done.id]
-    return Rig(done.port, done.baud, (*others, new))
+    return replace(old, port=done.port, servos=(*others, new))  # ceiling and emergency stops stay
 
 
 def _off(args: argparse.Namespace) -> int:

@@ -21,9 +21,10 @@ from softmap_edge.motion.curves import FIGURES
 from softmap_edge.motion.kinematics import METHODS, Kinematics
 from softmap_edge.motion.track import Course, Tracked, course
 from softmap_edge.motion.track import track as follow
+from softmap_edge.servo.combined import combined, on_bench
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.finger import EmulatedFinger, emulated_bench, hidden_laws
-from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.limits import servo_limits
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.ticks import Calibration
 from softmap_edge.whole_file import write_whole
@@ -69,6 +70,7 @@ def track(args: argparse.Namespace) -> int:
     if args.observe and not args.sim:
         raise SoftmapError("--observe: only the emulated finger has a camera here; give --sim with it")
     whole = builtin_model() if args.bundle is None else open_model(args.bundle)
+    whole = whole if args.rig is None else on_bench(read_rig(args.rig), whole, RATE)
     model = whole.with_effects([], np.zeros(0)) if args.no_effects else whole
     calibration = whole.calibration or _plain(whole, args.sim or args.plan)
     kinematics = Kinematics(model, axes=args.axes)
@@ -112,12 +114,7 @@ def _robot(
         yield None, {"servos": [servo_limits("XL330-M288", 0, (-1000.0, 1000.0))] * model.channels}, None
         return
     rig = read_rig(args.rig)
-    missing = [str(servo.id) for servo in rig.servos if servo.home is None]
-    if missing or calibration.window is None:
-        what = f"servo {', '.join(missing)} has no home" if missing else "the calibration has no window of ticks"
-        raise SoftmapError(f"{args.rig}: {what}; nothing can be driven safely before that is known")
-    servos = [servo_limits(servo.model, servo.home or 0, calibration.window) for servo in rig.servos]
-    yield rig, loop_limits(servos, RATE), None
+    yield rig, combined(rig, model, calibration, RATE).table(), None
 
 
 def _plain(model: Model, allowed: bool) -> Calibration:

@@ -28,6 +28,7 @@ from softmap_edge.elsewhere.sweep_file import ShapeSweep, is_own_sweep, is_shape
 from softmap_edge.errors import SweepError, brief
 from softmap_edge.features import tip_of
 from softmap_edge.model import NOMINAL, Arrays, Model
+from softmap_edge.safety import derived
 from softmap_edge.shape_arrays import family_from, fields_from
 from softmap_edge.solid.build import FIELD_STEPS, Progress, from_sweep, leading
 from softmap_edge.solid.simulator import Simulator, Sweep, tensor_grid
@@ -136,6 +137,7 @@ def model_from_shapes(sweep: ShapeSweep, source: dict[str, Any] | None = None, p
         stiffness_known=stiffness.known,
         made_from=made_from,
         arrays={"prior": prior, "fields": stored},
+        safety=derived(model),
     )
 
 

@@ -12,7 +12,7 @@ tests/test_rod.py and tests/test_elastic.py pin exact recovery and the error on 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
 from softmap_edge.rod.polynomial import RodParameters, fit_polynomial
 from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
 from softmap_edge.rod.regression import rms
+from softmap_edge.safety import derived
 
 if TYPE_CHECKING:
     from softmap_edge.rod.robot import Robot
@@ -219,7 +220,7 @@ def learned_model(run: Run, learned: LearnedRod) -> Model:
         arrays={"prior": learned.to_arrays(), "fields": {}},
         stiffness_known=False,
     )
-    return model.with_effects(learned.chain_names, learned.chain_params)
+    return replace(model.with_effects(learned.chain_names, learned.chain_params), safety=derived(model))
 
 
 def rod_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[_core.Shape, dict[str, Any]]:

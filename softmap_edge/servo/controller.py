@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import __version__, _core
 from softmap_edge.errors import ServoError
 from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.servo.limits import budget_of
 from softmap_edge.servo.rig import Rig
 from softmap_edge.ticks import Calibration
 
@@ -39,7 +40,6 @@ Floats = NDArray[np.float64]
 Report = dict[str, Any]
 
 REQUESTS = ("connect", "home", "arm", "engage", "hold", "stop", "acknowledge", "disconnect", "commission")
-BUDGET = (0.02, 4.0, 4.0)  # mm that a goal comes back before its servo turns, turns a second, turns at once
 STARTS = 10.0  # s until the loop's process has said something
 FROZEN = 0.6  # s without a report after which the loop's process is taken to be frozen
 ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
@@ -65,7 +65,6 @@ class Controller:
         limits: Mapping[str, Any],
         *,
         kinematics: Kinematics | None = None,
-        budget: tuple[float, ...] = BUDGET,
         record: str | Path | None = None,
     ) -> None:
         count = len(rig.servos)
@@ -74,23 +73,26 @@ class Controller:
                 f"the rig has {count} servos, the calibration {len(calibration.b)}, the limits "
                 f"{len(limits['servos'])}; they must agree"
             )
-        self.rig, self.calibration, self.limits = rig, calibration, dict(limits)
+        self.rig, self.limits = rig, dict(limits)
+        self.calibration = calibration.turned([servo["home"] for servo in self.limits["servos"]])
         if kinematics is not None and kinematics.model.channels != count:
             raise ServoError(f"the model takes {kinematics.model.channels} commands, the rig has {count} servos")
         self.kinematics = kinematics
-        self._budget, self._record = budget, None if record is None else Path(record)
+        self._budget, self._record = budget_of(self.limits), None if record is None else Path(record)
         self._last: Report = {}
         self._end: Report = {}
         self._heard = threading.Condition()
         self._process: subprocess.Popen[bytes] | None = None
         self._orders = -1
         self._command: Floats | None = None
+        self._pressed = False
         self._reported = 0.0
 
     def __enter__(self) -> Self:
         self._start()
         try:
             self._wait(self._heard_all, STARTS, "the servos say nothing")
+            self._wait_for_release()
             for request in ("connect", "home", "arm"):
                 self.request(request)
         except BaseException:
@@ -180,6 +182,25 @@ class Controller:
         """Let go of the deadman: the guard holds, then slackens."""
         self._send(deadman=False)
 
+    def emergency(self, pressed: bool = True) -> None:
+        """Press the emergency stop, or release it: torque is off at once and stays off until it is released and
+        `request("acknowledge")`; home is still known. May be called from any thread.
+
+        Raises:
+            ServoError: the loop does not answer; its servos were released from here.
+        """
+        self._pressed = pressed  # before anything is sent: every order says it from now on
+        self._send()
+        if not pressed:
+            return
+        with self._heard:
+            off = self._heard.wait_for(lambda: self._last.get("emergency") and not self._last.get("torque"), FROZEN)
+        if not off and self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._rescue()
+            raise ServoError(str(self._last["rescued"]))
+
     def close(self) -> None:
         """Slacken, switch torque off, end the loop; whatever fails, torque off is sent."""
         process = self._process
@@ -223,6 +244,7 @@ class Controller:
             "home": self.calibration.home.tolist(),
             "budget": self._budget,
             "chain": None if self.kinematics is None else self.kinematics.document(),
+            **self.rig.emergency.setup(),
         }
         if self._record is not None:
             about = {"schema": "softmap.setup/1", "softmap": __version__, "calibration": self.calibration.to_dict()}
@@ -264,6 +286,16 @@ class Controller:
         position = self._last.get("position")
         return position is not None and None not in position
 
+    def _wait_for_release(self) -> None:
+        """Wait while an emergency stop of the bench is pressed: a heartbeat needs a moment to be heard."""
+        with self._heard:
+            free = self._heard.wait_for(lambda: not self._last.get("emergency") or "gone" in self._last, STARTS)
+        if not free:
+            raise ServoError(
+                f"the emergency stop is pressed or dead ({self.rig.emergency}); release it, start `softmap servo "
+                "heartbeat` on its computer, or mend [emergency] of rig.toml"
+            )
+
     def _wait(self, what: Callable[[], Any], seconds: float, said: str) -> None:
         with self._heard:
             self._heard.wait_for(lambda: what() or "error" in self._last or "gone" in self._last, seconds)
@@ -277,7 +309,7 @@ class Controller:
 
     def _send(self, command: Floats | None = None, *, deadman: bool = False, request: int = 0) -> None:
         numbers = np.zeros(len(self.rig.servos)) if command is None else command
-        flags = (1 if deadman else 0) | (4 if command is not None else 0)
+        flags = (1 if deadman else 0) | (2 if self._pressed else 0) | (4 if command is not None else 0)
         frame = struct.pack(f"<BB6xQ{len(numbers)}d", flags, request, time.monotonic_ns(), *numbers)
         try:
             os.write(self._orders, frame)

@@ -12,6 +12,7 @@ import sys
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
+from softmap_edge.teleop.landmarks_udp import read_key
 
 
 def main() -> int:
@@ -20,6 +21,11 @@ def main() -> int:
     told = os.dup(reports)  # the loop closes its own
     try:
         setup = json.load(sys.stdin)
+        if setup["gpio"] is not None:
+            setup["gpio"] = tuple(setup["gpio"])
+        if setup["heartbeat"] is not None:
+            host, port, key_file, timeout = setup["heartbeat"]
+            setup["heartbeat"] = host, port, read_key(key_file), timeout
         _core.control_loop(orders, reports, **setup)
     except SoftmapError as fault:
         os.write(told, (json.dumps({"schema": "softmap.loop/1", "error": str(fault)}) + "\n").encode())

@@ -11,26 +11,38 @@ from pathlib import Path
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.servo.ceiling import Ceiling, read_ceiling
+from softmap_edge.servo.emergency import Emergency, read_emergency
 from softmap_edge.toml_table import TomlTable
 from softmap_edge.whole_file import MOST_TEXT, write_whole
 
 SCHEMA = "softmap.rig/1"
 MOST_SERVOS = 16
 FARTHEST = 1_048_575  # ticks: 256 turns
+KEPT = ("home", "current_mA", "low", "high", "slew", "acceleration")  # of a servo, where it is known
 
 
 @dataclass(frozen=True)
 class RigServo:
-    """A servo: its id on the bus, its model's name, and the tick at which the finger is straight (None: not proved)."""
+    """A servo: its id on the bus, its model's name, and the tick at which the finger is straight (None: never proved).
+
+    Its ceiling, None where none was found: mA at the stroke, ticks about home, ticks/s, ticks/s².
+    """
 
     id: int
     model: str
     home: int | None = None
+    current_mA: float | None = None
+    low: int | None = None
+    high: int | None = None
+    slew: float | None = None
+    acceleration: float | None = None
 
 
 @dataclass(frozen=True)
 class Rig:
-    """A port, its baud rate, and the servos in the order of the commands.
+    """A port, its baud rate, and the servos in the order of the commands; `ceiling` is what all of them are allowed at
+    most, `emergency` the stops that the loop asks.
 
     Raises:
         ServoError: two servos of one id, an unknown model, none or too many servos.
@@ -39,6 +51,8 @@ class Rig:
     port: str
     baud: int
     servos: tuple[RigServo, ...]
+    ceiling: Ceiling = Ceiling()
+    emergency: Emergency = Emergency()
 
     def __post_init__(self) -> None:
         known = {entry["name"]: entry for entry in _core.servo_models()}
@@ -52,6 +66,8 @@ class Rig:
                 raise ServoError(f"servo id {servo.id} stands twice or beyond 252; give each servo one of its own")
             if self.baud not in known[servo.model]["baud_rates"]:
                 raise ServoError(f"servo {servo.id}, a {servo.model}, has no rate of {self.baud} baud")
+            if not (servo.low is None or servo.low < 0) or not (servo.high is None or servo.high > 0):
+                raise ServoError(f"servo {servo.id}: low {servo.low}, high {servo.high}; expected low < 0 < high")
 
     @property
     def numbers(self) -> list[tuple[int, int]]:
@@ -62,9 +78,10 @@ class Rig:
     def to_toml(self) -> str:
         """Return the text of `rig.toml`."""
         lines = [f'schema = "{SCHEMA}"', f"port = {_quoted(self.port)}", f"baud = {self.baud}"]
+        lines += [*self.ceiling.to_toml(), *self.emergency.to_toml()]
         for servo in self.servos:
             lines += ["", "[[servo]]", f"id = {servo.id}", f'model = "{servo.model}"']
-            lines += [] if servo.home is None else [f"home = {servo.home}"]
+            lines += [f"{key} = {value}" for key in KEPT if (value := getattr(servo, key)) is not None]
         return "\n".join(lines) + "\n"
 
     def write(self, path: str | Path) -> None:
@@ -91,10 +108,23 @@ def read_rig(path: str | Path) -> Rig:
             id = one.whole("id", None, 0, 252)
             if id is None:
                 raise ServoError(f"{file}: servo {k + 1} has no id; `softmap servo scan` finds it")
-            servos.append(RigServo(id, one.get("model", (str,), ""), one.whole("home", None, -FARTHEST, FARTHEST)))
+            servos.append(
+                RigServo(
+                    id,
+                    one.get("model", (str,), ""),
+                    one.whole("home", None, -FARTHEST, FARTHEST),
+                    one.number("current_mA", None, 1.0, 6000.0),
+                    one.whole("low", None, -FARTHEST, FARTHEST),
+                    one.whole("high", None, -FARTHEST, FARTHEST),
+                    one.number("slew", None, 1.0, 20_000.0),
+                    one.number("acceleration", None, 1.0, 1e6),
+                )
+            )
         if not port or baud is None:
             raise ServoError(f"{file}: no port; `softmap servo scan` finds it")
-        return Rig(port, baud, tuple(servos))
+        ceiling = read_ceiling(table.table("ceiling"))
+        emergency = read_emergency(table.table("emergency"), file.parent)
+        return Rig(port, baud, tuple(servos), ceiling=ceiling, emergency=emergency)
     except OSError as fault:
         raise ServoError(f"{file}: {fault.strerror}; make it with `softmap servo setup`") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:

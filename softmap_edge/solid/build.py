@@ -20,6 +20,7 @@ from softmap_edge.features import SECTIONS, tip_of
 from softmap_edge.model import Arrays, Model
 from softmap_edge.npz import packed, unpacked
 from softmap_edge.run import Run
+from softmap_edge.safety import derived
 from softmap_edge.shape_arrays import cables_from, fields_from, pairs_of, plain_table, second_from, table_from
 from softmap_edge.solid.bodies import Meshed
 from softmap_edge.solid.finger import Finger
@@ -131,7 +132,8 @@ def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progr
     report("form error", 0.0)
     error, vertex_error, grown = form_error(model, finger, simulator)
     report("form error", 1.0)
-    return replace(model, form_error=error, vertex_error_mm=vertex_error, error_per_g_mm=grown)
+    limits = derived(model, finger.young_mpa)
+    return replace(model, form_error=error, vertex_error_mm=vertex_error, error_per_g_mm=grown, safety=limits)
 
 
 def handles_of(finger: Finger, rest: Floats) -> NDArray[np.int64] | None:

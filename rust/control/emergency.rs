@@ -1,0 +1,95 @@
+//! The emergency stop beside the orders' own flag: a line of the computer, a heartbeat from another one, or both.
+//!
+//! Asked once a period, without waiting and without allocation. What cannot be read is pressed: a broken wire, a chip that is
+//! gone, a heart that does not beat. The guard does the rest (torque off at once, FAULT until acknowledged).
+
+use super::gpio::Line;
+use super::heartbeat::Heartbeat;
+
+/// The inputs that a bench has.
+#[derive(Default)]
+pub struct Emergency {
+    button: Option<Button>,
+    heartbeat: Option<Heartbeat>,
+}
+
+/// A line, and what it reads while the stop is pressed.
+pub struct Button {
+    line: Box<dyn Line + Send>,
+    pressed_low: bool,
+}
+
+impl Button {
+    /// A contact that opens when pressed reads high then, by the pull-up, as does a broken wire; `pressed_low` is for one
+    /// that closes.
+    pub fn new(line: Box<dyn Line + Send>, pressed_low: bool) -> Button {
+        Button { line, pressed_low }
+    }
+
+    fn pressed(&mut self) -> bool {
+        match self.line.high() {
+            Ok(high) => high != self.pressed_low,
+            Err(_) => true,
+        }
+    }
+}
+
+impl Emergency {
+    pub fn new(button: Option<Button>, heartbeat: Option<Heartbeat>) -> Emergency {
+        Emergency { button, heartbeat }
+    }
+
+    /// Whether any of them is pressed or dead at `now` (ns, monotonic).
+    pub fn pressed(&mut self, now: u64) -> bool {
+        // Each is asked, so that what arrives is taken whatever the other says.
+        let button = self.button.as_mut().is_some_and(Button::pressed);
+        let heart = self
+            .heartbeat
+            .as_mut()
+            .is_some_and(|heart| heart.pressed(now));
+        button || heart
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::allocations::allocations;
+    use rustix::io::Errno;
+    use std::sync::{Arc, Mutex};
+
+    struct Wire(Arc<Mutex<Result<bool, Errno>>>);
+
+    impl Line for Wire {
+        fn high(&mut self) -> Result<bool, Errno> {
+            *self.0.lock().unwrap()
+        }
+    }
+
+    #[test]
+    fn a_contact_that_opens_is_pressed_when_open_or_unreadable() {
+        let wire = Arc::new(Mutex::new(Ok(false)));
+        let button = |low| Some(Button::new(Box::new(Wire(wire.clone())), low));
+        let (mut opens, mut closes) = (
+            Emergency::new(button(false), None),
+            Emergency::new(button(true), None),
+        );
+        assert!(!opens.pressed(0) && closes.pressed(0));
+        *wire.lock().unwrap() = Ok(true);
+        assert!(opens.pressed(0) && !closes.pressed(0));
+        for fault in [Errno::NODEV, Errno::IO, Errno::INTR] {
+            *wire.lock().unwrap() = Err(fault);
+            assert!(opens.pressed(0) && closes.pressed(0));
+        }
+    }
+
+    #[test]
+    fn without_inputs_nothing_is_pressed_and_asking_allocates_nothing() {
+        assert!(!Emergency::default().pressed(5));
+        let wire = Arc::new(Mutex::new(Ok(true)));
+        let button = Button::new(Box::new(Wire(wire)), false);
+        let heart = Heartbeat::open("127.0.0.1", 0, &[7; 32], 0.1).unwrap();
+        let mut both = Emergency::new(Some(button), Some(heart));
+        assert_eq!(allocations(|| assert!(both.pressed(1_000))), 0);
+    }
+}

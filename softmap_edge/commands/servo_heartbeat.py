@@ -1,0 +1,113 @@
+"""`softmap servo heartbeat`: the emergency stop on another computer. Hooked into servo.py."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import select
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from softmap_edge.errors import ServoError
+from softmap_edge.servo.heartbeat import Heart
+from softmap_edge.teleop.landmarks_udp import new_key, read_key
+
+EVERY = 0.02  # s between beats
+UNHEARD = 5.0  # s without an answer after which that is told
+KEYS = "space presses the stop, r releases it, q or Ctrl-C ends the heartbeat, which presses it too"
+
+
+def heartbeat_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `servo heartbeat`."""
+    parser.add_argument("robot", nargs="?", metavar="HOST:PORT", help="whose rig.toml has this port in [emergency] udp")
+    parser.add_argument("--key", metavar="FILE", help="the key that both computers have")
+    parser.add_argument("--new-key", metavar="FILE", help="make a key, to be copied to both computers; nothing beats")
+    parser.add_argument("--every", type=float, default=EVERY, metavar="S", help=f"between beats ({EVERY:g})")
+
+
+def heartbeat(args: argparse.Namespace) -> int:
+    """Beat until it is ended; keys, or lines `press` and `release` on standard input, press and release the stop."""
+    if args.new_key is not None:
+        new_key(args.new_key)
+        document = {"schema": "softmap.key/1", "key": args.new_key}
+        print(json.dumps(document) if args.json else f"{args.new_key}: written; copy it to the other computer")
+        return 0
+    host, _, port = (args.robot or "").rpartition(":")
+    if not host or not port.isdecimal() or args.key is None:
+        raise ServoError("give HOST:PORT of the robot and --key FILE, or --new-key FILE to make one")
+    if not 0.001 <= args.every <= 1.0:
+        raise ServoError(f"--every {args.every:g} s; allowed is 0.001 to 1 s, well below the timeout in rig.toml")
+    pressed, beats, told, begun = False, 0, False, time.monotonic()
+    with Heart(host, int(port), read_key(args.key)) as heart, _keys() as keys:
+        if not args.json:
+            print(f"beating for {args.robot}: {KEYS}", flush=True)
+        try:
+            due = time.monotonic()
+            while True:
+                for asked in keys:
+                    if asked == "end":
+                        raise KeyboardInterrupt
+                    if asked is None:
+                        break
+                    pressed = asked == "press"
+                    if not args.json:
+                        print("pressed" if pressed else "released", flush=True)
+                heart.beat(pressed)
+                beats += 1
+                if not told and not heart.heard and time.monotonic() - begun > UNHEARD:
+                    told = True
+                    print(f"{args.robot} does not answer: no loop runs there, or its key is another", file=sys.stderr)
+                due = max(due + args.every, time.monotonic() - args.every)
+                time.sleep(max(0.0, due - time.monotonic()))
+        except KeyboardInterrupt:
+            for _ in range(3):  # so that it need not wait for the timeout
+                heart.beat(pressed=True)
+    if args.json:
+        print(json.dumps({"schema": "softmap.heartbeat/1", "beats": beats, "heard": heart.heard}))
+    return 0
+
+
+@contextmanager
+def _keys() -> Iterator[Iterator[str | None]]:
+    """Give what was asked for since: `press`, `release`, `end`, then None for nothing more. Never waits."""
+    if not sys.stdin.isatty():
+        yield _lines()
+        return
+    import termios
+    import tty
+
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin)
+    try:
+        yield _pressed()
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def _waiting() -> bool:
+    return bool(select.select([sys.stdin], [], [], 0.0)[0])
+
+
+def _pressed() -> Iterator[str | None]:
+    while True:
+        yield {" ": "press", "r": "release", "q": "end", "": "end"}.get(_read(1)) if _waiting() else None
+
+
+def _lines() -> Iterator[str | None]:
+    text, open_ = "", True
+    while True:
+        if open_ and _waiting():
+            more = _read(1024)
+            open_ = more != ""  # who gives no lines ends it by a signal
+            text += more
+        line, end, rest = text.partition("\n")
+        if end:
+            text = rest
+        yield {"press": "press", "release": "release", "end": "end"}.get(line.strip()) if end else None
+
+
+def _read(count: int) -> str:
+    return os.read(sys.stdin.fileno(), count).decode("utf-8", "replace")

@@ -1,0 +1,42 @@
+"""`softmap servo limits`: every limit in force on a bench, and who set it. Hooked into servo.py."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from softmap_edge.bundle import builtin_model
+from softmap_edge.commands.own import open_model
+from softmap_edge.errors import ServoError
+from softmap_edge.servo.combined import combined
+from softmap_edge.servo.limits import RATE
+from softmap_edge.servo.rig import read_rig
+
+REFUSED = 1  # exit code: with these limits nothing is driven
+
+
+def limits_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `servo limits`."""
+    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench: its servos, ceiling and stops")
+    parser.add_argument("--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)")
+    parser.add_argument(
+        "--rate", type=float, default=RATE, metavar="HZ", help=f"periods of the loop a second ({RATE:g})"
+    )
+
+
+def limits(args: argparse.Namespace) -> int:
+    """Print the limits; 1 when nothing can be driven with them, and why."""
+    model = builtin_model() if args.bundle is None else open_model(args.bundle)
+    found = combined(read_rig(args.rig), model, rate=args.rate)
+    refused = None
+    try:
+        found.table()
+    except ServoError as fault:
+        refused = str(fault)
+    if args.json:
+        print(json.dumps(found.to_dict() | {"refused": refused}))
+    else:
+        print(found)
+        if refused is not None:
+            print(f"nothing is driven: {refused}")
+    return 0 if refused is None else REFUSED

@@ -1,0 +1,310 @@
+"""What a finger may be asked (`safety.toml` in its bundle): in its own units, with where each limit comes from.
+
+A bench's `rig.toml` is the ceiling; these limits can only tighten it (`servo/combined.py`). `derived` takes them from
+the model: the window is where the simulation (or the run that taught) has been, tension and strain are the largest
+that it holds there. The strain is that of the surface's triangles against their rest, λ − 1 of the larger principal
+stretch; inside a body that bends it is smaller. What nothing tells is a choice, and says so.
+Pinned by tests/test_safety.py.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import BundleError, SoftmapError
+from softmap_edge.shape_arrays import plain_table
+from softmap_edge.toml_table import TomlTable
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+
+Floats = NDArray[np.float64]
+
+SCHEMA = "softmap.safety/1"
+MARGIN = 1.5  # a cast silicone's modulus is known to a half: so much harder than simulated may a tendon pull
+CROSSING = 4.0  # s in which the widest command crosses its window
+START = 10.0  # 1/s: the slew is reached in a tenth of a second
+JUMP = 0.25  # of the window: what a target jumps at most without being told
+MOST_LOOKS = 700  # commands of the window at which tension and strain are looked at
+LEAST_LOOKS = 3  # along each command
+DAMAGED = 4.0  # mm/mm: a strain that no surface has
+STALE, HOLD, SLACKEN, RAMP = 0.25, 2.0, 5.0, 1.0  # s
+BAND = 0.02 / 32.0  # of the window: of 32 mm what a still hand's noise stays below
+TURNS_A_SECOND, BURST = 4.0, 4.0
+# What a file may say, in s, 1 and 1/s; lengths are bounded by the window itself.
+TIMES = {"stale": (0.02, 2.0), "hold": (0.05, 60.0), "slacken": (0.1, 60.0), "ramp": (0.0, 10.0)}
+TURNS = {"turns": (0.1, 50.0), "burst": (1.0, 50.0)}
+SIMULATED = ("tension_n", "strain", "modulus_mpa")
+LONGEST = 300  # characters of a sentence
+
+
+@dataclass(frozen=True)
+class Safety:
+    """Limits of a finger of C commands in `unit` (mm or another command unit).
+
+    low, high: (C,) the window of commands · slew, acceleration: per s and s² of each command · jump: by which a target
+    may jump untold, and beyond which it is refused · tension: N of any tendon, None where no simulation tells ·
+    stale, hold, slacken, ramp: s, as in docs/safety.md · band: that a goal comes back before its servo turns · turns:
+    reversals a second in the long run, `burst` at once · simulated: the largest tension (N) and strain in the window
+    and the modulus (MPa) that they belong to, as far as known · assumes: that in words, and what is a choice · edited:
+    the file is not the one that was written with the bundle.
+    """
+
+    unit: str
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    slew: float
+    acceleration: float
+    jump: tuple[float, float]
+    tension: float | None
+    stale: float
+    hold: float
+    slacken: float
+    ramp: float
+    band: float
+    turns: float
+    burst: float
+    assumes: str
+    simulated: Mapping[str, float] = field(default_factory=dict)
+    edited: bool = field(default=False, compare=False)
+
+    def within(self, reach: Floats) -> Safety | None:
+        """Return the limits where the model's range `reach` (C, 2) is narrower; None where no window is left."""
+        low, high = (_inward(side) for side in np.asarray(reach, float).T)
+        low, high = np.maximum(low, self.low), np.minimum(high, self.high)
+        if np.any(low >= high):
+            return None
+        told, refused = (min(jump, float(np.ptp(reach, axis=1).max())) for jump in self.jump)
+        return replace(self, low=tuple(low.tolist()), high=tuple(high.tolist()), jump=(told, refused))
+
+    def to_toml(self) -> str:
+        """Return the text of `safety.toml`."""
+        lines = [
+            f"# Limits of this finger; rig.toml is the ceiling. May be edited.\nschema = {_text(SCHEMA)}",
+            f"assumes = {_text(self.assumes)}",
+        ]
+        if self.simulated:
+            lines.append("\n[simulated]  # the largest in the window; no limits")
+            lines += [f"{name} = {_short(self.simulated[name])}" for name in SIMULATED if name in self.simulated]
+        lines += [
+            f"\n[command]  # in {self.unit}, s",
+            f"unit = {_text(self.unit)}",
+            f"low = {[*map(_short, self.low)]}",
+            f"high = {[*map(_short, self.high)]}",
+            f"slew = {_short(self.slew)}",
+            f"acceleration = {_short(self.acceleration)}",
+            f"jump = {[*map(_short, self.jump)]}  # told, refused",
+        ]
+        lines += [] if self.tension is None else [f"\n[tendon]\ntension_n = {_short(self.tension)}"]
+        lines.append("\n[time]  # s")
+        lines += [f"{name} = {_short(getattr(self, name))}" for name in TIMES]
+        lines += [f"\n[reversal]\nband = {_short(self.band)}  # {self.unit}"]
+        lines += [f"{name} = {_short(getattr(self, name))}" for name in TURNS]
+        return "\n".join(lines) + "\n"
+
+
+def read_safety(text: str, reach: Floats, unit: str, where: str) -> Safety:
+    """Return the limits in the text of a `safety.toml`, each within what is allowed.
+
+    Args:
+        reach: (C, 2) the model's range of commands, beyond which no window goes. unit: of the model's commands.
+        where: what an error names.
+
+    Raises:
+        BundleError: no TOML, an unknown or missing key, or a limit out of range; nothing is clamped.
+    """
+    try:
+        return _read(TomlTable(tomllib.loads(text), where), np.asarray(reach, float), unit)
+    except BundleError:
+        raise
+    except SoftmapError as fault:
+        raise BundleError(f"{fault}; mend it there, or build the bundle again") from None
+    except (ValueError, RecursionError) as fault:  # what is no TOML is a ValueError
+        raise BundleError(f"{where}: no TOML ({fault!s:.80}); mend it there, or build the bundle again") from None
+
+
+def _read(top: TomlTable, reach: Floats, unit: str) -> Safety:
+    top.choice("schema", (SCHEMA,), "")
+    assumes = str(top.get("assumes", (str,), ""))
+    if len(assumes) > LONGEST or not assumes.isprintable():
+        raise BundleError(f"{top.where}: assumes has {len(assumes)} characters, allowed are {LONGEST} on one line")
+    simulated, command, tendon = top.table("simulated"), top.table("command"), top.table("tendon")
+    times, reversal = top.table("time"), top.table("reversal")
+    top.done()
+    found = {name: simulated.number(name, None, 0.0, 1e6) for name in SIMULATED}
+    command.choice("unit", (unit,), "")
+    width = float(np.ptp(reach, axis=1).max())
+    low, high = (command.numbers(name, (len(reach),)) for name in ("low", "high"))
+    if low is None or high is None:
+        raise BundleError(f"{command.where}: no low or no high; the window is needed")
+    slack = 1e-5 * np.ptp(reach, axis=1)  # a file holds six digits
+    for c, (least, most) in enumerate(reach):
+        if not least - slack[c] <= low[c] < high[c] <= most + slack[c]:
+            raise BundleError(
+                f"{command.where}: window of command {c + 1} is {low[c]:g} to {high[c]:g} {unit}; allowed is low < "
+                f"high within {least:g} to {most:g}, where the model has been"
+            )
+    told, refused = _needed_pair(command, "jump", width)
+    highest = 1000.0 if found["tension_n"] is None else 3.0 * found["tension_n"]
+    safety = Safety(
+        unit=unit,
+        low=tuple(low.tolist()),
+        high=tuple(high.tolist()),
+        slew=_needed(command, "slew", 1e-4 * width, 20.0 * width),
+        acceleration=_needed(command, "acceleration", 1e-4 * width, 2000.0 * width),
+        jump=(told, refused),
+        tension=tendon.number("tension_n", None, 1e-3, max(1e-3, highest)),
+        stale=_needed(times, "stale", *TIMES["stale"]),
+        hold=_needed(times, "hold", *TIMES["hold"]),
+        slacken=_needed(times, "slacken", *TIMES["slacken"]),
+        ramp=_needed(times, "ramp", *TIMES["ramp"]),
+        band=_needed(reversal, "band", 0.0, 0.1 * width),
+        turns=_needed(reversal, "turns", *TURNS["turns"]),
+        burst=_needed(reversal, "burst", *TURNS["burst"]),
+        assumes=assumes,
+        simulated={name: value for name, value in found.items() if value is not None},
+    )
+    for table in (simulated, command, tendon, times, reversal):
+        table.done()
+    return safety
+
+
+def _needed(table: TomlTable, key: str, low: float, high: float) -> float:
+    value = table.number(key, None, low, high)
+    if value is None:
+        raise BundleError(f"{table.where}: no {key}; give {low:g} to {high:g}")
+    return value
+
+
+def _needed_pair(table: TomlTable, key: str, most: float) -> tuple[float, float]:
+    value = table.numbers(key, (2,))
+    if value is None or not 0.0 <= value[0] <= value[1] <= most * (1 + 1e-5):
+        raise BundleError(
+            f"{table.where}: {key} is {None if value is None else value.tolist()}; allowed are two numbers, 0 ≤ told ≤ "
+            f"refused ≤ {most:g}"
+        )
+    return float(value[0]), float(value[1])
+
+
+def derived(model: Model, modulus: float | None = None) -> Safety | None:
+    """Return the limits that a model tells of; None where nothing is commanded.
+
+    Args:
+        model: its prior, surface and, if it was simulated, the pull of its tendons. modulus: MPa of the simulation, if
+            that is known.
+    """
+    if model.channels == 0:
+        return None
+    low, high = (_inward(side) for side in np.asarray(model.command_range, float).T)
+    width = float(np.max(high - low))
+    looks = _looks(low, high)
+    simulated = {
+        name: _digits(value)
+        for name, value in (("tension_n", _tension(model, looks)), ("strain", _strain(model, looks)))
+        if value is not None
+    }
+    tension = simulated.get("tension_n")
+    if tension is not None and modulus is not None:
+        simulated["modulus_mpa"] = modulus
+    return Safety(
+        unit=model.command_unit,
+        low=tuple(low.tolist()),
+        high=tuple(high.tolist()),
+        slew=_digits(width / CROSSING),
+        acceleration=_digits(START * width / CROSSING),
+        jump=(_digits(JUMP * width), float(_inward(np.array([width]))[0])),
+        tension=_digits(MARGIN * tension) if tension else None,
+        assumes=_assumes(model, tension, modulus),
+        stale=STALE,
+        hold=HOLD,
+        slacken=SLACKEN,
+        ramp=RAMP,
+        band=_digits(BAND * width),
+        turns=TURNS_A_SECOND,
+        burst=BURST,
+        simulated=simulated,
+    )
+
+
+def _assumes(model: Model, tension: float | None, modulus: float | None) -> str:
+    """Say what the limits rest on."""
+    chosen = "slew, times and reversals are choices"
+    if tension is not None:
+        of = "an unnamed modulus" if modulus is None else f"a modulus of {modulus:g} MPa"
+        return (
+            f"window and tension: the sweep simulated with {of}, {MARGIN:g} times its largest tension; a stiffer body "
+            f"is pulled harder in proportion; {chosen}"
+        )
+    by = "the run that taught it" if model.kind == "rod" else "a sweep made elsewhere"
+    return f"window: {by}; tensions are not known{'' if len(model.triangles) else ', nor strains'}; {chosen}"
+
+
+def _inward(side: Floats) -> Floats:
+    """Return numbers of at most six digits, none farther from 0."""
+    scale = 10.0 ** (5.0 - np.floor(np.log10(np.maximum(np.abs(side), 1e-9))))
+    return np.asarray(np.trunc(np.round(side * scale, 6)) / scale)
+
+
+def _looks(low: Floats, high: Floats) -> Floats:
+    """Return commands (n, C) all over the window, its corners and sides among them."""
+    count = len(low)
+    steps = int(MOST_LOOKS ** (1.0 / count))
+    steps -= 1 - steps % 2  # the middle is one of them
+    if steps >= LEAST_LOOKS:
+        return np.array(list(product(*(np.linspace(a, b, steps) for a, b in zip(low, high)))))
+    ends = np.random.default_rng(0).integers(0, 3, (MOST_LOOKS, count))  # of many commands some corners and sides
+    return low + 0.5 * ends * (high - low)
+
+
+def _tension(model: Model, looks: Floats) -> float | None:
+    """Return the largest tension (N) of any tendon, None where the model does not know its pull."""
+    prior = model.arrays.get("prior", {})
+    if "pull" not in prior or not any(key.startswith("axis") for key in prior):
+        return None
+    pull = np.asarray(plain_table(prior, "pull").evaluate(looks))
+    return max(0.0, float(pull.max())) if pull.size else None
+
+
+def _strain(model: Model, looks: Floats) -> float | None:
+    """Return the largest strain of the surface, None without one."""
+    if not len(model.triangles):
+        return None
+    shapes = np.asarray(model.prior.evaluate(looks)).reshape(len(looks), -1, 3)
+    before, corner = _sides(model.rest[None], model.triangles), model.triangles
+    square = np.einsum("...ji,...jk->...ik", before, before)[0]
+    sound = np.linalg.det(square) > 1e-12 * np.trace(square, axis1=1, axis2=2) ** 2
+    back = np.linalg.inv(square[sound])
+    most = 0.0
+    for shape in shapes:
+        after = _sides(shape[None], corner[sound])[0]
+        stretched = back @ np.einsum("tji,tjk->tik", after, after)
+        half, product_ = 0.5 * np.trace(stretched, axis1=1, axis2=2), np.linalg.det(stretched)
+        larger = half + np.sqrt(np.maximum(half**2 - product_, 0.0))
+        most = max(most, float(np.sqrt(larger).max(initial=1.0)) - 1.0)
+    return most if most < DAMAGED else None
+
+
+def _sides(points: Floats, triangles: NDArray[np.int32]) -> Floats:
+    """Return two sides of each triangle as columns, (S, F, 3, 2)."""
+    corners = points[:, triangles]
+    return np.stack([corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]], axis=-1)
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def _text(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)

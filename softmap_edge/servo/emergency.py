@@ -1,0 +1,113 @@
+"""The emergency stops of a bench: `[emergency]` of its `rig.toml`.
+
+    [emergency]
+    gpio = {chip = "/dev/gpiochip0", line = 17, active_low = false}
+    udp = {port = 5006, key_file = "stop.key", timeout = 0.2}
+
+The control loop asks them in each period (`rust/control/emergency.rs`); one that cannot be read, or does not beat, is
+pressed. docs/safety.md says how to wire and use them. Pinned by tests/test_emergency.py.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from softmap_edge.errors import ServoError
+from softmap_edge.toml_table import TomlTable
+
+TIMEOUT = 0.2  # s: some beats of the usual fifty a second may be lost
+SHORTEST, LONGEST = 0.02, 2.0  # s
+LINES = 511  # the highest line of a chip
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a GPIO chip with its pull-up. A contact that opens when pressed reads high then, as does a broken wire;
+    `active_low` is for one that closes to ground."""
+
+    chip: str
+    line: int
+    active_low: bool = False
+
+
+@dataclass(frozen=True)
+class Beats:
+    """A heartbeat to be heard at UDP `host`:`port`, signed with the key in `key_file`, at least each `timeout` s."""
+
+    port: int
+    key_file: str
+    timeout: float = TIMEOUT
+    host: str = "0.0.0.0"
+
+
+@dataclass(frozen=True)
+class Emergency:
+    """The stops that a bench has; none by default."""
+
+    gpio: Line | None = None
+    udp: Beats | None = None
+
+    def __str__(self) -> str:
+        said = []
+        if self.gpio is not None:
+            said.append(f"line {self.gpio.line} of {self.gpio.chip}")
+        if self.udp is not None:
+            said.append(f"no heartbeat at UDP port {self.udp.port} for {self.udp.timeout:g} s")
+        return ", or ".join(said) or "none"
+
+    def setup(self) -> dict[str, Any]:
+        """Return what the loop's process is told; never the key itself."""
+        gpio, udp = self.gpio, self.udp
+        return {
+            "gpio": None if gpio is None else [gpio.chip, gpio.line, gpio.active_low],
+            "heartbeat": None if udp is None else [udp.host, udp.port, udp.key_file, udp.timeout],
+        }
+
+    def to_toml(self) -> list[str]:
+        """Return the lines of its table, none where there is no stop."""
+        lines = []
+        if self.gpio is not None:
+            low = "true" if self.gpio.active_low else "false"
+            lines.append(f"gpio = {{chip = {_text(self.gpio.chip)}, line = {self.gpio.line}, active_low = {low}}}")
+        if (udp := self.udp) is not None:
+            lines.append(
+                f"udp = {{host = {_text(udp.host)}, port = {udp.port}, key_file = {_text(udp.key_file)}, "
+                f"timeout = {udp.timeout!r}}}"
+            )
+        return ["", "[emergency]", *lines] if lines else []
+
+
+def read_emergency(table: TomlTable, folder: Path) -> Emergency:
+    """Read the stops of a bench; a key file is looked for from `folder`.
+
+    Raises:
+        RunError: an unknown name, or a value out of range. ServoError: what a stop needs is missing.
+    """
+    gpio = udp = None
+    if "gpio" in table.values:
+        one = table.table("gpio")
+        chip, line = one.get("chip", (str,), "/dev/gpiochip0"), one.whole("line", None, 0, LINES)
+        if line is None:
+            raise ServoError(f"{one.where}: no line; `gpioinfo` lists them")
+        gpio = Line(chip, line, one.get("active_low", (bool,), False))
+        one.done()
+    if "udp" in table.values:
+        one = table.table("udp")
+        port, key = one.whole("port", None, 1, 65_535), one.get("key_file", (str,), "")
+        if port is None or not key:
+            raise ServoError(f"{one.where}: no port or no key_file; `softmap servo heartbeat --new-key FILE` makes one")
+        timeout = one.number("timeout", TIMEOUT, SHORTEST, LONGEST)
+        assert timeout is not None
+        udp = Beats(port, str(folder / key), timeout, one.get("host", (str,), Beats.host))
+        one.done()
+    for name in ("gpio", "udp"):
+        table.get(name, (dict,))
+    table.done()
+    return Emergency(gpio, udp)
+
+
+def _text(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)

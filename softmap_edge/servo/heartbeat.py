@@ -1,0 +1,95 @@
+"""The emergency stop on another computer: a heart that beats over UDP while nobody presses it.
+
+    with Heart("robot.local", 5006, read_key("stop.key")) as heart:
+        while True:
+            heart.beat(pressed=button())
+            time.sleep(0.02)
+
+Whoever stops beating has pressed it: the control loop switches torque off (docs/safety.md). Datagrams and sessions are
+those of `rust/control/heartbeat.rs`, which listens. Pinned by tests/test_emergency.py.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import socket
+import struct
+import time
+from types import TracebackType
+from typing import Self
+
+from softmap_edge.errors import ServoError
+
+MARK, OFFER_MARK = b"SMB1", b"SMC1"
+_BODY = struct.Struct("<4sB16sQQ")
+_TAG = 32  # bytes of HMAC-SHA256
+BEAT = _BODY.size + _TAG
+OFFER = 4 + 16 + _TAG
+PRESSED = 1
+NO_SESSION = bytes(16)
+MOST_AT_ONCE = 64  # offers that one beat takes in
+
+
+class Heart:
+    """Beats for the robot at `host`:`port`, signed with `key`; a context manager, to be closed.
+
+    Raises:
+        ServoError: no such host or port.
+    """
+
+    def __init__(self, host: str, port: int, key: bytes) -> None:
+        if not 1 <= port <= 65_535:
+            raise ServoError(
+                f"{host}:{port}: ports are 1 to 65535; give the one in [emergency] of the robot's rig.toml"
+            )
+        self._key, self._session, self._sequence = key, NO_SESSION, 0
+        try:
+            found = socket.getaddrinfo(host, port, family=socket.AF_INET, type=socket.SOCK_DGRAM)
+            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._socket.connect(found[0][4])
+        except (OSError, UnicodeError) as cause:
+            raise ServoError(f"{host}:{port} cannot be reached ({cause!s:.80}); check host and port") from None
+        self._socket.setblocking(False)
+
+    @property
+    def heard(self) -> bool:
+        """Whether the robot has answered: what beats for nobody holds nobody."""
+        return self._session != NO_SESSION
+
+    def beat(self, pressed: bool = False) -> bool:
+        """Beat once, and say whether the stop is `pressed`; False where it could not be sent just now."""
+        self._listen()
+        self._sequence += 1
+        body = _BODY.pack(MARK, PRESSED if pressed else 0, self._session, self._sequence, time.monotonic_ns())
+        try:
+            return self._socket.send(body + self._tag(body)) == BEAT
+        except OSError:  # nobody listens there, or no network: the robot may come back
+            return False
+
+    def _listen(self) -> None:
+        """Take the newest session that the robot offers."""
+        for _ in range(MOST_AT_ONCE):
+            try:
+                offer = self._socket.recv(OFFER + 1)
+            except BlockingIOError:
+                return
+            except OSError:
+                continue  # what came back of an earlier beat
+            body = offer[: OFFER - _TAG]
+            right = len(offer) == OFFER and body.startswith(OFFER_MARK)
+            if right and hmac.compare_digest(offer[len(body) :], self._tag(body)):
+                self._session = body[len(OFFER_MARK) :]
+
+    def _tag(self, body: bytes) -> bytes:
+        return hmac.new(self._key, body, hashlib.sha256).digest()
+
+    def close(self) -> None:
+        """Stop beating: the robot takes it for pressed."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
