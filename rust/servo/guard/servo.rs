@@ -67,9 +67,9 @@ impl Servo {
     /// Torque goes on: what it was before counts no more. Returns where it stands.
     pub fn start(&mut self, time: &Time) -> Option<f64> {
         (self.followed, self.light) = (time.now, time.now);
-        if let Some(health) = &mut self.health {
-            health.torque = true;
-        }
+        self.health
+            .iter_mut()
+            .for_each(|health| health.torque = true);
         self.position
     }
 
