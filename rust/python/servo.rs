@@ -357,10 +357,7 @@ impl PyEmulatedBus {
 
     /// Make everything as it was mounted: nothing is broken, ids and horns are as they were, the servos have just started.
     fn mend(&self) {
-        let terminal = self.terminal();
-        let mut emulator = terminal.emulator();
-        emulator.set_faults(Faults::default());
-        emulator.servos.iter_mut().for_each(Servo::mend);
+        self.terminal().emulator().mend();
     }
 
     /// Reset a servo, as a dip of its supply does.

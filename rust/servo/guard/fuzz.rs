@@ -122,7 +122,6 @@ impl World {
         torque: bool,
     ) -> (Option<bool>, bool, bool, Option<Request>, bool) {
         let period = self.limits.period;
-        self.clock += period * 1000.0;
         let steps = [0.0, -5.0, 300.0, 2000.0];
         let passed = if self.chance.once_in(3000) {
             self.chance.of(&steps)
@@ -130,6 +129,9 @@ impl World {
             self.chance.within(0.9, 1.1)
         };
         self.now = (self.now as f64 + passed * period * 1e9).max(0.0) as u64;
+        // Where this computer slept, the servos' clocks went on; now and then it is its clock alone that leaps.
+        let slept = passed > 2.0 && !self.chance.once_in(4);
+        self.clock += period * 1000.0 * if slept { passed } else { 1.0 };
         for k in 0..self.at.len() {
             if self.chance.once_in(20_000) {
                 self.broken[k] = 1 + self.chance.next() % 10;
@@ -173,7 +175,7 @@ impl World {
             };
             self.feedback[k] = (!quiet).then_some(Feedback {
                 position: self.at[k].round() as i32,
-                clock: frozen as u64 as u16,
+                clock: (frozen as u64 % 0x8000) as u16,
                 current: axis.current.map(|_| current),
                 voltage,
                 temperature,
