@@ -31,11 +31,11 @@ BREAKS = {
     "each answer 0.5 ms late": lambda loop: loop.bus.faults(slow=0.0005),
     "a servo is mute for a moment": lambda loop: loop.bus.damage(1, mute=True),
     "a servo is mute": lambda loop: loop.bus.damage(1, mute=True),
-    "each answer 50 ms late": lambda loop: loop.bus.faults(slow=0.05),
+    "each answer 0.1 s late": lambda loop: loop.bus.faults(slow=0.1),
     "a servo resets": lambda loop: loop.bus.reset(1),
     "no power on the bus": lambda loop: loop.bus.faults(unpowered=True),
     "a servo shuts down: overload error": lambda loop: loop.bus.fail(1, 0x20),
-    "a servo draws more than its cap": lambda loop: (loop.bus.burden(0, 12.0), loop.bus.damage(0, uncapped=True)),
+    "a servo draws more than its cap": lambda loop: (loop.bus.burden(0, 14.0), loop.bus.damage(0, uncapped=True)),
     "the finger is blocked": lambda loop: (loop.bus.damage(0, jammed=True), back(loop)),
     "supply too low": lambda loop: loop.bus.supply(0, 2.9),
     "too hot": lambda loop: loop.bus.heat(0, 69.0),
@@ -64,7 +64,7 @@ def bench(request):
             loops.pop().close()
         if not loops:
             # Slow homewards, so that there is time for something to happen on the way.
-            loops.append(Loop(slew=800.0 if request.param == "safe_stop" else 2000.0))
+            loops.append(Loop(slew=1300.0 if request.param == "safe_stop" else 2000.0))
         else:
             loops[-1].restore()
         loops[-1].bring(request.param)
@@ -94,14 +94,15 @@ def goes_on(loop, state, begin):
 
 
 def changes(loop, state, begin, cause, wanted, within):
-    """Prove that the next change is to `wanted`, because of `cause`, in its time."""
-    assert loop.wait(lambda: loop.changes(begin, state) or loop.ended), f"nothing follows; {loop.reports[-1]}"
-    found = loop.changes(begin, state)
-    assert found, loop.ended
-    assert (found[0]["state"], found[0]["cause"]) == (wanted, cause)
-    late = loop.reports[-1]["overruns"] * loop.limits["period"]
-    assert found[0]["t"] - begin <= within + BUSY + late
-    assert found[0]["torque"] == (wanted in ("hold", "safe_stop"))
+    """Prove that the next changes are to the states `wanted`, because of `cause`, in its time."""
+    overruns = loop.reports[-1]["overruns"]
+    loop.wait(lambda: len(loop.changes(begin, state)) >= len(wanted) or loop.ended)
+    found = loop.changes(begin, state)[: len(wanted)]
+    causes = ["late" if one == "hold" else cause for one in wanted]
+    assert [(one["state"], one["cause"]) for one in found] == list(zip(wanted, causes)), loop.reports[-1]
+    late = (loop.reports[-1]["overruns"] - overruns) * loop.limits["period"]
+    assert found[-1]["t"] - begin <= within + BUSY + late
+    assert [one["torque"] for one in found] == [one in ("hold", "safe_stop") for one in wanted]
 
 
 def without_torque(loop):
@@ -127,24 +128,25 @@ def test_reaction(bench, fault):
         return goes_on(loop, state, begin)
     if cell == "denies":
         time.sleep(0.08 if cause == "silent" else seconds(within, loop) + 0.1)
-        until = time.monotonic() + PATIENCE
-        while (said := loop.ask(LEADS_ON[state])) == "torque" and time.monotonic() < until:
-            time.sleep(0.01)
         known = ("trouble(late)", "trouble(silent)") if cause == "silent" else (f"trouble({cause})", "outside")
+        until = time.monotonic() + PATIENCE
+        # On a busy machine an answer may be late besides.
+        while (said := loop.ask(LEADS_ON[state])) not in known and time.monotonic() < until:
+            assert said is not None, "it is allowed"
+            time.sleep(0.01)
         assert said in known and loop.state == state
         return None
-    first, _, then = cell.partition(" → ")
-    if first != "ends":
-        changes(loop, state, begin, cause, first.lower(), seconds(within, loop))
-    if "ends" in (first, then):
+    *parts, last = cell.split(" → ")
+    wanted = [part.lower() for part in [*parts, last] if part != "ends"]
+    if wanted:
+        changes(loop, state, begin, cause, wanted, seconds(within, loop))
+    if last == "ends":
         assert loop.wait(lambda: loop.ended), "it does not end"
         assert loop.ended["ended"] == "port"
         return None
-    if first == "SAFE_STOP":
+    if last == "SAFE_STOP":
         assert loop.wait(lambda: loop.state == "fault"), "slack at last"
-    if first in ("SAFE_STOP", "FAULT"):
-        without_torque(loop)
-    return None
+    return without_torque(loop)
 
 
 def briefly(loop, state, cell, begin):
