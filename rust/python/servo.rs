@@ -6,7 +6,7 @@ use pyo3::types::{PyBytes, PyDict};
 use softmap_servo::bus::{Bus, Fault, SLACK};
 use softmap_servo::decoder::Decoder;
 use softmap_servo::emulator::pty::Terminal;
-use softmap_servo::emulator::servo::{Motion, Servo};
+use softmap_servo::emulator::servo::{Broken, Motion, Servo};
 use softmap_servo::emulator::{Emulator, Faults};
 use softmap_servo::packet::{HIGHEST_ID, LONGEST, packet};
 use softmap_servo::registers::{BAUD_RATES, MODELS, model};
@@ -308,12 +308,58 @@ impl PyEmulatedBus {
         Ok(())
     }
 
-    /// Break a servo, or mend it: it is mute, its encoder stands, its tendon is torn.
-    #[pyo3(signature = (servo, *, mute=false, stuck=false, torn=false))]
-    fn damage(&self, servo: usize, mute: bool, stuck: bool, torn: bool) -> PyResult<()> {
-        self.with(servo, |servo| {
-            (servo.broken.mute, servo.broken.stuck, servo.broken.torn) = (mute, stuck, torn)
-        })
+    /// Break a servo, or mend it: it is mute, its encoder stands, its tendon is torn or wound the other way, its horn is
+    /// blocked, it does not keep to its current cap.
+    #[pyo3(signature = (servo, *, mute=false, stuck=false, torn=false, reversed=false, jammed=false, uncapped=false))]
+    fn damage(
+        &self,
+        servo: usize,
+        mute: bool,
+        stuck: bool,
+        torn: bool,
+        reversed: bool,
+        jammed: bool,
+        uncapped: bool,
+    ) -> PyResult<()> {
+        let broken = Broken {
+            mute,
+            stuck,
+            torn,
+            reversed,
+            jammed,
+            uncapped,
+        };
+        self.with(servo, |servo| servo.broken = broken)
+    }
+
+    /// Make a servo's load so many times as heavy as it was.
+    fn burden(&self, servo: usize, factor: f64) -> PyResult<()> {
+        if !(0.0..=100.0).contains(&factor) {
+            return Err(trouble(format!(
+                "a load {factor} times as heavy; allowed is 0 to 100"
+            )));
+        }
+        self.with(servo, |servo| servo.burden(factor))
+    }
+
+    /// Let a servo count a turn too few from now on.
+    fn lose_turn(&self, servo: usize) -> PyResult<()> {
+        self.with(servo, Servo::lose_turn)
+    }
+
+    /// Exchange the ids of two servos.
+    fn swap(&self, one: usize, other: usize) -> PyResult<()> {
+        let (first, second) = (self.with(one, |s| s.id())?, self.with(other, |s| s.id())?);
+        let terminal = self.terminal();
+        let mut emulator = terminal.emulator();
+        emulator.servos[one].set_id(second);
+        emulator.servos[other].set_id(first);
+        Ok(())
+    }
+
+    /// Make everything as it was mounted: nothing is broken, ids and horns are as they were, the servos have just started.
+    fn mend(&self) {
+        self.terminal().emulator().mend();
     }
 
     /// Reset a servo, as a dip of its supply does.

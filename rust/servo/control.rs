@@ -138,15 +138,17 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
         let orders = self.mailbox.collect();
         let period = self.guard.limits().period;
         let mut fault = None;
-        self.since_examined += period;
-        if self.since_examined >= EXAMINE || self.drive.alert() {
-            self.since_examined = 0.0;
-            fault = self.drive.examine().err();
-        }
         let mut feedback = [None; MOST_SERVOS];
         match self.drive.sense() {
             Ok(heard) => feedback[..heard.len()].copy_from_slice(heard),
             Err(failed) => fault = Some(failed),
+        }
+        self.since_examined += period;
+        let due = self.since_examined >= EXAMINE || self.drive.alert();
+        // Two waits for answers that do not come would not fit into a period.
+        if due && self.drive.heard().iter().all(Result::is_ok) {
+            self.since_examined = 0.0;
+            fault = fault.or(self.drive.examine().err());
         }
         if let Some(command) = &orders.command {
             self.wanted = Some(*command);

@@ -307,36 +307,51 @@ fn an_encoder_that_stands_is_released_before_it_pulls_far() {
     assert!((bench.angles()[0] - 2000.0).abs() < 60.0);
 }
 
+/// Periods in which the wire damages a share of the answers.
+const DAMAGED: usize = 100_000;
+
 #[test]
-fn glitches_end_nothing() {
+fn with_junk_and_damage_no_deadline_is_missed_and_data_stay_young() {
     let mut bench = engaged();
     bench.emulator().set_faults(Faults {
         junk: 0.2,
         damage: 0.05,
         ..Faults::default()
     });
-    let begun = bench.record.0.len();
-    for tick in 0..20_000 {
-        let mm = (f64::from(tick) * PERIOD * 2.0).sin();
+    let (mut age, mut oldest, mut young) = ([0; 2], 0, 0);
+    for tick in 0..DAMAGED {
+        let mm = (tick as f64 * PERIOD * 2.0).sin();
         bench.drive_to([mm, -mm]);
-        bench.step();
-    }
-    let entries = &bench.record.0[begun..];
-    let (mut age, mut kept) = ([0; 2], 0);
-    for entry in entries {
-        for k in 0..2 {
-            age[k] = if entry.feedback[k].is_some() {
-                0
-            } else {
-                age[k] + 1
-            };
-            kept += usize::from(age[k] <= 3);
+        let state = bench.step().state;
+        assert!(matches!(state, State::Engaged | State::Hold), "{state:?}");
+        let entry = bench.record.0.pop().unwrap();
+        for (age, said) in age.iter_mut().zip(&entry.feedback) {
+            *age = if said.is_some() { 0 } else { *age + 1 };
+            oldest = oldest.max(*age);
+            young += usize::from(*age <= 3);
+            let late = f64::from(*age) * PERIOD > limits().late + 1e-9;
+            assert!(!late || state == State::Hold, "older than that it holds");
         }
-        assert!(matches!(entry.output.state, State::Engaged | State::Hold));
+        // A period ends before the next one begins.
+        assert!((entry.late + entry.took) as f64 * 1e-9 < PERIOD);
     }
-    assert!(kept as f64 >= 0.999 * 2.0 * entries.len() as f64, "{kept}");
+    assert!(young as f64 >= 0.999 * 2.0 * DAMAGED as f64, "{young}");
     assert_eq!(bench.timing().overruns, 0);
-    assert!(bench.drive.bus().counts().damaged > 500);
+    let counts = bench.drive.bus().counts();
+    assert!(counts.damaged > 4 * DAMAGED as u64 / 100, "{counts:?}");
+    assert!((2..=10).contains(&oldest), "{oldest} periods");
+
+    // The hard maximum: nothing is heard any more.
+    bench.emulator().set_faults(Faults {
+        drop: 1.0,
+        ..Faults::default()
+    });
+    let held = until(&mut bench, State::Hold, 1.0);
+    assert!(held <= limits().late + 2.0 * PERIOD, "{held}");
+    let cause = bench.record.0.last().unwrap().output.cause;
+    assert_eq!(cause, Cause::Late);
+    let ended = held + until(&mut bench, State::Fault, 1.0);
+    assert!(ended <= limits().silent + 2.0 * PERIOD, "{ended}");
 }
 
 #[test]

@@ -192,3 +192,52 @@ fn servos_before_a_silent_one_are_heard() {
     assert!(fast_slots(&whole, &[3, 5, 6], 2).next().is_none());
     assert!(fast_slots(&whole, &[4, 5, 6], 3).next().is_none());
 }
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(500))]
+
+    #[test]
+    fn a_packet_is_not_given_up_while_it_arrives(data in prop::collection::vec(nasty(), 0..60)) {
+        let sent = status(6, &data);
+        let mut decoder = Decoder::default();
+        for byte in &sent[..sent.len() - 1] {
+            decoder.push(&[*byte]);
+            prop_assert!(decoder.next(LONGEST).is_none());
+        }
+        decoder.push(&sent[sent.len() - 1..]);
+        prop_assert_eq!(decoder.next(LONGEST).unwrap().status(), Some((0, &data[..])));
+        prop_assert_eq!((decoder.skipped, decoder.damaged), (0, 0));
+    }
+}
+
+#[test]
+fn without_a_header_a_checksum_makes_no_packet() {
+    for place in 0..HEADER.len() {
+        let mut bytes = status(1, &[2, 3]);
+        bytes[place] ^= 0x10;
+        let end = bytes.len() - 2;
+        let sum = crc(0, &bytes[..end]).to_le_bytes();
+        bytes[end..].copy_from_slice(&sum);
+        let mut decoder = Decoder::default();
+        decoder.push(&bytes);
+        assert!(decoder.next(LONGEST).is_none(), "byte {place}");
+        assert_eq!(
+            (decoder.skipped, decoder.damaged),
+            (bytes.len() as u64, 0),
+            "byte {place}"
+        );
+    }
+}
+
+#[test]
+fn the_longest_packet_has_room_beside_what_a_read_brings_more() {
+    let longest = status(1, &[7; LONGEST - HEAD - 4]);
+    assert_eq!(longest.len(), LONGEST);
+    let next = status(2, &[9; 300]);
+    let mut decoder = Decoder::default();
+    decoder.push(&longest[..LONGEST - 1]);
+    assert!(decoder.next(LONGEST).is_none());
+    decoder.push(&[&longest[LONGEST - 1..], &next].concat());
+    let ids: Vec<u8> = all(&mut decoder, LONGEST).iter().map(|one| one.0).collect();
+    assert_eq!((ids, decoder.skipped), (vec![1, 2], 0));
+}

@@ -109,11 +109,11 @@ impl<'a> Packet<'a> {
 
     fn put(&mut self, byte: u8) {
         match self.buffer.get_mut(self.used) {
-            Some(place) if !self.full => {
+            Some(place) => {
                 *place = byte;
                 self.used += 1;
             }
-            _ => self.full = true,
+            None => self.full = true,
         }
     }
 }

@@ -197,8 +197,9 @@ def _emulate(args: argparse.Namespace) -> int:
 
 
 FAULTS = (
-    "faults, one a line: mute|stuck|torn|mend|reset SERVO · heat SERVO °C · supply SERVO V · fail SERVO BITS · "
-    "rename SERVO ID · drop|damage|junk|slow SHARE · unpowered 0|1 · unplug (SERVO from 0)"
+    "faults, one a line: mute|stuck|torn|reversed|jammed|uncapped|mend|reset|lose_turn SERVO · heat SERVO °C · "
+    "supply SERVO V · burden SERVO TIMES · fail SERVO BITS · rename SERVO ID · swap SERVO SERVO · "
+    "drop|damage|junk|slow SHARE · unpowered 0|1 · unplug (SERVO from 0)"
 )
 
 
@@ -207,15 +208,15 @@ def _break(bus: _core.EmulatedBus, fault: list[str]) -> None:
     name, *numbers = fault
     if name == "unplug" and not numbers:
         bus.unplug()
-    elif name in ("mute", "stuck", "torn") and len(numbers) == 1:
+    elif name in ("mute", "stuck", "torn", "reversed", "jammed", "uncapped") and len(numbers) == 1:
         bus.damage(int(numbers[0]), **{name: True})
     elif name == "mend" and len(numbers) == 1:
         bus.damage(int(numbers[0]))
-    elif name == "reset" and len(numbers) == 1:
-        bus.reset(int(numbers[0]))
-    elif name in ("heat", "supply") and len(numbers) == 2:
+    elif name in ("reset", "lose_turn") and len(numbers) == 1:
+        getattr(bus, name)(int(numbers[0]))
+    elif name in ("heat", "supply", "burden") and len(numbers) == 2:
         getattr(bus, name)(int(numbers[0]), float(numbers[1]))
-    elif name in ("fail", "rename") and len(numbers) == 2:
+    elif name in ("fail", "rename", "swap") and len(numbers) == 2:
         getattr(bus, name)(int(numbers[0]), int(numbers[1], 0))
     elif name in ("drop", "damage", "junk", "slow") and len(numbers) == 1:
         share = float(numbers[0])

@@ -26,7 +26,7 @@ pub struct Faults {
     pub damage: f64,
     /// Up to eight random bytes come before an answer.
     pub junk: f64,
-    /// s by which each answer is later.
+    /// s by which the adapter hands each answer over later.
     pub slow: f64,
     /// Nothing has power: no answer, and a reset when it comes back.
     pub unpowered: bool,
@@ -74,6 +74,13 @@ impl Emulator {
             self.servos.iter_mut().for_each(Servo::boot);
         }
         self.faults = faults;
+    }
+
+    /// Nothing is broken, and the servos have just started.
+    pub fn mend(&mut self) {
+        self.faults = Faults::default();
+        self.answers.clear();
+        self.servos.iter_mut().for_each(Servo::mend);
     }
 
     /// Bytes that the master sent at `now` s.
@@ -279,9 +286,10 @@ impl Emulator {
             bytes.splice(0..0, junk);
         }
         let lost = self.chance(self.faults.drop);
-        self.free += delay + self.faults.slow + bytes.len() as f64 * 10.0 / f64::from(self.baud);
+        self.free += delay + bytes.len() as f64 * 10.0 / f64::from(self.baud);
         if !lost {
-            self.answers.push_back((self.free, bytes));
+            self.answers
+                .push_back((self.free + self.faults.slow, bytes));
         }
     }
 

@@ -4,6 +4,7 @@
 //! its current carries the tendon's load (mA over ticks, a table). Without torque the load turns the horn back until it is
 //! no more than friction. Heat is one node: dT/dt = heating·I² − (T − room)/cooling.
 //! What a reset does: RAM as delivered, torque off, turns lost (the position is that within one turn).
+//! A servo that draws its largest current for long protects itself: overload error, torque off.
 
 use std::collections::VecDeque;
 
@@ -21,6 +22,12 @@ const HEATING: f64 = 0.5;
 const COOLING: f64 = 120.0;
 /// s that a reset takes.
 pub const RESET: f64 = 0.3;
+/// mA of those that do not cap their current.
+const MOST: f64 = 1500.0;
+/// The share of its largest current, and the s for which it draws it, that a servo takes for an overload, and its bit.
+const STRAINED: f64 = 0.95;
+const PATIENCE: f64 = 1.0;
+const OVERLOAD: u8 = 0x20;
 
 /// How a servo moves.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,6 +48,12 @@ pub struct Broken {
     pub stuck: bool,
     /// Its tendon pulls no more.
     pub torn: bool,
+    /// Its tendon is wound the other way round.
+    pub reversed: bool,
+    /// Something blocks its horn.
+    pub jammed: bool,
+    /// It draws what its load asks for, whatever its cap.
+    pub uncapped: bool,
 }
 
 #[derive(Debug, Clone)]
@@ -49,6 +62,12 @@ pub struct Servo {
     pub broken: Broken,
     table: Table,
     motion: Motion,
+    /// How many times heavier its load is.
+    burden: f64,
+    /// s for which it has drawn its largest current.
+    strained: f64,
+    /// As it was mounted.
+    mounted: (u8, f64),
     /// Ticks since it was mounted, never lost.
     angle: f64,
     /// Ticks that the encoder's count leaves out.
@@ -74,12 +93,15 @@ impl Servo {
             broken: Broken::default(),
             table: Table::default(),
             motion,
+            burden: 1.0,
+            strained: 0.0,
+            mounted: (id, angle),
             angle,
             base: 0.0,
             measured: angle,
             speed: 0.0,
             temperature: ROOM,
-            volts: 0.5 * (model.voltage.0 + model.voltage.1),
+            volts: usual(model),
             goals: VecDeque::new(),
             arrived: 0,
             time: 0.0,
@@ -171,6 +193,28 @@ impl Servo {
         self.volts = volts;
     }
 
+    /// Make its load so many times as heavy.
+    pub fn burden(&mut self, factor: f64) {
+        self.burden = factor;
+    }
+
+    /// Count a turn too few from now on, as an encoder that missed one; nothing else is forgotten.
+    pub fn lose_turn(&mut self) {
+        self.base += f64::from(TICKS_PER_TURN);
+    }
+
+    /// As it was mounted: nothing is broken, and it has just started.
+    pub fn mend(&mut self) {
+        self.broken = Broken::default();
+        (self.burden, self.temperature, self.volts) = (1.0, ROOM, usual(self.model));
+        (self.angle, self.measured, self.speed) = (self.mounted.1, self.mounted.1, 0.0);
+        self.set_id(self.mounted.0);
+        self.boot();
+        self.base = 0.0;
+        self.stay();
+        self.wake();
+    }
+
     /// Report a hardware error; those in its shutdown register switch torque off.
     pub fn fail(&mut self, bits: u8) {
         let layout = self.model.layout();
@@ -198,6 +242,7 @@ impl Servo {
         self.table.forget(layout.torque_enable.address);
         self.base = f64::from(TICKS_PER_TURN) * (self.angle / f64::from(TICKS_PER_TURN)).floor();
         self.asleep = self.time + RESET;
+        self.strained = 0.0;
         self.waiting = None;
         self.table.set(layout.status_return, 2);
         self.table
@@ -310,10 +355,17 @@ impl Servo {
         };
         let before = self.angle;
         let most = f64::from(self.model.velocity_limit) * 0.229 * f64::from(TICKS_PER_TURN) / 60.0;
-        let cap = if self.model.has_current() {
-            f64::from(self.table.get(layout.goal_current)) * self.model.current_unit
+        let (cap, most_drawn) = if self.model.has_current() {
+            let unit = self.model.current_unit;
+            let cap = f64::from(self.table.get(layout.goal_current)) * unit;
+            (cap, f64::from(self.model.current_limit) * unit)
         } else {
-            1500.0
+            (MOST, MOST)
+        };
+        let cap = if self.broken.uncapped {
+            most_drawn
+        } else {
+            cap
         };
         let wanted = if self.torque() && self.time >= self.asleep {
             let reference = f64::from(self.arrived) + self.base;
@@ -325,8 +377,9 @@ impl Servo {
         };
         let next = self.angle + wanted * STEP;
         let against = self.load(next) * wanted.signum();
-        let stalls = self.torque() && !self.broken.torn && against > cap;
-        self.angle = if stalls { before } else { next };
+        let jammed = self.broken.jammed && wanted.abs() > 1.0;
+        let stalls = self.torque() && (!self.broken.torn && against > cap || jammed);
+        self.angle = if stalls || jammed { before } else { next };
         self.speed = (self.angle - before) / STEP;
         if !self.broken.stuck {
             self.measured = self.angle;
@@ -341,6 +394,14 @@ impl Servo {
             (true, true) => cap * wanted.signum(),
             (true, false) => (load + moving).clamp(-cap, cap),
         };
+        self.strained = if self.torque() && current.abs() >= STRAINED * most_drawn {
+            self.strained + STEP
+        } else {
+            0.0
+        };
+        if self.strained > PATIENCE {
+            self.fail(OVERLOAD);
+        }
         let amperes = current * 1e-3;
         self.temperature +=
             STEP * (HEATING * amperes * amperes - (self.temperature - ROOM) / COOLING);
@@ -357,7 +418,18 @@ impl Servo {
         (self.measured - self.base).round() as i32
     }
 
+    /// mA that the tendon asks for.
     fn load(&self, angle: f64) -> f64 {
+        let mirrored = 2.0 * self.mounted.1 - angle;
+        self.burden
+            * if self.broken.reversed {
+                -self.pull(mirrored)
+            } else {
+                self.pull(angle)
+            }
+    }
+
+    fn pull(&self, angle: f64) -> f64 {
         let table = &self.motion.load;
         let at = table.partition_point(|(tick, _)| *tick <= angle);
         match (at.checked_sub(1).and_then(|k| table.get(k)), table.get(at)) {
@@ -366,4 +438,9 @@ impl Servo {
             (None, None) => 0.0,
         }
     }
+}
+
+/// Volts in the middle of those that it runs at.
+fn usual(model: &Model) -> f64 {
+    0.5 * (model.voltage.0 + model.voltage.1)
 }

@@ -327,3 +327,78 @@ fn an_encoder_that_stands_lets_the_motor_run_away_and_a_torn_tendon_carries_noth
     );
     assert_eq!(current, [0; 2]);
 }
+
+#[test]
+fn a_load_that_is_too_heavy_shuts_a_servo_down_and_a_cap_prevents_that() {
+    for (caps, uncapped, expected) in [(false, false, 0x20), (true, false, 0), (true, true, 0x20)] {
+        let mut bus = engaged(&[1]);
+        bus.port().emulator.servos[0].broken.uncapped = uncapped;
+        bus.port().emulator.servos[0].burden(20.0);
+        if caps {
+            let cap = 600i16.to_le_bytes();
+            assert_eq!(bus.write(1, X_SERIES.goal_current.address, &cap), FINE);
+        }
+        goals(&mut bus, &[1], &[2600]);
+        bus.port().pass(0.8);
+        let mut error = [9];
+        let told = X_SERIES.hardware_error.address;
+        assert!(bus.read(1, told, &mut error).is_ok());
+        assert_eq!(error, [0], "not at once");
+        bus.port().pass(1.0);
+        assert!(bus.read(1, told, &mut error).is_ok());
+        assert_eq!(error, [expected], "caps {caps}, uncapped {uncapped}");
+        assert_eq!(bus.port().emulator.servos[0].torque(), expected == 0);
+        bus.port().emulator.servos[0].mend();
+        assert!(bus.read(1, told, &mut error).is_ok());
+        assert_eq!((error, position(&mut bus, 1)), ([0], 2000), "as new");
+    }
+}
+
+#[test]
+fn blocked_horns_stand_turns_are_lost_and_tendons_wound_the_other_way() {
+    let mut bus = engaged(&[1, 2]);
+    bus.port().emulator.servos[0].broken.jammed = true;
+    bus.port().emulator.servos[1].lose_turn();
+    assert_eq!(position(&mut bus, 2), 2000 - 4096);
+    goals(&mut bus, &[1], &[2500]);
+    bus.port().pass(0.5);
+    assert_eq!(position(&mut bus, 1), 2000);
+    let mut current = [0; 2];
+    bus.read(1, X_SERIES.present_current.address, &mut current)
+        .unwrap();
+    assert!(i16::from_le_bytes(current) > 500, "{current:?}");
+    bus.port().emulator.servos[0].mend();
+    bus.port().emulator.servos[1].mend();
+    assert_eq!(position(&mut bus, 2), 2000);
+
+    // A load that asks for 200 mA on one side and for 600 on the other.
+    let mut bus = engaged(&[1]);
+    let model = model(1200).unwrap();
+    let uneven = Motion {
+        load: vec![(1000.0, -600.0), (2000.0, 0.0), (3000.0, 200.0)],
+        ..motion()
+    };
+    let mut servo = Servo::new(model, 1, 3, 2000.0, uneven);
+    servo
+        .write(
+            X_SERIES.operating_mode.address,
+            &[mode::CURRENT_BASED_POSITION],
+        )
+        .unwrap();
+    servo.write(X_SERIES.torque_enable.address, &[1]).unwrap();
+    let mut drawn = |reversed: bool| {
+        servo.broken.reversed = reversed;
+        bus.port().emulator.servos[0] = servo.clone();
+        goals(&mut bus, &[1], &[3000]);
+        bus.port().pass(2.0);
+        let mut current = [0; 2];
+        bus.read(1, X_SERIES.present_current.address, &mut current)
+            .unwrap();
+        i16::from_le_bytes(current)
+    };
+    let (plain, other) = (drawn(false), drawn(true));
+    assert!(
+        (plain - 200).abs() < 20 && (other - 600).abs() < 20,
+        "{plain} {other}"
+    );
+}

@@ -21,6 +21,9 @@ pub struct Said {
 struct Known {
     position: Option<i32>,
     clock: u16,
+    /// ms by which its clock fell behind, and the time (s, by clock and by periods) when it was last believed.
+    behind: f64,
+    believed: (f64, u64),
     /// Periods since an answer, since its clock moved, and since it was near its goal.
     unheard: u64,
     frozen: u64,
@@ -41,6 +44,9 @@ pub struct Checker {
     deadman: Option<u64>,
     target: Option<u64>,
     inside: u64,
+    /// Time by the clock, s, in periods, and what the clock said.
+    time: (f64, u64),
+    last: Option<u64>,
 }
 
 type Judged = Result<(), String>;
@@ -57,6 +63,8 @@ impl Checker {
             deadman: None,
             target: None,
             inside: 0,
+            time: (0.0, 0),
+            last: None,
         }
     }
 
@@ -112,6 +120,13 @@ impl Checker {
             }
         }
         let (period, limits) = (self.limits.period, &self.limits);
+        let passed = match self.last {
+            Some(last) if input.now > last => (input.now - last) as f64 * 1e-9,
+            _ => period,
+        };
+        self.last = Some(input.now);
+        self.time = (self.time.0 + passed, self.time.1 + 1);
+        let time = self.time;
         for (k, known) in self.servos.iter_mut().enumerate() {
             known.unheard += 1;
             known.frozen += 1;
@@ -131,6 +146,21 @@ impl Checker {
             {
                 continue;
             }
+            let waited =
+                (time.0 - known.believed.0).max((time.1 - known.believed.1) as f64 * period);
+            if known.position.is_none() || waited > 1.0 {
+                known.behind = 0.0;
+            } else {
+                // A clock counts ms up to 32 768; half of that is taken for going back.
+                let mut ticked = i32::from(clock) - i32::from(known.clock);
+                ticked = (ticked + 0x4000).rem_euclid(0x8000) - 0x4000;
+                let behind = known.behind + 995.0 * waited - f64::from(ticked);
+                if behind > 1000.0 * limits.late {
+                    continue;
+                }
+                known.behind = behind.max(0.0);
+            }
+            known.believed = time;
             if known.position.is_none() || clock != known.clock {
                 (known.clock, known.frozen) = (clock, 0);
             }

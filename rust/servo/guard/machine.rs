@@ -28,7 +28,7 @@ pub struct Guard {
     /// When a target was last taken.
     fresh: Option<Stamp>,
     refused: bool,
-    /// Pressed, and when that was last heard.
+    /// Whether it is pressed, and when it was last.
     deadman: (bool, Stamp),
     /// It has to be released before it counts again.
     rearm: bool,
@@ -99,7 +99,7 @@ impl Guard {
         for (k, feedback) in input.feedback.iter().enumerate().take(self.servos.len()) {
             if let Some(said) = feedback {
                 let goal = active.then_some(self.paths[k].at);
-                self.servos[k].hear(said, &self.limits.axes[k], &self.time, goal);
+                self.servos[k].hear(said, &self.limits.axes[k], &self.limits, &self.time, goal);
             }
         }
         let (refused, jumped) = self.listen(input);
@@ -131,7 +131,10 @@ impl Guard {
     fn listen(&mut self, input: &Input<'_>) -> (bool, bool) {
         if let Some(message) = &input.message {
             self.rearm &= message.deadman;
-            self.deadman = (message.deadman, self.time.now);
+            self.deadman.0 = message.deadman;
+            if message.deadman {
+                self.deadman.1 = self.time.now;
+            }
         }
         let new = input.message.and_then(|message| message.goal);
         let Some(goal) = new.or(input.again) else {
@@ -288,7 +291,11 @@ impl Guard {
                 self.enter(if fault { State::Fault } else { State::Ready }, self.cause);
             }
             State::Commissioning
-                if !self.pressed() && self.time.since(self.deadman.1) > self.limits.hold =>
+                if self
+                    .time
+                    .since(self.deadman.1)
+                    .min(self.time.since(self.entered))
+                    > self.limits.hold =>
             {
                 self.enter(self.rest(), (Cause::Deadman, None));
             }

@@ -17,6 +17,8 @@ mod machine;
 pub mod path;
 pub mod reversals;
 mod servo;
+#[cfg(test)]
+mod table_tests;
 mod time;
 
 pub use limits::{Axis, BadLimit, FARTHEST, Limits, MOST_SERVOS};

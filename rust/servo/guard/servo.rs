@@ -8,6 +8,12 @@ use super::{Cause, Feedback, Health};
 const LOOSE: f64 = 64.0;
 /// Seconds for which a servo's own clock may stand: it counts ms, and is read with each answer.
 const CLOCK_STANDS: f64 = 0.1;
+/// The share by which its clock may run slower than this side's: a cheap oscillator.
+const DRIFT: f64 = 0.005;
+/// ms after which its clock begins anew.
+const ROUND: u16 = 0x8000;
+/// Seconds of old answers after which its clock is read anew; no `silent` is longer.
+const ANEW: f64 = 1.0;
 /// Seconds from torque on until a servo that reports none is believed; its health is to be asked for at least that often.
 const SWITCHING: f64 = 0.5;
 /// The share of its cap that a servo draws at most while it is at it.
@@ -25,6 +31,8 @@ pub(super) struct Servo {
     clock: u16,
     heard: Stamp,
     ticked: Stamp,
+    /// Seconds by which its answers have fallen behind: its clock went on by less than passed here.
+    behind: f64,
     /// When position, current and voltage were last as they should be.
     followed: Stamp,
     light: Stamp,
@@ -33,15 +41,21 @@ pub(super) struct Servo {
 
 impl Servo {
     /// Take in an answer; `goal` is where it is sent while torque is on.
-    pub fn hear(&mut self, said: &Feedback, axis: &Axis, time: &Time, goal: Option<f64>) {
+    pub fn hear(
+        &mut self,
+        said: &Feedback,
+        axis: &Axis,
+        limits: &Limits,
+        time: &Time,
+        goal: Option<f64>,
+    ) {
         let position = f64::from(said.position);
         if let Some(before) = self.position {
-            if said.clock == self.clock && time.since(self.ticked) > CLOCK_STANDS {
+            if self.old(said.clock, limits, time) {
                 return;
             }
             self.lost |= (position - before).abs() > axis.fastest * time.since(self.heard) + LOOSE;
-        }
-        if said.clock != self.clock || self.position.is_none() {
+        } else {
             (self.clock, self.ticked) = (said.clock, time.now);
         }
         self.position = Some(position);
@@ -64,12 +78,31 @@ impl Servo {
         }
     }
 
+    /// Whether an answer of this `clock` is too old to count: the clock stands, or has fallen behind by more than `late`.
+    fn old(&mut self, clock: u16, limits: &Limits, time: &Time) -> bool {
+        let round = clock.wrapping_sub(self.clock) % ROUND;
+        let passed = f64::from(round) - f64::from(ROUND) * f64::from(u8::from(round >= ROUND / 2));
+        let waited = time.since(self.heard);
+        let behind = self.behind + (1.0 - DRIFT) * waited - 1e-3 * passed;
+        // Who has said nothing of use for so long may have started anew; whoever needed it has reacted.
+        let anew = waited > ANEW;
+        let stands = clock == self.clock && time.since(self.ticked) > CLOCK_STANDS;
+        if stands || behind > limits.late && !anew {
+            return true;
+        }
+        if clock != self.clock {
+            (self.clock, self.ticked) = (clock, time.now);
+        }
+        self.behind = if anew { 0.0 } else { behind.max(0.0) };
+        false
+    }
+
     /// Torque goes on: what it was before counts no more. Returns where it stands.
     pub fn start(&mut self, time: &Time) -> Option<f64> {
         (self.followed, self.light) = (time.now, time.now);
-        if let Some(health) = &mut self.health {
-            health.torque = true;
-        }
+        self.health
+            .iter_mut()
+            .for_each(|health| health.torque = true);
         self.position
     }
 

@@ -1,0 +1,205 @@
+"""The process of the control loop by itself, on an emulated bench: brought into any state, its reports kept with their times."""
+
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+from rigs import BAUD, MODEL, NUMBER, TICKS_PER_MM, set_up
+
+from softmap_edge import _core
+from softmap_edge.servo.controller import BUDGET, REQUESTS
+from softmap_edge.servo.limits import loop_limits, servo_limits
+
+STATES = ("off", "connected", "homed", "ready", "engaged", "hold", "safe_stop", "fault", "commissioning")
+LEADS_ON = dict(off="connect", connected="home", homed="arm", ready="engage", fault="acknowledge")
+HOMES = (2000, 2400)  # apart, so that exchanged ids show
+FAR = (2.0, 2.0)  # mm
+PATIENCE = 8.0  # s for anything that must happen at all, on a busy machine
+
+
+class Loop:
+    """A loop on two emulated servos; deadman and target are sent by a thread, fifty times a second."""
+
+    def __init__(self, **changes):
+        slew = changes.pop("slew", 2000.0)
+        servos = [(id, NUMBER, BAUD, float(home)) for id, home in zip((1, 2), HOMES)]
+        load = [[(home - 1000.0, -400.0), (home, 0.0), (home + 1000.0, 400.0)] for home in HOMES]
+        self.bus = _core.EmulatedBus(servos, load, delay=0.01, lag=0.03, seed=3)
+        set_up(self.bus.path)
+        axes = [servo_limits(MODEL, home, (-900.0, 900.0)) | {"slew": slew, "following": 200.0} for home in HOMES]
+        quick = dict(stale=0.5, hold=60.0, late=0.04, silent=0.2, grace=0.2, ramp=0.1, slacken=10.0)
+        quick |= dict(jog_travel=150.0, jog_slew=1000.0)
+        self.limits = loop_limits(axes, 200.0, **quick | changes)
+        self.path = 200.0 / (0.5 * slew)  # s in which a blocked servo is `following` ticks behind, on the way home
+        self.reports, self.ended, self._wake = [], {}, threading.Condition()
+        self.drives, self.emergency, self.command = True, False, FAR
+        orders, self._orders = os.pipe()
+        mine, reports = os.pipe()
+        setup = dict(port=self.bus.path, baud=BAUD, servos=[(1, NUMBER), (2, NUMBER)], limits=self.limits)
+        setup |= dict(slope=(np.eye(2) / TICKS_PER_MM).reshape(-1).tolist(), b=[0.0, 0.0], home=HOMES, budget=BUDGET)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "softmap_edge.servo.loop", str(orders), str(reports)],
+            stdin=subprocess.PIPE,
+            pass_fds=(orders, reports),
+        )
+        os.close(orders)
+        os.close(reports)
+        self.process.stdin.write(json.dumps(setup).encode())
+        self.process.stdin.close()
+        self._closed = threading.Event()
+        self._threads = [threading.Thread(target=self._read, args=(mine,)), threading.Thread(target=self._drive)]
+        for thread in self._threads:
+            thread.start()
+        self.wait(lambda: self.reports or self.ended)
+
+    def close(self):
+        """End the loop, and the bench."""
+        self._closed.set()
+        self.process.send_signal(signal.SIGCONT)
+        self._threads[1].join()
+        os.close(self._orders)
+        try:
+            self.process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self._threads[0].join()
+        self.bus.unplug()
+
+    def _read(self, pipe):
+        with open(pipe, encoding="utf-8") as lines:
+            for line in lines:
+                document = json.loads(line)
+                with self._wake:
+                    if "state" in document:
+                        self.reports.append(document)
+                    elif "ended" in document or "error" in document:
+                        self.ended = document
+                    self._wake.notify_all()
+        with self._wake:
+            self.ended = self.ended or {"ended": "dead"}
+            self._wake.notify_all()
+
+    def _drive(self):
+        while not self._closed.wait(0.02):
+            self.send()
+
+    def send(self, request=None):
+        """Send what a user sends now, and a request."""
+        flags = 5 * self.drives + 2 * self.emergency
+        asked = 0 if request is None else REQUESTS.index(request) + 1
+        try:
+            os.write(self._orders, struct.pack("<BB6xQ2d", flags, asked, time.monotonic_ns(), *self.command))
+        except OSError:  # it has ended, or is stopped and its pipe is full
+            assert self.ended or self._closed.is_set() or request is None
+
+    # --- what it says -------------------------------------------------------------------
+
+    @property
+    def state(self):
+        """Where the guard stood in the last report."""
+        return self.reports[-1]["state"] if self.reports else None
+
+    def wait(self, what, seconds=PATIENCE):
+        """Wait until `what()`; whether it came."""
+        with self._wake:
+            return self._wake.wait_for(what, seconds)
+
+    def changes(self, since, start):
+        """Return the reports since `since` (s, monotonic) in which the state is another than before."""
+        state, found = start, []
+        for report in list(self.reports):
+            if report["t"] >= since and report["state"] != state:
+                found.append(report)
+                state = report["state"]
+        return found
+
+    def ask(self, request, seconds=PATIENCE):
+        """Ask once; why it was denied, or None if it led somewhere."""
+        before, count = self.state, len(self.reports)
+        self.send(request)
+        answer = lambda: next(  # noqa: E731
+            (r for r in self.reports[count:] if r["denied"] or r["state"] != before), None
+        )
+        assert self.wait(answer, seconds), f"'{request}' is not answered in {before}"
+        return answer()["denied"]
+
+    # --- into a state -------------------------------------------------------------------
+
+    def reach(self, request, state):
+        """Ask until `state` is reached: what servos say of themselves comes five times a second."""
+        until = time.monotonic() + PATIENCE
+        while self.state != state:
+            said = self.ask(request)
+            assert said is None or time.monotonic() < until, f"'{request}' is denied: {said}"
+            if said is not None:
+                time.sleep(0.02)
+        return self
+
+    def restore(self):
+        """Mend everything and lead the guard to OFF."""
+        self.emergency, self.command = True, FAR
+        assert self.wait(lambda: self.state in ("fault", "off") and not self.reports[-1]["torque"])
+        self.bus.mend()
+        self.emergency = False
+        if self.state == "fault":
+            until = time.monotonic() + PATIENCE
+            while self.ask("acknowledge") is not None:
+                assert time.monotonic() < until, "never acknowledged"
+                time.sleep(0.02)
+            self.reach("disconnect", "off")
+
+    def bring(self, state):
+        """Lead the guard from OFF to `state`; engaged, it stands far out."""
+        if state == "off":
+            return
+        self.reach("connect", "connected")
+        if state == "fault":
+            self.reach("home", "homed")
+            self.emergency = True
+            assert self.wait(lambda: self.state == "fault")
+            self.emergency = False
+            time.sleep(0.03)
+        if state in ("connected", "fault"):
+            return
+        self.reach("home", "homed")
+        if state == "commissioning":
+            self.reach("commission", "commissioning")
+            self._arrive(150.0)
+        if state in ("homed", "commissioning"):
+            return
+        self.reach("arm", "ready")
+        if state == "ready":
+            return
+        self.reach("engage", "engaged")
+        self._arrive(FAR[0] * TICKS_PER_MM)
+        if state in ("hold", "safe_stop"):
+            self.reach({"hold": "hold", "safe_stop": "stop"}[state], state)
+
+    def _arrive(self, away):
+        far = [home + away for home in HOMES]
+        there = lambda: self.angles() == _near(far)  # noqa: E731
+        until = time.monotonic() + PATIENCE
+        while not there():
+            assert time.monotonic() < until, f"{self.angles()} is not {far}"
+            time.sleep(0.005)
+
+    def angles(self):
+        """Return how far the horns have really turned, ticks."""
+        return [angle for angle, _, _ in self.bus.state()[1]]
+
+
+class _near:
+    """Equal to ticks that are nearly these."""
+
+    def __init__(self, ticks):
+        self.ticks = ticks
+
+    def __eq__(self, other):
+        return all(abs(a - b) < 12.0 for a, b in zip(self.ticks, other))
