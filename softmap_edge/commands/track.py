@@ -23,6 +23,7 @@ from softmap_edge.motion.track import Course, Tracked, course
 from softmap_edge.motion.track import track as follow
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.finger import EmulatedFinger, emulated_bench, hidden_laws
+from softmap_edge.servo.home import at_bench
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.ticks import Calibration
@@ -74,6 +75,8 @@ def track(args: argparse.Namespace) -> int:
     kinematics = Kinematics(model, axes=args.axes)
     tracked = None
     with tempfile.TemporaryDirectory() as folder, _robot(args, whole, calibration) as (rig, limits, finger):
+        if args.rig and rig is not None:
+            calibration = at_bench(calibration, rig)
         servos = limits["servos"]
         planned = course(
             kinematics,

@@ -6,8 +6,10 @@ A bundle is somebody else's file; what belongs to a bench never travels with it.
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
@@ -17,20 +19,29 @@ from softmap_edge.whole_file import MOST_TEXT, write_whole
 SCHEMA = "softmap.rig/1"
 MOST_SERVOS = 16
 FARTHEST = 1_048_575  # ticks: 256 turns
+KEPT = ("home", "current_mA", "low", "high", "slew", "acceleration")  # of a servo, where it is known
 
 
 @dataclass(frozen=True)
 class RigServo:
-    """A servo: its id on the bus, its model's name, and the tick at which the finger is straight (None: not proved)."""
+    """A servo: its id on the bus, its model's name, and the tick at which the finger is straight (None: never proved).
+
+    Its ceiling, None where none was found: mA at the stroke, ticks about home, ticks/s, ticks/s².
+    """
 
     id: int
     model: str
     home: int | None = None
+    current_mA: float | None = None
+    low: int | None = None
+    high: int | None = None
+    slew: float | None = None
+    acceleration: float | None = None
 
 
 @dataclass(frozen=True)
 class Rig:
-    """A port, its baud rate, and the servos in the order of the commands.
+    """A port, its baud rate, and the servos in the order of the commands; `made` says how each thing was found.
 
     Raises:
         ServoError: two servos of one id, an unknown model, none or too many servos.
@@ -39,6 +50,7 @@ class Rig:
     port: str
     baud: int
     servos: tuple[RigServo, ...]
+    made: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         known = {entry["name"]: entry for entry in _core.servo_models()}
@@ -52,6 +64,8 @@ class Rig:
                 raise ServoError(f"servo id {servo.id} stands twice or beyond 252; give each servo one of its own")
             if self.baud not in known[servo.model]["baud_rates"]:
                 raise ServoError(f"servo {servo.id}, a {servo.model}, has no rate of {self.baud} baud")
+            if not (servo.low is None or servo.low < 0) or not (servo.high is None or servo.high > 0):
+                raise ServoError(f"servo {servo.id}: low {servo.low}, high {servo.high}; expected low < 0 < high")
 
     @property
     def numbers(self) -> list[tuple[int, int]]:
@@ -64,7 +78,9 @@ class Rig:
         lines = [f'schema = "{SCHEMA}"', f"port = {_quoted(self.port)}", f"baud = {self.baud}"]
         for servo in self.servos:
             lines += ["", "[[servo]]", f"id = {servo.id}", f'model = "{servo.model}"']
-            lines += [] if servo.home is None else [f"home = {servo.home}"]
+            lines += [f"{key} = {value}" for key in KEPT if (value := getattr(servo, key)) is not None]
+        for name, found in self.made.items():
+            lines += ["", f"[made.{_quoted(name)}]"] + [f"{_quoted(key)} = {_value(said)}" for key, said in found.items()]
         return "\n".join(lines) + "\n"
 
     def write(self, path: str | Path) -> None:
@@ -91,10 +107,22 @@ def read_rig(path: str | Path) -> Rig:
             id = one.whole("id", None, 0, 252)
             if id is None:
                 raise ServoError(f"{file}: servo {k + 1} has no id; `softmap servo scan` finds it")
-            servos.append(RigServo(id, one.get("model", (str,), ""), one.whole("home", None, -FARTHEST, FARTHEST)))
+            servos.append(
+                RigServo(
+                    id,
+                    one.get("model", (str,), ""),
+                    one.whole("home", None, -FARTHEST, FARTHEST),
+                    one.number("current_mA", None, 1.0, 6000.0),
+                    one.whole("low", None, -FARTHEST, FARTHEST),
+                    one.whole("high", None, -FARTHEST, FARTHEST),
+                    one.number("slew", None, 1.0, 20_000.0),
+                    one.number("acceleration", None, 1.0, 1e6),
+                )
+            )
         if not port or baud is None:
             raise ServoError(f"{file}: no port; `softmap servo scan` finds it")
-        return Rig(port, baud, tuple(servos))
+        made = table.table("made")
+        return Rig(port, baud, tuple(servos), {name: _found(made.table(name)) for name in made.values})
     except OSError as fault:
         raise ServoError(f"{file}: {fault.strerror}; make it with `softmap servo setup`") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
@@ -103,6 +131,24 @@ def read_rig(path: str | Path) -> Rig:
         raise
     except SoftmapError as fault:
         raise ServoError(str(fault)) from None
+
+
+def _found(table: TomlTable) -> dict[str, Any]:
+    """Return how something was found: texts, numbers and lists of them."""
+    for key, value in table.values.items():
+        each = value if isinstance(value, list) else [value]
+        if not all(isinstance(one, str | int | float) for one in each):
+            raise ServoError(f"{table.where}: {key} is {type(value).__name__}, expected a text, a number or a list of them")
+    return table.values
+
+
+def _value(said: Any) -> str:
+    """Return a value as TOML writes it."""
+    if isinstance(said, list):
+        return f"[{', '.join(_value(one) for one in said)}]"
+    if isinstance(said, bool):
+        return str(said).lower()
+    return _quoted(said) if isinstance(said, str) else repr(said)
 
 
 def _quoted(text: str) -> str:
