@@ -16,6 +16,7 @@ import numpy as np
 from softmap_edge import _core
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import Calibration
 
@@ -75,6 +76,7 @@ def _bench(baud: int, rate: float):
         for id in (1, 2):
             for address, value in ((64, b"\x00"), (11, b"\x05"), (9, b"\x00")):
                 driver.write(id, address, value)
+            set_mark(driver, id, HOME)
         driver.close()
         window = (-900.0, 900.0)
         scale, error = np.eye(2) / 280.0, dict.fromkeys(("command", "shape_mm", "matched_shape_mm"), 0.0)

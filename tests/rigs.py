@@ -5,6 +5,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from softmap_edge import _core
+from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import Calibration
@@ -25,12 +26,13 @@ def calibration():
 
 
 def set_up(path, ids=(1, 2)):
-    """Do what `softmap servo setup` does: mode 5, no return delay."""
+    """Do what `softmap servo setup` and `servo home` do: mode 5, no return delay, home proved to be HOME."""
     bus = _core.ServoBus(path, BAUD)
     for id in ids:
         bus.write(id, 64, b"\x00")
         bus.write(id, 11, b"\x05")
         bus.write(id, 9, b"\x00")
+        set_mark(bus, id, HOME)
     bus.close()
 
 

@@ -225,10 +225,10 @@ def test_servos_that_are_not_as_said_are_refused():
         with pytest.raises(ServoError, match="servo 1 is in mode 3 .* `softmap servo setup`"):
             Controller(rig, calibration(), limits).__enter__()
         set_up(bus.path)
-        other = Rig(rig.port, rig.baud, (RigServo(1, "XM430-W210"), rig.servos[1]))
+        other = Rig(rig.port, rig.baud, (RigServo(1, "XM430-W210", HOME), rig.servos[1]))
         with pytest.raises(ServoError, match=r"servo 1 is XL330-M288 \(1200\), expected XM430-W210"):
             Controller(other, calibration(), limits).__enter__()
-        absent = Rig(rig.port, rig.baud, (RigServo(7, "XL330-M288"), rig.servos[1]))
+        absent = Rig(rig.port, rig.baud, (RigServo(7, "XL330-M288", HOME), rig.servos[1]))
         with pytest.raises(ServoError, match="servo 7: no answer; check power"):
             Controller(absent, calibration(), limits).__enter__()
         with pytest.raises(ServoError, match="no such port"):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge import _core
+from softmap_edge.commands.commissioning import STEPS
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.servo_heartbeat import heartbeat, heartbeat_arguments
 from softmap_edge.commands.servo_limits import limits, limits_arguments
@@ -23,7 +24,9 @@ OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise
 
 def servo_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo` and of what it does."""
-    what = parser.add_subparsers(dest="what", required=True, metavar="scan|read|setup|off|emulate|limits|heartbeat")
+    steps = "|".join(STEPS)
+    metavar = f"scan|read|setup|{steps}|limits|off|heartbeat|emulate"
+    what = parser.add_subparsers(dest="what", required=True, metavar=metavar)
     _bus(what.add_parser("scan", help="find ports, baud rates and servos"))
     _bus(one := what.add_parser("read", help="what a servo is, and what keeps it from being driven"))
     one.add_argument("--id", type=int, metavar="ID", help="one servo; all that answer without it")
@@ -32,6 +35,9 @@ def servo_arguments(parser: argparse.ArgumentParser) -> None:
     one.add_argument("--new-id", type=int, metavar="ID", help="the id it gets")
     one.add_argument("--new-baud", type=int, metavar="BAUD", help="the baud rate it gets")
     one.add_argument("--rig", metavar="rig.toml", help="add it to this bench")
+    for name, (text, declare, _) in STEPS.items():
+        declare(one := what.add_parser(name, help=text))
+        _json(one)
     _bus(one := what.add_parser("off", help="switch the torque of every servo off"))
     one.add_argument("--rig", metavar="rig.toml", help="the bench whose port it is")
     one = what.add_parser("emulate", help="two emulated servos at a pseudo-terminal; faults on standard input")
@@ -60,8 +66,9 @@ def _json(parser: argparse.ArgumentParser) -> None:
 
 def servo(args: argparse.Namespace) -> int:
     """Do what was asked for with servos; 0 when all is well."""
-    done = {"scan": _scan, "read": _read, "setup": _setup, "off": _off, "emulate": _emulate}
-    return (done | {"limits": limits, "heartbeat": heartbeat})[args.what](args)
+    own = {"scan": _scan, "read": _read, "setup": _setup, "off": _off, "emulate": _emulate}
+    own |= {"limits": limits, "heartbeat": heartbeat}
+    return own[args.what](args) if args.what in own else STEPS[args.what][2](args)
 
 
 def _ports(args: argparse.Namespace) -> list[str]:
@@ -140,15 +147,17 @@ def _setup(args: argparse.Namespace) -> int:
 def _noted(done: commission.Found, old: Rig | None) -> Rig:
     """Return the bench with the servo that was set up; it keeps its place if it is there."""
     assert done.model is not None
-    new = RigServo(done.id, done.model["name"])
+    new = RigServo(done.id, done.model["name"])  # another mode may count turns anew: no home, no ceiling
     if old is None:
         return Rig(done.port, done.baud, (new,))
     if old.baud != done.baud:
         raise ServoError(
             f"the bench runs at {old.baud} baud, servo {done.id} at {done.baud}; give --new-baud {old.baud}"
         )
-    others = [servo for servo in old.servos if servo.id != done.id]
-    return replace(old, port=done.port, servos=(*others, new))  # ceiling and emergency stops stay
+    servos = [new if servo.id == done.id else servo for servo in old.servos]
+    if new not in servos:
+        servos.append(new)
+    return replace(old, port=done.port, servos=tuple(servos))
 
 
 def _off(args: argparse.Namespace) -> int:

@@ -14,6 +14,7 @@ from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
+from softmap_edge.servo.proof import set_mark
 
 Model = dict[str, Any]
 
@@ -175,6 +176,7 @@ def set_up(found: Found, new_id: int | None = None, new_baud: int | None = None)
         write(bus, found.id, "torque_enable", 0)
         for name, value in wanted(model).items():
             write(bus, found.id, name, value)
+        set_mark(bus, found.id, None)  # another mode counts turns anew
         if id != found.id:
             write(bus, found.id, "id", id)
         if baud != found.baud:

@@ -49,10 +49,11 @@ class Controller:
     """The servos of `rig` driven within `limits` (`loop_limits`), commands mapped to ticks by `calibration`.
 
     With `kinematics` (`motion.kinematics`) commands are what should act: the loop undoes the effects of its model,
-    delays aside, from what was really sent. Entering starts the loop, proves that the servos are what the rig says,
-    and goes to READY: home is taken to be proved by whoever enters. Leaving slackens and switches torque off,
-    whatever happened. With `record` all that the loop hears, decides and sends goes to that file, which must not
-    exist (`recording.py`).
+    delays aside, from what was really sent. Entering starts the loop, proves that the servos are what the rig says
+    and that home was proved since they got power (`proof.py`), and goes to READY. With `commissioning` it goes to
+    CONNECTED, home is not asked for, and small slow moves are all that is allowed (`jog.py`). Leaving slackens and
+    switches torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to that file,
+    which must not exist (`recording.py`).
 
     Raises:
         ServoError: the loop cannot start or a request is denied; the message says why.
@@ -66,6 +67,7 @@ class Controller:
         *,
         kinematics: Kinematics | None = None,
         record: str | Path | None = None,
+        commissioning: bool = False,
     ) -> None:
         count = len(rig.servos)
         if len(calibration.b) != count or len(limits["servos"]) != count:
@@ -78,6 +80,7 @@ class Controller:
         if kinematics is not None and kinematics.model.channels != count:
             raise ServoError(f"the model takes {kinematics.model.channels} commands, the rig has {count} servos")
         self.kinematics = kinematics
+        self._commissioning = commissioning
         self._budget, self._record = budget_of(self.limits), None if record is None else Path(record)
         self._last: Report = {}
         self._end: Report = {}
@@ -93,7 +96,7 @@ class Controller:
         try:
             self._wait(self._heard_all, STARTS, "the servos say nothing")
             self._wait_for_release()
-            for request in ("connect", "home", "arm"):
+            for request in ("connect",) if self._commissioning else ("connect", "home", "arm"):
                 self.request(request)
         except BaseException:
             self.close()
@@ -174,7 +177,7 @@ class Controller:
             ServoError: the guard is in no state that follows commands; the message says which and why.
         """
         state = self.state
-        if state not in ("engaged", "hold"):
+        if state not in ("engaged", "hold", "commissioning"):
             raise ServoError(f"the robot is in state {state} ({self._last.get('cause')}); engage it first")
         return self._target(np.asarray(u, float))
 
@@ -238,6 +241,7 @@ class Controller:
             "port": self.rig.port,
             "baud": self.rig.baud,
             "servos": self.rig.numbers,
+            "homes": None if self._commissioning else [servo.home for servo in self.rig.servos],
             "limits": self.limits,
             "slope": self.calibration.A.reshape(-1).tolist(),
             "b": self.calibration.b.tolist(),

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.model import Model
+from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import Calibration
@@ -170,9 +171,10 @@ def emulated_bench(
     try:
         window = calibration.window or _window(model, calibration)
         driver = _core.ServoBus(bus.path, BAUD)
-        for id in ids:  # as `softmap servo setup` leaves them
+        for id, home in zip(ids, homes):  # as `softmap servo setup` and `servo home` leave them
             for address, value in ((64, b"\x00"), (11, b"\x05"), (9, b"\x00")):
                 driver.write(id, address, value)
+            set_mark(driver, id, home)
         driver.close()
         rig = Rig(bus.path, BAUD, tuple(RigServo(id, SERVO, home) for id, home in zip(ids, homes)))
         limits = loop_limits([servo_limits(SERVO, home, window) for home in homes], rate)

@@ -1,7 +1,8 @@
 """The process of the control loop: Rust alone once it runs. `python -m softmap_edge.servo.loop ORDERS REPORTS < setup`.
 
 ORDERS and REPORTS are descriptors of pipes; the setup is a JSON document on standard input (`Controller`). What cannot
-be started is told as a report `{"error": …}`.
+be started is told as a report `{"error": …}`. That home is proved is asked here, as late as can be: a servo that loses
+its turns afterwards is seen by the guard.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import sys
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
+from softmap_edge.servo.commission import opened
+from softmap_edge.servo.proof import TRIES, check_proved
 from softmap_edge.teleop.landmarks_udp import read_key
 
 
@@ -21,6 +24,9 @@ def main() -> int:
     told = os.dup(reports)  # the loop closes its own
     try:
         setup = json.load(sys.stdin)
+        homes = setup.pop("homes")
+        if homes is not None:
+            _check_home(setup["port"], setup["baud"], setup["servos"], homes)
         if setup["gpio"] is not None:
             setup["gpio"] = tuple(setup["gpio"])
         if setup["heartbeat"] is not None:
@@ -31,6 +37,16 @@ def main() -> int:
         os.write(told, (json.dumps({"schema": "softmap.loop/1", "error": str(fault)}) + "\n").encode())
         return 1
     return 0
+
+
+def _check_home(port: str, baud: int, servos: list[list[int]], homes: list[int | None]) -> None:
+    with opened(port, baud) as bus:
+        answering = [(id, home) for (id, _), home in zip(servos, homes) if _answers(bus, id)]
+        check_proved(bus, answering)  # of one that is silent the loop itself says why nothing begins
+
+
+def _answers(bus: _core.ServoBus, id: int) -> bool:
+    return any(bus.ping(id) is not None for _ in range(TRIES))
 
 
 if __name__ == "__main__":

@@ -6,8 +6,10 @@ A bundle is somebody else's file; what belongs to a bench never travels with it.
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
@@ -42,7 +44,7 @@ class RigServo:
 @dataclass(frozen=True)
 class Rig:
     """A port, its baud rate, and the servos in the order of the commands; `ceiling` is what all of them are allowed at
-    most, `emergency` the stops that the loop asks.
+    most, `emergency` the stops that the loop asks, `made` says how each thing was found.
 
     Raises:
         ServoError: two servos of one id, an unknown model, none or too many servos.
@@ -53,6 +55,7 @@ class Rig:
     servos: tuple[RigServo, ...]
     ceiling: Ceiling = Ceiling()
     emergency: Emergency = Emergency()
+    made: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         known = {entry["name"]: entry for entry in _core.servo_models()}
@@ -82,6 +85,8 @@ class Rig:
         for servo in self.servos:
             lines += ["", "[[servo]]", f"id = {servo.id}", f'model = "{servo.model}"']
             lines += [f"{key} = {value}" for key in KEPT if (value := getattr(servo, key)) is not None]
+        for name, found in self.made.items():
+            lines += ["", f"[made.{_quoted(name)}]"] + [f"{_quoted(key)} = {_value(said)}" for key, said in found.items()]
         return "\n".join(lines) + "\n"
 
     def write(self, path: str | Path) -> None:
@@ -124,7 +129,9 @@ def read_rig(path: str | Path) -> Rig:
             raise ServoError(f"{file}: no port; `softmap servo scan` finds it")
         ceiling = read_ceiling(table.table("ceiling"))
         emergency = read_emergency(table.table("emergency"), file.parent)
-        return Rig(port, baud, tuple(servos), ceiling=ceiling, emergency=emergency)
+        made = table.table("made")
+        found = {name: _found(made.table(name)) for name in made.values}
+        return Rig(port, baud, tuple(servos), ceiling, emergency, found)
     except OSError as fault:
         raise ServoError(f"{file}: {fault.strerror}; make it with `softmap servo setup`") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
@@ -133,6 +140,24 @@ def read_rig(path: str | Path) -> Rig:
         raise
     except SoftmapError as fault:
         raise ServoError(str(fault)) from None
+
+
+def _found(table: TomlTable) -> dict[str, Any]:
+    """Return how something was found: texts, numbers and lists of them."""
+    for key, value in table.values.items():
+        each = value if isinstance(value, list) else [value]
+        if not all(isinstance(one, str | int | float) for one in each):
+            raise ServoError(f"{table.where}: {key} is {type(value).__name__}, expected a text, a number or a list of them")
+    return table.values
+
+
+def _value(said: Any) -> str:
+    """Return a value as TOML writes it."""
+    if isinstance(said, list):
+        return f"[{', '.join(_value(one) for one in said)}]"
+    if isinstance(said, bool):
+        return str(said).lower()
+    return _quoted(said) if isinstance(said, str) else repr(said)
 
 
 def _quoted(text: str) -> str:

@@ -1,0 +1,24 @@
+"""The verb doctor: is everything here that a robot needs, and what to do where it is not."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+WELL, UNWELL = 0, 1
+
+
+def doctor_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `doctor`."""
+    parser.add_argument("--rig", metavar="rig.toml", help="ask the servos of this bench too; nothing moves")
+    parser.add_argument("--bundle", metavar="DIR", help="look at this bundle too")
+    parser.add_argument("--camera", metavar="N", help="take a picture of this camera")
+
+
+def doctor(args: argparse.Namespace) -> int:
+    """Look at everything; 1 if something is at fault."""
+    from softmap_edge.doctor import examine
+
+    found = examine(args.rig, args.bundle, args.camera)
+    print(json.dumps(found.to_dict()) if args.json else found)
+    return WELL if found.well else UNWELL

@@ -1,0 +1,199 @@
+"""What the doctor looks at of this computer: versions, processor, real-time rights, serial ports, cameras, MediaPipe.
+
+Each look returns lines and takes where it looks as an argument, so that a test can show it another computer. Pinned by
+tests/test_doctor.py.
+"""
+
+from __future__ import annotations
+
+import grp
+import importlib.metadata
+import os
+import platform
+import resource
+import stat
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from softmap_edge import __version__
+from softmap_edge.doctor import FAULT, OK, WARNING, Line
+
+PROC, DEV, SYS = Path("/proc"), Path("/dev"), Path("/sys")
+PYTHON = (3, 11)
+NEEDED = ("numpy", "onnxruntime")
+EXTRAS = {"mediapipe": "teleop", "dynamixel-sdk": "servo", "matplotlib": "report"}
+CAP_SYS_NICE = 23  # its bit in a set of capabilities
+PRIORITY = 50  # what the loop asks for
+LOCKED = 64 << 20  # bytes that it wants to keep in memory
+SIMD = {"x86_64": ("flags", ("avx2", "fma")), "aarch64": ("Features", ("asimd",))}
+QUICK = 1  # ms of a USB adapter's latency timer
+
+
+def versions() -> Iterator[Line]:
+    """This package, Python, the C library, and what it is used with."""
+    known = sys.version_info[:2] >= PYTHON
+    do = "" if known else f"install Python {PYTHON[0]}.{PYTHON[1]} or newer"
+    yield Line("python", OK if known else FAULT, platform.python_version(), do)
+    yield Line("softmap-edge", OK, f"{__version__}, {' '.join(filter(None, platform.libc_ver())) or 'unknown libc'}")
+    for name in NEEDED:
+        version = _version(name)
+        do = "" if version else "run pip install softmap-edge again"
+        yield Line(name, OK if version else FAULT, version or "not installed", do)
+    for name, extra in EXTRAS.items():
+        version = _version(name)
+        do = "" if version else f"only if it is wanted: pip install 'softmap-edge[{extra}]'"
+        yield Line(name, OK if version else WARNING, version or "not installed", do)
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def processor(machine: str | None = None, proc: Path = PROC) -> Iterator[Line]:
+    """Whether the network pass finds its instructions here, and on ARM whether mediapipe runs."""
+    machine = platform.machine() if machine is None else machine
+    key, wanted = SIMD.get(machine, ("", ()))
+    if not key:
+        yield Line("processor", WARNING, machine, "supported are x86_64 and aarch64; others run what needs no wheel")
+        return
+    try:
+        text = (proc / "cpuinfo").read_text("ascii", "replace")
+    except OSError as fault:
+        yield Line("processor", WARNING, f"{machine}, {fault.filename} cannot be read", "its features are not known")
+        return
+    features = [line.split(":", 1)[-1].split() for line in text.splitlines() if line.startswith(key)]
+    lacking = [name for name in wanted if not all(name in one for one in features)] if features else []
+    do = "the network pass takes its plain path, several times slower; a table or rod as prior is not concerned"
+    said = f"{machine}, {os.cpu_count()} cores"
+    if lacking:
+        yield Line("processor", WARNING, f"{said}, without {', '.join(lacking)}", do)
+    else:
+        yield Line("processor", OK, f"{said}, with {', '.join(wanted)}")
+
+
+def real_time(proc: Path = PROC) -> Iterator[Line]:
+    """Whether the loop may have priority and keep its memory."""
+    rights = _capabilities(proc) >> CAP_SYS_NICE & 1
+    most = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+    name, file = _user(), "/etc/security/limits.d/softmap.conf"
+    do = f"the loop runs without; to mend it, write '{name} - rtprio {PRIORITY}' into {file} and log in again"
+    allowed = bool(rights) or most < 0 or most >= PRIORITY
+    told = "CAP_SYS_NICE" if rights else f"rtprio limit {'unlimited' if most < 0 else most}, {PRIORITY} wanted"
+    yield Line("real-time priority", OK if allowed else WARNING, told, "" if allowed else do)
+    locked = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    do = f"the loop runs without; to mend it, write '{name} - memlock unlimited' into {file} and log in again"
+    enough = locked < 0 or locked >= LOCKED or os.geteuid() == 0
+    told = "unlimited" if locked < 0 else f"limit {locked >> 10} KiB, {LOCKED >> 10} wanted"
+    yield Line("locked memory", OK if enough else WARNING, told, "" if enough else do)
+
+
+def _capabilities(proc: Path) -> int:
+    """Return the set of capabilities in effect; none where it cannot be read."""
+    try:
+        lines = (proc / "self/status").read_text().splitlines()
+        return next(int(line.split()[1], 16) for line in lines if line.startswith("CapEff:"))
+    except (OSError, StopIteration, ValueError, IndexError):
+        return 0
+
+
+def _user() -> str:
+    return os.environ.get("USER") or str(os.getuid())
+
+
+def ports(dev: Path = DEV) -> Iterator[Line]:
+    """The serial ports, and whether this user may open them; none is opened."""
+    from softmap_edge.servo.commission import ports as listed
+
+    found = listed(dev)
+    if not found:
+        yield Line("serial port", WARNING, "none", "connect the adapter of the servos; `--sim` needs none")
+    for port in found:
+        file = Path(port)
+        try:
+            status = file.stat()
+        except OSError as fault:
+            yield Line(port, FAULT, f"{fault.strerror}", "unplug the adapter and plug it in again")
+            continue
+        owner, mode = _group(status.st_gid), stat.filemode(status.st_mode)
+        if os.access(file, os.R_OK | os.W_OK):
+            yield Line(port, OK, f"may be opened ({mode}, group {owner})")
+        else:
+            do = f"run sudo usermod -aG {owner} {_user()}, then log in again"
+            yield Line(port, FAULT, f"no permission for this user ({mode}, group {owner})", do)
+
+
+def _group(number: int) -> str:
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)
+
+
+def latency(sys: Path = SYS) -> Iterator[Line]:
+    """How long USB adapters wait before they hand bytes over."""
+    for file in sorted(sys.glob("bus/usb-serial/devices/*/latency_timer")):
+        name = f"latency of {file.parent.name}"
+        try:
+            ms = int(file.read_text())
+        except (OSError, ValueError):
+            yield Line(name, WARNING, f"{file} cannot be read", "answers may come late; see docs/commission.md")
+            continue
+        if ms <= QUICK:
+            yield Line(name, OK, f"{ms} ms")
+        else:
+            do = f"run echo {QUICK} | sudo tee {file}; for good: the udev rule in docs/commission.md"
+            yield Line(name, WARNING, f"{ms} ms: each period of the loop waits so long", do)
+
+
+def teleoperation() -> Iterator[Line]:
+    """What driving by hand needs: one OpenCV, mediapipe and its libraries, the model of hands."""
+    from softmap_edge.teleop.installed import findings
+
+    for one in findings():
+        absent = not one.fine and ("not installed" in one.found or "no model" in one.found or one.name in ASIDE)
+        state = OK if one.fine else WARNING if absent else FAULT
+        yield Line(f"teleop: {one.name}", state, one.found, one.mend)
+
+
+ASIDE = ("graphics libraries", "processor")  # a robot that is not driven by a hand before its own camera needs neither
+
+
+def cameras(number: str | None = None, dev: Path = DEV) -> Iterator[Line]:
+    """The cameras, and whether this user may open them; only the one that is given is opened."""
+    found = sorted(dev.glob("video*"))
+    if not found:
+        state, do = (WARNING, "connect one; keyboard and mouse drive without")
+        yield Line("camera", FAULT if number is not None else state, "none", do)
+        return
+    for file in found:
+        if os.access(file, os.R_OK | os.W_OK):
+            yield Line(str(file), OK, "may be opened")
+        else:
+            owner = _group(file.stat().st_gid)
+            do = f"run sudo usermod -aG {owner} {_user()}, then log in again"
+            yield Line(str(file), WARNING, f"no permission for this user (group {owner})", do)
+    if number is not None:
+        yield _picture(number)
+
+
+def _picture(number: str) -> Line:
+    """Take a picture of a camera."""
+    from softmap_edge.errors import SoftmapError
+    from softmap_edge.teleop.frames import CameraFrames, source
+
+    name = f"camera {number}"
+    try:
+        place = source(number)
+        if not isinstance(place, int):
+            return Line(name, FAULT, "no number of a camera", "give --camera N")
+        with CameraFrames(place) as camera:
+            frame = camera.newest()
+        height, width = frame.picture.shape[:2]
+        return Line(name, OK, f"gives pictures of {width} × {height}")
+    except SoftmapError as fault:
+        found, _, do = str(fault).partition("; ")
+        return Line(name, FAULT, found or "gives no picture", do)

@@ -1,0 +1,185 @@
+"""Homing: the finger straight and still without torque, the turn nearest to each stored home, a mark that it was proved.
+
+Turns are lost without power (modes 4 and 5), so that it is done anew after each power-up; `proof.py` keeps who has not.
+Pinned by tests/test_home.py.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import ServoError
+from softmap_edge.servo import commission
+from softmap_edge.servo.proof import AGAIN, TRIES, marked, patiently, set_mark
+from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
+from softmap_edge.ticks import Calibration
+
+TURN = 4096  # ticks of a turn of the horn
+NEAR = 150  # ticks from the stored home that a straight finger may stand: half a mm on a spool of 2.2 mm
+STEADY = 4  # ticks that an encoder may flicker while the finger stands; the play of an XM is 3
+WATCHED, LOOKS = 1.0, 20  # s for which it has to stand, and how often it is looked at meanwhile
+
+
+@dataclass(frozen=True)
+class Homed:
+    """What homing found: the bench with its homes, how far (ticks) each servo stands from its own, and the turns (of
+    the count of each servo) by which a stored home was moved. `first` names servos that had no home."""
+
+    rig: Rig
+    away: tuple[int, ...]
+    turns: tuple[int, ...]
+    first: tuple[int, ...]
+
+    def __str__(self) -> str:
+        lines = []
+        for servo, away, turns in zip(self.rig.servos, self.away, self.turns):
+            how = "set now" if servo.id in self.first else f"{away:+d} ticks from the stored one, {turns:+d} turns"
+            lines.append(f"servo {servo.id}: home at {servo.home} ({how})")
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.home/1."""
+        servos = [
+            {"id": one.id, "home": one.home, "away_ticks": away, "turns": turns, "first": one.id in self.first}
+            for one, away, turns in zip(self.rig.servos, self.away, self.turns)
+        ]
+        return {"schema": "softmap.home/1", "servos": servos, "near_ticks": NEAR}
+
+
+def relax(rig: Rig) -> list[int]:
+    """Check that the servos are those of `rig` and set up, and switch their torque off; returns their firmware.
+
+    Raises:
+        ServoError: one does not answer, is another model, is not set up, or reports an error.
+    """
+    firmware = []
+    with commission.opened(rig.port, rig.baud) as bus:
+        for id, number in rig.numbers:
+            told = next((told for _ in range(TRIES) if (told := bus.ping(id)) is not None), None)
+            if told is None:
+                raise ServoError(
+                    f"servo {id}: no answer at {rig.port}, {rig.baud} baud; check power, wiring and baud rate"
+                )
+            found = commission.Found(rig.port, rig.baud, id, *told)
+            if told[0] != number:
+                name = found.model["name"] if found.model else "an unknown model"
+                wanted = next(servo.model for servo in rig.servos if servo.id == id)
+                raise ServoError(f"servo {id} is {name} ({told[0]}), the rig says {wanted} ({number}); mend the rig")
+            firmware.append(told[1])
+            for _ in range(3):
+                bus.release()
+            said = commission.complaints(found, patiently(commission.registers, bus, id))
+            if said:
+                raise ServoError(f"servo {id}: {'; '.join(said)}")
+    return firmware
+
+
+def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
+    """Prove home: watch the finger stand, take the turn nearest to each stored home, leave the marks.
+
+    Args:
+        rig: whose servos are relaxed (`relax`) and whose finger somebody found straight. confirmed: by whom or how.
+        new: what stands now is home, whatever was stored.
+
+    Raises:
+        ServoError: the finger moves, or stands too far from the stored home; nothing is marked then.
+    """
+    firmware = relax(rig)
+    with commission.opened(rig.port, rig.baud) as bus:
+        positions = watched(bus, rig)
+        known = [marked(bus, servo.id, servo.home) for servo in rig.servos]
+        homes, away, turns = [], [], []
+        for servo, position, proved in zip(rig.servos, positions, known):
+            fresh = new or servo.home is None
+            stored = position if fresh or servo.home is None else servo.home
+            turned = round((position - stored) / TURN)
+            home = stored + turned * TURN
+            _check_near(servo, position, home, turned if proved else 0)
+            homes.append(home)
+            away.append(position - home)
+            turns.append(turned)
+        for servo, home in zip(rig.servos, homes):
+            set_mark(bus, servo.id, home)
+    first = tuple(servo.id for servo in rig.servos if new or servo.home is None)
+    said = {
+        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+        "how": "torque off, the finger straight, the turn nearest to the stored home",
+        "confirmed": confirmed,
+        "positions": positions,
+        "away": away,
+        "firmware": firmware,
+        "first": list(first),
+    }
+    servos = tuple(replace(servo, home=home) for servo, home in zip(rig.servos, homes))
+    changed = replace(rig, servos=servos, made={**rig.made, "homed": said})
+    return Homed(changed, tuple(away), tuple(turns), first)
+
+
+def _check_near(servo: RigServo, position: int, home: int, turned: int) -> None:
+    if turned != 0:
+        raise ServoError(
+            f"servo {servo.id} stands {turned:+d} turns from its home, which is still proved: the finger is not straight "
+            "or a tendon is wound up; unwind it, or make this home with --new"
+        )
+    if abs(position - home) > NEAR:
+        raise ServoError(
+            f"servo {servo.id} stands at {position}, {position - home:+d} ticks from the stored home within a turn; allowed "
+            f"are {NEAR}: straighten the finger, look for a slipped tendon, or make this home with --new"
+        )
+    if abs(home) > FARTHEST:
+        raise ServoError(f"servo {servo.id}: home at {home} ticks; allowed is ±{FARTHEST}: make this home with --new")
+
+
+def watched(bus: _core.ServoBus, rig: Rig, seconds: float = WATCHED) -> list[int]:
+    """Return where servos without torque stand, ticks, having watched that they do not move.
+
+    Raises:
+        ServoError: one moves, or has torque.
+    """
+    table = _core.servo_registers()
+    (at, size, _), (enable, _, _) = table["present_position"], table["torque_enable"]
+
+    def positions() -> list[int]:
+        ids = [servo.id for servo in rig.servos]
+        return [int.from_bytes(patiently(bus.read, id, at, size), "little", signed=True) for id in ids]
+
+    seen = []
+    for _ in range(LOOKS):
+        seen.append(positions())
+        time.sleep(seconds / LOOKS)
+    looked: NDArray[np.int64] = np.array(seen, np.int64)
+    for servo, moved in zip(rig.servos, np.ptp(looked, axis=0)):
+        if moved > STEADY:
+            raise ServoError(
+                f"the finger moves: servo {servo.id} turned by {moved} ticks in {seconds:g} s, allowed are {STEADY}; let it "
+                "come to rest and home it again"
+            )
+        if patiently(bus.read, servo.id, enable, 1) != b"\x00":
+            raise ServoError(f"servo {servo.id} has torque: another program drives it; stop that first")
+    return [int(tick) for tick in np.rint(np.median(looked, axis=0))]
+
+
+def at_bench(calibration: Calibration, rig: Rig) -> Calibration:
+    """Return the calibration about the homes of this bench: after a power-up they lie whole turns from where they were.
+
+    Raises:
+        ServoError: they differ by a part of a turn: it is the calibration of another home.
+    """
+    homes = np.array([np.nan if servo.home is None else servo.home for servo in rig.servos], float)
+    if homes.shape != calibration.home.shape or np.isnan(homes).any():
+        raise ServoError(f"the rig has {len(homes)} homes, the calibration {len(calibration.home)}; {AGAIN}")
+    turned = calibration.home + TURN * np.rint((homes - calibration.home) / TURN)
+    worst = int(np.argmax(np.abs(homes - turned)))
+    if abs(homes[worst] - turned[worst]) > NEAR:
+        raise ServoError(
+            f"servo {rig.servos[worst].id}: its home lies {homes[worst] - turned[worst]:+.0f} ticks (whole turns aside) from "
+            f"that of the calibration, allowed are {NEAR}; calibrate again at this home"
+        )
+    return replace(calibration, home=turned)

@@ -1,0 +1,86 @@
+"""A mark in each servo that says: home was proved since power came on, and it is this tick.
+
+In modes 4 and 5 a servo counts turns and loses them without power; nothing that it tells of itself says so. So homing
+leaves a mark in memory that power-up and reboot clear and that nothing here uses otherwise: the first eight indirect
+addresses (registers 168 to 183, RAM on every X-series servo; while indirect data are not read they do nothing). It is
+made of id and home, so that the mark of another servo or of another home counts for nothing. Its values are addresses that
+may be mapped on every model (120 to 135, four bits each). A servo that restores its RAM at power-up (startup
+configuration, register 60) is refused: its mark would prove nothing. Pinned by tests/test_home.py.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Sequence
+from typing import ParamSpec, TypeVar
+
+from softmap_edge import _core
+from softmap_edge.errors import ServoError
+
+P, T = ParamSpec("P"), TypeVar("T")
+
+MARK, MAPPABLE, DIGITS = 168, 120, 8  # first register; lowest address that it may hold; registers of four bits
+SIZE = 2 * DIGITS  # bytes
+TRIES = 10  # of a question, before a servo is said not to answer
+AGAIN = "prove it with `softmap servo home --rig FILE`"
+
+
+def mark(id: int, home: int) -> bytes:
+    """Return the mark of servo `id` whose home was proved to be `home`."""
+    number = zlib.crc32(f"softmap home {id} {home}".encode())
+    return b"".join((MAPPABLE + (number >> 4 * k & 15)).to_bytes(2, "little") for k in range(DIGITS))
+
+
+def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
+    """Leave the mark of `home` in a servo and read it back; None takes away what is there.
+
+    Raises:
+        ServoError: the servo does not answer or does not keep it.
+    """
+    wanted = MAPPABLE.to_bytes(2, "little") * DIGITS if home is None else mark(id, home)
+    patiently(bus.write, id, MARK, wanted)
+    if patiently(bus.read, id, MARK, SIZE) != wanted:
+        raise ServoError(f"servo {id} does not keep the mark of its home (registers {MARK} on); nothing can prove it")
+
+
+def patiently(ask: Callable[P, T], *args: P.args, **named: P.kwargs) -> T:
+    """Ask again where there is no answer: one glitch is no absence."""
+    for _ in range(TRIES - 1):
+        try:
+            return ask(*args, **named)
+        except ServoError as fault:
+            if "no answer" not in str(fault):
+                raise
+    return ask(*args, **named)
+
+
+def marked(bus: _core.ServoBus, id: int, home: int | None) -> bool:
+    """Return whether `home` of servo `id` has been proved since it got power."""
+    return home is not None and patiently(bus.read, id, MARK, SIZE) == mark(id, home)
+
+
+def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) -> None:
+    """Refuse servos (id, home) whose home is not known, or has not been proved since they got power.
+
+    Raises:
+        ServoError: so, or one does not answer.
+    """
+    for id, home in servos:
+        if home is None:
+            raise ServoError(f"servo {id} has no home; {AGAIN}")
+        if restores(bus, id):
+            raise ServoError(
+                f"servo {id} restores its memory at power-up (startup configuration), so that no proof of its home can "
+                f"be believed; run `softmap servo setup`, then {AGAIN}"
+            )
+        if not marked(bus, id, home):
+            raise ServoError(
+                f"servo {id}: home is not proved since power-up (turns are lost without power, or the rig's home was "
+                f"changed); let the finger hang straight and {AGAIN}"
+            )
+
+
+def restores(bus: _core.ServoBus, id: int) -> bool:
+    """Return whether a servo brings its memory back at power-up."""
+    address, size, _ = _core.servo_registers()["startup_configuration"]
+    return any(patiently(bus.read, id, address, size))

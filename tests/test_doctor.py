@@ -1,0 +1,197 @@
+"""The doctor says of each thing whether it is well and what to do, on computers and benches that are not."""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+
+import pytest
+from rigs import MODEL, bench, torque
+
+from softmap_edge import _core, builtin_model, doctor, doctor_host, save_bundle
+from softmap_edge.cli import main
+from softmap_edge.doctor import FAULT, OK, WARNING
+from softmap_edge.servo.rig import Rig, RigServo
+
+
+def named(lines, name):
+    """Return the one line of a name."""
+    (found,) = [line for line in lines if line.name == name]
+    return found
+
+
+def test_a_bench_that_is_well(tmp_path, capsys):
+    with bench() as (bus, rig, _):
+        rig.write(tmp_path / "rig.toml")
+        before = bus.state()[1]
+        lines = doctor.examine(rig=tmp_path / "rig.toml").lines
+        assert named(lines, "rig").state == OK and named(lines, "servo 1").state == OK
+        assert named(lines, "home of servo 2").found == "proved since power-up, at 2000"
+        assert named(lines, "ceiling").state == WARNING and "softmap servo pull" in named(lines, "ceiling").do
+        assert bus.state()[1] == before, "nothing moved, no torque"
+        code = main(["doctor", "--rig", str(tmp_path / "rig.toml"), "--json"])
+        document = json.loads(capsys.readouterr().out)
+        assert document["schema"] == "softmap.doctor/1" and document["well"] == (code == 0)
+        assert code == int(any(line["state"] == FAULT for line in document["lines"]))
+        assert {"name", "state", "found", "do"} == set(document["lines"][0])
+        assert all(line["do"] for line in document["lines"] if line["state"] != OK), "each with what to do"
+
+
+@pytest.mark.parametrize(
+    "breaks, name, found, do",
+    [
+        (lambda bus: bus.damage(0, mute=True), "servo 1", "no answer", "check power"),
+        (lambda bus: bus.reset(1), "home of servo 2", "home is not proved since power-up", "softmap servo home"),
+        (lambda bus: bus.fail(1, 0x20), "servo 2", "it reports overload", "find the cause"),
+        (lambda bus: bus.rename(0, 9), "servo 1", "no answer", "softmap servo scan"),
+        (lambda bus: bus.unplug(), "bus", "no such port", "softmap servo scan"),
+    ],
+)
+def test_a_bench_that_is_not(tmp_path, breaks, name, found, do):
+    with bench() as (bus, rig, _):
+        rig.write(tmp_path / "rig.toml")
+        breaks(bus)
+        examined = doctor.examine(rig=tmp_path / "rig.toml")
+        for _ in range(3):  # a servo that was reset answers a moment later
+            lines = [line for line in examined.lines if line.name == name and found in line.found]
+            if lines:
+                break
+            examined = doctor.examine(rig=tmp_path / "rig.toml")
+        (line,) = lines
+        assert line.state == FAULT and do in line.do and not examined.well
+
+
+def test_torque_that_is_on_is_told_and_left_on(tmp_path):
+    with bench() as (bus, rig, _):
+        ours = _core.ServoBus(bus.path, rig.baud)
+        ours.write(1, 64, b"\x01")
+        ours.close()
+        rig.write(tmp_path / "rig.toml")
+        line = named(doctor.examine(rig=tmp_path / "rig.toml").lines, "servo 1")
+        assert line == doctor.Line("servo 1", FAULT, "its torque is on", "`softmap servo off` releases it")
+        assert torque(bus)
+
+
+def test_a_busy_port_another_model_and_damaged_files(tmp_path):
+    with bench() as (bus, rig, _):
+        file = tmp_path / "rig.toml"
+        rig.write(file)
+        ours = _core.ServoBus(bus.path, rig.baud)
+        line = named(doctor.examine(rig=file).lines, "bus")
+        assert "is in use by another program" in line.found and line.do == "close it first"
+        ours.close()
+        Rig(rig.port, rig.baud, (RigServo(1, "XM430-W210", 5),)).write(file)
+        assert "is XL330-M288 (1200), the rig says XM430-W210" in named(doctor.examine(rig=file).lines, "servo 1").found
+    file.write_text("[")
+    assert named(doctor.examine(rig=file).lines, "rig").state == FAULT
+    line = named(doctor.examine(rig=tmp_path / "none.toml").lines, "rig")
+    assert line.do == "make it with `softmap servo setup`"
+    assert named(doctor.examine(bundle=tmp_path).lines, "bundle").state == FAULT
+
+
+def test_a_bundle_without_calibration(tmp_path):
+    save_bundle(builtin_model(), tmp_path / "b")
+    lines = doctor.examine(bundle=tmp_path / "b").lines
+    assert named(lines, "bundle").state == OK and named(lines, "safety.toml").state in (OK, WARNING)
+    assert named(lines, "calibration").state == FAULT and "softmap servo calibrate" in named(lines, "calibration").do
+
+
+def test_a_board_without_its_instructions(tmp_path):
+    (tmp_path / "cpuinfo").write_text("processor: 0\nflags\t\t: fpu sse2\n")
+    (line,) = doctor_host.processor("x86_64", tmp_path)
+    assert line.state == WARNING and "without avx2, fma" in line.found
+    (tmp_path / "cpuinfo").write_text("flags\t\t: fpu avx2 fma\n")
+    assert [line.state for line in doctor_host.processor("x86_64", tmp_path)] == [OK]
+    (tmp_path / "cpuinfo").write_text("Features\t: fp asimd crc32\n")
+    assert [line.state for line in doctor_host.processor("aarch64", tmp_path)] == [OK]
+    (line,) = doctor_host.processor("riscv64", tmp_path)
+    assert line.state == WARNING and "supported are x86_64 and aarch64" in line.do
+    (line,) = doctor_host.processor("x86_64", tmp_path / "none")
+    assert line.state == WARNING
+
+
+def test_a_slow_adapter_says_how_to_set_it(tmp_path):
+    for name, text in (("ttyUSB0", "16\n"), ("ttyUSB1", "1\n"), ("ttyUSB2", "what")):
+        folder = tmp_path / "bus/usb-serial/devices" / name
+        folder.mkdir(parents=True)
+        (folder / "latency_timer").write_text(text)
+    slow, quick, odd = doctor_host.latency(tmp_path)
+    assert slow.state == WARNING and slow.found.startswith("16 ms")
+    assert slow.do.startswith(f"run echo 1 | sudo tee {tmp_path}/bus/usb-serial/devices/ttyUSB0/latency_timer")
+    assert quick.state == OK and odd.state == WARNING
+
+
+def test_no_ports_and_no_cameras(tmp_path):
+    assert [line.state for line in doctor_host.ports(tmp_path)] == [WARNING]
+    assert [line.state for line in doctor_host.cameras(None, tmp_path)] == [WARNING]
+    assert [line.state for line in doctor_host.cameras("0", tmp_path)] == [FAULT]
+    (tmp_path / "video0").touch()
+    assert [line.state for line in doctor_host.cameras(None, tmp_path)] == [OK]
+
+
+AS_NOBODY = """
+import os, resource, sys
+from pathlib import Path
+from softmap_edge import doctor_host, errors, _core
+folder, port = Path(sys.argv[1]), sys.argv[2]
+resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
+os.setgroups([]); os.setgid(65534); os.setuid(65534)
+for line in [*doctor_host.ports(folder), *doctor_host.cameras(None, folder), *doctor_host.real_time()]:
+    print(line.state, line.name.split("/")[-1], line.found, line.do, sep="|")
+try:
+    _core.ServoBus(port, 1_000_000)
+except errors.ServoError as said:
+    print("open", said, sep="|")
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="a child becomes an ordinary user; an ordinary user is one already")
+def test_an_ordinary_user_is_told_what_rights_are_missing(tmp_path):
+    with bench() as (bus, _, _):
+        os.chmod(bus.path, 0o600)
+        tmp_path.chmod(0o755)
+        for name in ("ttyUSB0", "video0"):
+            (tmp_path / name).touch()
+            (tmp_path / name).chmod(0o660)
+        for folder in tmp_path.parents:  # pytest's own folders are closed to others
+            if folder.stat().st_uid == os.geteuid() and folder.name.startswith("pytest-"):
+                folder.chmod(0o755)
+        argv = [sys.executable, "-c", AS_NOBODY, str(tmp_path), bus.path]
+        done = subprocess.run(argv, capture_output=True, text=True, timeout=60)
+    said = {line.split("|")[1 if line[:4] != "open" else 0]: line for line in done.stdout.splitlines()}
+    assert done.returncode == 0, done.stderr
+    assert said["ttyUSB0"].startswith("fault") and "no permission for this user" in said["ttyUSB0"]
+    assert "sudo usermod -aG root" in said["ttyUSB0"] and "log in again" in said["ttyUSB0"]
+    assert said["video0"].startswith("warning")
+    assert said["real-time priority"].startswith("warning") and "- rtprio 50" in said["real-time priority"]
+    assert said["locked memory"].startswith("warning") and "- memlock unlimited" in said["locked memory"]
+    assert "no permission; add yourself to the group that owns it (dialout)" in said["open"]
+
+
+def test_a_right_that_is_there_is_well(tmp_path):
+    (tmp_path / "self").mkdir()
+    (tmp_path / "self/status").write_text("Name: x\nCapEff:\t0000000000800000\n")
+    assert next(iter(doctor_host.real_time(tmp_path))).state == OK
+    (tmp_path / "self/status").write_text("Name: x\nCapEff:\t0\n")
+    limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+    expected = OK if limit < 0 or limit >= 50 else WARNING
+    assert next(iter(doctor_host.real_time(tmp_path))).state == expected
+
+
+def test_a_look_that_fails_is_a_line(monkeypatch):
+    def versions():
+        raise ZeroDivisionError("by chance")
+        yield
+
+    monkeypatch.setattr(doctor_host, "versions", versions)
+    found = doctor.examine()
+    assert found.lines[0].state == FAULT and "ZeroDivisionError: by chance" in found.lines[0].found
+    assert not found.well and "1 fault" in str(found) and MODEL
+
+
+def test_as_text(capsys):
+    assert main(["doctor"]) in (0, 1)
+    said = capsys.readouterr().out
+    assert "ok       python: 3." in said and " ok, " in said
