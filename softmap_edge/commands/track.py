@@ -111,13 +111,23 @@ def _robot(
     if args.plan:
         yield None, {"servos": [servo_limits("XL330-M288", 0, (-1000.0, 1000.0))] * model.channels}, None
         return
-    rig = read_rig(args.rig)
+    rig, limits = bench_of(args.rig, model, calibration)
+    yield rig, limits, None
+
+
+def bench_of(path: str, model: Model, calibration: Calibration) -> tuple[Rig, dict[str, Any]]:
+    """Return the rig of a file and what its loop is allowed.
+
+    Raises:
+        SoftmapError: it cannot be driven; the line says what is not known.
+    """
+    rig = read_rig(path)
     missing = [str(servo.id) for servo in rig.servos if servo.home is None]
     if missing or calibration.window is None:
         what = f"servo {', '.join(missing)} has no home" if missing else "the calibration has no window of ticks"
-        raise SoftmapError(f"{args.rig}: {what}; nothing can be driven safely before that is known")
+        raise SoftmapError(f"{path}: {what}; nothing can be driven safely before that is known")
     servos = [servo_limits(servo.model, servo.home or 0, calibration.window) for servo in rig.servos]
-    yield rig, loop_limits(servos, RATE), None
+    return rig, loop_limits(servos, RATE)
 
 
 def plain_map(model: Model, allowed: bool) -> Calibration:
