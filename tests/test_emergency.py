@@ -19,7 +19,7 @@ from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency import Beats, Emergency, Line
 from softmap_edge.servo.heartbeat import BEAT, Heart
 from softmap_edge.servo.rig import read_rig
-from softmap_edge.teleop.landmarks_udp import new_key, read_key
+from softmap_edge.signed_udp import new_key, read_key
 
 TIMEOUT = 0.3  # s between beats at most: generous, since tests share a computer
 

@@ -7,8 +7,9 @@ import pytest
 from rigs import bench, calibration
 
 from softmap_edge import SoftmapError, builtin_model
+from softmap_edge.camera.frames import on_host
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.finger import FRAMES, EmulatedFinger, hidden_laws, on_host
+from softmap_edge.servo.finger import FRAMES, EmulatedFinger, hidden_laws
 from softmap_edge.truth_laws import LAWS, Law
 from softmap_edge.truth_named import NAMED
 from softmap_edge.truth_stream import streamed

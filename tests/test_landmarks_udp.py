@@ -13,6 +13,7 @@ import pytest
 from test_hand import hand
 
 from softmap_edge.errors import TeleopError
+from softmap_edge.signed_udp import new_key, read_key, tag
 from softmap_edge.teleop import landmarks_udp
 from softmap_edge.teleop.landmarks_udp import (
     DATAGRAM,
@@ -22,9 +23,7 @@ from softmap_edge.teleop.landmarks_udp import (
     Message,
     Receiver,
     Sender,
-    new_key,
     packed,
-    read_key,
     unpacked,
 )
 
@@ -214,7 +213,7 @@ def test_fuzzed_datagrams_never_crash_and_are_never_believed(receiver):
             body = bytearray(packed(PALM, sender._session, 0, 0.0, KEY)[:-32])
             for _ in range(rng.randint(1, 8)):
                 body[rng.randrange(len(body))] = rng.choice([0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)])
-            found = unpacked(bytes(body) + landmarks_udp._tag(KEY, bytes(body)), KEY)
+            found = unpacked(bytes(body) + tag(KEY, bytes(body)), KEY)
             if isinstance(found, str):
                 assert found == "content"
                 continue
@@ -237,7 +236,7 @@ def test_signed_numbers_that_are_none_are_refused(bad):
     ):  # clock, score, first and last number
         body = bytearray(good)
         struct.pack_into(form, body, offset, bad)
-        found = unpacked(bytes(body) + landmarks_udp._tag(KEY, bytes(body)), KEY)
+        found = unpacked(bytes(body) + tag(KEY, bytes(body)), KEY)
         assert found == "content" or (offset == 29 and math.isfinite(bad))
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
+from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.commands.understand import open_run
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.npz import write_npz
@@ -176,7 +177,14 @@ def _limits(args: argparse.Namespace, model: Any) -> Any:
 def record_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap record`."""
     parser.add_argument("commands", metavar="CSV", help="a command file of `softmap next --out`")
-    parser.add_argument("--sim", action="store_true", help="on a simulated finger; the only ones for now")
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--sim", action="store_true", help="on a simulated finger: frames are solved, not watched")
+    where.add_argument("--emulated", action="store_true", help="on emulated servos with a finger on them, in real time")
+    where.add_argument("--rig", metavar="FILE.toml", help="on the servos of this rig, seen by --camera")
+    camera_arguments(parser)
+    parser.add_argument("--yes", action="store_true", help="--rig: do not ask before a condition changes")
+    parser.add_argument("--record", metavar="FILE.mcap", help="--rig, --emulated: keep what the loop recorded")
+    parser.add_argument("--calibrated", metavar="DIR", help="--emulated: write its bundle, with the true map")
     parser.add_argument(
         "--virtual", action="store_true",
         help="on the virtual finger, a simulated stand-in for hardware: other elements and material, turned tendons, "
@@ -199,13 +207,15 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def record(args: argparse.Namespace) -> int:
-    """Play a command file on the simulated finger and write the run."""
+    """Play a command file on a robot, or on the simulated finger, and write the run."""
     from softmap_edge.experiment.command_file import read_commands
     from softmap_edge.solid.finger import Finger
     from softmap_edge.truth import WATCH, check_hidden
 
     if not args.sim:
-        raise SoftmapError("a servo bus is not driven by this version; give --sim for the simulated finger")
+        from softmap_edge.commands.record_robot import record_on_robot
+
+        return record_on_robot(args)
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out)
     check_file("--truth", args.truth, ".npz")

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge import _core
 from softmap_edge.commands.commissioning import STEPS
 from softmap_edge.commands.output import check_file
+from softmap_edge.commands.servo_emulate import emulate, emulate_arguments
 from softmap_edge.commands.servo_heartbeat import heartbeat, heartbeat_arguments
 from softmap_edge.commands.servo_limits import limits, limits_arguments
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import commission
 from softmap_edge.servo.recording import read_recording
-from softmap_edge.servo.rig import MOST_SERVOS, Rig, RigServo, read_rig
+from softmap_edge.servo.rig import Rig, RigServo, read_rig
 
 OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise
 
@@ -40,17 +39,11 @@ def servo_arguments(parser: argparse.ArgumentParser) -> None:
         _json(one)
     _bus(one := what.add_parser("off", help="switch the torque of every servo off"))
     one.add_argument("--rig", metavar="rig.toml", help="the bench whose port it is")
-    one = what.add_parser("emulate", help="two emulated servos at a pseudo-terminal; faults on standard input")
-    one.add_argument("--model", default="XL330-M288", metavar="NAME", help="their model (XL330-M288)")
-    one.add_argument("--baud", type=int, default=1_000_000, metavar="BAUD", help="their rate (1000000)")
-    one.add_argument("--servos", type=int, default=2, metavar="N", help="how many (2), ids from 1")
-    one.add_argument("--rig", metavar="rig.toml", help="write the bench that they are")
-    one.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn by chance")
-    _json(one)
     limits_arguments(one := what.add_parser("limits", help="every limit in force on a bench, and who set it"))
     _json(one)
     heartbeat_arguments(one := what.add_parser("heartbeat", help="be the emergency stop of a robot elsewhere"))
     _json(one)
+    emulate_arguments(what.add_parser("emulate", help="an emulated robot: servos, a finger, a camera, faults on command"))
 
 
 def _bus(parser: argparse.ArgumentParser) -> None:
@@ -66,7 +59,7 @@ def _json(parser: argparse.ArgumentParser) -> None:
 
 def servo(args: argparse.Namespace) -> int:
     """Do what was asked for with servos; 0 when all is well."""
-    own = {"scan": _scan, "read": _read, "setup": _setup, "off": _off, "emulate": _emulate}
+    own = {"scan": _scan, "read": _read, "setup": _setup, "off": _off, "emulate": emulate}
     own |= {"limits": limits, "heartbeat": heartbeat}
     return own[args.what](args) if args.what in own else STEPS[args.what][2](args)
 
@@ -173,72 +166,6 @@ def _off(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({"schema": "softmap.servos/1", "released": _ports(args)}))
     return 0
-
-
-def _emulate(args: argparse.Namespace) -> int:
-    check_file("--rig", args.rig, ".toml")
-    models = {model["name"]: model for model in _core.servo_models()}
-    if args.model not in models:
-        raise ServoError(f"no servo '{args.model}' is known; there are {', '.join(models)}")
-    if not 1 <= args.servos <= MOST_SERVOS:
-        raise ServoError(f"{args.servos} servos; allowed are 1 to {MOST_SERVOS}")
-    pull = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]
-    servos = [(id, models[args.model]["number"], args.baud, 2000.0) for id in range(1, args.servos + 1)]
-    bus = _core.EmulatedBus(servos, [pull] * args.servos, seed=args.seed)
-    try:
-        if args.rig:
-            Rig(bus.path, args.baud, tuple(RigServo(id, args.model) for id, *_ in servos)).write(args.rig)
-        if args.json:
-            print(json.dumps({"schema": "softmap.emulated/1", "port": bus.path, "baud": args.baud}), flush=True)
-        else:
-            print(f"{bus.path} at {args.baud} baud, ids 1 to {args.servos}; {FAULTS}", flush=True)
-        for line in sys.stdin:
-            if fault := line.split():
-                try:
-                    _break(bus, fault)
-                except (ServoError, ValueError) as said:
-                    print(f"{line.strip()}: {said}; {FAULTS}", file=sys.stderr)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        bus.unplug()
-    return 0
-
-
-FAULTS = (
-    "faults, one a line: mute|stuck|torn|reversed|jammed|uncapped|mend|reset|lose_turn SERVO · heat SERVO °C · "
-    "supply SERVO V · burden SERVO TIMES · fail SERVO BITS · rename SERVO ID · swap SERVO SERVO · "
-    "drop|damage|junk|slow SHARE · unpowered 0|1 · unplug (SERVO from 0)"
-)
-
-
-def _break(bus: _core.EmulatedBus, fault: list[str]) -> None:
-    """Do one line of faults."""
-    name, *numbers = fault
-    if name == "unplug" and not numbers:
-        bus.unplug()
-    elif name in ("mute", "stuck", "torn", "reversed", "jammed", "uncapped") and len(numbers) == 1:
-        bus.damage(int(numbers[0]), **{name: True})
-    elif name == "mend" and len(numbers) == 1:
-        bus.damage(int(numbers[0]))
-    elif name in ("reset", "lose_turn") and len(numbers) == 1:
-        getattr(bus, name)(int(numbers[0]))
-    elif name in ("heat", "supply", "burden") and len(numbers) == 2:
-        getattr(bus, name)(int(numbers[0]), float(numbers[1]))
-    elif name in ("fail", "rename", "swap") and len(numbers) == 2:
-        getattr(bus, name)(int(numbers[0]), int(numbers[1], 0))
-    elif name in ("drop", "damage", "junk", "slow") and len(numbers) == 1:
-        share = float(numbers[0])
-        bus.faults(
-            drop=share * (name == "drop"),
-            damage=share * (name == "damage"),
-            junk=share * (name == "junk"),
-            slow=share * (name == "slow"),
-        )
-    elif name == "unpowered" and len(numbers) == 1:
-        bus.faults(unpowered=int(numbers[0]) == 1)
-    else:
-        raise ValueError("no such fault")
 
 
 def replay_arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.heartbeat import Heart
-from softmap_edge.teleop.landmarks_udp import new_key, read_key
+from softmap_edge.signed_udp import new_key, read_key
 
 EVERY = 0.02  # s between beats
 UNHEARD = 5.0  # s without an answer after which that is told

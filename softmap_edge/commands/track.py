@@ -72,7 +72,7 @@ def track(args: argparse.Namespace) -> int:
     whole = builtin_model() if args.bundle is None else open_model(args.bundle)
     whole = whole if args.rig is None else on_bench(read_rig(args.rig), whole, RATE)
     model = whole.with_effects([], np.zeros(0)) if args.no_effects else whole
-    calibration = whole.calibration or _plain(whole, args.sim or args.plan)
+    calibration = whole.calibration or plain_map(whole, args.sim or args.plan)
     kinematics = Kinematics(model, axes=args.axes)
     tracked = None
     with tempfile.TemporaryDirectory() as folder, _robot(args, whole, calibration) as (rig, limits, finger):
@@ -113,11 +113,26 @@ def _robot(
     if args.plan:
         yield None, {"servos": [servo_limits("XL330-M288", 0, (-1000.0, 1000.0))] * model.channels}, None
         return
-    rig = read_rig(args.rig)
-    yield rig, combined(rig, model, calibration, RATE).table(), None
+    rig, limits = bench_of(args.rig, model, calibration)
+    yield rig, limits, None
 
 
-def _plain(model: Model, allowed: bool) -> Calibration:
+def bench_of(path: str, model: Model, calibration: Calibration) -> tuple[Rig, dict[str, Any]]:
+    """Return the rig of a file and what its loop is allowed.
+
+    Raises:
+        SoftmapError: it cannot be driven; the line says what is not known.
+    """
+    rig = read_rig(path)
+    return rig, combined(rig, model, calibration, RATE).table()
+
+
+def plain_map(model: Model, allowed: bool) -> Calibration:
+    """Return the map of an emulated robot whose bundle holds none; no other robot is `allowed` that.
+
+    Raises:
+        SoftmapError: it is none.
+    """
     if not allowed:
         raise SoftmapError("the bundle holds no calibration of the servos; make one with `softmap calibrate`")
     scale, zero = np.eye(model.channels) / TICKS_PER_MM, np.zeros(model.channels)

@@ -12,7 +12,6 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import product
 from types import TracebackType
 from typing import Any, Self
@@ -21,11 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.camera.frames import Frame
 from softmap_edge.errors import ServoError
 from softmap_edge.model import Model
-from softmap_edge.servo.proof import set_mark
+from softmap_edge.servo.commission import FAST, Found, opened, set_up
 from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
+from softmap_edge.servo.tendon_load import tendon_loads
 from softmap_edge.ticks import Calibration
 from softmap_edge.truth import check_hidden
 from softmap_edge.truth_laws import LAWS, Law
@@ -40,17 +42,9 @@ LATE = (0.02, 0.01)  # s from a frame to whoever asks: at least, and at random b
 NOISE = 0.1  # mm, each coordinate of each point
 DRIFT = 30e-6  # of the camera's clock against the host's
 KEPT = 9000  # frames: five minutes
+ASKED = 5  # times
 SERVO, BAUD = "XL330-M288", 1_000_000
 ANSWER = (0.19, 0.05)  # s: delay and lag of the trunk's servos, commands against encoders of its recording
-
-
-@dataclass(frozen=True)
-class Frame:
-    """What a camera saw: `stamp` s by its own clock, `arrived` s by the host's monotonic one, `points` (N, 3) mm."""
-
-    stamp: float
-    arrived: float
-    points: Floats
 
 
 def hidden_laws(names: Sequence[str], channels: int, seed: int, strength: float = 1.0) -> list[Law]:
@@ -100,7 +94,7 @@ class EmulatedFinger:
         self._rng = np.random.default_rng(seed)
         self._zero = time.monotonic() - float(self._rng.uniform(5.0, 500.0))  # where the camera's clock began
         self._drift = DRIFT * float(self._rng.uniform(-1.0, 1.0))
-        self._signs = np.ones(channels)
+        self._signs, self._blind = np.ones(channels), False
         self._frames: deque[Frame] = deque(maxlen=KEPT)
         self._acting: deque[tuple[float, Floats]] = deque(maxlen=int(KEPT * RATE / FRAMES))
         self._taken = -np.inf
@@ -121,6 +115,15 @@ class EmulatedFinger:
         """Change how a horn pulls from now on: 1 as it should, -1 the wrong way, 0 for a broken tendon."""
         self._signs[channel] = sign
 
+    @property
+    def signs(self) -> list[float]:
+        """How each horn pulls, as `tendon` has set it."""
+        return [float(sign) for sign in self._signs]
+
+    def blind(self, dark: bool) -> None:
+        """Let the camera see nothing, or again."""
+        self._blind = dark
+
     def seen(self) -> list[Frame]:
         """Return the frames that have arrived, oldest first, at most the last `KEPT`."""
         now = time.monotonic()
@@ -140,7 +143,7 @@ class EmulatedFinger:
             if now > last:
                 acting = self._step(now, u)
                 self._acting.append((now, acting))
-                if now - self._taken >= 1.0 / FRAMES:
+                if now - self._taken >= 1.0 / FRAMES and not self._blind:
                     self._take(now, acting)
                 last = now
             due += 1.0 / RATE
@@ -156,43 +159,60 @@ class EmulatedFinger:
 
 @contextmanager
 def emulated_bench(
-    model: Model, calibration: Calibration, laws: Sequence[Law] = (), *, rate: float = 200.0, seed: int = 0
+    model: Model,
+    calibration: Calibration,
+    laws: Sequence[Law] = (),
+    *,
+    rate: float = 200.0,
+    seed: int = 0,
+    servo: str = SERVO,
+    baud: int = BAUD,
+    ready: bool = True,
 ) -> Iterator[tuple[_core.EmulatedBus, Rig, dict[str, Any], EmulatedFinger]]:
     """Give an emulated bus set up to be driven, its rig, its limits, and a finger on it.
 
-    Servos answer as late as those of the trunk did (0.19 s, lag 0.05 s: commands against encoders of its recording).
+    Servos answer as late as those of the trunk did (0.19 s, lag 0.05 s: commands against encoders of its recording) and
+    draw what the model's tendons ask. Without `ready` they are as they are delivered, and the rig knows no home.
+
+    Raises:
+        ServoError: no such model, or it has no such rate.
     """
-    numbers = {entry["name"]: entry["number"] for entry in _core.servo_models()}
+    known = {entry["name"]: entry for entry in _core.servo_models()}
+    if servo not in known:
+        raise ServoError(f"no servo '{servo}' is known; there are {', '.join(known)}")
     ids = range(1, model.channels + 1)
     homes = [round(float(home)) for home in calibration.home]
-    servos = [(id, numbers[SERVO], BAUD, float(home)) for id, home in zip(ids, homes)]
-    bus = _core.EmulatedBus(servos, [[(h - 1000.0, -400.0), (h, 0.0), (h + 1000.0, 400.0)] for h in homes],
-                            delay=ANSWER[0], lag=ANSWER[1], seed=seed)  # fmt: skip
+    window = calibration.window or full_window(model, calibration)
+    servos = [(id, int(known[servo]["number"]), baud, float(home)) for id, home in zip(ids, homes)]
+    loads = tendon_loads(model, calibration, window, known[servo])
+    bus = _core.EmulatedBus(servos, loads, delay=ANSWER[0], lag=ANSWER[1], seed=seed)
     try:
-        window = calibration.window or _window(model, calibration)
-        driver = _core.ServoBus(bus.path, BAUD)
-        for id, home in zip(ids, homes):  # as `softmap servo setup` and `servo home` leave them
-            for address, value in ((64, b"\x00"), (11, b"\x05"), (9, b"\x00")):
-                driver.write(id, address, value)
-            set_mark(driver, id, home)
-        driver.close()
-        rig = Rig(bus.path, BAUD, tuple(RigServo(id, SERVO, home) for id, home in zip(ids, homes)))
-        limits = loop_limits([servo_limits(SERVO, home, window) for home in homes], rate)
+        if ready:
+            for id, home in zip(ids, homes):
+                _ready(Found(bus.path, baud, id, int(known[servo]["number"]), FAST), home)
+        rig = Rig(bus.path, baud, tuple(RigServo(id, servo, home if ready else None) for id, home in zip(ids, homes)))
+        limits = loop_limits([servo_limits(servo, home, window) for home in homes], rate)
         with EmulatedFinger(bus, model, calibration, laws, seed=seed) as finger:
             yield bus, rig, limits, finger
     finally:
         bus.unplug()
 
 
-def _window(model: Model, calibration: Calibration) -> tuple[float, float]:
+def _ready(found: Found, home: int) -> None:
+    """Set an emulated servo up, its home proved; it is asked again where a busy computer let it answer late."""
+    for left in reversed(range(ASKED)):
+        try:
+            set_up(found)
+            with opened(found.port, found.baud) as bus:
+                set_mark(bus, found.id, home)
+            return
+        except ServoError:
+            if not left:
+                raise
+
+
+def full_window(model: Model, calibration: Calibration) -> tuple[float, float]:
     """Return ticks about home that hold the model's whole range."""
     corners = np.array(list(product(*np.asarray(model.command_range, float))))
     away = calibration.ticks(corners) - calibration.home
     return float(away.min()), float(away.max())
-
-
-def on_host(frames: Sequence[Frame]) -> Floats:
-    """Return when frames were taken (K,) s by the host's clock, as far as a host can know: the quickest came at
-    once."""
-    stamps, arrived = (np.array([getattr(frame, name) for frame in frames]) for name in ("stamp", "arrived"))
-    return np.asarray(stamps + np.min(arrived - stamps)) if len(frames) else stamps

@@ -15,7 +15,7 @@ from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.proof import TRIES, check_proved
-from softmap_edge.teleop.landmarks_udp import read_key
+from softmap_edge.signed_udp import read_key
 
 
 def main() -> int:

@@ -14,88 +14,32 @@ tests/test_landmarks_udp.py.
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import math
-import os
 import secrets
 import socket
 import struct
 import time
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 import numpy as np
 
 from softmap_edge.errors import TeleopError
+from softmap_edge.signed_udp import TAG, checked_key, open_udp, tag
 from softmap_edge.teleop.hand import LANDMARKS, Hand
 
 MARK, OFFER_MARK = b"SMH1", b"SMO1"
 _BODY = struct.Struct(f"<4sB16sQdf{2 * LANDMARKS}f")
-_TAG = 32  # bytes of HMAC-SHA256
-DATAGRAM = _BODY.size + _TAG
-OFFER = len(OFFER_MARK) + 16 + _TAG
+DATAGRAM = _BODY.size + TAG
+OFFER = len(OFFER_MARK) + 16 + TAG
 HAND, RIGHT, HELD = 1, 2, 4
 NO_SESSION = bytes(16)
 SILENCE = 0.5  # s after which a sender that is not heard may be followed by another
 OFFER_LASTS = 1.0  # s for which a session that was offered can be taken up
 MOST_AT_ONCE = 256  # datagrams that one call reads: a flood cannot hold it up
 DRIFT = 1e-4  # s a second by which two clocks may part: what counts as the quickest forgets as fast
-SHORTEST_KEY = 16  # bytes
-
-
-def new_key(path: str | Path) -> bytes:
-    """Write a key of 32 random bytes as text to a new file that its owner alone can read, and return it.
-
-    Raises:
-        TeleopError: the file is there already, or cannot be written.
-    """
-    key = secrets.token_bytes(32)
-    try:
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
-            file.write(key.hex() + "\n")
-    except OSError as cause:
-        raise TeleopError(f"{path}: the key cannot be written ({cause.strerror}); give a new file") from None
-    return key
-
-
-def read_key(path: str | Path) -> bytes:
-    """Return the key in a file that `new_key` wrote.
-
-    Raises:
-        TeleopError: it cannot be read, others may read it, or it is no key.
-    """
-    try:
-        with open(path, "rb") as file:
-            mode = os.fstat(file.fileno()).st_mode
-            text = file.read(1025)
-    except OSError as cause:
-        raise TeleopError(
-            f"{path}: the key cannot be read ({cause.strerror}); copy it from the other computer"
-        ) from None
-    if mode & 0o077:
-        raise TeleopError(f"{path}: others can read this key; run chmod 600 {path}")
-    try:
-        key = bytes.fromhex(text.decode("ascii").strip()) if len(text) <= 1024 else b""
-    except ValueError:
-        key = b""
-    return _checked(key)
-
-
-def _checked(key: bytes) -> bytes:
-    if len(key) < SHORTEST_KEY:
-        raise TeleopError(
-            f"key: {len(key)} bytes in hexadecimal digits, at least {SHORTEST_KEY} are needed; make a new one"
-        )
-    return key
-
-
-def _tag(key: bytes, body: bytes) -> bytes:
-    return hmac.new(key, body, hashlib.sha256).digest()
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +66,7 @@ def packed(message: Message, session: bytes, sequence: int, clock: float, key: b
     points = np.zeros(2 * LANDMARKS) if hand is None else hand.points.ravel()
     score = 0.0 if hand is None else hand.score
     body = _BODY.pack(MARK, flags, session, sequence, clock, score, *points)
-    return body + _tag(key, body)
+    return body + tag(key, body)
 
 
 def unpacked(datagram: bytes, key: bytes) -> tuple[Message, bytes, int, float] | str:
@@ -130,7 +74,7 @@ def unpacked(datagram: bytes, key: bytes) -> tuple[Message, bytes, int, float] |
     if len(datagram) != DATAGRAM:
         return "length"
     body = datagram[: _BODY.size]
-    if not hmac.compare_digest(datagram[_BODY.size :], _tag(key, body)):
+    if not hmac.compare_digest(datagram[_BODY.size :], tag(key, body)):
         return "signature"
     mark, flags, session, sequence, clock, score, *points = _BODY.unpack(body)
     if mark != MARK or flags & ~(HAND | RIGHT | HELD) or not math.isfinite(clock):
@@ -144,25 +88,6 @@ def unpacked(datagram: bytes, key: bytes) -> tuple[Message, bytes, int, float] |
     return Message(hand, bool(flags & HELD)), session, sequence, clock
 
 
-def _open(host: str, port: int, use: Callable[[socket.socket, Any], None], what: str, mend: str) -> socket.socket:
-    """Return a socket that never waits, connected or bound to an address; IPv4 where a host has both."""
-    if not 0 <= port <= 65535:
-        raise TeleopError(f"udp://{host}:{port}: ports are 1 to 65535; {mend}")
-    try:
-        found = socket.getaddrinfo(host or None, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE)
-        family, kind, proto, _, address = min(found, key=lambda entry: entry[0] != socket.AF_INET)
-        opened = socket.socket(family, kind, proto)
-        try:
-            use(opened, address)  # connected, so that offers of others do not arrive
-        except BaseException:
-            opened.close()
-            raise
-    except (OSError, UnicodeError) as cause:
-        raise TeleopError(f"udp://{host}:{port}: cannot {what} ({cause!s:.80}); {mend}") from None
-    opened.setblocking(False)
-    return opened
-
-
 class Sender:
     """Sends messages to `host`:`port`; a context manager, to be closed.
 
@@ -171,8 +96,8 @@ class Sender:
     """
 
     def __init__(self, host: str, port: int, key: bytes) -> None:
-        self._key, self._session, self._sequence = _checked(key), NO_SESSION, 0
-        self._socket = _open(host, port, socket.socket.connect, "be reached", "check host and port")
+        self._key, self._session, self._sequence = checked_key(key), NO_SESSION, 0
+        self._socket = open_udp(host, port, socket.socket.connect, "be reached", "check host and port")
 
     @property
     def known(self) -> bool:
@@ -198,9 +123,9 @@ class Sender:
                 return
             except OSError:
                 continue  # what came back of an earlier datagram
-            body = offer[: OFFER - _TAG]
+            body = offer[: OFFER - TAG]
             right = len(offer) == OFFER and body.startswith(OFFER_MARK)
-            if right and hmac.compare_digest(offer[len(body) :], _tag(self._key, body)):
+            if right and hmac.compare_digest(offer[len(body) :], tag(self._key, body)):
                 self._session = body[len(OFFER_MARK) :]
 
     def close(self) -> None:
@@ -226,14 +151,14 @@ class Receiver:
     """
 
     def __init__(self, host: str, port: int, key: bytes) -> None:
-        self._key, self._session = _checked(key), secrets.token_bytes(16)
+        self._key, self._session = checked_key(key), secrets.token_bytes(16)
         self._offered = (b"", -math.inf)  # a session, and when it was first offered
         self.refused: Counter[str] = Counter()
         self.lost = 0
         self._from: tuple[object, ...] | None = None
         self._last: tuple[Message, int, float, float] | None = None  # message, sequence, arrival, lateness
         self._quickest = (math.inf, 0.0)  # smallest of arrival − sender's clock, and when that was
-        self._socket = _open(host, port, socket.socket.bind, "be listened at", "give a free port of this computer")
+        self._socket = open_udp(host, port, socket.socket.bind, "be listened at", "give a free port of this computer")
         self.port = int(self._socket.getsockname()[1])
 
     def newest(self) -> Received | None:
@@ -288,7 +213,7 @@ class Receiver:
             self._offered = (secrets.token_bytes(16), now)
         body = OFFER_MARK + self._offered[0]
         try:
-            self._socket.sendto(body + _tag(self._key, body), address)
+            self._socket.sendto(body + tag(self._key, body), address)
         except OSError:
             return  # it asks again with its next datagram
 

@@ -1,0 +1,52 @@
+"""What verbs that look through a camera share: its arguments, and the receiver that they name."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from softmap_edge.camera.points_udp import PointReceiver
+from softmap_edge.errors import SoftmapError
+from softmap_edge.run import Run
+from softmap_edge.signed_udp import read_key, udp_address
+
+
+def camera_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare where points come from."""
+    parser.add_argument(
+        "--camera", metavar="udp://:PORT", help="where the camera's program sends points (docs/camera.md)"
+    )
+    parser.add_argument("--key", metavar="FILE", help="the key that is shared with that program; needed across computers")
+    parser.add_argument(
+        "--like", metavar="RUN", help="points are in the camera's frame: bring them to the base as in this aligned run"
+    )
+    parser.add_argument(
+        "--late", type=float, metavar="S", help="how long the quickest frame takes from its light to here (0)"
+    )
+
+
+def receiver(args: argparse.Namespace, count: int | None = None) -> PointReceiver:
+    """Return the receiver of `--camera`, of frames of `count` points.
+
+    Raises:
+        SoftmapError: an argument is not usable, or the address is not to be had.
+    """
+    frame: Any = None
+    if args.like is not None:
+        frame = Run.load(args.like).frame
+        if frame is None:
+            raise SoftmapError(f"--like {args.like}: it was not aligned; `softmap align` brings it to the base")
+    key = None if args.key is None else read_key(args.key)
+    return PointReceiver(*udp_address(args.camera), key, count=count, frame=frame)
+
+
+def late(args: argparse.Namespace, otherwise: float = 0.0) -> float:
+    """Return `--late`, checked.
+
+    Raises:
+        SoftmapError: it is no such time.
+    """
+    seconds = otherwise if args.late is None else float(args.late)
+    if not 0.0 <= seconds <= 2.0:
+        raise SoftmapError(f"--late {seconds:g}: 0 to 2 s is allowed")
+    return seconds

@@ -1,0 +1,227 @@
+"""`softmap servo emulate`: a whole emulated robot at a pseudo-terminal, or bare servos; faults on standard input."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import shlex
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from softmap_edge import _core
+from softmap_edge.bundle import builtin_model, save_bundle
+from softmap_edge.camera.points_udp import PointSender
+from softmap_edge.commands.output import check_bundle, check_file
+from softmap_edge.commands.own import open_model
+from softmap_edge.commands.track import plain_map
+from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.model import Model
+from softmap_edge.servo.finger import (
+    BAUD,
+    FRAMES,
+    LATE,
+    SERVO,
+    EmulatedFinger,
+    emulated_bench,
+    full_window,
+    hidden_laws,
+)
+from softmap_edge.servo.rig import MOST_SERVOS, Rig, RigServo
+from softmap_edge.signed_udp import read_key, udp_address
+
+FAULTS = (
+    "faults, one a line: mute|stuck|torn|reversed|jammed|uncapped|mend|reset|lose_turn SERVO · heat SERVO °C · "
+    "supply SERVO V · burden SERVO TIMES · fail SERVO BITS · rename SERVO ID · swap SERVO SERVO · "
+    "drop|damage|junk|slow SHARE · unpowered 0|1 · unplug (SERVO from 0)"
+)
+FINGER_FAULTS = "blind 0|1"
+BROKEN = ("mute", "stuck", "torn", "reversed", "jammed", "uncapped")
+PULLS = {"torn": 0.0, "reversed": -1.0, "mend": 1.0}  # what a servo's tendon then does to the finger
+
+
+def emulate_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `servo emulate`."""
+    parser.add_argument("--bundle", metavar="DIR", help="whose finger it is (default: the built-in one)")
+    parser.add_argument("--hidden", default="", metavar="NAMES", help="laws that it hides: backlash,creep")
+    parser.add_argument("--strength", type=float, default=1.0, metavar="X", help="how strong they are (1)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn by chance (0)")
+    parser.add_argument("--model", default=SERVO, metavar="NAME", help=f"of the servos ({SERVO})")
+    parser.add_argument("--baud", type=int, default=BAUD, metavar="BAUD", help=f"their rate ({BAUD})")
+    parser.add_argument("--fresh", action="store_true", help="servos as delivered: not set up, home not known")
+    parser.add_argument("--servos", type=int, metavar="N", help="N bare servos, as delivered, without a finger")
+    parser.add_argument("--rig", metavar="FILE.toml", help="write the bench that it is")
+    parser.add_argument("--calibrated", metavar="DIR", help="write its bundle, with the true map of the servos")
+    parser.add_argument(
+        "--stream", action="append", default=[], metavar="udp://HOST:PORT",
+        help="send what its camera sees there (docs/camera.md); may be given again",
+    )  # fmt: skip
+    parser.add_argument("--key", metavar="FILE", help="sign what is sent with this shared key")
+    # The verb has it too; what stands before the sub-verb is not to be overruled by a default behind it.
+    parser.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
+
+
+def emulate(args: argparse.Namespace) -> int:
+    """Emulate until standard input ends or Ctrl-C."""
+    check_file("--rig", args.rig, ".toml")
+    if args.servos is not None:
+        return _bare(args)
+    if args.calibrated is not None:
+        check_bundle(args.calibrated)
+    if not 0.0 < args.strength <= 10.0:
+        raise ServoError(f"--strength {args.strength:g}; more than 0 and up to 10 times is allowed")
+    whole = builtin_model() if args.bundle is None else open_model(args.bundle)
+    calibration = whole.calibration or plain_map(whole, True)
+    calibration = replace(calibration, window=calibration.window or full_window(whole, calibration))
+    names = [name for name in args.hidden.split(",") if name]
+    laws = hidden_laws(names, whole.channels, args.seed, args.strength)
+    senders = _senders(args)
+    robot = emulated_bench(
+        whole, calibration, laws, seed=args.seed, servo=args.model, baud=args.baud, ready=not args.fresh
+    )
+    with contextlib.ExitStack() as stack:
+        for sender in senders:
+            stack.enter_context(sender)
+        bus, rig, _, finger = stack.enter_context(robot)
+        if args.rig:
+            rig.write(args.rig)
+        if args.calibrated:
+            save_bundle(replace(whole, calibration=calibration), args.calibrated)
+        stack.enter_context(streaming(finger, senders))
+        document = {
+            "schema": "softmap.emulated/1", "port": bus.path, "baud": args.baud, "servos": len(rig.servos),
+            "ready": not args.fresh, "robot": whole.robot, "points": len(whole.rest), "frames_a_second": FRAMES,
+            "hidden": names, "rig": args.rig, "bundle": args.calibrated, "stream": args.stream,
+        }  # fmt: skip
+        print(json.dumps(document) if args.json else _said(args, bus.path, whole, names), flush=True)
+        _obey(bus, finger)
+    return 0
+
+
+def _said(args: argparse.Namespace, port: str, model: Model, names: list[str]) -> str:
+    """Return what stands there now, and what to type next."""
+    lines = [
+        f"{port} at {args.baud} baud, ids 1 to {model.channels}: '{model.robot}' is emulated, never called real; it "
+        f"hides {', '.join(names) or 'nothing'}"
+    ]
+    lines += [f"{len(model.rest)} points a frame, {FRAMES:g} frames a second, to {to}" for to in args.stream]
+    lines += [f"{path}: written" for path in (args.rig, args.calibrated) if path]
+    if args.fresh:
+        rig = f" --rig {shlex.quote(args.rig)}" if args.rig else ""
+        lines += ["next, in another terminal, for each servo:", f"  softmap servo setup --port {port} --id 1{rig}"]
+    elif args.rig and args.calibrated:
+        on = f"--bundle {shlex.quote(args.calibrated)} --rig {shlex.quote(args.rig)}"
+        seen = f" --camera {args.stream[0].replace('//127.0.0.1:', '//:')}" if args.stream else ""
+        seen += f" --key {shlex.quote(args.key)}" if seen and args.key else ""
+        lines += ["next, in another terminal:", f"  softmap track S {on}{seen} --picture s.svg"]
+        if seen:
+            lines += [
+                "  softmap next --standard --out commands.csv",
+                f"  softmap record commands.csv {on}{seen} --late {LATE[0]:g} --out run.npz",
+            ]
+    else:
+        lines += ["give --rig and --calibrated too, and it can be driven: softmap track S --bundle DIR --rig FILE.toml"]
+    return "\n".join([*lines, f"{FAULTS} · {FINGER_FAULTS}"])
+
+
+def _senders(args: argparse.Namespace) -> list[PointSender]:
+    if args.key and not args.stream:
+        raise SoftmapError("--key signs what is sent; give --stream udp://HOST:PORT with it")
+    key = None if args.key is None else read_key(args.key)
+    return [PointSender(host or "127.0.0.1", port, key) for host, port in map(udp_address, args.stream)]
+
+
+@contextlib.contextmanager
+def streaming(finger: EmulatedFinger, senders: list[PointSender]) -> Iterator[None]:
+    """Send each frame of a finger's camera when it has arrived, from a thread."""
+    done = threading.Event()
+
+    def live() -> None:
+        last = -float("inf")
+        while not done.wait(0.002):
+            for frame in finger.seen()[-10:]:
+                if frame.stamp > last:
+                    last = frame.stamp
+                    for sender in senders:
+                        sender.send(frame.points, frame.stamp)
+
+    thread = threading.Thread(target=live, daemon=True)
+    if senders:
+        thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        if senders:
+            thread.join(2.0)
+
+
+def _bare(args: argparse.Namespace) -> int:
+    """Emulate servos without a finger, with a nominal load on each."""
+    models = {model["name"]: model for model in _core.servo_models()}
+    if args.model not in models:
+        raise ServoError(f"no servo '{args.model}' is known; there are {', '.join(models)}")
+    if not 1 <= args.servos <= MOST_SERVOS:
+        raise ServoError(f"{args.servos} servos; allowed are 1 to {MOST_SERVOS}")
+    given = [f"--{name}" for name in ("bundle", "hidden", "stream", "calibrated", "key") if getattr(args, name)]
+    if given:
+        raise ServoError(f"{given[0]} needs a finger; leave --servos out")
+    pull = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]
+    servos = [(id, models[args.model]["number"], args.baud, 2000.0) for id in range(1, args.servos + 1)]
+    bus = _core.EmulatedBus(servos, [pull] * args.servos, seed=args.seed)
+    try:
+        if args.rig:
+            Rig(bus.path, args.baud, tuple(RigServo(id, args.model) for id, *_ in servos)).write(args.rig)
+        document: dict[str, Any] = {"schema": "softmap.emulated/1", "port": bus.path, "baud": args.baud}
+        said = f"{bus.path} at {args.baud} baud, ids 1 to {args.servos}, no finger; {FAULTS}"
+        print(json.dumps(document | {"servos": args.servos, "ready": False}) if args.json else said, flush=True)
+        _obey(bus, None)
+    finally:
+        bus.unplug()
+    return 0
+
+
+def _obey(bus: _core.EmulatedBus, finger: EmulatedFinger | None) -> None:
+    """Do the faults that come on standard input."""
+    known = FAULTS if finger is None else f"{FAULTS} · {FINGER_FAULTS}"
+    with contextlib.suppress(KeyboardInterrupt):
+        for line in sys.stdin:
+            if fault := line.split():
+                try:
+                    _break(bus, finger, fault)
+                except (ServoError, ValueError, OverflowError) as said:
+                    print(f"{line.strip()}: {said}; {known}", file=sys.stderr)
+
+
+def _break(bus: _core.EmulatedBus, finger: EmulatedFinger | None, fault: list[str]) -> None:
+    """Do one line of faults."""
+    name, *numbers = fault
+    if name == "unplug" and not numbers:
+        bus.unplug()
+    elif name in (*BROKEN, "mend") and len(numbers) == 1:
+        bus.damage(int(numbers[0]), **({name: True} if name in BROKEN else {}))
+        if finger is not None and name in PULLS:
+            finger.tendon(int(numbers[0]), PULLS[name])
+    elif name in ("reset", "lose_turn") and len(numbers) == 1:
+        getattr(bus, name)(int(numbers[0]))
+    elif name in ("heat", "supply", "burden") and len(numbers) == 2:
+        getattr(bus, name)(int(numbers[0]), float(numbers[1]))
+    elif name in ("fail", "rename", "swap") and len(numbers) == 2:
+        getattr(bus, name)(int(numbers[0]), int(numbers[1], 0))
+    elif name in ("drop", "damage", "junk", "slow") and len(numbers) == 1:
+        share = float(numbers[0])
+        bus.faults(
+            drop=share * (name == "drop"),
+            damage=share * (name == "damage"),
+            junk=share * (name == "junk"),
+            slow=share * (name == "slow"),
+        )
+    elif name == "unpowered" and len(numbers) == 1:
+        bus.faults(unpowered=int(numbers[0]) == 1)
+    elif name == "blind" and numbers in (["0"], ["1"]) and finger is not None:
+        finger.blind(numbers == ["1"])
+    else:
+        raise ValueError("no such fault")

@@ -1,0 +1,248 @@
+"""Play a command file on a robot that records, and make a run of what was driven and what was seen.
+
+The file's clock stands while the robot settles where the file rests, while the guard holds, and while the camera is
+gone; where something is to be done by hand the finger goes home, torque goes off, and the user says when to go on. A
+frame is taken at each look of the file: the one nearest to it. Whatever ends it, what was driven and seen so far is
+kept. Pinned by tests/test_record_robot.py.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.camera.frames import Frame, Seen, host_times
+from softmap_edge.errors import RunError, ServoError, SoftmapError
+from softmap_edge.experiment.pace import PATIENCE, SPAN, Pace, condition, servos_still, view_still
+from softmap_edge.model import Model
+from softmap_edge.run import Run
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.recording import read_recording
+
+Floats = NDArray[np.float64]
+
+SENT = 50.0  # commands a second
+NEAR = 0.1  # s: a frame this near to a look is the one that was wanted
+WAIT = 0.5  # s after a look until the frames about it have arrived
+GONE, LOST = 0.5, 15.0  # s without a frame after which the file's clock stands, and after which it is over
+BACK = 15.0  # s within which a finger that was told to stop has torque off
+BEGIN = 8.0  # s until the robot is where the file begins
+
+
+@dataclass
+class Played:
+    """What happened: `clock` pairs of (host s, s of the pace), the frames that were taken, how the playing ended."""
+
+    clock: list[tuple[float, float]] = field(default_factory=list)
+    taken: list[tuple[int, Frame]] = field(default_factory=list)  # the look, its frame
+    stamps: list[tuple[float, float]] = field(default_factory=list)  # of all frames: stamp, arrival
+    waited: float = 0.0  # s in which it waited for the robot to settle
+    unsettled: int = 0  # rests that went on before all was still
+    whole: bool = False
+
+
+class Player:
+    """Plays a pace on an entered `robot` that records, seen by `seen`.
+
+    Args:
+        ask: called with what is to be done by hand; returns when it is done. tell: called with the share that is done.
+        late: s that the quickest frame takes.
+    """
+
+    def __init__(
+        self,
+        robot: Controller,
+        pace: Pace,
+        seen: Seen,
+        *,
+        ask: Callable[[str], None],
+        tell: Callable[[float], None] = lambda share: None,
+        late: float = 0.0,
+    ) -> None:
+        self._robot, self._pace, self._seen = robot, pace, seen
+        self._ask, self._tell, self._late = ask, tell, late
+        self.played = Played()
+        self._looks: list[tuple[float, int]] = []  # host s, of which look
+        self._history: list[tuple[float, list[float]]] = []
+        self._newest, self._looked = -np.inf, 0
+
+    def play(self) -> Played:
+        """Play it to its end.
+
+        Raises:
+            SoftmapError: the guard stopped, or the camera is gone.
+        """
+        pace = self._pace
+        self._await_camera()
+        self._ask(f"it begins so: {pace.stops.get(0) or condition(pace.made, 0)}")
+        self._engage(0.0)
+        at, last, row = 0.0, time.monotonic(), -1
+        while True:
+            now = time.monotonic()
+            self._send(at, now)
+            here = pace.row(at)
+            for passed in range(row + 1, here + 1):
+                if passed in pace.stops and passed > 0:
+                    self._by_hand(pace.stops[passed], at)
+                if pace.rests[passed]:
+                    self._settle(at)
+            row, fresh = max(row, here), time.monotonic()
+            self._gather(fresh)
+            if at >= pace.t[-1]:
+                break
+            runs = self._robot.state == "engaged" and self._camera_there(fresh)
+            begun = fresh if fresh - now > 2.0 / SENT else last
+            step = min(fresh - begun, 2.0 / SENT) if runs else 0.0
+            upto = min(at + step, float(pace.t[-1]))
+            while self._looked < len(pace.looks) and pace.looks[self._looked] <= upto:
+                self._looks.append((fresh - (upto - pace.looks[self._looked]), self._looked))
+                self._looked += 1
+            self.played.clock += [(fresh - step, at), (fresh, upto)]
+            at, last = upto, fresh
+            self._tell(at / float(pace.t[-1]) if pace.t[-1] else 1.0)
+            time.sleep(max(0.0, 1.0 / SENT - (time.monotonic() - now)))
+        self._rest(at, WAIT + 0.1)
+        self.played.whole = True
+        return self.played
+
+    def _engage(self, at: float) -> None:
+        self._robot.engage(self._pace.command(at))
+        self._history.clear()
+        self._settle(at, BEGIN)
+
+    def _send(self, at: float, now: float) -> None:
+        self._robot.target(self._pace.command(at))
+        position = self._robot.report.get("position") or [None]
+        if None not in position and (not self._history or now > self._history[-1][0]):
+            self._history.append((now, [float(p) for p in position]))
+            while len(self._history) > 2 and self._history[1][0] < now - 2 * SPAN:
+                self._history.pop(0)
+
+    def _rest(self, at: float, seconds: float) -> None:
+        """Stay where it is for a while."""
+        end = time.monotonic() + seconds
+        while (now := time.monotonic()) < end:
+            self._send(at, now)
+            self._gather(now)
+            time.sleep(1.0 / SENT)
+
+    def _settle(self, at: float, patience: float = PATIENCE) -> None:
+        """Stay until servos and what is seen stand, or for as long as patience lasts."""
+        begun, still_since = time.monotonic(), None
+        self._history.clear()
+        while (now := time.monotonic()) - begun < patience:
+            self._send(at, now)
+            if servos_still(self._history, now):
+                still_since = still_since or now
+                if view_still(self._seen()[-60:], still_since - SPAN, now):
+                    break
+            else:
+                still_since = None
+            self._gather(now)
+            time.sleep(1.0 / SENT)
+        else:
+            self.played.unsettled += 1
+        self.played.waited += time.monotonic() - begun
+        self.played.clock += [(begun, at), (time.monotonic(), at)]
+
+    def _by_hand(self, what: str, at: float) -> None:
+        """Let torque go off, have something done, and go on where it was."""
+        self._rest(at, WAIT + 0.1)
+        self._robot.request("stop")
+        end = time.monotonic() + BACK
+        while self._robot.state != "ready":
+            if time.monotonic() > end:
+                raise ServoError(f"the finger did not stop within {BACK:g} s (state {self._robot.state})")
+            time.sleep(0.05)
+        begun = time.monotonic()
+        self._ask(what)
+        self.played.clock += [(begun, at), (time.monotonic(), at)]
+        self._engage(at)
+
+    def _camera_there(self, now: float) -> bool:
+        """Return whether frames come.
+
+        Raises:
+            SoftmapError: none has come for `LOST` s.
+        """
+        silent = now - self._newest
+        if silent > LOST:
+            raise SoftmapError(
+                f"the camera is gone: no frame for {silent:.0f} s; see to its program and the network, then record again"
+            )
+        return silent <= GONE
+
+    def _await_camera(self) -> None:
+        end = time.monotonic() + LOST
+        while not self._seen():
+            if time.monotonic() > end:
+                raise SoftmapError(
+                    f"no frame came within {LOST:g} s; start the camera's program and check address and key "
+                    "(docs/camera.md)"
+                )
+            time.sleep(0.05)
+        self._gather(time.monotonic())
+
+    def _gather(self, now: float) -> None:
+        """Note what has arrived, and take the frames of looks that are long enough ago."""
+        frames = self._seen()[-200:]
+        stamps = self.played.stamps
+        newest = stamps[-1][0] if stamps else -np.inf
+        stamps += [(frame.stamp, frame.arrived) for frame in frames if frame.stamp > newest]
+        if frames:
+            self._newest = frames[-1].arrived
+        while frames and self._looks and self._looks[0][0] < now - WAIT:
+            when, look = self._looks.pop(0)
+            known = np.array(stamps)
+            taken = host_times(known[:, 0], known[:, 1], self._late)[-len(frames) :]
+            k = int(np.argmin(np.abs(taken - when)))
+            earlier = self.played.taken[-1][1].stamp if self.played.taken else -np.inf
+            if abs(taken[k] - when) <= NEAR and frames[k].stamp > earlier:
+                self.played.taken.append((look, frames[k]))
+
+
+def merged(recording: Path, model: Model, pace: Pace, played: Played, late: float = 0.0) -> Run:
+    """Return the run of what a robot's loop recorded and what was seen meanwhile.
+
+    Raises:
+        RunError: torque was never on, or the frames do not fit the model.
+    """
+    told = read_recording(recording)
+    run = told.run()
+    first = next(period["now"] for period in told.periods if period["torque"])
+    host = run.t + first * 1e-9
+    clock = np.array(played.clock or [(host[0], 0.0)])
+    at = np.interp(host, clock[:, 0], clock[:, 1])
+    rows = np.clip(np.searchsorted(pace.t, at, side="right") - 1, 0, len(pace.t) - 1)
+    made = pace.made
+    counts = {len(frame.points) for _, frame in played.taken}
+    if len(counts) > 1:
+        raise RunError(f"frames of {sorted(counts)} points; a camera's program sends one number of them throughout")
+    looks, frames = [look for look, _ in played.taken], [frame for _, frame in played.taken]
+    known = np.array(played.stamps).reshape(-1, 2)
+    stamps = known[:, 0]
+    taken = host_times(stamps, known[:, 1], late)[np.searchsorted(stamps, [frame.stamp for frame in frames])]
+    inside = (taken > host[0]) & (taken < host[-1])
+    points = np.array([frame.points for frame in frames], float).reshape(len(frames), -1, 3)[inside]
+    visible = np.isfinite(points).all(axis=2)
+    vertices = not model.markers and points.shape[1] == len(model.rest)
+    return Run(
+        t=run.t,
+        ticks=run.ticks,
+        present_ticks=run.present_ticks,
+        current=run.current,
+        temperature=run.temperature,
+        gravity=made.gravity[rows],
+        load=None if made.load is None else made.load[rows],
+        t_seen=taken[inside] - host[0],
+        vertices=points if len(points) and vertices else None,
+        markers=points if len(points) and not vertices else None,
+        visible=visible if len(points) else None,
+        block=np.array([str(made.block[look]) for look in looks])[inside] if len(points) else None,
+        robot=model.robot,
+    )
