@@ -70,10 +70,10 @@ def track(args: argparse.Namespace) -> int:
         raise SoftmapError("--observe: only the emulated finger has a camera here; give --sim with it")
     whole = builtin_model() if args.bundle is None else open_model(args.bundle)
     model = whole.with_effects([], np.zeros(0)) if args.no_effects else whole
-    calibration = whole.calibration or _plain(whole, args.sim or args.plan)
+    calibration = whole.calibration or plain_map(whole, args.sim or args.plan)
     kinematics = Kinematics(model, axes=args.axes)
     tracked = None
-    with tempfile.TemporaryDirectory() as folder, _robot(args, whole, calibration) as (rig, limits, finger):
+    with tempfile.TemporaryDirectory() as folder, robot_of(args, whole, calibration) as (rig, limits, finger):
         servos = limits["servos"]
         planned = course(
             kinematics,
@@ -99,7 +99,7 @@ def track(args: argparse.Namespace) -> int:
 
 
 @contextlib.contextmanager
-def _robot(
+def robot_of(
     args: argparse.Namespace, model: Model, calibration: Calibration
 ) -> Iterator[tuple[Rig | None, dict[str, Any], EmulatedFinger | None]]:
     """Give rig, limits and, of an emulated robot, the finger."""
@@ -120,7 +120,7 @@ def _robot(
     yield rig, loop_limits(servos, RATE), None
 
 
-def _plain(model: Model, allowed: bool) -> Calibration:
+def plain_map(model: Model, allowed: bool) -> Calibration:
     if not allowed:
         raise SoftmapError("the bundle holds no calibration of the servos; make one with `softmap calibrate`")
     scale, zero = np.eye(model.channels) / TICKS_PER_MM, np.zeros(model.channels)
