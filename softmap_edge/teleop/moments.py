@@ -19,6 +19,7 @@ from softmap_edge.teleop.sketch import Sketch
 
 Floats = NDArray[np.float64]
 
+SEEN = 0.02  # mm: less is not drawn anew
 AVERAGED = 60  # ages of sights over whose median the latency is told
 
 
@@ -68,7 +69,9 @@ class Shown:
         with self._lock:
             if position and None not in position and report.get("t", 0.0) > self._number:
                 self._number = report.get("t", 0.0)
-                self._points = self._sketch.points(np.array(position, float), moment.t)
+                points = self._sketch.points(np.array(position, float), moment.t)
+                if np.abs(points - self._points).max() > SEEN:
+                    self._points = points
         hand = None if sight is None or sight.hand is None else np.round(sight.hand.points, 1).tolist()
         picture = None if sight is None or sight.picture is None else (sight.number, sight.picture)
         low, high = self._aim.box.T

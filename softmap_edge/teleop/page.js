@@ -141,7 +141,7 @@ setInterval(() => {
 
 // --- drawing ----------------------------------------------------------------------------
 
-let scheduled = false;
+let scheduled = false, drawnPoints = null, drawnLook = "";
 function schedule() { if (!scheduled) { scheduled = true; requestAnimationFrame(() => { scheduled = false; draw(); }); } }
 addEventListener("resize", schedule);
 
@@ -198,7 +198,8 @@ function draw() {
     : state && state.seen ? `index finger: forward ${state.seen[0].toFixed(2)}, aside ${state.seen[1].toFixed(2)} hand scales`
     : "Show one hand to the camera, the index finger stretched.";
   if (source === "hand") drawHand(); else drawPad();
-  drawFinger();
+  const look = `${level} ${$("body").clientWidth} ${$("body").clientHeight} ${devicePixelRatio}`;
+  if (points !== drawnPoints || look !== drawnLook) { drawFinger(); drawnPoints = points; drawnLook = look; }
   drawBars();
 }
 
@@ -305,7 +306,7 @@ function tipOf(all) {
 function keepTrail() {
   if (!points || !hello) return;
   const tip = tipOf(points);
-  $("tip").textContent = `tip ${tip.map(v => v.toFixed(1).padStart(6)).join("  ")} mm`;
+  $("tip").textContent = `tip ${tip.map(v => (Math.round(10 * v) / 10 + 0).toFixed(1)).join("  ")} mm`;
   trail.push(tip);
   if (trail.length > TRAIL) trail.shift();
 }
@@ -369,12 +370,14 @@ function mesh(c, place, axis) {
   const level = colour("level").match(/[0-9a-f]{2}/gi).map(v => parseInt(v, 16));
   const base = level.map((v, k) => 0.45 * v + 0.55 * [196, 204, 214][k]);
   const rest = hello.rest;
-  c.fillStyle = "#ffffff0d";
-  for (const triangle of hello.triangles) {
-    c.beginPath();
-    triangle.forEach((k, n) => c[n ? "lineTo" : "moveTo"](...place(rest[k])));
-    c.fill();
+  c.fillStyle = "#22272e";
+  c.beginPath();
+  for (const [i, j, k] of hello.triangles) {
+    const p = [place(rest[i]), place(rest[j]), place(rest[k])];
+    if ((p[1][0] - p[0][0]) * (p[2][1] - p[0][1]) < (p[1][1] - p[0][1]) * (p[2][0] - p[0][0])) p.reverse();   // one winding
+    p.forEach((one, n) => c[n ? "lineTo" : "moveTo"](...one));
   }
+  c.fill();
   for (const [i, j, k] of hello.triangles) {
     const p = [i, j, k].map(n => [points[3 * n], points[3 * n + 1], points[3 * n + 2]]);
     const a = p[1].map((v, d) => v - p[0][d]), b = p[2].map((v, d) => v - p[0][d]);

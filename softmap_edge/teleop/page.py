@@ -210,7 +210,7 @@ class Page:
         closed = importlib.import_module("websockets.exceptions").ConnectionClosed
         with contextlib.suppress(closed, OSError):
             connection.send(json.dumps({"hello": self._hello}))
-            sent = number = 0
+            sent, number, drawn = 0, -1, None
             while connection in self._pages:
                 begin = time.monotonic()
                 if self._view is not None and shown.number >= sent:  # it has drawn what it was sent
@@ -218,7 +218,8 @@ class Page:
                     sent += 1
                     seat = "mine" if self._driver is connection else "free" if self._driver is None else "taken"
                     state |= {"number": sent, "seat": seat, "knob": self._rest, "pages": len(self._pages)}
-                    if points is not None:
+                    if points is not None and points is not drawn:
+                        drawn = points
                         connection.send(struct.pack("<II", POINTS, sent) + points.astype("<f4").tobytes())
                     if picture is not None and picture[0] != number:
                         number = picture[0]
