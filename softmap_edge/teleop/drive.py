@@ -178,7 +178,7 @@ class Drive:
                 one.rest(self._knob(here))
         self._tell(report)
         if self._show is not None:
-            seen = None if self._smooth is None or lacking else self._smooth.x
+            seen = None if self._smooth is None or now - self._smooth.t > SEEN else self._smooth.x
             age = None if sight is None else now - sight.t
             led = self._led if self._clutch.stage == "driving" else None
             self._show(Moment(now, report, self._clutch, controls, sight, seen, here, led, age, lacking))

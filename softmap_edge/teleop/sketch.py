@@ -1,4 +1,4 @@
-"""The finger as the model predicts it from where the servos are, for a page to draw. Pinned by tests/test_sketch.py."""
+"""The finger as the model predicts it from where the servos are, for a page to draw. Pinned by tests/test_aim.py."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the guard does and why, as sentences for whoever drives. Pinned by tests/test_teleop_words.py."""
+"""What the guard does and why, as sentences for whoever drives. Pinned by tests/test_teleop_terminal.py."""
 
 from __future__ import annotations
 
