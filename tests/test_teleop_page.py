@@ -5,11 +5,12 @@ import json
 import re
 import shutil
 import signal
+import socket
 import struct
 import subprocess
 import sys
 import time
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,7 @@ class Client:
 
     def __init__(self, connection):
         self.connection, self.state = connection, {}
+        self.say()
 
     def say(self, held=False, knob=(0.0, 0.0), do=None, **changes):
         said = {
@@ -124,16 +126,16 @@ def test_another_origin_may_not_drive(origin):
             how["additional_headers"].pop("Origin")
         else:
             how["additional_headers"]["Origin"] = origin
-        with pytest.raises(InvalidStatus) as refused:
-            connect(**how)
+        with pytest.raises(InvalidStatus) as refused, connect(**how):
+            pass
         assert refused.value.response.status_code == 403
 
 
 def test_without_the_token_nobody_drives():
     with served() as page:
         for token in ("", "x" * 32, page.url.partition("#")[2][:-1]):
-            with pytest.raises(InvalidStatus) as refused:
-                connect(**link(page, token))
+            with pytest.raises(InvalidStatus) as refused, connect(**link(page, token)):
+                pass
             assert refused.value.response.status_code == 403
 
 
@@ -177,12 +179,10 @@ def test_the_key_is_held_only_while_it_is_said_again_and_again():
 
 
 def test_a_connection_that_is_lost_lets_go_at_once():
-    with served() as page:
-        connection = connect(**link(page))
+    with served() as page, connect(**link(page)) as connection:
         client = Client(connection)
-        client.say(False)
         client.until(lambda _: held(page), held=True)
-        connection.socket.close()
+        connection.socket.shutdown(socket.SHUT_RDWR)
         until(lambda: not held(page))
 
 
@@ -221,13 +221,12 @@ def test_numbers_that_are_none_or_beyond_the_range_lead_nowhere():
 
 
 def test_too_many_pages_and_a_busy_port_are_refused():
-    with served() as page:
-        open_ones = [connect(**link(page)) for _ in range(pages.MOST_PAGES)]
+    with served() as page, ExitStack() as stack:
+        for _ in range(pages.MOST_PAGES):
+            stack.enter_context(connect(**link(page)))
         with pytest.raises(InvalidStatus) as refused:
-            connect(**link(page))
+            stack.enter_context(connect(**link(page)))
         assert refused.value.response.status_code == 503
-        for one in open_ones:
-            one.close()
         with pytest.raises(TeleopError, match=r"page: 127\.0\.0\.1:\d+ cannot be used .*; give another --page"):
             Page(page.port)
     with pytest.raises(TeleopError, match="port 70000"):
@@ -294,19 +293,18 @@ def test_in_a_browser_space_drives_and_leaving_the_page_lets_go(tmp_path):
         page.on("console", lambda line: wrong.append(line.text) if line.type == "error" else None)
         page.goto(url)
         said = page.locator("#state")
-        wait = {"timeout": 1000 * PATIENT}
-        page.wait_for_function("document.querySelector('#state').textContent === 'Ready'", **wait)
+        shows = lambda text: until(lambda: said.text_content() == text)  # noqa: E731
         for let_go in (
             lambda: page.keyboard.up("Space"),
             lambda: page.evaluate("window.dispatchEvent(new Event('blur'))"),
             lambda: page.evaluate("document.dispatchEvent(new Event('visibilitychange'))"),
             lambda: page.keyboard.press("Escape"),
         ):
-            page.wait_for_function("document.querySelector('#state').textContent === 'Ready'", **wait)
+            shows("Ready")
             page.keyboard.down("Space")
-            page.wait_for_function("document.querySelector('#state').textContent === 'Driving'", **wait)
+            shows("Driving")
             let_go()
-            page.wait_for_function("document.querySelector('#state').textContent !== 'Driving'", **wait)
+            until(lambda: said.text_content() != "Driving")
             page.keyboard.up("Space")
         assert said.is_visible() and page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         page.set_viewport_size({"width": 390, "height": 844})
