@@ -75,7 +75,7 @@ def track(args: argparse.Namespace) -> int:
     calibration = whole.calibration or plain_map(whole, args.sim or args.plan)
     kinematics = Kinematics(model, axes=args.axes)
     tracked = None
-    with tempfile.TemporaryDirectory() as folder, _robot(args, whole, calibration) as (rig, limits, finger):
+    with tempfile.TemporaryDirectory() as folder, robot_of(args, whole, calibration) as (rig, limits, finger):
         servos = limits["servos"]
         planned = course(
             kinematics,
@@ -101,7 +101,7 @@ def track(args: argparse.Namespace) -> int:
 
 
 @contextlib.contextmanager
-def _robot(
+def robot_of(
     args: argparse.Namespace, model: Model, calibration: Calibration
 ) -> Iterator[tuple[Rig | None, dict[str, Any], EmulatedFinger | None]]:
     """Give rig, limits and, of an emulated robot, the finger."""

@@ -1,0 +1,112 @@
+"""Rows of teleoperation: from a picture of a hand to the period of the control loop whose target it first is.
+
+The whole chain on emulated servos: a video played at its own 30 pictures a second, MediaPipe, hand frame, filter, map,
+the loop's process; from when the picture is due to the `now` of the period that hears the command, by the recording.
+`python -m benches.teleop` runs it alone.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benches.data import find
+from softmap_edge.bundle import builtin_model
+from softmap_edge.errors import SoftmapError
+from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.finger import emulated_bench
+from softmap_edge.servo.recording import read_recording
+from softmap_edge.teleop.aim import Direct
+from softmap_edge.teleop.drive import Drive
+from softmap_edge.teleop.eyes import Eyes, camera_eyes
+from softmap_edge.teleop.hand import View
+from softmap_edge.teleop.keys import Controls
+from softmap_edge.ticks import Calibration
+
+MODELS = (Path.home() / ".cache/softmap-tests/hand_landmarker.task", None)  # of the tests; where --fetch-model puts it
+RATE = 100.0  # periods a second
+
+
+class Held:
+    """An input whose key is held once a hand was seen."""
+
+    name = "the benchmark"
+
+    def __init__(self, eyes: Eyes) -> None:
+        self._eyes = eyes
+
+    def controls(self, now: float) -> Controls:
+        return Controls(self._eyes.hands > 0, source="hand")
+
+    def asked(self) -> str | None:
+        return None
+
+    def rest(self, knob: tuple[float, float]) -> None:
+        return None
+
+
+def rows() -> list[dict[str, object]]:
+    """Return latency and count; a row that says why where video, model or mediapipe are absent."""
+    folder = find("hand")
+    if folder is None:
+        return [_row("teleoperation: not run, there is no hand.mp4", float("nan"), "", "")]
+    for model in MODELS:
+        try:
+            return measured(folder / "hand.mp4", model)
+        except SoftmapError as fault:
+            why = str(fault)
+    return [_row(f"teleoperation: not run ({why[:60]})", float("nan"), "", "")]
+
+
+def measured(video: Path, model: Path | None) -> list[dict[str, object]]:
+    """Drive the built-in finger by the hand of a video."""
+    finger = builtin_model()
+    scale, zero, home = np.eye(2) / 280.0, np.zeros(2), np.full(2, 2048.0)
+    error = dict.fromkeys(("command", "shape_mm", "matched_shape_mm"), 0.0)
+    calibration = Calibration(scale, zero, home, 0 * scale, zero, error, "bench", 0, 0, None)
+    kinematics, sent = Kinematics(finger), []
+    with tempfile.TemporaryDirectory() as folder:
+        record = Path(folder) / "teleop.mcap"
+        with (
+            emulated_bench(finger, calibration, rate=RATE) as (_, rig, limits, _),
+            Controller(rig, calibration, limits, kinematics=kinematics, record=record) as robot,
+            camera_eyes(video, model, View()) as eyes,
+        ):
+            drive = Drive(
+                robot, kinematics, Direct(kinematics), eyes, [Held(eyes)], rule="key",
+                sent=lambda t, u: sent.append((t, tuple(u))),
+            )  # fmt: skip
+            account = drive.run()
+        heard: dict[tuple[float, ...], list[float]] = {}
+        for period in read_recording(record).periods:
+            if period.get("command"):
+                heard.setdefault(tuple(period["command"]), []).append(period["now"] * 1e-9)
+    late = []
+    for taken, command in sent:
+        after = [now for now in heard.get(command, []) if now >= taken]
+        if after:
+            late.append(after[0] - taken)
+    ms = 1e3 * np.array(late)
+    name = f"camera to tick, {len(late)} pictures driven from"
+    return [
+        _row(f"{name}: median", float(np.median(ms)), "ms", "wanted ≤ 60"),
+        _row(f"{name}: p95", float(np.quantile(ms, 0.95)), "ms", "stated"),
+        _row(f"pictures with a hand, of {eyes.taken} seen; {account.ended[-30:]}", eyes.hands, "", "wanted ≥ 600"),
+        *[_row(f"driving ended: {why[:60]}", count, "", "0") for why, count in account.lost.items()],
+    ]
+
+
+def _row(name: str, value: float, unit: str, wanted: str) -> dict[str, object]:
+    return {"name": name, "value": value, "unit": unit, "wanted": wanted}
+
+
+if __name__ == "__main__":
+    begun = time.monotonic()
+    for row in rows():
+        print(f"{row['name']:<75} {row['value']:8.4g} {row['unit']:<3} {row['wanted']}")
+    print(f"{time.monotonic() - begun:.0f} s", file=sys.stderr)

@@ -1,0 +1,221 @@
+"""The verb that lets a hand drive, and what it needs: a model of hands, a key, landmarks sent to another computer."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from softmap_edge.bundle import builtin_model
+from softmap_edge.commands.output import check_file
+from softmap_edge.commands.own import open_model
+from softmap_edge.commands.track import plain_map, robot_of
+from softmap_edge.errors import SoftmapError, TeleopError
+from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.servo.controller import Controller
+from softmap_edge.teleop.aim import Aim, Direct, Tip
+from softmap_edge.teleop.drive import Drive
+from softmap_edge.teleop.eyes import CameraEyes, Eyes, FarEyes, NoEyes, camera_eyes
+from softmap_edge.teleop.far import send
+from softmap_edge.teleop.frames import UdpAddress, source
+from softmap_edge.teleop.gesture import Rule
+from softmap_edge.teleop.hand import HandMap, View
+from softmap_edge.teleop.keys import Input
+from softmap_edge.teleop.landmarks_udp import Receiver, Sender, new_key, read_key
+from softmap_edge.teleop.model_file import fetch_model
+from softmap_edge.teleop.moments import Shown
+from softmap_edge.teleop.page import PORT, Page
+from softmap_edge.teleop.sketch import Sketch
+from softmap_edge.teleop.terminal import HELP, Terminal
+
+DONE, FAULT = 0, 1
+RULES = {rule.replace(" ", "-"): rule for rule in get_args(Rule)}
+
+
+def teleop_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `teleop`."""
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--sim", action="store_true", help="an emulated robot: real packets, simulated finger")
+    what.add_argument("--rig", metavar="FILE.toml", help="the servos of this rig")
+    what.add_argument("--send", metavar="udp://HOST:PORT", help="drive nothing here: send landmarks and key there")
+    what.add_argument("--fetch-model", metavar="FROM", help="make the model of hands of mediapipe's wheel, or a copy")
+    what.add_argument("--new-key", metavar="FILE", help="make a key that both computers share")
+    parser.add_argument("--bundle", metavar="DIR", help="whose model and effects are used (the built-in finger)")
+    cameras = "a camera, a video, landmarks of another computer, or none: keys and mouse (none)"
+    parser.add_argument("--camera", default="none", metavar="N|FILE|udp://:PORT|none", help=cameras)
+    parser.add_argument("--model", metavar="FILE.task", help="the model of hands (where --fetch-model puts it)")
+    parser.add_argument("--key", metavar="FILE", help="the key of --send or --camera udp://")
+    parser.add_argument("--page", default=str(PORT), metavar="PORT|none", help=f"of the page; 0: any free ({PORT})")
+    parser.add_argument("--page-host", default="127.0.0.1", metavar="ADDRESS", help="where it listens (127.0.0.1)")
+    parser.add_argument("--tip", action="store_true", help="lead the tip in x and y, by inverse kinematics")
+    parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out")
+    parser.add_argument("--hand", default="any", choices=("any", "left", "right"), help="which hand drives (any)")
+    parser.add_argument("--mirrored", action="store_true", help="the camera gives mirror images")
+    parser.add_argument("--flip", default="", metavar="x,y", help="turn the hand's sideways (x) or forward (y) round")
+    reach = "hand scales for the end of the range ({:g},{:g})".format(*HandMap.reach)
+    parser.add_argument("--reach", default=HandMap.reach, type=_two, metavar="SIDE,FORWARD", help=reach)
+    parser.add_argument("--gesture", default="fist-releases", choices=RULES, help="beside the key (fist-releases)")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after this long")
+    parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
+    parser.add_argument("--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides")
+    parser.add_argument("--seed", type=int, default=0, help="--sim: of what is hidden and of noise")
+    parser.add_argument("--force", action="store_true", help="--fetch-model: replace the file that is there")
+    parser.set_defaults(plan=False)
+
+
+def teleop(args: argparse.Namespace) -> int:
+    """Drive by hand until the file, Ctrl-C, q or the loop ends it."""
+    if args.fetch_model:
+        made = fetch_model(args.fetch_model, args.model, force=args.force)
+        _print(args, {"model": str(made.path), "sha256": made.sha256, "known_as": made.known_as or None}, str(made))
+        return DONE
+    if args.new_key:
+        new_key(args.new_key)
+        said = f"{args.new_key}: a new key; copy it to the other computer, where only you can read it"
+        _print(args, {"key": args.new_key}, said)
+        return DONE
+    if args.seconds is not None and not 0 < args.seconds <= 1e6:
+        raise TeleopError(f"--seconds {args.seconds:g}; allowed is above 0, up to 1000000")
+    return _send(args) if args.send else _drive(args)
+
+
+def _drive(args: argparse.Namespace) -> int:
+    check_file("--record", args.record, ".mcap")
+    if args.record and Path(args.record).exists():
+        raise SoftmapError(f"--record {args.record}: it exists; give another name")
+    if args.hidden and not args.sim:
+        raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
+    whole = builtin_model() if args.bundle is None else open_model(args.bundle)
+    model = whole.with_effects([], np.zeros(0)) if args.no_effects else whole
+    calibration = whole.calibration or plain_map(whole, args.sim)
+    kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
+    aim: Aim = Tip(kinematics) if args.tip else Direct(kinematics)
+    flips = _flips(args.flip)
+    with contextlib.ExitStack() as stack:
+        eyes = stack.enter_context(_eyes(args, stack))
+        by_hand = not isinstance(eyes, NoEyes)
+        inputs: list[Input] = []
+        page = None
+        if args.page != "none":
+            page = stack.enter_context(Page(_port(args.page), args.page_host, "hand" if by_hand else "knob"))
+            inputs.append(page)
+        if isinstance(eyes, FarEyes):
+            inputs.append(eyes)
+        if sys.stdin.isatty():
+            inputs.append(stack.enter_context(Terminal("hand" if by_hand else "knob")))
+            _say(HELP)
+        if not inputs and args.seconds is None and not by_hand:
+            raise TeleopError("nothing can drive: no page, no terminal, no camera; leave --page none away")
+        rig, limits, _ = stack.enter_context(robot_of(args, whole, calibration))
+        assert rig is not None  # only a plan has none
+        robot = stack.enter_context(Controller(rig, calibration, limits, kinematics=kinematics, record=args.record))
+        show: Callable[[Any], None] | None = None
+        if page is not None:
+            about = {"source": "hand" if by_hand else "knob"}
+            shown = Shown(model, aim, eyes, Sketch(model, calibration), about)
+            page.shows(shown.hello, shown.view)
+            show = shown.take
+            _say(f"open {page.url}")
+        drive = Drive(
+            robot, kinematics, aim, eyes, inputs, reach=args.reach, flip=flips, rule=RULES[args.gesture],
+            stays=page is not None, show=show, say=_say,
+        )  # fmt: skip
+        account = drive.run(args.seconds)
+    told = {
+        "robot": model.robot,
+        "camera": eyes.name,
+        "aim": "tip" if args.tip else "direct",
+        "effects": list(model.chain_names),
+        "pictures": eyes.taken,
+        "hands": eyes.hands,
+        **account.to_dict(),
+        "command_age_us": robot.ended.get("command_age_us"),
+        "record": args.record,
+    }
+    _print(args, told, _text(told))
+    return FAULT if account.failed else DONE
+
+
+def _eyes(args: argparse.Namespace, stack: contextlib.ExitStack) -> Eyes:
+    view = View(args.hand, args.mirrored)
+    if args.camera == "none":
+        return NoEyes()
+    what = source(args.camera)
+    if isinstance(what, UdpAddress):
+        receiver = stack.enter_context(Receiver(what.host, what.port, _key(args, "--camera udp://")))
+        return FarEyes(receiver, view)
+    return camera_eyes(what, args.model, view)
+
+
+def _send(args: argparse.Namespace) -> int:
+    there = source(args.send)
+    if not isinstance(there, UdpAddress) or not there.host:
+        raise TeleopError(f"--send {args.send}: give udp://HOST:PORT")
+    what = source(args.camera) if args.camera != "none" else None
+    if what is None or isinstance(what, UdpAddress):
+        raise TeleopError(f"--send: --camera {args.camera} gives no pictures; give the number of a camera, or a video")
+    key = _key(args, "--send")
+    with contextlib.ExitStack() as stack:
+        eyes: CameraEyes = stack.enter_context(camera_eyes(what, args.model, View(args.hand, args.mirrored)))
+        sender = stack.enter_context(Sender(there.host, there.port, key))
+        terminal = stack.enter_context(Terminal("hand")) if sys.stdin.isatty() else None
+        if terminal is not None:
+            _say("hold Space to drive, q ends")
+        sent = send(eyes, sender, terminal, args.seconds, _say)
+    told = {"camera": eyes.name, "pictures": eyes.taken, "hands": eyes.hands, **sent.to_dict()}
+    _print(args, told, f"{eyes.taken} pictures, {eyes.hands} with a hand, {sent.sent} sent; {sent.ended}")
+    return FAULT if sent.failed else DONE
+
+
+def _key(args: argparse.Namespace, what: str) -> bytes:
+    if args.key is None:
+        raise TeleopError(f"{what} needs --key FILE, the same on both computers; --new-key FILE makes one")
+    return read_key(args.key)
+
+
+def _port(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) <= 5):
+        raise TeleopError(f"--page {text!r:.40}: give a port, 0 for any free one, or none")
+    return int(text)
+
+
+def _two(text: str) -> tuple[float, float]:
+    side, forward = (float(part) for part in text.split(","))
+    return side, forward
+
+
+def _flips(text: str) -> tuple[bool, bool]:
+    """Return which axes are turned round: as shipped a finger that points to its owner's right leads to the right."""
+    named = [part for part in text.split(",") if part]
+    if wrong := [part for part in named if part not in ("x", "y")]:
+        raise TeleopError(f"--flip {wrong[0]!r:.20}: there are x and y")
+    return "x" not in named, "y" in named
+
+
+def _say(line: str) -> None:
+    """Tell a line while it runs; standard output is for what came of it."""
+    print(line, file=sys.stderr, flush=True)
+
+
+def _print(args: argparse.Namespace, told: dict[str, Any], text: str) -> None:
+    print(json.dumps({"schema": "softmap.teleop/1", **told}) if args.json else text)
+
+
+def _text(told: dict[str, Any]) -> str:
+    lines = [f"driven for {told['driving_s']:.1f} s in {told['presses']} presses; ended: {told['ended']}"]
+    if told["pictures"]:
+        late = told["latency_ms"]
+        lines.append(f"{told['pictures']} pictures, {told['hands']} with a hand" + (
+            ", {median:.0f} ms from picture to command (median; 95 %: {p95:.0f})".format(**late) if late else ""
+        ))  # fmt: skip
+    lines += [f"driving ended {count} times: {why}" for why, count in told["lost"].items()]
+    lines.append("states: " + ", ".join(f"{state} {seconds:.1f} s" for state, seconds in told["states_s"].items()))
+    if told["record"]:
+        lines.append(f"{told['record']}: written")
+    return "\n".join(lines)

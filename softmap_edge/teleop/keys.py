@@ -1,0 +1,109 @@
+"""The deadman's keys: one that is heard of again and again, one that only repeats, and who of several holds.
+
+What is heard of less often than every LAPSE counts as let go, and must then be let go and pressed anew: a page or a
+computer that comes back after a silence with its key down does not go on by itself. Pinned by tests/test_clutch.py.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+Source = Literal["hand", "knob"]
+
+LAPSE = 0.25  # s without a word, after which a key counts as let go: the guard's own limit for commands
+FIRST, REPEAT = 0.7, 0.2  # s until a keyboard's first repetition of a key (0.25 to 0.66), and between two (0.03 to 0.1)
+
+
+class HeldKey:
+    """A key whose state is told again and again (`say`), by another thread perhaps."""
+
+    def __init__(self, lapse: float = LAPSE) -> None:
+        self._lapse, self._last, self._down = lapse, float("-inf"), False
+        self._must_let_go = True  # who comes with the key down has not pressed it for us
+        self._lock = threading.Lock()
+
+    def say(self, down: bool, now: float) -> None:
+        """Tell whether it is down at `now` s, a steady clock."""
+        with self._lock:
+            silent = now - self._last > self._lapse
+            self._must_let_go = down and (self._must_let_go or silent)
+            self._down, self._last = down, max(self._last, now)
+
+    def held(self, now: float) -> bool:
+        """Return whether it is held at `now` s."""
+        with self._lock:
+            return self._down and not self._must_let_go and now - self._last <= self._lapse
+
+
+class RepeatedKey:
+    """A key of a terminal, which tells nothing but repetitions: it counts as let go when none came in time."""
+
+    def __init__(self) -> None:
+        self._since = self._last = float("-inf")
+
+    def press(self, now: float) -> None:
+        """Tell that the key, or a repetition of it, came at `now` s."""
+        if not self.held(now):
+            self._since = now
+        self._last = now
+
+    def let_go(self) -> None:
+        """Count it as let go, whatever comes."""
+        self._since = self._last = float("-inf")
+
+    def held(self, now: float) -> bool:
+        """Return whether it is held at `now` s."""
+        return now - self._last <= (FIRST if self._last == self._since else REPEAT)
+
+
+@dataclass(frozen=True)
+class Controls:
+    """What an operator does: whether the key is held, where the knob is (right, up; -1 to 1 of the range), and which of
+    hand and knob is to drive."""
+
+    held: bool = False
+    knob: tuple[float, float] = (0.0, 0.0)
+    source: Source = "knob"
+
+
+class Input(Protocol):
+    """Somewhere an operator's controls come from: a page, a terminal, another computer."""
+
+    name: str
+
+    def controls(self, now: float) -> Controls:
+        """Return what the operator does at `now` s; it is asked often, and must not wait."""
+        ...
+
+    def asked(self) -> str | None:
+        """Return what was asked for since the last call: `stop`, `emergency`, `acknowledge` or `end`."""
+        ...
+
+    def rest(self, knob: tuple[float, float]) -> None:
+        """Hear where the finger is while nothing is driven, so that the knob begins there."""
+        ...
+
+
+GRAVEST = ("emergency", "stop", "end", "acknowledge")
+
+
+class Wish:
+    """A slot for what was asked for: of several the gravest stays, none is queued."""
+
+    def __init__(self) -> None:
+        self._wish: str | None = None
+        self._lock = threading.Lock()
+
+    def ask(self, wish: str) -> None:
+        """Ask for one of GRAVEST."""
+        with self._lock:
+            if self._wish is None or GRAVEST.index(wish) < GRAVEST.index(self._wish):
+                self._wish = wish
+
+    def take(self) -> str | None:
+        """Return what was asked for, and forget it."""
+        with self._lock:
+            wish, self._wish = self._wish, None
+        return wish

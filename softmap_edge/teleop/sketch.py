@@ -1,0 +1,47 @@
+"""The finger as the model predicts it from where the servos are, for a page to draw. Pinned by tests/test_aim.py."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.model import Model
+from softmap_edge.ticks import Calibration
+
+Floats = NDArray[np.float64]
+
+LONGEST = 0.5  # s between two looks: after more the effects begin anew, at rest
+
+
+class Sketch:
+    """The points of a model's finger, through its effects, as servos turn.
+
+    Args:
+        model: with its effects, hanging as it does, unloaded. calibration: ticks to commands.
+    """
+
+    def __init__(self, model: Model, calibration: Calibration) -> None:
+        self._model, self._map = model, calibration
+        self._low, self._high = np.asarray(model.command_range, float).T
+        self._shape = model.points.still(model.chain, model.chain_params, model.gravity_reference)
+        self._state: Floats | None = None
+        self._last = 0.0
+
+    def points(self, position: Floats, now: float) -> Floats:
+        """Return the points (N, 3) mm with servos at `position` (C,) ticks at `now` s, a steady clock."""
+        u = self._map.commands(position[None])[0]
+        model, dt = self._model, now - self._last
+        self._last = now
+        if not model.chain_names:
+            return self.at(u)
+        if self._state is None or not 0 < dt <= LONGEST:
+            self._state, dt = model.chain.init(model.chain_params, u), 1e-3
+        acting, self._state = model.chain.step(
+            model.chain_params, self._state, u, dt, now, gravity=model.gravity_reference, load=0.0
+        )
+        return self.at(acting)
+
+    def at(self, acting: Floats) -> Floats:
+        """Return the points (N, 3) mm where `acting` (C,) mm acts, within the model's range."""
+        inside = np.clip(acting, self._low, self._high)
+        return np.asarray(self._shape.evaluate(inside[None])).reshape(-1, 3)

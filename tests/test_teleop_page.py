@@ -1,0 +1,337 @@
+"""The page: who may connect, one driver, a key that lapses; by a plain client, and in a browser where there is one."""
+
+import http.client
+import json
+import re
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from softmap_edge.errors import TeleopError
+from softmap_edge.teleop import page as pages
+from softmap_edge.teleop.page import Page
+
+PATIENT = 20.0  # s: a busy machine
+CHROMIUM = next((found for name in ("chromium", "chromium-browser") if (found := shutil.which(name))), None)
+STATE = {"t": 1.0, "level": "ready", "said": "Ready"}
+
+
+@contextmanager
+def served():
+    """Give a page that shows one state."""
+    with Page(0) as page:
+        page.shows({"schema": "softmap.teleop.page/1"}, lambda: (dict(STATE), None, None))
+        yield page
+
+
+def link(page, token=None, **headers):
+    """Return what `connect` takes for this page."""
+    here = f"127.0.0.1:{page.port}"
+    token = page.url.partition("#")[2] if token is None else token
+    headers = {"Origin": f"http://{here}"} | headers
+    return {"uri": f"ws://{here}/drive?token={token}", "additional_headers": headers, "max_size": 1 << 22}
+
+
+class Client:
+    """A page's side of the connection."""
+
+    def __init__(self, connection):
+        self.connection, self.state = connection, {}
+        self.say()
+
+    def say(self, held=False, knob=(0.0, 0.0), do=None, **changes):
+        said = {
+            "t": time.monotonic(),
+            "held": held,
+            "source": "knob",
+            "knob": knob,
+            "shown": self.state.get("number", 0),
+        }
+        self.connection.send(json.dumps(said | ({"do": do} if do else {}) | changes))
+
+    def hear(self):
+        """Return the newest state."""
+        with suppress(TimeoutError):
+            while True:
+                told = self.connection.recv(0.02)
+                if isinstance(told, str) and "hello" not in json.loads(told):
+                    self.state = json.loads(told)
+        return self.state
+
+    def until(self, what, held=False, knob=(0.0, 0.0)):
+        """Say the same again and again until the state is so."""
+        begin = time.monotonic()
+        while not what(self.hear()):
+            assert time.monotonic() - begin < PATIENT, self.state
+            self.say(held, knob)
+
+
+def until(what):
+    begin = time.monotonic()
+    while not what():
+        assert time.monotonic() - begin < PATIENT
+        time.sleep(0.005)
+
+
+def get(page, path="/", host=None):
+    asked = http.client.HTTPConnection("127.0.0.1", page.port, timeout=PATIENT)
+    asked.putrequest("GET", path, skip_host=True)
+    for one in [f"127.0.0.1:{page.port}"] if host is None else host:
+        asked.putheader("Host", one)
+    asked.endheaders()
+    answer = asked.getresponse()
+    body = answer.read()
+    asked.close()
+    return answer, body
+
+
+def test_everything_is_served_from_the_package_under_a_strict_policy():
+    with served() as page:
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/#[\w-]{32}", page.url)
+        for path, kind in (("/", "text/html"), ("/page.js", "text/javascript"), ("/page.css", "text/css")):
+            answer, body = get(page, path)
+            assert answer.status == 200 and answer.headers["Content-Type"].startswith(kind)
+            policy = answer.headers["Content-Security-Policy"]
+            assert "default-src 'none'" in policy and "unsafe" not in policy and "frame-ancestors 'none'" in policy
+            assert answer.headers["X-Frame-Options"] == "DENY" and answer.headers["Referrer-Policy"] == "no-referrer"
+            assert not re.search(rb"(src|href|from|import|url\()\W*https?:", body), "nothing comes from elsewhere"
+            assert page.url.partition("#")[2].encode() not in body, "the token is in the link alone"
+        assert get(page, "/../page.py")[0].status == 404 and get(page, "/page.js?x")[0].status == 404
+
+
+def test_a_name_bent_to_this_computer_is_refused():
+    with served() as page:
+        for host in (["evil.example"], [f"evil.example:{page.port}"], ["127.0.0.1:1"], [], ["127.0.0.1"],
+                     [f"127.0.0.1:{page.port}", "evil.example"]):  # fmt: skip
+            assert get(page, host=host)[0].status == 421, host
+        for host in (f"localhost:{page.port}", f"[::1]:{page.port}"):
+            assert get(page, host=[host])[0].status == 200
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1", None])
+def test_another_origin_may_not_drive(origin):
+    with served() as page:
+        how = link(page)
+        if origin is None:
+            how["additional_headers"].pop("Origin")
+        else:
+            how["additional_headers"]["Origin"] = origin
+        with pytest.raises(InvalidStatus) as refused, connect(**how):
+            pass
+        assert refused.value.response.status_code == 403
+
+
+def test_without_the_token_nobody_drives():
+    with served() as page:
+        for token in ("", "x" * 32, page.url.partition("#")[2][:-1]):
+            with pytest.raises(InvalidStatus) as refused, connect(**link(page, token)):
+                pass
+            assert refused.value.response.status_code == 403
+
+
+def test_one_page_drives_and_others_watch_and_may_stop():
+    with served() as page, connect(**link(page)) as first, connect(**link(page)) as second:
+        driver, watcher = Client(first), Client(second)
+        driver.until(lambda state: state.get("seat") == "mine")
+        watcher.until(lambda state: state.get("seat") == "taken")
+        watcher.say(False)
+        watcher.say(True, (0.5, 0.5))
+        watcher.say(do="take")
+        time.sleep(0.1)
+        assert not page.controls(time.monotonic()).held and page.controls(0.0).knob == (0.0, 0.0)
+        watcher.say(do="stop")
+        until(lambda: page.asked() == "stop")
+        first.close()
+        watcher.until(lambda state: state.get("seat") == "free")
+        watcher.say(do="take")
+        watcher.until(lambda state: state.get("seat") == "mine")
+
+
+def held(page):
+    return page.controls(time.monotonic()).held
+
+
+def test_the_key_is_held_only_while_it_is_said_again_and_again():
+    with served() as page, connect(**link(page)) as connection:
+        client = Client(connection)
+        client.until(lambda state: held(page) is False and state.get("seat") == "mine")
+        client.until(lambda _: held(page), held=True)
+        until(lambda: not held(page))
+        client.until(lambda _: True, held=True)
+        for _ in range(5):
+            client.say(True)
+            time.sleep(0.02)
+        assert not held(page), "back from a silence it must be pressed anew"
+        client.say(False)
+        client.until(lambda _: held(page), held=True)
+        client.say(False)
+        until(lambda: not held(page))
+
+
+def test_a_connection_that_is_lost_lets_go_at_once():
+    with served() as page, connect(**link(page)) as connection:
+        client = Client(connection)
+        client.until(lambda _: held(page), held=True)
+        connection.socket.shutdown(socket.SHUT_RDWR)
+        until(lambda: not held(page))
+
+
+def test_an_old_message_tells_nothing_of_now():
+    with served() as page, connect(**link(page)) as connection:
+        client = Client(connection)
+        for _ in range(3):
+            client.say(False)
+        time.sleep(0.05)
+        client.say(True, t=time.monotonic() - 2.0)
+        time.sleep(0.1)
+        assert not held(page)
+
+
+@pytest.mark.parametrize(
+    "said",
+    ["", "[]", "{}", "null", "[" * 900, b"\x00", '{"t": NaN}', "x" * 5000]
+    + [json.dumps({"t": 0.0, "held": False, "source": "knob", "knob": [0.0, 0.0], "shown": 0} | change)
+       for change in ({"t": 1e300}, {"held": 1}, {"knob": [0.0]}, {"knob": ["a", 0]}, {"source": "nose"}, {"shown": -1},
+                      {"do": "fly"}, {"do": []}, {"t": True})],
+)  # fmt: skip
+def test_what_is_no_message_ends_the_connection_and_drives_nothing(said):
+    with served() as page, connect(**link(page)) as connection:
+        connection.send(said)
+        with pytest.raises(ConnectionClosed):
+            while True:
+                connection.recv(PATIENT)
+        assert not held(page) and page.asked() is None
+
+
+def test_numbers_that_are_none_or_beyond_the_range_lead_nowhere():
+    ours = {"t": 0.0, "held": True, "source": "knob", "shown": 0}
+    for text in ("[NaN, 0]", "[1e999, 0]", "[Infinity, 0]"):
+        assert pages._read(json.dumps(ours)[:-1] + f', "knob": {text}}}') is None
+    assert pages._read(json.dumps(ours | {"knob": [7.0, -7.0]}))["knob"] == (1.0, -1.0)
+
+
+def test_too_many_pages_and_a_busy_port_are_refused():
+    with served() as page, ExitStack() as stack:
+        for _ in range(pages.MOST_PAGES):
+            stack.enter_context(connect(**link(page)))
+        with pytest.raises(InvalidStatus) as refused:
+            stack.enter_context(connect(**link(page)))
+        assert refused.value.response.status_code == 503
+        with pytest.raises(TeleopError, match=r"page: 127\.0\.0\.1:\d+ cannot be used .*; give another --page"):
+            Page(page.port)
+    with pytest.raises(TeleopError, match="port 70000"):
+        Page(70_000)
+
+
+def test_without_websockets_the_install_line_is_told(monkeypatch):
+    monkeypatch.setitem(sys.modules, "websockets.sync.server", None)
+    with pytest.raises(TeleopError, match="websockets is not installed; run .* --page none"):
+        Page(0)
+
+
+@contextmanager
+def verb(*options):
+    """Run `softmap teleop --sim`; gives the process and the link of its page."""
+    code = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from softmap_edge.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    words = [sys.executable, "-c", code, "teleop", "--sim", "--page", "0", "--json", *options]
+    program = subprocess.Popen(
+        words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        url = next(m[1] for line in program.stderr if (m := re.match(r"open (\S+)", line)))
+        yield program, url
+    finally:
+        program.kill()
+        program.communicate()
+
+
+def ended(program):
+    """Interrupt it; its document."""
+    program.send_signal(signal.SIGINT)
+    said, _ = program.communicate(timeout=60)
+    assert program.returncode == 0
+    return json.loads(said)
+
+
+def test_the_verb_is_driven_by_its_page():
+    with verb() as (program, url):
+        port, token = re.match(r"http://127\.0\.0\.1:(\d+)/#(.*)", url).groups()
+        here = f"127.0.0.1:{port}"
+        with connect(f"ws://{here}/drive?token={token}", additional_headers={"Origin": f"http://{here}"}) as connection:
+            client = Client(connection)
+            client.until(lambda state: state.get("state") == "ready")
+            client.until(lambda state: state.get("stage") == "driving", held=True)
+            client.until(lambda state: state["here"][0] > 1.9, held=True, knob=(0.125, 0.0))
+            client.until(lambda state: state["state"] == "hold")
+            client.until(lambda state: state["state"] == "ready")
+            told = ended(program)
+    assert told["schema"] == "softmap.teleop/1" and told["presses"] >= 1 and told["ended"] == "interrupted"
+    assert told["driving_s"] > 0 and told["states_s"]["engaged"] > 0 and told["pictures"] == 0
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="not run: there is no chromium here")
+def test_in_a_browser_space_drives_and_leaving_the_page_lets_go(tmp_path):
+    browser = pytest.importorskip("playwright.sync_api", reason="not run: playwright is not installed")
+    with verb() as (program, url), browser.sync_playwright() as p:
+        chromium = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = chromium.new_page(viewport={"width": 1280, "height": 800})
+        wrong = []
+        page.on("pageerror", lambda fault: wrong.append(str(fault)))
+        page.on("console", lambda line: wrong.append(line.text) if line.type == "error" else None)
+        page.goto(url)
+        said = page.locator("#state")
+        shows = lambda text: until(lambda: said.text_content() == text)  # noqa: E731
+        for let_go in (
+            lambda: page.keyboard.up("Space"),
+            lambda: page.evaluate("window.dispatchEvent(new Event('blur'))"),
+            lambda: page.evaluate("document.dispatchEvent(new Event('visibilitychange'))"),
+            lambda: page.keyboard.press("Escape"),
+        ):
+            shows("Ready")
+            page.keyboard.down("Space")
+            shows("Driving")
+            let_go()
+            until(lambda: said.text_content() != "Driving")
+            page.keyboard.up("Space")
+        assert said.is_visible() and page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        page.set_viewport_size({"width": 390, "height": 844})
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert page.locator("#hold").bounding_box()["y"] < 844, "the button is in sight on a phone"
+        page.goto("about:blank")
+        chromium.close()
+        told = ended(program)
+    assert told["presses"] == 4 and not wrong
+
+
+def test_binary_messages_are_points_and_pictures():
+    """As page.js reads them: kind, number, then float32 or a JPEG."""
+    import numpy as np
+
+    picture = np.zeros((48, 64, 3), np.uint8)
+    points = np.arange(6.0).reshape(2, 3)
+    with Page(0) as page:
+        page.shows({}, lambda: (dict(STATE), points, (0, picture)))
+        with connect(**link(page)) as connection:
+            got = [connection.recv(PATIENT) for _ in range(4)]
+    assert struct.unpack("<II", got[1][:8]) == (pages.POINTS, 1)
+    np.testing.assert_allclose(np.frombuffer(got[1][8:], "<f4"), np.arange(6.0))
+    assert struct.unpack("<II", got[2][:8]) == (pages.PICTURE, 1) and got[2][8:10] == b"\xff\xd8"
+    assert json.loads(got[3])["number"] == 1
+
+
+def test_the_pages_files_are_where_they_are_served_from():
+    folder = Path(pages.__file__).parent
+    assert all((folder / name).is_file() for name, _ in pages.SERVED.values())
