@@ -216,6 +216,8 @@ struct Search<'a> {
     tip: Distance,
     gradient: Vec<f64>,
     normal: Vec<f64>,
+    /// Both at a trial.
+    next: (Vec<f64>, Vec<f64>),
     system: Vec<f64>,
     trial: Vec<f64>,
     free: Vec<usize>,
@@ -229,6 +231,7 @@ impl Search<'_> {
             tip: reach.tip(),
             gradient: vec![0.0; channels],
             normal: vec![0.0; channels * channels],
+            next: (vec![0.0; channels], vec![0.0; channels * channels]),
             system: vec![0.0; channels * (channels + 1)],
             trial: vec![0.0; channels],
             free: vec![],
@@ -253,6 +256,7 @@ impl Search<'_> {
             std::mem::take(&mut self.gradient),
             std::mem::take(&mut self.normal),
         );
+        let mut next = std::mem::take(&mut self.next);
         let mut now = self.tip.with_slopes(&u, target, &mut gradient, &mut normal);
         let mut place = self.tip.place;
         let largest = |normal: &[f64]| {
@@ -279,7 +283,10 @@ impl Search<'_> {
                     -moved(a) * (2.0 * gradient[a] + bent)
                 })
                 .sum();
-            let there = self.tip.at(&self.trial, target);
+            // With slopes at once: most trials are taken, and a pass that reads a network's weights gives both.
+            let there =
+                self.tip
+                    .with_slopes(&self.trial, target, &mut next.0, &mut next.1);
             if there < now {
                 let gain = if promised > 0.0 {
                     (now - there) / promised
@@ -289,9 +296,13 @@ impl Search<'_> {
                 damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(1.0 / 3.0, 2.0);
                 growth = 2.0;
                 u.copy_from_slice(&self.trial);
-                now = self.tip.with_slopes(&u, target, &mut gradient, &mut normal);
+                (now, (gradient, normal), next) = (there, next, (gradient, normal));
                 place = self.tip.place;
             } else {
+                // There already, and no nearer: what is left is the round-off of a model in single precision.
+                if now.sqrt() <= REACHED {
+                    break;
+                }
                 damping *= growth;
                 growth *= 2.0;
                 if damping > 1e12 * largest(&normal).max(1e-12) {
@@ -299,7 +310,7 @@ impl Search<'_> {
                 }
             }
         }
-        (self.gradient, self.normal) = (gradient, normal);
+        (self.gradient, self.normal, self.next) = (gradient, normal, next);
         Found {
             u,
             place,
