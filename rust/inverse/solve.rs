@@ -16,8 +16,12 @@ use std::sync::Arc;
 
 /// mm below which a place is reached: a tick of a servo moves a tip by more than a hundred times as much.
 pub const REACHED: f64 = 1e-4;
-/// mm at which a search ends, of the distance and of a step.
+/// mm at which a search ends: the distance, which in single precision is known to some 1e-5, and a step.
+const NEAR: f64 = 1e-5;
 const CLOSE: f64 = 1e-6;
+/// Damping at which a search begins, as a share of the largest slope: anew, and from the waypoint before.
+const ANEW: f64 = 1e-3;
+const WARM: f64 = 1e-6;
 const ROUNDS: usize = 60;
 /// Starts of a search that begins anew, and how far apart they are, as a share of the ranges.
 const STARTS: usize = 8;
@@ -114,8 +118,12 @@ impl Reach {
 
     /// What must act so that the tip is nearest to `target`, a single point, or one that follows `from`.
     pub fn solve(&self, target: &[f64; PLACE], from: Option<&[f64]>) -> Found {
-        let mut search = Search::new(self);
-        let mut best: Option<Found> = from.map(|u| search.from(u, target));
+        self.search(&mut Search::new(self), target, from)
+    }
+
+    fn search(&self, search: &mut Search, target: &[f64; PLACE], from: Option<&[f64]>) -> Found {
+        let before = search.tip.asked;
+        let mut best: Option<Found> = from.map(|u| search.from(u, target, WARM));
         let reached = |best: &Option<Found>| best.as_ref().is_some_and(|b| b.distance <= REACHED);
         let starts = if reached(&best) {
             vec![]
@@ -123,7 +131,7 @@ impl Reach {
             self.starts(target)
         };
         for start in starts {
-            let found = search.from(&start, target);
+            let found = search.from(&start, target, ANEW);
             // A waypoint leaves its branch for what is really nearer, not for a tie.
             if best
                 .as_ref()
@@ -136,17 +144,18 @@ impl Reach {
             }
         }
         let mut best = best.unwrap_or_else(|| unreachable!("there is always a start"));
-        best.asked = search.tip.asked;
+        best.asked = search.tip.asked - before;
         best
     }
 
     /// The same for one target after the other (T, 3), each from where the last one was found.
     pub fn path(&self, targets: &[f64], from: Option<&[f64]>) -> Vec<Found> {
         let mut found: Vec<Found> = Vec::with_capacity(targets.len() / PLACE);
+        let mut search = Search::new(self);
         for target in targets.chunks_exact(PLACE) {
             let target = &[target[0], target[1], target[2]];
             let before = found.last().map(|last| last.u.clone());
-            found.push(self.solve(target, before.as_deref().or(from)));
+            found.push(self.search(&mut search, target, before.as_deref().or(from)));
         }
         found
     }
@@ -238,7 +247,7 @@ impl Search<'_> {
         }
     }
 
-    fn from(&mut self, start: &[f64], target: &[f64; PLACE]) -> Found {
+    fn from(&mut self, start: &[f64], target: &[f64; PLACE], share: f64) -> Found {
         let channels = self.reach.channels();
         let bounds = self.reach.low.iter().zip(&self.reach.high);
         let mut u: Vec<f64> = start
@@ -264,9 +273,9 @@ impl Search<'_> {
                 .map(|c| normal[c * channels + c])
                 .fold(0.0, f64::max)
         };
-        let (mut damping, mut growth) = (1e-3 * largest(&normal).max(1e-12), 2.0);
+        let (mut damping, mut growth) = (share * largest(&normal).max(1e-12), 2.0);
         for _ in 0..ROUNDS {
-            if now.sqrt() <= CLOSE || !self.step(&u, &gradient, &normal, damping) {
+            if now.sqrt() <= NEAR || !self.step(&u, &gradient, &normal, damping) {
                 break;
             }
             let moved = |c: usize| self.trial[c] - u[c];
@@ -284,9 +293,9 @@ impl Search<'_> {
                 })
                 .sum();
             // With slopes at once: most trials are taken, and a pass that reads a network's weights gives both.
-            let there =
-                self.tip
-                    .with_slopes(&self.trial, target, &mut next.0, &mut next.1);
+            let there = self
+                .tip
+                .with_slopes(&self.trial, target, &mut next.0, &mut next.1);
             if there < now {
                 let gain = if promised > 0.0 {
                     (now - there) / promised
