@@ -8,7 +8,8 @@ template.npz    rest points, triangles, tip, per-feature form error; section, al
 fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands; `second_…`
                 what loads do beyond
 effects.json    the chain: names and parameters
-prior.onnx      a trained prior; `prior.npz` then holds how its tendons pull
+prior.onnx      a trained prior; `prior.npz` then holds how its tendons pull. A graph that only onnxruntime reads
+                becomes a table of what that makes of it (`network.elsewhere`)
 residual.npz    what was learned on top of the prior (`softmap adapt`), if anything: as a scattered family, or as
 residual.onnx   a network
 NAME_step       beside an array of whole numbers NAME in an archive: NAME counts these steps
@@ -225,9 +226,10 @@ def _named(manifest: dict[str, Any]) -> list[str]:
     return [name for name in _PERHAPS if name in manifest["sha256"]]
 
 
-def _arrays(folder: Path, manifest: dict[str, Any]) -> dict[str, Arrays]:
-    """Read the archives of a bundle; only finite numbers of a plausible size, which also keeps overflow out later."""
+def _arrays(folder: Path, manifest: dict[str, Any]) -> tuple[dict[str, Arrays], dict[str, Any]]:
+    """Read the archives of a bundle, and what is said of graphs that became tables of it; only finite numbers of a plausible size, which also keeps overflow out later."""
     learned = _named(manifest)
+    foreign: dict[str, Any] = {}
     files = ["prior.npz", "fields.npz", "template.npz", *(name for name in learned if name.endswith(".npz"))]
     arrays = {file.removesuffix(".npz"): read_npz(folder / file, BundleError, _MAX_BYTES) for file in files}
     for name, group in arrays.items():
@@ -244,16 +246,19 @@ def _arrays(folder: Path, manifest: dict[str, Any]) -> dict[str, Arrays]:
                 raise BundleError(f"{folder.name}: {name}.npz: '{key}' holds {array.dtype}, expected whole numbers")
     between = np.array(manifest["command_range"], float).reshape(-1, 2)
     for file in (name for name in learned if name.endswith(".onnx")):
-        content, _ = read_network(folder / file, between)
-        arrays.setdefault(file.removesuffix(".onnx"), {})["onnx"] = np.frombuffer(content, np.uint8)
-    return arrays
+        group = arrays.setdefault(file.removesuffix(".onnx"), {})
+        found, said = read_network(folder / file, between, group)
+        group |= found
+        if said is not None:
+            foreign[file.removesuffix(".onnx")] = said
+    return arrays, foreign
 
 
 def _model(folder: Path, manifest: dict[str, Any]) -> Model:
-    arrays = _arrays(folder, manifest)
+    arrays, foreign = _arrays(folder, manifest)
     template = arrays["template"]
     if manifest["kind"] != "rod":
-        if (manifest["kind"] == "network") != ("onnx" in arrays["prior"]):
+        if (manifest["kind"] == "network") != ("prior.onnx" in _named(manifest)):
             raise BundleError(f"{folder.name}: a prior.onnx goes with the kind network, not with {manifest['kind']}")
         prior: Any = family_from(arrays["prior"])
         fields = fields_from(arrays["fields"])
@@ -278,8 +283,10 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     for name, index in (("triangles", triangles), ("tip", tip)):
         if index.size and not 0 <= index.min() <= index.max() < len(rest):
             raise BundleError(f"{folder.name}: template '{name}' points outside its {len(rest)} vertices")
+    apart = foreign["prior"]["table_off_mm"] if "prior" in foreign else 0.0
+    made_from = _made_from(manifest) | ({"through_onnxruntime": foreign} if foreign else {})
     model = Model(
-        kind=manifest["kind"],
+        kind="table" if "prior" in foreign else manifest["kind"],
         prior=prior,
         fields=fields,
         cables=cables,
@@ -287,7 +294,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         rest=rest,
         triangles=triangles,
         form_error=np.asarray(template["form_error_mm"], float),
-        vertex_error_mm=float(manifest["held_out_error_mm"]),
+        vertex_error_mm=float(np.hypot(manifest["held_out_error_mm"], apart)),
         error_per_g_mm=float(manifest.get("held_out_error_per_g_mm", 0.0)),
         tip_indices=tip,
         gravity_reference=np.array(manifest["gravity_reference"], float),
@@ -295,7 +302,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         robot=manifest["robot"],
         command_unit=str(manifest.get("command_unit", "mm")),
         input=str(manifest.get("input", "present")),
-        made_from=_made_from(manifest),
+        made_from=made_from,
         body=body,
         handles=_handles(folder, template["handles"], len(rest)) if "handles" in template else None,
         calibration=_calibration(folder, manifest),
@@ -314,7 +321,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     model = model.with_effects(names, params)
     if "residual" not in arrays:
         return model
-    return replace(model.with_residual(arrays["residual"]), made_from=_made_from(manifest))
+    return replace(model.with_residual(arrays["residual"]), made_from=made_from)
 
 
 def _calibration(folder: Path, manifest: dict[str, Any]) -> Calibration | None:

@@ -162,7 +162,7 @@ def test_the_verb_trains_both_and_says_what_was_reached(taught, tmp_path, capsys
     [
         (["linear", "--epochs", "5"], "--epochs: 'linear' is fitted at once"),
         (["gp", "--work", "w", "--tensorboard"], "--work, --tensorboard: 'gp'"),
-        (["deepsoro"], "no vertices"),
+        (["deepsoro", "--tensorboard"], "trained on the processor"),
     ],
 )
 def test_what_a_prior_does_not_use_is_refused_before_the_work(argv, says, capsys, tmp_path):

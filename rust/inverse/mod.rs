@@ -19,6 +19,8 @@ pub struct Distance {
     axes: [bool; PLACE],
     place: [f64; PLACE],
     slopes: Vec<f64>,
+    /// Where both were asked last; NaN where they were not.
+    known: Vec<f64>,
     work: Work,
     /// How often the tip was asked.
     pub asked: usize,
@@ -28,6 +30,7 @@ impl Distance {
     fn new(shape: Arc<dyn Shape>, axes: [bool; PLACE]) -> Distance {
         Distance {
             slopes: vec![0.0; PLACE * shape.channels()],
+            known: vec![f64::NAN; shape.channels()],
             shape,
             axes,
             place: [0.0; PLACE],
@@ -49,6 +52,7 @@ impl Distance {
     /// At the command `u`.
     pub fn at(&mut self, u: &[f64], target: &[f64; PLACE]) -> f64 {
         self.asked += 1;
+        self.known.fill(f64::NAN);
         self.shape.eval(u, &mut self.place);
         self.apart(target).iter().map(|d| d * d).sum()
     }
@@ -61,9 +65,12 @@ impl Distance {
         gradient: &mut [f64],
         normal: &mut [f64],
     ) -> f64 {
-        self.asked += 1;
-        self.shape
-            .with_slopes(u, &mut self.place, &mut self.slopes, &mut self.work);
+        if self.known != u {
+            self.asked += 1;
+            self.known.copy_from_slice(u);
+            self.shape
+                .with_slopes(u, &mut self.place, &mut self.slopes, &mut self.work);
+        }
         let (apart, channels) = (self.apart(target), u.len());
         gradient.fill(0.0);
         normal.fill(0.0);

@@ -16,8 +16,12 @@ use std::sync::Arc;
 
 /// mm below which a place is reached: a tick of a servo moves a tip by more than a hundred times as much.
 pub const REACHED: f64 = 1e-4;
-/// mm at which a search ends, of the distance and of a step.
+/// mm at which a search ends: the distance, which in single precision is known to some 1e-5, and a step.
+const NEAR: f64 = 1e-5;
 const CLOSE: f64 = 1e-6;
+/// Damping at which a search begins, as a share of the largest slope: anew, and from the waypoint before.
+const ANEW: f64 = 1e-3;
+const WARM: f64 = 1e-6;
 const ROUNDS: usize = 60;
 /// Starts of a search that begins anew, and how far apart they are, as a share of the ranges.
 const STARTS: usize = 8;
@@ -114,8 +118,12 @@ impl Reach {
 
     /// What must act so that the tip is nearest to `target`, a single point, or one that follows `from`.
     pub fn solve(&self, target: &[f64; PLACE], from: Option<&[f64]>) -> Found {
-        let mut search = Search::new(self);
-        let mut best: Option<Found> = from.map(|u| search.from(u, target));
+        self.search(&mut Search::new(self), target, from)
+    }
+
+    fn search(&self, search: &mut Search, target: &[f64; PLACE], from: Option<&[f64]>) -> Found {
+        let before = search.tip.asked;
+        let mut best: Option<Found> = from.map(|u| search.from(u, target, WARM));
         let reached = |best: &Option<Found>| best.as_ref().is_some_and(|b| b.distance <= REACHED);
         let starts = if reached(&best) {
             vec![]
@@ -123,7 +131,7 @@ impl Reach {
             self.starts(target)
         };
         for start in starts {
-            let found = search.from(&start, target);
+            let found = search.from(&start, target, ANEW);
             // A waypoint leaves its branch for what is really nearer, not for a tie.
             if best
                 .as_ref()
@@ -136,17 +144,18 @@ impl Reach {
             }
         }
         let mut best = best.unwrap_or_else(|| unreachable!("there is always a start"));
-        best.asked = search.tip.asked;
+        best.asked = search.tip.asked - before;
         best
     }
 
     /// The same for one target after the other (T, 3), each from where the last one was found.
     pub fn path(&self, targets: &[f64], from: Option<&[f64]>) -> Vec<Found> {
         let mut found: Vec<Found> = Vec::with_capacity(targets.len() / PLACE);
+        let mut search = Search::new(self);
         for target in targets.chunks_exact(PLACE) {
             let target = &[target[0], target[1], target[2]];
             let before = found.last().map(|last| last.u.clone());
-            found.push(self.solve(target, before.as_deref().or(from)));
+            found.push(self.search(&mut search, target, before.as_deref().or(from)));
         }
         found
     }
@@ -216,6 +225,8 @@ struct Search<'a> {
     tip: Distance,
     gradient: Vec<f64>,
     normal: Vec<f64>,
+    /// Both at a trial.
+    next: (Vec<f64>, Vec<f64>),
     system: Vec<f64>,
     trial: Vec<f64>,
     free: Vec<usize>,
@@ -229,13 +240,14 @@ impl Search<'_> {
             tip: reach.tip(),
             gradient: vec![0.0; channels],
             normal: vec![0.0; channels * channels],
+            next: (vec![0.0; channels], vec![0.0; channels * channels]),
             system: vec![0.0; channels * (channels + 1)],
             trial: vec![0.0; channels],
             free: vec![],
         }
     }
 
-    fn from(&mut self, start: &[f64], target: &[f64; PLACE]) -> Found {
+    fn from(&mut self, start: &[f64], target: &[f64; PLACE], share: f64) -> Found {
         let channels = self.reach.channels();
         let bounds = self.reach.low.iter().zip(&self.reach.high);
         let mut u: Vec<f64> = start
@@ -253,6 +265,7 @@ impl Search<'_> {
             std::mem::take(&mut self.gradient),
             std::mem::take(&mut self.normal),
         );
+        let mut next = std::mem::take(&mut self.next);
         let mut now = self.tip.with_slopes(&u, target, &mut gradient, &mut normal);
         let mut place = self.tip.place;
         let largest = |normal: &[f64]| {
@@ -260,9 +273,9 @@ impl Search<'_> {
                 .map(|c| normal[c * channels + c])
                 .fold(0.0, f64::max)
         };
-        let (mut damping, mut growth) = (1e-3 * largest(&normal).max(1e-12), 2.0);
+        let (mut damping, mut growth) = (share * largest(&normal).max(1e-12), 2.0);
         for _ in 0..ROUNDS {
-            if now.sqrt() <= CLOSE || !self.step(&u, &gradient, &normal, damping) {
+            if now.sqrt() <= NEAR || !self.step(&u, &gradient, &normal, damping) {
                 break;
             }
             let moved = |c: usize| self.trial[c] - u[c];
@@ -279,7 +292,10 @@ impl Search<'_> {
                     -moved(a) * (2.0 * gradient[a] + bent)
                 })
                 .sum();
-            let there = self.tip.at(&self.trial, target);
+            // With slopes at once: most trials are taken, and a pass that reads a network's weights gives both.
+            let there = self
+                .tip
+                .with_slopes(&self.trial, target, &mut next.0, &mut next.1);
             if there < now {
                 let gain = if promised > 0.0 {
                     (now - there) / promised
@@ -289,9 +305,13 @@ impl Search<'_> {
                 damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(1.0 / 3.0, 2.0);
                 growth = 2.0;
                 u.copy_from_slice(&self.trial);
-                now = self.tip.with_slopes(&u, target, &mut gradient, &mut normal);
+                (now, (gradient, normal), next) = (there, next, (gradient, normal));
                 place = self.tip.place;
             } else {
+                // There already, and no nearer: what is left is the round-off of a model in single precision.
+                if now.sqrt() <= REACHED {
+                    break;
+                }
                 damping *= growth;
                 growth *= 2.0;
                 if damping > 1e12 * largest(&normal).max(1e-12) {
@@ -299,7 +319,7 @@ impl Search<'_> {
                 }
             }
         }
-        (self.gradient, self.normal) = (gradient, normal);
+        (self.gradient, self.normal, self.next) = (gradient, normal, next);
         Found {
             u,
             place,

@@ -11,6 +11,8 @@ use std::f32::consts::{FRAC_1_SQRT_2, LN_2, LOG2_E};
 pub const COLUMNS: usize = 8;
 /// Rows of a layer whose weights lie together.
 const BLOCK: usize = 32;
+/// Inputs of a layer that are looked at together: they lie in the nearest cache.
+const INPUTS: usize = 512;
 /// Numbers that a reduction sums side by side.
 const SUMS: usize = 8;
 
@@ -87,18 +89,20 @@ impl Linear {
     /// Write W x + b of every column to `out`, beyond the last row up to the end of its block zeros.
     #[inline(always)]
     pub fn apply<S: Simd, const N: usize>(&self, simd: S, x: &Columns<N>, out: &mut Columns<N>) {
-        // As many sums as there are registers for, or as the plain loops of a processor without any can keep.
+        // As many sums as there are registers for, or as the plain loops of a processor without any can keep, and enough of them
+        // that none waits for the one before.
         match (S::F32_LANES, N) {
-            (16, ..=4) => self.sums::<S, N, 2>(simd, x, out),
-            (16, _) => self.sums::<S, N, 1>(simd, x, out),
-            (8, ..=3) => self.sums::<S, N, 4>(simd, x, out),
-            (8, 4) => self.sums::<S, N, 2>(simd, x, out),
-            (8, _) => self.sums::<S, N, 1>(simd, x, out),
-            (4, ..=3) => self.sums::<S, N, 8>(simd, x, out),
-            (4, 4) => self.sums::<S, N, 4>(simd, x, out),
-            (4, _) => self.sums::<S, N, 2>(simd, x, out),
-            (_, ..=4) => self.sums::<S, N, 8>(simd, x, out),
-            _ => self.sums::<S, N, 4>(simd, x, out),
+            (16, ..=4) => self.sums::<S, N, 2, 2>(simd, x, out),
+            (16, _) => self.sums::<S, N, 2, 1>(simd, x, out),
+            (8, 1) => self.sums::<S, N, 4, 2>(simd, x, out),
+            (8, ..=3) => self.sums::<S, N, 4, 1>(simd, x, out),
+            (8, 4) => self.sums::<S, N, 2, 1>(simd, x, out),
+            (8, _) => self.sums::<S, N, 1, 1>(simd, x, out),
+            (4, ..=3) => self.sums::<S, N, 8, 1>(simd, x, out),
+            (4, 4) => self.sums::<S, N, 4, 1>(simd, x, out),
+            (4, _) => self.sums::<S, N, 2, 1>(simd, x, out),
+            (_, ..=4) => self.sums::<S, N, 8, 1>(simd, x, out),
+            _ => self.sums::<S, N, 4, 1>(simd, x, out),
         }
         for n in 0..N {
             let constant = x.constant(n);
@@ -109,37 +113,100 @@ impl Linear {
         }
     }
 
-    /// W x of every column, V vectors of rows at a time.
+    /// W x of every column, V vectors of rows of each of B blocks at a time.
     #[inline(always)]
-    fn sums<S: Simd, const N: usize, const V: usize>(
+    fn sums<S: Simd, const N: usize, const V: usize, const B: usize>(
         &self,
         simd: S,
         x: &Columns<N>,
         out: &mut Columns<N>,
     ) {
-        let together = V * S::F32_LANES;
-        let inputs: [&[f32]; N] =
-            std::array::from_fn(|n| &x.numbers[n * x.stride..][..self.columns]);
-        for (b, block) in self.packed.chunks_exact(BLOCK * self.columns).enumerate() {
-            for first in (0..BLOCK).step_by(together) {
-                let mut sums = [[simd.splat_f32s(0.0); V]; N];
-                for k in 0..self.columns {
-                    let row = &block[k * BLOCK + first..][..together];
+        let blocks = self.packed.len() / (BLOCK * self.columns);
+        for first in (0..self.columns).step_by(INPUTS) {
+            let inputs = Inputs::of(x, first, self.columns.min(first + INPUTS));
+            for b in (0..blocks - blocks % B).step_by(B) {
+                self.group::<S, N, V, B>(simd, &inputs, b, first > 0, out);
+            }
+            for b in blocks - blocks % B..blocks {
+                self.group::<S, N, V, 1>(simd, &inputs, b, first > 0, out);
+            }
+        }
+    }
+
+    /// What `inputs` give in B blocks of rows from `b` on, in place of what `out` holds, or beside it.
+    #[inline(always)]
+    fn group<S: Simd, const N: usize, const V: usize, const B: usize>(
+        &self,
+        simd: S,
+        inputs: &Inputs<N>,
+        b: usize,
+        beside: bool,
+        out: &mut Columns<N>,
+    ) {
+        let size = BLOCK * self.columns;
+        let blocks: [&[[f32; BLOCK]]; B] =
+            std::array::from_fn(|k| self.packed[(b + k) * size..][..size].as_chunks().0);
+        for first in (0..BLOCK).step_by(V * S::F32_LANES) {
+            let place = |n: usize, k: usize| n * out.stride + (b + k) * BLOCK + first;
+            let mut sums = [[[simd.splat_f32s(0.0); V]; B]; N];
+            if beside {
+                for (n, k) in (0..N).flat_map(|n| (0..B).map(move |k| (n, k))) {
+                    let rows = &out.numbers[place(n, k)..][..V * S::F32_LANES];
+                    sums[n][k].copy_from_slice(S::as_simd_f32s(rows).0);
+                }
+            }
+            for (at, numbers) in inputs.all() {
+                let numbers: [S::f32s; N] = std::array::from_fn(|n| simd.splat_f32s(numbers[n]));
+                for k in 0..B {
+                    let row = &blocks[k][*at as usize][first..][..V * S::F32_LANES];
                     let (weights, _) = S::as_simd_f32s(row);
-                    for n in 0..N {
-                        let input = simd.splat_f32s(inputs[n][k]);
-                        for v in 0..V {
-                            sums[n][v] = simd.mul_add_e_f32s(weights[v], input, sums[n][v]);
+                    for v in 0..V {
+                        for n in 0..N {
+                            sums[n][k][v] =
+                                simd.mul_add_e_f32s(weights[v], numbers[n], sums[n][k][v]);
                         }
                     }
                 }
-                for n in 0..N {
-                    let start = n * out.stride + b * BLOCK + first;
-                    let (rows, _) = S::as_mut_simd_f32s(&mut out.numbers[start..][..together]);
-                    rows.copy_from_slice(&sums[n]);
-                }
+            }
+            for (n, k) in (0..N).flat_map(|n| (0..B).map(move |k| (n, k))) {
+                let start = place(n, k);
+                let rows = &mut out.numbers[start..][..V * S::F32_LANES];
+                S::as_mut_simd_f32s(rows).0.copy_from_slice(&sums[n][k]);
             }
         }
+    }
+}
+
+/// Some inputs of a layer: those that are not zero in all columns. Behind Relu half of them are, tangents too, and their weights
+/// are not even read.
+struct Inputs<const N: usize> {
+    count: usize,
+    places: [u32; INPUTS],
+    numbers: [[f32; N]; INPUTS],
+}
+
+impl<const N: usize> Inputs<N> {
+    #[inline(always)]
+    fn of(x: &Columns<N>, first: usize, end: usize) -> Inputs<N> {
+        let columns: [&[f32]; N] = std::array::from_fn(|n| &x.numbers[n * x.stride..][..end]);
+        let mut found = Inputs {
+            count: 0,
+            places: [0; INPUTS],
+            numbers: [[0.0; N]; INPUTS],
+        };
+        for at in first..end {
+            let numbers: [f32; N] = std::array::from_fn(|n| columns[n][at]);
+            found.places[found.count] = at as u32;
+            found.numbers[found.count] = numbers;
+            // No branch: which are zero cannot be foretold.
+            found.count += usize::from(numbers.iter().fold(false, |any, v| any | (*v != 0.0)));
+        }
+        found
+    }
+
+    #[inline(always)]
+    fn all(&self) -> impl Iterator<Item = (&u32, &[f32; N])> {
+        self.places[..self.count].iter().zip(&self.numbers)
     }
 }
 

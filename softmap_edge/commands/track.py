@@ -15,6 +15,7 @@ import numpy as np
 from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
+from softmap_edge.commands.track_table import table, workspace
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.motion.curves import FIGURES
@@ -36,7 +37,9 @@ RATE = 100.0  # periods a second of the loop
 
 def track_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `track`."""
-    parser.add_argument("figure", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y) or FILE.svg")
+    parser.add_argument(
+        "figure", nargs="?", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y) or FILE.svg"
+    )
     parser.add_argument(
         "--bundle", metavar="DIR", help="whose model and effects are used (default: the built-in finger)"
     )
@@ -44,17 +47,23 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--sim", action="store_true", help="on an emulated robot: real packets, simulated finger")
     where.add_argument("--rig", metavar="FILE.toml", help="on the servos of this rig")
     where.add_argument("--plan", action="store_true", help="plan only, nothing moves")
+    where.add_argument("--table", action="store_true", help="the paper's Table II: letters on simulator and stand-in")
+    where.add_argument("--workspace", action="store_true", help="what the tip can reach")
+    parser.add_argument("--rival", metavar="DIR", help="--table: another bundle to stand beside (train prior)")
+    parser.add_argument(
+        "--reach", nargs=3, type=float, metavar=("X", "Y", "Z"), help="--workspace: is this point (mm) in it"
+    )
     parser.add_argument("--amplitude", type=float, default=8.0, metavar="MM", help="half of the larger side (8)")
     parser.add_argument("--duration", type=float, default=20.0, metavar="S", help="of the figure, at least (20)")
-    parser.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="waypoints a second (30)")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="waypoints a second (30; --table: 3)")
     parser.add_argument("--axes", default="xy", help="the plane of the figure, and what of the tip counts (xy)")
-    parser.add_argument("--method", choices=METHODS, default="exact", help="how inverse kinematics is solved")
+    parser.add_argument("--method", choices=METHODS, help="how inverse kinematics is solved (exact; --table: paper)")
     parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out, to compare")
     parser.add_argument("--observe", action="store_true", help="feed back what the camera sees of the tip (--sim)")
     parser.add_argument(
         "--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides: backlash,creep"
     )
-    parser.add_argument("--seed", type=int, default=0, help="--sim: of what is hidden and of noise")
+    parser.add_argument("--seed", type=int, help="--sim: of what is hidden and of noise (0); --table: of the stand-in (1)")
     parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
     parser.add_argument("--picture", metavar="FILE.svg", help="draw it")
 
@@ -69,11 +78,19 @@ def track(args: argparse.Namespace) -> int:
         raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
     if args.observe and not args.sim:
         raise SoftmapError("--observe: only the emulated finger has a camera here; give --sim with it")
+    if (args.figure is None) == (not (args.table or args.workspace)):
+        raise SoftmapError("name a figure, or give --table or --workspace without one")
+    if (args.rival and not args.table) or (args.reach and not args.workspace):
+        raise SoftmapError("--rival goes with --table, --reach with --workspace; give that too")
     whole = builtin_model() if args.bundle is None else open_model(args.bundle)
+    if args.table:
+        return table(args, whole)
     whole = whole if args.rig is None else on_bench(read_rig(args.rig), whole, RATE)
     model = whole.with_effects([], np.zeros(0)) if args.no_effects else whole
-    calibration = whole.calibration or plain_map(whole, args.sim or args.plan)
     kinematics = Kinematics(model, axes=args.axes)
+    if args.workspace:
+        return workspace(args, kinematics)
+    calibration = whole.calibration or plain_map(whole, args.sim or args.plan)
     tracked = None
     with tempfile.TemporaryDirectory() as folder, robot_of(args, whole, calibration) as (rig, limits, finger):
         servos = limits["servos"]
@@ -82,11 +99,11 @@ def track(args: argparse.Namespace) -> int:
             args.figure,
             amplitude=args.amplitude,
             duration=args.duration,
-            rate=args.rate,
+            rate=30.0 if args.rate is None else args.rate,
             slew=[one["slew"] for one in servos],
             acceleration=[one["acceleration"] for one in servos],
             calibration=calibration,
-            method=args.method,
+            method=args.method or "exact",
         )
         if rig is not None:
             record = Path(args.record or Path(folder) / "track.mcap")
@@ -106,8 +123,8 @@ def robot_of(
 ) -> Iterator[tuple[Rig | None, dict[str, Any], EmulatedFinger | None]]:
     """Give rig, limits and, of an emulated robot, the finger."""
     if args.sim:
-        laws = hidden_laws([name for name in args.hidden.split(",") if name], model.channels, args.seed)
-        with emulated_bench(model, calibration, laws, rate=RATE, seed=args.seed) as (_, rig, limits, finger):
+        laws = hidden_laws([name for name in args.hidden.split(",") if name], model.channels, args.seed or 0)
+        with emulated_bench(model, calibration, laws, rate=RATE, seed=args.seed or 0) as (_, rig, limits, finger):
             yield rig, limits, finger
         return
     if args.plan:
@@ -158,7 +175,7 @@ def _document(
         "figure": args.figure,
         "amplitude_mm": args.amplitude,
         "axes": args.axes,
-        "method": args.method,
+        "method": args.method or "exact",
         "effects": list(kinematics.model.chain_names),
         "waypoints": int(counts.sum()),
         "seconds": float(plan.t[-1] - plan.t[counts][0]),

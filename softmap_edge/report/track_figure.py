@@ -56,6 +56,22 @@ def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None
         return svg(figure)
 
 
+def workspace_figure(kinematics: Kinematics, rest: Floats, target: Floats | None, nearest: Floats | None) -> bytes:
+    """Draw what the tip can reach from above and from the side, a `target` (3,) mm and the `nearest` point to it (SVG)."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDE, 4.4), layout="constrained")
+        for axes, (across, up) in zip(figure.subplots(1, 2), ((0, 1), (0, 2))):
+            _reach(axes, kinematics, across, up)
+            axes.plot(*rest[[across, up]], "o", color=INK, markersize=4, label="at rest")
+            if target is not None and nearest is not None:
+                axes.plot(*zip(target[[across, up]], nearest[[across, up]]), color=BEFORE, linewidth=1.0)
+                axes.plot(*target[[across, up]], "x", color=BEFORE, markersize=7, label="target")
+                axes.plot(*nearest[[across, up]], "o", color=AFTER, markersize=4, label="nearest within reach")
+            axes.set(xlabel=f"{AXES[across]}, mm", ylabel=f"{AXES[up]}, mm", aspect="equal")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
+        return svg(figure)
+
+
 def _closer(axes: Axes, paths: list[Any]) -> None:
     """Show paths and some of what is around them."""
     points = np.concatenate([np.asarray(path, float) for path in paths])

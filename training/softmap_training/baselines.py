@@ -35,13 +35,14 @@ NAMES: tuple[Name, ...] = get_args(Name)
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """A regressor: `predict` gives points (n, 3N) mm at commands (n, C) mm; `numbers` that were learned; `triangles`
-    (F, 3) where its points are no vertices.
+    (F, 3) and the ONNX file `onnx` where its points are no vertices.
     """
 
     predict: Callable[[Floats], Floats]
     seconds: float
     numbers: int
     triangles: NDArray[np.int32] | None = None
+    onnx: bytes | None = None
 
 
 def fit_baseline(
@@ -76,15 +77,6 @@ def fit_baseline(
         return mean + regress(u) @ modes
 
     return Fitted(predict, time.perf_counter() - ahead, numbers)
-
-
-def check_prior(kind: str) -> None:
-    """Refuse what is no prior of a bundle."""
-    if kind == "deepsoro":
-        raise TrainingError(
-            "the points of 'deepsoro' are no vertices, so it is no prior of a bundle; judge it with "
-            "`softmap evaluate --set SET --model deepsoro`"
-        )
 
 
 Regressor = tuple[Callable[[Floats], Floats], int]

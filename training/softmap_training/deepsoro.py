@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from softmap_training import choices
 from softmap_training.baselines import Fitted
 from softmap_training.chamfer import chamfer
+from softmap_training.export import Graph
 from softmap_training.fit import Task, fit, seeded
 from softmap_training.networks import spread
 
@@ -104,7 +105,49 @@ def fit_deepsoro(
         return np.asarray(found.numpy().reshape(len(v), -1), np.float64)
 
     numbers = sum(p.numel() for p in network.parameters())
-    return Fitted(predict, sum(row["seconds"] for row in log), numbers, _cells(count))
+    return Fitted(predict, sum(row["seconds"] for row in log), numbers, _cells(count), to_graph(network))
+
+
+def to_graph(network: Folding) -> bytes:
+    """Return the ONNX file of a decoder: commands (n, C) → points (n, 3N) mm.
+
+    A layer of (grid point, code) is one of the grid point plus one of the code, so that nothing is laid side by side.
+    It is no chain of layers: the core does not read it, onnxruntime does (`softmap_edge.network`).
+    """
+    graph = Graph()
+    graph.add("Sub", _numbers(network.middle_u))
+    graph.add("Div", _numbers(network.size_u))
+    into, _, out = network.code
+    graph.linear(_numbers(into.weight), _numbers(into.bias))
+    graph.add("Relu")
+    graph.linear(_numbers(out.weight), _numbers(out.bias))
+    code, place = graph.at, None
+    for layers, width in ((network.first, 2), (network.second, 3)):
+        first, second, last = (layer for layer in layers if isinstance(layer, nn.Linear))
+        weights = _numbers(first.weight)
+        graph.at = code
+        graph.linear(weights[:, width:], _numbers(first.bias))
+        graph.also("Unsqueeze", graph.whole([1]))  # (n, 1, W)
+        if place is None:
+            graph.add("Add", _numbers(network.grid) @ weights[:, :width].T)  # (n, N, W)
+        else:
+            of_code, graph.at = graph.at, place
+            graph.add("MatMul", weights[:, :width].T)
+            graph.also("Add", of_code)
+        for layer in (second, last):
+            graph.add("Relu")
+            graph.add("MatMul", _numbers(layer.weight).T)
+            graph.add("Add", _numbers(layer.bias))
+        place = graph.at
+    graph.add("Mul", _numbers(network.size)[None])
+    graph.add("Add", _numbers(network.middle))
+    graph.also("Reshape", graph.whole([-1, 3 * len(network.grid)]))
+    told = {"kind": "deepsoro"}
+    return graph.file(len(network.middle_u), told, 3 * len(network.grid))
+
+
+def _numbers(tensor: Tensor) -> Floats:
+    return np.asarray(tensor.detach().cpu().numpy(), np.float64)
 
 
 def _side(count: int) -> int:

@@ -32,7 +32,7 @@ def to_onnx(network: nn.Sequential, channels: int, told: dict[str, str] | None =
     Raises:
         TrainingError: a layer that no bundle holds.
     """
-    graph = _Graph()
+    graph = Graph()
     linear: tuple[Floats, Floats] | None = None
     for layer in network:
         if isinstance(layer, nn.BatchNorm1d) and linear is not None:
@@ -79,7 +79,7 @@ def checked(network: nn.Sequential, content: bytes, commands: Floats) -> float:
     return apart
 
 
-class _Graph:
+class Graph:
     """A chain of nodes that grows at its end."""
 
     def __init__(self) -> None:
@@ -88,19 +88,33 @@ class _Graph:
         self.at = "command"
 
     def add(self, kind: str, *constants: Floats, **attributes: Any) -> None:
+        """Add a node whose further inputs are constants."""
         number = len(self.nodes)
         names = [f"c{number}_{k}" for k in range(len(constants))]
         self.constants += [numpy_helper.from_array(c.astype(np.float32), name) for c, name in zip(constants, names)]
+        self.also(kind, *names, **attributes)
+
+    def whole(self, numbers: list[int]) -> str:
+        """Return the name of a constant of whole numbers."""
+        name = f"w{len(self.constants)}"
+        self.constants.append(numpy_helper.from_array(np.array(numbers, np.int64), name))
+        return name
+
+    def also(self, kind: str, *names: str, **attributes: Any) -> None:
+        """Add a node whose further inputs are known by name."""
+        number = len(self.nodes)
         self.nodes.append(
             helper.make_node(kind, [self.at, *names], [f"x{number}"], name=f"{kind}_{number}", **attributes)
         )
         self.at = f"x{number}"
 
     def linear(self, weights: Floats, bias: Floats) -> None:
+        """Add W x + b."""
         self.add("Gemm", weights, bias, transB=1)
 
-    def file(self, channels: int, told: dict[str, str]) -> bytes:
-        size = self.constants[-1].dims[0]
+    def file(self, channels: int, told: dict[str, str], size: int | None = None) -> bytes:
+        """Return the file: commands (n, channels) → numbers (n, size), by default as many as its last constant has."""
+        size = self.constants[-1].dims[0] if size is None else size
         given = helper.make_tensor_value_info("command", TensorProto.FLOAT, ["n", channels])
         found = helper.make_tensor_value_info(self.at, TensorProto.FLOAT, ["n", size])
         graph = helper.make_graph(self.nodes, "softmap", [given], [found], self.constants)

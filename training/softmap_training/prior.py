@@ -7,6 +7,7 @@ published   the paper's, each output by its own mean and spread; also without it
 laplacian, arap   the paper's layers to the shapes as `encodings.py` tells them, each number by its own mean and spread
 linear      least squares, no training
 table, gp, xgboost   regressors (`baselines.py`), as a table over the axes of the bundle: that is what is judged
+deepsoro    a decoder (`deepsoro.py`) as a bundle of its own points, which are no vertices (`decoder_model`)
 
 Errors are told on the test part of one frozen split, at commands that are not in the training part. The rest of the
 bundle (fields, tendons, effects) stays as it was; a residual goes, it was learned on another prior. Units: mm.
@@ -15,6 +16,7 @@ Pinned by tests/test_training.py.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -25,7 +27,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from softmap_edge import _core
+from softmap_edge.features import tip_of
 from softmap_edge.model import Arrays, Model
+from softmap_edge.network import elsewhere, run_elsewhere
 from softmap_edge.npz import unpacked
 from softmap_edge.outside import BEYOND, UNLIKE, span
 from softmap_edge.registration.register import clamped
@@ -33,6 +37,7 @@ from softmap_edge.shape_arrays import family_from
 from softmap_edge.solid.simulator import tensor_grid
 from softmap_training import baselines, encodings
 from softmap_training.choices import PRIOR_MODES, PRIOR_WIDTHS, PriorKind, Recipe, prior_recipe
+from softmap_training.deepsoro import fit_deepsoro
 from softmap_training.errors import TrainingError
 from softmap_training.export import checked, to_onnx
 from softmap_training.fit import Progress, Task, fit, seeded
@@ -153,7 +158,8 @@ def fit_prior(
     Raises:
         TrainingError: its points are no vertices, another finger's set, or what it needs is not installed.
     """
-    baselines.check_prior(kind)
+    if kind == "deepsoro":
+        raise TrainingError("the points of 'deepsoro' are no vertices, so it joins no bundle; see `decoder_model`")
     check_set(base, commands, points)
     _enough(parts)
     train, _, test = parts
@@ -169,6 +175,63 @@ def fit_prior(
     report = {"kind": kind, "seed": seed, "seconds": fitted.seconds}
     report["parameters"] = sum(array.size for array in arrays.values())
     return Tabulated(arrays, report | _judged(commands[train], found, points[test]))
+
+
+def decoder_model(
+    base: Model, commands: Floats, points: Floats, parts: tuple[Indices, Indices, Indices], epochs: int | None = None,
+    seed: int = 0, folder: Path | None = None, told: Callable[[float], None] | None = None,
+) -> tuple[Model, dict[str, Any]]:  # fmt: skip
+    """Train a decoder on shapes (S, 3N) mm at commands (S, C) mm, and return it as a model, and a report.
+
+    Its points are those of its own sheet, at rest where it lays them at home; its tip is the 5 % of them that move most.
+    Nothing else of the base's is in it: no fields, effects, calibration. It is judged by half the Chamfer distance.
+
+    Args:
+        base: the finger. commands, points, parts: as for `train_prior`. epochs: in place of the usual number.
+        seed: draws first weights. folder: of checkpoints. told: called with the share done.
+
+    Raises:
+        TrainingError: another finger's set.
+    """
+    check_set(base, commands, points)
+    _enough(parts)
+    train, validation, test = parts
+    shapes = points.reshape(len(points), -1, 3)
+    some = np.sort(np.concatenate([train, validation]))
+    held = np.searchsorted(some, validation)
+    bodies = [np.ascontiguousarray(shape) for shape in shapes[some]]
+    fitted = fit_deepsoro(commands[some], bodies, len(base.rest), seed, held, epochs, folder, told)
+    content = fitted.onnx or b""
+    found = run_elsewhere(content, commands)
+    sheet = found.reshape(len(found), -1, 3)
+    apart = np.array([_chamfer(sheet[k], shapes[k]) for k in test])
+    rest = run_elsewhere(content, np.zeros((1, base.channels))).reshape(-1, 3)
+    report = {
+        "kind": "deepsoro",
+        "seed": seed,
+        "seconds": fitted.seconds,
+        "parameters": fitted.numbers,
+        "samples": len(train),
+        "command_range": span(commands[train]),
+        "test_chamfer_mm": float(apart.mean()),
+    }
+    arrays, said = elsewhere("prior.onnx", content, base.command_range, {}, "a decoder is no chain of layers")
+    half = float(np.sqrt(np.mean((apart / 2) ** 2)))
+    triangles = np.zeros((0, 3), np.int32) if fitted.triangles is None else fitted.triangles
+    bare = Model(
+        kind="network", prior=family_from(arrays), fields={}, rest=rest, triangles=triangles,
+        form_error=np.zeros((0, 3)), vertex_error_mm=half, tip_indices=tip_of(sheet),
+        gravity_reference=base.gravity_reference, command_range=base.command_range, robot=base.robot,
+        command_unit=base.command_unit, input=base.input, made_from={"prior": report},
+        arrays={"prior": {"onnx": np.frombuffer(content, np.uint8)}, "fields": {}},
+    )  # fmt: skip
+    form = np.full((len(bare.positions), 3), half / np.sqrt(3.0))
+    return replace(bare, form_error=form), report | {"table_off_mm": said["table_off_mm"]}
+
+
+def _chamfer(one: Floats, other: Floats) -> float:
+    found = _core.chamfer(np.ascontiguousarray(one), np.ascontiguousarray(other))
+    return float(found["there"] + found["back"])
 
 
 def _judged(taught: Floats, found: Floats, points: Floats) -> dict[str, Any]:

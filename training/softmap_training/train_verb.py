@@ -11,11 +11,10 @@ from softmap_edge.commands.output import bundle_arguments, check_bundle
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_training.baselines import NAMES as BASELINES
-from softmap_training.baselines import check_prior
 from softmap_training.choices import PriorKind, ResidualKind
 from softmap_training.errors import TrainingError
 
-FITTED = ("linear", *BASELINES)  # at once, without epochs
+FITTED = ("linear", *(name for name in BASELINES if name != "deepsoro"))  # at once, without epochs
 WORK = ".training"  # what the folder of checkpoints and logs ends in, beside the bundle
 
 
@@ -28,7 +27,7 @@ def train_arguments(parser: argparse.ArgumentParser) -> None:
         "--model", choices=(*get_args(PriorKind), *BASELINES), default="modes",
         help="ours, to a few modes (default); the paper's network, with dropout or without; its layers to Laplacian "
         "coordinates or to rotations; least squares; as a table in the bundle: radial functions, a Gaussian process, "
-        "boosted trees",
+        "boosted trees; a decoder whose points are its own (a rival for `softmap track --table`)",
     )  # fmt: skip
     residual = what.add_parser("residual", help="from a recording: what the model misses, by command")
     residual.add_argument("runs", nargs="+", metavar="run", help="recordings (.npz), clouds or vertices")
@@ -82,8 +81,8 @@ def _check_fitted(args: argparse.Namespace) -> None:
     unused = [name for name, value in given.items() if value]
     if args.model in FITTED and unused:
         raise TrainingError(f"{', '.join(unused)}: '{args.model}' is fitted at once, without epochs; leave that out")
-    if args.what == "prior":
-        check_prior(args.model)
+    if args.model == "deepsoro" and (args.device != "cpu" or args.tensorboard):
+        raise TrainingError("'deepsoro' is trained on the processor, without TensorBoard; leave these out")
 
 
 def checked_torch() -> Any:
@@ -98,7 +97,7 @@ def checked_torch() -> Any:
 
 def _prior(args: argparse.Namespace, base: Any, work: Path | None, bar: Bar) -> tuple[Any, dict[str, Any]]:
     from softmap_training import choices
-    from softmap_training.prior import Surface, check_set, fit_prior, train_prior, with_prior
+    from softmap_training.prior import Surface, check_set, decoder_model, fit_prior, train_prior, with_prior
     from softmap_training.simulated import SimulatedSet
 
     data = SimulatedSet.load(args.set)
@@ -106,6 +105,10 @@ def _prior(args: argparse.Namespace, base: Any, work: Path | None, bar: Bar) -> 
     points = data.shapes(range(len(data.command))).reshape(len(data.command), -1).astype(float)
     check_set(base, data.command, points)
     split, judged = (parts.train, parts.validation, parts.test), (data.command[parts.test], points[parts.test])
+    if args.model == "deepsoro":
+        return decoder_model(
+            base, data.command, points, split, args.epochs, args.seed or 0, work, lambda share: bar("training", share)
+        )
     if args.model in BASELINES:
         fitted = fit_prior(base, data.command, points, split, args.model, args.seed or 0)
         return with_prior(base, fitted, *judged), fitted.report
@@ -141,7 +144,15 @@ def _told(document: dict[str, Any]) -> str:
             f"{head} network ({document['kind']}), {epochs} in {took}; torch, onnxruntime and the core agree to "
             f"{document['parity_mm']:.1g} mm"
         ]
-    if document["what"] == "prior":
+    if document["kind"] == "deepsoro":
+        lines = [
+            f"{head} decoder in the manner of DeepSoRo, {took}; it is read through onnxruntime, as a table that is "
+            f"{document['table_off_mm']:.1g} mm off it",
+            f"  {document['test_chamfer_mm']:.2f} mm Chamfer distance from the simulated vertices (there and back, test "
+            f"part, held out); {document['parameters']} numbers learned from {document['samples']} shapes. Its points are "
+            "no vertices: it stands beside models, in `softmap track --table`",
+        ]
+    elif document["what"] == "prior":
         lines.append(
             f"  {document['test_vertex_mm']:.3f} mm from the simulated vertices, mean of the test part (held out); "
             f"{document['parameters']} numbers learned from {document['samples']} shapes"

@@ -1,0 +1,87 @@
+"""Rows of inverse kinematics on the paper-sized network: the letters, waypoint by waypoint, beside SciPy and the paper's way.
+
+The peers are `scipy.optimize.least_squares(method="lm")`, MINPACK's Levenberg-Marquardt, from the same warm starts and to
+the same distance: on passes of onnxruntime with slopes by differences, which is what is there without the core, and on the
+core's own passes and exact slopes through its binding. Pinned by tests/test_benches.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benches.network import paper_sized
+from benches.row import ratio, side_by_side
+from softmap_edge.motion.curves import even, figure
+from softmap_edge.motion.kinematics import Kinematics
+
+Floats = NDArray[np.float64]
+
+LETTERS, AMPLITUDE, WAYPOINTS = "SHOE", 15.0, 150
+STEP = 1e-3  # of differences, relative: single precision knows no smaller ones
+CLOSE = 1e-8  # relative, of commands and of squared distances: SciPy's own usual value
+
+
+def rows() -> list[dict[str, object]]:
+    """Return the time of a waypoint beside SciPy's, and by how much distances are above those of the paper's way."""
+    made = paper_sized()
+    kinematics = Kinematics(made.model, axes="xy")
+    targets, rows = letters(kinematics), []
+    index = made.model.tip_indices
+
+    def by_onnxruntime(v: Floats) -> Floats:
+        points = made.onnxruntime(v[None].astype(np.float32)).reshape(-1, 3)
+        return np.asarray(points[index].mean(axis=0, dtype=np.float64))
+
+    def by_core(v: Floats) -> Floats:
+        return np.asarray(kinematics.tip.evaluate(v[None])[0])
+
+    def slopes(v: Floats) -> Floats:
+        return np.asarray(kinematics.tip.jacobian(v[None])[0, :2])
+
+    name = "inverse kinematics of a waypoint, paper-sized network"
+    peers: list[tuple[str, str, Callable[[], Floats]]] = [
+        ("SciPy's LM, onnxruntime", "wanted ≥ 5, aim ≤ 1 ms", lambda: by_scipy(by_onnxruntime, "2-point", targets)),
+        ("SciPy's LM, on our passes", "stated", lambda: by_scipy(by_core, slopes, targets)),
+        ("the paper's way", "stated", lambda: kinematics.solve(targets, method="paper").acting),
+    ]
+    for peer, wanted, work in peers:
+        ours, theirs = side_by_side(lambda: kinematics.solve(targets), work)
+        off = np.linalg.norm((kinematics.model.tip(work()) - targets)[:, :2], axis=1)
+        if not np.median(off) < 1e-2:
+            raise RuntimeError(f"{peer} is {np.median(off):.2g} mm off the waypoints: a ratio would say nothing")
+        rows.append(ratio(name, ours / len(targets), theirs / len(targets), peer, wanted))
+    found, published = kinematics.solve(targets), kinematics.solve(targets, method="paper")
+    above = float((found.distance - published.distance).max())
+    last = {"name": "its distance above that of the paper's way, at most", "value": above, "unit": "mm"}
+    return [*rows, last | {"wanted": "wanted ≤ 2e-5 (round-off)"}]
+
+
+def letters(kinematics: Kinematics, waypoints: int = WAYPOINTS) -> Floats:
+    """Return the waypoints (T, 3) mm of all letters about the tip at rest."""
+    rest = kinematics.model.tip(np.zeros((1, kinematics.model.channels)))[0]
+    targets = np.tile(rest, (len(LETTERS) * waypoints, 1))
+    targets[:, :2] += np.concatenate([even(figure(letter, AMPLITUDE), waypoints) for letter in LETTERS])
+    return targets
+
+
+def by_scipy(place: Callable[[Floats], Floats], slopes: Any, targets: Floats) -> Floats:
+    """Return what must act (T, 2) for each target as SciPy finds it, each from where the last one was found.
+
+    place: the tip (3,) at a command (2,). slopes: its slopes, or how SciPy is to find them.
+    """
+    from scipy.optimize import least_squares
+
+    u, found = np.zeros(2), []
+    step = None if callable(slopes) else STEP
+    for target in targets[:, :2]:
+
+        def off(v: Floats, target: Floats = target) -> Floats:
+            return place(v)[:2] - target
+
+        u = least_squares(off, u, slopes, method="lm", xtol=CLOSE, ftol=CLOSE, gtol=CLOSE, diff_step=step).x
+        found.append(u)
+    return np.array(found)
