@@ -81,6 +81,18 @@ def robot_sample(folder):
     return folder / "robot.toml"
 
 
+def rig_sample(folder):
+    from softmap_edge.servo.ceiling import Ceiling
+    from softmap_edge.servo.emergency import Beats, Emergency, Line
+    from softmap_edge.servo.rig import Rig, RigServo
+
+    servos = (RigServo(1, "XL330-M288", 2000, 200.0, -900, 900), RigServo(2, "XM430-W350", 2100, slew=1000.0))
+    stops = Emergency(Line("/dev/gpiochip0", 17), Beats(5006, "/stop.key"))
+    ceiling = Ceiling((("slew", 3000.0), ("hold", 1.0), ("jump", (100.0, 2000.0))))
+    Rig("/dev/ttyUSB0", 1_000_000, servos, ceiling=ceiling, emergency=stops).write(folder / "rig.toml")
+    return folder / "rig.toml"
+
+
 def diagnosis_sample(folder):
     from test_diagnosis import SOUND
 
@@ -233,6 +245,22 @@ def use_robot(path):
     robot.layout.compiled(robot.coordinates().numbers(np.zeros(len(robot.coordinates().labels))))
 
 
+def use_rig(path):
+    from dataclasses import replace
+
+    from rigs import calibration
+
+    from softmap_edge.bundle import builtin_model
+    from softmap_edge.servo.combined import combined
+    from softmap_edge.servo.rig import read_rig
+
+    rig = read_rig(path)
+    rig.write(path.with_name("again.toml"))
+    assert read_rig(path.with_name("again.toml")) == rig
+    str(combined(rig, replace(builtin_model(), calibration=calibration())))
+    combined(rig, replace(builtin_model(), calibration=calibration())).table()
+
+
 def use_diagnosis(path):
     from softmap_edge.bundle import builtin_model
     from softmap_edge.diagnosis.document import Diagnosis
@@ -298,6 +326,7 @@ FORMATS = [
     Format("Gmsh mesh", mesh_sample("bar.msh", file_format="gmsh22"), spoil_text_file, use_mesh),
     Format("guides", guides_sample, spoil_text_file, use_guides),
     Format("robot", robot_sample, spoil_text_file, use_robot),
+    Format("rig", rig_sample, spoil_text_file, use_rig, 120),
     Format("sweep", sweep_sample, spoil_npz_file, use_sweep),
     Format("diagnosis", diagnosis_sample, spoil_text_file, use_diagnosis),
     Format("commands", commands_sample, spoil_text_file, use_commands),

@@ -134,12 +134,12 @@ def read_rig(path: str | Path) -> Rig:
         return Rig(port, baud, tuple(servos), ceiling, emergency, found)
     except OSError as fault:
         raise ServoError(f"{file}: {fault.strerror}; make it with `softmap servo setup`") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-        raise ServoError(f"{file}: no TOML ({fault!s:.80})") from None
     except ServoError:
         raise
     except SoftmapError as fault:
         raise ServoError(str(fault)) from None
+    except (ValueError, RecursionError) as fault:  # what is no TOML or no text is a ValueError
+        raise ServoError(f"{file}: no TOML ({fault!s:.80})") from None
 
 
 def _found(table: TomlTable) -> dict[str, Any]:
