@@ -157,7 +157,7 @@ def combined(rig: Rig, model: Model, calibration: Calibration | None = None, rat
         raise ServoError(f"the model takes {model.channels} commands, the calibration is of {len(found.b)} servos")
     box = _box(found, safety)
     here = _at_home(rig, found, box)
-    rates = _alike(found.A, safety)
+    rates = _alike(found.A)
     off = [0.0 if servo.home is None else float(here.home[k]) - servo.home for k, servo in enumerate(rig.servos)]
     servos = tuple(_servo(rig, k, found, safety, box[k], off[k], rates[k]) for k in range(len(rig.servos)))
     window = tuple(
@@ -227,7 +227,7 @@ def _at_home(rig: Rig, calibration: Calibration, box: Floats) -> Calibration:
     return here
 
 
-def _alike(slope: Floats, safety: Safety) -> Floats:
+def _alike(slope: Floats) -> Floats:
     """Return per servo the ticks that a unit of command is worth at most, so that all servos at once exceed none."""
     alone = 1.0 / np.maximum(np.abs(slope).max(axis=0), 1e-300)
     return np.asarray(alone / max(1.0, float((np.abs(slope) @ alone).max())))
