@@ -1,4 +1,4 @@
-"""Every fault in every state: the table of docs/safety.md, each cell driven through the loop's process and a terminal."""
+"""Every fault in every state: the table of docs/safety.md, each cell through the loop's process and a terminal."""
 
 import re
 import signal
@@ -150,12 +150,12 @@ def test_reaction(bench, fault):
 
 
 def briefly(loop, state, cell, begin):
-    """A servo is silent for longer than `late`, and for less than `silent`; as long as the test itself is that quick."""
+    """A servo is silent for longer than `late` and less than `silent`; once more where this test was not that quick."""
     for _ in range(5):
         if cell == "–":
             time.sleep(1.2 * loop.limits["late"])
         else:
-            assert loop.wait(lambda: loop.changes(begin, state))
+            assert loop.wait(lambda since=begin: loop.changes(since, state))
         loop.bus.damage(1)
         silent = time.monotonic() - begin
         time.sleep(LOOK)
