@@ -39,6 +39,7 @@ class Loop:
         self.path = 200.0 / (0.5 * slew)  # s in which a blocked servo is `following` ticks behind, on the way home
         self.reports, self.ended, self._wake = [], {}, threading.Condition()
         self.drives, self.emergency, self.command = True, False, FAR
+        self.untouched = False  # nothing was broken since it was led to where it is
         orders, self._orders = os.pipe()
         mine, reports = os.pipe()
         setup = dict(port=self.bus.path, baud=BAUD, servos=[(1, NUMBER), (2, NUMBER)], limits=self.limits)

@@ -57,10 +57,11 @@ def test_faults_replay_bit_for_bit_and_under_the_same_limits(tmp_path):
                 time.sleep(0.01)
 
         robot.engage()
-        robot._send(np.array([9.0, -9.0]), deadman=True)  # beyond the window
-        time.sleep(0.1)
+        for _ in range(30):
+            robot._send(np.array([3.4, -3.4]), deadman=True)  # beyond the window
+            time.sleep(0.01)
         bus.heat(0, 69.0)
-        drive(("fault",), [9.0, -9.0])
+        drive(("fault",), [3.4, -3.4])
         bus.heat(0, 25.0)
         deadline = time.monotonic() + 10.0
         while robot.state != "homed":
