@@ -46,8 +46,10 @@ SHARE ?= 1
 bank: $(VENV)/.test
 	$(BIN)/python -m benches.bank --seeds $(SEEDS) --share $(SHARE) --out $(OUT)/bank
 
-prove: wheel
+prove: wheel $(VENV)/.prove
 	cargo test --workspace --locked --release --quiet -- --include-ignored
+	PATH="$(abspath $(BIN)):$$PATH" $(BIN)/python rust/servo/prove.py coverage
+	PATH="$(abspath $(BIN)):$$PATH" $(BIN)/python rust/servo/prove.py mutants
 	$(BIN)/python -m pytest
 
 docs: $(VENV)/.test
@@ -97,6 +99,12 @@ $(VENV)/.test: $(VENV)/.core training/pyproject.toml training/cpu.txt
 $(VENV)/.bench: $(VENV)/.test pyproject.toml
 	$(UV) --group pyproject.toml:bench
 	rm -rf $(VENV)/lib/python*/site-packages/igl/copyleft $(VENV)/lib/python*/site-packages/igl/triangle
+	touch $@
+
+# What counts covered lines and makes mutants; rustup brings the LLVM that can read the compiler's profiles.
+$(VENV)/.prove: $(VENV)/.venv
+	rustup component add llvm-tools
+	cargo install --quiet --locked --root $(VENV) cargo-llvm-cov@0.9.1 cargo-mutants@27.1.0
 	touch $@
 
 $(VENV)/.lint: $(VENV)/.core

@@ -1,4 +1,4 @@
-"""The process of the control loop by itself, on an emulated bench: brought into any state, its reports kept with their times."""
+"""The control loop's process by itself on an emulated bench: led into any state, its reports kept with their times."""
 
 import json
 import os
@@ -10,7 +10,7 @@ import threading
 import time
 
 import numpy as np
-from rigs import BAUD, MODEL, NUMBER, TICKS_PER_MM, set_up
+from rigs import BAUD, MODEL, NUMBER, TICKS_PER_MM, angles, set_up
 
 from softmap_edge import _core
 from softmap_edge.servo.controller import BUDGET, REQUESTS
@@ -39,6 +39,7 @@ class Loop:
         self.path = 200.0 / (0.5 * slew)  # s in which a blocked servo is `following` ticks behind, on the way home
         self.reports, self.ended, self._wake = [], {}, threading.Condition()
         self.drives, self.emergency, self.command = True, False, FAR
+        self.untouched = False  # nothing was broken since it was led to where it is
         orders, self._orders = os.pipe()
         mine, reports = os.pipe()
         setup = dict(port=self.bus.path, baud=BAUD, servos=[(1, NUMBER), (2, NUMBER)], limits=self.limits)
@@ -124,11 +125,12 @@ class Loop:
         """Ask once; why it was denied, or None if it led somewhere."""
         before, count = self.state, len(self.reports)
         self.send(request)
-        answer = lambda: next(  # noqa: E731
-            (r for r in self.reports[count:] if r["denied"] or r["state"] != before), None
-        )
-        assert self.wait(answer, seconds), f"'{request}' is not answered in {before}"
-        return answer()["denied"]
+
+        def answers():
+            return [one for one in self.reports[count:] if one["denied"] or one["state"] != before]
+
+        assert self.wait(answers, seconds), f"'{request}' is not answered in {before}"
+        return answers()[0]["denied"]
 
     # --- into a state -------------------------------------------------------------------
 
@@ -183,23 +185,12 @@ class Loop:
             self.reach({"hold": "hold", "safe_stop": "stop"}[state], state)
 
     def _arrive(self, away):
-        far = [home + away for home in HOMES]
-        there = lambda: self.angles() == _near(far)  # noqa: E731
+        far = np.array(HOMES) + away
         until = time.monotonic() + PATIENCE
-        while not there():
+        while np.abs(self.angles() - far).max() > 12.0:
             assert time.monotonic() < until, f"{self.angles()} is not {far}"
             time.sleep(0.005)
 
     def angles(self):
         """Return how far the horns have really turned, ticks."""
-        return [angle for angle, _, _ in self.bus.state()[1]]
-
-
-class _near:
-    """Equal to ticks that are nearly these."""
-
-    def __init__(self, ticks):
-        self.ticks = ticks
-
-    def __eq__(self, other):
-        return all(abs(a - b) < 12.0 for a, b in zip(self.ticks, other))
+        return angles(self.bus)

@@ -211,6 +211,21 @@ def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so
         Controller(rig, calibration(), limits).__enter__()
 
 
+def test_a_frozen_computer_leaves_the_servos_standing_and_releases_them_when_it_goes_on(program):
+    bus, user, loop = program
+    for pid in (user.pid, loop):
+        os.kill(pid, signal.SIGSTOP)
+    wait_for(lambda: all(tripped for _, _, tripped in bus.state()[1]), 1.0)
+    at = angles(bus)
+    time.sleep(0.8)  # longer than the program would wait for its loop
+    assert torque(bus) and angles(bus) == pytest.approx(at, abs=1.0), "they hold where they were"
+    for pid in (loop, user.pid):
+        os.kill(pid, signal.SIGCONT)
+    wait_for(lambda: not torque(bus), 4.0)
+    assert user.wait(10) != 0
+    assert b"in state fault" in user.stderr.read()
+
+
 def test_servos_that_are_not_as_said_are_refused():
     with bench() as (bus, rig, limits):
         ours = _core.ServoBus(bus.path, rig.baud)

@@ -45,6 +45,47 @@ def test_replays_bit_for_bit(recorded):
     assert len(recording.replay()) == 1, "a single tick is seen"
 
 
+def test_faults_replay_bit_for_bit_and_under_the_same_limits(tmp_path):
+    file = tmp_path / "faults.mcap"
+    with bench(200.0, hold=0.2) as (bus, rig, limits), Controller(rig, calibration(), limits, record=file) as robot:
+
+        def drive(until, u):
+            deadline = time.monotonic() + 10.0
+            while robot.state not in until:
+                assert time.monotonic() < deadline
+                robot._send(np.array(u), deadman=True)
+                time.sleep(0.01)
+
+        robot.engage()
+        for _ in range(30):
+            robot._send(np.array([3.4, -3.4]), deadman=True)  # beyond the window
+            time.sleep(0.01)
+        bus.heat(0, 69.0)
+        drive(("fault",), [3.4, -3.4])
+        bus.heat(0, 25.0)
+        deadline = time.monotonic() + 10.0
+        while robot.state != "homed":
+            assert time.monotonic() < deadline
+            with contextlib.suppress(ServoError):
+                robot.request("acknowledge")
+        robot.request("arm")
+        robot.engage()
+        drive(("engaged",), [1.0, 1.0])
+        bus.damage(1, mute=True)
+        drive(("fault",), [1.0, 1.0])
+        bus.damage(1)
+    recording = read_recording(file)
+    seen = {(period["state"], period["cause"]) for period in recording.periods}
+    assert {("safe_stop", "hot"), ("fault", "hot"), ("hold", "late"), ("fault", "silent")} <= seen
+    assert recording.replay() == []
+    # Under a narrower window the same targets are decided otherwise, and no goal leaves it.
+    for one in recording.limits["servos"]:
+        one["low"], one["high"] = HOME - 30, HOME + 30
+    assert recording.replay() != []
+    goals = [goal for _, _, torque, goal in _core.replay(recording.limits, recording._told()) if torque]
+    assert goals and np.abs(np.array(goals) - HOME).max() <= 30
+
+
 def test_nothing_is_recorded_over(tmp_path):
     file = tmp_path / "old.mcap"
     file.write_text("kept")

@@ -142,6 +142,10 @@ def test_an_emulated_bench_takes_faults_from_standard_input(tmp_path):
             while commission.registers(bus, 1)["present_temperature"] < 55:
                 assert time.monotonic() - begin < 5.0
             assert bus.ping(2) is None
+            process.stdin.write("mend 1\nburden 0 2\njammed 0\nlose_turn 0\nswap 0 1\n")
+            process.stdin.flush()
+            while (there := bus.ping(2) and commission.registers(bus, 2)["present_position"]) != 2000 - 4096:
+                assert time.monotonic() - begin < 10.0, there
         _, _ = process.communicate()
         assert process.returncode == 0
 

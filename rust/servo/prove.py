@@ -53,7 +53,7 @@ def judge(outcomes: list[dict[str, str]], explained: Counter[str]) -> int:
     """Print the score and every survivor without a reason; 0 if the score is high enough and there is none.
 
     Args:
-        outcomes: of each mutant `name` ("file: what is changed in which function") and `summary` as cargo-mutants says it.
+        outcomes: of each mutant `name` ("file: what is changed in which function") and `summary`, as it is called.
         explained: how many mutants of each name are known to survive.
     """
     kinds = Counter(outcome["summary"] for outcome in outcomes)

@@ -6,7 +6,8 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{FlockOperation, Mode, OFlags, flock, open};
 use rustix::io::{Errno, read, write};
 use rustix::termios::{
-    ControlModes, OptionalActions, QueueSelector, ioctl_tiocexcl, tcflush, tcgetattr, tcsetattr,
+    ControlModes, OptionalActions, QueueSelector, ioctl_tiocexcl, ioctl_tiocnxcl, tcflush,
+    tcgetattr, tcsetattr,
 };
 use rustix::thread::clock_nanosleep_absolute;
 use rustix::time::{ClockId, clock_gettime};
@@ -91,6 +92,13 @@ impl Serial {
                 Err(fault) => return Err(failed(fault)),
             }
         }
+    }
+}
+
+impl Drop for Serial {
+    fn drop(&mut self) {
+        // A port that somebody keeps open besides, as the emulator does, is free again; one that is gone needs it not.
+        let _ = ioctl_tiocnxcl(&self.file);
     }
 }
 

@@ -12,7 +12,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags, open};
 use rustix::io::{Errno, read, write};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use rustix::termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr};
 
 use super::Emulator;
 use crate::urgent::urgent;
@@ -109,6 +109,9 @@ fn serve(emulator: &Mutex<Emulator>, stop: &AtomicBool, master: &OwnedFd, slave:
             tv_nsec: due.unwrap_or(NAP).min(NAP),
         };
         if !matches!(poll(&mut ready, Some(&nap)), Ok(count) if count > 0) {
+            // A port forgets at its last close who had it alone; this one is kept open, and would keep out whoever comes
+            // after a master that was killed. Were it refused, nobody but root could open it again.
+            let _ = ioctl_tiocnxcl(slave);
             continue;
         }
         if let Ok(count) = read(master, &mut bytes) {
