@@ -5,8 +5,8 @@ from contextlib import contextmanager
 import numpy as np
 
 from softmap_edge import _core
-from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import Calibration
 

@@ -26,8 +26,8 @@ from softmap_edge.servo.rig import Rig, read_rig
 ARROWS = {"right": (0, 1), "left": (0, -1), "up": (1, 1), "down": (1, -1)}
 SIGNS = {"+": 1, "=": 1, "-": -1}
 HELP = (
-    "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a key counts as held while "
-    "it repeats, at least every 0.25 s; space, escape and q stop"
+    "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a key counts as held "
+    "while it repeats, at least every 0.25 s; space, escape and q stop"
 )
 
 

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.model import Model
-from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import Calibration
 from softmap_edge.truth import check_hidden

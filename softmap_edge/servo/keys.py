@@ -1,7 +1,7 @@
 """A held key of a terminal as a deadman: terminals tell no key-up, so a key counts as held while it repeats.
 
-A terminal repeats a held key some 30 times a second after a first pause of a quarter to half a second; whoever taps moves
-a little, whoever holds goes on. Escape, space and q stop. Pinned by tests/test_move.py.
+A terminal repeats a held key some 30 times a second after a first pause of a quarter to half a second; whoever taps
+moves a little, whoever holds goes on. Escape, space and q stop. Pinned by tests/test_move.py.
 """
 
 from __future__ import annotations
