@@ -158,8 +158,8 @@ def watched(bus: _core.ServoBus, rig: Rig, seconds: float = WATCHED) -> list[int
     for servo, moved in zip(rig.servos, np.ptp(looked, axis=0)):
         if moved > STEADY:
             raise ServoError(
-                f"the finger moves: servo {servo.id} turned by {moved} ticks in {seconds:g} s, allowed are {STEADY}; let "
-                "it come to rest and home it again"
+                f"the finger moves: servo {servo.id} turned by {moved} ticks in {seconds:g} s, allowed are {STEADY}; "
+                "let it come to rest and home it again"
             )
         if patiently(bus.read, servo.id, enable, 1) != b"\x00":
             raise ServoError(f"servo {servo.id} has torque: another program drives it; stop that first")
@@ -179,7 +179,7 @@ def at_bench(calibration: Calibration, rig: Rig) -> Calibration:
     worst = int(np.argmax(np.abs(homes - turned)))
     if abs(homes[worst] - turned[worst]) > NEAR:
         raise ServoError(
-            f"servo {rig.servos[worst].id}: its home lies {homes[worst] - turned[worst]:+.0f} ticks (whole turns aside) "
+            f"servo {rig.servos[worst].id}: its home lies {homes[worst] - turned[worst]:+.0f} ticks (turns aside) "
             f"from that of the calibration, allowed are {NEAR}; calibrate again at this home"
         )
     return replace(calibration, home=turned)
