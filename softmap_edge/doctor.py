@@ -55,9 +55,7 @@ class Examined:
         return {"schema": "softmap.doctor/1", "softmap": __version__, "well": self.well, "lines": lines}
 
 
-def examine(
-    rig: str | Path | None = None, bundle: str | Path | None = None, camera: str | None = None
-) -> Examined:
+def examine(rig: str | Path | None = None, bundle: str | Path | None = None, camera: str | None = None) -> Examined:
     """Look at everything: this computer, and what is given of a bench.
 
     Args:

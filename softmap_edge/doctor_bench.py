@@ -29,10 +29,10 @@ def bundle(folder: str | Path) -> Iterator[Line]:
     yield Line("bundle", OK, f"{folder}: {model.robot}, {model.channels} commands, effects: {effects}")
     found = model.calibration
     if found is None:
-        do = "run softmap servo calibrate (pulley and ruler) or softmap calibrate (a run with ticks)"
+        do = "run softmap calibrate with a run that has ticks"
         yield Line("calibration", FAULT, "the bundle holds none", do)
     elif found.window is None:
-        do = "calibrate again with --window LOW,HIGH, or run softmap servo pull and calibrate"
+        do = "calibrate again with --window LOW,HIGH"
         yield Line("calibration", FAULT, "it has no window of ticks, so that nothing is allowed", do)
     else:
         low, high = found.window
@@ -52,7 +52,7 @@ def rig(file: str | Path) -> Iterator[Line]:
     yield Line("rig", OK, f"{file}: {len(bench.servos)} servos at {bench.port}, {bench.baud} baud")
     uncapped = [servo.id for servo in bench.servos if servo.current_mA is None and _capped(servo.model)]
     if uncapped:
-        do = f"run softmap servo pull --rig {file}; until then a share of the servo's own limit is taken"
+        do = f"write current_mA (at the stroke) to it in {file}; until then a share of the servo's own limit is taken"
         yield Line("ceiling", WARNING, f"servo {_listed(uncapped)} has no measured current", do)
     try:
         with commission.opened(bench.port, bench.baud) as bus:
@@ -66,7 +66,9 @@ def _servos(bus: _core.ServoBus, bench: Rig) -> Iterator[Line]:
         name = f"servo {id}"
         told = next((told for _ in range(TRIES) if (told := bus.ping(id)) is not None), None)
         if told is None:
-            yield Line(name, FAULT, "no answer", "check power, wiring and baud rate; softmap servo scan lists who answers")
+            yield Line(
+                name, FAULT, "no answer", "check power, wiring and baud rate; softmap servo scan lists who answers"
+            )
             continue
         found = commission.Found(bench.port, bench.baud, id, *told)
         if told[0] != number:
@@ -99,4 +101,4 @@ def _listed(ids: list[int]) -> str:
 def _line(name: str, fault: ServoError) -> Line:
     """Return a fault as a line: what it says, and what it says to do."""
     found, _, do = str(fault).rpartition("; ")
-    return Line(name, FAULT, found or do, do if found else "see docs/commission.md")
+    return Line(name, FAULT, found or do, do if found else "run softmap servo scan")

@@ -140,12 +140,14 @@ def latency(sys: Path = SYS) -> Iterator[Line]:
         try:
             ms = int(file.read_text())
         except (OSError, ValueError):
-            yield Line(name, WARNING, f"{file} cannot be read", "answers may come late; see docs/commission.md")
+            yield Line(
+                name, WARNING, f"{file} cannot be read", "answers may come late; look whether the adapter is plugged in"
+            )
             continue
         if ms <= QUICK:
             yield Line(name, OK, f"{ms} ms")
         else:
-            do = f"run echo {QUICK} | sudo tee {file}; for good: the udev rule in docs/commission.md"
+            do = f"run echo {QUICK} | sudo tee {file}, again after each plugging in"
             yield Line(name, WARNING, f"{ms} ms: each period of the loop waits so long", do)
 
 

@@ -28,7 +28,7 @@ def test_a_bench_that_is_well(tmp_path, capsys):
         lines = doctor.examine(rig=tmp_path / "rig.toml").lines
         assert named(lines, "rig").state == OK and named(lines, "servo 1").state == OK
         assert named(lines, "home of servo 2").found == "proved since power-up, at 2000"
-        assert named(lines, "ceiling").state == WARNING and "softmap servo pull" in named(lines, "ceiling").do
+        assert named(lines, "ceiling").state == WARNING and "current_mA" in named(lines, "ceiling").do
         assert bus.state()[1] == before, "nothing moved, no torque"
         code = main(["doctor", "--rig", str(tmp_path / "rig.toml"), "--json"])
         document = json.loads(capsys.readouterr().out)
@@ -94,7 +94,7 @@ def test_a_bundle_without_calibration(tmp_path):
     save_bundle(builtin_model(), tmp_path / "b")
     lines = doctor.examine(bundle=tmp_path / "b").lines
     assert named(lines, "bundle").state == OK and named(lines, "safety.toml").state in (OK, WARNING)
-    assert named(lines, "calibration").state == FAULT and "softmap servo calibrate" in named(lines, "calibration").do
+    assert named(lines, "calibration").state == FAULT and "softmap calibrate" in named(lines, "calibration").do
 
 
 def test_a_board_without_its_instructions(tmp_path):

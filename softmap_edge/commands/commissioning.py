@@ -1,4 +1,4 @@
-"""What `softmap servo home | calibrate | pull` do: a bench commissioned with its user, or by options where there is none."""
+"""What `softmap servo home` does: a bench commissioned with its user, or by options where there is none."""
 
 from __future__ import annotations
 

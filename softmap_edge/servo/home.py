@@ -1,4 +1,4 @@
-"""Homing: the finger straight and still without torque, the turn nearest to each stored home, a mark that it was proved.
+"""Homing: the finger straight and still without torque, the turn nearest to each stored home, a mark of the proof.
 
 Turns are lost without power (modes 4 and 5), so that it is done anew after each power-up; `proof.py` keeps who has not.
 Pinned by tests/test_home.py.
@@ -125,13 +125,13 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
 def _check_near(servo: RigServo, position: int, home: int, turned: int) -> None:
     if turned != 0:
         raise ServoError(
-            f"servo {servo.id} stands {turned:+d} turns from its home, which is still proved: the finger is not straight "
-            "or a tendon is wound up; unwind it, or make this home with --new"
+            f"servo {servo.id} stands {turned:+d} turns from its home, which is still proved: the finger is not "
+            "straight or a tendon is wound up; unwind it, or make this home with --new"
         )
     if abs(position - home) > NEAR:
         raise ServoError(
-            f"servo {servo.id} stands at {position}, {position - home:+d} ticks from the stored home within a turn; allowed "
-            f"are {NEAR}: straighten the finger, look for a slipped tendon, or make this home with --new"
+            f"servo {servo.id} stands at {position}, {position - home:+d} ticks from the stored home within a turn; "
+            f"allowed are {NEAR}: straighten the finger, look for a slipped tendon, or make this home with --new"
         )
     if abs(home) > FARTHEST:
         raise ServoError(f"servo {servo.id}: home at {home} ticks; allowed is ±{FARTHEST}: make this home with --new")
@@ -158,8 +158,8 @@ def watched(bus: _core.ServoBus, rig: Rig, seconds: float = WATCHED) -> list[int
     for servo, moved in zip(rig.servos, np.ptp(looked, axis=0)):
         if moved > STEADY:
             raise ServoError(
-                f"the finger moves: servo {servo.id} turned by {moved} ticks in {seconds:g} s, allowed are {STEADY}; let it "
-                "come to rest and home it again"
+                f"the finger moves: servo {servo.id} turned by {moved} ticks in {seconds:g} s, allowed are {STEADY}; "
+                "let it come to rest and home it again"
             )
         if patiently(bus.read, servo.id, enable, 1) != b"\x00":
             raise ServoError(f"servo {servo.id} has torque: another program drives it; stop that first")
@@ -179,7 +179,7 @@ def at_bench(calibration: Calibration, rig: Rig) -> Calibration:
     worst = int(np.argmax(np.abs(homes - turned)))
     if abs(homes[worst] - turned[worst]) > NEAR:
         raise ServoError(
-            f"servo {rig.servos[worst].id}: its home lies {homes[worst] - turned[worst]:+.0f} ticks (whole turns aside) from "
-            f"that of the calibration, allowed are {NEAR}; calibrate again at this home"
+            f"servo {rig.servos[worst].id}: its home lies {homes[worst] - turned[worst]:+.0f} ticks (turns aside) "
+            f"from that of the calibration, allowed are {NEAR}; calibrate again at this home"
         )
     return replace(calibration, home=turned)

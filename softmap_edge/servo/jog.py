@@ -1,10 +1,10 @@
 """Jogs: small slow moves of single servos under little current, in the guard's commissioning state, home known or not.
 
     with Jog(rig) as jog:
-        jog.by(0, 100, held)     # as long as held() is true: who lets go stops it
+        jog.by(0, 100, Held())     # as long as it is held: who lets go stops it
 
 Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; torque goes off when nobody
-holds. Pinned by tests/test_jog.py.
+holds. Where home is proved and the rig has a ceiling of ticks, that is kept too. Pinned by tests/test_move.py.
 """
 
 from __future__ import annotations
@@ -13,14 +13,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import ServoError
+from softmap_edge.servo.commission import opened
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.proof import marked
 from softmap_edge.servo.rig import FARTHEST, Rig
 from softmap_edge.ticks import Calibration
 
@@ -34,8 +36,29 @@ SETTLES = 0.4  # s that a servo may be behind its goal
 WAITS = 3.0  # s beyond the time that a jog should take
 
 
+class Deadman(Protocol):
+    """What has to be held while anything moves: `keys.Keys`, or `Held`."""
+
+    @property
+    def stopped(self) -> bool:
+        """Whether somebody asked to stop; it stays so."""
+
+    def held(self) -> bool:
+        """Whether it is held now."""
+
+
+class Held:
+    """A deadman that the program holds as long as it runs; Ctrl-C lets go."""
+
+    stopped = False
+
+    def held(self) -> bool:
+        """Always."""
+        return True
+
+
 class Jog:
-    """The servos of `rig`, jogged one at a time; from entering to leaving.
+    """The servos of `rig`, jogged one at a time; from entering to leaving. `beyond` leaves its ceiling of ticks aside.
 
     Raises:
         ServoError: the loop cannot start, or a servo is not as the rig says.
@@ -50,6 +73,7 @@ class Jog:
         current: float = CURRENT,
         rate: float = 100.0,
         record: str | Path | None = None,
+        beyond: bool = False,
     ) -> None:
         count, anywhere = len(rig.servos), (-float(FARTHEST), float(FARTHEST))
         self.rig, self.slew, self.travel = rig, slew, travel
@@ -66,8 +90,12 @@ class Jog:
         ticks = Calibration(np.eye(count), none[1], none[1], *none, error, "ticks as they are", 0, 0, None, "ticks")
         self.robot = Controller(rig, ticks, limits, record=record, commissioning=True)
         self._began: Ticks | None = None
+        self._target: Ticks | None = None
+        self._window, self._beyond = np.tile(np.array(anywhere), (count, 1)), beyond
 
     def __enter__(self) -> Self:
+        if not self._beyond:
+            self._window = _window(self.rig, self._window)
         self.robot.__enter__()
         return self
 
@@ -111,7 +139,9 @@ class Jog:
             self._began, self._target = self.goal, None
         began = self.position if self._began is None else self._began
         target = self.goal if self._target is None else self._target.copy()
-        target[servo] = min(max(ticks, began[servo] - self.travel), began[servo] + self.travel)
+        low, high = self._window[servo]
+        ticks = min(max(ticks, low, began[servo] - self.travel), high, began[servo] + self.travel)
+        target[servo] = ticks
         self._target = target
         self.robot.target(target)
 
@@ -129,11 +159,12 @@ class Jog:
         self._target = self._began = None
         if self.robot.state == "commissioning":
             self.robot.request("stop")
+            until = time.monotonic() + WAITS
+            while self.robot.state == "commissioning" and time.monotonic() < until:
+                time.sleep(EVERY)
 
-    def by(
-        self, servo: int, ticks: float, held: Callable[[], bool], seen: Callable[[Jog], bool] | None = None
-    ) -> float:
-        """Turn a servo by `ticks` while `held()`; returns how far it came, still under torque if held.
+    def by(self, servo: int, ticks: float, hand: Deadman, seen: Callable[[Jog], bool] | None = None) -> float:
+        """Turn a servo by `ticks` while `hand` holds; returns how far it came, still under torque if held.
 
         Args:
             seen: is shown this jog each time; True ends the move where it is.
@@ -141,28 +172,41 @@ class Jog:
         Raises:
             ServoError: a fault ended it, or it did not arrive in time.
         """
-        begin, until = float(self.position[servo]), time.monotonic() + abs(ticks) / self.slew + WAITS
-        to, arrived = begin + ticks, float("inf")
-        while held() and time.monotonic() < arrived + SETTLES:
-            self.press(servo, to)
-            if seen is not None and seen(self):
-                self.press(servo, float(self.goal[servo]))
-                break
-            if abs(self.goal[servo] - self._aim(servo)) < ARRIVED:
-                arrived = min(arrived, time.monotonic())
-            elif time.monotonic() > until:
-                raise ServoError(
-                    f"servo {self.rig.servos[servo].id} was sent {ticks:+.0f} ticks and its goal came "
-                    f"{self.goal[servo] - begin:+.0f} in time; the deadman was not held throughout"
-                )
+        begin, left, settled = float(self.position[servo]), abs(ticks) / self.slew + WAITS, 0.0
+        last = time.monotonic()
+        while not hand.stopped and settled < SETTLES:
+            now = time.monotonic()
+            spent, last = now - last, now
+            if hand.held():
+                left -= spent
+                self.press(servo, begin + ticks)
+                if seen is not None and seen(self):
+                    self.press(servo, float(self.goal[servo]))
+                    break
+                if abs(self.goal[servo] - self._aim(servo)) < ARRIVED:
+                    settled += spent
+                elif left < 0:
+                    raise ServoError(
+                        f"servo {self.rig.servos[servo].id} was sent {ticks:+.0f} ticks and came "
+                        f"{self.position[servo] - begin:+.0f} in time; look what holds it"
+                    )
             time.sleep(EVERY)
         return float(self.position[servo] - begin)
 
     def _aim(self, servo: int) -> float:
         return float("nan") if self._target is None else float(self._target[servo])
 
-    _target: Ticks | None = None
 
-    def warnings(self) -> list[Any]:
-        """What the loop warned of when it started."""
-        return list(self.robot.report.get("warnings") or [])
+def _window(rig: Rig, window: Ticks) -> Ticks:
+    """Return the ticks (C, 2) that each servo may take: its ceiling about a home that is proved, else `window`."""
+    window = window.copy()
+    with opened(rig.port, rig.baud) as bus:
+        for k, servo in enumerate(rig.servos):
+            if servo.home is None or (servo.low is None and servo.high is None) or bus.ping(servo.id) is None:
+                continue
+            if marked(bus, servo.id, servo.home):
+                window[k] = [
+                    window[k, side] if away is None else servo.home + away
+                    for side, away in enumerate((servo.low, servo.high))
+                ]
+    return window

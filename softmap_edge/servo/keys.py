@@ -1,7 +1,7 @@
 """A held key of a terminal as a deadman: terminals tell no key-up, so a key counts as held while it repeats.
 
-A terminal repeats a held key some 30 times a second after a first pause of a quarter to half a second; whoever taps moves
-a little, whoever holds goes on. Escape, space and q stop. Pinned by tests/test_move.py.
+A terminal repeats a held key some 30 times a second after a first pause of a quarter to half a second; whoever taps
+moves a little, whoever holds goes on. Escape, space and q stop. Pinned by tests/test_move.py.
 """
 
 from __future__ import annotations
@@ -30,9 +30,12 @@ class Keys:
     """
 
     def __init__(self, file: int | None = None) -> None:
+        if file is None and not sys.stdin.isatty():
+            file = -1
         self._file = sys.stdin.fileno() if file is None else file
         self._last: tuple[str, float] = ("", -1e9)
-        if not os.isatty(self._file):
+        self.stopped = False
+        if self._file < 0 or not os.isatty(self._file):
             raise ServoError("no terminal whose keys could be held; start it in one, or give --hold")
 
     def __enter__(self) -> Self:
@@ -45,18 +48,26 @@ class Keys:
     ) -> None:
         termios.tcsetattr(self._file, termios.TCSAFLUSH, self._before)
 
-    def held(self) -> str:
+    def key(self) -> str:
         """Return the key that is held now, empty if none: its character, `up`, `down`, `left`, `right` or `escape`."""
-        while select.select([self._file], [], [], 0.0)[0]:
-            read = os.read(self._file, 64)
-            if not read:  # the terminal is gone
-                return "escape"
-            for key in named(read):
+        while not self.stopped and select.select([self._file], [], [], 0.0)[0]:
+            read = _read(self._file)
+            for key in named(read) or (["escape"] if not read else []):  # a terminal that is gone stops too
                 self._last = (key, time.monotonic())
-                if key in STOP:
-                    return key
+                self.stopped |= key in STOP
         key, since = self._last
-        return key if time.monotonic() - since <= REPEATS else ""
+        return "" if self.stopped or time.monotonic() - since > REPEATS else key
+
+    def held(self) -> bool:
+        """Return whether any key is held, none of them one that stops."""
+        return self.key() != ""
+
+
+def _read(file: int) -> bytes:
+    try:
+        return os.read(file, 64)
+    except OSError:
+        return b""
 
 
 def named(read: bytes) -> list[str]:

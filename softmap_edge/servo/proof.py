@@ -3,8 +3,8 @@
 In modes 4 and 5 a servo counts turns and loses them without power; nothing that it tells of itself says so. So homing
 leaves a mark in memory that power-up and reboot clear and that nothing here uses otherwise: the first eight indirect
 addresses (registers 168 to 183, RAM on every X-series servo; while indirect data are not read they do nothing). It is
-made of id and home, so that the mark of another servo or of another home counts for nothing. Its values are addresses that
-may be mapped on every model (120 to 135, four bits each). A servo that restores its RAM at power-up (startup
+made of id and home, so that the mark of another servo or of another home counts for nothing. Its values are addresses
+that may be mapped on every model (120 to 135, four bits each). A servo that restores its RAM at power-up (startup
 configuration, register 60) is refused: its mark would prove nothing. Pinned by tests/test_home.py.
 """
 
@@ -17,7 +17,8 @@ from typing import ParamSpec, TypeVar
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 
 MARK, MAPPABLE, DIGITS = 168, 120, 8  # first register; lowest address that it may hold; registers of four bits
 SIZE = 2 * DIGITS  # bytes

@@ -86,7 +86,9 @@ class Rig:
             lines += ["", "[[servo]]", f"id = {servo.id}", f'model = "{servo.model}"']
             lines += [f"{key} = {value}" for key in KEPT if (value := getattr(servo, key)) is not None]
         for name, found in self.made.items():
-            lines += ["", f"[made.{_quoted(name)}]"] + [f"{_quoted(key)} = {_value(said)}" for key, said in found.items()]
+            lines += ["", f"[made.{_quoted(name)}]"] + [
+                f"{_quoted(key)} = {_value(said)}" for key, said in found.items()
+            ]
         return "\n".join(lines) + "\n"
 
     def write(self, path: str | Path) -> None:
@@ -147,7 +149,9 @@ def _found(table: TomlTable) -> dict[str, Any]:
     for key, value in table.values.items():
         each = value if isinstance(value, list) else [value]
         if not all(isinstance(one, str | int | float) for one in each):
-            raise ServoError(f"{table.where}: {key} is {type(value).__name__}, expected a text, a number or a list of them")
+            raise ServoError(
+                f"{table.where}: {key} is {type(value).__name__}, expected a text, a number or a list of them"
+            )
     return table.values
 
 

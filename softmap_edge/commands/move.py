@@ -1,0 +1,171 @@
+"""The verb move: jog servos by held keys, turn one by some ticks, or go to one command and back."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from softmap_edge.bundle import builtin_model
+from softmap_edge.commands.commissioning import confirm
+from softmap_edge.commands.own import open_model
+from softmap_edge.commands.track import _plain, _robot
+from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.home import at_bench
+from softmap_edge.servo.jog import EVERY, SLEW, TRAVEL, Deadman, Held, Jog
+from softmap_edge.servo.keys import Keys
+from softmap_edge.servo.rig import Rig, read_rig
+
+ARROWS = {"right": (0, 1), "left": (0, -1), "up": (1, 1), "down": (1, -1)}
+SIGNS = {"+": 1, "=": 1, "-": -1}
+HELP = (
+    "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a key counts as held "
+    "while it repeats, at least every 0.25 s; space, escape and q stop"
+)
+
+
+def move_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `move`."""
+    parser.add_argument("command", nargs="?", metavar="U1,U2", help="mm to go to and back; jog by keys without it")
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--sim", action="store_true", help="an emulated robot: real packets, simulated finger")
+    where.add_argument("--rig", metavar="rig.toml", help="the servos of this bench")
+    parser.add_argument("--bundle", metavar="DIR", help="whose calibration maps mm to ticks (default: built-in finger)")
+    parser.add_argument("--servo", type=int, metavar="ID", help="jog this servo, by --by")
+    parser.add_argument("--by", type=float, metavar="TICKS", help=f"how far, at most {TRAVEL:.0f} either way")
+    parser.add_argument("--seconds", type=float, default=3.0, metavar="S", help="stay at U1,U2 so long (3)")
+    hold_argument(parser)
+
+
+def hold_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare `--hold`, the same wherever a deadman is."""
+    parser.add_argument(
+        "--hold", action="store_true", help="no key needs to be held: the program holds while it runs, Ctrl-C lets go"
+    )
+
+
+def move(args: argparse.Namespace) -> int:
+    """Jog, or go to one command; 0 when that was done."""
+    if (args.servo is None) != (args.by is None) or (args.command and args.by is not None):
+        raise SoftmapError("give U1,U2, or --servo ID with --by TICKS, or none of them to jog by keys")
+    if args.by is not None and not 1 <= abs(args.by) <= TRAVEL:
+        raise SoftmapError(f"--by {args.by:g}; allowed are 1 to {TRAVEL:.0f} ticks either way")
+    if args.command:
+        return _go(args)
+    with bench(args) as rig:
+        if args.by is not None:
+            _numbered(rig, args.servo)
+        with deadman(args.hold and args.by is not None) as hand, Jog(rig) as jog:
+            begin = jog.position
+            if args.by is not None:
+                tell(args, f"servo {args.servo} by {args.by:+.0f} ticks at {SLEW:.0f} ticks/s", hand)
+                jog.by(_numbered(rig, args.servo), args.by, hand)
+            else:
+                print(HELP, file=sys.stderr)
+                _by_keys(jog, hand)
+            end = jog.position
+            jog.stop()
+    servos = [
+        {"id": one.id, "from": float(a), "to": float(b)} for one, a, b in zip(rig.servos, begin, end, strict=True)
+    ]
+    document = {"schema": "softmap.move/1", "servos": servos, "stopped": bool(hand.stopped)}
+    lines = [f"servo {one['id']}: {one['from']:.0f} → {one['to']:.0f} ticks" for one in servos]
+    print(json.dumps(document) if args.json else "\n".join([*lines, "torque is off"]))
+    return 0
+
+
+@contextlib.contextmanager
+def bench(args: argparse.Namespace) -> Iterator[Rig]:
+    """Give the rig of `--rig`, or an emulated one."""
+    if args.rig:
+        yield read_rig(args.rig)
+        return
+    model = builtin_model() if getattr(args, "bundle", None) is None else open_model(args.bundle)
+    with _robot(_emulated(), model, model.calibration or _plain(model, True)) as (rig, _, _):
+        assert rig is not None
+        yield rig
+
+
+def _emulated() -> argparse.Namespace:
+    return argparse.Namespace(sim=True, rig=None, plan=False, hidden="", seed=0)
+
+
+@contextlib.contextmanager
+def deadman(held: bool) -> Iterator[Deadman]:
+    """Give what has to be held: the program itself, or a key of this terminal."""
+    if held:
+        yield Held()
+    else:
+        with Keys() as keys:
+            yield keys
+
+
+def tell(args: argparse.Namespace, what: str, hand: Deadman) -> None:
+    """Say what will move, and how it is stopped."""
+    how = "Ctrl-C lets go" if isinstance(hand, Held) else "hold any key; space, escape and q stop"
+    if not args.json:
+        print(f"{what}; {how}", file=sys.stderr)
+
+
+def _numbered(rig: Rig, id: int) -> int:
+    ids = [servo.id for servo in rig.servos]
+    if id not in ids:
+        raise ServoError(f"the rig has no servo {id}; it has {', '.join(map(str, ids))}")
+    return ids.index(id)
+
+
+def _by_keys(jog: Jog, hand: Any) -> None:
+    """Let held keys jog until one stops."""
+    chosen, count = 0, len(jog.rig.servos)
+    while not hand.stopped:
+        key = hand.key()
+        if key.isdigit() and 0 < int(key) <= count:
+            chosen = int(key) - 1
+        servo, way = ARROWS.get(key, (chosen, SIGNS.get(key, 0)))
+        if way and servo < count:
+            jog.push(servo, way)
+        at = "  ".join(f"{one.id}: {tick:.0f}" for one, tick in zip(jog.rig.servos, jog.position))
+        print(f"\r{at}  ({jog.robot.state}) ", end="", file=sys.stderr, flush=True)
+        time.sleep(EVERY)
+    print(file=sys.stderr)
+
+
+def _go(args: argparse.Namespace) -> int:
+    """Go to a command through the whole guard, stay, and come back slack."""
+    try:
+        u = np.array([float(word) for word in args.command.split(",")])
+    except ValueError:
+        raise SoftmapError(f"'{args.command:.40}' is no command; expected mm, one a servo: 2.5,-1") from None
+    if not np.isfinite(u).all() or not 0.0 <= args.seconds <= 600.0:
+        raise SoftmapError("commands are finite numbers, --seconds is 0 to 600")
+    model = builtin_model() if args.bundle is None else open_model(args.bundle)
+    calibration = model.calibration or _plain(model, args.sim)
+    where = argparse.Namespace(sim=args.sim, rig=args.rig, plan=False, hidden="", seed=0)
+    with _robot(where, model, calibration) as (rig, limits, _):
+        assert rig is not None
+        calibration = at_bench(calibration, rig)
+        if len(u) != len(rig.servos):
+            raise SoftmapError(f"{len(u)} numbers for {len(rig.servos)} servos; give mm, one a servo")
+        if not args.hold and not confirm(f"The finger goes to {args.command} mm and comes back. Is it free?"):
+            raise ServoError("nothing moved: nobody said that the finger is free")
+        with Controller(rig, calibration, limits) as robot:
+            done, begun = robot.engage(u), time.monotonic()
+            while time.monotonic() - begun < args.seconds:
+                done = robot.target(u)
+                time.sleep(EVERY)
+            at = calibration.commands(np.array(robot.report["position"], float))
+    document = {"schema": "softmap.move/1", "command_mm": u.tolist(), "done_mm": done.tolist(), "at_mm": at.tolist()}
+    said = f"sent to {_mm(done)} mm, came to {_mm(at)} mm by the servos; slack again, torque is off"
+    print(json.dumps(document) if args.json else said)
+    return 0
+
+
+def _mm(numbers: Any) -> str:
+    return ", ".join(f"{one:.2f}" for one in numbers)

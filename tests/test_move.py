@@ -1,0 +1,171 @@
+"""Servos jogged by held keys of a terminal, by options, and sent to a command: always through the guard."""
+
+import json
+import os
+import pty
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rigs import HOME, TICKS_PER_MM, angles, bench, torque
+
+from softmap_edge.cli import main
+from softmap_edge.errors import ServoError
+from softmap_edge.servo.jog import Held, Jog
+from softmap_edge.servo.keys import Keys, named
+
+SOFTMAP = str(Path(sys.executable).with_name("softmap"))
+
+
+def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
+    with bench() as (bus, rig, _):
+        with Jog(rig) as jog:
+            assert not torque(bus), "torque comes with the first press"
+            begun = time.monotonic()
+            came = jog.by(0, 200, Held())
+            assert time.monotonic() - begun > 200 / jog.slew, "no faster than a jog may be"
+            assert came == pytest.approx(200, abs=6) and torque(bus)
+            assert angles(bus) == pytest.approx([HOME + 200, HOME], abs=6)
+            jog.stop()
+            wait_for(lambda: not torque(bus))
+            jog.by(1, -900, Held())
+            assert angles(bus)[1] == pytest.approx(HOME - jog.travel, abs=6), "no farther than its travel"
+        assert not torque(bus)
+
+
+def test_a_ceiling_about_a_proved_home_is_kept():
+    with bench() as (bus, rig, _):
+        tight = replace(rig, servos=tuple(replace(one, low=-100, high=50) for one in rig.servos))
+        with Jog(tight) as jog:
+            assert jog.by(0, 200, Held()) == pytest.approx(50, abs=4)
+            assert jog.by(0, -290, Held()) == pytest.approx(-150, abs=4)
+        with Jog(tight, beyond=True) as jog:
+            jog.by(0, 200, Held())
+            assert angles(bus)[0] > HOME + 60
+
+
+def wait_for(what, seconds=3.0):
+    """Wait until `what()`."""
+    begin = time.monotonic()
+    while not what():
+        assert time.monotonic() - begin < seconds
+        time.sleep(0.01)
+
+
+class LetGo(Held):
+    """A hand that lets go after a while."""
+
+    def __init__(self, seconds):
+        self.until = time.monotonic() + seconds
+        self.end = self.until + 1.0
+
+    def held(self):
+        return time.monotonic() < self.until
+
+    @property
+    def stopped(self):
+        return time.monotonic() > self.end
+
+
+def test_who_lets_go_stops_it():
+    with bench() as (bus, rig, _), Jog(rig) as jog:
+        jog.by(0, 300, LetGo(0.5))
+        at = angles(bus)[0]
+        assert HOME < at < HOME + 250
+        time.sleep(0.3)
+        assert angles(bus)[0] == pytest.approx(at, abs=3)
+
+
+def test_a_fault_ends_a_jog_with_its_reason():
+    with bench() as (bus, rig, _), Jog(rig) as jog:
+        jog.by(0, 60, Held())
+        bus.fail(0, 0x20)
+        with pytest.raises(ServoError, match="hardware"):
+            for _ in range(50):
+                jog.by(0, 20, Held())
+        assert not torque(bus)
+
+
+def test_one_jog_by_options(tmp_path, capsys):
+    with bench() as (bus, rig, _):
+        file = str(tmp_path / "rig.toml")
+        rig.write(file)
+        assert main(["move", "--rig", file, "--servo", "2", "--by", "-120", "--hold", "--json"]) == 0
+        one, two = json.loads(capsys.readouterr().out)["servos"]
+        assert two["to"] - two["from"] == pytest.approx(-120, abs=6) and abs(one["to"] - one["from"]) < 6
+        assert not torque(bus)
+        for more, said in (
+            (["--servo", "9", "--by", "10", "--hold"], "the rig has no servo 9; it has 1, 2"),
+            (["--servo", "1"], "--servo ID with --by TICKS"),
+            (["--servo", "1", "--by", "900"], "allowed are 1 to 300 ticks"),
+            (["--servo", "1", "--by", "50"], "no terminal whose keys could be held; start it in one, or give --hold"),
+            (["1,2,3", "--hold"], "the bundle holds no calibration"),
+        ):
+            assert main(["move", "--rig", file, *more]) == 2
+            assert said in capsys.readouterr().err
+
+
+def test_to_a_command_and_back(capsys):
+    assert main(["move", "2,-1", "--sim", "--hold", "--seconds", "4", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["done_mm"] == pytest.approx([2.0, -1.0])
+    assert document["at_mm"] == pytest.approx([2.0, -1.0], abs=5 / TICKS_PER_MM)
+    assert main(["move", "2", "--sim", "--hold"]) == 2
+    assert "1 numbers for 2 servos" in capsys.readouterr().err
+    assert main(["move", "a,b", "--sim"]) == 2
+    assert "is no command" in capsys.readouterr().err
+
+
+@pytest.fixture
+def terminal():
+    """Give both ends of a terminal."""
+    ours, theirs = pty.openpty()
+    yield ours, theirs
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_held_keys_jog_and_escape_stops(terminal):
+    ours, theirs = terminal
+    with subprocess.Popen(
+        [SOFTMAP, "move", "--sim", "--json"], stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        told = b""
+        while b"connected" not in told:  # the keys are read from here on
+            told += process.stderr.read1(200)
+            assert process.poll() is None, told
+        drained = threading.Thread(target=process.stderr.read, daemon=True)
+        drained.start()
+        for _ in range(30):
+            os.write(ours, b"\x1b[C")
+            time.sleep(0.033)
+        time.sleep(1.0)  # let go
+        os.write(ours, b"\x1b")
+        document = json.loads(process.stdout.readline())
+        assert process.wait(20) == 0
+    one, two = document["servos"]
+    assert 30 < one["to"] - one["from"] < 320 and abs(two["to"] - two["from"]) < 6
+    assert document["stopped"]
+
+
+def test_keys_of_a_terminal(terminal):
+    ours, theirs = terminal
+    with Keys(theirs) as keys:
+        assert not keys.held() and not keys.stopped
+        os.write(ours, b"+")
+        time.sleep(0.05)
+        assert keys.key() == "+" and keys.held()
+        time.sleep(0.4)
+        assert not keys.held(), "who does not repeat has let go"
+        os.write(ours, b"+ ")
+        time.sleep(0.05)
+        assert not keys.held() and keys.stopped, "space stops, whatever else is held"
+    assert named(b"a\x1b[A\x1b[Z\x1bOBq\x1b") == ["a", "up", "down", "q", "escape"]
+    file = os.open("/dev/null", os.O_RDONLY)
+    with pytest.raises(ServoError, match="no terminal whose keys"):
+        Keys(file)
+    os.close(file)
