@@ -1,4 +1,4 @@
-"""Points of a camera over UDP: what counts, what is dropped and counted, one clock, a camera that goes and comes back."""
+"""Points of a camera over UDP: what counts, what is dropped and counted, one clock through restarts."""
 
 import math
 import struct

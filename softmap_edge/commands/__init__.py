@@ -38,7 +38,9 @@ VERBS: list[Verb] = [
     Verb("remove", "understand", "remove an effect from a bundle", "softmap_edge.commands.understand"),
     Verb("refit", "understand", "fit the effects of a bundle again", "softmap_edge.commands.understand"),
     Verb("track", "move", "lead the tip along a figure", "softmap_edge.commands.track"),
-    Verb("record", "move", "play a command file, on a robot or the simulated finger", "softmap_edge.commands.experiment"),
+    Verb(
+        "record", "move", "play a command file, on a robot or the simulated finger", "softmap_edge.commands.experiment"
+    ),
     Verb("replay", "move", "a recording of the loop, decided again", "softmap_edge.commands.servo"),
 ]
 

@@ -30,7 +30,9 @@ def servo_arguments(parser: argparse.ArgumentParser) -> None:
     one.add_argument("--rig", metavar="rig.toml", help="add it to this bench")
     _bus(one := what.add_parser("off", help="switch the torque of every servo off"))
     one.add_argument("--rig", metavar="rig.toml", help="the bench whose port it is")
-    emulate_arguments(what.add_parser("emulate", help="an emulated robot: servos, a finger, a camera, faults on command"))
+    emulate_arguments(
+        what.add_parser("emulate", help="an emulated robot: servos, a finger, a camera, faults on command")
+    )
 
 
 def _bus(parser: argparse.ArgumentParser) -> None:

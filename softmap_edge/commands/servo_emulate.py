@@ -20,7 +20,16 @@ from softmap_edge.commands.own import open_model
 from softmap_edge.commands.track import plain_map
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.model import Model
-from softmap_edge.servo.finger import BAUD, FRAMES, LATE, SERVO, EmulatedFinger, emulated_bench, full_window, hidden_laws
+from softmap_edge.servo.finger import (
+    BAUD,
+    FRAMES,
+    LATE,
+    SERVO,
+    EmulatedFinger,
+    emulated_bench,
+    full_window,
+    hidden_laws,
+)
 from softmap_edge.servo.rig import MOST_SERVOS, Rig, RigServo
 from softmap_edge.signed_udp import read_key, udp_address
 

@@ -173,7 +173,8 @@ class Player:
         silent = now - self._newest
         if silent > LOST:
             raise SoftmapError(
-                f"the camera is gone: no frame for {silent:.0f} s; see to its program and the network, then record again"
+                f"the camera is gone: no frame for {silent:.0f} s; see to its program and the network, then record "
+                "again"
             )
         return silent <= GONE
 
