@@ -2,16 +2,15 @@
 
 import json
 import math
-import subprocess
-import sys
+import signal
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 from emulated_robot import emulated, until
 from rigs import bench, calibration
+from test_interrupt import softmap
 
 from softmap_edge import builtin_model, load_bundle
 from softmap_edge.camera.frames import Frame
@@ -23,8 +22,6 @@ from softmap_edge.servo.follow import MARK, Following
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.servo.rig import read_rig
-
-SOFTMAP = str(Path(sys.executable).with_name("softmap"))
 
 
 def with_map():
@@ -157,15 +154,23 @@ def test_the_error_of_a_robot_in_another_process_is_told_while_it_moves(tmp_path
         until(lambda: receiver.taken > 0)
         receiver._socket.close()
         rig, made = read_rig(robot / "rig.toml"), load_bundle(robot / "bundle").calibration
-        argv = [SOFTMAP, "compare", str(file), "--live", "--bundle", str(robot / "bundle"), "--late", "0.02", "--json"]
-        argv += ["--camera", f"udp://:{receiver.port}"]
-        with subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as live:
-            limits = loop_limits([servo_limits(one.model, one.home, made.window) for one in rig.servos], 100.0)
-            drive(rig, limits, made, file, 6.0)
-            told, failed = live.communicate(timeout=60)
+        limits = loop_limits([servo_limits(one.model, one.home, made.window) for one in rig.servos], 100.0)
+        driver = threading.Thread(target=drive, args=(rig, limits, made, file, 8.0))
+        on = ["--bundle", str(robot / "bundle"), "--camera", f"udp://:{receiver.port}", "--late", "0.02"]
+        with softmap("compare", str(file), "--live", *on, "--json") as live:
+            assert live.stdout.readline() == "up\n"
+            driver.start()
+            told = ""
+            while '"whole_mm": null' in (line := live.stdout.readline()):  # nothing was seen of it yet
+                told += line
+            told += line + live.stdout.readline()
+            assert driver.is_alive()
+            live.send_signal(signal.SIGINT)
+            rest, failed = live.communicate(timeout=60)
+            driver.join()
     assert live.returncode == 0, failed
-    lines = [json.loads(line) for line in told.splitlines()]
-    assert {line["schema"] for line in lines} == {"softmap.live/1"} and len(lines) >= 2
+    lines = [json.loads(line) for line in (told + rest).splitlines()]
+    assert {line["schema"] for line in lines} == {"softmap.live/1"} and len(lines) >= 3
     last = lines[-1]
     assert last["whole"] and last["effects"] == [] and last["came"] >= last["frames"] > 30
     assert last["whole_mm"] > 0.3 and last["worst_mm"] >= last["whole_mm"]  # its play, beside 0.17 mm of noise

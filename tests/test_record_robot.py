@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from emulated_robot import emulated, until
 from rigs import calibration, torque
+from test_interrupt import softmap
 
 from softmap_edge import Run, SoftmapError, builtin_model, compare, diagnose, load_bundle
 from softmap_edge.camera.frames import Frame
@@ -228,8 +229,8 @@ def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, c
 
 def test_interrupted_is_kept(tmp_path, commands):
     out = tmp_path / "run.npz"
-    argv = [SOFTMAP, "record", str(commands), "--emulated", "--out", str(out), "--record", str(tmp_path / "loop.mcap")]
-    with subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    more = ["--emulated", "--out", str(out), "--record", str(tmp_path / "loop.mcap")]
+    with softmap("record", str(commands), *more) as process:
         until(lambda: (tmp_path / "loop.mcap").exists(), 60.0)
         time.sleep(9.0)
         process.send_signal(signal.SIGINT)
