@@ -121,7 +121,7 @@ def test_the_verb_plans_without_a_robot_and_says_what_is_out_of_reach(capsys):
         (["S", "--plan", "--axes", "x"], "a figure needs two"),
         (["S", "--plan", "--amplitude", "-3"], "an amplitude of -3"),
         (["S", "--plan", "--rate", "0"], "waypoints a second"),
-        (["S", "--plan", "--observe"], "give --sim with it"),
+        (["S", "--plan", "--observe"], "--observe needs eyes"),
         (["S", "--sim", "--hidden", "gravity"], "moves no tendon"),
         (["S", "--rig", "none.toml"], "no calibration"),
     ],
