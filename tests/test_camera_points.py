@@ -1,17 +1,22 @@
-"""Points of a camera over UDP: what counts, what is dropped and counted, one clock, a camera that goes and comes back."""
+"""Points of a camera over UDP: what counts, what is dropped and counted, one clock through restarts."""
 
+import argparse
+import importlib
 import math
 import struct
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
+from page import blocks, lines
 
 from softmap_edge.camera import points_udp
 from softmap_edge.camera.frames import Frame, host_times, on_host
 from softmap_edge.camera.points_udp import MOST_POINTS, SILENCE, Message, PointReceiver, PointSender, packed, unpacked
+from softmap_edge.commands import VERBS
 from softmap_edge.errors import TeleopError
-from softmap_edge.signed_udp import udp_address
+from softmap_edge.signed_udp import read_key, udp_address
 
 KEY = bytes(range(32))
 POINTS = np.arange(12.0).reshape(4, 3)
@@ -199,3 +204,21 @@ def test_addresses():
 def test_a_frame_holds_what_was_not_seen_as_nan():
     assert np.isnan(unpacked(packed(one([[1.0, np.nan, 2.0]] * 4))).points).all()
     assert isinstance(Frame(0.0, 0.0, POINTS), Frame) and points_udp.MARK == b"SMP1"
+
+
+PAGE = (Path(__file__).parents[1] / "docs/camera.md").read_text(encoding="utf-8")
+
+
+def test_what_the_page_says_can_be_typed(tmp_path, monkeypatch):
+    """Its Python runs; its commands are understood (what they do is shown by the tests of each verb)."""
+    monkeypatch.chdir(tmp_path)
+    names = {verb.name: verb for verb in VERBS}
+    for language, text in blocks(PAGE):
+        if language == "python":
+            exec(compile(text, "docs/camera.md", "exec"), {})
+        for words in lines(text) if language == "" else ():
+            parser = argparse.ArgumentParser(exit_on_error=False)
+            getattr(importlib.import_module(names[words[1]].module), f"{words[1]}_arguments")(parser)
+            parser.parse_args(words[2:])
+    assert len(read_key(tmp_path / "camera.key")) == 32
+    assert f"at most {MOST_POINTS} points" in PAGE

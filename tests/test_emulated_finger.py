@@ -1,15 +1,23 @@
 """A finger behind emulated servos: its laws as they stream, its camera, its faults."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import bench, calibration
+from emulated_robot import emulated, say, until
+from rigs import HOME, bench, calibration
 
-from softmap_edge import SoftmapError, builtin_model
+from softmap_edge import SoftmapError, _core, builtin_model, load_bundle
 from softmap_edge.camera.frames import on_host
+from softmap_edge.cli import main
+from softmap_edge.servo import commission
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.finger import FRAMES, EmulatedFinger, hidden_laws
+from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.rig import read_rig
+from softmap_edge.servo.tendon_load import NOMINAL, tendon_loads
+from softmap_edge.shape_arrays import plain_table
 from softmap_edge.truth_laws import LAWS, Law
 from softmap_edge.truth_named import NAMED
 from softmap_edge.truth_stream import streamed
@@ -75,3 +83,87 @@ def test_a_reversed_and_a_broken_tendon_show(model):
             moved(robot, [1.5, 1.5], 2.0)
             _, acting = finger.acting()
     np.testing.assert_allclose(acting[-1], [-1.5, 0.0], atol=0.02)
+
+
+def test_tendons_ask_for_what_the_model_says(model):
+    known = next(entry for entry in _core.servo_models() if entry["name"] == "XL330-M288")
+    (first, second) = tendon_loads(model, calibration(), (-2800.0, 2800.0), known)
+    ticks, drawn = np.array(first).T
+    assert ticks[0] == HOME - 2800 and ticks[-1] == HOME + 2800
+    assert np.all(np.diff(drawn) > -1.0) and abs(np.interp(HOME, ticks, drawn)) < 1.0
+    np.testing.assert_allclose(drawn, -drawn[::-1], atol=1.0)
+    # 10 mm of the first pair: its one tendon pulls with what the simulation says, on a spool of 1/280 mm a tick.
+    pull = plain_table(model.arrays["prior"], "pull").evaluate(np.array([[10.0, 0.0]]))[0]
+    torque = max(pull) * 1e-3 * 4096 / (2 * np.pi * 280)
+    assert drawn[-1] == pytest.approx(torque / 0.52 * 1470.0, rel=1e-3) and 20 < drawn[-1] < 60
+    np.testing.assert_allclose(np.array(second), np.array(first), atol=1.0)
+    # Tensions are the model's: without them a nominal stiffness stands in.
+    (nominal, _) = tendon_loads(replace(model, cables=None), calibration(), (-2800.0, 2800.0), known)
+    assert nominal[-1][1] == pytest.approx(NOMINAL * 10 * 4096 / (2 * np.pi * 280) * 1470.0 / 520.0)
+
+
+def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
+    with emulated(tmp_path, "--hidden", "backlash", "--strength", "0.5", "--seed", "3") as (process, told, camera):
+        assert told["schema"] == "softmap.emulated/1" and told["ready"] and told["hidden"] == ["backlash"]
+        rig, made = read_rig(tmp_path / "rig.toml"), load_bundle(tmp_path / "bundle")
+        assert rig.port == told["port"] and [servo.home for servo in rig.servos] == made.calibration.home.tolist()
+        for servo in rig.servos:
+            with commission.opened(rig.port, rig.baud) as bus:
+                number, firmware = bus.ping(servo.id)
+                values = commission.registers(bus, servo.id)
+            assert commission.complaints(commission.Found(rig.port, rig.baud, servo.id, number, firmware), values) == []
+        until(lambda: camera.taken > 5)
+        frames = camera.seen()
+        assert frames[-1].points.shape == model.rest.shape
+        assert (
+            np.abs(
+                np.mean([f.points for f in frames], axis=0)
+                - np.reshape(model.prior.evaluate(np.zeros((1, 2))), (-1, 3))
+            ).max()
+            < 0.5
+        )
+        servos = [servo_limits(servo.model, servo.home, made.calibration.window) for servo in rig.servos]
+        with Controller(rig, made.calibration, loop_limits(servos, 100.0)) as robot:
+            robot.engage()
+            moved(robot, [3.0, 0.0], 2.5)
+            tip = camera.seen()[-1].points[model.tip_indices].mean(axis=0)
+            assert np.linalg.norm(tip - model.tip(np.array([[3.0, 0.0]]))[0]) < 5.0
+            assert np.linalg.norm(tip - model.tip(np.zeros((1, 2)))[0]) > 5.0
+            say(process, "reverse 0")
+            moved(robot, [3.0, 0.0], 0.5)
+            away = camera.seen()[-1].points[model.tip_indices].mean(axis=0) - model.tip(np.zeros((1, 2)))[0]
+            assert away @ (tip - model.tip(np.zeros((1, 2)))[0]) < 0
+        say(process, "blind 1")
+        until(lambda: camera.silent > 0.5)
+        say(process, "blind 0")
+        until(lambda: camera.silent < 0.3)
+        say(process, "blind 2")
+        assert "no such fault" in process.stderr.readline()
+        say(process, "reverse 7")
+        assert "no 7; there are 0 to 1" in process.stderr.readline()
+
+
+def test_exchanged_ids_are_exchanged(tmp_path):
+    with emulated(tmp_path, "--fresh") as (process, told, _):
+        assert not told["ready"] and read_rig(tmp_path / "rig.toml").servos[0].home is None
+        with commission.opened(told["port"], told["baud"]) as bus:
+            assert commission.registers(bus, 1)["operating_mode"] == 3
+            say(process, "heat 0 60")
+            until(lambda: commission.registers(bus, 1)["present_temperature"] > 50)
+            say(process, "swap 0 1")
+            until(lambda: commission.registers(bus, 2)["present_temperature"] > 50)
+            assert commission.registers(bus, 1)["present_temperature"] < 40
+
+
+def test_what_an_emulated_robot_cannot_be_is_told(capsys, tmp_path):
+    for more, line in (
+        (["--hidden", "gravity"], "moves no tendon"),
+        (["--strength", "-1"], "more than 0 and up to 10"),
+        (["--stream", "udp://x"], "is no address"),
+        (["--key", "k"], "give --stream"),
+        (["--servos", "2", "--hidden", "backlash"], "--hidden needs a finger"),
+        (["--rig", str(tmp_path / "rig.txt")], "saved as .toml"),
+        (["--baud", "12345"], "has no rate of 12345 baud"),
+    ):
+        assert main(["servo", "emulate", *more]) == 2
+        assert line in capsys.readouterr().err

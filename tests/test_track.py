@@ -1,17 +1,21 @@
 """Figures tracked on an emulated robot: with what it hides and without, through what was found, with feedback."""
 
 import json
+import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from rigs import calibration
 
-from softmap_edge import Run, SoftmapError, _core, builtin_model, diagnose
+from softmap_edge import Run, SoftmapError, _core, builtin_model, diagnose, save_bundle
+from softmap_edge.camera.frames import Frame
+from softmap_edge.camera.points_udp import PointReceiver, PointSender
 from softmap_edge.cli import main
+from softmap_edge.commands.servo_emulate import streaming
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.motion.response import fit_response
-from softmap_edge.motion.track import course, track
+from softmap_edge.motion.track import _Feedback, course, track
 from softmap_edge.protocol import standard_protocol
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.finger import ANSWER, emulated_bench, hidden_laws
@@ -117,7 +121,7 @@ def test_the_verb_plans_without_a_robot_and_says_what_is_out_of_reach(capsys):
         (["S", "--plan", "--axes", "x"], "a figure needs two"),
         (["S", "--plan", "--amplitude", "-3"], "an amplitude of -3"),
         (["S", "--plan", "--rate", "0"], "waypoints a second"),
-        (["S", "--plan", "--observe"], "give --sim with it"),
+        (["S", "--plan", "--observe"], "--observe needs eyes"),
         (["S", "--sim", "--hidden", "gravity"], "moves no tendon"),
         (["S", "--rig", "none.toml"], "no calibration"),
     ],
@@ -136,3 +140,46 @@ def test_feedback_without_a_camera_and_tracking_without_a_record_are_refused(mod
         pytest.raises(SoftmapError, match="records"),
     ):
         track(robot, kinematics, made, finger.seen)
+
+
+def test_feedback_fades_while_the_tip_is_not_seen(model):
+    kinematics = Kinematics(model, axes="xy")
+    plan = course(kinematics, "S", amplitude=8.0, duration=12.0, rate=50.0, **LIMITS).plan
+    rest, tip, u = np.asarray(model.rest), model.tip(np.zeros((1, 2)))[0], np.zeros(2)
+
+    def frame(t, off):
+        target = np.array([np.interp(t, plan.t, column) for column in plan.targets.T])
+        return Frame(t, t, rest + target - tip + off)
+
+    seen, unseen = _Feedback(kinematics, plan, 0.24, 0.0), _Feedback(kinematics, plan, 0.24, 0.0)
+    frames = [frame(t, [1.0, 0.0, 0.0]) for t in np.arange(0.0, 1.0, 1 / 30)]
+    blank = [Frame(one.stamp, one.arrived, np.full(rest.shape, np.nan)) for one in frames]
+    size = {}
+    for t in np.arange(0.0, 6.0, 0.01):
+        size[round(t, 2)] = np.linalg.norm(seen(u, t, 0.0, [one for one in frames if one.arrived <= t]))
+        assert np.linalg.norm(unseen(u, t, 0.0, [one for one in blank if one.arrived <= t])) == 0.0
+    assert size[1.0] > 0.1 and size[1.4] == pytest.approx(size[1.0], rel=1e-6)
+    assert size[2.5] < 0.5 * size[1.0] and size[5.9] < 0.02 * size[1.0]
+
+
+def test_a_camera_that_goes_and_comes_while_a_figure_is_tracked(model, tmp_path, capsys):
+    """The figure is led to its end, torque is off, and what was not seen is told."""
+    save_bundle(replace(model, calibration=calibration()), tmp_path / "bundle")
+    with PointReceiver("", 0) as free:
+        port = free.port
+    argv = ["track", "S", "--bundle", str(tmp_path / "bundle"), "--rig", str(tmp_path / "rig.toml"), "--observe"]
+    argv += ["--camera", f"udp://:{port}", "--duration", "12", "--amplitude", "3", "--json"]
+    with (
+        emulated_bench(model, calibration(), rate=100.0) as (bus, rig, _, finger),
+        PointSender("127.0.0.1", port) as sender,
+        streaming(finger, [sender]),
+    ):
+        rig.write(tmp_path / "rig.toml")
+        timers = [threading.Timer(13.0, finger.blind, [True]), threading.Timer(17.0, finger.blind, [False])]
+        for timer in timers:
+            timer.start()
+        assert main(argv) == 0
+        assert not any(on for _, on, _ in bus.state()[1])
+    told = json.loads(capsys.readouterr().out)
+    assert 1.0 < told["unseen_s"] < 10.0 and told["seen_mm"]["n"] > 30
+    assert told["seen_mm"]["mean"] < 1.0

@@ -174,6 +174,10 @@ class PointReceiver:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Listen no more, and free the port; may be called again."""
         self._done.set()
         if self._thread.is_alive():
             self._thread.join(10 * WAIT)

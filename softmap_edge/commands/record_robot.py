@@ -155,8 +155,8 @@ def _ahead(args: argparse.Namespace, paced: Pace) -> str:
 def _said(args: argparse.Namespace, run: Any, told: dict[str, Any]) -> str:
     lines = [
         f"{run}",
-        f"{told['frames']} of {told['wanted']} frames in {told['minutes']:.1f} minutes, {told['settling_s']:g} s of them "
-        f"to settle; written to {args.out}" + ("" if told["whole"] else "; it was cut short"),
+        f"{told['frames']} of {told['wanted']} frames in {told['minutes']:.1f} minutes, {told['settling_s']:g} s to "
+        f"settle; written to {args.out}" + ("" if told["whole"] else "; it was cut short"),
     ]
     if told["unsettled"]:
         lines.append(f"{told['unsettled']} rests went on before all was still: the body creeps, or the servos hum")

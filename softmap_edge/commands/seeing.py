@@ -16,7 +16,9 @@ def camera_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--camera", metavar="udp://:PORT", help="where the camera's program sends points (docs/camera.md)"
     )
-    parser.add_argument("--key", metavar="FILE", help="the key that is shared with that program; needed across computers")
+    parser.add_argument(
+        "--key", metavar="FILE", help="the key that is shared with that program; needed across computers"
+    )
     parser.add_argument(
         "--like", metavar="RUN", help="points are in the camera's frame: bring them to the base as in this aligned run"
     )

@@ -141,7 +141,7 @@ def streaming(finger: EmulatedFinger, senders: list[PointSender]) -> Iterator[No
 
     def live() -> None:
         last = -float("inf")
-        while not done.wait(0.002):
+        while not done.wait(0.004):
             for frame in finger.seen()[-10:]:
                 if frame.stamp > last:
                     last = frame.stamp

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from softmap_edge.bundle import builtin_model
+from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
+from softmap_edge.commands.seeing import camera_arguments, late, receiver
 from softmap_edge.commands.track_table import table, workspace
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
@@ -24,7 +27,7 @@ from softmap_edge.motion.track import Course, Tracked, course
 from softmap_edge.motion.track import track as follow
 from softmap_edge.servo.combined import combined, on_bench
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.finger import EmulatedFinger, emulated_bench, hidden_laws
+from softmap_edge.servo.finger import emulated_bench, hidden_laws
 from softmap_edge.servo.limits import servo_limits
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.ticks import Calibration
@@ -59,7 +62,8 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--axes", default="xy", help="the plane of the figure, and what of the tip counts (xy)")
     parser.add_argument("--method", choices=METHODS, help="how inverse kinematics is solved (exact; --table: paper)")
     parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out, to compare")
-    parser.add_argument("--observe", action="store_true", help="feed back what the camera sees of the tip (--sim)")
+    parser.add_argument("--observe", action="store_true", help="feed back what the camera sees of the tip")
+    camera_arguments(parser)
     parser.add_argument(
         "--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides: backlash,creep"
     )
@@ -76,12 +80,15 @@ def track(args: argparse.Namespace) -> int:
         raise SoftmapError(f"--record {args.record}: it exists; give another name")
     if args.hidden and not args.sim:
         raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
-    if args.observe and not args.sim:
-        raise SoftmapError("--observe: only the emulated finger has a camera here; give --sim with it")
+    if args.camera and not args.rig:
+        raise SoftmapError("--camera watches a robot; give --rig with it (an emulated finger has a camera of its own)")
+    if args.observe and not (args.sim or args.camera):
+        raise SoftmapError("--observe needs eyes: give --camera udp://:PORT (docs/camera.md), or --sim")
     if (args.figure is None) == (not (args.table or args.workspace)):
         raise SoftmapError("name a figure, or give --table or --workspace without one")
     if (args.rival and not args.table) or (args.reach and not args.workspace):
         raise SoftmapError("--rival goes with --table, --reach with --workspace; give that too")
+    behind = late(args)
     whole = builtin_model() if args.bundle is None else open_model(args.bundle)
     if args.table:
         return table(args, whole)
@@ -92,7 +99,7 @@ def track(args: argparse.Namespace) -> int:
         return workspace(args, kinematics)
     calibration = whole.calibration or plain_map(whole, args.sim or args.plan)
     tracked = None
-    with tempfile.TemporaryDirectory() as folder, robot_of(args, whole, calibration) as (rig, limits, finger):
+    with tempfile.TemporaryDirectory() as folder, robot_of(args, whole, calibration) as (rig, limits, seen):
         servos = limits["servos"]
         planned = course(
             kinematics,
@@ -108,8 +115,7 @@ def track(args: argparse.Namespace) -> int:
         if rig is not None:
             record = Path(args.record or Path(folder) / "track.mcap")
             with Controller(rig, calibration, limits, kinematics=kinematics, record=record) as robot:
-                seen = None if finger is None else finger.seen
-                tracked = follow(robot, kinematics, planned, seen, observe=args.observe)
+                tracked = follow(robot, kinematics, planned, seen, observe=args.observe, late=behind)
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)
     document = _document(args, kinematics, planned, tracked)
@@ -120,18 +126,24 @@ def track(args: argparse.Namespace) -> int:
 @contextlib.contextmanager
 def robot_of(
     args: argparse.Namespace, model: Model, calibration: Calibration
-) -> Iterator[tuple[Rig | None, dict[str, Any], EmulatedFinger | None]]:
-    """Give rig, limits and, of an emulated robot, the finger."""
+) -> Iterator[tuple[Rig | None, dict[str, Any], Seen | None]]:
+    """Give rig, limits and what sees the robot."""
     if args.sim:
         laws = hidden_laws([name for name in args.hidden.split(",") if name], model.channels, args.seed or 0)
         with emulated_bench(model, calibration, laws, rate=RATE, seed=args.seed or 0) as (_, rig, limits, finger):
-            yield rig, limits, finger
+            yield rig, limits, finger.seen
         return
     if args.plan:
         yield None, {"servos": [servo_limits("XL330-M288", 0, (-1000.0, 1000.0))] * model.channels}, None
         return
     rig, limits = bench_of(args.rig, model, calibration)
-    yield rig, limits, None
+    if args.camera is None:
+        yield rig, limits, None
+        return
+    with receiver(args, len(model.rest)) as camera:
+        yield rig, limits, camera.seen
+        if not camera.taken:
+            print(f"no frame came at {args.camera}; {camera.said()}", file=sys.stderr)
 
 
 def bench_of(path: str, model: Model, calibration: Calibration) -> tuple[Rig, dict[str, Any]]:
@@ -185,6 +197,7 @@ def _document(
         "seen_mm": _numbers(tracked.error) if seen and tracked is not None else None,
         "servos_s": None if tracked is None else dict(zip(("delay", "lag"), tracked.response)),
         "observed": args.observe,
+        "unseen_s": None if tracked is None else tracked.unseen,
         "record": args.record,
         "picture": args.picture,
     }
@@ -213,6 +226,9 @@ def _text(told: dict[str, Any]) -> str:
         )
     if told["seen_mm"]:
         lines.append(f"the camera saw it off by     {numbers('seen_mm')}")
+        if told["unseen_s"]:
+            fed = ", and nothing was fed back then" if told["observed"] else ""
+            lines.append(f"the tip was not seen for {told['unseen_s']:.1f} s of it{fed}")
     elif told["servos_s"]:
         lines.append("no camera: how far off it really was is not known")
     lines += [f"{told[name]}: written" for name in ("record", "picture") if told[name]]

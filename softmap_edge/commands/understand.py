@@ -12,6 +12,7 @@ from typing import Any
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_kept
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
+from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.errors import SoftmapError
 from softmap_edge.own_effect import check_hashes
 from softmap_edge.whole_file import write_whole
@@ -26,7 +27,10 @@ NUMBERS = {
 
 def compare_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap compare`."""
-    parser.add_argument("run", help="the measured run, .npz")
+    parser.add_argument("run", help="the measured run, .npz; with --live what a loop is recording, .mcap")
+    parser.add_argument("--live", action="store_true", help="while a robot runs, seen by --camera")
+    camera_arguments(parser)
+    parser.add_argument("--seconds", type=float, metavar="S", help="--live: end after so long (without: Ctrl-C)")
     parser.add_argument(
         "--bundle",
         action="append",
@@ -39,6 +43,12 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
 
 def compare(args: argparse.Namespace) -> int:
     """Show how far a model is from a run, and where; 1 if the last of several bundles is worse than the first."""
+    if args.live:
+        from softmap_edge.commands.live import compare_live
+
+        return compare_live(args)
+    if args.camera is not None or args.seconds is not None:
+        raise SoftmapError("--camera and --seconds go with --live; a run has its own frames")
     from softmap_edge.diagnosis.comparison import compare as measure
     from softmap_edge.report.comparison_text import pair_text
 

@@ -38,7 +38,7 @@ class Pace:
     """A command file as it is played.
 
     Attributes:
-        made: the file. t: (T,) s at which its rows are due, waiting left out. rests: (T,) bool, the first rows of rests.
+        made: the file. t: (T,) s at which its rows are due, waiting left out. rests: (T,) bool, first rows of rests.
         stops: row → what is to be done by hand there. looks: (K,) s at which a frame is wanted.
     """
 
@@ -77,8 +77,8 @@ def pace(made: Protocol, calibration: Calibration, servos: Sequence[dict[str, fl
     if outside.max() > 1.0:
         k, c = np.unravel_index(int(np.argmax(outside)), outside.shape)
         raise SoftmapError(
-            f"row {k + 1}: command {made.command[k, c]:g} {made.unit} is tick {ticks[k, c]:.0f} of servo {c}, its window "
-            f"is {low[c]:.0f} to {high[c]:.0f}; write a file of a smaller range, or measure the window anew"
+            f"row {k + 1}: command {made.command[k, c]:g} {made.unit} is tick {ticks[k, c]:.0f} of servo {c}, its "
+            f"window is {low[c]:.0f} to {high[c]:.0f}; write a file of a smaller range, or measure the window anew"
         )
     fastest = np.minimum(SHARE * slew, BEHIND * following / ANSWER)
     least = (np.abs(np.diff(ticks, axis=0)) / fastest).max(axis=1)

@@ -133,7 +133,8 @@ class Player:
 
     def _settle(self, at: float, patience: float = PATIENCE) -> None:
         """Stay until servos and what is seen stand, or for as long as patience lasts."""
-        begun, still_since = time.monotonic(), None
+        begun = time.monotonic()
+        still_since: float | None = None
         self._history.clear()
         while (now := time.monotonic()) - begun < patience:
             self._send(at, now)
@@ -173,7 +174,8 @@ class Player:
         silent = now - self._newest
         if silent > LOST:
             raise SoftmapError(
-                f"the camera is gone: no frame for {silent:.0f} s; see to its program and the network, then record again"
+                f"the camera is gone: no frame for {silent:.0f} s; see to its program and the network, then record "
+                "again"
             )
         return silent <= GONE
 

@@ -33,6 +33,8 @@ SETTLED = 1.5  # s after engaging and after the figure
 PROBE = (0.5, 3.0)  # mm and s of the move that measures the servos
 AVERAGED = 0.2  # s over which what is seen to be off is averaged before it is fed back
 MOST_BACK = 5.0  # mm that feedback may add
+GONE = 0.5  # s without the tip after which it is not seen
+FADES = 1.0  # s in which feedback goes when the tip is not seen: what it knew grows old
 
 
 @dataclass(frozen=True)
@@ -101,24 +103,29 @@ def course(
 class Tracked:
     """What happened: where the tip was seen `tip` (K, 3) mm at `t` (K,) s of the plan, where it should have been then
     `target` (K, 3), and how far off `error` (K,) mm along the axes that count; `response` (delay, lag) s of the
-    servos."""
+    servos, `unseen` s of the figure in which the camera was gone."""
 
     t: Floats
     target: Floats
     tip: Floats
     error: Floats
     response: tuple[float, float]
+    unseen: float = 0.0
 
 
 def track(
     robot: Controller,
     kinematics: Kinematics,
     course: Course,
-    seen: Callable[[], list[Frame]] | None = None,
+    seen: Seen | None = None,
     *,
     observe: bool = False,
+    late: float = 0.0,
 ) -> Tracked:
     """Drive a course on an entered `robot` that records, and judge it by what `seen` tells.
+
+    A tip that is not seen for `GONE` s is no longer fed back: what was known of it fades, and nothing else changes.
+    `late` s is what the quickest frame takes.
 
     Raises:
         SoftmapError: the robot records nothing, feedback without a camera, or the guard stopped.
@@ -133,7 +140,7 @@ def track(
     delay, lag = (0.0, 0.0) if told is None else told
     plan = course.plan
     asked = early(plan.acting, plan.t, delay + kinematics.delays[0], lag + kinematics.delays[1])
-    feedback = _Feedback(kinematics, plan, sum((delay, lag, *kinematics.delays))) if observe else None
+    feedback = _Feedback(kinematics, plan, sum((delay, lag, *kinematics.delays)), late) if observe else None
     begun = time.monotonic()
 
     def command(t: float) -> Floats:
@@ -145,7 +152,7 @@ def track(
     _play(robot, command, float(plan.t[-1]) + 1.0 / SENT)
     frames = [] if seen is None else _kept(seen, begun + plan.t[-1])
     _play(robot, lambda t: asked[-1], SETTLED)
-    return _judged(kinematics, course, frames, begun, (delay, lag))
+    return _judged(kinematics, course, frames, begun, (delay, lag), late)
 
 
 def _play(robot: Controller, command: Callable[[float], Floats], seconds: float) -> None:
@@ -164,7 +171,7 @@ def _probe(t: float, channels: int) -> Floats:
     return np.array([PROBE[0] * rise * np.sin(2 * np.pi * (1.0 + 0.3 * (c % 3)) * t) for c in range(channels)])
 
 
-def _kept(seen: Callable[[], list[Frame]], until: float) -> list[Frame]:
+def _kept(seen: Seen, until: float) -> list[Frame]:
     """Return all frames once those of `until` have arrived, or 0.3 s later."""
     while time.monotonic() < until + 0.3:
         time.sleep(0.02)
@@ -172,8 +179,9 @@ def _kept(seen: Callable[[], list[Frame]], until: float) -> list[Frame]:
 
 
 def _tips(kinematics: Kinematics, frames: Sequence[Frame]) -> Floats:
+    """Return the tips that were seen (K, 3) mm; NaN where not all of a tip was."""
     index = kinematics.model.tip_indices
-    return np.array([frame.points[index].mean(axis=0) for frame in frames]).reshape(-1, 3)
+    return np.array([np.asarray(frame.points, float)[index].mean(axis=0) for frame in frames]).reshape(-1, 3)
 
 
 def _counted(kinematics: Kinematics) -> NDArray[np.bool_]:
@@ -181,16 +189,22 @@ def _counted(kinematics: Kinematics) -> NDArray[np.bool_]:
 
 
 def _judged(
-    kinematics: Kinematics, course: Course, frames: Sequence[Frame], begun: float, response: tuple[float, float]
+    kinematics: Kinematics,
+    course: Course,
+    frames: Sequence[Frame],
+    begun: float,
+    response: tuple[float, float],
+    late: float,
 ) -> Tracked:
-    t = on_host(frames) - begun
+    t, tip = on_host(frames, late) - begun, _tips(kinematics, frames)
     plan = course.plan
-    first = plan.t[course.counts][0]
-    during = (t >= first) & (t <= plan.t[-1])
-    t, tip = t[during], _tips(kinematics, frames)[during]
+    first, last = float(plan.t[course.counts][0]), float(plan.t[-1])
+    during = (t >= first) & (t <= last) & np.isfinite(tip).all(axis=1)
+    t, tip = t[during], tip[during]
     target = np.stack([np.interp(t, plan.t, column) for column in plan.targets.T], axis=1)
     error = np.linalg.norm((tip - target)[:, _counted(kinematics)], axis=1)
-    return Tracked(t, target, tip, error, response)
+    gaps = np.diff(np.concatenate([[first], t, [last]]))
+    return Tracked(t, target, tip, error, response, float(gaps[gaps > GONE].sum()))
 
 
 class _Feedback:
@@ -198,28 +212,34 @@ class _Feedback:
 
     What a frame shows beyond the target and beyond the corrections that had reached the tip by then is the disturbance;
     averaged over `AVERAGED` s it is taken back at once. The corrections under way are known, so the servos' answer does
-    not have to be waited for. What comes and goes within that answer, as at a reversal, is not caught.
+    not have to be waited for. What comes and goes within that answer, as at a reversal, is not caught. While the tip is
+    not seen what was known of it fades.
     """
 
-    def __init__(self, kinematics: Kinematics, plan: Plan, late: float) -> None:
-        self._kinematics, self._plan, self._late = kinematics, plan, late
+    def __init__(self, kinematics: Kinematics, plan: Plan, answer: float, late: float) -> None:
+        self._kinematics, self._plan, self._answer, self._late = kinematics, plan, answer, late
         self._off, self._last = np.zeros(3), -np.inf
+        self._seen, self._asked_at = -np.inf, -np.inf  # s of the plan
         self._counts = _counted(kinematics)
         self._asked: list[tuple[float, Floats]] = [(-np.inf, np.zeros(3))]
 
     def __call__(self, u: Floats, t: float, begun: float, frames: Sequence[Frame]) -> Floats:
         """Return by how much (C,) mm what should act changes at `t` s of the plan."""
         recent = frames[-300:]
-        for frame, taken in zip(recent, on_host(recent) - begun):
-            if frame.stamp <= self._last or taken < 0:
+        for frame, taken in zip(recent, on_host(recent, self._late) - begun):
+            tip = _tips(self._kinematics, [frame])[0] if frame.stamp > self._last else np.full(3, np.nan)
+            if taken < 0 or not np.isfinite(tip).all():
                 continue
             plan = self._plan
             target = np.array([np.interp(taken, plan.t, column) for column in plan.targets.T])
-            there = next(c for then, c in reversed(self._asked) if then <= taken - self._late)
-            off = np.where(self._counts, _tips(self._kinematics, [frame])[0] - target - there, 0.0)
-            step = frame.stamp - self._last if np.isfinite(self._last) else 1.0 / FRAMES
+            there = next(c for then, c in reversed(self._asked) if then <= taken - self._answer)
+            off = np.where(self._counts, tip - target - there, 0.0)
+            step = min(frame.stamp - self._last, AVERAGED) if np.isfinite(self._last) else AVERAGED / 6
             self._off += (1.0 - np.exp(-step / AVERAGED)) * (off - self._off)
-            self._last = frame.stamp
+            self._last, self._seen = frame.stamp, t
+        if t - self._seen > GONE:
+            self._off *= np.exp(-(t - max(self._asked_at, self._seen)) / FADES)
+        self._asked_at = t
         correction = np.clip(-self._off, -MOST_BACK, MOST_BACK)
         self._asked.append((t, correction))
         slopes = np.asarray(self._kinematics.tip.jacobian(u[None]))[0][self._counts]

@@ -41,6 +41,7 @@ FRAMES = 30.0  # frames a second
 LATE = (0.02, 0.01)  # s from a frame to whoever asks: at least, and at random beyond
 NOISE = 0.1  # mm, each coordinate of each point
 DRIFT = 30e-6  # of the camera's clock against the host's
+LATEST = 15  # frames that may still be on their way
 KEPT = 9000  # frames: five minutes
 ASKED = 5  # times
 SERVO, BAUD = "XL330-M288", 1_000_000
@@ -126,8 +127,8 @@ class EmulatedFinger:
 
     def seen(self) -> list[Frame]:
         """Return the frames that have arrived, oldest first, at most the last `KEPT`."""
-        now = time.monotonic()
-        return [frame for frame in list(self._frames) if frame.arrived <= now]
+        now, frames = time.monotonic(), list(self._frames)
+        return frames[:-LATEST] + [frame for frame in frames[-LATEST:] if frame.arrived <= now]
 
     def acting(self) -> tuple[Floats, Floats]:
         """Return what truly acted: times (T,) s, monotonic, and (T, C) mm. No robot tells that."""

@@ -1,0 +1,82 @@
+"""`softmap compare --live`: how far the model is from a robot that runs, as its loop records and a camera sees."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+import time
+from pathlib import Path
+
+from softmap_edge.commands.own import load_own, open_model
+from softmap_edge.commands.seeing import late, receiver
+from softmap_edge.diagnosis.live import Live, Now
+from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.servo.follow import Following
+
+LOOK = 0.25  # s between two looks at the recording
+LINES = 2.0  # s between two lines where no terminal is watched
+BEGINS = 30.0  # s that a recording may take to begin
+
+
+def compare_live(args: argparse.Namespace) -> int:
+    """Follow a recording and a camera until the recording ends, `--seconds` are over, or Ctrl-C."""
+    if args.camera is None:
+        raise SoftmapError("--live needs eyes: give --camera udp://:PORT (docs/camera.md)")
+    if args.run is None or Path(args.run).suffix != ".mcap":
+        raise SoftmapError("--live follows what a loop records: give its .mcap file, as of `softmap track --record`")
+    if args.html or len(args.bundle or []) > 1:
+        raise SoftmapError("--live compares one bundle and writes no page; record a run and compare that")
+    load_own(args)
+    model = open_model((args.bundle or [None])[0])
+    live = Live(model, late(args))
+    with contextlib.closing(_begun(args.run)) as loop, receiver(args, len(model.rest)) as camera:
+        effects = ", ".join(model.chain_names) or "none"
+        if not args.json:
+            print(f"'{model.robot}', effects of the model: {effects}; Ctrl-C ends it", flush=True)
+        said, now = -LINES, live.compared()
+        with contextlib.suppress(KeyboardInterrupt):
+            begun = time.monotonic()
+            while True:
+                live.drove(loop.new())
+                live.saw(camera.seen())
+                now = live.compared()
+                t = time.monotonic() - begun
+                if sys.stdout.isatty() and not args.json:
+                    print(f"\r{now}", end="", flush=True)
+                elif t - said >= LINES:
+                    said = t
+                    print(json.dumps(now.to_dict()) if args.json else now, flush=True)
+                if loop.ended or (args.seconds is not None and t >= args.seconds):
+                    break
+                time.sleep(LOOK)
+        document = now.to_dict() | {
+            "whole": True, "robot": model.robot, "effects": list(model.chain_names), "came": camera.taken,
+            "refused": dict(camera.refused), "lost": camera.lost,
+        }  # fmt: skip
+        print(json.dumps(document) if args.json else _summary(now, effects, camera.said()), flush=True)
+    return 0 if now.frames else 1
+
+
+def _begun(path: str) -> Following:
+    """Return the recording once it is there.
+
+    Raises:
+        RunError: it does not begin.
+    """
+    end = time.monotonic() + BEGINS
+    while not Path(path).exists():
+        if time.monotonic() > end:
+            raise RunError(f"{path}: no recording began within {BEGINS:g} s; start what is recorded with --record")
+        time.sleep(LOOK)
+    return Following(path)
+
+
+def _summary(now: Now, effects: str, said: str) -> str:
+    lines = ["", f"{now}", f"worst frame {now.worst_mm:.2f} mm; effects of the model: {effects}; {said}"]
+    if not now.frames:
+        lines.append("nothing was compared: no frame came while the servos were heard")
+    if now.left_out:
+        lines.append(f"{now.left_out} frames were left out: before the first position, or more than could be followed")
+    return "\n".join(lines)

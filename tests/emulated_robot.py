@@ -1,0 +1,40 @@
+"""An emulated robot in a process of its own, for tests: `softmap servo emulate`, its camera streaming here."""
+
+import json
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+from softmap_edge.camera.points_udp import PointReceiver
+
+
+@contextmanager
+def emulated(folder, *more):
+    """Start `softmap servo emulate` with a camera that streams here; gives its process, document and the receiver."""
+    rig, bundle = folder / "rig.toml", folder / "bundle"
+    with PointReceiver("", 0) as camera:
+        argv = [
+            *(str(Path(sys.executable).with_name("softmap")), "servo", "emulate", "--rig", str(rig)),
+            *("--calibrated", str(bundle), "--stream", f"udp://127.0.0.1:{camera.port}", *more, "--json"),
+        ]
+        with subprocess.Popen(
+            argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as process:
+            yield process, json.loads(process.stdout.readline()), camera
+            process.communicate()
+            assert process.returncode == 0
+
+
+def until(condition, seconds=20.0):
+    """Wait until a condition holds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def say(process, line):
+    process.stdin.write(line + "\n")
+    process.stdin.flush()

@@ -1,0 +1,281 @@
+"""A command file played on servos and watched by a camera: its pace, when it settles, its diagnosis."""
+
+import io
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from emulated_robot import emulated, until
+from rigs import calibration, torque
+from test_interrupt import softmap
+
+from softmap_edge import Run, SoftmapError, builtin_model, compare, diagnose, load_bundle
+from softmap_edge.camera.frames import Frame
+from softmap_edge.cli import main
+from softmap_edge.errors import ServoError
+from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
+from softmap_edge.experiment.command_file import write_commands
+from softmap_edge.experiment.pace import ANSWER, BEHIND, SPAN, STILL, pace, servos_still, view_still
+from softmap_edge.experiment.play import Player, merged
+from softmap_edge.protocol import Limits, Protocol
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.finger import emulated_bench
+from softmap_edge.servo.limits import servo_limits
+from softmap_edge.servo.recording import read_recording
+
+MODEL = builtin_model()
+SERVOS = [servo_limits("XL330-M288", 2000, (-900.0, 900.0))] * 2
+SOFTMAP = str(Path(sys.executable).with_name("softmap"))
+TELLING = ["small loops at two offsets", "triangles of growing size", "diagonals"]
+
+
+def short(load=False):
+    """Go to 2 mm, rest, go back; perhaps a weight is hung meanwhile."""
+    t = np.arange(0.0, 3.0, 0.02)
+    u = np.clip(np.stack([t - 0.5, 0 * t], axis=1) * 4, 0, 1.5)
+    u[t > 2.0, 0] = 0.0
+    looks = t[(t > 0.9) & (t < 2.0)][::12]
+    return Protocol(
+        "short", t, u, np.tile([0.0, 0.0, 1.0], (len(t), 1)), looks, np.full(len(looks), "rest"),
+        load=np.where(t > 2.2, 10.0, 0.0) if load else None,
+    )  # fmt: skip
+
+
+def test_a_file_is_slowed_to_what_servos_can_do():
+    made = plan(chosen(["circle", "fast and slow triangles"]), Limits.even(2, 3.0))
+    paced = pace(made, calibration(), SERVOS)
+    speed = np.abs(np.diff(calibration().ticks(made.command), axis=0)) / np.diff(paced.t)[:, None]
+    most = BEHIND * SERVOS[0]["following"] / ANSWER
+    assert speed.max() <= most + 1e-6 and np.all(np.diff(paced.t) >= np.diff(made.t) - 1e-9)
+    asked = np.abs(np.diff(calibration().ticks(made.command), axis=0)) / np.diff(made.t)[:, None]
+    assert asked.max() > most
+    assert len(paced.looks) == made.frames and np.all(np.diff(paced.looks) > 0)
+    np.testing.assert_allclose(paced.command(paced.t[100]), made.command[100])
+
+
+def test_rests_and_stops_are_where_the_file_has_them():
+    paced = pace(short(load=True), calibration(), SERVOS)
+    u = paced.made.command
+    for k in np.flatnonzero(paced.rests):
+        assert (u[k : k + 20] == u[k]).all() and (k == 0 or (u[k - 1] != u[k]).any())
+    assert paced.rests.sum() == 3
+    (row,) = paced.stops
+    assert paced.made.t[row] == pytest.approx(2.22) and "10 g hang at the tip" in paced.stops[row]
+    # A note that says it is the stop: no second one where the weight counts.
+    noted = plan([BLOCKS["a known 10 g"]], Limits.even(2, 2.0))
+    assert list(pace(noted, calibration(), SERVOS).stops.values()) == ["hang 10 g at the tip"]
+
+
+def test_what_servos_cannot_do_is_told_before_anything_moves():
+    made = short()
+    with pytest.raises(
+        SoftmapError, match=r"row \d+: command 15 mm is tick 6200 of servo 0, its window is 1100 to 2900"
+    ):
+        pace(replace(made, command=10 * made.command), calibration(), SERVOS)
+    with pytest.raises(SoftmapError, match="1 commands in mm, the robot takes 2"):
+        pace(replace(made, command=made.command[:, :1]), calibration(), SERVOS)
+
+
+def test_settled_is_said_of_what_stands_and_of_nothing_else():
+    t = np.arange(0.0, 1.0, 0.05)
+    assert servos_still([(s, [2000.0 + s, 1990.0]) for s in t], 0.95)
+    assert not servos_still([(s, [2000.0 + 30 * s, 1990.0]) for s in t], 0.95)
+    assert not servos_still([(s, [2000.0, 1990.0]) for s in t if s > 0.8], 0.95)
+    rng = np.random.default_rng(0)
+
+    def frames(speed, noise):
+        base = MODEL.rest
+        taken = np.arange(0.0, 1.0, 1 / 30)
+        return [Frame(s, s, base + [speed * s, 0, 0] + noise * rng.normal(size=base.shape)) for s in taken]
+
+    assert view_still(frames(0.0, 0.1), 0.0, 1.0) and view_still(frames(0.0, 0.5), 0.0, 1.0)
+    assert not view_still(frames(4 * STILL / SPAN, 0.1), 0.0, 1.0)
+    assert not view_still(frames(0.0, 0.1), 0.95, 1.0)
+    assert not view_still([replace_points(frame) for frame in frames(0.0, 0.1)], 0.0, 1.0)
+
+
+def replace_points(frame):
+    return Frame(frame.stamp, frame.arrived, np.full(frame.points.shape, np.nan))
+
+
+def played(folder, made, ask, act=lambda finger: None):
+    """Play a protocol on an emulated finger; gives the player, its pace, the recording's path and what ended it."""
+    for trial in range(4):  # a computer that stands still trips the servos' watchdogs
+        try:
+            found = played_once(folder / f"loop{trial}.mcap", made, ask, act)
+        except ServoError:
+            continue
+        if not (found[-1] and "state fault" in found[-1]):
+            return found
+    pytest.fail("the guard stopped it each time")
+
+
+def played_once(file, made, ask, act):
+    """Play it once."""
+    ended = None
+    with (
+        emulated_bench(MODEL, replace(calibration(), window=None), rate=100.0) as (bus, rig, limits, finger),
+        Controller(rig, calibration(), limits, record=file) as robot,
+    ):
+        act(finger)
+        paced = pace(made, calibration(), limits["servos"])
+        player = Player(robot, paced, finger.seen, ask=lambda what: ask(what, bus, robot, finger))
+        try:
+            player.play()
+        except SoftmapError as fault:
+            ended = str(fault)
+    return player, paced, file, ended
+
+
+def test_a_condition_is_changed_while_torque_is_off(tmp_path):
+    said = []
+
+    def ask(what, bus, robot, finger):
+        said.append((what, torque(bus), robot.state))
+
+    player, paced, file, ended = played(tmp_path, short(load=True), ask)
+    assert ended is None
+    assert [what.split(":")[0] for what, _, _ in said[-2:]] == ["it begins so", "from here on"]
+    assert said[-2][1:] == said[-1][1:] == (False, "ready")
+    run = merged(file, MODEL, paced, player.played)
+    assert player.played.whole and run.frames == short().frames and set(run.block) == {"rest"}
+    assert run.load[0] == 0.0 and run.load[-1] == 10.0 and run.vertices is not None and run.visible.all()
+    # Frames of a rest show the robot where it rests: it was waited for.
+    assert np.ptp(run.vertices.mean(axis=1), axis=0).max() < 0.2
+    there = np.array([np.interp(run.t_seen, run.t, run.present_ticks[:, 0])])
+    np.testing.assert_allclose(there, 2000 + 280 * 1.5, atol=4)
+
+
+def test_a_camera_that_is_gone_ends_it_and_what_was_seen_is_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr("softmap_edge.experiment.play.LOST", 3.0)
+    made = short()
+    made = Protocol(made.name, made.t * 4, made.command, made.gravity, made.t_seen * 4, made.block)
+
+    def ask(what, bus, robot, finger):
+        threading.Timer(9.0, finger.blind, [True]).start()
+
+    player, paced, file, ended = played(tmp_path, made, ask)
+    assert "the camera is gone: no frame for" in ended
+    assert not player.played.whole and player.played.taken
+    run = merged(file, MODEL, paced, player.played)
+    assert run.frames == len(player.played.taken)
+    assert not read_recording(file).periods[-1]["torque"]
+
+
+def test_no_camera_no_move(tmp_path, monkeypatch):
+    monkeypatch.setattr("softmap_edge.experiment.play.LOST", 1.0)
+    asked = []
+    *_, ended = played(tmp_path, short(), lambda *said: asked.append(said), act=blinded)
+    assert "no frame came within 1 s" in ended and not asked
+
+
+def blinded(finger):
+    finger.blind(True)
+    finger._frames.clear()
+    time.sleep(0.1)
+    finger._frames.clear()
+
+
+@pytest.fixture(scope="module")
+def commands(tmp_path_factory):
+    file = tmp_path_factory.mktemp("commands") / "commands.csv"
+    write_commands(file, plan(chosen(TELLING), Limits.even(2, 5.0)), MODEL.robot)
+    return file
+
+
+def recorded(folder, argv):
+    """Record by the verb until nothing stopped it: a computer that stands still trips the servos' watchdogs."""
+    for trial in range(4):
+        out = folder / f"run{trial}.npz"
+        done = subprocess.run(
+            [SOFTMAP, "record", *argv(trial), "--out", str(out), "--json"], capture_output=True, text=True, timeout=300
+        )
+        if done.returncode == 0:
+            told = json.loads(done.stdout)
+            assert told["schema"] == "softmap.record/1" and told["whole"] and told["frames"] >= told["wanted"] - 1
+            return Run.load(out)
+        assert "state fault" in done.stderr, done.stderr
+    pytest.fail(done.stderr)
+
+
+def test_nothing_hidden_is_diagnosed_as_nothing(tmp_path, commands):
+    def argv(trial):
+        return [str(commands), "--emulated", "--calibrated", str(tmp_path / f"b{trial}"), "--seed", "1"]
+
+    run = recorded(tmp_path, argv)
+    model = load_bundle(next(tmp_path.glob("b*")))
+    assert run.ticks is not None and run.present_ticks is not None and run.current is not None
+    assert {label.split("[")[0] for label in run.block} > {"home"}
+    error = compare(model, run).error["rms_mm"]
+    assert error < 0.25  # 0.17 mm is the camera's noise of 0.1 mm in each coordinate
+    assert diagnose(model, run).verdict == "nothing"
+
+
+def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, commands):
+    """Another process is the robot: its bus is a terminal, its camera sends datagrams."""
+    robot = tmp_path / "robot"
+    robot.mkdir()
+    told = []
+
+    def argv(trial):
+        told.append(trial)
+        on = ["--bundle", str(robot / "bundle"), "--rig", str(robot / "rig.toml")]
+        return [str(commands), *on, "--camera", f"udp://:{camera}", "--late", "0.02", "--yes"]
+
+    with emulated(robot, "--hidden", "backlash", "--seed", "1") as (_, _, receiver):
+        camera = receiver.port
+        until(lambda: receiver.taken > 0)
+        receiver.close()  # its port is for the one who records
+        run = recorded(tmp_path, argv)
+    model = load_bundle(robot / "bundle")
+    answer = diagnose(model, run)
+    assert [effect["name"] for effect in answer.effects] == ["backlash"] and answer.verdict == "identified"
+    assert compare(model, run).error["rms_mm"] > 4 * compare(answer.added(model, ["backlash"]), run).error["rms_mm"]
+
+
+def test_interrupted_is_kept(tmp_path, commands):
+    out = tmp_path / "run.npz"
+    more = ["--emulated", "--out", str(out), "--record", str(tmp_path / "loop.mcap")]
+    with softmap("record", str(commands), *more) as process:
+        until(lambda: (tmp_path / "loop.mcap").exists(), 60.0)
+        time.sleep(9.0)
+        process.send_signal(signal.SIGINT)
+        told, failed = process.communicate(timeout=60)
+    assert process.returncode == 130, failed
+    assert "it was cut short" in told
+    run = Run.load(out)
+    assert 0 < run.frames < 73 and len(read_recording(tmp_path / "loop.mcap").periods) >= len(run.t)
+
+
+@pytest.mark.parametrize(
+    "more, line",
+    [
+        (["--rig", "rig.toml"], "--rig needs eyes"),
+        (["--emulated", "--camera", "udp://:9"], "--emulated has a camera of its own"),
+        (["--emulated", "--virtual"], "--virtual goes with --sim"),
+        (["--rig", "rig.toml", "--camera", "udp://:9", "--hide", "backlash"], "can hide something"),
+        (["--rig", "rig.toml", "--camera", "udp://:9", "--calibrated", "b"], "knows its true map"),
+        (["--emulated", "--late", "9"], "0 to 2 s is allowed"),
+        (["--rig", "rig.toml", "--camera", "udp://:9"], "the bundle holds no calibration"),
+        (["--emulated", "--hide", "gravity"], "moves no tendon"),
+    ],
+)
+def test_what_does_not_go_together_is_told(tmp_path, commands, capsys, monkeypatch, more, line):
+    monkeypatch.chdir(tmp_path)
+    assert main(["record", str(commands), "--out", "run.npz", *more]) == 2
+    assert line in capsys.readouterr().err and not (tmp_path / "run.npz").exists()
+
+
+def test_nobody_to_ask_is_told(tmp_path, commands, monkeypatch, capsys):
+    from softmap_edge.commands.record_robot import _ask
+
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    with pytest.raises(SoftmapError, match="nobody is there to say that it is done"):
+        _ask(type("Args", (), dict(yes=False, emulated=False, json=True)), "hang 10 g at the tip")
