@@ -46,7 +46,7 @@ SHARE ?= 1
 bank: $(VENV)/.test
 	$(BIN)/python -m benches.bank --seeds $(SEEDS) --share $(SHARE) --out $(OUT)/bank
 
-prove: $(VENV)/.test
+prove: wheel
 	cargo test --workspace --locked --release --quiet -- --include-ignored
 	$(BIN)/python -m pytest
 
@@ -56,9 +56,15 @@ docs: $(VENV)/.test
 	$(BIN)/python docs/figures_tdcr.py
 	$(BIN)/python docs/figures_beam.py
 
-wheel: $(VENV)/.core
-	$(UV) maturin
-	$(BIN)/maturin build --release --locked --out dist
+# For every Linux with glibc 2.17 or later (zig links it so), checked as it will be installed. TARGET=aarch64-unknown-linux-gnu for
+# boards, once `rustup target add` has brought it.
+TARGET ?= x86_64-unknown-linux-gnu
+wheel: $(VENV)/.test
+	$(UV) maturin ziglang
+	rm -f dist/*.whl
+	PATH="$(abspath $(BIN)):$$PATH" VIRTUAL_ENV="$(abspath $(VENV))" \
+	  $(BIN)/maturin build --release --locked --zig --compatibility manylinux2014 --target $(TARGET) --out dist
+	$(BIN)/python -m pytest -q tests/test_wheel.py
 
 data: $(VENV)/.core
 	$(BIN)/python examples/fetch_data.py data
