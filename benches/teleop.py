@@ -69,7 +69,7 @@ def measured(video: Path, model: Path | None) -> list[dict[str, object]]:
     scale, zero, home = np.eye(2) / 280.0, np.zeros(2), np.full(2, 2048.0)
     error = dict.fromkeys(("command", "shape_mm", "matched_shape_mm"), 0.0)
     calibration = Calibration(scale, zero, home, 0 * scale, zero, error, "bench", 0, 0, None)
-    kinematics, sent = Kinematics(finger), []
+    kinematics, sent = Kinematics(finger), []  # sent: when a picture was due, and the command of it
     with tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "teleop.mcap"
         with (
@@ -87,12 +87,14 @@ def measured(video: Path, model: Path | None) -> list[dict[str, object]]:
             if period.get("command"):
                 heard.setdefault(tuple(period["command"]), []).append(period["now"] * 1e-9)
     late = []
-    for taken, command in sent:
+    for (_, before), (taken, command) in zip([(0.0, ()), *sent], sent):
+        if command == before:
+            continue  # both at the end of the range: which of them was heard is not told
         after = [now for now in heard.get(command, []) if now >= taken]
         if after:
             late.append(after[0] - taken)
     ms = 1e3 * np.array(late)
-    name = f"camera to tick, {len(late)} pictures driven from"
+    name = f"camera to tick, {len(sent)} pictures driven from"
     return [
         _row(f"{name}: median", float(np.median(ms)), "ms", "wanted ≤ 60"),
         _row(f"{name}: p95", float(np.quantile(ms, 0.95)), "ms", "stated"),

@@ -263,13 +263,19 @@ class Drive:
                 continue
             self._clutch = self._clutch.lose(f"{wish} at {name}")
             emergency = getattr(self._robot, "emergency", None) if wish == "emergency" else None
-            if emergency is not None:
-                emergency()
-            else:
-                self._robot.request("stop")
+            try:
+                if emergency is not None:
+                    emergency()
+                else:
+                    self._robot.request("stop")
+            except ServoError as fault:
+                self._note(str(fault))
 
     def _acknowledge(self, state: str) -> None:
         try:
+            release = getattr(self._robot, "emergency", None)
+            if state == "fault" and release is not None:
+                release(False)  # the one that was pressed here; a line or heartbeat of the bench stays
             if state == "fault":
                 self._robot.request("acknowledge")
             if self._robot.state == "homed":
