@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benches import geometry
+from benches import geometry, inverse, network
 from benches.__main__ import nine_tendons
 from benches.peer_elastic import markers
 from benches.peer_newton import NumpySolid
@@ -53,6 +53,16 @@ def test_the_quick_rows_of_geometry_are_there_and_keep_what_does_not_hang_on_the
     assert torch["ratio"] > 5  # 50 is promised of a quiet machine (`make bench`)
     (laid,) = (row for (name, _), row in found.items() if name.startswith("registration"))
     assert laid["error_mm"] <= 0.45
+
+
+def test_the_rows_of_the_network_keep_what_does_not_hang_on_the_machine():
+    """Each row refuses to time what is not the same work; speeds are promised of a quiet machine (`make bench`)."""
+    found = {(row["name"], row.get("peer_name")): row for row in [*network.rows(), *inverse.rows()]}
+    assert len(found) == 9 and all(row["value"] == row["value"] and row["wanted"] for row in found.values())
+    (above,) = (row for (name, _), row in found.items() if "above that of the paper's way" in name)
+    assert above["value"] <= 2e-5
+    (paper,) = (row for (_, peer), row in found.items() if peer == "the paper's way")
+    assert paper["ratio"] > 3  # its looks are 15 times as many, whatever the machine
 
 
 def test_cut_triangles_keep_the_surface_and_their_sides():

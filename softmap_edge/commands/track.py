@@ -59,7 +59,7 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--amplitude", type=float, default=8.0, metavar="MM", help="half of the larger side (8)")
     parser.add_argument("--duration", type=float, default=20.0, metavar="S", help="of the figure, at least (20)")
     parser.add_argument("--rate", type=float, metavar="HZ", help="waypoints a second (30; --table: 3)")
-    parser.add_argument("--axes", default="xy", help="the plane of the figure, and what of the tip counts (xy)")
+    parser.add_argument("--axes", help="the plane of the figure, and what of the tip counts (xy; --workspace: xyz)")
     parser.add_argument("--method", choices=METHODS, help="how inverse kinematics is solved (exact; --table: paper)")
     parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out, to compare")
     parser.add_argument("--observe", action="store_true", help="feed back what the camera sees of the tip")
@@ -94,7 +94,7 @@ def track(args: argparse.Namespace) -> int:
         return table(args, whole)
     whole = whole if args.rig is None else on_bench(read_rig(args.rig), whole, RATE)
     model = whole.with_effects([], np.zeros(0)) if args.no_effects else whole
-    kinematics = Kinematics(model, axes=args.axes)
+    kinematics = Kinematics(model, axes=args.axes or ("xyz" if args.workspace else "xy"))
     if args.workspace:
         return workspace(args, kinematics)
     calibration = whole.calibration or plain_map(whole, args.sim or args.plan)
@@ -186,7 +186,7 @@ def _document(
         "schema": "softmap.track/1",
         "figure": args.figure,
         "amplitude_mm": args.amplitude,
-        "axes": args.axes,
+        "axes": kinematics.axes,
         "method": args.method or "exact",
         "effects": list(kinematics.model.chain_names),
         "waypoints": int(counts.sum()),

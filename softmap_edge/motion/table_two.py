@@ -4,7 +4,8 @@
                                                        └──> virtual finger (`truth_virtual.py`)     (the paper: hardware)
 
 The virtual finger stands in for hardware, is simulated, and has what the model lacks: other elements and material, turned
-tendons, friction, a lean. A bundle that was calibrated on it sends ticks; without a calibration the servos turn as told.
+tendons, friction, a lean. A bundle that was calibrated on it sends ticks; without a calibration, as a rival's, the servos
+turn as told, by the map that they really have.
 A figure lies about the tip at rest: a model's own while it is solved, the executed finger's own while it is judged, so
 that where a finger merely hangs otherwise does not count. The tip is the middle of the vertices that move most, on a
 rival's own points while it is solved. Errors are distances in mm in the plane of the figure, at the waypoints.
@@ -210,5 +211,5 @@ def text_of(document: dict[str, Any]) -> str:
     ]
     far = max(row["unreachable_mm"] for row in document["rows"])
     if far > 0.01:
-        told.append(f"Some waypoints are out of reach of a model, by up to {far:.2f} mm: the nearest points are taken.")
+        told.append(f"Some waypoints are out of reach of a model, or missed by that method, by up to {far:.2f} mm.")
     return "\n".join(told)

@@ -1,0 +1,206 @@
+"""The network pass against onnxruntime on every network that training can make; graphs that only onnxruntime reads."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from hashlib import sha256
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from softmap_training import choices, networks  # noqa: E402
+from softmap_training.baselines import reduced  # noqa: E402
+from softmap_training.deepsoro import Folding, to_graph  # noqa: E402
+from softmap_training.export import Graph, to_onnx  # noqa: E402
+from torch import nn  # noqa: E402
+
+from softmap_edge import _core, builtin_model, load_bundle, save_bundle  # noqa: E402
+from softmap_edge.errors import BundleError  # noqa: E402
+from softmap_edge.motion.kinematics import Kinematics  # noqa: E402
+from softmap_edge.network import run_elsewhere  # noqa: E402
+
+torch.set_num_threads(1)
+AGREE_MM = 1e-4
+BASE = builtin_model()
+RNG = np.random.default_rng(5)
+
+
+def shapes(channels):
+    """Return commands (200, C) mm and points (200, 3N) mm of about 100 mm that depend on them smoothly."""
+    u = RNG.uniform(-16, 16, (200, channels))
+    if channels == 2:
+        return u, np.asarray(BASE.prior.evaluate(u))
+    bent = np.tanh(u @ RNG.normal(size=(channels, 30)) / 20)
+    return u, 40 * bent + np.linspace(0, 100, 30)
+
+
+def _laid_out(points):
+    """Return mean and modes of what an encoding makes."""
+    mean, modes, weights = reduced(points)
+    return weights, mean, modes
+
+
+def _encoded(u, points):
+    """Return a published prior to the numbers of an encoding, and the layer that undoes it."""
+    weights, mean, modes = _laid_out(points)
+    network = networks.published_prior(u, weights)
+    network.append(networks.Modes(mean, modes))
+    return network
+
+
+MADE = {
+    "published": lambda u, x: networks.published_prior(u, x),
+    "published, no dropout": lambda u, x: networks.published_prior(u, x, 0.0),
+    "encoded": _encoded,
+    "ours": lambda u, x: networks.mode_prior(u, x, choices.PRIOR_WIDTHS, choices.PRIOR_MODES),
+    "ours, odd sizes": lambda u, x: networks.mode_prior(u, x, (33, 1, 95, 31), 7),
+    "published residual": lambda u, x: networks.published_residual(u, x.shape[1], choices.RESIDUAL_WIDTHS, 0.1),
+    "our residual": lambda u, x: networks.to_modes(u, 0 * x[0], reduced(x)[1][:6], choices.OUR_RESIDUAL_WIDTHS),
+    "linear": lambda u, x: nn.Sequential(networks.Modes(x.mean(axis=0), RNG.normal(size=(u.shape[1], x.shape[1])))),
+    "one wide layer": lambda u, x: nn.Sequential(
+        nn.Linear(u.shape[1], 1111), nn.LayerNorm(1111), nn.GELU(), nn.Linear(1111, x.shape[1])
+    ),
+}
+
+
+def drawn(network, u, x):
+    """Give a network other weights and running means than it began with, and outputs of the size of a body."""
+    torch.manual_seed(7)
+    with torch.no_grad():
+        for part in network.modules():
+            if isinstance(part, nn.Linear):
+                part.weight.normal_(0.0, 1.0 / np.sqrt(part.in_features))
+                part.bias.normal_(0.0, 0.1)
+            if isinstance(part, nn.BatchNorm1d):
+                part.running_mean.normal_(0.0, 0.3)
+                part.running_var.uniform_(0.5, 2.0)
+                part.weight.uniform_(0.5, 1.5)
+                part.bias.normal_(0.0, 0.2)
+            if isinstance(part, nn.LayerNorm):
+                part.weight.uniform_(0.5, 1.5)
+                part.bias.normal_(0.0, 0.2)
+    return network.eval()
+
+
+def parity(content, u):
+    """Return the largest difference in mm between the core and onnxruntime, one at a time and together."""
+    core, wanted = _core.Network(content), run_elsewhere(content, u)
+    together = np.asarray(core.evaluate(u))
+    alone = np.concatenate([np.asarray(core.evaluate(row[None])) for row in u])
+    np.testing.assert_array_equal(together, alone)
+    both = [np.asarray(core.with_slopes(row.tolist())[0]) for row in u[:5]]
+    np.testing.assert_array_equal(alone[:5], both)
+    return float(np.abs(together - wanted).max()), float(np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3])
+@pytest.mark.parametrize("name", MADE)
+def test_the_core_is_within_a_tenth_of_a_micrometre_of_onnxruntime(name, channels):
+    u, x = shapes(channels)
+    network = drawn(MADE[name](u, x), u, x)
+    apart, size = parity(to_onnx(network, channels), np.concatenate([u[:60], np.zeros((1, channels))]))
+    # Single precision knows points that are 100 mm away to 8e-6: those of random weights that lie farther off to less.
+    assert apart <= AGREE_MM * max(1.0, size / 130.0), (apart, size)
+
+
+@pytest.mark.parametrize("what", ["tiny", "huge", "zero", "dead", "constant"])
+def test_extreme_weights_agree_too(what):
+    u, x = shapes(2)
+    network = drawn(MADE["published residual"](u, x), u, x)
+    with torch.no_grad():
+        for layer in network:
+            if isinstance(layer, nn.Linear):
+                scale = {"tiny": 1e-18, "huge": 1e4, "zero": 0.0, "dead": 1.0, "constant": 0.0}[what]
+                layer.weight.mul_(scale)
+                if what == "constant":
+                    layer.bias.fill_(0.37)
+        if what == "huge":
+            network[-1].weight.mul_(1e-6)
+        if what == "dead":  # nothing passes Relu
+            network = nn.Sequential(nn.Linear(2, 64), nn.ReLU(), nn.Linear(64, x.shape[1]))
+            network[0].bias.fill_(-1e3)
+    apart, size = parity(to_onnx(network.eval(), 2), u[:40])
+    assert apart <= AGREE_MM * max(1.0, size / 130.0), (apart, size)
+
+
+def test_slopes_are_those_of_torch_where_inputs_are_passed_over():
+    """Behind Relu half of the inputs are zero, and are not read."""
+    u, x = shapes(2)
+    network = drawn(MADE["published"](u, x), u, x)
+    core = _core.Network(to_onnx(network, 2))
+    for row in u[:6]:
+        wanted = torch.autograd.functional.jacobian(
+            lambda v: network(v[None])[0], torch.as_tensor(row, dtype=torch.float32)
+        ).numpy()
+        found = np.asarray(core.jacobian(row[None]))[0]
+        assert np.abs(found - wanted).max() < 1e-4 * np.abs(wanted).max()
+
+
+def foreign(curve):
+    """Return the file of a graph with a layer that the core does not read, to the built-in finger's points."""
+    u, x = shapes(2)
+    mean, modes, weights = reduced(x)
+    rows = np.column_stack([u, u**2, np.ones(len(u))])
+    fit = np.linalg.lstsq(rows[:, [0, 1, 4]], weights, rcond=None)[0]
+    graph = Graph()
+    graph.add("Div", np.full(2, 16.0))
+    graph.add(curve)
+    graph.linear((16.0 * fit[:2] @ modes).T, fit[2] @ modes + mean)
+    return graph.file(2, {})
+
+
+def bundle(tmp_path, content):
+    """Write a bundle whose prior is that file, and return its folder."""
+    arrays = dict(BASE.arrays) | {"prior": {"onnx": np.frombuffer(content, np.uint8)}, "fields": {}}
+    model = replace(BASE, kind="network", arrays=arrays, fields={}, cables=None, second=None)
+    return save_bundle(model, tmp_path / "foreign")
+
+
+def test_a_graph_that_only_onnxruntime_reads_becomes_a_table_that_says_so(tmp_path):
+    content = foreign("Tanh")
+    with pytest.raises(Exception, match="Tanh"):
+        _core.Network(content)
+    model = load_bundle(bundle(tmp_path, content))
+    told = model.made_from["through_onnxruntime"]["prior"]
+    assert model.kind == "table" and "Tanh" in told["why"] and told["table_off_mm"] < 0.02
+    assert told["graph_sha256"] == sha256(content).hexdigest()
+    u = RNG.uniform(-16, 16, (200, 2))
+    off = np.linalg.norm((model.prior.evaluate(u) - run_elsewhere(content, u)).reshape(200, -1, 3), axis=2)
+    assert off.max() < 10 * max(told["table_off_mm"], 1e-3)
+    # What consumes a model cannot tell: inverse kinematics, and written once more it is a table.
+    there = model.tip(np.array([[2.0, -3.0]]))
+    assert Kinematics(model).solve(there).distance[0] < 1e-4
+    again = load_bundle(save_bundle(model, tmp_path / "again"))
+    assert again.kind == "table" and again.made_from["through_onnxruntime"]["prior"] == told
+    np.testing.assert_allclose(again.prior.evaluate(u), model.prior.evaluate(u), atol=1e-3)
+
+
+def test_a_graph_that_jumps_is_no_table(tmp_path):
+    with pytest.raises(BundleError, match=r"holds 'Sign'.* mm off, allowed is 0\.2; train a network"):
+        load_bundle(bundle(tmp_path, foreign("Sign")))
+
+
+def test_a_decoder_in_the_manner_of_deepsoro_goes_through_onnxruntime():
+    u, x = shapes(2)
+    network = Folding(u, list(x.reshape(len(x), -1, 3)), 100)
+    content = to_graph(network)
+    with torch.no_grad():
+        wanted = network(torch.as_tensor(u, dtype=torch.float32)).numpy().reshape(len(u), -1)
+    np.testing.assert_allclose(run_elsewhere(content, u), wanted, atol=1e-4)
+    with pytest.raises(Exception, match="type 7"):
+        _core.Network(content)
+
+
+def test_what_neither_runs_is_said(tmp_path):
+    folder = bundle(tmp_path, foreign("Tanh"))
+    for content in (b"no graph", foreign("Tanh")[:-40]):
+        (folder / "prior.onnx").write_bytes(content)
+        manifest = json.loads((folder / "manifest.json").read_text())
+        manifest["sha256"]["prior.onnx"] = sha256(content).hexdigest()
+        (folder / "manifest.json").write_text(json.dumps(manifest))
+        with pytest.raises(BundleError, match=r"prior.onnx: .*onnxruntime cannot run"):
+            load_bundle(folder)

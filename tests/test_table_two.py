@@ -1,0 +1,121 @@
+"""The paper's Table II on few waypoints: one sequence on both fingers, a rival beside, effects undone; the workspace."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softmap_edge import SoftmapError, builtin_model, save_bundle
+from softmap_edge.cli import main
+from softmap_edge.motion.table_two import OURS, PUBLISHED_ERRORS, RIVAL, UNDONE, table_two, text_of
+from softmap_edge.shape_arrays import family_from
+from softmap_edge.solid.simulator import Simulator
+from softmap_edge.truth_virtual import virtual_finger
+
+FEW = {"figures": ["O"], "rate": 1.0, "duration": 6.0}
+
+
+@pytest.fixture(scope="module")
+def model():
+    return builtin_model()
+
+
+def worse(model):
+    """Return a rival that bends a tenth too little: its commands lead too far."""
+    arrays = dict(model.arrays)
+    prior = dict(arrays["prior"])
+    for c in range(2):
+        prior[f"axis{c}"] = 1.1 * np.asarray(prior[f"axis{c}"])
+    return replace(model, arrays=arrays | {"prior": prior}, prior=family_from(prior), fields={}, cables=None, second=None)
+
+
+def test_ours_a_rival_and_the_papers_figures_stand_beside_each_other(model):
+    told = []
+    rows = {row.model: row for row in table_two(model, worse(model), progress=lambda name, _: told.append(name), **FEW)}
+    assert set(rows) == {OURS, RIVAL} and told == ["O, ours", "O, rival"]
+    ours, rival = rows[OURS], rows[RIVAL]
+    assert len(ours.simulator) == len(ours.stand_in) == 7 and ours.unreachable < 1e-3
+    assert ours.expected.max() < 0.01 and rival.expected.max() < 0.01  # each believes that it is there
+    assert ours.simulator.mean() < 0.3 < 0.5 < rival.simulator.mean() < 1.5  # a tenth of 8 mm
+    assert ours.stand_in.mean() > 2 * ours.simulator.mean()  # what the stand-in has and the model lacks
+    document = ours.to_dict()
+    assert document["paper"]["simulation_mm"] == {"mean": 1.184, "sd": 0.182, "max": 1.499}
+    assert document["paper"]["on"] == "other data" and document["simulator_mm"]["n"] == 7
+    assert len(PUBLISHED_ERRORS) == 8
+
+
+def test_one_solved_sequence_is_replayed_on_both(model, monkeypatch):
+    from softmap_edge.motion import table_two as module
+
+    sent = {}
+    path, shapes = Simulator.path, module.VirtualFinger.shapes
+    monkeypatch.setattr(Simulator, "path", lambda self, u, *a, **k: sent.setdefault("sim", (u, path(self, u, *a, **k)))[1])
+    monkeypatch.setattr(
+        module.VirtualFinger, "shapes", lambda self, p: sent.setdefault("stood", (p, np.zeros((len(p.t_seen), 548, 3))))[1]
+    )
+    table_two(model, None, **FEW)
+    commands, protocol = sent["sim"][0], sent["stood"][0]
+    at = np.searchsorted(protocol.t, protocol.t_seen)
+    # To half a tick: 0.002 mm.
+    np.testing.assert_allclose(protocol.command[at], commands, atol=3e-3)
+    assert np.ptp(commands, axis=0).min() > 1.0
+
+
+def test_effects_that_the_stand_in_has_are_undone(model):
+    """Its turned tendons and friction, as far as two effects of the library stand for them (docs/training.md, 5)."""
+    turn = virtual_finger(1).phase_deg
+    params = {"routing.phase[0]": turn, "routing.phase[1]": turn}
+    params |= {"hysteresis.strength": 0.11, "hysteresis.reach": 4.3, "hysteresis.shape": 0.7}
+    rows = {row.model: row for row in table_two(model.with_effects(["hysteresis", "routing"], params), None, **FEW)}
+    assert set(rows) == {OURS, UNDONE} and rows[UNDONE].to_dict()["paper"] is None
+    assert rows[UNDONE].stand_in.mean() < 0.6 * rows[OURS].stand_in.mean()
+    assert rows[UNDONE].simulator.mean() > 2 * rows[OURS].simulator.mean()  # which has none of them
+
+
+def test_the_verb_prints_the_table_and_the_document_says_the_same(model, tmp_path, capsys):
+    save_bundle(worse(model), tmp_path / "rival")
+    options = ["--table", "--rival", str(tmp_path / "rival"), "--rate", "1", "--duration", "2", "--json"]
+    assert main(["track", *options]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["schema"] == "softmap.table2/1" and len(document["rows"]) == 8 and document["method"] == "paper"
+    text = text_of(document)
+    assert "paper: hardware" in text and "3.46 ± 2.98, 15.38" in text and "no hardware" in text
+
+
+def test_a_model_of_another_finger_is_refused(model):
+    with pytest.raises(SoftmapError, match="'other', 2 commands; the table is of"):
+        table_two(replace(model, robot="other"), None, **FEW)
+
+
+@pytest.mark.parametrize(
+    "options, said",
+    [
+        (["S", "--table"], "without one"),
+        (["--plan"], "name a figure"),
+        (["S", "--plan", "--rival", "b"], "--rival goes with --table"),
+        (["S", "--plan", "--reach", "1", "2", "3"], "--reach with --workspace"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(options, said, capsys):
+    assert main(["track", *options]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_the_workspace_says_what_is_in_it_and_how_far_another_point_is(model, tmp_path, capsys):
+    picture = tmp_path / "w.svg"
+    argv = ["track", "--workspace", "--json"]
+    assert main([*argv, "--reach", "60", "0", "60", "--picture", str(picture)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["schema"] == "softmap.workspace/1" and told["axes"] == "xyz"
+    target = told["target"]
+    apart = np.linalg.norm(np.subtract(target["target_mm"], target["nearest_mm"]))
+    assert not target["reached"] and target["distance_mm"] == pytest.approx(apart, abs=1e-6) and apart > 10
+    assert picture.read_bytes().startswith(b"<?xml")
+    there = model.tip(np.array([[4.0, -2.0]]))[0]
+    assert main([*argv, "--reach", *map(str, there)]) == 0
+    target = json.loads(capsys.readouterr().out)["target"]
+    assert target["reached"]
+    np.testing.assert_allclose(target["acting_mm"], [4.0, -2.0], atol=1e-3)
+    assert main(["track", "--workspace", "--reach", "60", "0", "60"]) == 0
+    assert "out of reach by" in capsys.readouterr().out
