@@ -70,7 +70,8 @@ def track(args: argparse.Namespace) -> int:
     if args.observe and not args.sim:
         raise SoftmapError("--observe: only the emulated finger has a camera here; give --sim with it")
     whole = builtin_model() if args.bundle is None else open_model(args.bundle)
-    whole = whole if args.rig is None else on_bench(read_rig(args.rig), whole, RATE)
+    if args.rig is not None and whole.calibration is not None:
+        whole = on_bench(read_rig(args.rig), whole, RATE)
     model = whole.with_effects([], np.zeros(0)) if args.no_effects else whole
     calibration = whole.calibration or _plain(whole, args.sim or args.plan)
     kinematics = Kinematics(model, axes=args.axes)
