@@ -10,7 +10,7 @@ from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import commission
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.home import NEAR, at_bench, prove
+from softmap_edge.servo.home import NEAR, prove
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.proof import mark, marked
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
@@ -188,16 +188,6 @@ def test_another_model_than_the_rig_says(wound, capsys):
     Rig(bus.path, BAUD, (RigServo(1, "XM430-W210"),)).write(file)
     assert home(file) == 2
     assert "servo 1 is XL330-M288 (1200), the rig says XM430-W210 (1030); mend the rig" in capsys.readouterr().err
-
-
-def test_a_calibration_follows_its_home_by_whole_turns():
-    rig = Rig("x", BAUD, (RigServo(1, MODEL, HOME - 4096), RigServo(2, MODEL, HOME + 2 * 4096 + 7)))
-    assert at_bench(calibration(), rig).home.tolist() == [HOME - 4096, HOME + 2 * 4096]
-    other = Rig("x", BAUD, (RigServo(1, MODEL, HOME + 400), rig.servos[1]))
-    with pytest.raises(ServoError, match=r"servo 1: its home lies \+400 ticks"):
-        at_bench(calibration(), other)
-    with pytest.raises(ServoError, match="homes"):
-        at_bench(calibration(), Rig("x", BAUD, (RigServo(1, MODEL, HOME),)))
 
 
 def test_a_mark_is_made_of_addresses_that_every_model_may_map():

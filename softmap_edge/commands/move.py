@@ -15,10 +15,9 @@ import numpy as np
 from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.commissioning import confirm
 from softmap_edge.commands.own import open_model
-from softmap_edge.commands.track import _plain, _robot
+from softmap_edge.commands.robot import bench_of, emulated
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.home import at_bench
 from softmap_edge.servo.jog import EVERY, SLEW, TRAVEL, Deadman, Held, Jog
 from softmap_edge.servo.keys import Keys
 from softmap_edge.servo.rig import Rig, read_rig
@@ -88,13 +87,8 @@ def bench(args: argparse.Namespace) -> Iterator[Rig]:
         yield read_rig(args.rig)
         return
     model = builtin_model() if getattr(args, "bundle", None) is None else open_model(args.bundle)
-    with _robot(_emulated(), model, model.calibration or _plain(model, True)) as (rig, _, _):
-        assert rig is not None
-        yield rig
-
-
-def _emulated() -> argparse.Namespace:
-    return argparse.Namespace(sim=True, rig=None, plan=False, hidden="", seed=0)
+    with emulated(model) as robot:
+        yield robot.rig
 
 
 @contextlib.contextmanager
@@ -146,21 +140,17 @@ def _go(args: argparse.Namespace) -> int:
     if not np.isfinite(u).all() or not 0.0 <= args.seconds <= 600.0:
         raise SoftmapError("commands are finite numbers, --seconds is 0 to 600")
     model = builtin_model() if args.bundle is None else open_model(args.bundle)
-    calibration = model.calibration or _plain(model, args.sim)
-    where = argparse.Namespace(sim=args.sim, rig=args.rig, plan=False, hidden="", seed=0)
-    with _robot(where, model, calibration) as (rig, limits, _):
-        assert rig is not None
-        calibration = at_bench(calibration, rig)
-        if len(u) != len(rig.servos):
-            raise SoftmapError(f"{len(u)} numbers for {len(rig.servos)} servos; give mm, one a servo")
+    with bench_of(args, model) as there:
+        if len(u) != len(there.rig.servos):
+            raise SoftmapError(f"{len(u)} numbers for {len(there.rig.servos)} servos; give mm, one a servo")
         if not args.hold and not confirm(f"The finger goes to {args.command} mm and comes back. Is it free?"):
             raise ServoError("nothing moved: nobody said that the finger is free")
-        with Controller(rig, calibration, limits) as robot:
+        with Controller(there.rig, there.calibration, there.limits) as robot:
             done, begun = robot.engage(u), time.monotonic()
             while time.monotonic() - begun < args.seconds:
                 done = robot.target(u)
                 time.sleep(EVERY)
-            at = calibration.commands(np.array(robot.report["position"], float))
+            at = there.calibration.commands(np.array(robot.report["position"], float))
     document = {"schema": "softmap.move/1", "command_mm": u.tolist(), "done_mm": done.tolist(), "at_mm": at.tolist()}
     said = f"sent to {_mm(done)} mm, came to {_mm(at)} mm by the servos; slack again, torque is off"
     print(json.dumps(document) if args.json else said)

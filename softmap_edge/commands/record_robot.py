@@ -18,16 +18,15 @@ from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_bundle, check_file, check_no_run
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
+from softmap_edge.commands.robot import Bench, emulated, plain_map, read_bench
 from softmap_edge.commands.seeing import late, receiver
-from softmap_edge.commands.track import RATE, bench_of, plain_map
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.command_file import read_commands
 from softmap_edge.experiment.pace import Pace, pace
 from softmap_edge.experiment.play import Player, merged
 from softmap_edge.model import Model
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.finger import LATE, emulated_bench, full_window, hidden_laws
-from softmap_edge.servo.rig import Rig
+from softmap_edge.servo.finger import LATE, full_window
 
 INTERRUPTED = 130
 SIMULATED = ("virtual", "truth", "finger", "truth_from")
@@ -38,23 +37,23 @@ def record_on_robot(args: argparse.Namespace) -> int:
     _checked(args)
     model = builtin_model() if args.bundle is None else open_model(args.bundle)
     if args.emulated:
-        known = model.calibration or plain_map(model, True)
+        known = model.calibration or plain_map(model)
         model = replace(model, calibration=replace(known, window=known.window or full_window(model, known)))
     made, robot_name = read_commands(args.commands)
     if robot_name != model.robot:
         raise SoftmapError(f"{args.commands}: made for '{robot_name}', the model is of '{model.robot}'")
     behind = late(args, LATE[0] if args.emulated else 0.0)
     ended: BaseException | None = None
-    with tempfile.TemporaryDirectory(dir=Path(args.out).parent) as folder, _robot(args, model) as (rig, limits, seen):
-        assert model.calibration is not None
-        paced = pace(made, model.calibration, limits["servos"])
+    with tempfile.TemporaryDirectory(dir=Path(args.out).parent) as folder, _robot(args, model) as (bench, seen):
+        model = bench.model
+        paced = pace(made, bench.calibration, bench.limits["servos"])
         if not args.json:
             print(_ahead(args, paced), file=sys.stderr)
         if args.calibrated:
             save_bundle(model, args.calibrated)
         file = Path(args.record) if args.record else Path(folder) / "loop.mcap"
         with Bar(args.json) as bar:
-            robot = Controller(rig, model.calibration, limits, record=file)
+            robot = Controller(bench.rig, bench.calibration, bench.limits, record=file)
             player = Player(
                 robot,
                 paced,
@@ -108,21 +107,18 @@ def _checked(args: argparse.Namespace) -> None:
 
 
 @contextlib.contextmanager
-def _robot(args: argparse.Namespace, model: Model) -> Iterator[tuple[Rig, dict[str, Any], Seen]]:
-    """Give the bench, its limits and what sees it."""
-    if model.calibration is None:
-        raise SoftmapError("the bundle holds no calibration of the servos; make one with `softmap calibrate`")
+def _robot(args: argparse.Namespace, model: Model) -> Iterator[tuple[Bench, Seen]]:
+    """Give the bench and what sees it."""
     if args.emulated:
-        names = [name for text in args.hide for name in text.split(",") if name]
-        seed = 1 if args.seed is None else args.seed
-        laws = hidden_laws(names, model.channels, seed)
-        with emulated_bench(model, model.calibration, laws, rate=RATE, seed=seed) as (_, rig, limits, finger):
-            yield rig, limits, finger.seen
+        hidden = ",".join(args.hide)
+        with emulated(model, hidden, 1 if args.seed is None else args.seed) as bench:
+            assert bench.finger is not None
+            yield bench, bench.finger.seen
         return
-    rig, limits = bench_of(args.rig, model, model.calibration)
+    bench = read_bench(args.rig, model)
     with receiver(args, len(model.rest)) as camera:
         try:
-            yield rig, limits, camera.seen
+            yield bench, camera.seen
         finally:
             if not args.json:
                 print(camera.said(), file=sys.stderr)

@@ -17,7 +17,7 @@ from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.camera.points_udp import PointSender
 from softmap_edge.commands.output import check_bundle, check_file
 from softmap_edge.commands.own import open_model
-from softmap_edge.commands.track import plain_map
+from softmap_edge.commands.robot import plain_map
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.servo.finger import (
@@ -74,7 +74,7 @@ def emulate(args: argparse.Namespace) -> int:
     if not 0.0 < args.strength <= 10.0:
         raise ServoError(f"--strength {args.strength:g}; more than 0 and up to 10 times is allowed")
     whole = builtin_model() if args.bundle is None else open_model(args.bundle)
-    calibration = whole.calibration or plain_map(whole, True)
+    calibration = whole.calibration or plain_map(whole)
     calibration = replace(calibration, window=calibration.window or full_window(whole, calibration))
     names = [name for name in args.hidden.split(",") if name]
     laws = hidden_laws(names, whole.channels, args.seed, args.strength)

@@ -15,7 +15,7 @@ import numpy as np
 from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
-from softmap_edge.commands.track import plain_map, robot_of
+from softmap_edge.commands.robot import bench_of
 from softmap_edge.errors import SoftmapError, TeleopError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo.controller import Controller
@@ -92,10 +92,6 @@ def _drive(args: argparse.Namespace) -> int:
     if args.hidden and not args.sim:
         raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
     whole = builtin_model() if args.bundle is None else open_model(args.bundle)
-    model = whole.with_effects([], np.zeros(0)) if args.no_effects else whole
-    calibration = whole.calibration or plain_map(whole, args.sim)
-    kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
-    aim: Aim = Tip(kinematics) if args.tip else Direct(kinematics)
     flips = _flips(args.flip)
     with contextlib.ExitStack() as stack:
         eyes = stack.enter_context(_eyes(args, stack))
@@ -112,13 +108,17 @@ def _drive(args: argparse.Namespace) -> int:
             _say(HELP)
         if not inputs and args.seconds is None and not by_hand:
             raise TeleopError("nothing can drive: no page, no terminal, no camera; leave --page none away")
-        rig, limits, _ = stack.enter_context(robot_of(args, whole, calibration))
-        assert rig is not None  # only a plan has none
-        robot = stack.enter_context(Controller(rig, calibration, limits, kinematics=kinematics, record=args.record))
+        bench = stack.enter_context(bench_of(args, whole))
+        model = bench.model.with_effects([], np.zeros(0)) if args.no_effects else bench.model
+        kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
+        aim: Aim = Tip(kinematics) if args.tip else Direct(kinematics)
+        robot = stack.enter_context(
+            Controller(bench.rig, bench.calibration, bench.limits, kinematics=kinematics, record=args.record)
+        )
         show: Callable[[Any], None] | None = None
         if page is not None:
             about = {"source": "hand" if by_hand else "knob"}
-            shown = Shown(model, aim, eyes, Sketch(model, calibration), about)
+            shown = Shown(model, aim, eyes, Sketch(model, bench.calibration), about)
             page.shows(shown.hello, shown.view)
             show = shown.take
             _say(f"open {page.url}")

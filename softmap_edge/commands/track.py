@@ -17,6 +17,7 @@ from softmap_edge.bundle import builtin_model
 from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
+from softmap_edge.commands.robot import Bench, bench_of, plain_map
 from softmap_edge.commands.seeing import camera_arguments, late, receiver
 from softmap_edge.commands.track_table import table, workspace
 from softmap_edge.errors import SoftmapError
@@ -25,17 +26,10 @@ from softmap_edge.motion.curves import FIGURES
 from softmap_edge.motion.kinematics import METHODS, Kinematics
 from softmap_edge.motion.track import Course, Tracked, course
 from softmap_edge.motion.track import track as follow
-from softmap_edge.servo.combined import combined, on_bench
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.finger import emulated_bench, hidden_laws
+from softmap_edge.servo.finger import SERVO
 from softmap_edge.servo.limits import servo_limits
-from softmap_edge.servo.rig import Rig, read_rig
-from softmap_edge.ticks import Calibration
 from softmap_edge.whole_file import write_whole
-
-TICKS_PER_MM = 280.0  # of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
-HOME = 2048.0
-RATE = 100.0  # periods a second of the loop
 
 
 def track_arguments(parser: argparse.ArgumentParser) -> None:
@@ -92,29 +86,30 @@ def track(args: argparse.Namespace) -> int:
     whole = builtin_model() if args.bundle is None else open_model(args.bundle)
     if args.table:
         return table(args, whole)
-    whole = whole if args.rig is None else on_bench(read_rig(args.rig), whole, RATE)
-    model = whole.with_effects([], np.zeros(0)) if args.no_effects else whole
-    kinematics = Kinematics(model, axes=args.axes or ("xyz" if args.workspace else "xy"))
     if args.workspace:
-        return workspace(args, kinematics)
-    calibration = whole.calibration or plain_map(whole, args.sim or args.plan)
+        return workspace(args, Kinematics(_bare(args, whole), axes=args.axes or "xyz"))
     tracked = None
-    with tempfile.TemporaryDirectory() as folder, robot_of(args, whole, calibration) as (rig, limits, seen):
-        servos = limits["servos"]
+    with contextlib.ExitStack() as stack:
+        bench = None if args.plan else stack.enter_context(bench_of(args, whole))
+        seen = None if bench is None else stack.enter_context(_eyes(args, bench))
+        calibration = bench.calibration if bench else whole.calibration or plain_map(whole)
+        kinematics = Kinematics(_bare(args, bench.model if bench else whole), axes=args.axes or "xy")
+        limits = bench.limits["servos"] if bench else [servo_limits(SERVO, 0, (-1000.0, 1000.0))] * whole.channels
         planned = course(
             kinematics,
             args.figure,
             amplitude=args.amplitude,
             duration=args.duration,
             rate=30.0 if args.rate is None else args.rate,
-            slew=[one["slew"] for one in servos],
-            acceleration=[one["acceleration"] for one in servos],
+            slew=[one["slew"] for one in limits],
+            acceleration=[one["acceleration"] for one in limits],
             calibration=calibration,
             method=args.method or "exact",
         )
-        if rig is not None:
-            record = Path(args.record or Path(folder) / "track.mcap")
-            with Controller(rig, calibration, limits, kinematics=kinematics, record=record) as robot:
+        if bench is not None:
+            record = Path(args.record or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "track.mcap")
+            robot = Controller(bench.rig, calibration, bench.limits, kinematics=kinematics, record=record)
+            with robot:
                 tracked = follow(robot, kinematics, planned, seen, observe=args.observe, late=behind)
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)
@@ -123,50 +118,21 @@ def track(args: argparse.Namespace) -> int:
     return 0
 
 
+def _bare(args: argparse.Namespace, model: Model) -> Model:
+    """Return the model without its effects where that is asked for."""
+    return model.with_effects([], np.zeros(0)) if args.no_effects else model
+
+
 @contextlib.contextmanager
-def robot_of(
-    args: argparse.Namespace, model: Model, calibration: Calibration
-) -> Iterator[tuple[Rig | None, dict[str, Any], Seen | None]]:
-    """Give rig, limits and what sees the robot."""
-    if args.sim:
-        laws = hidden_laws([name for name in args.hidden.split(",") if name], model.channels, args.seed or 0)
-        with emulated_bench(model, calibration, laws, rate=RATE, seed=args.seed or 0) as (_, rig, limits, finger):
-            yield rig, limits, finger.seen
+def _eyes(args: argparse.Namespace, bench: Bench) -> Iterator[Seen | None]:
+    """Give what sees the robot, if anything does."""
+    if bench.finger is not None or args.camera is None:
+        yield None if bench.finger is None else bench.finger.seen
         return
-    if args.plan:
-        yield None, {"servos": [servo_limits("XL330-M288", 0, (-1000.0, 1000.0))] * model.channels}, None
-        return
-    rig, limits = bench_of(args.rig, model, calibration)
-    if args.camera is None:
-        yield rig, limits, None
-        return
-    with receiver(args, len(model.rest)) as camera:
-        yield rig, limits, camera.seen
+    with receiver(args, len(bench.model.rest)) as camera:
+        yield camera.seen
         if not camera.taken:
             print(f"no frame came at {args.camera}; {camera.said()}", file=sys.stderr)
-
-
-def bench_of(path: str, model: Model, calibration: Calibration) -> tuple[Rig, dict[str, Any]]:
-    """Return the rig of a file and what its loop is allowed.
-
-    Raises:
-        SoftmapError: it cannot be driven; the line says what is not known.
-    """
-    rig = read_rig(path)
-    return rig, combined(rig, model, calibration, RATE).table()
-
-
-def plain_map(model: Model, allowed: bool) -> Calibration:
-    """Return the map of an emulated robot whose bundle holds none; no other robot is `allowed` that.
-
-    Raises:
-        SoftmapError: it is none.
-    """
-    if not allowed:
-        raise SoftmapError("the bundle holds no calibration of the servos; make one with `softmap calibrate`")
-    scale, zero = np.eye(model.channels) / TICKS_PER_MM, np.zeros(model.channels)
-    error = {"command": 0.0, "shape_mm": 0.0, "matched_shape_mm": 0.0}
-    return Calibration(scale, zero, zero + HOME, 0 * scale, zero, error, "an emulated robot's own map", 0, 0, None)
 
 
 def _draw(path: str, kinematics: Kinematics, planned: Course, tracked: Tracked | None) -> None:

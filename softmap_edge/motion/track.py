@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.camera.frames import Frame, on_host
+from softmap_edge.camera.frames import Frame, Seen, on_host
 from softmap_edge.errors import SoftmapError
 from softmap_edge.motion.curves import even, figure
 from softmap_edge.motion.kinematics import AXES, Kinematics, Plan, early

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import commission
-from softmap_edge.servo.proof import AGAIN, TRIES, marked, patiently, set_mark
+from softmap_edge.servo.proof import TRIES, marked, patiently, set_mark
 from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
-from softmap_edge.ticks import Calibration
 
 TURN = 4096  # ticks of a turn of the horn
 NEAR = 150  # ticks from the stored home that a straight finger may stand: half a mm on a spool of 2.2 mm
@@ -164,22 +163,3 @@ def watched(bus: _core.ServoBus, rig: Rig, seconds: float = WATCHED) -> list[int
         if patiently(bus.read, servo.id, enable, 1) != b"\x00":
             raise ServoError(f"servo {servo.id} has torque: another program drives it; stop that first")
     return [int(tick) for tick in np.rint(np.median(looked, axis=0))]
-
-
-def at_bench(calibration: Calibration, rig: Rig) -> Calibration:
-    """Return the calibration about the homes of this bench: after a power-up they lie whole turns from where they were.
-
-    Raises:
-        ServoError: they differ by a part of a turn: it is the calibration of another home.
-    """
-    homes = np.array([np.nan if servo.home is None else servo.home for servo in rig.servos], float)
-    if homes.shape != calibration.home.shape or np.isnan(homes).any():
-        raise ServoError(f"the rig has {len(homes)} homes, the calibration {len(calibration.home)}; {AGAIN}")
-    turned = calibration.home + TURN * np.rint((homes - calibration.home) / TURN)
-    worst = int(np.argmax(np.abs(homes - turned)))
-    if abs(homes[worst] - turned[worst]) > NEAR:
-        raise ServoError(
-            f"servo {rig.servos[worst].id}: its home lies {homes[worst] - turned[worst]:+.0f} ticks (turns aside) "
-            f"from that of the calibration, allowed are {NEAR}; calibrate again at this home"
-        )
-    return replace(calibration, home=turned)

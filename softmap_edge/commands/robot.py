@@ -1,0 +1,70 @@
+"""The robot that a verb drives: the bench of `--rig` with the limits in force there, or an emulated one."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from softmap_edge.model import Model
+from softmap_edge.servo.combined import combined
+from softmap_edge.servo.finger import EmulatedFinger, emulated_bench, hidden_laws
+from softmap_edge.servo.rig import Rig, read_rig
+from softmap_edge.ticks import Calibration
+
+TICKS_PER_MM = 280.0  # of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
+HOME = 2048.0
+RATE = 100.0  # periods a second of the loop
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A robot that can be driven: its `rig`, the `limits` of its loop, its `calibration`, and the `model`, whose own
+    calibration is that of this bench; of an emulated one the `finger`."""
+
+    rig: Rig
+    limits: dict[str, Any]
+    calibration: Calibration
+    model: Model
+    finger: EmulatedFinger | None = None
+
+
+def read_bench(path: str, model: Model) -> Bench:
+    """Return the bench of a rig file, ready to be driven with the finger of `model`.
+
+    Raises:
+        ServoError: something is not known that driving needs; the line says what.
+    """
+    rig = read_rig(path)
+    found = combined(rig, model, rate=RATE)
+    return Bench(rig, found.table(), found.calibration, replace(model, calibration=found.calibration))
+
+
+@contextlib.contextmanager
+def emulated(model: Model, hidden: str = "", seed: int = 0) -> Iterator[Bench]:
+    """Give an emulated robot with the finger of `model`, which hides laws by their names."""
+    calibration = model.calibration or plain_map(model)
+    laws = hidden_laws([name for name in hidden.split(",") if name], model.channels, seed)
+    with emulated_bench(model, calibration, laws, rate=RATE, seed=seed) as (_, rig, limits, finger):
+        yield Bench(rig, limits, calibration, model, finger)
+
+
+@contextlib.contextmanager
+def bench_of(args: argparse.Namespace, model: Model) -> Iterator[Bench]:
+    """Give the bench of `--rig`, or an emulated one with what `--hidden` and `--seed` say, where the verb has them."""
+    if args.rig:
+        yield read_bench(args.rig, model)
+        return
+    with emulated(model, getattr(args, "hidden", ""), getattr(args, "seed", None) or 0) as bench:
+        yield bench
+
+
+def plain_map(model: Model) -> Calibration:
+    """Return the map of an emulated robot whose bundle holds none."""
+    scale, zero = np.eye(model.channels) / TICKS_PER_MM, np.zeros(model.channels)
+    error = {"command": 0.0, "shape_mm": 0.0, "matched_shape_mm": 0.0}
+    return Calibration(scale, zero, zero + HOME, 0 * scale, zero, error, "an emulated robot's own map", 0, 0, None)
