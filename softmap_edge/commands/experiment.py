@@ -177,7 +177,7 @@ def _limits(args: argparse.Namespace, model: Any) -> Any:
 def record_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap record`."""
     parser.add_argument("commands", metavar="CSV", help="a command file of `softmap next --out`")
-    where = parser.add_mutually_exclusive_group(required=True)
+    where = parser.add_mutually_exclusive_group()
     where.add_argument("--sim", action="store_true", help="on a simulated finger: frames are solved, not watched")
     where.add_argument("--emulated", action="store_true", help="on emulated servos with a finger on them, in real time")
     where.add_argument("--rig", metavar="FILE.toml", help="on the servos of this rig, seen by --camera")
@@ -212,6 +212,8 @@ def record(args: argparse.Namespace) -> int:
     from softmap_edge.solid.finger import Finger
     from softmap_edge.truth import WATCH, check_hidden
 
+    if not (args.sim or args.emulated or args.rig):
+        raise SoftmapError("where is it played? give --sim (simulated), --emulated (real packets) or --rig FILE.toml")
     if not args.sim:
         from softmap_edge.commands.record_robot import record_on_robot
 
