@@ -41,7 +41,9 @@ VERBS: list[Verb] = [
     Verb("move", "move", "jog a servo, or go to one command", "softmap_edge.commands.move"),
     Verb("track", "move", "lead the tip along a figure", "softmap_edge.commands.track"),
     Verb("teleop", "move", "drive by hand: camera, keys or mouse", "softmap_edge.commands.teleop"),
-    Verb("record", "move", "play a command file, on a robot or the simulated finger", "softmap_edge.commands.experiment"),
+    Verb(
+        "record", "move", "play a command file, on a robot or the simulated finger", "softmap_edge.commands.experiment"
+    ),
     Verb("replay", "move", "a recording of the loop, decided again", "softmap_edge.commands.servo"),
 ]
 

@@ -43,7 +43,9 @@ def servo_arguments(parser: argparse.ArgumentParser) -> None:
     _json(one)
     heartbeat_arguments(one := what.add_parser("heartbeat", help="be the emergency stop of a robot elsewhere"))
     _json(one)
-    emulate_arguments(what.add_parser("emulate", help="an emulated robot: servos, a finger, a camera, faults on command"))
+    emulate_arguments(
+        what.add_parser("emulate", help="an emulated robot: servos, a finger, a camera, faults on command")
+    )
 
 
 def _bus(parser: argparse.ArgumentParser) -> None:

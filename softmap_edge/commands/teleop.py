@@ -19,6 +19,7 @@ from softmap_edge.commands.robot import bench_of
 from softmap_edge.errors import SoftmapError, TeleopError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo.controller import Controller
+from softmap_edge.signed_udp import new_key, read_key
 from softmap_edge.teleop.aim import Aim, Direct, Tip
 from softmap_edge.teleop.drive import Drive
 from softmap_edge.teleop.eyes import CameraEyes, Eyes, FarEyes, NoEyes, camera_eyes
@@ -27,7 +28,7 @@ from softmap_edge.teleop.frames import UdpAddress, source
 from softmap_edge.teleop.gesture import Rule
 from softmap_edge.teleop.hand import HandMap, View
 from softmap_edge.teleop.keys import Input
-from softmap_edge.teleop.landmarks_udp import Receiver, Sender, new_key, read_key
+from softmap_edge.teleop.landmarks_udp import Receiver, Sender
 from softmap_edge.teleop.model_file import fetch_model
 from softmap_edge.teleop.moments import Shown
 from softmap_edge.teleop.page import PORT, Page

@@ -150,9 +150,9 @@ def table_two(
         seen = np.flatnonzero(np.append(True, planned.counts[1:]))  # at rest, then the figure
         simulated = simulator.path(plan.commands[seen])
         stood = _stand_in(finger, planned, one.calibration, seen)
-        errors = [_off(planned, shapes[:, tip].mean(axis=1), seen) for shapes in (simulated, stood)]
+        off = [_off(planned, shapes[:, tip].mean(axis=1), seen) for shapes in (simulated, stood)]
         expected, farthest = plan.distance[planned.counts], plan.unreachable[planned.counts].max()
-        rows.append(Row(figure, one.name, expected, *errors, float(farthest)))
+        rows.append(Row(figure, one.name, expected, off[0], off[1], float(farthest)))
     return rows
 
 

@@ -262,10 +262,9 @@ class Drive:
                 self._acknowledge(state)
                 continue
             self._clutch = self._clutch.lose(f"{wish} at {name}")
-            emergency = getattr(self._robot, "emergency", None) if wish == "emergency" else None
             try:
-                if emergency is not None:
-                    emergency()
+                if wish == "emergency":
+                    self._robot.emergency()
                 else:
                     self._robot.request("stop")
             except ServoError as fault:
@@ -273,10 +272,8 @@ class Drive:
 
     def _acknowledge(self, state: str) -> None:
         try:
-            release = getattr(self._robot, "emergency", None)
-            if state == "fault" and release is not None:
-                release(False)  # the one that was pressed here; a line or heartbeat of the bench stays
             if state == "fault":
+                self._robot.emergency(False)  # the one that was pressed here; a line or heartbeat of the bench stays
                 self._robot.request("acknowledge")
             if self._robot.state == "homed":
                 self._robot.request("arm")
