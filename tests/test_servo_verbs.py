@@ -11,6 +11,7 @@ from rigs import bench, calibration, torque
 
 from softmap_edge import _core
 from softmap_edge.cli import main
+from softmap_edge.commands.robot import HOME
 from softmap_edge.run import Run
 from softmap_edge.servo import commission
 from softmap_edge.servo.controller import Controller
@@ -144,7 +145,7 @@ def test_an_emulated_bench_takes_faults_from_standard_input(tmp_path):
             assert bus.ping(2) is None
             process.stdin.write("mend 1\nburden 0 2\njammed 0\nlose_turn 0\nswap 0 1\n")
             process.stdin.flush()
-            while (there := bus.ping(2) and commission.registers(bus, 2)["present_position"]) != 2000 - 4096:
+            while (there := bus.ping(2) and commission.registers(bus, 2)["present_position"]) != HOME - 4096:
                 assert time.monotonic() - begin < 10.0, there
         _, _ = process.communicate()
         assert process.returncode == 0
