@@ -29,7 +29,6 @@ from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.finger import emulated_bench
 from softmap_edge.servo.limits import servo_limits
 from softmap_edge.servo.recording import read_recording
-from softmap_edge.servo.rig import Rig, RigServo
 
 MODEL = builtin_model()
 SERVOS = [servo_limits("XL330-M288", 2000, (-900.0, 900.0))] * 2
@@ -270,7 +269,6 @@ def test_interrupted_is_kept(tmp_path, commands):
 )
 def test_what_does_not_go_together_is_told(tmp_path, commands, capsys, monkeypatch, more, line):
     monkeypatch.chdir(tmp_path)
-    Rig("/dev/null", 1_000_000, (RigServo(1, "XL330-M288", 0), RigServo(2, "XL330-M288", 0))).write("rig.toml")
     assert main(["record", str(commands), "--out", "run.npz", *more]) == 2
     assert line in capsys.readouterr().err and not (tmp_path / "run.npz").exists()
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from softmap_edge.model import Model
-from softmap_edge.servo.combined import combined
+from softmap_edge.servo.combined import calibration_of, combined
 from softmap_edge.servo.finger import EmulatedFinger, emulated_bench, hidden_laws
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.ticks import Calibration
@@ -39,8 +39,9 @@ def read_bench(path: str, model: Model) -> Bench:
     Raises:
         ServoError: something is not known that driving needs; the line says what.
     """
+    known = calibration_of(model)  # asked first: the bundle is what a user mends first
     rig = read_rig(path)
-    found = combined(rig, model, rate=RATE)
+    found = combined(rig, model, known, RATE)
     return Bench(rig, found.table(), found.calibration, replace(model, calibration=found.calibration))
 
 

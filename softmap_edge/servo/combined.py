@@ -146,9 +146,7 @@ def combined(rig: Rig, model: Model, calibration: Calibration | None = None, rat
         ServoError: the bundle has no calibration or another number of servos, what acts at home lies outside the
             window, or home of the bench is not the calibration's.
     """
-    found = calibration or model.calibration
-    if found is None:
-        raise ServoError("the bundle holds no calibration of the servos; make one with `softmap calibrate`")
+    found = calibration or calibration_of(model)
     if len(found.b) != len(rig.servos):
         raise ServoError(f"the rig has {len(rig.servos)} servos, the calibration {len(found.b)}; they must agree")
     told = model.safety.within(model.command_range) if model.safety is not None else None
@@ -173,6 +171,17 @@ def combined(rig: Rig, model: Model, calibration: Calibration | None = None, rat
         servos,
         _robot(rig, safety, rates, servos, rate),
     )
+
+
+def calibration_of(model: Model) -> Calibration:
+    """Return the model's calibration.
+
+    Raises:
+        ServoError: it has none.
+    """
+    if model.calibration is None:
+        raise ServoError("the bundle holds no calibration of the servos; make one with `softmap calibrate`")
+    return model.calibration
 
 
 def on_bench(rig: Rig, model: Model, rate: float = RATE) -> Model:
