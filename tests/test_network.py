@@ -1,9 +1,6 @@
 """The network pass against onnxruntime on every network that training can make; graphs that only onnxruntime reads."""
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from hashlib import sha256
 

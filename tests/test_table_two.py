@@ -1,4 +1,4 @@
-"""The paper's Table II on few waypoints: one sequence on both fingers, a rival beside, effects undone; the workspace."""
+"""The paper's Table II on few waypoints: one sequence on both fingers, a rival, effects undone; the workspace."""
 
 import json
 from dataclasses import replace
@@ -27,7 +27,9 @@ def worse(model):
     prior = dict(arrays["prior"])
     for c in range(2):
         prior[f"axis{c}"] = 1.1 * np.asarray(prior[f"axis{c}"])
-    return replace(model, arrays=arrays | {"prior": prior}, prior=family_from(prior), fields={}, cables=None, second=None)
+    return replace(
+        model, arrays=arrays | {"prior": prior}, prior=family_from(prior), fields={}, cables=None, second=None
+    )
 
 
 def test_ours_a_rival_and_the_papers_figures_stand_beside_each_other(model):
@@ -49,10 +51,14 @@ def test_one_solved_sequence_is_replayed_on_both(model, monkeypatch):
     from softmap_edge.motion import table_two as module
 
     sent = {}
-    path, shapes = Simulator.path, module.VirtualFinger.shapes
-    monkeypatch.setattr(Simulator, "path", lambda self, u, *a, **k: sent.setdefault("sim", (u, path(self, u, *a, **k)))[1])
+    path = Simulator.path
     monkeypatch.setattr(
-        module.VirtualFinger, "shapes", lambda self, p: sent.setdefault("stood", (p, np.zeros((len(p.t_seen), 548, 3))))[1]
+        Simulator, "path", lambda self, u, *a, **k: sent.setdefault("sim", (u, path(self, u, *a, **k)))[1]
+    )
+    monkeypatch.setattr(
+        module.VirtualFinger,
+        "shapes",
+        lambda self, p: sent.setdefault("stood", (p, np.zeros((len(p.t_seen), 548, 3))))[1],
     )
     table_two(model, None, **FEW)
     commands, protocol = sent["sim"][0], sent["stood"][0]

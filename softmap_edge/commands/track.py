@@ -36,9 +36,7 @@ RATE = 100.0  # periods a second of the loop
 
 def track_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `track`."""
-    parser.add_argument(
-        "figure", nargs="?", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y) or FILE.svg"
-    )
+    parser.add_argument("figure", nargs="?", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y) or FILE.svg")
     parser.add_argument(
         "--bundle", metavar="DIR", help="whose model and effects are used (default: the built-in finger)"
     )
@@ -62,7 +60,9 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides: backlash,creep"
     )
-    parser.add_argument("--seed", type=int, help="--sim: of what is hidden and of noise (0); --table: of the stand-in (1)")
+    parser.add_argument(
+        "--seed", type=int, help="--sim: of what is hidden and of noise (0); --table: of the stand-in (1)"
+    )
     parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
     parser.add_argument("--picture", metavar="FILE.svg", help="draw it")
 
