@@ -5,8 +5,8 @@ commands all over the range: a second implementation, so that a damaged or forei
 Fits look at features, not at points: there a network of up to three commands becomes a table (`tabulated`).
 
 A graph of other operators is one that only onnxruntime runs. It is asked once, at the nodes of a grid of its up to
-three commands, and goes on as a table of what it said (`elsewhere`), with everything that a table has: slopes, fields, the
-control loop without Python. How far the table is from the graph between its nodes is measured, told and limited.
+three commands, and goes on as a table of what it said (`elsewhere`), with everything that a table has: slopes, fields,
+the control loop without Python. How far the table is from the graph between its nodes is measured, told and limited.
 Pinned by tests/test_network.py.
 """
 
