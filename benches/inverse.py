@@ -1,8 +1,8 @@
-"""Rows of inverse kinematics on the paper-sized network: the letters, waypoint by waypoint, beside SciPy and the paper's way.
+"""Rows of inverse kinematics on the paper-sized network: letters, beside SciPy and the paper's way.
 
-The peers are `scipy.optimize.least_squares(method="lm")`, MINPACK's Levenberg-Marquardt, from the same warm starts and to
-the same distance: on passes of onnxruntime with slopes by differences, which is what is there without the core, and on the
-core's own passes and exact slopes through its binding. Pinned by tests/test_benches.py.
+The peers are `scipy.optimize.least_squares(method="lm")`, MINPACK's Levenberg-Marquardt, from the same warm starts
+and to the same distance: on passes of onnxruntime with slopes by differences, which is what is there without the core,
+and on the core's own passes and exact slopes through its binding. Pinned by tests/test_benches.py.
 """
 
 from __future__ import annotations

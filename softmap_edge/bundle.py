@@ -227,7 +227,10 @@ def _named(manifest: dict[str, Any]) -> list[str]:
 
 
 def _arrays(folder: Path, manifest: dict[str, Any]) -> tuple[dict[str, Arrays], dict[str, Any]]:
-    """Read the archives of a bundle, and what is said of graphs that became tables of it; only finite numbers of a plausible size, which also keeps overflow out later."""
+    """Read the archives of a bundle, and what is said of graphs that became tables of it.
+
+    Only finite numbers of a plausible size, which also keeps overflow out later.
+    """
     learned = _named(manifest)
     foreign: dict[str, Any] = {}
     files = ["prior.npz", "fields.npz", "template.npz", *(name for name in learned if name.endswith(".npz"))]

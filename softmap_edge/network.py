@@ -4,9 +4,9 @@ The compiled core runs them (`rust/network/`), with exact slopes. When a file is
 commands all over the range: a second implementation, so that a damaged or foreign file is found and not driven with.
 Fits look at features, not at points: there a network of up to three commands becomes a table (`tabulated`).
 
-A graph of other operators is one that only onnxruntime runs. It is asked once, at the nodes of a grid of its up to three
-commands, and goes on as a table of what it said (`elsewhere`), with everything that a table has: slopes, fields, the
-control loop without Python. How far the table is from the graph between its nodes is measured, told and limited.
+A graph of other operators is one that only onnxruntime runs. It is asked once, at the nodes of a grid of its up to
+three commands, and goes on as a table of what it said (`elsewhere`), with everything that a table has: slopes, fields,
+the control loop without Python. How far the table is from the graph between its nodes is measured, told and limited.
 Pinned by tests/test_network.py.
 """
 
@@ -74,7 +74,7 @@ def elsewhere(
     """Return the arrays of a table of a graph that only onnxruntime runs, and what is to be said of it.
 
     Args:
-        name: of the file. content: its bytes. command_range, told: as for `read_network`. why: the core does not read it.
+        name: of the file. content: its bytes. command_range, told: as for `read_network`. why: not read by the core.
 
     Raises:
         BundleError: onnxruntime does not run it, it has too many commands, or a table is too far from it.

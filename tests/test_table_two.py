@@ -1,4 +1,4 @@
-"""The paper's Table II on few waypoints: one sequence on both fingers, a rival beside, effects undone; the workspace."""
+"""The paper's Table II on few waypoints: one sequence on both fingers, a rival, effects undone; the workspace."""
 
 import json
 from dataclasses import replace
@@ -51,7 +51,7 @@ def test_one_solved_sequence_is_replayed_on_both(model, monkeypatch):
     from softmap_edge.motion import table_two as module
 
     sent = {}
-    path, shapes = Simulator.path, module.VirtualFinger.shapes
+    path = Simulator.path
     monkeypatch.setattr(
         Simulator, "path", lambda self, u, *a, **k: sent.setdefault("sim", (u, path(self, u, *a, **k)))[1]
     )

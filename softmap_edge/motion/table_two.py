@@ -1,11 +1,11 @@
-"""The paper's Table II: letters S, H, O, E led by one solved sequence of commands each, on a simulator and on a stand-in.
+"""The paper's Table II: letters S, H, O, E led by one solved sequence each, on a simulator and on a stand-in.
 
-    targets ──inverse kinematics of a model──> commands ──> simulator of the built-in finger        (the paper: simulation)
-                                                       └──> virtual finger (`truth_virtual.py`)     (the paper: hardware)
+    targets ──inverse kinematics of a model──> commands ──> simulator of the finger  (paper: simulation)
+                                                       └──> virtual finger           (paper: hardware)
 
-The virtual finger stands in for hardware, is simulated, and has what the model lacks: other elements and material, turned
-tendons, friction, a lean. A bundle that was calibrated on it sends ticks; without a calibration, as a rival's, the servos
-turn as told, by the map that they really have.
+The virtual finger (`truth_virtual.py`) stands in for hardware, is simulated, and has what the model lacks: other
+elements and material, turned tendons, friction, a lean. A bundle that was calibrated on it sends ticks; without a
+calibration, as a rival's, the servos turn as told, by the map that they really have.
 A figure lies about the tip at rest: a model's own while it is solved, the executed finger's own while it is judged, so
 that where a finger merely hangs otherwise does not count. The tip is the middle of the vertices that move most, on a
 rival's own points while it is solved. Errors are distances in mm in the plane of the figure, at the waypoints.
@@ -56,8 +56,8 @@ PUBLISHED_ERRORS = {
 
 @dataclass(frozen=True)
 class Row:
-    """One letter led by one model: what it `expected` of itself, and what happened on the `simulator` and the `stand_in`,
-    as errors (T,) mm at the waypoints; `unreachable` mm, the farthest that a waypoint is from what the model reaches."""
+    """One letter led by one model: what it `expected` of itself, what happened on the `simulator` and the `stand_in`,
+    errors (T,) mm at the waypoints; `unreachable` mm, the farthest that a waypoint is from what was solved."""
 
     figure: str
     model: str
@@ -150,9 +150,10 @@ def table_two(
         seen = np.flatnonzero(np.append(True, planned.counts[1:]))  # at rest, then the figure
         simulated = simulator.path(plan.commands[seen])
         stood = _stand_in(finger, planned, one.calibration, seen)
-        off = [_off(planned, shapes[:, tip].mean(axis=1), seen) for shapes in (simulated, stood)]
+        on_both = (_off(planned, shapes[:, tip].mean(axis=1), seen) for shapes in (simulated, stood))
+        one_error, other_error = on_both
         expected, farthest = plan.distance[planned.counts], plan.unreachable[planned.counts].max()
-        rows.append(Row(figure, one.name, expected, off[0], off[1], float(farthest)))
+        rows.append(Row(figure, one.name, expected, one_error, other_error, float(farthest)))
     return rows
 
 
@@ -176,7 +177,7 @@ def _stand_in(
 
 
 def _off(planned: Course, tip: Floats, seen: NDArray[np.int64]) -> Floats:
-    """Return how far (T,) mm a tip (1 + T, 3), at rest and at each waypoint, is from its figure about where it rested."""
+    """Return how far (T,) mm a tip (1 + T, 3), at rest and at waypoints, is from its figure about where it rested."""
     wanted = planned.plan.targets[seen] - planned.plan.targets[0]
     counts = [axis in PLANE for axis in AXES]
     return np.asarray(np.linalg.norm(((tip - tip[0]) - wanted)[1:, counts], axis=1))
@@ -204,10 +205,10 @@ def text_of(document: dict[str, Any]) -> str:
     told = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip() for line in lines]
     effects = ", ".join(document["effects"]) or "none"
     told += [
-        f"mm in the plane: mean ± standard deviation, largest, at {document['waypoints']} waypoints a letter, half a side "
-        f"{document['amplitude_mm']:g} mm; solved by method '{document['method']}'; effects of the bundle: {effects}.",
-        f"The stand-in is the virtual finger of seed {document['seed']}: simulated, no hardware. The paper's columns are "
-        "of other data: its own finger, letters, sizes.",
+        f"mm in the plane: mean ± standard deviation, largest, at {document['waypoints']} waypoints a letter, "
+        f"half a side {document['amplitude_mm']:g} mm; solved by method '{document['method']}'; effects of the bundle: {effects}.",
+        f"The stand-in is the virtual finger of seed {document['seed']}: simulated, no hardware. The paper's columns "
+        "are of other data: its own finger, letters, sizes.",
     ]
     far = max(row["unreachable_mm"] for row in document["rows"])
     if far > 0.01:

@@ -57,7 +57,7 @@ def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None
 
 
 def workspace_figure(kinematics: Kinematics, rest: Floats, target: Floats | None, nearest: Floats | None) -> bytes:
-    """Draw what the tip can reach from above and from the side, a `target` (3,) mm and the `nearest` point to it (SVG)."""
+    """Draw what the tip can reach from above and from the side, a `target` (3,) mm and the point `nearest` (SVG)."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 4.4), layout="constrained")
         for axes, (across, up) in zip(figure.subplots(1, 2), ((0, 1), (0, 2))):

@@ -183,7 +183,8 @@ def decoder_model(
 ) -> tuple[Model, dict[str, Any]]:  # fmt: skip
     """Train a decoder on shapes (S, 3N) mm at commands (S, C) mm, and return it as a model, and a report.
 
-    Its points are those of its own sheet, at rest where it lays them at home; its tip is the 5 % of them that move most.
+    Its points are those of its own sheet, at rest where it lays them at home; its tip is the 5 % of them that move
+    most.
     Nothing else of the base's is in it: no fields, effects, calibration. It is judged by half the Chamfer distance.
 
     Args:

@@ -148,9 +148,9 @@ def _told(document: dict[str, Any]) -> str:
         lines = [
             f"{head} decoder in the manner of DeepSoRo, {took}; it is read through onnxruntime, as a table that is "
             f"{document['table_off_mm']:.1g} mm off it",
-            f"  {document['test_chamfer_mm']:.2f} mm Chamfer distance from the simulated vertices (there and back, test "
-            f"part, held out); {document['parameters']} numbers learned from {document['samples']} shapes. Its points are "
-            "no vertices: it stands beside models, in `softmap track --table`",
+            f"  {document['test_chamfer_mm']:.2f} mm Chamfer distance from the simulated vertices (there and back, "
+            f"test part, held out); {document['parameters']} numbers learned from {document['samples']} shapes. Its "
+            "points are no vertices: it stands beside models, in `softmap track --table`",
         ]
     elif document["what"] == "prior":
         lines.append(
