@@ -345,6 +345,7 @@ mod tests {
                 (hot, shape.0),
                 shape.1,
                 shape.2,
+                known.stall,
             );
             assert_eq!(made, *known);
         }
