@@ -26,7 +26,7 @@ impl Modes {
     /// Take `mean` (M,) and `rows` (m, M).
     pub fn new(mean: Vec<f64>, rows: Vec<f64>) -> Result<Modes> {
         let size = mean.len();
-        if size == 0 || rows.len() % size != 0 {
+        if size == 0 || !rows.len().is_multiple_of(size) {
             return Err(invalid(format!(
                 "modes must be (m, M) with M = {size} as in mean, got {} numbers",
                 rows.len()

@@ -77,7 +77,7 @@ impl Scattered {
         modes: Vec<f64>,
     ) -> Result<Scattered> {
         let channels = scale.len();
-        if channels == 0 || nodes.len() % channels != 0 {
+        if channels == 0 || !nodes.len().is_multiple_of(channels) {
             return Err(invalid(format!(
                 "a scattered family needs nodes (S, C) and a scale (C,) of at least one channel, got {} and {channels} numbers",
                 nodes.len()

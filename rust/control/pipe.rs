@@ -105,10 +105,10 @@ impl Mailbox for PipeMailbox {
                 orders.sent = u64::from_le_bytes(number(8));
             }
             let asked = usize::from(frame[1]).checked_sub(1);
-            if let Some(request) = asked.and_then(|k| Request::ALL.get(k)) {
-                if self.requests.len() < WAITING {
-                    self.requests.push_back(*request);
-                }
+            if let Some(request) = asked.and_then(|k| Request::ALL.get(k))
+                && self.requests.len() < WAITING
+            {
+                self.requests.push_back(*request);
             }
         }
         self.bytes.drain(..whole);

@@ -223,7 +223,7 @@ impl Chain {
         if self.width == 0 {
             return Ok(1);
         }
-        if params.len() % self.width != 0 {
+        if !params.len().is_multiple_of(self.width) {
             return Err(invalid(format!(
                 "params must be (B, {}), got {} numbers",
                 self.width,

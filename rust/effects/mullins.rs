@@ -74,7 +74,7 @@ impl ChannelEffect for Mullins {
 
 /// How many of so many channels bend one section: pairs of tendons, three tendons, or all.
 fn section(channels: usize) -> usize {
-    let even = [2, 3].into_iter().find(|n| channels % n == 0);
+    let even = [2, 3].into_iter().find(|n| channels.is_multiple_of(*n));
     even.unwrap_or(channels)
 }
 

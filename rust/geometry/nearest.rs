@@ -116,10 +116,10 @@ fn search(a: &[Vec3], b: &[Vec3]) -> (Vec<u32>, Vec<u32>) {
                 continue;
             }
             for t in from..from + LANES {
-                if gaps[t] < least {
-                    if let Some(nearer) = at[t].nearest(p, least) {
-                        (least, near) = (nearer, t);
-                    }
+                if gaps[t] < least
+                    && let Some(nearer) = at[t].nearest(p, least)
+                {
+                    (least, near) = (nearer, t);
                 }
             }
         }

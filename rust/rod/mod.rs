@@ -79,7 +79,7 @@ impl Rod {
         }
         let monomials = Monomials::new(scale.len(), degree)?;
         let rows = monomials.len() + 1;
-        if angles.is_empty() || angles.len() % (2 * rows) != 0 {
+        if angles.is_empty() || !angles.len().is_multiple_of(2 * rows) {
             return Err(invalid(format!(
                 "a rod's angle weights hold {} numbers, expected {rows} rows (degree {degree}, {} channels) of two per chord",
                 angles.len(),

@@ -31,7 +31,7 @@ impl Chance {
     }
 
     fn once_in(&mut self, count: u64) -> bool {
-        self.next() % count == 0
+        self.next().is_multiple_of(count)
     }
 
     fn of<T: Copy>(&mut self, all: &[T]) -> T {
