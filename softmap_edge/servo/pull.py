@@ -1,10 +1,10 @@
 """The pull test: the current that each servo draws where the finger is at its stroke, measured in slow held moves.
 
-Each servo goes alone, the others at home, through the guard's commissioning state: from home to one end of the window in
-force, to the other, and home. A current at rest understates what turning takes, so that the larger of both counts; the
-ceiling is MARGIN times that and IDLE of the stall current for motor and gears at speed. Torque off between two legs would
-let the finger spring back, so that it is one leg of at most FARTHEST_LEG ticks a side; a stroke a little longer is reached
-by a straight line, a stroke much longer is refused. Pinned by tests/test_pull.py.
+Each servo goes alone, the others at home, through the guard's commissioning state: from home to one end of the window
+in force, to the other, and home. Standing takes less current than turning does, so that the larger of both counts; the
+ceiling is MARGIN times that and IDLE of the stall current for motor and gears at speed. Torque off between two legs
+would let the finger spring back, so that it is one leg of at most FARTHEST_LEG ticks a side; a stroke a little longer
+is reached by a straight line, a stroke much longer is refused. Pinned by tests/test_pull.py.
 """
 
 from __future__ import annotations
