@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from rigs import BAUD, HOME, MODEL, bench, calibration, torque
 
@@ -12,7 +13,7 @@ from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.ceiling import Ceiling
 from softmap_edge.servo.combined import IDLE, combined
-from softmap_edge.servo.jog import Held
+from softmap_edge.servo.jog import Held, Jog
 from softmap_edge.servo.pull import MARGIN, pull
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
 
@@ -105,6 +106,14 @@ def test_a_servo_without_current_and_a_stroke_beyond_a_move_are_refused():
                 ceiling=Ceiling((("jog_travel", 500.0),)))  # fmt: skip
     with pytest.raises(ServoError, match=r"stroke of 900 ticks is beyond 1\.25 times the 500"):
         pull(combined(short, FINGER), Held())
+
+
+def test_a_servo_that_is_silent_of_its_current_is_told(monkeypatch):
+    monkeypatch.setattr(Jog, "current", np.full(2, np.nan))
+    with bench() as (bus, rig, _):
+        with pytest.raises(ServoError, match="servo 1 says nothing of its current"):
+            pull(combined(replace(rig, ceiling=QUICK), FINGER), Held())
+        assert not torque(bus)
 
 
 def test_no_terminal_and_no_hold_moves_nothing(folder, capsys):

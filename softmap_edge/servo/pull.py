@@ -33,6 +33,8 @@ FARTHEST_LEG = 4096.0  # ticks from home: what the guard lets a commissioning mo
 BEYOND = 1.25  # times what was reached: a stroke up to there is told by a straight line
 SHORT = 0.05  # of a leg by which a servo may stay behind its goal, but never less than LEAST_SHORT
 LEAST_SHORT = 25.0  # ticks
+LEAST_READ = 5  # readings of the current at an end
+SILENT = 3.0  # s more in which they have to come
 STANDS = 0.6  # s at an end over which the current is taken
 OUTER = 0.9  # of a leg from which on the current of the move counts
 RISES = 2.0  # steps of its current reading by which a servo draws more at the stroke than near home
@@ -168,12 +170,14 @@ def _leg(jog: Jog, k: int, stroke: float, most: float, hand: Deadman) -> Leg:
     _go(jog, k, target, hand, read)
     stood: list[tuple[float, float]] = []
     until = time.monotonic() + STANDS
-    while time.monotonic() < until or len(stood) < 5:
+    while time.monotonic() < until or len(stood) < LEAST_READ:
+        if time.monotonic() > until + SILENT and hand.held():
+            raise ServoError(f"servo {servo.id} says nothing of its current; look at the wiring of the bus")
         if hand.stopped or jog.robot.state != "commissioning":
             raise ServoError(_ended(jog, servo))
         if hand.held():
             jog.keep()
-            stood.append(_now(jog, k))
+            stood += _now(jog, k)
         time.sleep(EVERY)
     reached = float(np.median([away for away, _ in stood]))
     if abs(reached - target) > max(LEAST_SHORT, SHORT * abs(target)):
@@ -181,7 +185,7 @@ def _leg(jog: Jog, k: int, stroke: float, most: float, hand: Deadman) -> Leg:
             f"servo {servo.id} was sent to {target:+.0f} ticks about home and came to {reached:+.0f} under "
             f"{jog.robot.limits['jog_current']:g} mA: look what holds it, or raise jog_current in [ceiling] knowingly"
         )
-    way = np.array(read)
+    way = np.array(read + stood)
     side = way[way[:, 0] * np.sign(stroke) > 0.0]
     outer = side[np.abs(side[:, 0]) >= OUTER * abs(reached), 1]
     end = max(float(np.median([abs(mA) for _, mA in stood])), float(np.median(np.abs(outer))) if len(outer) else 0.0)
@@ -202,7 +206,7 @@ def _go(jog: Jog, k: int, away: float, hand: Deadman, read: list[tuple[float, fl
     servo = jog.rig.servos[k]
 
     def seen(_: Jog) -> bool:
-        read.append(_now(jog, k))
+        read.extend(_now(jog, k))
         return False
 
     jog.by(k, float(servo.home or 0) + away - float(jog.position[k]), hand, seen)
@@ -210,8 +214,10 @@ def _go(jog: Jog, k: int, away: float, hand: Deadman, read: list[tuple[float, fl
         raise ServoError(_ended(jog, servo))
 
 
-def _now(jog: Jog, k: int) -> tuple[float, float]:
-    return float(jog.position[k]) - float(jog.rig.servos[k].home or 0), float(jog.current[k])
+def _now(jog: Jog, k: int) -> list[tuple[float, float]]:
+    """Return where a servo stands about home and its mA; nothing in a period that did not hear both."""
+    now = float(jog.position[k]) - float(jog.rig.servos[k].home or 0), float(jog.current[k])
+    return [now] if np.isfinite(now).all() else []
 
 
 def _ended(jog: Jog, servo: RigServo) -> str:
