@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable
 
 from softmap_edge.commands.output import check_file
 from softmap_edge.errors import ServoError
@@ -47,10 +46,3 @@ def confirm(question: str) -> bool:
         raise ServoError("no terminal to ask at; --yes says it instead")
     print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
-
-
-Declare = Callable[[argparse.ArgumentParser], None]
-Do = Callable[[argparse.Namespace], int]
-STEPS: dict[str, tuple[str, Declare, Do]] = {
-    "home": ("prove where the finger is straight, after each power-up", home_arguments, home),
-}

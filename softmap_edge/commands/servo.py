@@ -4,20 +4,34 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.commissioning import STEPS
+from softmap_edge.commands.commissioning import home, home_arguments
 from softmap_edge.commands.output import check_file
+from softmap_edge.commands.servo_calibrate import calibrate_bench, calibrate_bench_arguments
 from softmap_edge.commands.servo_emulate import emulate, emulate_arguments
 from softmap_edge.commands.servo_heartbeat import heartbeat, heartbeat_arguments
 from softmap_edge.commands.servo_limits import limits, limits_arguments
+from softmap_edge.commands.servo_pull import pull_arguments, pull_test
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import commission
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
 
+Declare = Callable[[argparse.ArgumentParser], None]
+Do = Callable[[argparse.Namespace], int]
+STEPS: dict[str, tuple[str, Declare, Do]] = {  # of commissioning, in their order
+    "home": ("prove where the finger is straight, after each power-up", home_arguments, home),
+    "calibrate": (
+        "a first calibration without a camera: pulley, jogged signs, a ruler",
+        calibrate_bench_arguments,
+        calibrate_bench,
+    ),
+    "pull": ("measure the current at the stroke; it becomes the ceiling", pull_arguments, pull_test),
+}
 OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise
 
 

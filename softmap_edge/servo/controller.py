@@ -41,6 +41,7 @@ Report = dict[str, Any]
 
 REQUESTS = ("connect", "home", "arm", "engage", "hold", "stop", "acknowledge", "disconnect", "commission")
 STARTS = 10.0  # s until the loop's process has said something
+SAID = 2.0  # s within which every servo has said whether it has torque
 FROZEN = 0.6  # s without a report after which the loop's process is taken to be frozen
 ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
 
@@ -96,7 +97,8 @@ class Controller:
         try:
             self._wait(self._heard_all, STARTS, "the servos say nothing")
             self._wait_for_release()
-            for request in ("connect",) if self._commissioning else ("connect", "home", "arm"):
+            self._connect()
+            for request in () if self._commissioning else ("home", "arm"):
                 self.request(request)
         except BaseException:
             self.close()
@@ -285,6 +287,19 @@ class Controller:
         with self._heard:
             self._last.setdefault("gone", "the process of the control loop has ended")
             self._heard.notify_all()
+
+    def _connect(self) -> None:
+        """Connect once each servo has said that it has no torque: that is asked five times a second, in turn."""
+        until = time.monotonic() + SAID
+        while True:
+            try:
+                return self.request("connect")
+            except ServoError:
+                if self._last.get("denied") is None or not str(self._last["denied"]).startswith("torque"):
+                    raise
+                if time.monotonic() > until:
+                    raise
+            time.sleep(0.05)
 
     def _heard_all(self) -> bool:
         position = self._last.get("position")

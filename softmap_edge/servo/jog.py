@@ -91,12 +91,16 @@ class Jog:
         self.robot = Controller(rig, ticks, limits, record=record, commissioning=True)
         self._began: Ticks | None = None
         self._target: Ticks | None = None
+        self._stood: Ticks = np.full(count, np.nan)
         self._window, self._beyond = np.tile(np.array(anywhere), (count, 1)), beyond
 
     def __enter__(self) -> Self:
         if not self._beyond:
             self._window = _window(self.rig, self._window)
         self.robot.__enter__()
+        until = time.monotonic() + WAITS
+        while np.isnan(self.position).any() and time.monotonic() < until:
+            time.sleep(EVERY)
         return self
 
     def __exit__(
@@ -106,8 +110,10 @@ class Jog:
 
     @property
     def position(self) -> Ticks:
-        """Where the servos stand (C,), ticks."""
-        return self._said("position")
+        """Where the servos stand (C,), ticks, by the last period that heard each: one lost answer is no place."""
+        said = self._said("position")
+        self._stood = np.where(np.isnan(said), self._stood, said)
+        return self._stood.copy()
 
     @property
     def goal(self) -> Ticks:

@@ -1,0 +1,105 @@
+"""`softmap servo calibrate`: pulley, jogged signs and a ruler become a first calibration. A step of STEPS."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+
+from softmap_edge.bundle import builtin_model, save_bundle
+from softmap_edge.commands.commissioning import confirm
+from softmap_edge.commands.move import deadman, hold_argument, tell
+from softmap_edge.commands.output import bundle_arguments, check_bundle
+from softmap_edge.commands.own import open_model
+from softmap_edge.errors import CalibrationError, ServoError
+from softmap_edge.model import Model
+from softmap_edge.servo.bench_map import COUPLING, bench_calibration, bends, document, radius
+from softmap_edge.servo.jog import Jog
+from softmap_edge.servo.rig import Rig, read_rig
+
+JOGGED = 200.0  # ticks: seen, and within what a jog may do
+MOVES = 0.5  # of that which a servo must have come
+
+
+def calibrate_bench_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `servo calibrate`."""
+    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench, its homes known")
+    parser.add_argument("--pulley-mm", required=True, type=float, metavar="R", help="radius at which tendon is wound")
+    parser.add_argument("--signs", metavar="+,-", help="which way each servo bends; jogged and asked for without it")
+    parser.add_argument("--ruler", metavar="TICKS=MM", help="mm of tendon that so many ticks wound, by a ruler")
+    parser.add_argument("--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it")
+    bundle_arguments(parser)
+    hold_argument(parser)
+
+
+def calibrate_bench(args: argparse.Namespace) -> int:
+    """Write the bundle with a first calibration; 0 when it is written."""
+    check_bundle(args.out, args.force)
+    rig, model = read_rig(args.rig), builtin_model() if args.bundle is None else open_model(args.bundle)
+    pulley = radius(args.pulley_mm, _reading(args.ruler))
+    given = [1] * len(rig.servos) if args.signs is None else _signs(args.signs)
+    found = bench_calibration(rig, model, pulley, given)  # refuses before anything moves
+    if args.signs is None:
+        found = bench_calibration(rig, model, pulley, _jogged(args, rig, model))
+    warnings = [
+        f"no coupling is known: servos are taken to pull one command each, within {COUPLING:g} of their own",
+        "held out is what the deviations expect; nothing was seen: calibrate with a camera for more",
+    ]
+    if args.ruler is None:
+        warnings.append("the radius is the pulley's alone; one reading of a ruler (--ruler TICKS=MM) tells it better")
+    folder = save_bundle(replace(model, calibration=found), args.out)
+    if args.json:
+        print(json.dumps(document(found, model, warnings) | {"bundle": str(folder)}, ensure_ascii=False))
+        return 0
+    print(f"A first calibration: {found.run}; radius {pulley.mm:.3f} ± {pulley.sigma:.3f} mm")
+    for k, servo in enumerate(rig.servos):
+        print(
+            f"  servo {servo.id}: u{k} {found.A[k, k]:+.6f} ± {found.sigma_A[k, k]:.6f} mm a tick, straight at "
+            f"{found.home[k]:.0f} ticks ± {found.sigma_b[k]:.2f} mm"
+        )
+    print("\n".join([*(f"  look at: {line}" for line in warnings), f"{folder}: written"]))
+    return 0
+
+
+def _reading(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        ticks, mm = (float(part) for part in text.split("="))
+    except ValueError:
+        raise CalibrationError(f"--ruler '{text:.40}': give TICKS=MM, as 2048=7.3") from None
+    return ticks, mm
+
+
+def _signs(text: str) -> list[int]:
+    known = {"+": 1, "-": -1}
+    parts = text.split(",")
+    if not all(part in known for part in parts):
+        raise CalibrationError(f"--signs '{text:.40}': give + or - for each servo, as --signs=+,-")
+    return [known[part] for part in parts]
+
+
+def _jogged(args: argparse.Namespace, rig: Rig, model: Model) -> list[int]:
+    """Jog each servo a little and back, and ask which way the finger bent."""
+    signs = []
+    for k, servo in enumerate(rig.servos):
+        way = bends(model, k)
+        with Jog(rig) as jog:
+            with deadman(args.hold) as hand:
+                tell(args, f"servo {servo.id} turns by {JOGGED:+.0f} ticks and back; watch the tip", hand)
+                came = jog.by(k, JOGGED, hand)
+                if not hand.stopped:
+                    jog.by(k, -came, hand)
+            jog.stop()
+        if hand.stopped or abs(came) < MOVES * JOGGED:
+            raise ServoError(f"servo {servo.id} came {came:+.0f} of {JOGGED:+.0f} ticks; nothing is known of its sign")
+        if confirm(f"Did servo {servo.id} bend the tip towards {way} of the base first?"):
+            signs.append(1)
+        elif confirm("Did it bend the tip the other way?"):
+            signs.append(-1)
+        else:
+            raise ServoError(
+                f"servo {servo.id} bends the tip neither to {way} nor the other way; servo {k + 1} of the rig has to "
+                f"pull command {k + 1}: look at its tendon, or at the order in rig.toml"
+            )
+    return signs

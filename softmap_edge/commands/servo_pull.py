@@ -1,0 +1,41 @@
+"""`softmap servo pull`: the current at the finger's stroke, and with it the ceiling in rig.toml. A step of STEPS."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from softmap_edge.bundle import builtin_model
+from softmap_edge.commands.move import deadman, hold_argument, tell
+from softmap_edge.commands.output import check_file
+from softmap_edge.commands.own import open_model
+from softmap_edge.servo.combined import IDLE, combined
+from softmap_edge.servo.pull import MARGIN, noted, pull
+from softmap_edge.servo.rig import read_rig
+
+
+def pull_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `servo pull`."""
+    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench; ceilings are written into it")
+    parser.add_argument("--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)")
+    parser.add_argument("--servo", type=int, metavar="ID", help="this servo alone; all of them without it")
+    hold_argument(parser)
+
+
+def pull_test(args: argparse.Namespace) -> int:
+    """Measure and write the ceilings; 0 when all are found."""
+    check_file("--rig", args.rig, ".toml")
+    rig = read_rig(args.rig)
+    # A ceiling of an earlier pull is what is found anew; it bounds no move of commissioning.
+    found = combined(rig, builtin_model() if args.bundle is None else open_model(args.bundle))
+    with deadman(args.hold) as hand:
+        tell(args, "each servo goes slowly to both ends of its window and back", hand)
+        done = pull(found, hand, () if args.servo is None else (args.servo,))
+    noted(rig, done).write(args.rig)
+    if args.json:
+        document = {"schema": "softmap.pull/1", "servos": [one.to_dict() for one in done]}
+        print(json.dumps(document | {"margin": MARGIN, "idle_of_stall": IDLE, "rig": args.rig}))
+    else:
+        how = f"{MARGIN:g} times the most of both, and {IDLE:g} of the stall current"
+        print("\n".join([*map(str, done), f"{args.rig}: the ceilings are written ({how}); torque is off"]))
+    return 0

@@ -1,0 +1,122 @@
+"""The pull test finds the current at the stroke on emulated servos, and writes the ceiling; or says why it does not."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigs import BAUD, HOME, MODEL, bench, calibration, torque
+
+from softmap_edge.bundle import builtin_model, save_bundle
+from softmap_edge.cli import main
+from softmap_edge.errors import ServoError
+from softmap_edge.servo.ceiling import Ceiling
+from softmap_edge.servo.combined import IDLE, combined
+from softmap_edge.servo.jog import Held, Jog
+from softmap_edge.servo.pull import MARGIN, pull
+from softmap_edge.servo.rig import Rig, RigServo, read_rig
+
+FINGER = replace(builtin_model(), calibration=calibration())
+QUICK = Ceiling((("jog_slew", 800.0), ("low", -250.0), ("high", 300.0)))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Give an emulated bus, its rig's file and a bundle; its load is 0.4 mA a tick."""
+    save_bundle(FINGER, tmp_path / "finger")
+    with bench() as (bus, rig, _):
+        replace(rig, ceiling=QUICK).write(tmp_path / "rig.toml")
+        yield bus, tmp_path / "rig.toml", tmp_path / "finger"
+        assert not torque(bus)
+
+
+def words(file, bundle, *more):
+    return ["servo", "pull", "--rig", str(file), "--bundle", str(bundle), "--hold", *more]
+
+
+def test_the_current_at_the_stroke_becomes_the_ceiling(folder, capsys):
+    _, file, bundle = folder
+    assert main(words(file, bundle, "--json")) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert next(iter(told)) == "schema" and told["schema"] == "softmap.pull/1"
+    rig = read_rig(file)
+    for servo, one in zip(rig.servos, told["servos"], strict=True):
+        low, high = one["legs"]
+        assert (low["stroke_ticks"], high["stroke_ticks"]) == (-250, 300)
+        assert low["mA"] == pytest.approx(100.0, abs=12.0) and high["mA"] == pytest.approx(120.0, abs=12.0)
+        assert servo.current_mA == one["current_mA"] == pytest.approx(MARGIN * high["mA"] + IDLE * 1470.0, abs=0.1)
+        assert "ticks/s" in rig.made["pulled"][f"servo_{servo.id}"]
+    limits = {one.name: one for one in combined(replace(rig, ceiling=Ceiling()), FINGER).servos[0]}
+    assert limits["current"].value <= rig.servos[0].current_mA, "and it is in force"
+
+
+def test_one_servo_keeps_what_was_found_of_the_other(folder, capsys):
+    _, file, bundle = folder
+    rig = read_rig(file)
+    replace(rig, servos=(replace(rig.servos[0], current_mA=99.0), rig.servos[1])).write(file)
+    assert main(words(file, bundle, "--servo", "2")) == 0
+    assert "servo 2:" in capsys.readouterr().out
+    rig = read_rig(file)
+    assert (
+        rig.servos[0].current_mA == 99.0 and rig.servos[1].current_mA > 150 and list(rig.made["pulled"]) == ["servo_2"]
+    )
+    assert main(words(file, bundle, "--servo", "9")) == 2
+    assert "the rig has no servo 9; it has 1, 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (lambda bus, file: bus.damage(0, torn=True), "pulls nothing there; look for a torn"),
+        (lambda bus, file: bus.burden(0, 9.0), "look what holds it, or raise jog_current"),
+        (lambda bus, file: bus.reset(0), "home is not proved since power-up|servo 1: no answer"),
+        (lambda bus, file: bus.damage(0, jammed=True), "look what holds it"),
+    ],
+)
+def test_what_tells_nothing_writes_nothing(folder, capsys, change, said):
+    bus, file, bundle = folder
+    change(bus, file)
+    before = file.read_text()
+    assert main(words(file, bundle, "--servo", "1")) == 2
+    assert re.search(said, capsys.readouterr().err)
+    assert file.read_text() == before
+
+
+class LetsGo(Held):
+    """A hand that stops at once."""
+
+    stopped = True
+
+
+def test_who_stops_it_gets_no_ceiling():
+    with bench() as (bus, rig, _):
+        with pytest.raises(ServoError, match="stopped before its end"):
+            pull(combined(replace(rig, ceiling=QUICK), FINGER), LetsGo())
+        assert not torque(bus)
+
+
+def test_a_servo_without_current_and_a_stroke_beyond_a_move_are_refused():
+    rig = Rig("/dev/none", BAUD, tuple(RigServo(id, "XL430-W250", HOME) for id in (1, 2)))
+    with pytest.raises(
+        ServoError, match="servo 1, a XL430-W250, reports no current and caps none: its PWM is its limit"
+    ):
+        pull(combined(rig, FINGER), Held())
+    short = Rig("/dev/none", BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)),
+                ceiling=Ceiling((("jog_travel", 500.0),)))  # fmt: skip
+    with pytest.raises(ServoError, match=r"stroke of 900 ticks is beyond 1\.25 times the 500"):
+        pull(combined(short, FINGER), Held())
+
+
+def test_a_servo_that_is_silent_of_its_current_is_told(monkeypatch):
+    monkeypatch.setattr(Jog, "current", np.full(2, np.nan))
+    with bench() as (bus, rig, _):
+        with pytest.raises(ServoError, match="servo 1 says nothing of its current"):
+            pull(combined(replace(rig, ceiling=QUICK), FINGER), Held())
+        assert not torque(bus)
+
+
+def test_no_terminal_and_no_hold_moves_nothing(folder, capsys):
+    bus, file, bundle = folder
+    assert main(words(file, bundle)[:-1]) == 2
+    assert "no terminal whose keys" in capsys.readouterr().err and not torque(bus)
