@@ -38,7 +38,7 @@ def test_from_the_box_to_ready(tmp_path, monkeypatch, capsys):
                 code = main(words[1:])
                 told = capsys.readouterr()
                 # What this computer lacks (a camera's packages, real-time rights) is no matter of the bench.
-                assert code == 0 or name == "doctor", (words, told.err)
+                assert code == 0 or name == "doctor", f"{name}: {told.err}"
                 done.append(name)
                 said[name] = told.out
         horns = bus.state()[1]

@@ -37,18 +37,18 @@ LEAST_READ = 5  # readings of the current at an end
 SILENT = 3.0  # s more in which they have to come
 STANDS = 0.6  # s at an end over which the current is taken
 OUTER = 0.9  # of a leg from which on the current of the move counts
-RISES = 2.0  # steps of its current reading by which a servo draws more at the stroke than near home
-NEAR_HOME = 0.2  # of a leg
+RISES = 2.0  # steps of its current reading by which a servo draws more at the stroke than at home, standing
 
 
 @dataclass(frozen=True)
 class Leg:
-    """One side of a pull: the stroke and how far it came, ticks about home; `mA` there; what was read on the way
-    (n, 2), ticks about home and mA."""
+    """One side of a pull: the stroke and how far it came, ticks about home; `mA` there, standing `rises` mA above
+    home; what was read on the way (n, 2), ticks about home and mA."""
 
     stroke: float
     reached: float
     mA: float
+    rises: float
     read: Floats
 
 
@@ -167,7 +167,27 @@ def _leg(jog: Jog, k: int, stroke: float, most: float, hand: Deadman) -> Leg:
     servo, near = jog.rig.servos[k], 1.0 - LEAST_SHORT / most
     target = float(np.sign(stroke)) * min(abs(stroke), near * most)
     read: list[tuple[float, float]] = []
+    _go(jog, k, 0.0, hand, [])
+    rest = float(np.median([abs(mA) for _, mA in _stand(jog, k, hand)]))
     _go(jog, k, target, hand, read)
+    stood = _stand(jog, k, hand)
+    reached = float(np.median([away for away, _ in stood]))
+    if abs(reached - target) > max(LEAST_SHORT, SHORT * abs(target)):
+        raise ServoError(
+            f"servo {servo.id} was sent to {target:+.0f} ticks about home and came to {reached:+.0f} under "
+            f"{jog.robot.limits['jog_current']:g} mA: look what holds it, or raise jog_current in [ceiling] knowingly"
+        )
+    way = np.array(read + stood)
+    side = way[way[:, 0] * np.sign(stroke) > 0.0]
+    outer = side[np.abs(side[:, 0]) >= OUTER * abs(reached), 1]
+    end = max(float(np.median([abs(mA) for _, mA in stood])), float(np.median(np.abs(outer))) if len(outer) else 0.0)
+    rises = float(np.median([abs(mA) for _, mA in stood])) - rest
+    return Leg(stroke, reached, round(_at(stroke, reached, end, side), 1), rises, np.round(side, 1))
+
+
+def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
+    """Stand for STANDS, and return what a servo says meanwhile."""
+    servo = jog.rig.servos[k]
     stood: list[tuple[float, float]] = []
     until = time.monotonic() + STANDS
     while time.monotonic() < until or len(stood) < LEAST_READ:
@@ -179,17 +199,7 @@ def _leg(jog: Jog, k: int, stroke: float, most: float, hand: Deadman) -> Leg:
             jog.keep()
             stood += _now(jog, k)
         time.sleep(EVERY)
-    reached = float(np.median([away for away, _ in stood]))
-    if abs(reached - target) > max(LEAST_SHORT, SHORT * abs(target)):
-        raise ServoError(
-            f"servo {servo.id} was sent to {target:+.0f} ticks about home and came to {reached:+.0f} under "
-            f"{jog.robot.limits['jog_current']:g} mA: look what holds it, or raise jog_current in [ceiling] knowingly"
-        )
-    way = np.array(read + stood)
-    side = way[way[:, 0] * np.sign(stroke) > 0.0]
-    outer = side[np.abs(side[:, 0]) >= OUTER * abs(reached), 1]
-    end = max(float(np.median([abs(mA) for _, mA in stood])), float(np.median(np.abs(outer))) if len(outer) else 0.0)
-    return Leg(stroke, reached, round(_at(stroke, reached, end, side), 1), np.round(side, 1))
+    return stood
 
 
 def _at(stroke: float, reached: float, mA: float, side: Floats) -> float:
@@ -232,11 +242,9 @@ def _allowed(servo: RigServo, legs: tuple[Leg, Leg]) -> float:
     """
     entry = _entry(servo)
     for leg in legs:
-        near = np.abs(leg.read[np.abs(leg.read[:, 0]) <= NEAR_HOME * abs(leg.reached), 1])
-        rise = leg.mA - (float(np.median(near)) if len(near) else 0.0)
-        if not rise > RISES * entry["current_unit_mA"]:
+        if not leg.rises > RISES * entry["current_unit_mA"]:
             raise ServoError(
-                f"servo {servo.id} draws {leg.mA:.0f} mA at {leg.stroke:+.0f} ticks, {rise:+.1f} against near home: it "
+                f"servo {servo.id} draws {leg.mA:.0f} mA at {leg.stroke:+.0f} ticks, {leg.rises:+.1f} against home: it "
                 "pulls nothing there; look for a torn or slack tendon, or a stroke that is too short to tell"
             )
     stroke = max(leg.mA for leg in legs)
