@@ -206,7 +206,8 @@ def text_of(document: dict[str, Any]) -> str:
     effects = ", ".join(document["effects"]) or "none"
     told += [
         f"mm in the plane: mean ± standard deviation, largest, at {document['waypoints']} waypoints a letter, "
-        f"half a side {document['amplitude_mm']:g} mm; solved by method '{document['method']}'; effects of the bundle: {effects}.",
+        f"half a side {document['amplitude_mm']:g} mm; solved by method '{document['method']}'; "
+        f"effects of the bundle: {effects}.",
         f"The stand-in is the virtual finger of seed {document['seed']}: simulated, no hardware. The paper's columns "
         "are of other data: its own finger, letters, sizes.",
     ]
