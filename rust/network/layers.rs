@@ -144,8 +144,7 @@ impl Linear {
         out: &mut Columns<N>,
     ) {
         let size = BLOCK * self.columns;
-        let blocks: [&[[f32; BLOCK]]; B] =
-            std::array::from_fn(|k| self.packed[(b + k) * size..][..size].as_chunks().0);
+        let blocks: [&[f32]; B] = std::array::from_fn(|k| &self.packed[(b + k) * size..][..size]);
         for first in (0..BLOCK).step_by(V * S::F32_LANES) {
             let place = |n: usize, k: usize| n * out.stride + (b + k) * BLOCK + first;
             let mut sums = [[[simd.splat_f32s(0.0); V]; B]; N];
@@ -158,7 +157,7 @@ impl Linear {
             for (at, numbers) in inputs.all() {
                 let numbers: [S::f32s; N] = std::array::from_fn(|n| simd.splat_f32s(numbers[n]));
                 for k in 0..B {
-                    let row = &blocks[k][*at as usize][first..][..V * S::F32_LANES];
+                    let row = &blocks[k][*at as usize * BLOCK + first..][..V * S::F32_LANES];
                     let (weights, _) = S::as_simd_f32s(row);
                     for v in 0..V {
                         for n in 0..N {
