@@ -156,7 +156,7 @@ def test_an_ordinary_user_is_told_what_rights_are_missing(tmp_path):
             (tmp_path / name).touch()
             (tmp_path / name).chmod(0o660)
         for folder in tmp_path.parents:  # pytest's own folders are closed to others
-            if folder.stat().st_uid == os.geteuid() and folder.name.startswith("pytest-"):
+            if folder.stat().st_uid == os.geteuid() and folder.name.startswith(("pytest-", "popen-")):
                 folder.chmod(0o755)
         argv = [sys.executable, "-c", AS_NOBODY, str(tmp_path), bus.path]
         done = subprocess.run(argv, capture_output=True, text=True, timeout=60)
