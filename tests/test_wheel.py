@@ -42,7 +42,8 @@ def test_it_asks_for_numpy_and_onnxruntime_alone_and_holds_what_runs(wheel):
     assert always == BASE and not any("torch" in line for line in asked)
     folders = {name.split("/")[0] for name in names}
     assert {name for name in folders if ".dist-info" not in name} == {"softmap_edge"}
-    assert "softmap_edge/data/finger/manifest.json" in names and "softmap_edge/py.typed" in names
+    pages = {f"softmap_edge/teleop/page.{kind}" for kind in ("html", "css", "js")}
+    assert {"softmap_edge/data/finger/manifest.json", "softmap_edge/py.typed", *pages} <= set(names)
 
 
 def test_installed_alone_it_drives_an_emulated_robot(wheel, tmp_path):
