@@ -129,7 +129,7 @@ def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
             tip = camera.seen()[-1].points[model.tip_indices].mean(axis=0)
             assert np.linalg.norm(tip - model.tip(np.array([[3.0, 0.0]]))[0]) < 5.0
             assert np.linalg.norm(tip - model.tip(np.zeros((1, 2)))[0]) > 5.0
-            say(process, "reverse 0")
+            say(process, "reversed 0")
             moved(robot, [3.0, 0.0], 0.5)
             away = camera.seen()[-1].points[model.tip_indices].mean(axis=0) - model.tip(np.zeros((1, 2)))[0]
             assert away @ (tip - model.tip(np.zeros((1, 2)))[0]) < 0
@@ -139,8 +139,8 @@ def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
         until(lambda: camera.silent < 0.3)
         say(process, "blind 2")
         assert "no such fault" in process.stderr.readline()
-        say(process, "reverse 7")
-        assert "no 7; there are 0 to 1" in process.stderr.readline()
+        say(process, "reversed 7")
+        assert "no servo 7; there are 0 to 1" in process.stderr.readline()
 
 
 def test_exchanged_ids_are_exchanged(tmp_path):
