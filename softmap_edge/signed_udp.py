@@ -19,6 +19,8 @@ from typing import Any
 from softmap_edge.errors import TeleopError
 
 TAG = 32  # bytes of HMAC-SHA256
+SESSION = 16  # bytes that name a session
+MOST_AT_ONCE = 64  # offers that are taken in at a time
 SHORTEST_KEY = 16  # bytes
 
 
@@ -76,6 +78,24 @@ def checked_key(key: bytes) -> bytes:
 def tag(key: bytes, body: bytes) -> bytes:
     """Return what signs `body`, TAG bytes."""
     return hmac.new(key, body, hashlib.sha256).digest()
+
+
+def offered(link: socket.socket, key: bytes, mark: bytes, session: bytes) -> bytes:
+    """Return the newest session (SESSION bytes) that the other side of `link` offers, signed and behind `mark`;
+    `session` where it offers none."""
+    size = len(mark) + SESSION + TAG
+    for _ in range(MOST_AT_ONCE):
+        try:
+            offer = link.recv(size + 1)
+        except BlockingIOError:
+            break
+        except OSError:
+            continue  # what came back of an earlier datagram
+        body = offer[: size - TAG]
+        right = len(offer) == size and body.startswith(mark)
+        if right and hmac.compare_digest(offer[len(body) :], tag(key, body)):
+            session = body[len(mark) :]
+    return session
 
 
 def udp_address(text: str) -> tuple[str, int]:

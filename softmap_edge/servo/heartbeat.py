@@ -11,8 +11,6 @@ those of `rust/control/heartbeat.rs`, which listens. Pinned by tests/test_emerge
 
 from __future__ import annotations
 
-import hashlib
-import hmac
 import socket
 import struct
 import time
@@ -20,15 +18,13 @@ from types import TracebackType
 from typing import Self
 
 from softmap_edge.errors import ServoError
+from softmap_edge.signed_udp import TAG, offered, tag
 
 MARK, OFFER_MARK = b"SMB1", b"SMC1"
 _BODY = struct.Struct("<4sB16sQQ")
-_TAG = 32  # bytes of HMAC-SHA256
-BEAT = _BODY.size + _TAG
-OFFER = 4 + 16 + _TAG
+BEAT = _BODY.size + TAG
 PRESSED = 1
 NO_SESSION = bytes(16)
-MOST_AT_ONCE = 64  # offers that one beat takes in
 
 
 class Heart:
@@ -63,26 +59,13 @@ class Heart:
         self._sequence += 1
         body = _BODY.pack(MARK, PRESSED if pressed else 0, self._session, self._sequence, time.monotonic_ns())
         try:
-            return self._socket.send(body + self._tag(body)) == BEAT
+            return self._socket.send(body + tag(self._key, body)) == BEAT
         except OSError:  # nobody listens there, or no network: the robot may come back
             return False
 
     def _listen(self) -> None:
         """Take the newest session that the robot offers."""
-        for _ in range(MOST_AT_ONCE):
-            try:
-                offer = self._socket.recv(OFFER + 1)
-            except BlockingIOError:
-                return
-            except OSError:
-                continue  # what came back of an earlier beat
-            body = offer[: OFFER - _TAG]
-            right = len(offer) == OFFER and body.startswith(OFFER_MARK)
-            if right and hmac.compare_digest(offer[len(body) :], self._tag(body)):
-                self._session = body[len(OFFER_MARK) :]
-
-    def _tag(self, body: bytes) -> bytes:
-        return hmac.new(self._key, body, hashlib.sha256).digest()
+        self._session = offered(self._socket, self._key, OFFER_MARK, self._session)
 
     def close(self) -> None:
         """Stop beating: the robot takes it for pressed."""

@@ -27,7 +27,7 @@ from types import TracebackType
 import numpy as np
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.signed_udp import TAG, checked_key, open_udp, tag
+from softmap_edge.signed_udp import TAG, checked_key, offered, open_udp, tag
 from softmap_edge.teleop.hand import LANDMARKS, Hand
 
 MARK, OFFER_MARK = b"SMH1", b"SMO1"
@@ -116,17 +116,7 @@ class Sender:
 
     def _listen(self) -> None:
         """Take the newest session that the receiver offers."""
-        for _ in range(MOST_AT_ONCE):
-            try:
-                offer = self._socket.recv(OFFER + 1)
-            except BlockingIOError:
-                return
-            except OSError:
-                continue  # what came back of an earlier datagram
-            body = offer[: OFFER - TAG]
-            right = len(offer) == OFFER and body.startswith(OFFER_MARK)
-            if right and hmac.compare_digest(offer[len(body) :], tag(self._key, body)):
-                self._session = body[len(OFFER_MARK) :]
+        self._session = offered(self._socket, self._key, OFFER_MARK, self._session)
 
     def close(self) -> None:
         """Close the socket; may be called again."""
