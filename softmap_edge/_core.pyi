@@ -191,12 +191,12 @@ class EmulatedBus:
         self,
         servo: int,
         *,
-        mute: bool = False,
-        stuck: bool = False,
-        torn: bool = False,
-        reversed: bool = False,
-        jammed: bool = False,
-        uncapped: bool = False,
+        mute: bool | None = None,
+        stuck: bool | None = None,
+        torn: bool | None = None,
+        reversed: bool | None = None,
+        jammed: bool | None = None,
+        uncapped: bool | None = None,
     ) -> None: ...
     def burden(self, servo: int, factor: float) -> None: ...
     def lose_turn(self, servo: int) -> None: ...
@@ -208,7 +208,7 @@ class EmulatedBus:
     def supply(self, servo: int, volts: float) -> None: ...
     def rename(self, servo: int, id: int) -> None: ...
     def unplug(self) -> None: ...
-    def state(self) -> tuple[float, list[tuple[float, bool, bool]]]: ...
+    def state(self) -> tuple[float, list[tuple[float, bool, bool, float]]]: ...
 
 FIELDS: list[str]
 LOADS: list[str]

@@ -52,9 +52,9 @@ def bench(rate=200.0, **changes):
 
 def torque(bus):
     """Return whether any servo has torque."""
-    return any(on for _, on, _ in bus.state()[1])
+    return any(on for _, on, *_ in bus.state()[1])
 
 
 def angles(bus):
     """Return how far the horns have really turned, ticks."""
-    return np.array([angle for angle, _, _ in bus.state()[1]])
+    return np.array([angle for angle, *_ in bus.state()[1]])

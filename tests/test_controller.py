@@ -101,7 +101,7 @@ def test_a_fault_ends_without_torque(name, breaks):
             assert robot.state == "fault" and robot.report["cause"] == name
             with pytest.raises(ServoError, match="in state fault"):
                 robot.target([0.0, 0.0])
-        bus.damage(1)
+        bus.damage(1, mute=False)
         assert not bus.state()[1][0][1], "the servo that hears has no torque"
 
 
@@ -199,7 +199,7 @@ def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so
     bus, user, loop = program
     user.send_signal(signal.SIGSTOP)  # cannot rescue
     os.kill(loop, signal.SIGKILL)
-    wait_for(lambda: all(tripped for _, _, tripped in bus.state()[1]), 1.0)
+    wait_for(lambda: all(tripped for _, _, tripped, _ in bus.state()[1]), 1.0)
     at = angles(bus)
     time.sleep(0.3)
     assert torque(bus) and angles(bus) == pytest.approx(at, abs=1.0), "it stands where it was"
@@ -215,7 +215,7 @@ def test_a_frozen_computer_leaves_the_servos_standing_and_releases_them_when_it_
     bus, user, loop = program
     for pid in (user.pid, loop):
         os.kill(pid, signal.SIGSTOP)
-    wait_for(lambda: all(tripped for _, _, tripped in bus.state()[1]), 1.0)
+    wait_for(lambda: all(tripped for _, _, tripped, _ in bus.state()[1]), 1.0)
     at = angles(bus)
     time.sleep(0.8)  # longer than the program would wait for its loop
     assert torque(bus) and angles(bus) == pytest.approx(at, abs=1.0), "they hold where they were"

@@ -76,13 +76,35 @@ def test_a_camera_sees_the_finger_that_packets_drive(model):
 
 def test_a_reversed_and_a_broken_tendon_show(model):
     with bench() as (bus, rig, limits), EmulatedFinger(bus, model, calibration()) as finger:
-        finger.tendon(0, -1.0)
-        finger.tendon(1, 0.0)
+        bus.damage(0, reversed=True)
+        bus.damage(1, torn=True)
         with Controller(rig, calibration(), limits) as robot:
             robot.engage()
             moved(robot, [1.5, 1.5], 2.0)
             _, acting = finger.acting()
     np.testing.assert_allclose(acting[-1], [-1.5, 0.0], atol=0.02)
+
+
+def test_a_second_fault_leaves_the_first_and_mending_ends_both(model):
+    with bench() as (bus, rig, limits), EmulatedFinger(bus, model, calibration()) as finger:
+
+        def driven():
+            with Controller(rig, calibration(), limits) as robot:
+                robot.engage()
+                moved(robot, [1.5, 1.5], 2.0)
+                return finger.acting()[1][-1], robot.report["current_mA"]
+
+        bus.damage(0, torn=True)
+        bus.damage(0, uncapped=True)
+        bus.damage(1, reversed=True)
+        bus.damage(1, uncapped=True)
+        acting, drawn = driven()
+        np.testing.assert_allclose(acting, [0.0, -1.5], atol=0.02)
+        assert abs(drawn[0]) < 5.0 < abs(drawn[1]), "a torn tendon asks for nothing"
+        bus.mend()
+        acting, drawn = driven()
+        np.testing.assert_allclose(acting, [1.5, 1.5], atol=0.02)
+        assert min(map(abs, drawn)) > 5.0
 
 
 def test_tendons_ask_for_what_the_model_says(model):

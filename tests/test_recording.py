@@ -73,7 +73,7 @@ def test_faults_replay_bit_for_bit_and_under_the_same_limits(tmp_path):
         drive(("engaged",), [1.0, 1.0])
         bus.damage(1, mute=True)
         drive(("fault",), [1.0, 1.0])
-        bus.damage(1)
+        bus.damage(1, mute=False)
     recording = read_recording(file)
     seen = {(period["state"], period["cause"]) for period in recording.periods}
     assert {("safe_stop", "hot"), ("fault", "hot"), ("hold", "late"), ("fault", "silent")} <= seen

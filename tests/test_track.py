@@ -179,7 +179,7 @@ def test_a_camera_that_goes_and_comes_while_a_figure_is_tracked(model, tmp_path,
         for timer in timers:
             timer.start()
         assert main(argv) == 0
-        assert not any(on for _, on, _ in bus.state()[1])
+        assert not any(on for _, on, *_ in bus.state()[1])
     told = json.loads(capsys.readouterr().out)
     assert 1.0 < told["unseen_s"] < 10.0 and told["seen_mm"]["n"] > 30
     assert told["seen_mm"]["mean"] < 1.0

@@ -6,7 +6,7 @@ use pyo3::types::{PyBytes, PyDict};
 use softmap_servo::bus::{Bus, Fault, SLACK};
 use softmap_servo::decoder::Decoder;
 use softmap_servo::emulator::pty::Terminal;
-use softmap_servo::emulator::servo::{Broken, Motion, Servo};
+use softmap_servo::emulator::servo::{Motion, Servo};
 use softmap_servo::emulator::{Emulator, Faults};
 use softmap_servo::packet::{HIGHEST_ID, LONGEST, packet};
 use softmap_servo::registers::{BAUD_RATES, MODELS, model};
@@ -309,27 +309,31 @@ impl PyEmulatedBus {
     }
 
     /// Break a servo, or mend it: it is mute, its encoder stands, its tendon is torn or wound the other way, its horn is
-    /// blocked, it does not keep to its current cap.
-    #[pyo3(signature = (servo, *, mute=false, stuck=false, torn=false, reversed=false, jammed=false, uncapped=false))]
+    /// blocked, it does not keep to its current cap. What is not given stays as it is.
+    #[pyo3(signature = (servo, *, mute=None, stuck=None, torn=None, reversed=None, jammed=None, uncapped=None))]
     fn damage(
         &self,
         servo: usize,
-        mute: bool,
-        stuck: bool,
-        torn: bool,
-        reversed: bool,
-        jammed: bool,
-        uncapped: bool,
+        mute: Option<bool>,
+        stuck: Option<bool>,
+        torn: Option<bool>,
+        reversed: Option<bool>,
+        jammed: Option<bool>,
+        uncapped: Option<bool>,
     ) -> PyResult<()> {
-        let broken = Broken {
-            mute,
-            stuck,
-            torn,
-            reversed,
-            jammed,
-            uncapped,
-        };
-        self.with(servo, |servo| servo.broken = broken)
+        self.with(servo, |servo| {
+            let broken = &mut servo.broken;
+            for (flag, given) in [
+                (&mut broken.mute, mute),
+                (&mut broken.stuck, stuck),
+                (&mut broken.torn, torn),
+                (&mut broken.reversed, reversed),
+                (&mut broken.jammed, jammed),
+                (&mut broken.uncapped, uncapped),
+            ] {
+                *flag = given.unwrap_or(*flag);
+            }
+        })
     }
 
     /// Make a servo's load so many times as heavy as it was.
@@ -392,11 +396,19 @@ impl PyEmulatedBus {
         py.detach(|| self.terminal().unplug());
     }
 
-    /// The time (s, monotonic clock), and of each servo how far its horn has turned (ticks), whether it has torque and whether its watchdog tripped.
-    fn state(&self) -> (f64, Vec<(f64, bool, bool)>) {
+    /// The time (s, monotonic clock), and of each servo how far its horn has turned (ticks), whether it has torque,
+    /// whether its watchdog tripped, and how its horn pulls: 1 as it should, -1 the wrong way, 0 for a torn tendon.
+    fn state(&self) -> (f64, Vec<(f64, bool, bool, f64)>) {
         let terminal = self.terminal();
         let emulator = terminal.emulator();
-        let one = |servo: &Servo| (servo.angle(), servo.torque(), servo.tripped());
+        let one = |servo: &Servo| {
+            (
+                servo.angle(),
+                servo.torque(),
+                servo.tripped(),
+                servo.broken.pull(),
+            )
+        };
         (
             monotonic() as f64 * 1e-9,
             emulator.servos.iter().map(one).collect(),

@@ -40,7 +40,6 @@ FAULTS = (
 )
 FINGER_FAULTS = "blind 0|1"
 BROKEN = ("mute", "stuck", "torn", "reversed", "jammed", "uncapped")
-PULLS = {"torn": 0.0, "reversed": -1.0, "mend": 1.0}  # what a servo's tendon then does to the finger
 
 
 def emulate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -202,9 +201,7 @@ def _break(bus: _core.EmulatedBus, finger: EmulatedFinger | None, fault: list[st
     if name == "unplug" and not numbers:
         bus.unplug()
     elif name in (*BROKEN, "mend") and len(numbers) == 1:
-        bus.damage(int(numbers[0]), **({name: True} if name in BROKEN else {}))
-        if finger is not None and name in PULLS:
-            finger.tendon(int(numbers[0]), PULLS[name])
+        bus.damage(int(numbers[0]), **({name: True} if name in BROKEN else dict.fromkeys(BROKEN, False)))
     elif name in ("reset", "lose_turn") and len(numbers) == 1:
         getattr(bus, name)(int(numbers[0]))
     elif name in ("heat", "supply", "burden") and len(numbers) == 2:

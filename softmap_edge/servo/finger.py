@@ -95,7 +95,7 @@ class EmulatedFinger:
         self._rng = np.random.default_rng(seed)
         self._zero = time.monotonic() - float(self._rng.uniform(5.0, 500.0))  # where the camera's clock began
         self._drift = DRIFT * float(self._rng.uniform(-1.0, 1.0))
-        self._signs, self._blind = np.ones(channels), False
+        self._blind = False
         self._frames: deque[Frame] = deque(maxlen=KEPT)
         self._acting: deque[tuple[float, Floats]] = deque(maxlen=int(KEPT * RATE / FRAMES))
         self._taken = -np.inf
@@ -111,15 +111,6 @@ class EmulatedFinger:
     ) -> None:
         self._done.set()
         self._thread.join(2.0)
-
-    def tendon(self, channel: int, sign: float) -> None:
-        """Change how a horn pulls from now on: 1 as it should, -1 the wrong way, 0 for a broken tendon."""
-        self._signs[channel] = sign
-
-    @property
-    def signs(self) -> list[float]:
-        """How each horn pulls, as `tendon` has set it."""
-        return [float(sign) for sign in self._signs]
 
     def blind(self, dark: bool) -> None:
         """Let the camera see nothing, or again."""
@@ -139,8 +130,8 @@ class EmulatedFinger:
         last, due = -np.inf, time.monotonic()
         while not self._done.is_set():
             now, horns = self._bus.state()
-            angles = np.array([angle for angle, _, _ in horns])
-            u = self._map.A @ (self._signs * (angles - self._map.home)) + self._map.b
+            angles, pulls = np.array([(angle, pull) for angle, _, _, pull in horns]).T
+            u = self._map.A @ (pulls * (angles - self._map.home)) + self._map.b
             if now > last:
                 acting = self._step(now, u)
                 self._acting.append((now, acting))

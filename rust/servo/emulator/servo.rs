@@ -56,6 +56,17 @@ pub struct Broken {
     pub uncapped: bool,
 }
 
+impl Broken {
+    /// How its horn pulls the finger: 1 as it should, −1 the wrong way, 0 not at all.
+    pub fn pull(&self) -> f64 {
+        match (self.torn, self.reversed) {
+            (true, _) => 0.0,
+            (false, true) => -1.0,
+            (false, false) => 1.0,
+        }
+    }
+}
+
 #[derive(Debug, Clone)]
 pub struct Servo {
     pub model: &'static Model,
@@ -348,11 +359,7 @@ impl Servo {
                 .pop_front()
                 .map_or(self.arrived, |(_, goal)| goal);
         }
-        let load = if self.broken.torn {
-            0.0
-        } else {
-            self.load(self.angle)
-        };
+        let load = self.load(self.angle);
         let before = self.angle;
         let most = f64::from(self.model.velocity_limit) * 0.229 * f64::from(TICKS_PER_TURN) / 60.0;
         let (cap, most_drawn) = if self.model.has_current() {
@@ -378,7 +385,7 @@ impl Servo {
         let next = self.angle + wanted * STEP;
         let against = self.load(next) * wanted.signum();
         let jammed = self.broken.jammed && wanted.abs() > 1.0;
-        let stalls = self.torque() && (!self.broken.torn && against > cap || jammed);
+        let stalls = self.torque() && (against > cap || jammed);
         self.angle = if stalls || jammed { before } else { next };
         self.speed = (self.angle - before) / STEP;
         if !self.broken.stuck {
@@ -420,16 +427,12 @@ impl Servo {
 
     /// mA that the tendon asks for.
     fn load(&self, angle: f64) -> f64 {
-        let mirrored = 2.0 * self.mounted.1 - angle;
-        self.burden
-            * if self.broken.reversed {
-                -self.pull(mirrored)
-            } else {
-                self.pull(angle)
-            }
+        let (pull, home) = (self.broken.pull(), self.mounted.1);
+        self.burden * pull * self.tendon(home + pull * (angle - home))
     }
 
-    fn pull(&self, angle: f64) -> f64 {
+    /// mA that a tendon as it was mounted asks for.
+    fn tendon(&self, angle: f64) -> f64 {
         let table = &self.motion.load;
         let at = table.partition_point(|(tick, _)| *tick <= angle);
         match (at.checked_sub(1).and_then(|k| table.get(k)), table.get(at)) {
