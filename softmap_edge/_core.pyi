@@ -18,6 +18,7 @@ __all__ = [
     "ElasticField",
     "ElasticRod",
     "EmulatedBus",
+    "FAST_FIRMWARE",
     "FIELDS",
     "Inputs",
     "Inverse",
@@ -163,8 +164,6 @@ def control_loop(
     chain: Mapping[str, Any] | None = None,
     gpio: tuple[str, int, bool] | None = None,
     heartbeat: tuple[str, int, bytes, float] | None = None,
-    fast: bool = True,
-    slack: float = 0.002,
     record: str | None = None,
     setup: str = "",
 ) -> None: ...
@@ -207,6 +206,7 @@ class EmulatedBus:
     def heat(self, servo: int, temperature: float) -> None: ...
     def supply(self, servo: int, volts: float) -> None: ...
     def rename(self, servo: int, id: int) -> None: ...
+    def flash(self, servo: int, firmware: int) -> None: ...
     def unplug(self) -> None: ...
     def state(self) -> tuple[float, list[tuple[float, bool, bool, float]]]: ...
 
@@ -215,6 +215,7 @@ LOADS: list[str]
 MODULI: list[str]
 STATIONS: list[float]
 STANDARD_GRAVITY: float  # m/s², N/kg
+FAST_FIRMWARE: int
 
 def effects() -> list[dict[str, Any]]: ...
 def register(declaration: Mapping[str, Any], rollout: Callable[..., _Floats]) -> None: ...

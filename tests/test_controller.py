@@ -66,6 +66,18 @@ def test_who_stops_calling_is_held_then_slackened():
             robot.target([0.0, 0.0])
 
 
+@pytest.mark.parametrize("old", [(0, 1), (1,)], ids=["both", "one"])
+def test_servos_of_older_firmware_are_driven_as_well(old):
+    with bench() as (bus, rig, limits):
+        for servo in old:
+            bus.flash(servo, _core.FAST_FIRMWARE - 1)
+        with Controller(rig, calibration(), limits) as robot:
+            robot.engage()
+            hold_for(robot, [1.0, 1.0], 1.0)
+            assert robot.state == "engaged" and None not in robot.report["position"]
+            np.testing.assert_allclose(angles(bus), HOME + TICKS_PER_MM, atol=5)
+
+
 def test_a_request_that_is_denied_says_why():
     with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
         with pytest.raises(ServoError, match="'home' is denied in state ready: not allowed in state ready"):

@@ -124,7 +124,7 @@ fn through(from: &Bound<'_, PyDict>) -> PyResult<Inverse> {
 /// low) and `heartbeat` (host, port, key, s between beats at most); `record` a file to record to, `setup` the
 /// document that begins it.
 #[pyfunction]
-#[pyo3(signature = (orders, reports, *, port, baud, servos, limits, slope, b, home, budget, chain=None, gpio=None, heartbeat=None, fast=true, slack=0.002, record=None, setup=""))]
+#[pyo3(signature = (orders, reports, *, port, baud, servos, limits, slope, b, home, budget, chain=None, gpio=None, heartbeat=None, record=None, setup=""))]
 pub fn control_loop(
     py: Python<'_>,
     orders: RawFd,
@@ -140,8 +140,6 @@ pub fn control_loop(
     chain: Option<&Bound<'_, PyDict>>,
     gpio: Option<(String, u32, bool)>,
     heartbeat: Option<(String, u16, Vec<u8>, f64)>,
-    fast: bool,
-    slack: f64,
     record: Option<PathBuf>,
     setup: &str,
 ) -> PyResult<()> {
@@ -167,8 +165,6 @@ pub fn control_loop(
         port,
         baud,
         members: servos.into_iter().map(member).collect::<PyResult<_>>()?,
-        fast,
-        slack,
         limits: self::limits(limits)?,
         budget: Budget {
             band: budget[0],

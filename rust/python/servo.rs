@@ -391,6 +391,11 @@ impl PyEmulatedBus {
         self.with(servo, |servo| servo.set_id(id))
     }
 
+    /// Give a servo another firmware: old ones lack instructions.
+    fn flash(&self, servo: usize, firmware: u8) -> PyResult<()> {
+        self.with(servo, |servo| servo.set_firmware(firmware))
+    }
+
     /// Pull the plug of the port.
     fn unplug(&self, py: Python<'_>) {
         py.detach(|| self.terminal().unplug());

@@ -211,7 +211,7 @@ impl<P: Port> Bus<P> {
 
     /// Read `size` bytes from `address` on of each of `ids` into `data`; `heard` says of each what came of it.
     ///
-    /// `fast` asks for all answers in one packet, which firmware 45 and later can do.
+    /// `fast` asks for all answers in one packet, which servos of `FAST_FIRMWARE` and later know.
     pub fn sync_read(
         &mut self,
         ids: &[u8],

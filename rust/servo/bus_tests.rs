@@ -3,7 +3,7 @@ use crate::emulator::pty::Terminal;
 use crate::emulator::servo::RESET;
 use crate::emulator::tests::{FINE, bus, engaged, servos};
 use crate::emulator::{Emulator, Faults};
-use crate::registers::X_SERIES;
+use crate::registers::{FAST_FIRMWARE, X_SERIES};
 use crate::serial::{OpenFault, Serial};
 
 #[test]
@@ -21,6 +21,23 @@ fn a_silent_servo_does_not_take_the_other_s_answer_with_it() {
         assert_eq!(data[..4], 2000i32.to_le_bytes());
         assert_eq!(data[4..8], [0xAA; 4], "no data are no zeros");
         assert_eq!(bus.counts().silent, if fast { 2 } else { 1 });
+    }
+}
+
+#[test]
+fn old_firmware_answers_by_itself_but_not_in_one_packet() {
+    for (version, fast, expected) in [
+        (FAST_FIRMWARE, true, FINE),
+        (FAST_FIRMWARE - 1, true, Err(Fault::Silent)),
+        (FAST_FIRMWARE - 1, false, FINE),
+    ] {
+        let mut bus = bus(&[1, 2]);
+        bus.port().emulator.servos[1].set_firmware(version);
+        assert_eq!(bus.ping(2), Ok((1200, version)));
+        let (mut data, mut heard) = ([0; 8], [FINE; 2]);
+        bus.sync_read(&[1, 2], 132, 4, &mut data, &mut heard, fast)
+            .unwrap();
+        assert_eq!(heard, [FINE, expected], "{version} {fast}");
     }
 }
 

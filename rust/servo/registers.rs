@@ -187,8 +187,8 @@ pub const BAUD_RATES: [u32; 8] = [
     9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000,
 ];
 
-/// Below it, a servo with a homing offset keeps running when its watchdog trips in extended position mode.
-pub const FIRMWARE_CLEAR: u8 = 42;
+/// Firmware from which servos answer all in one packet (fast sync read).
+pub const FAST_FIRMWARE: u8 = 45;
 
 /// A kind of servo.
 #[derive(Debug, PartialEq)]

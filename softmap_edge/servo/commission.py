@@ -19,7 +19,6 @@ from softmap_edge.servo.proof import set_mark
 Model = dict[str, Any]
 
 PATTERNS = ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*")
-FAST = 45  # firmware from which all servos answer in one packet
 OLD = 38  # firmware below which there is no bus watchdog
 NO_SHADOW = 255
 ALWAYS = 2  # status return level: every question is answered
@@ -143,7 +142,7 @@ def complaints(found: Found, values: dict[str, int]) -> list[str]:
     if values["torque_enable"]:
         said.append("its torque is on; `softmap servo off` releases it")
     if found.firmware < OLD:
-        said.append(f"its firmware {found.firmware} has no bus watchdog; update it to {FAST} with Dynamixel Wizard")
+        said.append(f"its firmware {found.firmware} has no bus watchdog; update it to {_core.FAST_FIRMWARE} with Dynamixel Wizard")
     return said
 
 

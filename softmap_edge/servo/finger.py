@@ -23,7 +23,7 @@ from softmap_edge import _core
 from softmap_edge.camera.frames import Frame
 from softmap_edge.errors import ServoError
 from softmap_edge.model import Model
-from softmap_edge.servo.commission import FAST, Found, opened, set_up
+from softmap_edge.servo.commission import Found, opened, set_up
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
@@ -181,7 +181,7 @@ def emulated_bench(
     try:
         if ready:
             for id, home in zip(ids, homes):
-                _ready(Found(bus.path, baud, id, int(known[servo]["number"]), FAST), home)
+                _ready(Found(bus.path, baud, id, int(known[servo]["number"]), _core.FAST_FIRMWARE), home)
         rig = Rig(bus.path, baud, tuple(RigServo(id, servo, home if ready else None) for id, home in zip(ids, homes)))
         each = [servo_limits(servo, home, window) for home in homes]
         for one in each:  # at full speed these servos are that far behind, and half as much again

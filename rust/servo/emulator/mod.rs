@@ -13,7 +13,7 @@ use std::collections::VecDeque;
 use crate::crc::crc;
 use crate::decoder::Decoder;
 use crate::packet::{BROADCAST, CLEAR_TURNS, HEADER, LONGEST, Packet, instruction};
-use crate::registers::BAUD_RATES;
+use crate::registers::{BAUD_RATES, FAST_FIRMWARE};
 use servo::Servo;
 use table::refusal;
 
@@ -245,7 +245,7 @@ impl Emulator {
         }
     }
 
-    /// One packet of all; from a silent servo on nothing follows.
+    /// One packet of all; from a servo on that is silent, or too old to know the question, nothing follows.
     fn answer_fast(&mut self, ids: &[u8], address: u16, size: u16, hears: impl Fn(&Servo) -> bool) {
         let length = ids.len() * (usize::from(size) + 4) + 1;
         let mut bytes = HEADER.to_vec();
@@ -258,7 +258,9 @@ impl Emulator {
             let Some(servo) = self
                 .servos
                 .iter()
-                .find(|servo| servo.id() == *id && hears(servo))
+                .find(|servo| {
+                    servo.id() == *id && hears(servo) && servo.firmware() >= FAST_FIRMWARE
+                })
             else {
                 break;
             };

@@ -153,6 +153,15 @@ impl Servo {
         self.table.set(self.model.layout().id, i32::from(id));
     }
 
+    pub fn firmware(&self) -> u8 {
+        self.table.get(self.model.layout().firmware) as u8
+    }
+
+    pub fn set_firmware(&mut self, version: u8) {
+        self.table
+            .set(self.model.layout().firmware, i32::from(version));
+    }
+
     pub fn baud(&self) -> usize {
         self.table.get(self.model.layout().baud_rate) as usize
     }
