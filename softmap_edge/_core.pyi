@@ -160,7 +160,6 @@ def control_loop(
     slope: Sequence[float],
     b: Sequence[float],
     home: Sequence[float],
-    budget: Sequence[float],
     chain: Mapping[str, Any] | None = None,
     gpio: tuple[str, int, bool] | None = None,
     heartbeat: tuple[str, int, bytes, float] | None = None,

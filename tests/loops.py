@@ -14,7 +14,7 @@ from rigs import BAUD, MODEL, NUMBER, TICKS_PER_MM, angles, set_up
 
 from softmap_edge import _core
 from softmap_edge.servo.controller import REQUESTS
-from softmap_edge.servo.limits import BUDGET, loop_limits, servo_limits
+from softmap_edge.servo.limits import loop_limits, servo_limits
 
 STATES = ("off", "connected", "homed", "ready", "engaged", "hold", "safe_stop", "fault", "commissioning")
 LEADS_ON = dict(off="connect", connected="home", homed="arm", ready="engage", fault="acknowledge")
@@ -43,7 +43,7 @@ class Loop:
         orders, self._orders = os.pipe()
         mine, reports = os.pipe()
         setup = dict(port=self.bus.path, baud=BAUD, servos=[(1, NUMBER), (2, NUMBER)], limits=self.limits)
-        setup |= dict(slope=(np.eye(2) / TICKS_PER_MM).reshape(-1).tolist(), b=[0.0, 0.0], home=HOMES, budget=BUDGET)
+        setup |= dict(slope=(np.eye(2) / TICKS_PER_MM).reshape(-1).tolist(), b=[0.0, 0.0], home=HOMES)
         setup |= dict(homes=HOMES, gpio=None, heartbeat=None)
         self.process = subprocess.Popen(
             [sys.executable, "-m", "softmap_edge.servo.loop", str(orders), str(reports)],

@@ -8,6 +8,7 @@ import pytest
 from rigs import BAUD, HOME, MODEL, angles, bench, calibration, torque
 from test_controller import hold_for
 
+from softmap_edge import _core
 from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
@@ -142,12 +143,14 @@ def test_dead_band_and_reversals_are_limits_like_the_others():
     assert loop_limits([one])["band"] == 0.02
     for changes, said in (
         ({"band": -1.0}, "band is -1; allowed is 0 to 100"),
-        ({"turns": 0.0}, "turns is 0; allowed is 0.1 to 100"),
-        ({"burst": float("nan")}, "burst is nan"),
+        ({"turns": 0.0}, "turns is 0 1/s; allowed is 0.1 to 100 1/s"),
+        ({"burst": float("nan")}, "burst is NaN"),
     ):
         with pytest.raises(ServoError, match=said):
             loop_limits([one], **changes)
-    with bench() as (_, rig, limits), pytest.raises(ServoError, match="band is nan"):
+        with pytest.raises(ServoError, match=said):  # the guard's own check, whoever made the table
+            _core.check_limits(loop_limits([one]) | changes)
+    with bench() as (_, rig, limits), pytest.raises(ServoError, match="'band' is missing"):
         Controller(rig, calibration(), {name: value for name, value in limits.items() if name != "band"})
 
 

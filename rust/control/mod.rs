@@ -22,7 +22,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use softmap_servo::bus::{Bus, Fault, PortFault, SLACK};
 use softmap_servo::control::{Control, Plan, Record};
 use softmap_servo::drive::{Drive, Member};
-use softmap_servo::guard::reversals::Budget;
 use softmap_servo::guard::{Guard, Limits, Request};
 use softmap_servo::registers::FAST_FIRMWARE;
 use softmap_servo::serial::{Serial, monotonic};
@@ -48,7 +47,6 @@ pub struct Setup {
     pub baud: u32,
     pub members: Vec<Member>,
     pub limits: Limits,
-    pub budget: Budget,
     /// The emergency stops of the bench, beside the one in the orders.
     pub stops: Emergency,
     /// A file that the loop is recorded to, and the JSON document that says what it was made of.
@@ -85,14 +83,7 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
     let reporter = Reporter::start(receiver, reports, recording, sizes, &warnings);
     let guard = Guard::new(setup.limits);
     let record = Ring::new(sender);
-    let mut control = Farewell(Control::new(
-        drive,
-        guard,
-        plan,
-        mailbox,
-        record,
-        setup.budget,
-    ));
+    let mut control = Farewell(Control::new(drive, guard, plan, mailbox, record));
     realtime::enter();
     let ended = run(&mut control.0, &stop);
     let (timing, lost) = (control.0.timing().clone(), control.0.record.lost());

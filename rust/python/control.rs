@@ -12,8 +12,7 @@ use crate::inverse::chain::Inverse;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use softmap_servo::drive::Member;
-use softmap_servo::guard::reversals::Budget;
-use softmap_servo::guard::{Axis, Feedback, Guard, Health, Input, Limits, Message};
+use softmap_servo::guard::{Axis, Budget, Feedback, Guard, Health, Input, Limits, Message};
 use softmap_servo::registers::model;
 use std::os::fd::{FromRawFd, OwnedFd, RawFd};
 use std::path::PathBuf;
@@ -86,6 +85,11 @@ fn limits(from: &Bound<'_, PyDict>) -> PyResult<Limits> {
         jog_travel: number(from, "jog_travel")?,
         jog_slew: number(from, "jog_slew")?,
         jog_current: number(from, "jog_current")?,
+        budget: Budget {
+            band: number(from, "band")?,
+            turns: number(from, "turns")?,
+            burst: number(from, "burst")?,
+        },
     };
     limits.checked().map_err(trouble)
 }
@@ -120,11 +124,10 @@ fn through(from: &Bound<'_, PyDict>) -> PyResult<Inverse> {
 ///
 /// `servos` are (id, model number); `slope` (C, C) mm a tick, `b` (C,) mm and `home` (C,) ticks are the calibration's; with a
 /// `chain` (names, params, low and high (C,) mm, gravity, load, temperature) commands are what should act through it;
-/// `budget` is that of reversals: band (mm), turns a second, turns at once; emergency stops are `gpio` (chip, line, pressed when
-/// low) and `heartbeat` (host, port, key, s between beats at most); `record` a file to record to, `setup` the
-/// document that begins it.
+/// emergency stops are `gpio` (chip, line, pressed when low) and `heartbeat` (host, port, key, s between beats at most);
+/// `record` a file to record to, `setup` the document that begins it.
 #[pyfunction]
-#[pyo3(signature = (orders, reports, *, port, baud, servos, limits, slope, b, home, budget, chain=None, gpio=None, heartbeat=None, record=None, setup=""))]
+#[pyo3(signature = (orders, reports, *, port, baud, servos, limits, slope, b, home, chain=None, gpio=None, heartbeat=None, record=None, setup=""))]
 pub fn control_loop(
     py: Python<'_>,
     orders: RawFd,
@@ -136,7 +139,6 @@ pub fn control_loop(
     slope: Vec<f64>,
     b: Vec<f64>,
     home: Vec<f64>,
-    budget: [f64; 3],
     chain: Option<&Bound<'_, PyDict>>,
     gpio: Option<(String, u32, bool)>,
     heartbeat: Option<(String, u16, Vec<u8>, f64)>,
@@ -166,11 +168,6 @@ pub fn control_loop(
         baud,
         members: servos.into_iter().map(member).collect::<PyResult<_>>()?,
         limits: self::limits(limits)?,
-        budget: Budget {
-            band: budget[0],
-            rate: budget[1],
-            burst: budget[2],
-        },
     };
     let chain = chain.map(through).transpose()?;
     let plan = Map::new(slope, b, home, chain, made.limits.period)?;

@@ -4,7 +4,7 @@ use crate::drive::Member;
 use crate::emulator::servo::{Motion, Servo};
 use crate::emulator::tests::Virtual;
 use crate::emulator::{Emulator, Faults};
-use crate::guard::{Axis, Cause, Limits, State};
+use crate::guard::{Axis, Budget, Cause, Limits, State};
 use crate::registers::{X_SERIES, mode, model};
 
 /// Commands in mm to ticks, 280 a mm about home.
@@ -78,6 +78,11 @@ fn limits() -> Limits {
         jog_travel: 200.0,
         jog_slew: 200.0,
         jog_current: 150.0,
+        budget: Budget {
+            band: 0.02,
+            turns: 5.0,
+            burst: 5.0,
+        },
     };
     limits.checked().unwrap()
 }
@@ -102,18 +107,12 @@ fn bench() -> Bench {
         bus.write(id, X_SERIES.return_delay.address, &[0]).unwrap();
     }
     let drive = Drive::new(bus, &IDS.map(|id| Member { id, model }), true, 100.0);
-    let budget = Budget {
-        band: 0.02,
-        rate: 5.0,
-        burst: 5.0,
-    };
     Control::new(
         drive,
         Guard::new(limits()),
         Linear,
         Script::default(),
         Log::default(),
-        budget,
     )
 }
 

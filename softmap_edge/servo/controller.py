@@ -32,7 +32,6 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import __version__, _core
 from softmap_edge.errors import ServoError
 from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.servo.limits import budget_of
 from softmap_edge.servo.rig import Rig
 from softmap_edge.ticks import Calibration
 
@@ -57,7 +56,8 @@ class Controller:
     which must not exist (`recording.py`).
 
     Raises:
-        ServoError: the loop cannot start or a request is denied; the message says why.
+        ServoError: a limit is missing or out of range, the loop cannot start, or a request is denied; the message says
+            why.
     """
 
     def __init__(
@@ -77,12 +77,13 @@ class Controller:
                 f"{len(limits['servos'])}; they must agree"
             )
         self.rig, self.limits = rig, dict(limits)
+        _core.check_limits(self.limits)
         self.calibration = calibration.turned([servo["home"] for servo in self.limits["servos"]])
         if kinematics is not None and kinematics.model.channels != count:
             raise ServoError(f"the model takes {kinematics.model.channels} commands, the rig has {count} servos")
         self.kinematics = kinematics
         self._commissioning = commissioning
-        self._budget, self._record = budget_of(self.limits), None if record is None else Path(record)
+        self._record = None if record is None else Path(record)
         self._last: Report = {}
         self._end: Report = {}
         self._heard = threading.Condition()
@@ -248,7 +249,6 @@ class Controller:
             "slope": self.calibration.A.reshape(-1).tolist(),
             "b": self.calibration.b.tolist(),
             "home": self.calibration.home.tolist(),
-            "budget": self._budget,
             "chain": None if self.kinematics is None else self.kinematics.document(),
             **self.rig.emergency.setup(),
         }

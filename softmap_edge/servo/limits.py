@@ -6,10 +6,8 @@ tests/test_controller.py and, for what the guard makes of it, by the tests of ru
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
-
-import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
@@ -22,7 +20,6 @@ ACCELERATION = 20_000.0  # ticks/s²
 CURRENT = 0.35  # of a servo's own limit
 FASTER = 1.5  # than a servo's own fastest turn is no position to believe
 BUDGET = (0.02, 4.0, 4.0)  # mm that a goal comes back before its servo turns, turns a second, turns at once
-BUDGETS = ((0.0, 100.0), (0.1, 100.0), (1.0, 100.0))  # what those may be
 COOL = (15.0, 5.0)  # °C below its own limit at which a servo's current is cut back, and at which it slackens
 
 
@@ -86,19 +83,4 @@ def loop_limits(servos: Sequence[Table], rate: float = RATE, **changes: Any) -> 
         raise ServoError(f"no limit '{unknown[0]}'; there are {', '.join(table)}")
     table |= changes
     _core.check_limits(table)
-    budget_of(table)
     return table
-
-
-def budget_of(table: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Return dead band and reversals of a table of limits, if they are what the loop can keep to.
-
-    Raises:
-        ServoError: one is missing or out of range.
-    """
-    names = ("band", "turns", "burst")
-    for name, (low, high) in zip(names, BUDGETS):
-        if not low <= (value := float(table.get(name, np.nan))) <= high:  # also for what is no number
-            raise ServoError(f"{name} is {value:g}; allowed is {low:g} to {high:g}")
-    band, turns, burst = (float(table[name]) for name in names)
-    return band, turns, burst

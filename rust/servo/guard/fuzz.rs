@@ -74,6 +74,11 @@ fn limits(chance: &mut Chance) -> Limits {
         jog_travel: 100.0,
         jog_slew: 100.0,
         jog_current: 100.0,
+        budget: Budget {
+            band: 0.02,
+            turns: 4.0,
+            burst: 4.0,
+        },
     }
     .checked()
     .unwrap()

@@ -1,5 +1,6 @@
 //! What a bench and a finger allow, checked before anything moves: a limit that makes no sense is refused, not clamped.
 
+use crate::guard::Budget;
 use crate::guard::path::Bounds;
 
 /// Limits of one servo.
@@ -51,6 +52,8 @@ pub struct Limits {
     pub jog_travel: f64,
     pub jog_slew: f64,
     pub jog_current: f64,
+    /// Of each command.
+    pub budget: Budget,
 }
 
 /// A limit that makes no sense.
@@ -70,8 +73,9 @@ impl Limits {
             if value >= low && value <= high {
                 return Ok(());
             }
+            let space = if unit.is_empty() { "" } else { " " };
             Err(BadLimit(format!(
-                "{name} is {value} {unit}; allowed is {low} to {high} {unit}"
+                "{name} is {value}{space}{unit}; allowed is {low} to {high}{space}{unit}"
             )))
         };
         within("period", self.period, 0.0005, 0.1, "s")?;
@@ -93,6 +97,9 @@ impl Limits {
         within("jog.travel", self.jog_travel, 1.0, 4096.0, "ticks")?;
         within("jog.slew", self.jog_slew, 1.0, 1000.0, "ticks/s")?;
         within("jog.current", self.jog_current, 0.0, 1000.0, "mA")?;
+        within("band", self.budget.band, 0.0, 100.0, "")?;
+        within("turns", self.budget.turns, 0.1, 100.0, "1/s")?;
+        within("burst", self.budget.burst, 1.0, 100.0, "")?;
         within(
             "servos",
             self.axes.len() as f64,
@@ -192,6 +199,11 @@ mod tests {
             jog_travel: 200.0,
             jog_slew: 200.0,
             jog_current: 150.0,
+            budget: Budget {
+                band: 0.02,
+                turns: 4.0,
+                burst: 4.0,
+            },
         }
     }
 
@@ -199,7 +211,7 @@ mod tests {
     fn each_limit_has_its_edges_and_is_refused_by_name_beyond_them() {
         type Set = fn(&mut Limits, f64);
         let far = f64::from(FARTHEST);
-        let table: [(&str, Set, f64, f64); 22] = [
+        let table: [(&str, Set, f64, f64); 25] = [
             ("period", |l, v| l.period = v, 0.0005, 0.005),
             ("stale", |l, v| l.stale = v, 0.002, 2.0),
             ("hold", |l, v| l.hold = v, 0.001, 60.0),
@@ -213,6 +225,9 @@ mod tests {
             ("jog.travel", |l, v| l.jog_travel = v, 1.0, 4096.0),
             ("jog.slew", |l, v| l.jog_slew = v, 1.0, 1000.0),
             ("jog.current", |l, v| l.jog_current = v, 0.0, 1000.0),
+            ("band", |l, v| l.budget.band = v, 0.0, 100.0),
+            ("turns", |l, v| l.budget.turns = v, 0.1, 100.0),
+            ("burst", |l, v| l.budget.burst = v, 1.0, 100.0),
             ("servo 2: slew", |l, v| l.axes[1].slew = v, 1.0, 20_000.0),
             (
                 "servo 2: acceleration",

@@ -23,6 +23,7 @@ mod time;
 
 pub use limits::{Axis, BadLimit, FARTHEST, Limits, MOST_SERVOS};
 pub use machine::Guard;
+pub use reversals::Budget;
 
 /// Where the guard stands. Torque is on from ENGAGED to SAFE_STOP and while commissioning, nowhere else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

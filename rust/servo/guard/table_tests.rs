@@ -42,6 +42,11 @@ fn limits() -> Limits {
         jog_travel: 40.0,
         jog_slew: 100.0,
         jog_current: 150.0,
+        budget: Budget {
+            band: 0.02,
+            turns: 4.0,
+            burst: 4.0,
+        },
     };
     limits.checked().unwrap()
 }

@@ -10,8 +10,7 @@ use softmap_servo::drive::{Drive, Member};
 use softmap_servo::emulator::pty::Terminal;
 use softmap_servo::emulator::servo::{Motion, Servo};
 use softmap_servo::emulator::{Emulator, Faults};
-use softmap_servo::guard::reversals::Budget;
-use softmap_servo::guard::{Axis, Guard, Limits, MOST_SERVOS, Request, State};
+use softmap_servo::guard::{Axis, Budget, Guard, Limits, MOST_SERVOS, Request, State};
 use softmap_servo::registers::{X_SERIES, mode, model};
 use softmap_servo::serial::Serial;
 
@@ -128,15 +127,15 @@ fn the_tick_allocates_nothing() {
         jog_travel: 200.0,
         jog_slew: 200.0,
         jog_current: 150.0,
-    };
-    let budget = Budget {
-        band: 0.02,
-        rate: 5.0,
-        burst: 5.0,
+        budget: Budget {
+            band: 0.02,
+            turns: 5.0,
+            burst: 5.0,
+        },
     };
     let drive = Drive::new(bus, &[1, 2].map(|id| Member { id, model }), true, 100.0);
     let guard = Guard::new(limits.checked().unwrap());
-    let mut control = Control::new(drive, guard, Linear, Wave(0.0, None), Nowhere, budget);
+    let mut control = Control::new(drive, guard, Linear, Wave(0.0, None), Nowhere);
     let mut reached = [false; 4];
     for tick in 0..250 {
         // Requests are repeated until they are heard: a busy computer may be late at any of them.
