@@ -46,6 +46,7 @@ __all__ = [
     "control_loop",
     "effects",
     "forget",
+    "limit_ranges",
     "monomial_degrees",
     "monomials",
     "read_recording",
@@ -149,6 +150,7 @@ class ServoBus:
     def release(self) -> None: ...
 
 def check_limits(table: dict[str, Any]) -> None: ...
+def limit_ranges() -> dict[str, tuple[float, float, str]]: ...
 def control_loop(
     orders: int,
     reports: int,

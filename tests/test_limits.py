@@ -11,7 +11,8 @@ from test_controller import hold_for
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.errors import ServoError
+from softmap_edge.errors import BundleError, ServoError
+from softmap_edge.safety import TIMES, TURNS, read_safety
 from softmap_edge.servo.ceiling import RANGES, Ceiling
 from softmap_edge.servo.combined import combined, on_bench
 from softmap_edge.servo.controller import Controller
@@ -154,6 +155,33 @@ def test_dead_band_and_reversals_are_limits_like_the_others():
         Controller(rig, calibration(), {name: value for name, value in limits.items() if name != "band"})
 
 
+def test_each_range_is_the_guard_s_own_whoever_reads_the_limit(tmp_path):
+    """What a rig may say, and what a bundle may, the guard refuses nowhere by itself, and beyond it all three do."""
+    table = loop_limits([servo_limits(MODEL, 0, (-500, 500))])
+    rig().write(tmp_path / "rig.toml")
+    for name, (_, high, unit) in _core.limit_ranges().items():
+        own = name in table["servos"][0]
+        beyond = high + 1 if name in ("home", "low", "high") else 1.5 * high
+        value = (3.5, beyond) if name == "voltage" else (1.0, beyond) if name == "jump" else beyond
+        changed = {"servos": table["servos"] * 17} if name == "servos" else {name: value}
+        changes = {"servos": [table["servos"][0] | changed]} if own else changed
+        with pytest.raises(ServoError, match=rf"{name}.* is .*; allowed is .* to {high:.7g} ?{unit}"):
+            _core.check_limits(table | changes)
+        if (key := "current_mA" if name == "current" else name) in RANGES:
+            value = list(value) if isinstance(value, tuple) else value
+            (tmp_path / "wide.toml").write_text((tmp_path / "rig.toml").read_text() + f"[ceiling]\n{key} = {value}\n")
+            with pytest.raises(ServoError, match=rf"{key} = .*{high:g}"):
+                read_rig(tmp_path / "wide.toml")
+        if name in (*TIMES, *TURNS):
+            said = f"{name} = {getattr(FINGER.safety, name):g}"
+            text = FINGER.safety.to_toml()
+            assert said in text
+            with pytest.raises(BundleError, match=rf"{name} = .*, expected .* to {high:g}"):
+                read_safety(text.replace(said, f"{name} = {beyond}"), FINGER.command_range, "mm", "here")
+            kept = read_safety(text.replace(said, f"{name} = {high}"), FINGER.command_range, "mm", "here")
+            assert getattr(kept, name) == high
+
+
 def test_rig_toml_carries_its_ceiling(tmp_path):
     values = tuple((name, (1.0, 2.0) if name == "jump" else low + 0.25 * (high - low)) for name, (low, high) in
                    RANGES.items())  # fmt: skip
@@ -165,7 +193,7 @@ def test_rig_toml_carries_its_ceiling(tmp_path):
         ("[ceiling]", "[ceiling]\nfly = 1", "no key 'fly'"),
         ("jump = [1.0, 2.0]", "jump = [3.0, 2.0]", "0 ≤ told ≤ refused"),
         ("slew = 5000.75", "slew = 90000.0", "slew = 90000.0, expected 1 to 20000"),
-        ("low = -900", "low = 900", "expected low < 0 < high"),
+        ("low = -900", "low = 900", "low = 900, expected -1048575 to -1"),
     ):
         assert old in text, old
         (tmp_path / "bad.toml").write_text(text.replace(old, new))

@@ -12,7 +12,7 @@ use crate::inverse::chain::Inverse;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use softmap_servo::drive::Member;
-use softmap_servo::guard::{Axis, Budget, Feedback, Guard, Health, Input, Limits, Message};
+use softmap_servo::guard::{Axis, Budget, Feedback, Guard, Health, Input, Limits, Message, RANGES};
 use softmap_servo::registers::model;
 use std::os::fd::{FromRawFd, OwnedFd, RawFd};
 use std::path::PathBuf;
@@ -92,6 +92,16 @@ fn limits(from: &Bound<'_, PyDict>) -> PyResult<Limits> {
         },
     };
     limits.checked().map_err(trouble)
+}
+
+/// Lowest and highest value and unit of each limit by itself, by its name; `low` and `high` are about home.
+#[pyfunction]
+pub fn limit_ranges(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
+    let told = PyDict::new(py);
+    for (name, low, high, unit) in RANGES {
+        told.set_item(name, (low, high, unit))?;
+    }
+    Ok(told)
 }
 
 /// Refuse limits that make no sense.

@@ -60,7 +60,7 @@ mod _core {
     #[pymodule_export]
     use super::cables::{PyCables, PySecond};
     #[pymodule_export]
-    use super::control::{check_limits, control_loop, read_recording, replay};
+    use super::control::{check_limits, control_loop, limit_ranges, read_recording, replay};
     #[pymodule_export]
     use super::effects::PyChain;
     #[pymodule_export]

@@ -18,8 +18,9 @@ from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import bench_of, emulated
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.jog import EVERY, SLEW, TRAVEL, Deadman, Held, Jog
+from softmap_edge.servo.jog import EVERY, Deadman, Held, Jog
 from softmap_edge.servo.keys import Keys
+from softmap_edge.servo.limits import JOG_SLEW, JOG_TRAVEL
 from softmap_edge.servo.rig import Rig, read_rig
 
 ARROWS = {"right": (0, 1), "left": (0, -1), "up": (1, 1), "down": (1, -1)}
@@ -38,7 +39,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--rig", metavar="rig.toml", help="the servos of this bench")
     parser.add_argument("--bundle", metavar="DIR", help="whose calibration maps mm to ticks (default: built-in finger)")
     parser.add_argument("--servo", type=int, metavar="ID", help="jog this servo, by --by")
-    parser.add_argument("--by", type=float, metavar="TICKS", help=f"how far, at most {TRAVEL:.0f} either way")
+    parser.add_argument("--by", type=float, metavar="TICKS", help=f"how far, at most {JOG_TRAVEL:.0f} either way")
     parser.add_argument("--seconds", type=float, default=3.0, metavar="S", help="stay at U1,U2 so long (3)")
     hold_argument(parser)
 
@@ -54,8 +55,8 @@ def move(args: argparse.Namespace) -> int:
     """Jog, or go to one command; 0 when that was done."""
     if (args.servo is None) != (args.by is None) or (args.command and args.by is not None):
         raise SoftmapError("give U1,U2, or --servo ID with --by TICKS, or none of them to jog by keys")
-    if args.by is not None and not 1 <= abs(args.by) <= TRAVEL:
-        raise SoftmapError(f"--by {args.by:g}; allowed are 1 to {TRAVEL:.0f} ticks either way")
+    if args.by is not None and not 1 <= abs(args.by) <= JOG_TRAVEL:
+        raise SoftmapError(f"--by {args.by:g}; allowed are 1 to {JOG_TRAVEL:.0f} ticks either way")
     if args.command:
         return _go(args)
     with bench(args) as rig:
@@ -64,7 +65,7 @@ def move(args: argparse.Namespace) -> int:
         with deadman(args.hold and args.by is not None) as hand, Jog(rig) as jog:
             begin = jog.position
             if args.by is not None:
-                tell(args, f"servo {args.servo} by {args.by:+.0f} ticks at {SLEW:.0f} ticks/s", hand)
+                tell(args, f"servo {args.servo} by {args.by:+.0f} ticks at {JOG_SLEW:.0f} ticks/s", hand)
                 jog.by(_numbered(rig, args.servo), args.by, hand)
             else:
                 print(HELP, file=sys.stderr)

@@ -31,11 +31,7 @@ Floats = NDArray[np.float64]
 IDLE = 0.05  # of a servo's stall current: what motor and gears take without a load
 ASTRAY = 0.03  # of the window: how far home of the bench may lie from the calibration's, but for whole turns
 FINGER, CEILING, DATA, OWN = "safety.toml", "rig.toml", "the servo's data", "softmap"
-UNITS = {
-    "low": "ticks", "high": "ticks", "slew": "ticks/s", "acceleration": "ticks/s²", "current": "mA",
-    "fastest": "ticks/s", "following": "ticks", "warm": "°C", "hot": "°C", "voltage": "V", "jump": "ticks",
-    "jog_travel": "ticks", "jog_slew": "ticks/s", "jog_current": "mA", "turns": "1/s", "burst": "turns",
-}  # fmt: skip
+UNITS = {name: unit for name, (_, _, unit) in _core.limit_ranges().items()}  # none: the commands'
 SERVO_NAMES = ("low", "high", "slew", "acceleration", "current", "fastest", "following", "warm", "hot", "voltage")
 LEAST = ("ramp", "band")  # the larger is the stricter
 
@@ -318,7 +314,7 @@ def _robot(
         if hasattr(safety, name):
             found.append((getattr(safety, name), FINGER, ""))
         value, by, why = (max if name in LEAST else min)(found, key=lambda one: float(one[0]))
-        limits.append(Limit(name, value, safety.unit if name == "band" else UNITS.get(name, "s"), by, why))
+        limits.append(Limit(name, value, UNITS[name] or safety.unit, by, why))
     return tuple(limits)
 
 

@@ -21,14 +21,13 @@ from numpy.typing import NDArray
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.limits import JOG_CURRENT, JOG_SLEW, JOG_TRAVEL, loop_limits, servo_limits
 from softmap_edge.servo.proof import marked
 from softmap_edge.servo.rig import FARTHEST, Rig
 from softmap_edge.ticks import Calibration
 
 Ticks = NDArray[np.float64]
 
-TRAVEL, SLEW, CURRENT = 300.0, 200.0, 150.0  # ticks, ticks/s, mA: what a jog may do unless more is asked for
 EVERY = 0.02  # s between two orders
 AHEAD = 0.4  # s of its slew that a held key aims ahead
 ARRIVED = 3.0  # ticks of the goal from where it was sent
@@ -68,9 +67,9 @@ class Jog:
         self,
         rig: Rig,
         *,
-        travel: float = TRAVEL,
-        slew: float = SLEW,
-        current: float = CURRENT,
+        travel: float = JOG_TRAVEL,
+        slew: float = JOG_SLEW,
+        current: float = JOG_CURRENT,
         rate: float = 100.0,
         record: str | Path | None = None,
         beyond: bool = False,

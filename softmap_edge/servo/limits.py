@@ -11,6 +11,7 @@ from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
+from softmap_edge.safety import BURST, HOLD, JUMP, RAMP, SLACKEN, STALE, TURNS_A_SECOND
 
 Table = dict[str, Any]
 
@@ -19,7 +20,8 @@ SLEW = 2000.0  # ticks/s; 7 mm of tendon a second on a spool of 2.2 mm
 ACCELERATION = 20_000.0  # ticks/s²
 CURRENT = 0.35  # of a servo's own limit
 FASTER = 1.5  # than a servo's own fastest turn is no position to believe
-BUDGET = (0.02, 4.0, 4.0)  # mm that a goal comes back before its servo turns, turns a second, turns at once
+BAND = 0.02  # mm that a goal comes back before its servo turns
+JOG_TRAVEL, JOG_SLEW, JOG_CURRENT = 300.0, 200.0, 150.0  # ticks, ticks/s, mA: what a jog may do
 COOL = (15.0, 5.0)  # °C below its own limit at which a servo's current is cut back, and at which it slackens
 
 
@@ -65,18 +67,20 @@ def loop_limits(servos: Sequence[Table], rate: float = RATE, **changes: Any) -> 
     table: Table = {
         "servos": [dict(one) for one in servos],
         "period": period,
-        "stale": max(0.25, 3 * period),
-        "hold": 2.0,
-        "slacken": 5.0,
+        "stale": max(STALE, 3 * period),
+        "hold": HOLD,
+        "slacken": SLACKEN,
         "late": max(0.05, 4 * period),
         "silent": max(0.25, 6 * period),
         "grace": 0.5,
-        "ramp": 1.0,
-        "jump": (0.25 * window, window),
-        "jog_travel": 300.0,
-        "jog_slew": 200.0,
-        "jog_current": 150.0,
-        **dict(zip(("band", "turns", "burst"), BUDGET)),
+        "ramp": RAMP,
+        "jump": (JUMP * window, window),
+        "jog_travel": JOG_TRAVEL,
+        "jog_slew": JOG_SLEW,
+        "jog_current": JOG_CURRENT,
+        "band": BAND,
+        "turns": TURNS_A_SECOND,
+        "burst": BURST,
     }
     unknown = [name for name in changes if name not in table]
     if unknown:

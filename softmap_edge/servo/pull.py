@@ -22,14 +22,15 @@ from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.combined import IDLE, Combined
 from softmap_edge.servo.commission import opened
-from softmap_edge.servo.jog import CURRENT, EVERY, SLEW, Deadman, Jog
+from softmap_edge.servo.jog import EVERY, Deadman, Jog
+from softmap_edge.servo.limits import JOG_CURRENT, JOG_SLEW
 from softmap_edge.servo.proof import check_proved
 from softmap_edge.servo.rig import Rig, RigServo
 
 Floats = NDArray[np.float64]
 
 MARGIN = 1.25  # times the current at the stroke that the ceiling allows
-FARTHEST_LEG = 4096.0  # ticks from home: what the guard lets a commissioning move do at most
+FARTHEST_LEG = _core.limit_ranges()["jog_travel"][1]  # ticks from home, of a move
 BEYOND = 1.25  # times what was reached: a stroke up to there is told by a straight line
 SHORT = 0.05  # of a leg by which a servo may stay behind its goal, but never less than LEAST_SHORT
 LEAST_SHORT = 25.0  # ticks
@@ -113,7 +114,7 @@ def pull(found: Combined, hand: Deadman, ids: Sequence[int] = ()) -> list[Pulled
         check_proved(bus, [(servo.id, servo.home) for servo in rig.servos])
     inside = tuple(replace(one, low=round(low), high=round(high)) for one, (low, high) in zip(rig.servos, ends))
     most = min(allowed, max(abs(end) for k in numbers for end in ends[k]) + LEAST_SHORT)
-    slew, current = _ceiling(rig, "jog_slew", SLEW), _ceiling(rig, "jog_current", CURRENT)
+    slew, current = _ceiling(rig, "jog_slew", JOG_SLEW), _ceiling(rig, "jog_current", JOG_CURRENT)
     done = []
     for k in numbers:
         with Jog(replace(rig, servos=inside), travel=most, slew=slew, current=current) as jog:
@@ -130,7 +131,7 @@ def noted(rig: Rig, done: Sequence[Pulled]) -> Rig:
     servos = tuple(
         replace(servo, current_mA=by_id[servo.id].ceiling_mA) if servo.id in by_id else servo for servo in rig.servos
     )
-    slew = _ceiling(rig, "jog_slew", SLEW)
+    slew = _ceiling(rig, "jog_slew", JOG_SLEW)
     said = {f"servo_{id}": one.provenance(when, slew) for id, one in by_id.items()}
     return replace(rig, servos=servos, made={**rig.made, "pulled": {**rig.made.get("pulled", {}), **said}})
 

@@ -13,14 +13,14 @@ from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.servo.ceiling import Ceiling, read_ceiling
+from softmap_edge.servo.ceiling import RANGES, Ceiling, read_ceiling
 from softmap_edge.servo.emergency import Emergency, read_emergency
 from softmap_edge.toml_table import TomlTable
 from softmap_edge.whole_file import MOST_TEXT, write_whole
 
 SCHEMA = "softmap.rig/1"
-MOST_SERVOS = 16
-FARTHEST = 1_048_575  # ticks: 256 turns
+MOST_SERVOS = int(_core.limit_ranges()["servos"][1])
+FARTHEST = int(_core.limit_ranges()["home"][1])  # ticks: 256 turns
 KEPT = ("home", "current_mA", "low", "high", "slew", "acceleration")  # of a servo, where it is known
 
 
@@ -120,11 +120,11 @@ def read_rig(path: str | Path) -> Rig:
                     id,
                     one.get("model", (str,), ""),
                     one.whole("home", None, -FARTHEST, FARTHEST),
-                    one.number("current_mA", None, 1.0, 6000.0),
-                    one.whole("low", None, -FARTHEST, FARTHEST),
-                    one.whole("high", None, -FARTHEST, FARTHEST),
-                    one.number("slew", None, 1.0, 20_000.0),
-                    one.number("acceleration", None, 1.0, 1e6),
+                    one.number("current_mA", None, *RANGES["current_mA"]),
+                    one.whole("low", None, *_whole(RANGES["low"])),
+                    one.whole("high", None, *_whole(RANGES["high"])),
+                    one.number("slew", None, *RANGES["slew"]),
+                    one.number("acceleration", None, *RANGES["acceleration"]),
                 )
             )
         if not port or baud is None:
@@ -142,6 +142,10 @@ def read_rig(path: str | Path) -> Rig:
         raise ServoError(str(fault)) from None
     except (ValueError, RecursionError) as fault:  # what is no TOML or no text is a ValueError
         raise ServoError(f"{file}: no TOML ({fault!s:.80})") from None
+
+
+def _whole(bounds: tuple[float, float]) -> tuple[int, int]:
+    return int(bounds[0]), int(bounds[1])
 
 
 def _found(table: TomlTable) -> dict[str, Any]:

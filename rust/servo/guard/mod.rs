@@ -21,7 +21,7 @@ mod servo;
 mod table_tests;
 mod time;
 
-pub use limits::{Axis, BadLimit, FARTHEST, Limits, MOST_SERVOS};
+pub use limits::{Axis, BadLimit, FARTHEST, Limits, MOST_SERVOS, RANGES};
 pub use machine::Guard;
 pub use reversals::Budget;
 
