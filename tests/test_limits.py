@@ -11,7 +11,7 @@ from test_controller import hold_for
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.errors import BundleError, ServoError
+from softmap_edge.errors import BundleError, LimitError, ServoError
 from softmap_edge.safety import TIMES, TURNS, read_safety
 from softmap_edge.servo.ceiling import RANGES, Ceiling
 from softmap_edge.servo.combined import combined, on_bench
@@ -137,6 +137,22 @@ def test_what_cannot_be_driven_is_refused_with_its_reason():
     short = rig((("stale", 0.005),))
     with pytest.raises(ServoError, match=r"stale is 0\.005 s; allowed is .*\(rig\.toml says so\)"):
         combined(short, FINGER, turned(np.eye(2) / 280.0)).table()
+
+
+@pytest.mark.parametrize("name", ["jog_travel", "jog_slew", "jog_current", "jump", "turns", "following", "hot"])
+def test_a_limit_that_the_guard_refuses_is_named_as_in_the_table_with_who_set_it(name):
+    beyond = (1.0, 2e6) if name == "jump" else 0.01 if name in ("following", "hot") else 5000.0
+    found = combined(rig(((name, beyond),)), replace(FINGER, safety=None), turned(np.eye(2) / 280.0))
+    if name in ("jump", "turns"):  # the finger's is stricter: put the bench's in its place
+        robot = tuple(replace(one, value=beyond, by="rig.toml") if one.name == name else one for one in found.robot)
+        found = replace(found, robot=robot)
+    with pytest.raises(ServoError, match=rf"^(servo 1: )?{name}.* is .*; allowed is .* \(rig\.toml says so\)$"):
+        found.table()
+    with pytest.raises(LimitError) as refused:
+        one = servo_limits(MODEL, 0, (-500, 500))
+        own = name in one
+        loop_limits([one, one | {name: beyond}] if own else [one], **({} if own else {name: beyond}))
+    assert (refused.value.name, refused.value.servo) == (name, 1 if own else None)
 
 
 def test_dead_band_and_reversals_are_limits_like_the_others():

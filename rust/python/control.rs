@@ -9,6 +9,7 @@ use crate::control::plan::Map;
 use crate::control::{Setup, recording, report, serve};
 use crate::effects::Chain;
 use crate::inverse::chain::Inverse;
+use pyo3::import_exception;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use softmap_servo::drive::Member;
@@ -16,6 +17,8 @@ use softmap_servo::guard::{Axis, Budget, Feedback, Guard, Health, Input, Limits,
 use softmap_servo::registers::model;
 use std::os::fd::{FromRawFd, OwnedFd, RawFd};
 use std::path::PathBuf;
+
+import_exception!(softmap_edge.errors, LimitError);
 
 fn number(from: &Bound<'_, PyDict>, name: &str) -> PyResult<f64> {
     let value = from
@@ -91,7 +94,7 @@ fn limits(from: &Bound<'_, PyDict>) -> PyResult<Limits> {
             burst: number(from, "burst")?,
         },
     };
-    limits.checked().map_err(trouble)
+    limits.checked().map_err(|fault| LimitError::new_err((fault.text, fault.name, fault.servo)))
 }
 
 /// Lowest and highest value and unit of each limit by itself, by its name; `low` and `high` are about home.

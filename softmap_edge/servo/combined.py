@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.errors import ServoError
+from softmap_edge.errors import LimitError, ServoError
 from softmap_edge.model import Model
 from softmap_edge.safety import Safety, derived
 from softmap_edge.servo.limits import RATE, Table, loop_limits, servo_limits
@@ -87,19 +87,10 @@ class Combined:
             servos.append({"home": servo.home} | values)
         try:
             return loop_limits(servos, self.rate, **{limit.name: limit.value for limit in self.robot})
-        except ServoError as fault:
-            raise ServoError(f"{fault}{self._origin(str(fault))}") from None
-
-    def _origin(self, said: str) -> str:
-        """Return who set the limit that an error of the guard names."""
-        name = said.split(" is ")[0]
-        limits: tuple[Limit, ...] = self.robot
-        if name.startswith("servo "):
-            number, _, name = name.removeprefix("servo ").partition(": ")
-            limits = self.servos[int(number) - 1]
-        name = name.replace("jog.", "jog_").split(".")[0]
-        found = [limit for limit in limits if limit.name == name]
-        return f" ({found[0].by} says so)" if found else ""
+        except LimitError as fault:
+            limits = self.robot if fault.servo is None else self.servos[fault.servo]
+            by = [f" ({limit.by} says so)" for limit in limits if limit.name == fault.name]
+            raise ServoError(f"{fault}{''.join(by)}") from None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document softmap.limits/1."""

@@ -56,10 +56,14 @@ pub struct Limits {
     pub budget: Budget,
 }
 
-/// A limit that makes no sense.
+/// A limit that makes no sense: its name, its servo (from 0) where it is one's own, and the sentence.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{0}")]
-pub struct BadLimit(pub String);
+#[error("{text}")]
+pub struct BadLimit {
+    pub servo: Option<usize>,
+    pub name: &'static str,
+    pub text: String,
+}
 
 /// Servos that one loop drives at most.
 pub const MOST_SERVOS: usize = 16;
@@ -159,10 +163,10 @@ impl Told {
         } else {
             format!(" {unit}")
         };
-        let (name, side, value) = (self.name, self.side, self.value);
-        Err(BadLimit(format!(
-            "{whose}{name}{side} is {value}{unit}; allowed is {low} to {high}{unit}"
-        )))
+        let (servo, name, side, value) = (self.servo, self.name, self.side, self.value);
+        let text =
+            format!("{whose}{name}{side} is {value}{unit}; allowed is {low} to {high}{unit}");
+        Err(BadLimit { servo, name, text })
     }
 }
 
@@ -344,8 +348,11 @@ mod tests {
             // The period's own upper edge lies beyond what `late` needs of it.
             let above = if name == "period" { 0.1 } else { high } + 1e-6;
             for value in [low - 1e-6, above, f64::NAN, f64::NEG_INFINITY] {
-                let said = with(value).unwrap_err().to_string();
+                let fault = with(value).unwrap_err();
+                let said = fault.to_string();
                 assert!(said.starts_with(&format!("{name} is {value}")), "{said}");
+                let whose = fault.servo.map_or_else(String::new, |servo| format!("servo {}: ", servo + 1));
+                assert!(name.starts_with(&(whose + fault.name)), "{fault:?}");
             }
         }
         let tried = table.map(|(name, ..)| name.rsplit(": ").next().unwrap_or(name));
@@ -405,7 +412,7 @@ mod tests {
             assert_eq!(checked.is_ok(), fine, "{count} servos");
             if let Err(fault) = checked {
                 assert!(
-                    fault.0.starts_with(&format!("servos is {count}")),
+                    fault.text.starts_with(&format!("servos is {count}")),
                     "{fault}"
                 );
             }
