@@ -94,7 +94,9 @@ fn limits(from: &Bound<'_, PyDict>) -> PyResult<Limits> {
             burst: number(from, "burst")?,
         },
     };
-    limits.checked().map_err(|fault| LimitError::new_err((fault.text, fault.name, fault.servo)))
+    limits
+        .checked()
+        .map_err(|fault| LimitError::new_err((fault.text, fault.name, fault.servo)))
 }
 
 /// Lowest and highest value and unit of each limit by itself, by its name; `low` and `high` are about home.

@@ -106,10 +106,7 @@ mod _core {
         module.add("MODULI", &crate::loads::FIELDS[moduli])?;
         module.add("STATIONS", crate::loads::STATIONS)?;
         module.add("FIELDS", crate::loads::FIELDS)?;
-        module.add(
-            "FAST_FIRMWARE",
-            softmap_servo::registers::FAST_FIRMWARE,
-        )?;
+        module.add("FAST_FIRMWARE", softmap_servo::registers::FAST_FIRMWARE)?;
         module.add("STANDARD_GRAVITY", crate::loads::STANDARD_GRAVITY)
     }
 }

@@ -255,13 +255,9 @@ impl Emulator {
         let empty = bytes.len();
         let mut delay = 0.0;
         for id in ids {
-            let Some(servo) = self
-                .servos
-                .iter()
-                .find(|servo| {
-                    servo.id() == *id && hears(servo) && servo.firmware() >= FAST_FIRMWARE
-                })
-            else {
+            let Some(servo) = self.servos.iter().find(|servo| {
+                servo.id() == *id && hears(servo) && servo.firmware() >= FAST_FIRMWARE
+            }) else {
                 break;
             };
             let Ok(data) = servo.read(address, size) else {

@@ -351,7 +351,9 @@ mod tests {
                 let fault = with(value).unwrap_err();
                 let said = fault.to_string();
                 assert!(said.starts_with(&format!("{name} is {value}")), "{said}");
-                let whose = fault.servo.map_or_else(String::new, |servo| format!("servo {}: ", servo + 1));
+                let whose = fault
+                    .servo
+                    .map_or_else(String::new, |servo| format!("servo {}: ", servo + 1));
                 assert!(name.starts_with(&(whose + fault.name)), "{fault:?}");
             }
         }
