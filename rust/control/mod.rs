@@ -8,11 +8,12 @@
 pub mod emergency;
 pub mod gpio;
 pub mod heartbeat;
+pub mod period;
 pub mod pipe;
 pub mod plan;
 mod realtime;
 pub mod recording;
-pub(crate) mod report;
+mod report;
 
 use std::os::fd::OwnedFd;
 use std::path::PathBuf;

@@ -6,7 +6,7 @@ use crate::control::emergency::{Button, Emergency};
 use crate::control::gpio::Gpio;
 use crate::control::heartbeat::Heartbeat;
 use crate::control::plan::Map;
-use crate::control::{Setup, recording, report, serve};
+use crate::control::{Setup, period, recording, serve};
 use crate::effects::Chain;
 use crate::inverse::chain::Inverse;
 use pyo3::import_exception;
@@ -254,8 +254,8 @@ pub fn replay(
                 emergency: *emergency,
             });
             (
-                report::name(output.state),
-                report::name(output.cause),
+                period::name(output.state),
+                period::name(output.cause),
                 output.torque,
                 guard.goals().to_vec(),
             )
