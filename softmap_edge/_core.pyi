@@ -28,6 +28,7 @@ __all__ = [
     "Network",
     "Predictor",
     "Reach",
+    "Reading",
     "Registration",
     "Rod",
     "RodField",
@@ -169,6 +170,12 @@ def control_loop(
     setup: str = "",
 ) -> None: ...
 def read_recording(path: str) -> list[tuple[str, int, bytes]]: ...
+
+@final
+class Reading:
+    def __new__(cls, path: str) -> Self: ...
+    def more(self) -> tuple[list[tuple[str, int, bytes]], bool]: ...
+
 def replay(table: dict[str, Any], periods: Sequence[tuple[Any, ...]]) -> list[tuple[str, str, bool, list[int]]]: ...
 
 @final

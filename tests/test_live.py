@@ -19,7 +19,7 @@ from softmap_edge.cli import main
 from softmap_edge.diagnosis.live import Live
 from softmap_edge.errors import ComparisonError, RunError
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.follow import MARK, Following
+from softmap_edge.servo.follow import Following
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.servo.rig import read_rig
@@ -55,8 +55,7 @@ def test_a_growing_recording_is_followed_to_its_last_period(tmp_path):
             time.sleep(0.05)
         thread.join()
         periods += loop.new()
-        loop.close()
-    whole = read_recording(file)
+        whole = read_recording(file)
     assert loop.ended and loop.setup == whole.setup and parts > 2
     assert periods == whole.periods
 
@@ -75,8 +74,7 @@ def test_any_cut_gives_what_is_whole_and_damage_is_told(tmp_path):
         with cut.open("ab") as more:
             more.write(content[size:])
         assert found + loop.new() == whole and loop.ended
-        loop.close()
-    for _ in range(300):
+        for _ in range(300):
         damaged = bytearray(content)
         for place in rng.integers(0, len(content), 3):
             damaged[place] = rng.integers(256)
@@ -86,11 +84,10 @@ def test_any_cut_gives_what_is_whole_and_damage_is_told(tmp_path):
             assert all(isinstance(period, dict) for period in loop.new())
         except RunError as fault:
             assert "record again" in str(fault) or "no recording" in str(fault)
-        loop.close()
-    for content, line in ((b"PK\x03\x04" * 9, "no recording of a control loop"), (MARK + b"\xff" * 20, "damaged")):
+        for content, line in ((b"PK\x03\x04" * 9, "no recording of a control loop"), (b"\x89MCAP0\r\n" + b"\xff" * 20, "damaged")):
         cut.write_bytes(content)
-        with contextlib.closing(Following(cut)) as loop, pytest.raises(RunError, match=line):
-            loop.new()
+        with pytest.raises(RunError, match=line):
+            Following(cut).new()
     with pytest.raises(RunError, match="No such file"):
         Following(tmp_path / "none.mcap")
 

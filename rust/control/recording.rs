@@ -5,14 +5,14 @@
 //! refuses alike). No chunks and no compression: a file cut anywhere gives every message before the cut.
 //! Source of the format: MCAP, Foxglove, https://mcap.dev/spec.
 
+use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufWriter, Write};
-use std::path::Path;
+use std::io::{BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
 
-use enumset::EnumSet;
-use mcap::WriteOptions;
-use mcap::read::{Options, RawMessageStream};
-use mcap::records::MessageHeader;
+use mcap::records::{MessageHeader, Record};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{McapError, WriteOptions, parse_record};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 use softmap_servo::control::Entry;
@@ -25,6 +25,9 @@ use crate::error::{Result, invalid};
 const SAFE: u64 = 500_000_000;
 /// Bytes of a recording that are read at most.
 const MOST: u64 = 4 << 30;
+/// Bytes of a record at most, and of what is read at once.
+const LONGEST: usize = 1 << 24;
+const AT_ONCE: usize = 1 << 16;
 
 /// An open recording.
 pub struct Recording {
@@ -107,9 +110,92 @@ impl Recording {
     }
 }
 
-/// The messages of a recording: topic, time (ns) and bytes; those before the cut of one that was cut short.
-pub fn read(path: &Path) -> Result<Vec<(String, u64, Vec<u8>)>> {
-    let size = std::fs::metadata(path)
+/// A message: its topic, its time (ns) and its bytes.
+pub type Message = (String, u64, Vec<u8>);
+
+/// A recording that is read, also while it grows.
+pub struct Reading {
+    path: PathBuf,
+    file: File,
+    records: LinearReader,
+    topics: HashMap<u16, String>,
+    ended: bool,
+}
+
+impl Reading {
+    /// Begin to read `path`.
+    pub fn open(path: &Path) -> Result<Reading> {
+        let options = LinearReaderOptions::default()
+            .with_skip_end_magic(true)
+            .with_record_length_limit(LONGEST);
+        Ok(Reading {
+            file: File::open(path).map_err(|fault| failed(path, &fault))?,
+            path: path.to_owned(),
+            records: LinearReader::new_with_options(options),
+            topics: HashMap::new(),
+            ended: false,
+        })
+    }
+
+    /// Whether whoever wrote it has closed it.
+    pub fn ended(&self) -> bool {
+        self.ended
+    }
+
+    /// Add to `found` the messages that are whole and new; an error where what follows them is damaged.
+    pub fn more(&mut self, found: &mut Vec<Message>) -> Result<()> {
+        let damaged = |fault: McapError| match fault {
+            McapError::BadMagic => {
+                "no recording of a control loop; give what `softmap` recorded".to_owned()
+            }
+            other => format!("damaged ({other}); record again"),
+        };
+        let fault = loop {
+            if self.ended {
+                return Ok(());
+            }
+            let event = match self.records.next_event() {
+                None => return Ok(()),
+                Some(Err(fault)) => break damaged(fault),
+                Some(Ok(event)) => event,
+            };
+            match event {
+                LinearReadEvent::ReadRequest(bytes) => {
+                    let room = self.records.insert(bytes.max(AT_ONCE));
+                    match self.file.read(room) {
+                        // It may grow: the reader is not told that this is the end.
+                        Ok(0) => return Ok(()),
+                        Ok(count) => self.records.notify_read(count),
+                        Err(fault) => break fault.to_string(),
+                    }
+                }
+                LinearReadEvent::Record { opcode: 0, .. } => {
+                    break "damaged (a record of no kind); record again".to_owned();
+                }
+                LinearReadEvent::Record { opcode, data } => match parse_record(opcode, data) {
+                    Err(fault) => break damaged(fault),
+                    Ok(Record::Channel(channel)) => {
+                        self.topics.insert(channel.id, channel.topic);
+                    }
+                    Ok(Record::Message { header, data }) => {
+                        if let Some(topic) = self.topics.get(&header.channel_id) {
+                            found.push((topic.clone(), header.log_time, data.into_owned()));
+                        }
+                    }
+                    Ok(record) => self.ended |= matches!(record, Record::DataEnd(_)),
+                },
+            }
+        };
+        Err(failed(&self.path, &fault))
+    }
+}
+
+/// The messages of a recording; those before the cut, or the damage, of one that was cut short.
+pub fn read(path: &Path) -> Result<Vec<Message>> {
+    let mut reading = Reading::open(path)?;
+    let size = reading
+        .file
+        .metadata()
         .map_err(|fault| failed(path, &fault))?
         .len();
     if size > MOST {
@@ -120,25 +206,9 @@ pub fn read(path: &Path) -> Result<Vec<(String, u64, Vec<u8>)>> {
             MOST >> 20
         )));
     }
-    let bytes = std::fs::read(path).map_err(|fault| failed(path, &fault))?;
-    let stream = RawMessageStream::new_with_options(&bytes, EnumSet::only(Options::IgnoreEndMagic));
-    let mut stream = stream.map_err(|_| {
-        invalid(format!(
-            "{}: is no MCAP file; give a recording of softmap",
-            path.display()
-        ))
-    })?;
     let mut found = vec![];
-    while let Some(Ok(message)) = stream.next() {
-        let Some(channel) = stream.get_channel(message.header.channel_id) else {
-            break;
-        };
-        found.push((
-            channel.topic.clone(),
-            message.header.log_time,
-            message.data.to_vec(),
-        ));
-    }
+    // What a cut of power leaves behind may be anything.
+    let _ = reading.more(&mut found);
     Ok(found)
 }
 

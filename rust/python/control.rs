@@ -13,10 +13,11 @@ use pyo3::import_exception;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use softmap_servo::drive::Member;
-use softmap_servo::guard::{Axis, Budget, Feedback, Guard, Health, Input, Limits, Message, RANGES};
+use softmap_servo::guard::{self, Axis, Budget, Feedback, Guard, Health, Input, Limits, RANGES};
 use softmap_servo::registers::model;
 use std::os::fd::{FromRawFd, OwnedFd, RawFd};
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
 
 import_exception!(softmap_edge.errors, LimitError);
 
@@ -193,17 +194,45 @@ pub fn control_loop(
         .map_err(trouble)
 }
 
+/// A recording that is read while it grows.
+#[pyclass(name = "Reading", module = "softmap_edge._core", frozen)]
+pub struct PyReading {
+    reading: Mutex<recording::Reading>,
+}
+
+#[pymethods]
+impl PyReading {
+    /// Begin to read `path`.
+    #[new]
+    fn new(path: PathBuf) -> PyResult<PyReading> {
+        let reading = Mutex::new(recording::Reading::open(&path)?);
+        Ok(PyReading { reading })
+    }
+
+    /// The messages (topic, ns, bytes) that are whole and new, and whether whoever wrote it has closed it.
+    fn more<'py>(&self, py: Python<'py>) -> PyResult<(Vec<Message<'py>>, bool)> {
+        let mut found = vec![];
+        let ended = py.detach(|| {
+            let mut reading = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
+            reading.more(&mut found).map(|()| reading.ended())
+        })?;
+        Ok((messages(py, found), ended))
+    }
+}
+
+/// A message: topic, ns, bytes.
+type Message<'py> = (String, u64, Bound<'py, PyBytes>);
+
+fn messages(py: Python<'_>, found: Vec<recording::Message>) -> Vec<Message<'_>> {
+    let one = |(topic, now, bytes): recording::Message| (topic, now, PyBytes::new(py, &bytes));
+    found.into_iter().map(one).collect()
+}
+
 /// The messages (topic, ns, bytes) of a recording, those before the cut of one that was cut short.
 #[pyfunction]
-pub fn read_recording<'py>(
-    py: Python<'py>,
-    path: PathBuf,
-) -> PyResult<Vec<(String, u64, Bound<'py, PyBytes>)>> {
+pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Vec<Message<'_>>> {
     let found = py.detach(|| recording::read(&path))?;
-    Ok(found
-        .into_iter()
-        .map(|(topic, now, bytes)| (topic, now, PyBytes::new(py, &bytes)))
-        .collect())
+    Ok(messages(py, found))
 }
 
 /// One servo's feedback of a period: position, clock, current, voltage, temperature, and (hardware, torque, tripped).
@@ -245,7 +274,7 @@ pub fn replay(
             let output = guard.tick(&Input {
                 now: *now,
                 feedback: &feedback,
-                message: deadman.map(|deadman| Message {
+                message: deadman.map(|deadman| guard::Message {
                     deadman,
                     goal: targets.as_deref().filter(|_| *new),
                 }),

@@ -60,7 +60,9 @@ mod _core {
     #[pymodule_export]
     use super::cables::{PyCables, PySecond};
     #[pymodule_export]
-    use super::control::{check_limits, control_loop, limit_ranges, read_recording, replay};
+    use super::control::{
+        PyReading, check_limits, control_loop, limit_ranges, read_recording, replay,
+    };
     #[pymodule_export]
     use super::effects::PyChain;
     #[pymodule_export]
