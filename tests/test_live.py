@@ -1,6 +1,5 @@
 """`softmap compare --live`: a growing recording followed, a model's error while another process drives and is seen."""
 
-import contextlib
 import json
 import math
 import signal

@@ -98,7 +98,8 @@ mod _core {
 
     /// Adds the base of its errors; `FIELDS`, the names of the shape fields in the order of `Chain.coefficients`;
     /// `LOADS`, those of them that are dead loads; `MODULI`, those of the modulus; `STATIONS`, shares of the height at which
-    /// an obstacle can push; `FAST_FIRMWARE`, that from which servos answer in one packet; and `STANDARD_GRAVITY`.
+    /// an obstacle can push; `FAST_FIRMWARE`, that from which servos answer in one packet;
+    /// `HARDWARE_ERRORS`, bits of the hardware error status and what they mean; and `STANDARD_GRAVITY`.
     #[pymodule_init]
     fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
         use pyo3::types::PyModuleMethods;
@@ -108,6 +109,7 @@ mod _core {
         module.add("MODULI", &crate::loads::FIELDS[moduli])?;
         module.add("STATIONS", crate::loads::STATIONS)?;
         module.add("FIELDS", crate::loads::FIELDS)?;
+        module.add("HARDWARE_ERRORS", softmap_servo::registers::HARDWARE_ERRORS)?;
         module.add("FAST_FIRMWARE", softmap_servo::registers::FAST_FIRMWARE)?;
         module.add("STANDARD_GRAVITY", crate::loads::STANDARD_GRAVITY)
     }

@@ -9,7 +9,7 @@ use softmap_servo::emulator::pty::Terminal;
 use softmap_servo::emulator::servo::{Motion, Servo};
 use softmap_servo::emulator::{Emulator, Faults};
 use softmap_servo::packet::{HIGHEST_ID, LONGEST, packet};
-use softmap_servo::registers::{BAUD_RATES, MODELS, model};
+use softmap_servo::registers::{MODELS, model};
 use softmap_servo::serial::{Serial, monotonic};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -57,7 +57,7 @@ pub fn servo_models<'py>(py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let told = PyDict::new(py);
         told.set_item("name", model.name)?;
         told.set_item("number", model.number)?;
-        told.set_item("baud_rates", &BAUD_RATES[..=usize::from(model.fastest)])?;
+        told.set_item("baud_rates", model.baud_rates())?;
         told.set_item(
             "current_unit_mA",
             model.has_current().then_some(model.current_unit),
@@ -70,10 +70,7 @@ pub fn servo_models<'py>(py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         )?;
         told.set_item("temperature_limit_C", model.temperature_limit)?;
         told.set_item("voltage_V", model.voltage)?;
-        told.set_item(
-            "fastest_ticks_per_s",
-            f64::from(model.velocity_limit) * 0.229 * 4096.0 / 60.0,
-        )?;
+        told.set_item("fastest_ticks_per_s", model.fastest_turn())?;
         told.set_item("stall_torque_Nm", model.stall.0)?;
         told.set_item("stall_current_mA", model.stall.1)?;
         told.set_item("operating_mode", model.driven_in())?;
@@ -184,19 +181,9 @@ impl PyServoBus {
         self.ask(py, |bus| bus.write(id, address, data).map(drop))
     }
 
-    /// Restart a servo: turns and RAM are lost.
-    fn reboot(&self, py: Python<'_>, id: u8) -> PyResult<()> {
-        self.ask(py, |bus| bus.reboot(id).map(drop))
-    }
-
-    /// Set the present position back to within one turn.
-    fn clear_turns(&self, py: Python<'_>, id: u8) -> PyResult<()> {
-        self.ask(py, |bus| bus.clear_turns(id).map(drop))
-    }
-
     /// Switch the torque of every servo off, whether or not it answers.
     fn release(&self, py: Python<'_>) -> PyResult<()> {
-        self.ask(py, |bus| bus.write_all(64, &[0]))
+        self.ask(py, Bus::release)
     }
 }
 
@@ -245,11 +232,9 @@ impl PyEmulatedBus {
         for ((id, number, baud, angle), load) in servos.into_iter().zip(load) {
             let kind = model(number)
                 .ok_or_else(|| trouble(format!("no servo of model number {number} is known")))?;
-            let code = BAUD_RATES[..=usize::from(kind.fastest)]
-                .iter()
-                .position(|rate| *rate == baud);
-            let code =
-                code.ok_or_else(|| trouble(format!("{} has no rate of {baud} baud", kind.name)))?;
+            let code = kind
+                .code_of(baud)
+                .ok_or_else(|| trouble(format!("{} has no rate of {baud} baud", kind.name)))?;
             if id > HIGHEST_ID
                 || !angle.is_finite()
                 || load
@@ -263,7 +248,7 @@ impl PyEmulatedBus {
             made.push(Servo::new(
                 kind,
                 id,
-                code as u8,
+                code,
                 angle,
                 Motion { delay, lag, load },
             ));
@@ -353,11 +338,9 @@ impl PyEmulatedBus {
 
     /// Exchange the ids of two servos.
     fn swap(&self, one: usize, other: usize) -> PyResult<()> {
-        let (first, second) = (self.with(one, |s| s.id())?, self.with(other, |s| s.id())?);
-        let terminal = self.terminal();
-        let mut emulator = terminal.emulator();
-        emulator.servos[one].set_id(second);
-        emulator.servos[other].set_id(first);
+        self.with(one, |_| ())?;
+        self.with(other, |_| ())?;
+        self.terminal().emulator().swap(one, other);
         Ok(())
     }
 

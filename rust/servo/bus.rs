@@ -7,7 +7,7 @@
 
 use crate::decoder::{Decoder, fast_slots};
 use crate::packet::{BROADCAST, CLEAR_TURNS, Full, HEAD, HIGHEST_ID, LONGEST, Packet, instruction};
-use crate::registers::{ALERT, STATUS_ERRORS};
+use crate::registers::{ALERT, STATUS_ERRORS, X_SERIES};
 
 /// Bytes to and from a bus, and the clock that deadlines are of.
 pub trait Port {
@@ -160,6 +160,11 @@ impl<P: Port> Bus<P> {
         packet.bytes(data);
         let packet = packet.finish()?;
         self.send(packet)
+    }
+
+    /// Switch the torque of everybody off, whether or not it answers.
+    pub fn release(&mut self) -> Result<(), Fault> {
+        self.write_all(X_SERIES.torque_enable.address, &[0])
     }
 
     /// Read the registers from `address` on into `data`.

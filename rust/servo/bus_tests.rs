@@ -1,6 +1,6 @@
 use super::*;
 use crate::emulator::pty::Terminal;
-use crate::emulator::servo::RESET;
+use crate::emulator::servo::{RESET, Servo};
 use crate::emulator::tests::{FINE, bus, engaged, servos};
 use crate::emulator::{Emulator, Faults};
 use crate::registers::{FAST_FIRMWARE, X_SERIES};
@@ -39,6 +39,17 @@ fn old_firmware_answers_by_itself_but_not_in_one_packet() {
             .unwrap();
         assert_eq!(heard, [FINE, expected], "{version} {fast}");
     }
+}
+
+#[test]
+fn all_are_released_at_once_and_two_ids_are_exchanged() {
+    let mut bus = engaged(&[1, 2]);
+    bus.port().emulator.swap(0, 1);
+    let servos = &bus.port().emulator.servos;
+    assert_eq!([servos[0].id(), servos[1].id()], [2, 1]);
+    bus.release().unwrap();
+    bus.port().pass(0.01);
+    assert!(!bus.port().emulator.servos.iter().any(Servo::torque));
 }
 
 #[test]

@@ -22,13 +22,6 @@ PATTERNS = ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*")
 OLD = 38  # firmware below which there is no bus watchdog
 NO_SHADOW = 255
 ALWAYS = 2  # status return level: every question is answered
-HARDWARE = {
-    0x01: "input voltage",
-    0x04: "overheating",
-    0x08: "motor encoder",
-    0x10: "electrical shock",
-    0x20: "overload",
-}
 MODES = {
     0: "current", 1: "velocity", 3: "position", 4: "extended position", 5: "current-based position", 16: "PWM",
 }  # fmt: skip
@@ -137,7 +130,7 @@ def complaints(found: Found, values: dict[str, int]) -> list[str]:
             note = f" ({MODES.get(values[name], 'unknown')})" if name == "operating_mode" else ""
             said.append(f"{name.replace('_', ' ')} is {values[name]}{note}, needed is {value}; `softmap servo setup`")
     if values["hardware_error_status"]:
-        bits = [text for bit, text in HARDWARE.items() if values["hardware_error_status"] & bit]
+        bits = [text for bit, text in _core.HARDWARE_ERRORS if values["hardware_error_status"] & bit]
         said.append(f"it reports {', '.join(bits) or values['hardware_error_status']}; find the cause, then restart it")
     if values["torque_enable"]:
         said.append("its torque is on; `softmap servo off` releases it")

@@ -76,6 +76,13 @@ impl Emulator {
         self.faults = faults;
     }
 
+    /// Exchange the ids of two servos.
+    pub fn swap(&mut self, one: usize, other: usize) {
+        let (first, second) = (self.servos[one].id(), self.servos[other].id());
+        self.servos[one].set_id(second);
+        self.servos[other].set_id(first);
+    }
+
     /// Nothing is broken, and the servos have just started.
     pub fn mend(&mut self) {
         self.faults = Faults::default();

@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 
 use super::table::{Table, refusal};
 use crate::packet::instruction;
-use crate::registers::{ALERT, Model, TICKS_PER_TURN, mode};
+use crate::registers::{ALERT, Model, TICKS_PER_TURN, VELOCITY_STEP, mode};
 
 /// s between two steps of the motor.
 pub const STEP: f64 = 0.001;
@@ -342,7 +342,7 @@ impl Servo {
             .set(layout.moving, i32::from(self.speed.abs() > 10.0));
         self.table.set(
             layout.present_velocity,
-            (self.speed * 60.0 / f64::from(TICKS_PER_TURN) / 0.229) as i32,
+            (self.speed / VELOCITY_STEP) as i32,
         );
         self.table
             .set(layout.present_voltage, (self.volts * 10.0) as i32);
@@ -370,7 +370,7 @@ impl Servo {
         }
         let load = self.load(self.angle);
         let before = self.angle;
-        let most = f64::from(self.model.velocity_limit) * 0.229 * f64::from(TICKS_PER_TURN) / 60.0;
+        let most = self.model.fastest_turn();
         let (cap, most_drawn) = if self.model.has_current() {
             let unit = self.model.current_unit;
             let cap = f64::from(self.table.get(layout.goal_current)) * unit;
