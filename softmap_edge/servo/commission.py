@@ -135,7 +135,8 @@ def complaints(found: Found, values: dict[str, int]) -> list[str]:
     if values["torque_enable"]:
         said.append("its torque is on; `softmap servo off` releases it")
     if found.firmware < OLD:
-        said.append(f"its firmware {found.firmware} has no bus watchdog; update it to {_core.FAST_FIRMWARE} with Dynamixel Wizard")
+        update = f"update it to {_core.FAST_FIRMWARE} with Dynamixel Wizard"
+        said.append(f"its firmware {found.firmware} has no bus watchdog; {update}")
     return said
 
 
