@@ -31,7 +31,7 @@ def pull_test(args: argparse.Namespace) -> int:
     with deadman(args.hold) as hand:
         tell(args, "each servo goes slowly to both ends of its window and back", hand)
         done = pull(found, hand, () if args.servo is None else (args.servo,))
-    noted(rig, done).write(args.rig)
+    noted(rig, done).note(args.rig)
     if args.json:
         document = {"schema": "softmap.pull/1", "servos": [one.to_dict() for one in done]}
         print(json.dumps(document | {"margin": MARGIN, "idle_of_stall": IDLE, "rig": args.rig}))
