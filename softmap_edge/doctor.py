@@ -60,7 +60,7 @@ def examine(rig: str | Path | None = None, bundle: str | Path | None = None, cam
 
     Args:
         rig: a `rig.toml`, whose port is opened and whose servos are asked what they are. bundle: its folder. camera:
-            number of a camera, which is opened and closed.
+            number of a camera, which is opened and closed. With bench and bundle the limits in force are looked at.
     """
     from softmap_edge import doctor_bench, doctor_host
 
@@ -75,6 +75,7 @@ def examine(rig: str | Path | None = None, bundle: str | Path | None = None, cam
     ]
     looks += [] if bundle is None else [lambda: doctor_bench.bundle(bundle)]
     looks += [] if rig is None else [lambda: doctor_bench.rig(rig)]
+    looks += [] if rig is None or bundle is None else [lambda: doctor_bench.limits(rig, bundle)]
     return Examined(tuple(line for look in looks for line in _safely(look)))
 
 

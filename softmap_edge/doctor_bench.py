@@ -12,7 +12,8 @@ from softmap_edge import _core
 from softmap_edge.doctor import FAULT, OK, WARNING, Line
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo import commission
-from softmap_edge.servo.proof import TRIES, check_proved, patiently
+from softmap_edge.servo.combined import combined
+from softmap_edge.servo.proof import check_proved
 from softmap_edge.servo.rig import Rig, read_rig
 
 
@@ -31,15 +32,32 @@ def bundle(folder: str | Path) -> Iterator[Line]:
     if found is None:
         do = "run softmap calibrate with a run that has ticks"
         yield Line("calibration", FAULT, "the bundle holds none", do)
-    elif found.window is None:
-        do = "calibrate again with --window LOW,HIGH"
-        yield Line("calibration", FAULT, "it has no window of ticks, so that nothing is allowed", do)
     else:
-        low, high = found.window
-        yield Line("calibration", OK, f"of {found.run[:40]}, window {low:+.0f} to {high:+.0f} ticks about home")
-    safety = (Path(folder) / "safety.toml").is_file()
-    do = "" if safety else "limits are those of the servos and of rig.toml alone; build the bundle again to have them"
-    yield Line("safety.toml", OK if safety else WARNING, "there" if safety else "the bundle holds none", do)
+        low, high = found.window or (0.0, 0.0)
+        window = f", window {low:+.0f} to {high:+.0f} ticks about home" if found.window else ""
+        yield Line("calibration", OK, f"of {found.run[:40]}{window}")
+    there = (Path(folder) / "safety.toml").is_file()
+    yield Line("safety.toml", OK, "there" if there else "none: the limits are derived from the model each time")
+
+
+def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
+    """A finger on its bench: whether limits follow that the guard takes; nothing where one of the two was at fault."""
+    from softmap_edge.bundle import load_bundle
+
+    try:
+        bench, model = read_rig(file), load_bundle(folder)
+    except (SoftmapError, OSError):
+        return
+    if model.calibration is None:
+        return
+    try:
+        found = combined(bench, model)
+        found.table()
+    except ServoError as fault:
+        yield _line("limits", fault)
+        return
+    said = "derived from the model" if found.derived else "with those of the bundle"
+    yield Line("limits", OK, f"{said}; softmap servo limits prints them")
 
 
 def rig(file: str | Path) -> Iterator[Line]:
@@ -62,31 +80,20 @@ def rig(file: str | Path) -> Iterator[Line]:
 
 
 def _servos(bus: _core.ServoBus, bench: Rig) -> Iterator[Line]:
-    for servo, (id, number) in zip(bench.servos, bench.numbers):
-        name = f"servo {id}"
-        told = next((told for _ in range(TRIES) if (told := bus.ping(id)) is not None), None)
-        if told is None:
-            yield Line(
-                name, FAULT, "no answer", "check power, wiring and baud rate; softmap servo scan lists who answers"
-            )
-            continue
-        found = commission.Found(bench.port, bench.baud, id, *told)
-        if told[0] != number:
-            name_found = found.model["name"] if found.model else "an unknown model"
-            said = f"is {name_found} ({told[0]}), the rig says {servo.model} ({number})"
-            yield Line(name, FAULT, said, "mend the rig, or connect the servo that it names")
-            continue
-        said_of = commission.complaints(found, patiently(commission.registers, bus, id))
-        for complaint in said_of:
+    for servo, found, said in commission.examined(bus, bench):
+        name = f"servo {servo.id}"
+        for complaint in said:
             what, _, do = complaint.partition("; ")
             yield Line(name, FAULT, what, do)
-        if not said_of:
-            yield Line(name, OK, f"{servo.model}, firmware {told[1]}, set up")
+        if found is None or found.number != dict(bench.numbers)[servo.id]:
+            continue
+        if not said:
+            yield Line(name, OK, f"{servo.model}, firmware {found.firmware}, set up")
         try:
-            check_proved(bus, [(id, servo.home)])
-            yield Line(f"home of servo {id}", OK, f"proved since power-up, at {servo.home}")
+            check_proved(bus, [(servo.id, servo.home)])
+            yield Line(f"home of {name}", OK, f"proved since power-up, at {servo.home}")
         except ServoError as fault:
-            yield _line(f"home of servo {id}", fault)
+            yield _line(f"home of {name}", fault)
 
 
 def _capped(model: str) -> bool:

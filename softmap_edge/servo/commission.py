@@ -14,7 +14,8 @@ from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.proof import set_mark
+from softmap_edge.servo.proof import TRIES, patiently, set_mark
+from softmap_edge.servo.rig import Rig, RigServo
 
 Model = dict[str, Any]
 
@@ -145,6 +146,37 @@ def complaints(found: Found, values: dict[str, int]) -> list[str]:
     if found.firmware < OLD:
         said.append(f"its firmware {found.firmware} has no bus watchdog; update it to {FAST} with Dynamixel Wizard")
     return said
+
+
+def examined(bus: _core.ServoBus, rig: Rig) -> list[tuple[RigServo, Found | None, list[str]]]:
+    """Return each servo of a bench with what answers in its place (None: nobody) and what keeps it from being driven.
+
+    Servos are asked only; a sentence of the list says what was found, and behind "; " what to do.
+
+    Raises:
+        ServoError: one that answered does not go on to.
+    """
+    seen: list[tuple[RigServo, Found | None, list[str]]] = []
+    for servo, (id, number) in zip(rig.servos, rig.numbers):
+        told = next((told for _ in range(TRIES) if (told := bus.ping(id)) is not None), None)
+        if told is None:
+            said = [
+                f"no answer at {rig.port}, {rig.baud} baud; check power, wiring and baud rate, `softmap servo scan` "
+                "lists who answers"
+            ]
+            seen.append((servo, None, said))
+            continue
+        found = Found(rig.port, rig.baud, id, *told)
+        if found.number != number:
+            name = found.model["name"] if found.model else "an unknown model"
+            said = [
+                f"it is {name} ({found.number}), the rig says {servo.model} ({number}); mend the rig, or connect the "
+                "servo that it names"
+            ]
+        else:
+            said = complaints(found, patiently(registers, bus, id))
+        seen.append((servo, found, said))
+    return seen
 
 
 def set_up(found: Found, new_id: int | None = None, new_baud: int | None = None) -> Found:
