@@ -37,10 +37,10 @@ def set_up(path, ids=(1, 2), homes=(HOME, HOME)):
 
 
 @contextmanager
-def bench(rate=200.0, **changes):
-    """Give an emulated bus, its rig and its limits."""
+def bench(rate=200.0, load=LOAD, **changes):
+    """Give an emulated bus whose horns carry `load` each, its rig and its limits."""
     servos = [(id, NUMBER, BAUD, float(HOME)) for id in (1, 2)]
-    bus = _core.EmulatedBus(servos, [LOAD, LOAD], delay=0.01, lag=0.03, seed=3)
+    bus = _core.EmulatedBus(servos, [load, load], delay=0.01, lag=0.03, seed=3)
     set_up(bus.path)
     rig = Rig(bus.path, BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))
     limits = loop_limits([servo_limits(MODEL, HOME, WINDOW)] * 2, rate, **changes)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
-from rigs import angles, bench, calibration, torque
+from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, torque
 from test_controller import hold_for, wait_for
 
 from softmap_edge.errors import ServoError, TeleopError
@@ -274,12 +274,22 @@ def test_what_a_heart_cannot_reach_is_refused():
         assert not heart.heard
 
 
-def test_the_finger_stays_where_it_was_when_torque_goes_off():
-    """Torque off releases the tendons: the emulated horns run out by themselves, they are not driven home."""
-    with bench() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
-        robot.engage()
-        hold_for(robot, [1.5, 1.5], 1.0)
-        before = angles(bus)
-        robot.emergency()
-        wait_for(lambda: not torque(bus), 2.0)
-        assert abs(angles(bus) - before).max() < 400
+def test_torque_off_drives_nothing_home():
+    """Horns that no tendon pulls stay where the stop met them; whoever ends without one goes home."""
+    with bench(load=[]) as (bus, rig, limits):
+        with Controller(rig, calibration(), limits) as robot:
+
+            def there():
+                robot.target([1.5, 1.5])
+                return abs(angles(bus) - HOME - 1.5 * TICKS_PER_MM).max() < 15
+
+            robot.engage()
+            wait_for(there, 20.0)
+            before = angles(bus)
+            robot.emergency()
+            wait_for(lambda: not torque(bus), 2.0)
+            time.sleep(1.0)  # at half the slew home would be 0.4 s away
+            assert abs(angles(bus) - before).max() < 15
+            again(robot)
+            wait_for(there, 20.0)
+        assert abs(angles(bus) - HOME).max() < 15
