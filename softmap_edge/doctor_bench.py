@@ -13,6 +13,7 @@ from softmap_edge.doctor import FAULT, OK, WARNING, Line
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo import commission
 from softmap_edge.servo.combined import combined
+from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import check_proved
 from softmap_edge.servo.rig import Rig, read_rig
 
@@ -68,7 +69,11 @@ def rig(file: str | Path) -> Iterator[Line]:
         yield _line("rig", fault)
         return
     yield Line("rig", OK, f"{file}: {len(bench.servos)} servos at {bench.port}, {bench.baud} baud")
-    uncapped = [servo.id for servo in bench.servos if servo.current_mA is None and _capped(servo.model)]
+    uncapped = [
+        servo.id
+        for servo in bench.servos
+        if servo.current_mA is None and servo_model(servo.model)["current_limit_mA"] is not None
+    ]
     if uncapped:
         do = f"write current_mA (at the stroke) to it in {file}; until then a share of the servo's own limit is taken"
         yield Line("ceiling", WARNING, f"servo {_listed(uncapped)} has no measured current", do)
@@ -94,11 +99,6 @@ def _servos(bus: _core.ServoBus, bench: Rig) -> Iterator[Line]:
             yield Line(f"home of {name}", OK, f"proved since power-up, at {servo.home}")
         except ServoError as fault:
             yield _line(f"home of {name}", fault)
-
-
-def _capped(model: str) -> bool:
-    """Return whether a model caps its current."""
-    return any(one["name"] == model and one["current_limit_mA"] is not None for one in _core.servo_models())
 
 
 def _listed(ids: list[int]) -> str:

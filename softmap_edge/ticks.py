@@ -25,7 +25,7 @@ SCHEMA = "softmap.calibration/1"
 ERRORS = ("command", "shape_mm", "matched_shape_mm")
 LARGEST = 1e7  # ticks, mm: beyond any servo, as for a run
 MOST_SERVOS = 64
-TURN = 4096  # ticks
+TURN = 4096  # ticks of a turn of the horn
 SINGULAR = 1e6  # condition of A from which it has no inverse of use
 
 

@@ -275,7 +275,10 @@ def test_a_rig_survives_its_file(tmp_path):
         ("schema = 1", "expected text"),
         ('schema = "softmap.rig/1"\nbaud = 57600', "no port"),
         ('schema = "softmap.rig/1"\nport = "x"\n[[servo]]\nmodel = "XL330-M288"', "servo 1 has no id"),
-        ('schema = "softmap.rig/1"\nport = "x"\nbaud = 1000000\n[[servo]]\nid = 1\nmodel = "Y"', "no model 'Y'"),
+        (
+            'schema = "softmap.rig/1"\nport = "x"\nbaud = 1000000\n[[servo]]\nid = 1\nmodel = "Y"',
+            "no servo 'Y' is known",
+        ),
         ('schema = "softmap.rig/1"\nport = "x"', "0 servos"),
         ("[", "no TOML"),
     ):

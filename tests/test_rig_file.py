@@ -1,6 +1,7 @@
 """rig.toml: whatever a name or a port holds is read back, and what its user wrote there lives through the verbs."""
 
 import random
+import re
 import tomllib
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from softmap_edge import _core
 from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.emergency import Beats, Emergency, Line
+from softmap_edge.servo.models import numbered, servo_model
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
 from softmap_edge.servo.rig_text import noted
 from softmap_edge.toml_table import quoted
@@ -156,6 +158,18 @@ def test_a_file_of_another_form_says_the_same_afterwards(tmp_path, text):
     changed = replace(rig, servos=(replace(rig.servos[0], home=9),), made={"homed": {"at": [3, 4]}})
     changed.note(tmp_path / "rig.toml")
     assert read_rig(tmp_path / "rig.toml") == changed
+
+
+def test_what_is_known_of_a_servo_is_looked_up_in_one_place(tmp_path, capsys):
+    for model in _core.servo_models():
+        assert servo_model(model["name"]) == model == numbered(model["number"])
+    assert numbered(7) is None
+    said = r"no servo 'X' is known; there are XL330-M288, .*"
+    with pytest.raises(ServoError, match=f"servo 1: {said}"):
+        Rig("p", BAUD, (RigServo(1, "X"),))
+    for more in ([], ["--servos", "2"]):
+        assert main(["servo", "emulate", "--model", "X", *more]) == 2
+        assert re.match(f"softmap servo: {said}", capsys.readouterr().err)
 
 
 def test_nothing_found_changes_nothing(tmp_path):

@@ -30,6 +30,7 @@ from softmap_edge.servo.finger import (
     full_window,
     hidden_laws,
 )
+from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig import MOST_SERVOS, Rig, RigServo
 from softmap_edge.signed_udp import read_key, udp_address
 
@@ -161,16 +162,14 @@ def streaming(finger: EmulatedFinger, senders: list[PointSender]) -> Iterator[No
 
 def _bare(args: argparse.Namespace) -> int:
     """Emulate servos without a finger, with a nominal load on each."""
-    models = {model["name"]: model for model in _core.servo_models()}
-    if args.model not in models:
-        raise ServoError(f"no servo '{args.model}' is known; there are {', '.join(models)}")
+    number = servo_model(args.model)["number"]
     if not 1 <= args.servos <= MOST_SERVOS:
         raise ServoError(f"{args.servos} servos; allowed are 1 to {MOST_SERVOS}")
     given = [f"--{name}" for name in ("bundle", "hidden", "stream", "calibrated", "key") if getattr(args, name)]
     if given:
         raise ServoError(f"{given[0]} needs a finger; leave --servos out")
     pull = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]
-    servos = [(id, models[args.model]["number"], args.baud, 2000.0) for id in range(1, args.servos + 1)]
+    servos = [(id, number, args.baud, 2000.0) for id in range(1, args.servos + 1)]
     bus = _core.EmulatedBus(servos, [pull] * args.servos, seed=args.seed)
     try:
         if args.rig:

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.model import Model
 from softmap_edge.safety import Safety, derived
 from softmap_edge.servo.limits import RATE, Table, loop_limits, servo_limits
+from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import TURN, Calibration
 
@@ -247,7 +247,7 @@ def _servo(
 ) -> tuple[Limit, ...]:
     """Return the limits of servo `k`, whose home in the calibration is `off` ticks from that of the bench."""
     servo, unit = rig.servos[k], safety.unit
-    entry = next(model for model in _core.servo_models() if model["name"] == servo.model)
+    entry = servo_model(servo.model)
     start = servo_limits(servo.model, 0, (-1.0, 1.0))
     allowed = _bench(rig, servo)
     through = "through the calibration"

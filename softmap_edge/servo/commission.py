@@ -10,14 +10,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
+from softmap_edge.servo.models import Model, numbered
 from softmap_edge.servo.proof import TRIES, patiently, set_mark
 from softmap_edge.servo.rig import Rig, RigServo
-
-Model = dict[str, Any]
 
 PATTERNS = ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*")
 FAST = 45  # firmware from which all servos answer in one packet
@@ -51,7 +49,7 @@ class Found:
     @property
     def model(self) -> Model | None:
         """What is known of its model."""
-        return next((model for model in _core.servo_models() if model["number"] == self.number), None)
+        return numbered(self.number)
 
     def __str__(self) -> str:
         name = self.model["name"] if self.model else f"unknown model {self.number}"

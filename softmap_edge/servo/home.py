@@ -19,8 +19,8 @@ from softmap_edge.errors import ServoError
 from softmap_edge.servo import commission
 from softmap_edge.servo.proof import marked, patiently, set_mark
 from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
+from softmap_edge.ticks import TURN
 
-TURN = 4096  # ticks of a turn of the horn
 NEAR = 150  # ticks from the stored home that a straight finger may stand: half a mm on a spool of 2.2 mm
 STEADY = 4  # ticks that an encoder may flicker while the finger stands; the play of an XM is 3
 WATCHED, LOOKS = 1.0, 20  # s for which it has to stand, and how often it is looked at meanwhile

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo.ceiling import Ceiling, read_ceiling
 from softmap_edge.servo.emergency import Emergency, read_emergency
+from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig_text import noted
 from softmap_edge.toml_table import TomlTable, quoted, written
 from softmap_edge.whole_file import MOST_TEXT, write_whole
@@ -59,16 +59,17 @@ class Rig:
     made: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        known = {entry["name"]: entry for entry in _core.servo_models()}
         ids = [servo.id for servo in self.servos]
         if not 1 <= len(ids) <= MOST_SERVOS:
             raise ServoError(f"the rig has {len(ids)} servos; allowed are 1 to {MOST_SERVOS}")
         for servo in self.servos:
-            if servo.model not in known:
-                raise ServoError(f"servo {servo.id}: no model '{servo.model}' is known; there are {', '.join(known)}")
+            try:
+                known = servo_model(servo.model)
+            except ServoError as fault:
+                raise ServoError(f"servo {servo.id}: {fault}") from None
             if ids.count(servo.id) > 1 or not 0 <= servo.id <= 252:
                 raise ServoError(f"servo id {servo.id} stands twice or beyond 252; give each servo one of its own")
-            if self.baud not in known[servo.model]["baud_rates"]:
+            if self.baud not in known["baud_rates"]:
                 raise ServoError(f"servo {servo.id}, a {servo.model}, has no rate of {self.baud} baud")
             if not (servo.low is None or servo.low < 0) or not (servo.high is None or servo.high > 0):
                 raise ServoError(f"servo {servo.id}: low {servo.low}, high {servo.high}; expected low < 0 < high")
@@ -76,8 +77,7 @@ class Rig:
     @property
     def numbers(self) -> list[tuple[int, int]]:
         """Id and model number of each servo."""
-        known = {entry["name"]: entry["number"] for entry in _core.servo_models()}
-        return [(servo.id, known[servo.model]) for servo in self.servos]
+        return [(servo.id, servo_model(servo.model)["number"]) for servo in self.servos]
 
     def to_toml(self) -> str:
         """Return the text of `rig.toml`."""
