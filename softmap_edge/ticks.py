@@ -81,6 +81,22 @@ class Calibration:
                 )
             object.__setattr__(self, "window", (low, high))
 
+    @classmethod
+    def stated(
+        cls,
+        A: ArrayLike,
+        b: ArrayLike,
+        home: ArrayLike,
+        said: str,
+        window: tuple[float, float] | None = None,
+        unit: str = "mm",
+    ) -> Calibration:
+        """Return a map that nobody measured but that is so, of an emulated robot or of a bench told by its user: no
+        doubt, no error, no frames; `said` stands where the run would."""
+        slope, shift = np.asarray(A, float), np.asarray(b, float)
+        none = dict.fromkeys(ERRORS, 0.0)
+        return cls(slope, shift, np.asarray(home, float), 0 * slope, 0 * shift, none, said, 0, 0, window, unit)
+
     @property
     def condition(self) -> float:
         """Condition of A: 1 where all servos pull alike and across each other."""

@@ -18,11 +18,7 @@ TICKS_PER_MM = 280.0
 
 def calibration():
     """Return a map of 280 ticks a mm about HOME."""
-    scale = np.eye(2) / TICKS_PER_MM
-    error = dict(command=0.0, shape_mm=0.0, matched_shape_mm=0.0)
-    return Calibration(
-        scale, np.zeros(2), np.full(2, float(HOME)), 0 * scale, np.zeros(2), error, "made for tests", 0, 0, WINDOW
-    )
+    return Calibration.stated(np.eye(2) / TICKS_PER_MM, np.zeros(2), np.full(2, HOME), "made for tests", WINDOW)
 
 
 def set_up(path, ids=(1, 2), homes=(HOME, HOME)):

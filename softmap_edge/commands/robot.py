@@ -66,6 +66,6 @@ def bench_of(args: argparse.Namespace, model: Model) -> Iterator[Bench]:
 
 def plain_map(model: Model) -> Calibration:
     """Return the map of an emulated robot whose bundle holds none."""
-    scale, zero = np.eye(model.channels) / TICKS_PER_MM, np.zeros(model.channels)
-    error = {"command": 0.0, "shape_mm": 0.0, "matched_shape_mm": 0.0}
-    return Calibration(scale, zero, zero + HOME, 0 * scale, zero, error, "an emulated robot's own map", 0, 0, None)
+    zero = np.zeros(model.channels)
+    scale = np.eye(model.channels) / TICKS_PER_MM
+    return Calibration.stated(scale, zero, zero + HOME, "an emulated robot's own map")

@@ -85,9 +85,8 @@ class Jog:
             jog_slew=slew,
             jog_current=current,
         )
-        none = np.zeros((count, count)), np.zeros(count)
-        error = dict.fromkeys(("command", "shape_mm", "matched_shape_mm"), 0.0)
-        ticks = Calibration(np.eye(count), none[1], none[1], *none, error, "ticks as they are", 0, 0, None, "ticks")
+        zero = np.zeros(count)
+        ticks = Calibration.stated(np.eye(count), zero, zero, "ticks as they are", unit="ticks")
         self.robot = Controller(rig, ticks, limits, record=record, commissioning=True)
         self._began: Ticks | None = None
         self._target: Ticks | None = None
