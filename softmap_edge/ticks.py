@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -117,6 +118,11 @@ class Calibration:
         after their power was off, servos count turns anew."""
         turns = np.rint((np.asarray(home, float) - self.home) / TURN)
         return replace(self, home=self.home + TURN * turns) if turns.any() else self
+
+    def holding(self, reach: ArrayLike) -> tuple[float, float]:
+        """Return the window (low, high) of ticks about home that holds a whole range `reach` (C, 2) of commands."""
+        away = self.ticks(list(product(*np.asarray(reach, float)))) - self.home
+        return float(away.min()), float(away.max())
 
     def usable(self, reach: ArrayLike) -> Floats:
         """Return a range [l, h] (C, 2) of commands all of whose combinations lie in the window: `reach` (C, 2), shrunk.

@@ -40,6 +40,13 @@ def test_ticks_and_commands_are_each_others_inverse_and_the_window_holds_what_is
     np.testing.assert_array_equal(published().usable(reach), reach)
 
 
+def test_a_window_holds_a_range_and_not_a_tick_less():
+    told, reach = published(), [[-1.0, 2.0], [-3.0, 1.0]]
+    low, high = told.holding(reach)
+    corners = told.ticks([[a, b] for a in reach[0] for b in reach[1]]) - told.home
+    assert corners.min() == low < 0 < high == corners.max()
+
+
 def test_a_map_that_is_stated_claims_nothing_of_a_run():
     told = Calibration.stated(A, B, HOME, "made up", (-5.0, 5.0), "ticks")
     np.testing.assert_array_equal(told.commands([[2048, 2048]]), np.add(A @ (2048 - np.array(HOME)), B)[None])

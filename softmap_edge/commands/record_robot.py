@@ -26,7 +26,7 @@ from softmap_edge.experiment.pace import Pace, pace
 from softmap_edge.experiment.play import Player, merged
 from softmap_edge.model import Model
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.finger import LATE, full_window
+from softmap_edge.servo.finger import LATE
 
 INTERRUPTED = 130
 SIMULATED = ("virtual", "truth", "finger", "truth_from")
@@ -38,7 +38,7 @@ def record_on_robot(args: argparse.Namespace) -> int:
     model = builtin_model() if args.bundle is None else open_model(args.bundle)
     if args.emulated:
         known = model.calibration or plain_map(model)
-        model = replace(model, calibration=replace(known, window=known.window or full_window(model, known)))
+        model = replace(model, calibration=replace(known, window=known.window or known.holding(model.command_range)))
     made, robot_name = read_commands(args.commands)
     if robot_name != model.robot:
         raise SoftmapError(f"{args.commands}: made for '{robot_name}', the model is of '{model.robot}'")

@@ -27,7 +27,6 @@ from softmap_edge.servo.finger import (
     SERVO,
     EmulatedFinger,
     emulated_bench,
-    full_window,
     hidden_laws,
 )
 from softmap_edge.servo.models import servo_model
@@ -76,7 +75,7 @@ def emulate(args: argparse.Namespace) -> int:
         raise ServoError(f"--strength {args.strength:g}; more than 0 and up to 10 times is allowed")
     whole = builtin_model() if args.bundle is None else open_model(args.bundle)
     calibration = whole.calibration or plain_map(whole)
-    calibration = replace(calibration, window=calibration.window or full_window(whole, calibration))
+    calibration = replace(calibration, window=calibration.window or calibration.holding(whole.command_range))
     names = [name for name in args.hidden.split(",") if name]
     laws = hidden_laws(names, whole.channels, args.seed, args.strength)
     senders = _senders(args)

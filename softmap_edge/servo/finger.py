@@ -12,7 +12,6 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from itertools import product
 from types import TracebackType
 from typing import Any, Self
 
@@ -182,7 +181,7 @@ def emulated_bench(
     known = servo_model(servo)
     ids = range(1, model.channels + 1)
     homes = [round(float(home)) for home in calibration.home]
-    window = calibration.window or full_window(model, calibration)
+    window = calibration.window or calibration.holding(model.command_range)
     servos = [(id, int(known["number"]), baud, float(home)) for id, home in zip(ids, homes)]
     loads = tendon_loads(model, calibration, window, known)
     bus = _core.EmulatedBus(servos, loads, delay=ANSWER[0], lag=ANSWER[1], seed=seed)
@@ -212,10 +211,3 @@ def _ready(found: Found, home: int) -> None:
         except ServoError:
             if not left:
                 raise
-
-
-def full_window(model: Model, calibration: Calibration) -> tuple[float, float]:
-    """Return ticks about home that hold the model's whole range."""
-    corners = np.array(list(product(*np.asarray(model.command_range, float))))
-    away = calibration.ticks(corners) - calibration.home
-    return float(away.min()), float(away.max())
