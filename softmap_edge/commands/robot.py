@@ -13,12 +13,12 @@ import numpy as np
 from softmap_edge.model import Model
 from softmap_edge.servo.combined import calibration_of, combined
 from softmap_edge.servo.finger import EmulatedFinger, emulated_bench, hidden_laws
+from softmap_edge.servo.limits import RATE
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.ticks import Calibration
 
 TICKS_PER_MM = 280.0  # of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
 HOME = 2048.0
-RATE = 100.0  # periods a second of the loop
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 from softmap_edge import _core
-from softmap_edge.bundle import builtin_model, save_bundle
+from softmap_edge.bundle import save_bundle
 from softmap_edge.camera.points_udp import PointSender
 from softmap_edge.commands.output import check_bundle, check_file
 from softmap_edge.commands.own import open_model
@@ -73,7 +73,7 @@ def emulate(args: argparse.Namespace) -> int:
         check_bundle(args.calibrated)
     if not 0.0 < args.strength <= 10.0:
         raise ServoError(f"--strength {args.strength:g}; more than 0 and up to 10 times is allowed")
-    whole = builtin_model() if args.bundle is None else open_model(args.bundle)
+    whole = open_model(args.bundle)
     calibration = whole.calibration or plain_map(whole)
     calibration = replace(calibration, window=calibration.window or calibration.holding(whole.command_range))
     names = [name for name in args.hidden.split(",") if name]

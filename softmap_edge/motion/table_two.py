@@ -102,7 +102,7 @@ def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list
                 f"{len(PUBLISHED.home)}: it is solved there"
             )
     map_, found = model.calibration, []
-    plain = model.with_effects([], np.zeros(0))
+    plain = model.bare()
     found.append(Contender(OURS, plain, None, map_))
     if model.chain_names:
         leaning = np.asarray(HANGING) @ rotation((*finger.declared_deg, 0.0)).T
