@@ -184,15 +184,6 @@ def calibration_of(model: Model) -> Calibration:
     return model.calibration
 
 
-def on_bench(rig: Rig, model: Model, rate: float = RATE) -> Model:
-    """Return the model with its calibration as it is on this bench: whoever plans with it stays inside the limits.
-
-    Raises:
-        ServoError: as `combined`.
-    """
-    return replace(model, calibration=combined(rig, model, rate=rate).calibration)
-
-
 def _box(calibration: Calibration, safety: Safety) -> Floats:
     """Return ticks about home (servo, 2), all of whose combinations stay inside the window of commands."""
     b, window = calibration.b, np.array([safety.low, safety.high]).T
