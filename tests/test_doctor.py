@@ -10,9 +10,9 @@ from dataclasses import replace
 import pytest
 from rigs import HOME, MODEL, bench, calibration, torque
 
-from softmap_edge import _core, builtin_model, doctor, doctor_host, load_bundle, save_bundle
+from softmap_edge import _core, builtin_model, doctor, load_bundle, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.doctor import FAULT, OK, WARNING
+from softmap_edge.doctor import FAULT, OK, WARNING, host
 from softmap_edge.servo.combined import combined
 from softmap_edge.servo.rig import Rig, RigServo
 
@@ -27,8 +27,8 @@ def named(lines, name):
 def any_computer(monkeypatch):
     """Leave out what is said of this computer, so that only what is given counts."""
     for look in ("processor", "real_time", "ports", "latency", "teleoperation", "cameras"):
-        monkeypatch.setattr(doctor_host, look, lambda *_: [])
-    monkeypatch.setattr(doctor_host, "EXTRAS", {})
+        monkeypatch.setattr(host, look, lambda *_: [])
+    monkeypatch.setattr(host, "EXTRAS", {})
 
 
 def test_a_bench_that_is_well(tmp_path, capsys, any_computer):
@@ -134,15 +134,15 @@ def test_what_combined_drives_is_no_fault(tmp_path):
 
 def test_a_board_without_its_instructions(tmp_path):
     (tmp_path / "cpuinfo").write_text("processor: 0\nflags\t\t: fpu sse2\n")
-    (line,) = doctor_host.processor("x86_64", tmp_path)
+    (line,) = host.processor("x86_64", tmp_path)
     assert line.state == WARNING and "without avx2, fma" in line.found
     (tmp_path / "cpuinfo").write_text("flags\t\t: fpu avx2 fma\n")
-    assert [line.state for line in doctor_host.processor("x86_64", tmp_path)] == [OK]
+    assert [line.state for line in host.processor("x86_64", tmp_path)] == [OK]
     (tmp_path / "cpuinfo").write_text("Features\t: fp asimd crc32\n")
-    assert [line.state for line in doctor_host.processor("aarch64", tmp_path)] == [OK]
-    (line,) = doctor_host.processor("riscv64", tmp_path)
+    assert [line.state for line in host.processor("aarch64", tmp_path)] == [OK]
+    (line,) = host.processor("riscv64", tmp_path)
     assert line.state == WARNING and "supported are x86_64 and aarch64" in line.do
-    (line,) = doctor_host.processor("x86_64", tmp_path / "none")
+    (line,) = host.processor("x86_64", tmp_path / "none")
     assert line.state == WARNING
 
 
@@ -151,29 +151,30 @@ def test_a_slow_adapter_says_how_to_set_it(tmp_path):
         folder = tmp_path / "bus/usb-serial/devices" / name
         folder.mkdir(parents=True)
         (folder / "latency_timer").write_text(text)
-    slow, quick, odd = doctor_host.latency(tmp_path)
+    slow, quick, odd = host.latency(tmp_path)
     assert slow.state == WARNING and slow.found.startswith("16 ms")
     assert slow.do.startswith(f"run echo 1 | sudo tee {tmp_path}/bus/usb-serial/devices/ttyUSB0/latency_timer")
     assert quick.state == OK and odd.state == WARNING
 
 
 def test_no_ports_and_no_cameras(tmp_path):
-    assert [line.state for line in doctor_host.ports(tmp_path)] == [WARNING]
-    assert [line.state for line in doctor_host.cameras(None, tmp_path)] == [WARNING]
-    assert [line.state for line in doctor_host.cameras("0", tmp_path)] == [FAULT]
+    assert [line.state for line in host.ports(tmp_path)] == [WARNING]
+    assert [line.state for line in host.cameras(None, tmp_path)] == [WARNING]
+    assert [line.state for line in host.cameras("0", tmp_path)] == [FAULT]
     (tmp_path / "video0").touch()
-    assert [line.state for line in doctor_host.cameras(None, tmp_path)] == [OK]
+    assert [line.state for line in host.cameras(None, tmp_path)] == [OK]
 
 
 AS_NOBODY = """
 import os, resource, sys
 from pathlib import Path
-from softmap_edge import doctor_host, errors, _core
+from softmap_edge import errors, _core
+from softmap_edge.doctor import host
 folder, port = Path(sys.argv[1]), sys.argv[2]
 resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
 resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
 os.setgroups([]); os.setgid(65534); os.setuid(65534)
-for line in [*doctor_host.ports(folder), *doctor_host.cameras(None, folder), *doctor_host.real_time()]:
+for line in [*host.ports(folder), *host.cameras(None, folder), *host.real_time()]:
     print(line.state, line.name.split("/")[-1], line.found, line.do, sep="|")
 try:
     _core.ServoBus(port, 1_000_000)
@@ -208,11 +209,11 @@ def test_an_ordinary_user_is_told_what_rights_are_missing(tmp_path):
 def test_a_right_that_is_there_is_well(tmp_path):
     (tmp_path / "self").mkdir()
     (tmp_path / "self/status").write_text("Name: x\nCapEff:\t0000000000800000\n")
-    assert next(iter(doctor_host.real_time(tmp_path))).state == OK
+    assert next(iter(host.real_time(tmp_path))).state == OK
     (tmp_path / "self/status").write_text("Name: x\nCapEff:\t0\n")
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     expected = OK if limit < 0 or limit >= 50 else WARNING
-    assert next(iter(doctor_host.real_time(tmp_path))).state == expected
+    assert next(iter(host.real_time(tmp_path))).state == expected
 
 
 def test_a_look_that_fails_is_a_line(monkeypatch):
@@ -220,7 +221,7 @@ def test_a_look_that_fails_is_a_line(monkeypatch):
         raise ZeroDivisionError("by chance")
         yield
 
-    monkeypatch.setattr(doctor_host, "versions", versions)
+    monkeypatch.setattr(host, "versions", versions)
     found = doctor.examine()
     assert found.lines[0].state == FAULT and "ZeroDivisionError: by chance" in found.lines[0].found
     assert not found.well and main(["doctor"]) == 1

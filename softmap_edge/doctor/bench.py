@@ -5,17 +5,20 @@ Servos are asked only: nothing is written to them. Pinned by tests/test_doctor.p
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
 from softmap_edge import _core
-from softmap_edge.doctor import FAULT, OK, WARNING, Line
+from softmap_edge.doctor.line import FAULT, OK, WARNING, Line, faulty
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo import commission
 from softmap_edge.servo.combined import combined
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import check_proved
 from softmap_edge.servo.rig import Rig, read_rig
+
+SCAN = "run softmap servo scan"
 
 
 def bundle(folder: str | Path) -> Iterator[Line]:
@@ -25,7 +28,7 @@ def bundle(folder: str | Path) -> Iterator[Line]:
     try:
         model = load_bundle(folder)
     except (SoftmapError, OSError) as fault:
-        yield Line("bundle", FAULT, str(fault), "make it again, or get it whole")
+        yield faulty("bundle", fault, "make it again, or get it whole")
         return
     effects = ", ".join(model.chain_names) or "none"
     yield Line("bundle", OK, f"{folder}: {model.robot}, {model.channels} commands, effects: {effects}")
@@ -35,8 +38,8 @@ def bundle(folder: str | Path) -> Iterator[Line]:
         yield Line("calibration", FAULT, "the bundle holds none", do)
     else:
         low, high = found.window or (0.0, 0.0)
-        window = f", window {low:+.0f} to {high:+.0f} ticks about home" if found.window else ""
-        yield Line("calibration", OK, f"of {found.run[:40]}{window}")
+        window = f"; window {low:+.0f} to {high:+.0f} ticks about home" if found.window else ""
+        yield Line("calibration", OK, f"of {textwrap.shorten(found.run, 60, placeholder=' …')}{window}")
     there = (Path(folder) / "safety.toml").is_file()
     yield Line("safety.toml", OK, "there" if there else "none: the limits are derived from the model each time")
 
@@ -54,8 +57,8 @@ def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
     try:
         found = combined(bench, model)
         found.table()
-    except ServoError as fault:
-        yield _line("limits", fault)
+    except SoftmapError as fault:
+        yield faulty("limits", fault, "softmap servo limits says who sets them")
         return
     said = "derived from the model" if found.derived else "with those of the bundle"
     yield Line("limits", OK, f"{said}; softmap servo limits prints them")
@@ -66,7 +69,7 @@ def rig(file: str | Path) -> Iterator[Line]:
     try:
         bench = read_rig(file)
     except ServoError as fault:
-        yield _line("rig", fault)
+        yield faulty("rig", fault, "mend it there, or make it again with softmap servo setup")
         return
     yield Line("rig", OK, f"{file}: {len(bench.servos)} servos at {bench.port}, {bench.baud} baud")
     uncapped = [
@@ -81,15 +84,14 @@ def rig(file: str | Path) -> Iterator[Line]:
         with commission.opened(bench.port, bench.baud) as bus:
             yield from _servos(bus, bench)
     except ServoError as fault:
-        yield _line("bus", fault)
+        yield faulty("bus", fault, SCAN)
 
 
 def _servos(bus: _core.ServoBus, bench: Rig) -> Iterator[Line]:
     for servo, found, said in commission.examined(bus, bench):
         name = f"servo {servo.id}"
         for complaint in said:
-            what, _, do = complaint.partition("; ")
-            yield Line(name, FAULT, what, do)
+            yield faulty(name, complaint, SCAN)
         if found is None or found.number != dict(bench.numbers)[servo.id]:
             continue
         if not said:
@@ -98,14 +100,8 @@ def _servos(bus: _core.ServoBus, bench: Rig) -> Iterator[Line]:
             check_proved(bus, [(servo.id, servo.home)])
             yield Line(f"home of {name}", OK, f"proved since power-up, at {servo.home}")
         except ServoError as fault:
-            yield _line(f"home of {name}", fault)
+            yield faulty(f"home of {name}", fault, SCAN)
 
 
 def _listed(ids: list[int]) -> str:
     return ", ".join(map(str, ids))
-
-
-def _line(name: str, fault: ServoError) -> Line:
-    """Return a fault as a line: what it says, and what it says to do."""
-    found, _, do = str(fault).rpartition("; ")
-    return Line(name, FAULT, found or do, do if found else "run softmap servo scan")
