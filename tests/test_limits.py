@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rigs import BAUD, HOME, MODEL, angles, bench, calibration, torque
-from test_controller import hold_for
+from waiting import hold_for
 
 from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.cli import main
