@@ -3,11 +3,10 @@
 import json
 import os
 import resource
-import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
+from ordinary_user import as_ordinary_user
 from rigs import HOME, MODEL, bench, calibration, torque
 
 from softmap_edge import _core, builtin_model, doctor, load_bundle, save_bundle
@@ -165,22 +164,12 @@ def test_no_ports_and_no_cameras(tmp_path):
     assert [line.state for line in host.cameras(None, tmp_path)] == [OK]
 
 
-AS_NOBODY = """
-import os, resource, sys
-from pathlib import Path
-from softmap_edge import errors, _core
-from softmap_edge.doctor import host
-folder, port = Path(sys.argv[1]), sys.argv[2]
-resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
-resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
-os.setgroups([]); os.setgid(65534); os.setuid(65534)
-for line in [*host.ports(folder), *host.cameras(None, folder), *host.real_time()]:
-    print(line.state, line.name.split("/")[-1], line.found, line.do, sep="|")
-try:
-    _core.ServoBus(port, 1_000_000)
-except errors.ServoError as said:
-    print("open", said, sep="|")
-"""
+def rights(folder):
+    """Return what is said of ports, cameras and real-time rights to whoever has no more than he needs."""
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+    resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
+    lines = [*host.ports(folder), *host.cameras(None, folder), *host.real_time()]
+    return "\n".join("|".join((line.state, line.name.split("/")[-1], line.found, line.do)) for line in lines)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="a child becomes an ordinary user; an ordinary user is one already")
@@ -194,16 +183,15 @@ def test_an_ordinary_user_is_told_what_rights_are_missing(tmp_path):
         for folder in tmp_path.parents:  # pytest's own folders are closed to others
             if folder.stat().st_uid == os.geteuid() and folder.name.startswith(("pytest-", "popen-")):
                 folder.chmod(0o755)
-        argv = [sys.executable, "-c", AS_NOBODY, str(tmp_path), bus.path]
-        done = subprocess.run(argv, capture_output=True, text=True, timeout=60)
-    said = {line.split("|")[1 if line[:4] != "open" else 0]: line for line in done.stdout.splitlines()}
-    assert done.returncode == 0, done.stderr
+        lines = as_ordinary_user(lambda: rights(tmp_path)).splitlines()
+        opened = as_ordinary_user(lambda: _core.ServoBus(bus.path, 1_000_000))
+    said = {line.split("|")[1]: line for line in lines}
     assert said["ttyUSB0"].startswith("fault") and "no permission for this user" in said["ttyUSB0"]
     assert "sudo usermod -aG root" in said["ttyUSB0"] and "log in again" in said["ttyUSB0"]
     assert said["video0"].startswith("warning")
     assert said["real-time priority"].startswith("warning") and "- rtprio 50" in said["real-time priority"]
     assert said["locked memory"].startswith("warning") and "- memlock unlimited" in said["locked memory"]
-    assert "no permission; add yourself to the group that owns it (dialout)" in said["open"]
+    assert "no permission; add yourself to the group that owns it (dialout)" in opened
 
 
 def test_a_right_that_is_there_is_well(tmp_path):
