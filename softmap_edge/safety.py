@@ -9,7 +9,6 @@ Pinned by tests/test_safety.py.
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.shape_arrays import plain_table
-from softmap_edge.toml_table import TomlTable
+from softmap_edge.toml_table import TomlTable, quoted
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -88,15 +87,15 @@ class Safety:
     def to_toml(self) -> str:
         """Return the text of `safety.toml`."""
         lines = [
-            f"# Limits of this finger; rig.toml is the ceiling. May be edited.\nschema = {_text(SCHEMA)}",
-            f"assumes = {_text(self.assumes)}",
+            f"# Limits of this finger; rig.toml is the ceiling. May be edited.\nschema = {quoted(SCHEMA)}",
+            f"assumes = {quoted(self.assumes)}",
         ]
         if self.simulated:
             lines.append("\n[simulated]  # the largest in the window; no limits")
             lines += [f"{name} = {_short(self.simulated[name])}" for name in SIMULATED if name in self.simulated]
         lines += [
             f"\n[command]  # in {self.unit}, s",
-            f"unit = {_text(self.unit)}",
+            f"unit = {quoted(self.unit)}",
             f"low = {[*map(_short, self.low)]}",
             f"high = {[*map(_short, self.high)]}",
             f"slew = {_short(self.slew)}",
@@ -309,7 +308,3 @@ def _digits(value: float) -> float:
 
 def _short(value: float) -> float:
     return float(f"{value:.6g}")
-
-
-def _text(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)

@@ -18,11 +18,7 @@ TICKS_PER_MM = 280.0
 
 def calibration():
     """Return a map of 280 ticks a mm about HOME."""
-    scale = np.eye(2) / TICKS_PER_MM
-    error = dict(command=0.0, shape_mm=0.0, matched_shape_mm=0.0)
-    return Calibration(
-        scale, np.zeros(2), np.full(2, float(HOME)), 0 * scale, np.zeros(2), error, "made for tests", 0, 0, WINDOW
-    )
+    return Calibration.stated(np.eye(2) / TICKS_PER_MM, np.zeros(2), np.full(2, HOME), "made for tests", WINDOW)
 
 
 def set_up(path, ids=(1, 2), homes=(HOME, HOME)):
@@ -37,10 +33,10 @@ def set_up(path, ids=(1, 2), homes=(HOME, HOME)):
 
 
 @contextmanager
-def bench(rate=200.0, **changes):
-    """Give an emulated bus, its rig and its limits."""
+def bench(rate=200.0, load=LOAD, **changes):
+    """Give an emulated bus whose horns carry `load` each, its rig and its limits."""
     servos = [(id, NUMBER, BAUD, float(HOME)) for id in (1, 2)]
-    bus = _core.EmulatedBus(servos, [LOAD, LOAD], delay=0.01, lag=0.03, seed=3)
+    bus = _core.EmulatedBus(servos, [load, load], delay=0.01, lag=0.03, seed=3)
     set_up(bus.path)
     rig = Rig(bus.path, BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))
     limits = loop_limits([servo_limits(MODEL, HOME, WINDOW)] * 2, rate, **changes)

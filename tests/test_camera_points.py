@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from page import blocks, lines
+from waiting import until
 
 from softmap_edge.camera import points_udp
 from softmap_edge.camera.frames import Frame, host_times, on_host
@@ -26,14 +27,6 @@ POINTS = np.arange(12.0).reshape(4, 3)
 def receiver():
     with PointReceiver("127.0.0.1", 0, KEY, count=4) as opened:
         yield opened
-
-
-def until(condition, seconds=10.0):
-    """Wait until a condition holds."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 def heard(receiver):

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from emulated_robot import emulated, say, until
+from emulated_robot import emulated, say
 from rigs import HOME, bench, calibration
+from waiting import until
 
 from softmap_edge import SoftmapError, _core, builtin_model, load_bundle
 from softmap_edge.camera.frames import on_host

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rigs import BAUD, HOME, MODEL, angles, bench, calibration, torque
-from test_controller import hold_for
+from waiting import hold_for
 
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model, save_bundle
@@ -14,7 +14,7 @@ from softmap_edge.cli import main
 from softmap_edge.errors import BundleError, LimitError, ServoError
 from softmap_edge.safety import TIMES, TURNS, read_safety
 from softmap_edge.servo.ceiling import RANGES, Ceiling
-from softmap_edge.servo.combined import combined, on_bench
+from softmap_edge.servo.combined import combined
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
@@ -102,8 +102,7 @@ def test_all_servos_at_once_stay_inside_the_window_and_the_rates_of_the_finger()
         for name, most in (("slew", 8.0), ("acceleration", 80.0)):
             rate = np.array([limit(found, name, k).value for k in (0, 1)])
             assert (np.abs(slope / 280.0) @ rate).max() <= most * (1 + 1e-9)
-        plan = on_bench(rig(), replace(FINGER, calibration=map_))
-        reach = plan.calibration.usable(plan.command_range)
+        reach = combined(rig(), FINGER, map_).calibration.usable(FINGER.command_range)
         for u in np.array([[x, y] for x in reach[0] for y in reach[1]]):
             ticks = map_.ticks(u[None])[0] - HOME
             assert np.all(ticks >= ends[:, 0] - 1) and np.all(ticks <= ends[:, 1] + 1), "a plan stays inside"

@@ -8,9 +8,10 @@ import time
 
 import numpy as np
 import pytest
-from emulated_robot import emulated, until
+from emulated_robot import emulated
 from rigs import bench, calibration
 from test_interrupt import softmap
+from waiting import until
 
 from softmap_edge import builtin_model, load_bundle
 from softmap_edge.camera.frames import Frame

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from rigs import HOME, TICKS_PER_MM, angles, bench, torque
+from waiting import until
 
 from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
@@ -31,7 +32,7 @@ def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
             assert came == pytest.approx(200, abs=6) and torque(bus)
             assert angles(bus) == pytest.approx([HOME + 200, HOME], abs=6)
             jog.stop()
-            wait_for(lambda: not torque(bus))
+            until(lambda: not torque(bus))
             jog.by(1, -900, Held())
             assert angles(bus)[1] == pytest.approx(HOME - jog.travel, abs=6), "no farther than its travel"
         assert not torque(bus)
@@ -43,17 +44,9 @@ def test_a_ceiling_about_a_proved_home_is_kept():
         with Jog(tight) as jog:
             assert jog.by(0, 200, Held()) == pytest.approx(50, abs=4)
             assert jog.by(0, -290, Held()) == pytest.approx(-150, abs=4)
-        with Jog(tight, beyond=True) as jog:
+        with Jog(rig) as jog:
             jog.by(0, 200, Held())
-            assert angles(bus)[0] > HOME + 60
-
-
-def wait_for(what, seconds=3.0):
-    """Wait until `what()`."""
-    begin = time.monotonic()
-    while not what():
-        assert time.monotonic() - begin < seconds
-        time.sleep(0.01)
+            assert angles(bus)[0] > HOME + 60, "without one it goes on"
 
 
 class LetGo(Held):

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from emulated_robot import emulated, until
+from emulated_robot import emulated
 from rigs import calibration, torque
 from test_interrupt import softmap
+from waiting import until
 
 from softmap_edge import Run, SoftmapError, builtin_model, compare, diagnose, load_bundle
 from softmap_edge.camera.frames import Frame

@@ -14,6 +14,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
+from waiting import until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -74,13 +75,6 @@ class Client:
         while not what(self.hear()):
             assert time.monotonic() - begin < PATIENT, self.state
             self.say(held, knob)
-
-
-def until(what):
-    begin = time.monotonic()
-    while not what():
-        assert time.monotonic() - begin < PATIENT
-        time.sleep(0.005)
 
 
 def get(page, path="/", host=None):

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.commissioning import confirm
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import bench_of, emulated
@@ -87,7 +86,7 @@ def bench(args: argparse.Namespace) -> Iterator[Rig]:
     if args.rig:
         yield read_rig(args.rig)
         return
-    model = builtin_model() if getattr(args, "bundle", None) is None else open_model(args.bundle)
+    model = open_model(args.bundle)
     with emulated(model) as robot:
         yield robot.rig
 
@@ -140,7 +139,7 @@ def _go(args: argparse.Namespace) -> int:
         raise SoftmapError(f"'{args.command:.40}' is no command; expected mm, one a servo: 2.5,-1") from None
     if not np.isfinite(u).all() or not 0.0 <= args.seconds <= 600.0:
         raise SoftmapError("commands are finite numbers, --seconds is 0 to 600")
-    model = builtin_model() if args.bundle is None else open_model(args.bundle)
+    model = open_model(args.bundle)
     with bench_of(args, model) as there:
         if len(u) != len(there.rig.servos):
             raise SoftmapError(f"{len(u)} numbers for {len(there.rig.servos)} servos; give mm, one a servo")

@@ -13,12 +13,12 @@ import numpy as np
 from softmap_edge.model import Model
 from softmap_edge.servo.combined import calibration_of, combined
 from softmap_edge.servo.finger import EmulatedFinger, emulated_bench, hidden_laws
+from softmap_edge.servo.limits import RATE
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.ticks import Calibration
 
 TICKS_PER_MM = 280.0  # of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
 HOME = 2048.0
-RATE = 100.0  # periods a second of the loop
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,6 @@ def bench_of(args: argparse.Namespace, model: Model) -> Iterator[Bench]:
 
 def plain_map(model: Model) -> Calibration:
     """Return the map of an emulated robot whose bundle holds none."""
-    scale, zero = np.eye(model.channels) / TICKS_PER_MM, np.zeros(model.channels)
-    error = {"command": 0.0, "shape_mm": 0.0, "matched_shape_mm": 0.0}
-    return Calibration(scale, zero, zero + HOME, 0 * scale, zero, error, "an emulated robot's own map", 0, 0, None)
+    zero = np.zeros(model.channels)
+    scale = np.eye(model.channels) / TICKS_PER_MM
+    return Calibration.stated(scale, zero, zero + HOME, "an emulated robot's own map")

@@ -145,7 +145,8 @@ def _setup(args: argparse.Namespace) -> int:
     old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
     done = commission.set_up(found[0], args.new_id, args.new_baud)
     if args.rig:
-        _noted(done, old).write(args.rig)
+        bench = _noted(done, old)
+        (bench.write if old is None else bench.note)(args.rig)
     if args.json:
         print(json.dumps({"schema": "softmap.servos/1", "servos": [_told(done)], "rig": args.rig}))
     else:

@@ -23,6 +23,7 @@ from softmap_edge.errors import LimitError, ServoError
 from softmap_edge.model import Model
 from softmap_edge.safety import Safety, derived
 from softmap_edge.servo.limits import RATE, Table, loop_limits, servo_limits
+from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import TURN, Calibration
 
@@ -171,15 +172,6 @@ def calibration_of(model: Model) -> Calibration:
     return model.calibration
 
 
-def on_bench(rig: Rig, model: Model, rate: float = RATE) -> Model:
-    """Return the model with its calibration as it is on this bench: whoever plans with it stays inside the limits.
-
-    Raises:
-        ServoError: as `combined`.
-    """
-    return replace(model, calibration=combined(rig, model, rate=rate).calibration)
-
-
 def _box(calibration: Calibration, safety: Safety) -> Floats:
     """Return ticks about home (servo, 2), all of whose combinations stay inside the window of commands."""
     b, window = calibration.b, np.array([safety.low, safety.high]).T
@@ -234,7 +226,7 @@ def _servo(
 ) -> tuple[Limit, ...]:
     """Return the limits of servo `k`, whose home in the calibration is `off` ticks from that of the bench."""
     servo, unit = rig.servos[k], safety.unit
-    entry = next(model for model in _core.servo_models() if model["name"] == servo.model)
+    entry = servo_model(servo.model)
     start = servo_limits(servo.model, 0, (-1.0, 1.0))
     allowed = _bench(rig, servo)
     through = "through the calibration"

@@ -10,13 +10,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.proof import set_mark
-
-Model = dict[str, Any]
+from softmap_edge.servo.models import Model, numbered
+from softmap_edge.servo.proof import TRIES, patiently, set_mark
+from softmap_edge.servo.rig import Rig, RigServo
 
 PATTERNS = ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*")
 OLD = 38  # firmware below which there is no bus watchdog
@@ -42,7 +41,7 @@ class Found:
     @property
     def model(self) -> Model | None:
         """What is known of its model."""
-        return next((model for model in _core.servo_models() if model["number"] == self.number), None)
+        return numbered(self.number)
 
     def __str__(self) -> str:
         name = self.model["name"] if self.model else f"unknown model {self.number}"
@@ -138,6 +137,37 @@ def complaints(found: Found, values: dict[str, int]) -> list[str]:
         update = f"update it to {_core.FAST_FIRMWARE} with Dynamixel Wizard"
         said.append(f"its firmware {found.firmware} has no bus watchdog; {update}")
     return said
+
+
+def examined(bus: _core.ServoBus, rig: Rig) -> list[tuple[RigServo, Found | None, list[str]]]:
+    """Return each servo of a bench with what answers in its place (None: nobody) and what keeps it from being driven.
+
+    Servos are asked only; a sentence of the list says what was found, and behind "; " what to do.
+
+    Raises:
+        ServoError: one that answered does not go on to.
+    """
+    seen: list[tuple[RigServo, Found | None, list[str]]] = []
+    for servo, (id, number) in zip(rig.servos, rig.numbers):
+        told = next((told for _ in range(TRIES) if (told := bus.ping(id)) is not None), None)
+        if told is None:
+            said = [
+                f"no answer at {rig.port}, {rig.baud} baud; check power, wiring and baud rate, `softmap servo scan` "
+                "lists who answers"
+            ]
+            seen.append((servo, None, said))
+            continue
+        found = Found(rig.port, rig.baud, id, *told)
+        if found.number != number:
+            name = found.model["name"] if found.model else "an unknown model"
+            said = [
+                f"it is {name} ({found.number}), the rig says {servo.model} ({number}); mend the rig, or connect the "
+                "servo that it names"
+            ]
+        else:
+            said = complaints(found, patiently(registers, bus, id))
+        seen.append((servo, found, said))
+    return seen
 
 
 def set_up(found: Found, new_id: int | None = None, new_baud: int | None = None) -> Found:

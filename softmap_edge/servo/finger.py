@@ -12,7 +12,6 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from itertools import product
 from types import TracebackType
 from typing import Any, Self
 
@@ -25,6 +24,7 @@ from softmap_edge.errors import ServoError
 from softmap_edge.model import Model
 from softmap_edge.servo.commission import Found, opened, set_up
 from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.servo.tendon_load import tendon_loads
@@ -169,19 +169,17 @@ def emulated_bench(
     Raises:
         ServoError: no such model, or it has no such rate.
     """
-    known = {entry["name"]: entry for entry in _core.servo_models()}
-    if servo not in known:
-        raise ServoError(f"no servo '{servo}' is known; there are {', '.join(known)}")
+    known = servo_model(servo)
     ids = range(1, model.channels + 1)
     homes = [round(float(home)) for home in calibration.home]
-    window = calibration.window or full_window(model, calibration)
-    servos = [(id, int(known[servo]["number"]), baud, float(home)) for id, home in zip(ids, homes)]
-    loads = tendon_loads(model, calibration, window, known[servo])
+    window = calibration.window or calibration.holding(model.command_range)
+    servos = [(id, int(known["number"]), baud, float(home)) for id, home in zip(ids, homes)]
+    loads = tendon_loads(model, calibration, window, known)
     bus = _core.EmulatedBus(servos, loads, delay=ANSWER[0], lag=ANSWER[1], seed=seed)
     try:
         if ready:
             for id, home in zip(ids, homes):
-                _ready(Found(bus.path, baud, id, int(known[servo]["number"]), _core.FAST_FIRMWARE), home)
+                _ready(Found(bus.path, baud, id, int(known["number"]), _core.FAST_FIRMWARE), home)
         rig = Rig(bus.path, baud, tuple(RigServo(id, servo, home if ready else None) for id, home in zip(ids, homes)))
         each = [servo_limits(servo, home, window) for home in homes]
         for one in each:  # at full speed these servos are that far behind, and half as much again
@@ -204,10 +202,3 @@ def _ready(found: Found, home: int) -> None:
         except ServoError:
             if not left:
                 raise
-
-
-def full_window(model: Model, calibration: Calibration) -> tuple[float, float]:
-    """Return ticks about home that hold the model's whole range."""
-    corners = np.array(list(product(*np.asarray(model.command_range, float))))
-    away = calibration.ticks(corners) - calibration.home
-    return float(away.min()), float(away.max())

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -57,7 +56,7 @@ class Held:
 
 
 class Jog:
-    """The servos of `rig`, jogged one at a time; from entering to leaving. `beyond` leaves its ceiling of ticks aside.
+    """The servos of `rig`, jogged one at a time; from entering to leaving.
 
     Raises:
         ServoError: the loop cannot start, or a servo is not as the rig says.
@@ -70,32 +69,26 @@ class Jog:
         travel: float = JOG_TRAVEL,
         slew: float = JOG_SLEW,
         current: float = JOG_CURRENT,
-        rate: float = 100.0,
-        record: str | Path | None = None,
-        beyond: bool = False,
     ) -> None:
         count, anywhere = len(rig.servos), (-float(FARTHEST), float(FARTHEST))
         self.rig, self.slew, self.travel = rig, slew, travel
         limits = loop_limits(
             [servo_limits(servo.model, 0, anywhere) for servo in rig.servos],
-            rate,
             jump=anywhere[1:] * 2,
             jog_travel=travel,
             jog_slew=slew,
             jog_current=current,
         )
-        none = np.zeros((count, count)), np.zeros(count)
-        error = dict.fromkeys(("command", "shape_mm", "matched_shape_mm"), 0.0)
-        ticks = Calibration(np.eye(count), none[1], none[1], *none, error, "ticks as they are", 0, 0, None, "ticks")
-        self.robot = Controller(rig, ticks, limits, record=record, commissioning=True)
+        zero = np.zeros(count)
+        ticks = Calibration.stated(np.eye(count), zero, zero, "ticks as they are", unit="ticks")
+        self.robot = Controller(rig, ticks, limits, commissioning=True)
         self._began: Ticks | None = None
         self._target: Ticks | None = None
         self._stood: Ticks = np.full(count, np.nan)
-        self._window, self._beyond = np.tile(np.array(anywhere), (count, 1)), beyond
+        self._window = np.tile(np.array(anywhere), (count, 1))
 
     def __enter__(self) -> Self:
-        if not self._beyond:
-            self._window = _window(self.rig, self._window)
+        self._window = _window(self.rig, self._window)
         self.robot.__enter__()
         until = time.monotonic() + WAITS
         while np.isnan(self.position).any() and time.monotonic() < until:

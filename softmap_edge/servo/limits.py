@@ -12,6 +12,7 @@ from typing import Any
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.safety import BURST, HOLD, JUMP, RAMP, SLACKEN, STALE, TURNS_A_SECOND
+from softmap_edge.servo.models import servo_model
 
 Table = dict[str, Any]
 
@@ -29,15 +30,12 @@ def servo_limits(model: str, home: int, window: tuple[float, float]) -> Table:
     """Return the limits of one servo by its model's data.
 
     Args:
-        model: its name, as in `_core.servo_models()`. home: ticks. window: ticks about home, LOW < 0 < HIGH.
+        model: its name, as `servo_model` knows it. home: ticks. window: ticks about home, LOW < 0 < HIGH.
 
     Raises:
         ServoError: no such model.
     """
-    known = {entry["name"]: entry for entry in _core.servo_models()}
-    if model not in known:
-        raise ServoError(f"no servo '{model}' is known; there are {', '.join(known)}")
-    entry = known[model]
+    entry = servo_model(model)
     most = entry["current_limit_mA"]
     return {
         "home": home,

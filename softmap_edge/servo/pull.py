@@ -24,6 +24,7 @@ from softmap_edge.servo.combined import IDLE, Combined
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.jog import EVERY, Deadman, Jog
 from softmap_edge.servo.limits import JOG_CURRENT, JOG_SLEW
+from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import check_proved
 from softmap_edge.servo.rig import Rig, RigServo
 
@@ -136,12 +137,8 @@ def noted(rig: Rig, done: Sequence[Pulled]) -> Rig:
     return replace(rig, servos=servos, made={**rig.made, "pulled": {**rig.made.get("pulled", {}), **said}})
 
 
-def _entry(servo: RigServo) -> dict[str, Any]:
-    return next(entry for entry in _core.servo_models() if entry["name"] == servo.model)
-
-
 def _check_measures(servo: RigServo) -> None:
-    if _entry(servo)["current_unit_mA"] is None:
+    if servo_model(servo.model)["current_unit_mA"] is None:
         raise ServoError(
             f"servo {servo.id}, a {servo.model}, reports no current and caps none: its PWM is its limit, a pull test "
             "finds nothing; give --servo ID for those that do"
@@ -241,7 +238,7 @@ def _allowed(servo: RigServo, legs: tuple[Leg, Leg]) -> float:
     Raises:
         ServoError: on a side the current does not rise towards the stroke.
     """
-    entry = _entry(servo)
+    entry = servo_model(servo.model)
     for leg in legs:
         if not leg.rises > RISES * entry["current_unit_mA"]:
             raise ServoError(

@@ -109,7 +109,6 @@ class Drive:
         reach: tuple[float, float] = HandMap.reach,
         flip: tuple[bool, bool] = (False, False),
         rule: Rule = "fist releases",
-        smooth: OneEuro | None = None,
         stays: bool = False,
         sent: Callable[[float, Floats], None] | None = None,
         show: Callable[[Moment], None] | None = None,
@@ -118,7 +117,7 @@ class Drive:
         self._robot, self._aim, self._eyes, self._inputs = robot, aim, eyes, list(inputs)
         self._map = HandMap(aim.box, reach, flip)
         self._kinematics, self._settled = kinematics, kinematics.inverse()
-        self._clutch, self._gesture, self._filter = Clutch(), Deadman(rule), smooth or OneEuro()
+        self._clutch, self._gesture, self._filter = Clutch(), Deadman(rule), OneEuro()
         self._stays, self._sent, self._show, self._say = stays, sent, show, say
         self._smooth: OneEuroState | None = None
         self._last_sight = -1

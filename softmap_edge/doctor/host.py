@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from softmap_edge import __version__
-from softmap_edge.doctor import FAULT, OK, WARNING, Line
+from softmap_edge.doctor.line import FAULT, OK, WARNING, Line, faulty
 
 PROC, DEV, SYS = Path("/proc"), Path("/dev"), Path("/sys")
 PYTHON = (3, 11)
@@ -197,5 +197,4 @@ def _picture(number: str) -> Line:
         height, width = frame.picture.shape[:2]
         return Line(name, OK, f"gives pictures of {width} × {height}")
     except SoftmapError as fault:
-        found, _, do = str(fault).partition("; ")
-        return Line(name, FAULT, found or "gives no picture", do)
+        return faulty(name, fault, "unplug it and plug it in again, or give another --camera")
