@@ -278,4 +278,4 @@ def test_nobody_to_ask_is_told(tmp_path, commands, monkeypatch, capsys):
 
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     with pytest.raises(SoftmapError, match="nobody is there to say that it is done"):
-        _ask(type("Args", (), dict(yes=False, emulated=False, json=True)), "hang 10 g at the tip")
+        _ask(type("Args", (), dict(yes=False, emulated=False, json=True)), "hang 10 g at the tip", None)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
@@ -13,12 +12,13 @@ from typing import Any, get_args
 import numpy as np
 
 from softmap_edge.bundle import builtin_model
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_file, to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import bench_of
 from softmap_edge.errors import SoftmapError, TeleopError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.keys import terminal
 from softmap_edge.signed_udp import new_key, read_key
 from softmap_edge.teleop.aim import Aim, Direct, Tip
 from softmap_edge.teleop.drive import Drive
@@ -104,9 +104,9 @@ def _drive(args: argparse.Namespace) -> int:
             inputs.append(page)
         if isinstance(eyes, FarEyes):
             inputs.append(eyes)
-        if sys.stdin.isatty():
-            inputs.append(stack.enter_context(Terminal("hand" if by_hand else "knob")))
-            _say(HELP)
+        if (typed := terminal()) is not None:
+            inputs.append(stack.enter_context(Terminal("hand" if by_hand else "knob", typed)))
+            to_stderr(HELP)
         if not inputs and args.seconds is None and not by_hand:
             raise TeleopError("nothing can drive: no page, no terminal, no camera; leave --page none away")
         bench = stack.enter_context(bench_of(args, whole))
@@ -122,10 +122,10 @@ def _drive(args: argparse.Namespace) -> int:
             shown = Shown(model, aim, eyes, Sketch(model, bench.calibration), about)
             page.shows(shown.hello, shown.view)
             show = shown.take
-            _say(f"open {page.url}")
+            to_stderr(f"open {page.url}")
         drive = Drive(
             robot, kinematics, aim, eyes, inputs, reach=args.reach, flip=flips, rule=RULES[args.gesture],
-            stays=page is not None, show=show, say=_say,
+            stays=page is not None, show=show, say=to_stderr,
         )  # fmt: skip
         account = drive.run(args.seconds)
     told = {
@@ -165,10 +165,11 @@ def _send(args: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         eyes: CameraEyes = stack.enter_context(camera_eyes(what, args.model, View(args.hand, args.mirrored)))
         sender = stack.enter_context(Sender(there.host, there.port, key))
-        terminal = stack.enter_context(Terminal("hand")) if sys.stdin.isatty() else None
-        if terminal is not None:
-            _say("hold Space to drive, q ends")
-        sent = send(eyes, sender, terminal, args.seconds, _say)
+        typed = terminal()
+        keys = None if typed is None else stack.enter_context(Terminal("hand", typed))
+        if keys is not None:
+            to_stderr("hold Space to drive, q ends")
+        sent = send(eyes, sender, keys, args.seconds, to_stderr)
     told = {"camera": eyes.name, "pictures": eyes.taken, "hands": eyes.hands, **sent.to_dict()}
     _print(args, told, f"{eyes.taken} pictures, {eyes.hands} with a hand, {sent.sent} sent; {sent.ended}")
     return FAULT if sent.failed else DONE
@@ -197,11 +198,6 @@ def _flips(text: str) -> tuple[bool, bool]:
     if wrong := [part for part in named if part not in ("x", "y")]:
         raise TeleopError(f"--flip {wrong[0]!r:.20}: there are x and y")
     return "x" not in named, "y" in named
-
-
-def _say(line: str) -> None:
-    """Tell a line while it runs; standard output is for what came of it."""
-    print(line, file=sys.stderr, flush=True)
 
 
 def _print(args: argparse.Namespace, told: dict[str, Any], text: str) -> None:

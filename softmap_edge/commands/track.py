@@ -15,7 +15,7 @@ import numpy as np
 
 from softmap_edge.bundle import builtin_model
 from softmap_edge.camera.frames import Seen
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_file, to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import Bench, bench_of, plain_map
 from softmap_edge.commands.seeing import camera_arguments, late, receiver
@@ -27,6 +27,7 @@ from softmap_edge.motion.kinematics import METHODS, Kinematics
 from softmap_edge.motion.track import Course, Tracked, course
 from softmap_edge.motion.track import track as follow
 from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.finger import SERVO
 from softmap_edge.servo.limits import servo_limits
 from softmap_edge.whole_file import write_whole
@@ -109,7 +110,7 @@ def track(args: argparse.Namespace) -> int:
         if bench is not None:
             record = Path(args.record or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "track.mcap")
             robot = Controller(bench.rig, calibration, bench.limits, kinematics=kinematics, record=record)
-            with robot:
+            with EmergencyKey(robot, to_stderr), robot:
                 tracked = follow(robot, kinematics, planned, seen, observe=args.observe, late=behind)
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)

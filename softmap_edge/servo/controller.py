@@ -88,6 +88,7 @@ class Controller:
         self._heard = threading.Condition()
         self._process: subprocess.Popen[bytes] | None = None
         self._orders = -1
+        self._ordering = threading.Lock()
         self._command: Floats | None = None
         self._pressed = False
         self._reported = 0.0
@@ -220,8 +221,9 @@ class Controller:
                         float(self.limits["slacken"]) + 2.0,
                     )
         finally:
-            self._process = None
-            os.close(self._orders)
+            with self._ordering:
+                self._process = None
+                os.close(self._orders)
             try:
                 process.wait(3.0)
             except subprocess.TimeoutExpired:
@@ -331,7 +333,9 @@ class Controller:
         flags = (1 if deadman else 0) | (2 if self._pressed else 0) | (4 if command is not None else 0)
         frame = struct.pack(f"<BB6xQ{len(numbers)}d", flags, request, time.monotonic_ns(), *numbers)
         try:
-            os.write(self._orders, frame)
+            with self._ordering:  # an emergency stop of another thread may come at any time, also before and after
+                if self._process is not None:
+                    os.write(self._orders, frame)
         except (BlockingIOError, BrokenPipeError):
             self._rescue_if_needed()
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.emergency_key import PRESSED
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.proof import marked
 from softmap_edge.servo.rig import FARTHEST, Rig
@@ -39,9 +40,15 @@ WAITS = 3.0  # s beyond the time that a jog should take
 class Deadman(Protocol):
     """What has to be held while anything moves: `keys.Keys`, or `Held`."""
 
+    how: str  # it is let go, in words
+
     @property
     def stopped(self) -> bool:
         """Whether somebody asked to stop; it stays so."""
+
+    @property
+    def emergency(self) -> bool:
+        """Whether somebody stopped by the emergency stop; it stays so."""
 
     def held(self) -> bool:
         """Whether it is held now."""
@@ -50,7 +57,7 @@ class Deadman(Protocol):
 class Held:
     """A deadman that the program holds as long as it runs; Ctrl-C lets go."""
 
-    stopped = False
+    how, stopped, emergency = "Ctrl-C lets go", False, False
 
     def held(self) -> bool:
         """Always."""
@@ -169,6 +176,16 @@ class Jog:
             while self.robot.state == "commissioning" and time.monotonic() < until:
                 time.sleep(EVERY)
 
+    def obey(self, hand: Deadman) -> None:
+        """Press the robot's emergency stop if `hand` did so.
+
+        Raises:
+            ServoError: it did; torque is off.
+        """
+        if hand.emergency:
+            self.robot.emergency()
+            raise ServoError(PRESSED)
+
     def by(self, servo: int, ticks: float, hand: Deadman, seen: Callable[[Jog], bool] | None = None) -> float:
         """Turn a servo by `ticks` while `hand` holds; returns how far it came, still under torque if held.
 
@@ -176,7 +193,7 @@ class Jog:
             seen: is shown this jog each time; True ends the move where it is.
 
         Raises:
-            ServoError: a fault ended it, or it did not arrive in time.
+            ServoError: a fault or the emergency stop ended it, or it did not arrive in time.
         """
         begin, left, settled = float(self.position[servo]), abs(ticks) / self.slew + WAITS, 0.0
         last = time.monotonic()
@@ -197,6 +214,7 @@ class Jog:
                         f"{self.position[servo] - begin:+.0f} in time; look what holds it"
                     )
             time.sleep(EVERY)
+        self.obey(hand)
         return float(self.position[servo] - begin)
 
     def _aim(self, servo: int) -> float:

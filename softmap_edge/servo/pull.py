@@ -193,6 +193,7 @@ def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
     while time.monotonic() < until or len(stood) < LEAST_READ:
         if time.monotonic() > until + SILENT and hand.held():
             raise ServoError(f"servo {servo.id} says nothing of its current; look at the wiring of the bus")
+        jog.obey(hand)
         if hand.stopped or jog.robot.state != "commissioning":
             raise ServoError(_ended(jog, servo))
         if hand.held():
