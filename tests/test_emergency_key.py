@@ -172,7 +172,7 @@ def test_in_the_background_the_terminal_is_not_read():
         import fcntl, os, sys, termios
         os.setsid()
         fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-        from softmap_edge.servo.keys import terminal
+        from softmap_edge.terminal_keys import terminal
         front = terminal()
         if os.fork() == 0:
             os.setpgid(0, 0)

@@ -21,14 +21,17 @@ from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.jog import EVERY, SLEW, TRAVEL, Deadman, Held, Jog
-from softmap_edge.servo.keys import EMERGENCY, Keys, terminal
+from softmap_edge.servo.keys import Keys
 from softmap_edge.servo.rig import Rig, read_rig
+from softmap_edge.terminal_keys import EMERGENCY, terminal
 
 ARROWS = {"right": (0, 1), "left": (0, -1), "up": (1, 1), "down": (1, -1)}
 SIGNS = {"+": 1, "=": 1, "-": -1}
+STEP = 10.0  # ticks that a tap turns: more only once the key repeats
 HELP = (
-    "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a key counts as held "
-    f"while it repeats, at least every 0.25 s; space, escape and q stop, {EMERGENCY} is the emergency stop"
+    "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a tap is one step of "
+    f"{STEP:.0f} ticks, a held key goes on from its first repetition; space, escape and q stop, {EMERGENCY} is the "
+    "emergency stop"
 )
 
 
@@ -117,15 +120,20 @@ def _numbered(rig: Rig, id: int) -> int:
 
 
 def _by_keys(jog: Jog, hand: Any) -> None:
-    """Let held keys jog until one stops."""
-    chosen, count = 0, len(jog.rig.servos)
+    """Let keys jog until one stops: a step at a press, kept under torque while it may yet be held, then on."""
+    chosen, count, presses, step = 0, len(jog.rig.servos), 0, 0.0
     while not hand.stopped:
         key = hand.key()
         if key.isdigit() and 0 < int(key) <= count:
             chosen = int(key) - 1
         servo, way = ARROWS.get(key, (chosen, SIGNS.get(key, 0)))
         if way and servo < count:
-            jog.push(servo, way)
+            if hand.held():
+                jog.push(servo, way)
+            else:
+                if hand.presses != presses:
+                    presses, step = hand.presses, float(jog.goal[servo]) + way * STEP
+                jog.press(servo, step)
         at = "  ".join(f"{one.id}: {tick:.0f}" for one, tick in zip(jog.rig.servos, jog.position))
         print(f"\r{at}  ({jog.robot.state}) ", end="", file=sys.stderr, flush=True)
         time.sleep(EVERY)

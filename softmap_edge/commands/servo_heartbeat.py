@@ -13,8 +13,8 @@ from contextlib import contextmanager
 
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.heartbeat import Heart
-from softmap_edge.servo.keys import Typed, terminal
 from softmap_edge.signed_udp import new_key, read_key
+from softmap_edge.terminal_keys import Typed, terminal
 
 EVERY = 0.02  # s between beats
 UNHEARD = 5.0  # s without an answer after which that is told
@@ -83,7 +83,7 @@ def _keys() -> Iterator[Iterator[str | None]]:
 
 def _pressed(typed: Typed) -> Iterator[str | None]:
     while True:
-        asked = [{" ": "press", "r": "release", "q": "end"}.get(key) for key in typed.keys()]
+        asked = [{" ": "press", "r": "release", "q": "end"}.get(key) for key in typed.read()]
         yield from filter(None, asked)
         yield "end" if typed.gone else None
 

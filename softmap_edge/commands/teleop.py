@@ -18,7 +18,6 @@ from softmap_edge.commands.robot import bench_of
 from softmap_edge.errors import SoftmapError, TeleopError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.keys import terminal
 from softmap_edge.signed_udp import new_key, read_key
 from softmap_edge.teleop.aim import Aim, Direct, Tip
 from softmap_edge.teleop.drive import Drive
@@ -34,6 +33,7 @@ from softmap_edge.teleop.moments import Shown
 from softmap_edge.teleop.page import PORT, Page
 from softmap_edge.teleop.sketch import Sketch
 from softmap_edge.teleop.terminal import HELP, Terminal
+from softmap_edge.terminal_keys import terminal
 
 DONE, FAULT = 0, 1
 RULES = {rule.replace(" ", "-"): rule for rule in get_args(Rule)}

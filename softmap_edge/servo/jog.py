@@ -38,7 +38,7 @@ WAITS = 3.0  # s beyond the time that a jog should take
 
 
 class Deadman(Protocol):
-    """What has to be held while anything moves: `keys.Keys`, or `Held`."""
+    """What has to be held while anything moves: a key (`keys.Keys`) from its first repetition on, or `Held`."""
 
     how: str  # it is let go, in words
 

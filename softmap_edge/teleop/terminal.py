@@ -1,6 +1,6 @@
 """The terminal's keys: Space or an arrow held drives, Esc slackens, e stops at once, q ends.
 
-A terminal tells no key-up: a key counts as held while it repeats (`keys.RepeatedKey`), so letting go is noticed 0.2 s
+A terminal tells no key-up: a key counts as held while it repeats (`terminal_keys`), so letting go is noticed 0.2 s
 later, after a short tap 0.7 s. Pinned by tests/test_teleop_terminal.py.
 """
 
@@ -9,8 +9,8 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Self
 
-from softmap_edge.servo.keys import EMERGENCY, Typed
-from softmap_edge.teleop.keys import Controls, RepeatedKey, Source, Wish
+from softmap_edge.teleop.keys import Controls, Source, Wish
+from softmap_edge.terminal_keys import EMERGENCY, RepeatedKey, Typed
 
 STEP = 0.04  # of the range, a repetition of an arrow
 ARROWS = {
@@ -40,7 +40,7 @@ class Terminal:
 
     def controls(self, now: float) -> Controls:
         """Read what was typed."""
-        for key in self._typed.keys():
+        for key in self._typed.read():
             self._press(key, now)
         return Controls(self._key.held(now), self._knob, self._source)
 
