@@ -12,7 +12,7 @@ import pytest
 from page import blocks, lines
 
 from softmap_edge.camera import points_udp
-from softmap_edge.camera.frames import Frame, host_times, on_host
+from softmap_edge.camera.frames import Frame, on_host
 from softmap_edge.camera.points_udp import MOST_POINTS, Message, PointReceiver, PointSender, packed, unpacked
 from softmap_edge.commands import VERBS
 from softmap_edge.errors import LinkError
@@ -179,7 +179,7 @@ def test_a_clock_that_drifts_is_followed(drift):
     taken = 1000.0 + np.arange(0, 300.0, 1 / 30)
     stamps = (taken - 600.0) * (1 + drift)
     arrived = taken + 0.02 + rng.exponential(0.01, taken.size)
-    off = host_times(stamps, arrived, late=0.02) - taken
+    off = on_host([Frame(s, a, POINTS) for s, a in zip(stamps, arrived)], late=0.02) - taken
     assert np.abs(off).max() < 1e-3
     if drift:  # the quickest frame alone does not do it
         plain = stamps + np.min(arrived - stamps) - 0.02 - taken

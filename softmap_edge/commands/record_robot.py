@@ -71,7 +71,7 @@ def record_on_robot(args: argparse.Namespace) -> int:
                 ended = cause
         if ended is not None and not player.played.taken:
             raise ended
-        run = merged(file, model, paced, player.played, behind)
+        run = merged(file, model, paced, player.played)
         run.save(args.out)
     document = {
         "schema": "softmap.record/1", "out": args.out, "rows": len(run.t), "channels": run.channels,
