@@ -83,7 +83,9 @@ def test_a_program_presses_and_releases():
         robot.emergency()
         assert robot.report["torque"] is False, "it returns once torque is off"
         assert_stopped(robot, bus)
-        with pytest.raises(ServoError, match="'acknowledge' is denied in state fault: something is wrong: emergency"):
+        with pytest.raises(
+            ServoError, match="'acknowledge' is denied in state fault: something is wrong: the emergency"
+        ):
             robot.request("acknowledge")
         robot.release()  # any other order in between releases nothing
         time.sleep(0.1)

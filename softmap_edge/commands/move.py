@@ -18,6 +18,7 @@ from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import bench_of, emulated
 from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.jog import EVERY, SLEW, TRAVEL, Deadman, Held, Jog
@@ -135,7 +136,7 @@ def _by_keys(jog: Jog, hand: Any) -> None:
                     presses, step = hand.presses, float(jog.goal[servo]) + way * STEP
                 jog.press(servo, step)
         at = "  ".join(f"{one.id}: {tick:.0f}" for one, tick in zip(jog.rig.servos, jog.position))
-        print(f"\r{at}  ({jog.robot.state}) ", end="", file=sys.stderr, flush=True)
+        print(f"\r{at}  ({words.state(jog.robot.report)}) ", end="", file=sys.stderr, flush=True)
         time.sleep(EVERY)
     print(file=sys.stderr)
     jog.obey(hand)

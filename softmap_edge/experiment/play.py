@@ -21,6 +21,7 @@ from softmap_edge.errors import RunError, ServoError, SoftmapError
 from softmap_edge.experiment.pace import PATIENCE, SPAN, Pace, condition, servos_still, view_still
 from softmap_edge.model import Model
 from softmap_edge.run import Run
+from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.recording import read_recording
 
@@ -158,7 +159,7 @@ class Player:
         end = time.monotonic() + BACK
         while self._robot.state != "ready":
             if time.monotonic() > end:
-                raise ServoError(f"the finger did not stop within {BACK:g} s (state {self._robot.state})")
+                raise ServoError(f"the finger did not stop within {BACK:g} s ({words.where(self._robot.report)})")
             time.sleep(0.05)
         begun = time.monotonic()
         self._ask(what)

@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import __version__, _core
 from softmap_edge.errors import ServoError
 from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.servo import words
 from softmap_edge.servo.limits import budget_of
 from softmap_edge.servo.rig import Rig
 from softmap_edge.ticks import Calibration
@@ -154,9 +155,9 @@ class Controller:
             f"'{name}' was not answered",
         )
         if denied := self._last.get("denied"):
-            raise ServoError(f"'{name}' is denied in state {before}: {_why(denied)}")
+            raise ServoError(f"'{name}' is denied {words.where({'state': before})}: {words.denied(denied)}")
         if reached is not None and self._last["state"] != reached:
-            raise ServoError(f"'{name}' led to {self._last['state']} ({self._last['cause']}), expected {reached}")
+            raise ServoError(f"'{name}' led elsewhere: the robot is {words.where(self._last)}")
 
     def engage(self, u: ArrayLike | None = None) -> Floats:
         """Switch torque on where the finger stands and go to `u` (C,) mm, by default straight.
@@ -181,7 +182,7 @@ class Controller:
         """
         state = self.state
         if state not in ("engaged", "hold", "commissioning"):
-            raise ServoError(f"the robot is in state {state} ({self._last.get('cause')}); engage it first")
+            raise ServoError(f"the robot is {words.where(self._last)}; engage it first")
         return self._target(np.asarray(u, float))
 
     def release(self) -> None:
@@ -379,15 +380,3 @@ class Controller:
         with self._heard:
             self._last |= {"state": "fault", "cause": "loop", "torque": False, "rescued": said}
             self._heard.notify_all()
-
-
-def _why(denied: str) -> str:
-    """Return a sentence for what the loop's report says of a denied request."""
-    kind, _, of = denied.rstrip(")").partition("(")
-    return {
-        "from": f"not allowed in state {of}",
-        "trouble": f"something is wrong: {of}",
-        "torque": "a servo has torque; `softmap servo off` releases it",
-        "outside": "a servo stands outside its window; home it again",
-        "undriven": "no fresh target, or the deadman is not pressed",
-    }.get(kind, denied)

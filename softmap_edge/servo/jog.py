@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import ServoError
+from softmap_edge.servo import words
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import PRESSED
@@ -146,7 +147,7 @@ class Jog:
         """
         state = self.robot.state
         if state not in ("commissioning", "connected"):
-            raise ServoError(f"the guard ended the jog: {state}, because of {self.robot.report.get('cause')}")
+            raise ServoError(f"the guard ended the jog: the robot is {words.where(self.robot.report)}")
         if state == "connected":
             self.robot.request("commission")
             self._began, self._target = self.goal, None

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
+from softmap_edge.servo import words
 from softmap_edge.servo.combined import IDLE, Combined
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.jog import CURRENT, EVERY, SLEW, Deadman, Jog
@@ -232,7 +233,9 @@ def _now(jog: Jog, k: int) -> list[tuple[float, float]]:
 
 
 def _ended(jog: Jog, servo: RigServo) -> str:
-    return f"the pull of servo {servo.id} was stopped before its end ({jog.robot.state}); nothing was written"
+    return (
+        f"the pull of servo {servo.id} was stopped before its end, {words.where(jog.robot.report)}; nothing was written"
+    )
 
 
 def _allowed(servo: RigServo, legs: tuple[Leg, Leg]) -> float:

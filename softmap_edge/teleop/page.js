@@ -6,8 +6,6 @@ const SAY = 50;          // ms between two messages; the program lets go after 2
 const TRAIL = 60;        // places of the tip that are drawn
 const $ = id => document.getElementById(id);
 const LINKS = [[0, 1, 2, 3, 4], [0, 5, 6, 7, 8], [5, 9, 10, 11, 12], [9, 13, 14, 15, 16], [13, 17, 18, 19, 20], [0, 17]];
-const NAMES = { off: "Off", connected: "Connected", homed: "Home proved", ready: "Ready", engaged: "Driving", hold: "Holding",
-  safe_stop: "Slackening", commissioning: "Commissioning", fault: "Fault" };
 const ARROWS = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
   KeyD: [1, 0], KeyA: [-1, 0], KeyW: [0, 1], KeyS: [0, -1] };
 
@@ -178,7 +176,7 @@ function words() {
 function draw() {
   const level = opened && state ? state.level : "off";
   document.body.dataset.level = level;
-  $("state").textContent = !opened ? "Not connected" : state ? NAMES[state.state] || state.state || "Starting" : "Connecting";
+  $("state").textContent = !opened ? "Not connected" : state ? state.name || "Starting" : "Connecting";
   $("said").textContent = words();
   $("latency").textContent = state && state.latency_ms !== null && state.latency_ms !== undefined && opened ? `${state.latency_ms.toFixed(0)} ms` : "–";
   $("link").textContent = opened ? `live${state && state.pages > 1 ? `, ${state.pages} pages` : ""}` : "lost";
