@@ -182,11 +182,11 @@ def _two(text: str) -> tuple[float, float]:
 
 
 def _flips(text: str) -> tuple[bool, bool]:
-    """Return which axes are turned round: as shipped a finger that points to its owner's right leads to the right."""
+    """Return which axes are turned round."""
     named = [part for part in text.split(",") if part]
     if wrong := [part for part in named if part not in ("x", "y")]:
         raise TeleopError(f"--flip {wrong[0]!r:.20}: there are x and y")
-    return "x" not in named, "y" in named
+    return "x" in named, "y" in named
 
 
 def _print(args: argparse.Namespace, told: dict[str, Any], text: str) -> None:
