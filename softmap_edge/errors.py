@@ -78,6 +78,10 @@ class TeleopError(SoftmapError):
     """Camera, hand or landmarks cannot be had, or what teleoperation needs is not installed."""
 
 
+class LinkError(SoftmapError):
+    """A key, an address or a datagram between two programs is not usable."""
+
+
 class CoreError(SoftmapError, ValueError):
     """The compiled core was asked for something impossible."""
 

@@ -13,7 +13,7 @@ import pytest
 from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, torque
 from waiting import hold_for, until
 
-from softmap_edge.errors import ServoError, TeleopError
+from softmap_edge.errors import LinkError, ServoError
 from softmap_edge.servo import controller as controller_module
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency import Beats, Emergency, Line
@@ -83,7 +83,9 @@ def test_a_program_presses_and_releases():
         robot.emergency()
         assert robot.report["torque"] is False, "it returns once torque is off"
         assert_stopped(robot, bus)
-        with pytest.raises(ServoError, match="'acknowledge' is denied in state fault: something is wrong: emergency"):
+        with pytest.raises(
+            ServoError, match="'acknowledge' is denied in state fault: something is wrong: the emergency"
+        ):
             robot.request("acknowledge")
         robot.release()  # any other order in between releases nothing
         time.sleep(0.1)
@@ -262,11 +264,11 @@ def test_rig_toml_carries_its_stops(tmp_path):
 
 
 def test_what_a_heart_cannot_reach_is_refused():
-    with pytest.raises(ServoError, match="ports are 1 to 65535"):
+    with pytest.raises(LinkError, match=r"ports are 1 to 65535; .* \[emergency\] of the robot's rig.toml"):
         Heart("127.0.0.1", 0, b"k" * 32)
-    with pytest.raises(ServoError, match="cannot be reached"):
+    with pytest.raises(LinkError, match="cannot be reached"):
         Heart("no such host", 5, b"k" * 32)
-    with pytest.raises(TeleopError, match="the key cannot be read"):
+    with pytest.raises(LinkError, match="the key cannot be read"):
         read_key("/nowhere")
     with Heart("127.0.0.1", free_port(), b"k" * 32) as heart:
         for _ in range(5):

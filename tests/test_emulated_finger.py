@@ -157,9 +157,9 @@ def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
             away = camera.seen()[-1].points[model.tip_indices].mean(axis=0) - model.tip(np.zeros((1, 2)))[0]
             assert away @ (tip - model.tip(np.zeros((1, 2)))[0]) < 0
         say(process, "blind 1")
-        until(lambda: camera.silent > 0.5)
+        until(lambda: time.monotonic() - camera.seen()[-1].arrived > 0.5)
         say(process, "blind 0")
-        until(lambda: camera.silent < 0.3)
+        until(lambda: time.monotonic() - camera.seen()[-1].arrived < 0.3)
         say(process, "blind 2")
         assert "no such fault" in process.stderr.readline()
         say(process, "reversed 7")

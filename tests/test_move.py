@@ -1,8 +1,10 @@
 """Servos jogged by held keys of a terminal, by options, and sent to a command: always through the guard."""
 
+import contextlib
 import json
 import os
 import pty
+import select
 import subprocess
 import sys
 import threading
@@ -15,9 +17,11 @@ from rigs import HOME, TICKS_PER_MM, angles, bench, torque
 from waiting import until
 
 from softmap_edge.cli import main
+from softmap_edge.commands.move import STEP
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.jog import Held, Jog
-from softmap_edge.servo.keys import Keys, named
+from softmap_edge.servo.keys import Keys
+from softmap_edge.terminal_keys import named
 
 SOFTMAP = str(Path(sys.executable).with_name("softmap"))
 
@@ -122,22 +126,38 @@ def terminal():
     os.close(theirs)
 
 
-def test_held_keys_jog_and_escape_stops(terminal):
-    ours, theirs = terminal
+RIGHT = b"\x1b[C"
+
+
+def types(ours, key, seconds):
+    """Hold a key as a keyboard does: a press, half a second nothing, then a repetition every 33 ms."""
+    os.write(ours, key)
+    time.sleep(0.5)
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        os.write(ours, key)
+        time.sleep(0.033)
+
+
+@contextlib.contextmanager
+def jogging(terminal, *on):
+    """Give the process of `softmap move` at a terminal, once it reads keys."""
     with subprocess.Popen(
-        [SOFTMAP, "move", "--sim", "--json"], stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [SOFTMAP, "move", *on, "--json"], stdin=terminal[1], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
         told = b""
         while b"connected" not in told:  # the keys are read from here on
             told += process.stderr.read1(200)
             assert process.poll() is None, told
-        drained = threading.Thread(target=process.stderr.read, daemon=True)
-        drained.start()
-        for _ in range(30):
-            os.write(ours, b"\x1b[C")
-            time.sleep(0.033)
+        threading.Thread(target=process.stderr.read, daemon=True).start()
+        yield process
+
+
+def test_held_keys_jog_and_escape_stops(terminal):
+    with jogging(terminal, "--sim") as process:
+        types(terminal[0], RIGHT, 1.0)
         time.sleep(1.0)  # let go
-        os.write(ours, b"\x1b")
+        os.write(terminal[0], b"\x1b")
         document = json.loads(process.stdout.readline())
         assert process.wait(20) == 0
     one, two = document["servos"]
@@ -145,19 +165,64 @@ def test_held_keys_jog_and_escape_stops(terminal):
     assert document["stopped"]
 
 
-def test_keys_of_a_terminal(terminal):
+def test_a_tap_is_one_step(terminal, tmp_path):
+    with bench() as (bus, rig, _):
+        rig.write(tmp_path / "rig.toml")
+        with jogging(terminal, "--rig", str(tmp_path / "rig.toml")) as process:
+            for k in (1, 2):
+                os.write(terminal[0], RIGHT)
+                until(lambda: torque(bus), 20)
+                until(lambda: not torque(bus), 20)
+                assert angles(bus)[0] == pytest.approx(HOME + k * STEP, abs=6), "it does not run on"
+            os.write(terminal[0], b"q")
+            assert process.wait(20) == 0
+
+
+def test_between_a_press_and_its_repetitions_torque_stays_on(terminal, tmp_path):
+    """A machine that is busy for long lets go rightly: of some tries one must do."""
+    came = []
+    with bench() as (bus, rig, _):
+        rig.write(tmp_path / "rig.toml")
+        with jogging(terminal, "--rig", str(tmp_path / "rig.toml")) as process:
+            for key in (RIGHT, b"\x1b[D") * 3:
+                begun, before, ons = angles(bus)[0], False, 0
+                typist = threading.Thread(target=types, args=(terminal[0], key, 0.5))
+                typist.start()
+                while typist.is_alive() or torque(bus):
+                    now = torque(bus)
+                    ons, before = ons + (now and not before), now
+                    time.sleep(0.005)
+                came.append((ons, abs(angles(bus)[0] - begun)))
+                if came[-1][0] == 1 and came[-1][1] > 5 * STEP:
+                    break
+            os.write(terminal[0], b"q")
+            assert process.wait(20) == 0
+    assert came[-1][0] == 1 and came[-1][1] > 5 * STEP, came
+
+
+def test_keys_of_a_terminal(terminal, monkeypatch):
     ours, theirs = terminal
+    now = [100.0]
+    monkeypatch.setattr("softmap_edge.servo.keys.time.monotonic", lambda: now[0])
+
+    def after(seconds, typed=b""):
+        now[0] += seconds
+        os.write(ours, typed)
+        if typed:
+            select.select([theirs], [], [], 5.0)
+        return keys.key(), keys.held()
+
     with Keys(theirs) as keys:
-        assert not keys.held() and not keys.stopped
-        os.write(ours, b"+")
-        time.sleep(0.05)
-        assert keys.key() == "+" and keys.held()
-        time.sleep(0.4)
-        assert not keys.held(), "who does not repeat has let go"
-        os.write(ours, b"+ ")
-        time.sleep(0.05)
-        assert not keys.held() and keys.stopped, "space stops, whatever else is held"
-    assert named(b"a\x1b[A\x1b[Z\x1bOBq\x1b") == ["a", "up", "down", "q", "escape"]
+        assert after(0.0) == ("", False) and not keys.stopped
+        assert after(0.0, b"+") == ("+", False), "a press alone is no holding"
+        assert after(0.5) == ("+", False)
+        for _ in range(30):
+            assert after(0.033, b"+") == ("+", True) and keys.presses == 1
+        assert after(0.25) == ("", False), "who does not repeat has let go"
+        assert after(0.1, b"+") == ("+", False) and keys.presses == 2
+        assert after(0.1, b"-") == ("-", False) and keys.presses == 3, "another key has not repeated"
+        assert after(0.1, b"- ") == ("", False) and keys.stopped, "space stops, whatever else is held"
+    assert named(b"a\x1b[A\x1b[Z\x1bOBq\x1b[15~\x1b") == ["a", "up", "down", "q", "escape"]
     file = os.open("/dev/null", os.O_RDONLY)
     with pytest.raises(ServoError, match="no terminal whose keys"):
         Keys(file)

@@ -92,7 +92,12 @@ def get(page, path="/", host=None):
 def test_everything_is_served_from_the_package_under_a_strict_policy():
     with served() as page:
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/#[\w-]{32}", page.url)
-        for path, kind in (("/", "text/html"), ("/page.js", "text/javascript"), ("/page.css", "text/css")):
+        for path, kind in (
+            ("/", "text/html"),
+            ("/page.js", "text/javascript"),
+            ("/page_drawing.js", "text/javascript"),
+            ("/page.css", "text/css"),
+        ):
             answer, body = get(page, path)
             assert answer.status == 200 and answer.headers["Content-Type"].startswith(kind)
             policy = answer.headers["Content-Security-Policy"]

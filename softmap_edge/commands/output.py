@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import zipfile
 from pathlib import Path
 
@@ -63,3 +64,8 @@ def check_bundle(path: str, force: bool = False) -> None:
     check_folder(folder)
     if not force and (folder / "manifest.json").exists():
         raise BundleError(f"--out {path}: a bundle stands there already; give another name, or --force to replace it")
+
+
+def to_stderr(line: str) -> None:
+    """Tell a line while a verb runs; standard output is for what came of it."""
+    print(line, file=sys.stderr, flush=True)

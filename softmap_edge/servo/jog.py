@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import ServoError
+from softmap_edge.servo import words
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.emergency_key import PRESSED
 from softmap_edge.servo.limits import JOG_CURRENT, JOG_SLEW, JOG_TRAVEL, loop_limits, servo_limits
 from softmap_edge.servo.proof import marked
 from softmap_edge.servo.rig import FARTHEST, Rig
@@ -35,11 +37,17 @@ WAITS = 3.0  # s beyond the time that a jog should take
 
 
 class Deadman(Protocol):
-    """What has to be held while anything moves: `keys.Keys`, or `Held`."""
+    """What has to be held while anything moves: a key (`keys.Keys`) from its first repetition on, or `Held`."""
+
+    how: str  # it is let go, in words
 
     @property
     def stopped(self) -> bool:
         """Whether somebody asked to stop; it stays so."""
+
+    @property
+    def emergency(self) -> bool:
+        """Whether somebody stopped by the emergency stop; it stays so."""
 
     def held(self) -> bool:
         """Whether it is held now."""
@@ -48,7 +56,7 @@ class Deadman(Protocol):
 class Held:
     """A deadman that the program holds as long as it runs; Ctrl-C lets go."""
 
-    stopped = False
+    how, stopped, emergency = "Ctrl-C lets go", False, False
 
     def held(self) -> bool:
         """Always."""
@@ -131,7 +139,7 @@ class Jog:
         """
         state = self.robot.state
         if state not in ("commissioning", "connected"):
-            raise ServoError(f"the guard ended the jog: {state}, because of {self.robot.report.get('cause')}")
+            raise ServoError(f"the guard ended the jog: the robot is {words.where(self.robot.report)}")
         if state == "connected":
             self.robot.request("commission")
             self._began, self._target = self.goal, None
@@ -161,6 +169,16 @@ class Jog:
             while self.robot.state == "commissioning" and time.monotonic() < until:
                 time.sleep(EVERY)
 
+    def obey(self, hand: Deadman) -> None:
+        """Press the robot's emergency stop if `hand` did so.
+
+        Raises:
+            ServoError: it did; torque is off.
+        """
+        if hand.emergency:
+            self.robot.emergency()
+            raise ServoError(PRESSED)
+
     def by(self, servo: int, ticks: float, hand: Deadman, seen: Callable[[Jog], bool] | None = None) -> float:
         """Turn a servo by `ticks` while `hand` holds; returns how far it came, still under torque if held.
 
@@ -168,7 +186,7 @@ class Jog:
             seen: is shown this jog each time; True ends the move where it is.
 
         Raises:
-            ServoError: a fault ended it, or it did not arrive in time.
+            ServoError: a fault or the emergency stop ended it, or it did not arrive in time.
         """
         begin, left, settled = float(self.position[servo]), abs(ticks) / self.slew + WAITS, 0.0
         last = time.monotonic()
@@ -189,6 +207,7 @@ class Jog:
                         f"{self.position[servo] - begin:+.0f} in time; look what holds it"
                     )
             time.sleep(EVERY)
+        self.obey(hand)
         return float(self.position[servo] - begin)
 
     def _aim(self, servo: int) -> float:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
+from softmap_edge.servo import words
 from softmap_edge.servo.combined import IDLE, Combined
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.jog import EVERY, Deadman, Jog
@@ -191,6 +192,7 @@ def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
     while time.monotonic() < until or len(stood) < LEAST_READ:
         if time.monotonic() > until + SILENT and hand.held():
             raise ServoError(f"servo {servo.id} says nothing of its current; look at the wiring of the bus")
+        jog.obey(hand)
         if hand.stopped or jog.robot.state != "commissioning":
             raise ServoError(_ended(jog, servo))
         if hand.held():
@@ -229,7 +231,9 @@ def _now(jog: Jog, k: int) -> list[tuple[float, float]]:
 
 
 def _ended(jog: Jog, servo: RigServo) -> str:
-    return f"the pull of servo {servo.id} was stopped before its end ({jog.robot.state}); nothing was written"
+    return (
+        f"the pull of servo {servo.id} was stopped before its end, {words.where(jog.robot.report)}; nothing was written"
+    )
 
 
 def _allowed(servo: RigServo, legs: tuple[Leg, Leg]) -> float:

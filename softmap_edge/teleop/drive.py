@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import ServoError
 from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
-from softmap_edge.teleop import words
 from softmap_edge.teleop.aim import Aim
 from softmap_edge.teleop.clutch import Clutch
 from softmap_edge.teleop.eyes import Eyes, Sight

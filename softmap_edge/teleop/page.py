@@ -45,6 +45,7 @@ JPEG = 70  # quality, of 100: 25 kB a picture
 SERVED = {
     "/": ("page.html", "text/html; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "/page_drawing.js": ("page_drawing.js", "text/javascript; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
 }
 HEADERS = {

@@ -1,4 +1,7 @@
-"""What the guard does and why, as sentences for whoever drives. Pinned by tests/test_teleop_terminal.py."""
+"""What the guard does and why, in words: of its states, its causes, and what it denies.
+
+Whatever shows them to somebody takes them from here. Pinned by tests/test_servo_words.py.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +36,24 @@ CAUSES = {
     "tripped": "a servo's own watchdog tripped",
     "loop": "the control loop died or froze",
 }
+NAMES = {
+    "off": "off",
+    "connected": "connected",
+    "homed": "home proved",
+    "ready": "ready",
+    "engaged": "driving",
+    "hold": "holding",
+    "safe_stop": "slackening",
+    "commissioning": "commissioning",
+    "fault": "fault",
+}
+DENIED = {
+    "from": "not allowed in state {}",
+    "trouble": "something is wrong: {}",
+    "torque": "a servo has torque; `softmap servo off` releases it",
+    "outside": "a servo stands outside its window; home it again",
+    "undriven": "no fresh target, or the deadman is not pressed",
+}
 STATES = {
     "off": "Not connected, torque is off",
     "connected": "Connected, torque is off; home has to be proved before anything moves",
@@ -47,19 +68,43 @@ STATES = {
 QUIET = ("engaged", "ready")  # states in which the cause is that of what was before
 
 
-def level(state: str) -> Level:
-    """Return the kind of state, of which each has a colour."""
-    return LEVELS.get(state, "off")
+def level(report: dict[str, Any]) -> Level:
+    """Return the kind of state that a report tells, of which each has a colour."""
+    return LEVELS.get(str(report.get("state", "off")), "off")
+
+
+def state(report: dict[str, Any]) -> str:
+    """Return the short name of the state that a report tells."""
+    name = str(report.get("state", "off"))
+    return NAMES.get(name, name)
+
+
+def cause(report: dict[str, Any]) -> str:
+    """Return why it is in that state, empty where nothing is told."""
+    name, servo = str(report.get("cause", "none")), report.get("servo")
+    why = CAUSES.get(name, name)
+    if isinstance(servo, int) and why.startswith("a servo"):
+        why = f"servo {servo + 1}{why[len('a servo') :]}"
+    return why
+
+
+def where(report: dict[str, Any]) -> str:
+    """Return state and cause as part of a sentence: `in state slackening (no target came in time)`."""
+    why = cause(report)
+    return f"in state {state(report)}" + (f" ({why})" if why else "")
+
+
+def denied(said: str) -> str:
+    """Return why a request was denied, of what the loop's report says: `from(ready)`, `trouble(late)`, `torque`, …"""
+    kind, _, of = said.rstrip(")").partition("(")
+    return DENIED[kind].format(NAMES.get(of) or CAUSES.get(of) or of) if kind in DENIED else said
 
 
 def sentence(report: dict[str, Any]) -> str:
     """Return what the guard's newest report says, and why."""
-    state, cause = str(report.get("state", "off")), str(report.get("cause", "none"))
-    said = STATES.get(state, state)
-    why = "" if state in QUIET else CAUSES.get(cause, cause)
-    servo = report.get("servo")
-    if why and isinstance(servo, int) and why.startswith("a servo"):
-        why = f"servo {servo + 1}{why[len('a servo') :]}"
+    name = str(report.get("state", "off"))
+    said = STATES.get(name, name)
+    why = "" if name in QUIET else cause(report)
     rescued = report.get("rescued")
     return f"{said}: {why}" + (f" ({rescued})" if rescued else "") if why else said
 
