@@ -21,7 +21,7 @@ CODEC = ["crc.rs", "packet.rs", "decoder.rs", "registers.rs"]
 GUARD = [f"guard/{name}.rs" for name in ("limits", "machine", "mod", "path", "reversals", "servo", "time")]
 SCORE = 0.95
 FUZZ = "400000"  # periods of the guard's fuzz a mutant: a second instead of ten
-TIMEOUT = "30"  # s; a mutant that loops for ever is caught
+TIMEOUT = "20"  # s; a mutant that loops for ever is caught
 
 
 def cargo(*words: str, **environment: str) -> int:

@@ -288,6 +288,10 @@ fn ten_million_periods_without_an_unsafe_tick() {
     for episode in 0..(periods / EPISODE) as u64 {
         play(7919 * episode + 1, EPISODE, &mut seen, &mut |_, _| {}).unwrap();
     }
+    if periods < TICKS {
+        // Too few for what is rare to have come about: only the checker judges.
+        return;
+    }
     for state in State::ALL {
         assert!(
             seen[0][state as usize] > periods as u64 / 500,
