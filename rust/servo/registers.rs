@@ -209,7 +209,8 @@ pub struct Model {
     pub velocity_limit: u16,
     /// Errors that shut it down as delivered.
     pub shutdown: u8,
-    /// N·m and mA that it stalls at, as its manual has it for the supply that is recommended.
+    /// N·m and mA that it stalls at: "Stall Torque" under "Specifications" of the page of its name in ROBOTIS' e-Manual, at
+    /// 5.0 V (XL330, XC330-M), 11.1 V (XC330-T) or 12.0 V (XL430, XM430, XM540).
     pub stall: (f64, f64),
 }
 
