@@ -131,5 +131,8 @@ def test_servos_are_described_in_units():
     assert models["XM430-W210"]["current_limit_mA"] == pytest.approx(2.69 * 1193)
     assert models["XL430-W250"]["current_unit_mA"] is None and models["XL430-W250"]["operating_mode"] == 4
     assert models["XL330-M288"]["baud_rates"][-1] == 4_000_000
+    stalls = {name: (model["stall_torque_Nm"], model["stall_current_mA"]) for name, model in models.items()}
+    assert stalls["XL330-M288"] == (0.52, 1470.0) and stalls["XC330-T288"] == (0.92, 800.0), "at 5.0 and 11.1 V"
+    assert stalls["XM430-W350"] == (4.1, 2300.0) and stalls["XM540-W270"] == (10.6, 4400.0), "at 12.0 V"
     registers = _core.servo_registers()
     assert registers["goal_position"] == (116, 4, False) and registers["homing_offset"] == (20, 4, True)

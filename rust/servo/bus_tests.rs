@@ -1,3 +1,5 @@
+//! The bus on emulated servos: who is silent, late or damaged takes nothing of the others with it; ports that are none.
+
 use super::*;
 use crate::emulator::pty::Terminal;
 use crate::emulator::servo::RESET;

@@ -1,3 +1,5 @@
+//! The loop on emulated servos in virtual time: a day's work, every fault of a servo, a bad wire, a replay bit for bit.
+
 use super::*;
 use crate::bench::{self, Linear};
 use crate::bus::Bus;

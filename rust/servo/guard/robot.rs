@@ -2,15 +2,15 @@
 
 use super::*;
 
-pub(super) const PERIOD: f64 = 0.01;
+pub const PERIOD: f64 = 0.01;
 /// Health is told with every answer here, so that what it says counts at once.
-pub(super) const FINE: Health = Health {
+pub const FINE: Health = Health {
     hardware: 0,
     torque: false,
     tripped: false,
 };
 
-pub(super) fn limits() -> Limits {
+pub fn limits() -> Limits {
     let axis = Axis {
         home: 100,
         low: -400,
@@ -48,23 +48,23 @@ pub(super) fn limits() -> Limits {
 
 /// Two servos that do at once what they are told, and what somebody asks of them.
 #[derive(Clone)]
-pub(super) struct Robot {
-    pub(super) guard: Guard,
-    pub(super) now: u64,
-    pub(super) at: [i32; 2],
-    pub(super) said: Feedback,
+pub struct Robot {
+    pub guard: Guard,
+    pub now: u64,
+    pub at: [i32; 2],
+    pub said: Feedback,
     /// What servo 2 says otherwise; it says nothing, or what it said last.
-    pub(super) wrong: fn(&mut Feedback),
-    pub(super) mute: bool,
-    pub(super) stuck: bool,
-    pub(super) torque: bool,
-    pub(super) deadman: Option<bool>,
-    pub(super) target: Option<[f64; 2]>,
-    pub(super) emergency: bool,
+    pub wrong: fn(&mut Feedback),
+    pub mute: bool,
+    pub stuck: bool,
+    pub torque: bool,
+    pub deadman: Option<bool>,
+    pub target: Option<[f64; 2]>,
+    pub emergency: bool,
 }
 
 impl Robot {
-    pub(super) fn new() -> Robot {
+    pub fn new() -> Robot {
         Robot {
             guard: Guard::new(limits()),
             now: 1,
@@ -88,7 +88,7 @@ impl Robot {
     }
 
     /// Engaged and at its targets, with `slacken` s to go home.
-    pub(super) fn hasty(slacken: f64) -> Robot {
+    pub fn hasty(slacken: f64) -> Robot {
         let mut robot = Robot::new();
         robot.guard = Guard::new(Limits {
             slacken,
@@ -107,7 +107,7 @@ impl Robot {
         robot
     }
 
-    pub(super) fn tick(&mut self, request: Option<Request>) -> Output {
+    pub fn tick(&mut self, request: Option<Request>) -> Output {
         self.now += 10_000_000;
         self.said.clock += 10;
         let mut feedback = [None; 2];
@@ -143,16 +143,16 @@ impl Robot {
         output
     }
 
-    pub(super) fn run(&mut self, ticks: usize) -> Output {
+    pub fn run(&mut self, ticks: usize) -> Output {
         (0..ticks).map(|_| self.tick(None)).last().unwrap()
     }
 
-    pub(super) fn ask(&mut self, request: Request) -> Output {
+    pub fn ask(&mut self, request: Request) -> Output {
         self.tick(Some(request))
     }
 
     /// Periods until the state is another one, and what was said then; at most 500.
-    pub(super) fn until_change(&mut self) -> (usize, Output) {
+    pub fn until_change(&mut self) -> (usize, Output) {
         let before = self.guard.state();
         for count in 1..=500 {
             let output = self.tick(None);
@@ -164,7 +164,7 @@ impl Robot {
     }
 
     /// In `state`; engaged, it stands at its targets.
-    pub(super) fn within(state: State) -> Robot {
+    pub fn within(state: State) -> Robot {
         let mut robot = Robot::new();
         robot.tick(None);
         let way: &[Request] = match state {
@@ -201,7 +201,7 @@ impl Robot {
     }
 
     /// Whether home is known: what an acknowledgement leads to.
-    pub(super) fn knows_home(&self) -> bool {
+    pub fn knows_home(&self) -> bool {
         let mut robot = self.clone();
         robot.wrong = |_| {};
         (robot.mute, robot.stuck, robot.emergency) = (false, false, false);
@@ -212,4 +212,4 @@ impl Robot {
     }
 }
 
-pub(super) type Break = fn(&mut Robot);
+pub type Break = fn(&mut Robot);
