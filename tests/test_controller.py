@@ -64,8 +64,8 @@ def test_servos_of_older_firmware_are_driven_as_well(old):
 
 def test_a_request_that_is_denied_says_why():
     with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
-        with pytest.raises(ServoError, match="'home' is denied in state ready: not allowed in state ready"):
-            robot.request("home")
+        with pytest.raises(ServoError, match="'arm' is denied in state ready: not allowed in state ready"):
+            robot.request("arm")
         with pytest.raises(ServoError, match="no request 'fly'"):
             robot.request("fly")
         with pytest.raises(ServoError, match="shape"):
@@ -99,6 +99,39 @@ def test_a_fault_ends_without_torque(name, breaks):
                 robot.target([0.0, 0.0])
         bus.damage(1, mute=False)
         assert not bus.state()[1][0][1], "the servo that hears has no torque"
+
+
+@pytest.mark.parametrize(
+    "power, proved",
+    [pytest.param(False, True, id="a servo was mute"), pytest.param(True, False, id="the bus had no power")],
+)
+def test_a_running_loop_takes_nobody_s_word_for_home_and_a_start_looks_for_its_proof(power, proved):
+    with bench() as (bus, rig, limits):
+        with Controller(rig, calibration(), limits) as robot:
+            robot.engage()
+            hold_for(robot, [1.0, 1.0], 0.4)
+            bus.faults(unpowered=True) if power else bus.damage(1, mute=True)
+            until(lambda: robot.state == "fault", 5.0)
+            bus.faults(unpowered=False) if power else bus.damage(1, mute=False)
+            until(lambda: acknowledged(robot), 5.0)
+            assert robot.state == "connected", "home is forgotten"
+            with pytest.raises(ServoError, match="in state connected, and a running loop cannot prove home"):
+                robot.request("home")
+            assert robot.state == "connected" and not torque(bus)
+            with pytest.raises(ServoError, match="'engage' is denied in state connected"):
+                robot.request("engage")
+        with contextlib.ExitStack() as stack:
+            if not proved:
+                stack.enter_context(pytest.raises(ServoError, match="home is not proved since power-up"))
+            with Controller(rig, calibration(), limits) as robot:
+                assert robot.state == "ready"
+
+
+def acknowledged(robot):
+    """Return whether the fault could be acknowledged; it cannot before every servo has said that it has no torque."""
+    with contextlib.suppress(ServoError):
+        robot.request("acknowledge")
+    return robot.state != "fault"
 
 
 def test_an_unplugged_port_ends_the_loop_with_a_reason():

@@ -48,6 +48,14 @@ def test_a_ceiling_about_a_proved_home_is_kept():
         with Jog(tight) as jog:
             assert jog.by(0, 200, Held()) == pytest.approx(50, abs=4)
             assert jog.by(0, -290, Held()) == pytest.approx(-150, abs=4)
+            jog.stop()
+            until(lambda: not torque(bus))
+            jog.by(0, 20, Held())
+            end = time.monotonic() + 2.0
+            while time.monotonic() < end:
+                jog.robot.target([HOME + 250.0, HOME - 250.0])  # whoever asks: the guard keeps it
+                time.sleep(0.02)
+            assert angles(bus) == pytest.approx([HOME + 50, HOME - 100], abs=4)
         with Jog(rig) as jog:
             jog.by(0, 200, Held())
             assert angles(bus)[0] > HOME + 60, "without one it goes on"

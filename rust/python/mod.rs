@@ -5,6 +5,7 @@ mod cables;
 mod control;
 mod effects;
 mod elastic;
+mod emulated;
 mod fem;
 mod geometry;
 mod inverse;
@@ -68,6 +69,8 @@ mod _core {
     #[pymodule_export]
     use super::elastic::{PyElasticField, PyElasticRod};
     #[pymodule_export]
+    use super::emulated::PyEmulatedBus;
+    #[pymodule_export]
     use super::fem::Solid;
     #[pymodule_export]
     use super::geometry::{PyRegistration, PySurface, chamfer};
@@ -88,9 +91,7 @@ mod _core {
     #[pymodule_export]
     use super::scattered::PyScattered;
     #[pymodule_export]
-    use super::servo::{
-        PyEmulatedBus, PyServoBus, servo_models, servo_packet, servo_packets, servo_registers,
-    };
+    use super::servo::{PyServoBus, servo_models, servo_packet, servo_packets, servo_registers};
     #[pymodule_export]
     use super::shape::{PyShape, PySum};
     #[pymodule_export]

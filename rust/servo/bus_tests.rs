@@ -1,7 +1,9 @@
+//! The bus on emulated servos: who is silent, late or damaged takes nothing of the others with it; ports that are none.
+
 use super::*;
 use crate::emulator::pty::Terminal;
 use crate::emulator::servo::{RESET, Servo};
-use crate::emulator::tests::{FINE, bus, engaged, servos};
+use crate::emulator::virtual_port::{FINE, bus, engaged, servos};
 use crate::emulator::{Emulator, Faults};
 use crate::registers::{FAST_FIRMWARE, X_SERIES};
 use crate::serial::{OpenFault, Serial};
@@ -189,4 +191,83 @@ fn a_pseudo_terminal_is_a_serial_port() {
         Serial::open("/tmp", 57_600).err(),
         Some(OpenFault::NoTerminal("/tmp".into()))
     );
+}
+
+/// A port that keeps what is sent and gives one answer.
+struct Tape {
+    sent: Vec<u8>,
+    answer: Vec<u8>,
+}
+
+impl Port for Tape {
+    fn now(&self) -> u64 {
+        0
+    }
+
+    fn wait(&mut self, _until: u64) {}
+
+    fn send(&mut self, bytes: &[u8], _until: u64) -> Result<(), PortFault> {
+        self.sent.extend(bytes);
+        Ok(())
+    }
+
+    fn receive(&mut self, into: &mut [u8], _until: u64) -> Result<usize, PortFault> {
+        let count = self.answer.len();
+        into[..count].copy_from_slice(&self.answer);
+        self.answer.clear();
+        Ok(count)
+    }
+
+    fn discard(&mut self) -> Result<(), PortFault> {
+        Ok(())
+    }
+}
+
+fn bytes(hex: &str) -> Vec<u8> {
+    let byte = |pair| u8::from_str_radix(pair, 16).unwrap();
+    hex.split(' ').map(byte).collect()
+}
+
+/// The same bytes as in tests/test_sdk_packets.py, where the official SDK sends the packets and reads the answers.
+#[test]
+fn what_the_loop_sends_and_hears_is_the_sdk_s() {
+    let bus = |answer: &str| {
+        let answer = bytes(answer);
+        Bus::new(
+            Tape {
+                sent: vec![],
+                answer,
+            },
+            1_000_000,
+            1,
+        )
+    };
+    let answers =
+        "FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0 FF FF FD 00 02 08 00 55 00 1F 08 00 00 BA BE";
+    let together = "FF FF FD 00 FE 11 00 55 00 01 A6 00 00 00 74 3B 00 02 1F 08 00 00 1C 36";
+    for (fast, answer, packet) in [
+        (
+            false,
+            answers,
+            "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA",
+        ),
+        (
+            true,
+            together,
+            "FF FF FD 00 FE 09 00 8A 84 00 04 00 01 02 4D 72",
+        ),
+    ] {
+        let mut bus = bus(answer);
+        let (mut data, mut heard) = ([0; 8], [Err(Fault::Silent); 2]);
+        bus.sync_read(&[1, 2], 132, 4, &mut data, &mut heard, fast)
+            .unwrap();
+        assert_eq!(bus.port().sent, bytes(packet));
+        assert_eq!(heard, [FINE; 2]);
+        assert_eq!(data, [0xA6, 0, 0, 0, 0x1F, 8, 0, 0]);
+    }
+    let mut bus = bus("00");
+    bus.sync_write(&[1, 2], 116, 4, &[0x96, 0, 0, 0, 0xAA, 0, 0, 0])
+        .unwrap();
+    let packet = "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87";
+    assert_eq!(bus.port().sent, bytes(packet));
 }

@@ -212,7 +212,8 @@ pub struct Model {
     pub velocity_limit: u16,
     /// Errors that shut it down as delivered.
     pub shutdown: u8,
-    /// N·m and mA that it stalls at, as its manual has it for the supply that is recommended.
+    /// N·m and mA that it stalls at: "Stall Torque" under "Specifications" of the page of its name in ROBOTIS' e-Manual, at
+    /// 5.0 V (XL330, XC330-M), 11.1 V (XC330-T) or 12.0 V (XL430, XM430, XM540).
     pub stall: (f64, f64),
 }
 
@@ -356,7 +357,10 @@ mod tests {
             assert_eq!(known.temperature_limit, hot);
             assert_eq!(known.code_of(fastest), Some(known.fastest));
             assert_eq!(known.code_of(4_500_000).is_some(), fastest == 4_500_000);
-            assert_eq!((known.code_of(57_600), known.code_of(57_601)), (Some(1), None));
+            assert_eq!(
+                (known.code_of(57_600), known.code_of(57_601)),
+                (Some(1), None)
+            );
             assert_eq!(known.has_current(), unit > 0.0);
             let shape = (known.voltage, known.velocity_limit, known.shutdown);
             let made = x(
@@ -384,6 +388,9 @@ mod tests {
         }
         assert_eq!(model(0), None);
         let turn = model(1200).map(Model::fastest_turn).unwrap();
-        assert!((turn - 445.0 * 0.229 * 4096.0 / 60.0).abs() < 1e-9, "{turn}");
+        assert!(
+            (turn - 445.0 * 0.229 * 4096.0 / 60.0).abs() < 1e-9,
+            "{turn}"
+        );
     }
 }

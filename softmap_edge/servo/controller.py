@@ -135,13 +135,23 @@ class Controller:
         return dict(self._end)
 
     def request(self, name: str, seconds: float = 3.0) -> None:
-        """Ask for `connect`, `home`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.
+        """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.
+
+        `home` is none of them: a start alone looks whether it is proved since the servos got power.
 
         Raises:
             ServoError: no such request, it was denied, or the loop did not answer.
         """
+        if name == "home":
+            raise ServoError(
+                f"the robot is in state {self.state}, and a running loop cannot prove home (turns are lost without "
+                "power); close the Controller and start another, which looks for the proof of `softmap servo home`"
+            )
         if name not in REQUESTS:
-            raise ServoError(f"no request '{name}'; there are {', '.join(REQUESTS)}")
+            raise ServoError(f"no request '{name}'; there are {', '.join(one for one in REQUESTS if one != 'home')}")
+        self._ask(name, seconds)
+
+    def _ask(self, name: str, seconds: float = 3.0) -> None:
         reached = {"connect": "connected", "home": "homed", "arm": "ready", "disconnect": "off"}.get(name)
         with self._heard:
             self._last.pop("denied", None)
@@ -297,7 +307,7 @@ class Controller:
         until = time.monotonic() + SAID
         while True:
             try:
-                return self.request(request)
+                return self._ask(request)
             except ServoError:
                 if not str(self._last.get("denied")).startswith(PASSING) or time.monotonic() > until:
                     raise

@@ -4,7 +4,7 @@
         jog.by(0, 100, Held())     # as long as it is held: who lets go stops it
 
 Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; torque goes off when nobody
-holds. Where home is proved and the rig has a ceiling of ticks, that is kept too. Pinned by tests/test_move.py.
+holds. Where home is proved and the rig has a ceiling of ticks, the guard keeps that too. Pinned by tests/test_move.py.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from softmap_edge.servo import words
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import PRESSED
-from softmap_edge.servo.limits import JOG_CURRENT, JOG_SLEW, JOG_TRAVEL, loop_limits, servo_limits
+from softmap_edge.servo.limits import JOG_CURRENT, JOG_SLEW, JOG_TRAVEL, Table, loop_limits, servo_limits
 from softmap_edge.servo.proof import marked
-from softmap_edge.servo.rig import FARTHEST, Rig
+from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
 from softmap_edge.ticks import Calibration
 
 Ticks = NDArray[np.float64]
@@ -67,7 +67,7 @@ class Jog:
     """The servos of `rig`, jogged one at a time; from entering to leaving.
 
     Raises:
-        ServoError: the loop cannot start, or a servo is not as the rig says.
+        ServoError: the port cannot be opened, the loop cannot start, or a servo is not as the rig says.
     """
 
     def __init__(
@@ -78,25 +78,19 @@ class Jog:
         slew: float = JOG_SLEW,
         current: float = JOG_CURRENT,
     ) -> None:
-        count, anywhere = len(rig.servos), (-float(FARTHEST), float(FARTHEST))
+        count = len(rig.servos)
         self.rig, self.slew, self.travel = rig, slew, travel
         limits = loop_limits(
-            [servo_limits(servo.model, 0, anywhere) for servo in rig.servos],
-            jump=anywhere[1:] * 2,
-            jog_travel=travel,
-            jog_slew=slew,
-            jog_current=current,
+            _windows(rig), jump=(float(FARTHEST),) * 2, jog_travel=travel, jog_slew=slew, jog_current=current
         )
-        zero = np.zeros(count)
-        ticks = Calibration.stated(np.eye(count), zero, zero, "ticks as they are", unit="ticks")
+        home = np.array([servo["home"] for servo in limits["servos"]], float)
+        ticks = Calibration.stated(np.eye(count), home, home, "ticks as they are", unit="ticks")
         self.robot = Controller(rig, ticks, limits, commissioning=True)
         self._began: Ticks | None = None
         self._target: Ticks | None = None
         self._stood: Ticks = np.full(count, np.nan)
-        self._window = np.tile(np.array(anywhere), (count, 1))
 
     def __enter__(self) -> Self:
-        self._window = _window(self.rig, self._window)
         self.robot.__enter__()
         until = time.monotonic() + WAITS
         while np.isnan(self.position).any() and time.monotonic() < until:
@@ -145,9 +139,10 @@ class Jog:
             self._began, self._target = self.goal, None
         began = self.position if self._began is None else self._began
         target = self.goal if self._target is None else self._target.copy()
-        low, high = self._window[servo]
-        ticks = min(max(ticks, low, began[servo] - self.travel), high, began[servo] + self.travel)
-        target[servo] = ticks
+        # What the guard allows, so that arriving there counts.
+        limits, at = self.robot.limits["servos"][servo], float(began[servo])
+        low, high = max(at - self.travel, min(at, limits["low"])), min(at + self.travel, max(at, limits["high"]))
+        target[servo] = min(max(ticks, low), high)
         self._target = target
         self.robot.target(target)
 
@@ -214,16 +209,20 @@ class Jog:
         return float("nan") if self._target is None else float(self._target[servo])
 
 
-def _window(rig: Rig, window: Ticks) -> Ticks:
-    """Return the ticks (C, 2) that each servo may take: its ceiling about a home that is proved, else `window`."""
-    window = window.copy()
+def _anywhere(servo: RigServo) -> Table:
+    return servo_limits(servo.model, 0, (-float(FARTHEST), float(FARTHEST)))
+
+
+def _windows(rig: Rig) -> list[Table]:
+    """Return the limits of each servo: its ceiling about a home that is proved, else no window."""
+    found = []
     with opened(rig.port, rig.baud) as bus:
-        for k, servo in enumerate(rig.servos):
-            if servo.home is None or (servo.low is None and servo.high is None) or bus.ping(servo.id) is None:
-                continue
-            if marked(bus, servo.id, servo.home):
-                window[k] = [
-                    window[k, side] if away is None else servo.home + away
-                    for side, away in enumerate((servo.low, servo.high))
-                ]
-    return window
+        for servo in rig.servos:
+            limits = _anywhere(servo)
+            ceiling = servo.low is not None or servo.high is not None
+            if servo.home is not None and ceiling and marked(bus, servo.id, servo.home):
+                low = -FARTHEST - servo.home if servo.low is None else servo.low
+                high = FARTHEST - servo.home if servo.high is None else servo.high
+                limits = servo_limits(servo.model, servo.home, (low, high))
+            found.append(limits)
+    return found

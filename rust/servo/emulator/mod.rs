@@ -4,9 +4,12 @@
 //! of several servos one after the other. Time comes from outside, so that tests run as fast as they can and the
 //! pseudo-terminal (`pty.rs`) in real time. What it is for: every fault of docs/safety.md, without breaking a servo.
 
+mod motor;
 pub mod pty;
 pub mod servo;
 mod table;
+#[cfg(test)]
+pub(crate) mod virtual_port;
 
 use std::collections::VecDeque;
 
@@ -349,4 +352,4 @@ fn firmware(registers: Vec<u8>) -> Vec<u8> {
 
 #[cfg(test)]
 #[path = "tests.rs"]
-pub(crate) mod tests;
+mod tests;

@@ -70,7 +70,9 @@ impl Table {
         };
         let torque = self.get(layout.torque_enable) == 1;
         let mut fixed = layout.all().filter(|register| !register.writable);
-        if address < layout.torque_enable.address && torque || fixed.any(|register| touched(*register)) {
+        if address < layout.torque_enable.address && torque
+            || fixed.any(|register| touched(*register))
+        {
             return Err(refusal::ACCESS);
         }
         let mut after = self.clone();

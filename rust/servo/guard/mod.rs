@@ -9,16 +9,24 @@
 //! clock that stands still or jumps back stretches none.
 
 #[cfg(test)]
+mod age_tests;
+#[cfg(test)]
+mod cause_tests;
+#[cfg(test)]
 mod checker;
 #[cfg(test)]
 mod fuzz;
 pub mod limits;
 mod machine;
-pub mod path;
-pub mod reversals;
-mod servo;
 #[cfg(test)]
-mod table_tests;
+mod move_tests;
+pub mod path;
+#[cfg(test)]
+mod request_tests;
+pub mod reversals;
+#[cfg(test)]
+mod robot;
+mod servo;
 mod time;
 
 pub use limits::{Axis, BadLimit, FARTHEST, Limits, MOST_SERVOS, RANGES};
