@@ -106,7 +106,7 @@ def typist(folder, *words):
 
 def driven(bus, rig):
     """Return whether a servo has torque and stands away from home."""
-    angles = np.array([angle for angle, _, _ in bus.state()[1]])
+    angles = np.array([angle for angle, *_ in bus.state()[1]])
     return torque(bus) and np.abs(angles - [servo.home for servo in rig.servos]).max() > AWAY
 
 
