@@ -5,6 +5,7 @@ Servos are asked only: nothing is written to them. Pinned by tests/test_doctor.p
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -36,7 +37,8 @@ def bundle(folder: str | Path) -> Iterator[Line]:
         yield Line("calibration", FAULT, "it has no window of ticks, so that nothing is allowed", do)
     else:
         low, high = found.window
-        yield Line("calibration", OK, f"of {found.run[:40]}, window {low:+.0f} to {high:+.0f} ticks about home")
+        run = textwrap.shorten(found.run, 60, placeholder=" …")
+        yield Line("calibration", OK, f"of {run}; window {low:+.0f} to {high:+.0f} ticks about home")
     safety = (Path(folder) / "safety.toml").is_file()
     do = "" if safety else "limits are those of the servos and of rig.toml alone; build the bundle again to have them"
     yield Line("safety.toml", OK if safety else WARNING, "there" if safety else "the bundle holds none", do)

@@ -56,3 +56,13 @@ def test_every_state_and_cause_of_the_guard_has_its_words():
     causes = guard.split("pub enum Cause {")[1].split("}")[0]
     named = [line.strip(" ,").lower() for line in causes.splitlines() if line.strip() and "///" not in line]
     assert set(named) <= set(words.CAUSES), "a cause of the guard without words"
+
+
+def test_why_driving_ended_is_said_once_and_with_what_leads_on():
+    tripped = {"state": "fault", "cause": "tripped", "servo": 0}
+    assert words.lost(tripped, words.sentence(tripped)) == "let go of the key, then reset the fault"
+    assert "driving ended: no hand is seen; let go of the key and press it anew" == words.lost(
+        {"state": "hold", "cause": "deadman"}, "no hand is seen"
+    )
+    unproved = {"state": "connected", "cause": "tripped"}
+    assert "prove home anew" in words.lost(unproved, words.sentence(tripped))

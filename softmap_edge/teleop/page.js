@@ -166,7 +166,7 @@ function words() {
   if (!opened) return "The connection is lost: the finger is let go of, it holds, then slackens. Trying again …";
   if (!state) return "Connecting to the program …";
   let said = state.said + ".";
-  if (state.stage === "lost") said += ` Driving ended: ${state.why}. Let go, then press anew.`;
+  if (state.stage === "lost") said += ` ${state.lost[0].toUpperCase()}${state.lost.slice(1)}.`;
   else if (state.stage === "waiting" && state.why) said += ` Waiting: ${state.why}.`;
   else if (state.stage === "released" && state.lacking && state.level === "ready") said += ` Not yet: ${state.lacking}.`;
   else if (state.stage === "released" && state.level === "ready") said += " Hold the button or Space to drive.";
@@ -188,7 +188,7 @@ function draw() {
   $("hold").classList.toggle("held", holders.size > 0);
   $("hold").classList.toggle("lost", holders.size > 0 && state !== null && state.stage === "lost");
   $("hold").firstElementChild.textContent = seat && seat !== "mine" ? "Another page drives" : holders.size === 0 ? "Hold to drive"
-    : state && state.stage === "driving" ? "Driving" : state && state.stage === "lost" ? "Let go, press anew" : "Held";
+    : state && state.stage === "driving" ? "Driving" : state && state.stage === "lost" ? "Let go" : "Held";
   $("take").hidden = seat !== "free";
   $("acknowledge").hidden = !(state && (state.state === "fault" || state.state === "homed"));
   for (const one of $("source").children) one.setAttribute("aria-pressed", one.dataset.source === source);
