@@ -49,7 +49,13 @@ def ask(page: ClientConnection, method: str, **params: Any) -> dict[str, Any]:
 def browser(url: str) -> Iterator[ClientConnection]:
     """Open `url` in a browser without a window, and give the connection to its page."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        options = ["--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0", f"--user-data-dir={folder}"]
+        options = [
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--remote-debugging-port=0",
+            f"--user-data-dir={folder}",
+        ]
         command = ["chromium", *options, f"--window-size={SIZE[0]},{SIZE[1]}", url]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:

@@ -105,7 +105,25 @@ def test_the_verb_tracks_on_an_emulated_robot_and_draws(tmp_path, capsys):
     assert main(["track", "O", "--sim", "--picture", files[0], "--record", files[1], *options]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["schema"] == "softmap.track/1" and told["waypoints"] == 81 and told["seen_mm"]["mean"] < 0.3
+    assert told["hidden"] == [] and told["effects"] == []
     assert (tmp_path / "o.svg").read_bytes().startswith(b"<?xml") and read_recording(files[1]).periods
+    assert (tmp_path / "o.svg").stat().st_size < 500_000
+
+
+def test_a_plan_is_drawn_with_its_commands_and_a_workspace_from_its_rest(tmp_path):
+    plan, reach = tmp_path / "plan.svg", tmp_path / "reach.svg"
+    assert main(["track", "O", "--plan", "--amplitude", "5", "--rate", "20", "--picture", str(plan)]) == 0
+    assert "command, mm" in plan.read_text() and "edge of reach" not in plan.read_text()
+    assert main(["track", "--workspace", "--reach", "60", "0", "60", "--picture", str(reach)]) == 0
+    assert "edge of reach" in reach.read_text() and "tip off by" not in plan.read_text()
+    assert max(file.stat().st_size for file in (plan, reach)) < 500_000
+
+
+def test_a_finger_that_hides_nothing_is_said_to_be_led_astray_by_effects_that_are_undone(model, tmp_path, capsys):
+    bundle = save_bundle(model.with_effects(["backlash"], {"backlash.gap": 1.0}), tmp_path / "play")
+    options = ["--bundle", str(bundle), "--sim", "--amplitude", "3", "--duration", "3", "--rate", "20"]
+    assert main(["track", "O", *options]) == 0
+    assert "hides nothing, so undoing backlash leads it astray" in capsys.readouterr().out
 
 
 def test_the_verb_plans_without_a_robot_and_says_what_is_out_of_reach(capsys):
