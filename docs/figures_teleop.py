@@ -29,9 +29,14 @@ from benches.data import find
 SIZE = (1180, 740)  # pixels of the window
 LONGEST = 18.0  # s of the clip in which the picture is taken
 BENT_MM = 5.0  # of command, from which on the finger looks bent
+PATIENT = 1.5  # s for which a key is held that does not drive
 TRIES = 4  # of a busy computer, on which an emulated servo's watchdog may trip
 QUALITY = 82  # of the JPEG, of 100
 SPACE = {"key": " ", "code": "Space", "windowsVirtualKeyCode": 32}
+
+
+class ChromiumError(RuntimeError):
+    """The browser refuses what it is asked for."""
 
 
 def ask(page: ClientConnection, method: str, **params: Any) -> dict[str, Any]:
@@ -40,7 +45,7 @@ def ask(page: ClientConnection, method: str, **params: Any) -> dict[str, Any]:
     while (told := json.loads(page.recv(timeout=20))).get("id") != 1:
         pass
     if "error" in told:
-        raise SystemExit(f"chromium: {method}: {told['error']['message']}")
+        raise ChromiumError(f"chromium: {method}: {told['error']['message']}")
     found: dict[str, Any] = told["result"]
     return found
 
@@ -76,17 +81,20 @@ def browser(url: str) -> Iterator[ClientConnection]:
 
 
 def look(page: ClientConnection) -> tuple[str, float]:
-    """Return what kind of state the page shows, and the larger command, mm."""
+    """Return what kind of state the page shows, and the larger command, mm; "" before it is there."""
     bars = "[...document.querySelectorAll('.bar .value')].map(v => Math.abs(parseFloat(v.textContent)) || 0)"
-    asked = f"[document.body.dataset.level, Math.max(0, ...{bars})]"
-    level, largest = ask(page, "Runtime.evaluate", expression=asked, returnByValue=True)["result"]["value"]
+    asked = f"[document.body?.dataset.level || '', Math.max(0, ...{bars})]"
+    try:
+        level, largest = ask(page, "Runtime.evaluate", expression=asked, returnByValue=True)["result"]["value"]
+    except (ChromiumError, KeyError):
+        return "", 0.0
     return level, largest
 
 
 def teleop_page(clip: Path) -> bytes | None:
     """Drive by the hand of a clip, and return the page as a JPEG while it drives; None where something ended that."""
     command = [sys.executable, "-c", "from softmap_edge.cli import main; raise SystemExit(main())"]
-    command += ["teleop", "--sim", "--camera", str(clip), "--page", "0", "--seconds", str(LONGEST + 20.0)]
+    command += ["teleop", "--sim", "--camera", str(clip), "--page", "0"]
     program = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
         assert program.stderr is not None
@@ -95,10 +103,13 @@ def teleop_page(clip: Path) -> bytes | None:
             raise SystemExit("softmap teleop did not start")
         with browser(said.split()[1]) as page:
             until = time.monotonic() + LONGEST
+            while not look(page)[0] and time.monotonic() < until:
+                time.sleep(0.1)
             while time.monotonic() < until:
                 ask(page, "Input.dispatchKeyEvent", type="rawKeyDown", **SPACE)
-                while (level := look(page)[0]) in ("ready", "driving") and time.monotonic() < until:
-                    if level == "driving" and look(page)[1] > BENT_MM:
+                pressed = time.monotonic()
+                while (now := look(page))[0] == "driving" or time.monotonic() < min(pressed + PATIENT, until):
+                    if now[0] == "driving" and now[1] > BENT_MM:
                         picture = ask(page, "Page.captureScreenshot", format="jpeg", quality=QUALITY)["data"]
                         if look(page)[0] == "driving":
                             return base64.b64decode(picture)

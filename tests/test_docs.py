@@ -17,7 +17,7 @@ def script(path):
     return module
 
 
-OWN = ("tdcr_", "beam_")  # pictures of a page of real data have a script and a test of their own
+OWN = ("tdcr_", "beam_", "track_")  # pictures of real data, and in real time, have scripts of their own
 
 
 def test_the_pictures_are_made_where_they_are_wanted(tmp_path, capsys):

@@ -216,6 +216,7 @@ def test_a_bundle_of_a_decoder_stands_beside_models_and_has_no_vertices(files, c
     assert main(["train", "prior", "s.npz", "--model", "deepsoro", "--epochs", "1", "--out", "rival"]) == 0
     save_bundle(MODEL, "finger")
     capsys.readouterr()
+    laid = []
     for order in (["rival", "finger"], ["finger", "rival"]):
         options = ["--set", "s.npz", "--run", "run.npz", "--truth", "truth.npz", "--json"]
         assert main(["evaluate", *order, *options]) == 0
@@ -224,9 +225,10 @@ def test_a_bundle_of_a_decoder_stands_beside_models_and_has_no_vertices(files, c
         assert set(rows) == {"rival", "finger, without residual"} and rows["rival"]["what"] == "deepsoro"
         assert "vertex_mm" not in rows["rival"] and "visible_mm" not in rows["rival"]
         assert rows["rival"]["whole_mm"]["mean"] > rows["finger, without residual"]["whole_mm"]["mean"]
-        assert rows["finger, without residual"]["vertex_mm"]["mean"] < 1.5  # clouds are laid by the finger, not by it
+        laid.append(rows["finger, without residual"]["visible_mm"])
         learned = load_bundle("rival").made_from["prior"]["parameters"]
         assert {row["parameters"] for row in (rows["rival"], *said["simulated"]) if row["name"] == "rival"} == {learned}
+    assert laid[0] == laid[1]  # clouds are laid by the finger, whichever comes first
     for options in (["--run", "run.npz"], ["--set", "s.npz", "--model", "table"]):
         assert main(["evaluate", "rival", *options]) == 2
         assert "rival has points of its own" in capsys.readouterr().err

@@ -195,8 +195,8 @@ def _bundle_lines(document: dict[str, Any]) -> list[str]:
     lines = [f"{key:<18} {_plain(value)}" for key, value in shown.items()]
     for name, told in document.get("through_onnxruntime", {}).items():
         lines.append(
-            f"{'onnxruntime':<18} the {name} is a table of what onnxruntime makes of its graph, {told['table_off_mm']:.2g} "
-            f"mm off between the nodes (RMS): {told['why']}"
+            f"{'onnxruntime':<18} the {name} is a table of what onnxruntime makes of its graph, "
+            f"{told['table_off_mm']:.2g} mm off between the nodes (RMS): {told['why']}"
         )
     for name in manifest.get("own_effects", {}):
         file = Path(document["path"]) / f"{name}.py"

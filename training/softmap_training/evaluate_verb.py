@@ -151,8 +151,8 @@ def _first(models: dict[str, Any], what: str) -> tuple[str, Any]:
     found = next(((name, model) for name, model in models.items() if not is_decoder(model)), None)
     if found is None:
         raise TrainingError(
-            f"{what} needs the finger's own vertices, and {', '.join(models)} has points of its own (a decoder); give a "
-            "bundle of the finger too"
+            f"{what} needs the finger's own vertices, and {', '.join(models)} has points of its own (a decoder); give "
+            "a bundle of the finger too"
         )
     return found
 
