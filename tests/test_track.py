@@ -1,5 +1,6 @@
 """Figures tracked on an emulated robot: with what it hides and without, through what was found, with feedback."""
 
+import argparse
 import json
 import threading
 from dataclasses import replace
@@ -12,7 +13,10 @@ from softmap_edge import Run, SoftmapError, _core, builtin_model, diagnose, save
 from softmap_edge.camera.frames import Frame
 from softmap_edge.camera.points_udp import PointReceiver, PointSender
 from softmap_edge.cli import main
-from softmap_edge.commands.servo_emulate import streaming
+from softmap_edge.commands.experiment import record_arguments
+from softmap_edge.commands.servo_emulate import emulate_arguments, streaming
+from softmap_edge.commands.teleop import teleop_arguments
+from softmap_edge.commands.track import track_arguments
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.motion.response import fit_response
 from softmap_edge.motion.track import _Feedback, course, track
@@ -130,6 +134,20 @@ def test_the_verb_plans_without_a_robot_and_says_what_is_out_of_reach(capsys):
     assert main(["track", "circle", "--plan", "--amplitude", "70"]) == 0
     said = capsys.readouterr().out
     assert "out of reach" in said and "no camera" not in said
+
+
+@pytest.mark.parametrize("word", ["--hidden", "--hide"])
+def test_what_a_finger_hides_is_named_by_one_word_in_every_verb(word):
+    for arguments, others in (
+        (track_arguments, ["S", "--sim"]),
+        (teleop_arguments, ["--sim"]),
+        (emulate_arguments, []),
+        (record_arguments, ["c.csv", "--out", "r.npz"]),
+    ):
+        parser = argparse.ArgumentParser()
+        arguments(parser)
+        told = vars(parser.parse_args([*others, word, "backlash,creep"]))
+        assert "backlash,creep" in (told.get("hidden"), *told.get("hide", ()))
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,9 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gesture", default="fist-releases", choices=RULES, help="beside the key (fist-releases)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after this long")
     parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
-    parser.add_argument("--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides")
+    parser.add_argument(
+        "--hidden", "--hide", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides"
+    )
     parser.add_argument("--seed", type=int, default=0, help="--sim: of what is hidden and of noise")
     parser.add_argument("--force", action="store_true", help="--fetch-model: replace the file that is there")
     parser.set_defaults(plan=False)

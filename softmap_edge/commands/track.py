@@ -57,7 +57,11 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--observe", action="store_true", help="feed back what the camera sees of the tip")
     camera_arguments(parser)
     parser.add_argument(
-        "--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides: backlash,creep"
+        "--hidden",
+        "--hide",
+        default="",
+        metavar="NAMES",
+        help="--sim: laws that the emulated finger hides: backlash,creep",
     )
     parser.add_argument(
         "--seed", type=int, help="--sim: of what is hidden and of noise (0); --table: of the stand-in (1)"
