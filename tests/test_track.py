@@ -4,9 +4,11 @@ import argparse
 import json
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from page import blocks, lines
 from rigs import calibration
 
 from softmap_edge import Run, SoftmapError, _core, builtin_model, diagnose, save_bundle
@@ -134,6 +136,20 @@ def test_the_verb_plans_without_a_robot_and_says_what_is_out_of_reach(capsys):
     assert main(["track", "circle", "--plan", "--amplitude", "70"]) == 0
     said = capsys.readouterr().out
     assert "out of reach" in said and "no camera" not in said
+
+
+def test_the_commands_of_the_page_are_some_and_those_without_a_robot_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = (Path(__file__).parents[1] / "docs/track.md").read_text(encoding="utf-8")
+    ours = [words for _, text in blocks(page) for words in lines(text) if words[:2] == ["softmap", "track"]]
+    assert len(ours) == 5
+    for words in ours:
+        parser = argparse.ArgumentParser()
+        track_arguments(parser)
+        told = parser.parse_args(words[2:])
+        if told.plan or told.workspace:
+            assert main(words[1:]) == 0, words
+    assert (tmp_path / "reach.svg").exists() and (tmp_path / "s.svg").exists()
 
 
 @pytest.mark.parametrize("word", ["--hidden", "--hide"])

@@ -278,8 +278,8 @@ function drawPad() {
   c.textAlign = "center";
   c.fillText(`${hello.axes[1]} +`, x, y - half - 14);
   c.fillText(`${hello.axes[1]} −`, x, y + half + 14);
-  c.fillText(`${hello.axes[0]} +`, x + half + 18, y);
-  c.fillText(`${hello.axes[0]} −`, x - half - 18, y);
+  c.fillText(`${hello.axes[0]} +`, x + half + 26, y);
+  c.fillText(`${hello.axes[0]} −`, x - half - 26, y);
   if (!state) return;
   const [kx, ky] = state.knob, here = [x + kx * half, y - ky * half];
   const driving = state.stage === "driving" && state.source === "knob";
