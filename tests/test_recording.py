@@ -155,7 +155,7 @@ def test_damaged_recordings_end_with_a_line(recorded, tmp_path):
         file.write_bytes(content)
         with pytest.raises(RunError, match=said):
             read_recording(file)
-    with pytest.raises(RunError, match="none.mcap"):
+    with pytest.raises(RunError, match="none.mcap: no such file; give what a loop recorded"):
         read_recording(tmp_path / "none.mcap")
 
 

@@ -51,3 +51,12 @@ def test_no_word_of_the_guards_own_is_shown():
     jog.robot = Ended()
     with pytest.raises(Exception, match=r"ended the jog: the robot is in state slackening \(no target came in time\)"):
         jog.press(0, 1.0)
+
+
+def test_why_driving_ended_is_said_once_and_with_what_leads_on():
+    tripped = {"state": "fault", "cause": "tripped", "servo": 0}
+    assert words.lost(tripped, words.sentence(tripped)) == "let go of the key, then reset the fault"
+    held = {"state": "hold", "cause": "deadman"}
+    assert words.lost(held, "no hand") == "driving ended: no hand; let go of the key and press it anew"
+    unproved = {"state": "connected", "cause": "tripped"}
+    assert "prove home anew" in words.lost(unproved, words.sentence(tripped))

@@ -221,8 +221,9 @@ def test_numbers_that_are_none_or_beyond_the_range_lead_nowhere():
 
 def test_too_many_pages_and_a_busy_port_are_refused():
     with served() as page, ExitStack() as stack:
-        for _ in range(pages.MOST_PAGES):
+        for count in range(pages.MOST_PAGES):
             stack.enter_context(connect(**link(page)))
+            until(lambda count=count: len(page._pages) > count)
         with pytest.raises(InvalidStatus) as refused:
             stack.enter_context(connect(**link(page)))
         assert refused.value.response.status_code == 503
@@ -230,6 +231,26 @@ def test_too_many_pages_and_a_busy_port_are_refused():
             Page(page.port)
     with pytest.raises(TeleopError, match="port 70000"):
         Page(70_000)
+
+
+def test_pages_that_come_at_once_are_no_more_than_are_allowed(monkeypatch):
+    with served() as page:
+        monkeypatch.setattr(pages, "MOST_PAGES", 1)
+        with connect(**link(page)) as first:
+            until(lambda: len(page._pages) == 1)
+            late = Late()
+            page._serve(late)  # let in before the first was counted
+            assert late.closed == 1013 and len(page._pages) == 1
+            assert first.recv(PATIENT)
+
+
+class Late:
+    """A connection that only hears that it is closed."""
+
+    closed = None
+
+    def close(self, code, reason):
+        self.closed = code
 
 
 def test_without_websockets_the_install_line_is_told(monkeypatch):

@@ -41,7 +41,7 @@ PATIENT = 20.0
         (["--sim", "--camera", "none.mp4", "--model", "none.task"], "no model of hands; get the wheel"),
         (["--sim", "--flip", "z"], "there are x and y"),
         (["--sim", "--seconds", "0"], "--seconds 0"),
-        (["--sim", "--reach", "1"], "invalid _two value"),
+        (["--sim", "--reach", "1"], "give two numbers, SIDE,FORWARD"),
         (["--sim", "--reach", "0,1"], "two numbers above 0"),
         (["--rig", "none.toml"], "no calibration"),
         (["--rig", "r.toml", "--hidden", "creep"], "give --sim with it"),

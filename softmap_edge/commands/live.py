@@ -67,6 +67,8 @@ def _begun(path: str) -> Following:
         RunError: it does not begin.
     """
     end = time.monotonic() + BEGINS
+    if not Path(path).exists():
+        print(f"waiting up to {BEGINS:g} s for {path} to be begun", file=sys.stderr, flush=True)
     while not Path(path).exists():
         if time.monotonic() > end:
             raise RunError(f"{path}: no recording began within {BEGINS:g} s; start what is recorded with --record")

@@ -54,7 +54,11 @@ def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
     )
     parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out, to compare")
     parser.add_argument(
-        "--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides: backlash,creep"
+        "--hidden",
+        "--hide",
+        default="",
+        metavar="NAMES",
+        help="--sim: laws that the finger hides: backlash,creep",
     )
     parser.add_argument("--seed", type=int, help=f"--sim: of what is hidden and of noise (0){seed}")
     parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")

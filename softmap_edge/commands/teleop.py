@@ -175,7 +175,10 @@ def _port(text: str) -> int:
 
 
 def _two(text: str) -> tuple[float, float]:
-    side, forward = (float(part) for part in text.split(","))
+    try:
+        side, forward = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r:.30}: give two numbers, SIDE,FORWARD, as 0.35,0.8") from None
     return side, forward
 
 

@@ -135,6 +135,7 @@ def _document(
         "axes": kinematics.axes,
         "method": args.method or "exact",
         "effects": list(kinematics.model.chain_names),
+        "hidden": [name for name in args.hidden.split(",") if name] if args.sim else None,
         "waypoints": int(counts.sum()),
         "seconds": float(plan.t[-1] - plan.t[counts][0]),
         "quickest_s": planned.quickest,
@@ -171,7 +172,12 @@ def _text(told: dict[str, Any]) -> str:
             "servos answer {delay:.3f} s late, with a lag of {lag:.3f} s: previewed".format(**told["servos_s"])
         )
     if told["seen_mm"]:
-        lines.append(f"the camera saw it off by     {numbers('seen_mm')}")
+        lines.append(f"the camera saw it off by {numbers('seen_mm')}")
+        if told["hidden"] == [] and told["effects"]:
+            lines.append(
+                f"the emulated finger hides nothing, so undoing {', '.join(told['effects'])} leads it astray; --hidden "
+                "NAMES lets it hide something, --no-effects undoes nothing"
+            )
         if told["unseen_s"]:
             fed = ", and nothing was fed back then" if told["observed"] else ""
             lines.append(f"the tip was not seen for {told['unseen_s']:.1f} s of it{fed}")

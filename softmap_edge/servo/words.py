@@ -118,3 +118,14 @@ def limits(report: dict[str, Any]) -> list[str]:
         "refused": "a target is refused",
     }
     return [text for key, text in told.items() if report.get(key)]
+
+
+def lost(report: dict[str, Any], why: str) -> str:
+    """Return why driving ended, where the guard's report does not say so, and what leads on."""
+    state = str(report.get("state", "off"))
+    again = "let go of the key and press it anew"
+    if state in ("fault", "homed"):
+        again = "let go of the key, then reset the fault"
+    elif state in ("off", "connected"):
+        again = "end this, and prove home anew (softmap servo home)"
+    return again if why == sentence(report) else f"driving ended: {why}; {again}"

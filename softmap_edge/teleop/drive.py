@@ -315,7 +315,7 @@ class Drive:
     def _tell(self, report: dict[str, Any]) -> None:
         said = words.sentence(report)
         if self._clutch.stage == "lost":
-            said += f"; driving ended: {self._clutch.why}; let go of the key and press it anew"
+            said += f"; {words.lost(report, self._clutch.why)}"
         elif self._clutch.stage == "waiting" and self._clutch.why:
             said += f"; waiting: {self._clutch.why}"
         if said != self._line:

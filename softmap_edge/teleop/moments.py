@@ -85,6 +85,7 @@ class Shown:
             "stage": clutch.stage,
             "who": clutch.who,
             "why": clutch.why,
+            "lost": words.lost(report, clutch.why) if clutch.stage == "lost" else "",
             "lacking": moment.lacking,
             "source": moment.controls.source,
             "limits": words.limits(report) + _at_ends(led, self._aim),

@@ -161,7 +161,13 @@ class Page:
 
     def _serve(self, connection: Any) -> None:
         """Read what a page says; what it is sent goes by a thread of its own."""
-        self._pages.add(connection)
+        with self._lock:
+            room = len(self._pages) < MOST_PAGES  # several may have been let in at once
+            if room:
+                self._pages.add(connection)
+        if not room:
+            connection.close(1013, "too many pages are open; close one")
+            return
         self._sit(connection)
         shown = _Shown()
         writer = threading.Thread(target=self._write, args=(connection, shown), daemon=True)

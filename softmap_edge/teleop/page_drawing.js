@@ -29,7 +29,7 @@ function words() {
   if (!opened) return "The connection is lost: the finger is let go of, it holds, then slackens. Trying again …";
   if (!state) return "Connecting to the program …";
   let said = state.said + ".";
-  if (state.stage === "lost") said += ` Driving ended: ${state.why}. Let go, then press anew.`;
+  if (state.stage === "lost") said += ` ${state.lost[0].toUpperCase()}${state.lost.slice(1)}.`;
   else if (state.stage === "waiting" && state.why) said += ` Waiting: ${state.why}.`;
   else if (state.stage === "released" && state.lacking && state.level === "ready") said += ` Not yet: ${state.lacking}.`;
   else if (state.stage === "released" && state.level === "ready") said += " Hold the button or Space to drive.";
@@ -51,7 +51,7 @@ function draw() {
   $("hold").classList.toggle("held", holders.size > 0);
   $("hold").classList.toggle("lost", holders.size > 0 && state !== null && state.stage === "lost");
   $("hold").firstElementChild.textContent = seat && seat !== "mine" ? "Another page drives" : holders.size === 0 ? "Hold to drive"
-    : state && state.stage === "driving" ? "Driving" : state && state.stage === "lost" ? "Let go, press anew" : "Held";
+    : state && state.stage === "driving" ? "Driving" : state && state.stage === "lost" ? "Let go" : "Held";
   $("take").hidden = seat !== "free";
   $("acknowledge").hidden = !(state && (state.state === "fault" || state.state === "homed"));
   for (const one of $("source").children) one.setAttribute("aria-pressed", one.dataset.source === source);
@@ -141,8 +141,8 @@ function drawPad() {
   c.textAlign = "center";
   c.fillText(`${hello.axes[1]} +`, x, y - half - 14);
   c.fillText(`${hello.axes[1]} −`, x, y + half + 14);
-  c.fillText(`${hello.axes[0]} +`, x + half + 18, y);
-  c.fillText(`${hello.axes[0]} −`, x - half - 18, y);
+  c.fillText(`${hello.axes[0]} +`, x + half + 26, y);
+  c.fillText(`${hello.axes[0]} −`, x - half - 26, y);
   if (!state) return;
   const [kx, ky] = state.knob, here = [x + kx * half, y - ky * half];
   const driving = state.stage === "driving" && state.source === "knob";
