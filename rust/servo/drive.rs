@@ -86,6 +86,21 @@ impl<P: Port> Drive<P> {
         self.health.iter().all(said)
     }
 
+    /// The ids of those that have not.
+    pub fn unreleased(&self) -> Vec<u8> {
+        let said = |health: &Option<Health>| health.is_some_and(|health| !health.torque);
+        let servos = self.ids.iter().zip(&self.health);
+        servos
+            .filter(|(_, health)| !said(health))
+            .map(|(id, _)| *id)
+            .collect()
+    }
+
+    /// What servos have said of themselves counts no more.
+    pub fn ask_anew(&mut self) {
+        self.health.fill(None);
+    }
+
     /// Read what each servo senses; none of a servo that was not heard.
     pub fn sense(&mut self) -> Result<&[Option<Feedback>], Fault> {
         self.feedback.fill(None);
@@ -127,7 +142,7 @@ impl<P: Port> Drive<P> {
             let bytes = &self.data[k * HEALTH.1..(k + 1) * HEALTH.1];
             let at = |register: Register| usize::from(register.address - HEALTH.0);
             let watchdog = bytes[at(X_SERIES.bus_watchdog)];
-            let cap = at(X_SERIES.goal_current);
+            let cap = at(self.models[k].cap(0.0).0);
             let cap = i16::from_le_bytes([bytes[cap], bytes[cap + 1]]);
             let bare = ![self.watchdog, TRIPPED].contains(&watchdog);
             let most = Some(self.currents[k]).filter(|most| *most != i16::MIN);
@@ -148,7 +163,7 @@ impl<P: Port> Drive<P> {
         Ok(())
     }
 
-    /// Write goals (ticks) and currents (mA) under torque, or torque off.
+    /// Write goals (ticks) and currents (mA; of a servo that caps none the share of its PWM) under torque, or torque off.
     pub fn command(
         &mut self,
         torque: bool,
@@ -162,7 +177,7 @@ impl<P: Port> Drive<P> {
             return self.each(X_SERIES.bus_watchdog, |_| 0);
         }
         let models = &self.models;
-        let steps = |k: usize| currents[k].map(|most: f64| (most / models[k].current_unit) as i16);
+        let steps = |k: usize| currents[k].map(|most: f64| models[k].cap(most).1);
         let changed =
             (0..goals.len()).any(|k| steps(k).is_some_and(|steps| steps != self.currents[k]));
         let lacking = self.lacks.iter().any(|looks| again(*looks));
@@ -190,12 +205,9 @@ impl<P: Port> Drive<P> {
         for k in 0..self.ids.len() {
             if self.currents[k] != i16::MIN {
                 let bytes = self.currents[k].to_le_bytes();
-                self.bus.sync_write(
-                    &self.ids[k..k + 1],
-                    X_SERIES.goal_current.address,
-                    2,
-                    &bytes,
-                )?;
+                let address = self.models[k].cap(0.0).0.address;
+                self.bus
+                    .sync_write(&self.ids[k..k + 1], address, 2, &bytes)?;
             }
         }
         Ok(())

@@ -100,7 +100,7 @@ class Jog:
     def __exit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.robot.close()
+        self.robot.__exit__(kind, fault, trace)
 
     @property
     def position(self) -> Ticks:

@@ -105,6 +105,8 @@ def sentence(report: dict[str, Any]) -> str:
     name = str(report.get("state", "off"))
     said = STATES.get(name, name)
     why = "" if name in QUIET else cause(report)
+    if name == "fault" and (report.get("torque") or report.get("cause") == "silent"):
+        said = "Fault, torque off was sent; not every servo confirmed it"
     rescued = report.get("rescued")
     return f"{said}: {why}" + (f" ({rescued})" if rescued else "") if why else said
 
