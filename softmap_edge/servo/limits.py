@@ -12,7 +12,7 @@ from typing import Any
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.safety import BURST, HOLD, JUMP, RAMP, SLACKEN, STALE, TURNS_A_SECOND
-from softmap_edge.servo.models import servo_model
+from softmap_edge.servo.models import Model, servo_model
 
 Table = dict[str, Any]
 
@@ -36,20 +36,31 @@ def servo_limits(model: str, home: int, window: tuple[float, float]) -> Table:
         ServoError: no such model.
     """
     entry = servo_model(model)
-    most = entry["current_limit_mA"]
+    most = strongest(entry)
     return {
         "home": home,
         "low": home + round(window[0]),
         "high": home + round(window[1]),
-        "slew": SLEW,
+        "slew": min(SLEW, slowed(entry, CURRENT * most)),
         "acceleration": ACCELERATION,
-        "current": None if most is None else CURRENT * most,
+        "current": CURRENT * most,
         "fastest": FASTER * entry["fastest_ticks_per_s"],
         "following": 400.0,
         "warm": entry["temperature_limit_C"] - COOL[0],
         "hot": entry["temperature_limit_C"] - COOL[1],
         "voltage": tuple(entry["voltage_V"]),
     }
+
+
+def strongest(entry: Model) -> float:
+    """Return the current (mA) at which a servo gives the most that it may: its limit, or its stall if it has none."""
+    return float(entry["current_limit_mA"] or entry["stall_current_mA"])
+
+
+def slowed(entry: Model, current: float) -> float:
+    """Return the fastest turn, ticks/s, of a servo under a cap of `current` mA: less PWM is less speed too."""
+    real = float(entry["fastest_ticks_per_s"])
+    return real if entry["current_limit_mA"] is not None else real * min(1.0, current / entry["stall_current_mA"])
 
 
 def loop_limits(servos: Sequence[Table], rate: float = RATE, **changes: Any) -> Table:
