@@ -10,11 +10,8 @@ from softmap_edge.bundle import check_folder
 from softmap_edge.errors import BundleError, SoftmapError
 
 
-def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = False) -> None:
-    """Raise SoftmapError when the file that `option` names cannot be written, or does not end in `suffix`.
-
-    `new`: nothing may stand there either, since it would be lost.
-    """
+def check_file(option: str, path: str | None, suffix: str = "") -> None:
+    """Raise SoftmapError when the file that `option` names cannot be written, or does not end in `suffix`."""
     if path is None:
         return
     file = Path(path)
@@ -24,8 +21,6 @@ def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = F
         raise SoftmapError(f"{option} {path}: it is saved as {suffix}; give a name that ends so")
     if not file.parent.is_dir():
         raise SoftmapError(f"{option} {path}: there is no folder {file.parent}; make it first")
-    if new and file.exists():
-        raise SoftmapError(f"{option} {path}: it exists; give another name")
 
 
 def check_no_run(option: str, path: str | None, force: bool | None = None) -> None:

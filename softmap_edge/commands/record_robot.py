@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.bundle import save_bundle
+from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_bundle, check_file, check_no_run
 from softmap_edge.commands.own import open_model
@@ -35,7 +35,7 @@ SIMULATED = ("virtual", "truth", "finger", "truth_from")
 def record_on_robot(args: argparse.Namespace) -> int:
     """Play a command file on a robot and write the run; what there is of it also when it is cut short."""
     _checked(args)
-    model = open_model(args.bundle)
+    model = builtin_model() if args.bundle is None else open_model(args.bundle)
     if args.emulated:
         known = model.calibration or plain_map(model)
         model = replace(model, calibration=replace(known, window=known.window or known.holding(model.command_range)))
@@ -99,7 +99,9 @@ def _checked(args: argparse.Namespace) -> None:
         raise SoftmapError("--calibrated: only an emulated robot knows its true map; `softmap calibrate` finds one")
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out)
-    check_file("--record", args.record, ".mcap", new=True)
+    check_file("--record", args.record, ".mcap")
+    if args.record and Path(args.record).exists():
+        raise SoftmapError(f"--record {args.record}: it exists; give another name")
     if args.calibrated:
         check_bundle(args.calibrated)
 

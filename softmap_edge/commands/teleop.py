@@ -7,8 +7,12 @@ import contextlib
 import json
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
+
+from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import bench_of
@@ -63,6 +67,7 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides")
     parser.add_argument("--seed", type=int, default=0, help="--sim: of what is hidden and of noise")
     parser.add_argument("--force", action="store_true", help="--fetch-model: replace the file that is there")
+    parser.set_defaults(plan=False)
 
 
 def teleop(args: argparse.Namespace) -> int:
@@ -82,10 +87,12 @@ def teleop(args: argparse.Namespace) -> int:
 
 
 def _drive(args: argparse.Namespace) -> int:
-    check_file("--record", args.record, ".mcap", new=True)
+    check_file("--record", args.record, ".mcap")
+    if args.record and Path(args.record).exists():
+        raise SoftmapError(f"--record {args.record}: it exists; give another name")
     if args.hidden and not args.sim:
         raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
-    whole = open_model(args.bundle)
+    whole = builtin_model() if args.bundle is None else open_model(args.bundle)
     flips = _flips(args.flip)
     with contextlib.ExitStack() as stack:
         eyes = stack.enter_context(_eyes(args, stack))
@@ -103,7 +110,7 @@ def _drive(args: argparse.Namespace) -> int:
         if not inputs and args.seconds is None and not by_hand:
             raise TeleopError("nothing can drive: no page, no terminal, no camera; leave --page none away")
         bench = stack.enter_context(bench_of(args, whole))
-        model = bench.model.bare() if args.no_effects else bench.model
+        model = bench.model.with_effects([], np.zeros(0)) if args.no_effects else bench.model
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
         aim: Aim = Tip(kinematics) if args.tip else Direct(kinematics)
         robot = stack.enter_context(

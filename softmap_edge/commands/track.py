@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from softmap_edge.bundle import builtin_model
 from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
@@ -67,8 +68,10 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
 
 def track(args: argparse.Namespace) -> int:
     """Lead the tip along a figure, judge it, draw it."""
-    check_file("--record", args.record, ".mcap", new=True)
+    check_file("--record", args.record, ".mcap")
     check_file("--picture", args.picture, ".svg")
+    if args.record and Path(args.record).exists():
+        raise SoftmapError(f"--record {args.record}: it exists; give another name")
     if args.hidden and not args.sim:
         raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
     if args.camera and not args.rig:
@@ -80,7 +83,7 @@ def track(args: argparse.Namespace) -> int:
     if (args.rival and not args.table) or (args.reach and not args.workspace):
         raise SoftmapError("--rival goes with --table, --reach with --workspace; give that too")
     behind = late(args)
-    whole = open_model(args.bundle)
+    whole = builtin_model() if args.bundle is None else open_model(args.bundle)
     if args.table:
         return table(args, whole)
     if args.workspace:
@@ -117,7 +120,7 @@ def track(args: argparse.Namespace) -> int:
 
 def _bare(args: argparse.Namespace, model: Model) -> Model:
     """Return the model without its effects where that is asked for."""
-    return model.bare() if args.no_effects else model
+    return model.with_effects([], np.zeros(0)) if args.no_effects else model
 
 
 @contextlib.contextmanager
