@@ -138,9 +138,9 @@ RIGHT = b"\x1b[C"
 
 
 def types(ours, key, seconds):
-    """Hold a key as a keyboard does: a press, half a second nothing, then a repetition every 33 ms."""
+    """Hold a key as a keyboard does: a press, 0.6 s nothing, then a repetition every 33 ms."""
     os.write(ours, key)
-    time.sleep(0.5)
+    time.sleep(0.6)
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         os.write(ours, key)
