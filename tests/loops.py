@@ -13,8 +13,8 @@ import numpy as np
 from rigs import BAUD, MODEL, NUMBER, TICKS_PER_MM, angles, set_up
 
 from softmap_edge import _core
-from softmap_edge.servo.controller import BUDGET, REQUESTS
-from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.controller import REQUESTS
+from softmap_edge.servo.limits import BUDGET, loop_limits, servo_limits
 
 STATES = ("off", "connected", "homed", "ready", "engaged", "hold", "safe_stop", "fault", "commissioning")
 LEADS_ON = dict(off="connect", connected="home", homed="arm", ready="engage", fault="acknowledge")
@@ -31,7 +31,7 @@ class Loop:
         servos = [(id, NUMBER, BAUD, float(home)) for id, home in zip((1, 2), HOMES)]
         load = [[(home - 1000.0, -400.0), (home, 0.0), (home + 1000.0, 400.0)] for home in HOMES]
         self.bus = _core.EmulatedBus(servos, load, delay=0.01, lag=0.03, seed=3)
-        set_up(self.bus.path)
+        set_up(self.bus.path, homes=HOMES)
         axes = [servo_limits(MODEL, home, (-900.0, 900.0)) | {"slew": slew, "following": 200.0} for home in HOMES]
         quick = dict(stale=0.5, hold=60.0, late=0.04, silent=0.2, grace=0.2, ramp=0.1, slacken=10.0)
         quick |= dict(jog_travel=150.0, jog_slew=1000.0)
@@ -44,6 +44,7 @@ class Loop:
         mine, reports = os.pipe()
         setup = dict(port=self.bus.path, baud=BAUD, servos=[(1, NUMBER), (2, NUMBER)], limits=self.limits)
         setup |= dict(slope=(np.eye(2) / TICKS_PER_MM).reshape(-1).tolist(), b=[0.0, 0.0], home=HOMES, budget=BUDGET)
+        setup |= dict(homes=HOMES, gpio=None, heartbeat=None)
         self.process = subprocess.Popen(
             [sys.executable, "-m", "softmap_edge.servo.loop", str(orders), str(reports)],
             stdin=subprocess.PIPE,

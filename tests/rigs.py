@@ -25,14 +25,14 @@ def calibration():
     )
 
 
-def set_up(path, ids=(1, 2)):
-    """Do what `softmap servo setup` and `servo home` do: mode 5, no return delay, home proved to be HOME."""
+def set_up(path, ids=(1, 2), homes=(HOME, HOME)):
+    """Do what `softmap servo setup` and `servo home` do: mode 5, no return delay, homes proved."""
     bus = _core.ServoBus(path, BAUD)
-    for id in ids:
+    for id, home in zip(ids, homes):
         bus.write(id, 64, b"\x00")
         bus.write(id, 11, b"\x05")
         bus.write(id, 9, b"\x00")
-        set_mark(bus, id, HOME)
+        set_mark(bus, id, home)
     bus.close()
 
 
