@@ -1,4 +1,4 @@
-"""The key that is the emergency stop of `track`, `record` and `move`, typed at a pseudo-terminal beside an emulated robot."""
+"""The key that is the emergency stop of `track`, `record` and `move`, typed at a terminal beside an emulated robot."""
 
 import contextlib
 import os
@@ -113,7 +113,9 @@ def driven(bus, rig):
 ON = ["--rig", "rig.toml", "--bundle", "finger"]
 DRIVES = {
     "track": ["track", "O", *ON, "--amplitude", "4", "--duration", "30", "--record", "track.mcap"],
-    "record": ["record", "commands.csv", *ON, "--camera", f"udp://:{CAMERA}", "--out", "run.npz", "--record", "record.mcap"],
+    "record": [
+        "record", "commands.csv", *ON, "--camera", f"udp://:{CAMERA}", "--out", "run.npz", "--record", "record.mcap",
+    ],
     "move": ["move", "2,-1", *ON, "--hold", "--seconds", "100"],
     "jog by keys": ["move", "--rig", "rig.toml"],
     "jog by ticks": ["move", "--rig", "rig.toml", "--servo", "1", "--by", "290", "--hold"],

@@ -93,12 +93,14 @@ class Fingers:
 class Session:
     """A drive that runs in a thread."""
 
+    cameras = Camera
+
     def __init__(self, source="hand", aim=Direct, options=None, **limits):
         self.source, self.aim, self.options, self.limits = source, aim, options or {}, limits
 
     @contextmanager
     def running(self):
-        self.camera, self.finder, self.fingers, self.lines = Camera(), Finder(), Fingers(self.source), []
+        self.camera, self.finder, self.fingers, self.lines = self.cameras(), Finder(), Fingers(self.source), []
         eyes = CameraEyes("camera 0", self.camera, self.finder, View()) if self.source == "hand" else NoEyes()
         kinematics = Kinematics(MODEL, axes="xy" if self.aim is Tip else "xyz")
         with (

@@ -83,7 +83,7 @@ def _keys() -> Iterator[Iterator[str | None]]:
 
 def _pressed(typed: Typed) -> Iterator[str | None]:
     while True:
-        asked = [{" ": "press", "r": "release", "q": "end"}.get(key) for key in typed.keys()]
+        asked = [{" ": "press", "r": "release", "q": "end"}.get(key) for key in typed.read()]
         yield from filter(None, asked)
         yield "end" if typed.gone else None
 

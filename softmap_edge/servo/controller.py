@@ -43,6 +43,7 @@ REQUESTS = ("connect", "home", "arm", "engage", "hold", "stop", "acknowledge", "
 STARTS = 10.0  # s until the loop's process has said something
 SAID = 2.0  # s within which every servo has said whether it has torque
 FROZEN = 0.6  # s without a report after which the loop's process is taken to be frozen
+PASSING = ("torque", "trouble(late)")  # what denies a request, and may be over soon
 ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
 
 
@@ -98,9 +99,8 @@ class Controller:
         try:
             self._wait(self._heard_all, STARTS, "the servos say nothing")
             self._wait_for_release()
-            self._connect()
-            for request in () if self._commissioning else ("home", "arm"):
-                self.request(request)
+            for request in ("connect",) if self._commissioning else ("connect", "home", "arm"):
+                self._reach(request)
         except BaseException:
             self.close()
             raise
@@ -290,16 +290,15 @@ class Controller:
             self._last.setdefault("gone", "the process of the control loop has ended")
             self._heard.notify_all()
 
-    def _connect(self) -> None:
-        """Connect once each servo has said that it has no torque: that is asked five times a second, in turn."""
+    def _reach(self, request: str) -> None:
+        """Ask until it is granted: whether a servo has torque is heard five times a second, and one late answer is no
+        trouble that lasts."""
         until = time.monotonic() + SAID
         while True:
             try:
-                return self.request("connect")
+                return self.request(request)
             except ServoError:
-                if self._last.get("denied") is None or not str(self._last["denied"]).startswith("torque"):
-                    raise
-                if time.monotonic() > until:
+                if not str(self._last.get("denied")).startswith(PASSING) or time.monotonic() > until:
                     raise
             time.sleep(0.05)
 

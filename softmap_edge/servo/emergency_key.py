@@ -22,7 +22,9 @@ from softmap_edge.servo.keys import EMERGENCY, Typed, terminal
 
 EVERY = 0.02  # s between two looks
 HELP = f"{EMERGENCY} is the emergency stop: torque off at once"
-PRESSED = "the emergency stop was pressed: torque is off, home is known as before; see that all is well, then start again"
+PRESSED = (
+    "the emergency stop was pressed: torque is off, home is known as before; see that all is well, then start again"
+)
 
 
 class EmergencyKey:
@@ -69,7 +71,7 @@ class EmergencyKey:
         assert self._typed is not None
         while not self._done.wait(EVERY) and not self._said:
             with self._reading:
-                pressed = EMERGENCY in self._typed.keys()
+                pressed = EMERGENCY in self._typed.read()
             if pressed:
                 self._said = PRESSED
                 try:

@@ -72,7 +72,7 @@ class Typed:
         finally:
             tty.setcbreak(self._file)
 
-    def keys(self) -> list[str]:
+    def read(self) -> list[str]:
         """Return the names of the keys that came since, never waiting; a terminal that is gone was left by escape."""
         read = b""
         while not self.gone and len(read) < MOST and select.select([self._file], [], [], 0.0)[0]:
@@ -137,7 +137,7 @@ class Keys:
 
     def key(self) -> str:
         """Return the key that is held now, empty if none, by the name that `named` gives."""
-        for key in self._typed.keys():
+        for key in self._typed.read():
             self._last = (key, time.monotonic())
             self.stopped |= key in STOP
             self.emergency |= key == EMERGENCY

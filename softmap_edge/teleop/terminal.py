@@ -40,7 +40,7 @@ class Terminal:
 
     def controls(self, now: float) -> Controls:
         """Read what was typed."""
-        for key in self._typed.keys():
+        for key in self._typed.read():
             self._press(key, now)
         return Controls(self._key.held(now), self._knob, self._source)
 
