@@ -1,4 +1,4 @@
-"""What datagrams of this package share: a key in a file, a signature, an address, a socket.
+"""What datagrams of this package share: a key in a file, a signature, an address, a socket and its end.
 
 HMAC-SHA256 under a shared key: whoever has no key can neither write nor change a datagram; they are not secret.
 Pinned by tests/test_landmarks_udp.py and tests/test_camera_points.py.
@@ -14,7 +14,8 @@ import secrets
 import socket
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from softmap_edge.errors import TeleopError
 
@@ -78,6 +79,22 @@ def checked_key(key: bytes) -> bytes:
 def tag(key: bytes, body: bytes) -> bytes:
     """Return what signs `body`, TAG bytes."""
     return hmac.new(key, body, hashlib.sha256).digest()
+
+
+class Link:
+    """What talks through a `_socket` of its own: a context manager, to be closed."""
+
+    _socket: socket.socket
+
+    def close(self) -> None:
+        """Close the socket; may be called again."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
 
 
 def offered(link: socket.socket, key: bytes, mark: bytes, session: bytes) -> bytes:

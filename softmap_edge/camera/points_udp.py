@@ -22,7 +22,6 @@ import threading
 import time
 from collections import Counter, deque
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -30,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.camera.frames import Frame
 from softmap_edge.errors import TeleopError
-from softmap_edge.signed_udp import TAG, checked_key, open_udp, tag
+from softmap_edge.signed_udp import TAG, Link, checked_key, open_udp, tag
 
 MARK = b"SMP1"
 _HEAD = struct.Struct("<4sHHQQd")
@@ -81,7 +80,7 @@ def unpacked(datagram: bytes, key: bytes | None = None) -> Message | str:
     return Message(points, stamp, session, sequence)
 
 
-class PointSender:
+class PointSender(Link):
     """Sends frames to `host`:`port`; a context manager, to be closed.
 
     Raises:
@@ -119,18 +118,8 @@ class PointSender:
         except OSError:  # refused or unreachable: the other side may come back
             return False
 
-    def close(self) -> None:
-        """Close the socket; may be called again."""
-        self._socket.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
-
-class PointReceiver:
+class PointReceiver(Link):
     """Takes frames at `host`:`port` (0: any free one, see `.port`) from entering to leaving.
 
     `.refused` counts what was not taken, by why: length, signature, content, points (another number of them), sender
@@ -173,15 +162,12 @@ class PointReceiver:
         self._thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
     def close(self) -> None:
         """Listen no more, and free the port; may be called again."""
         self._done.set()
         if self._thread.is_alive():
             self._thread.join(10 * WAIT)
-        self._socket.close()
+        super().close()
 
     def seen(self) -> list[Frame]:
         """Return the frames that have arrived, oldest first, at most the last `KEPT`."""

@@ -24,6 +24,13 @@ def check_file(option: str, path: str | None, suffix: str = "") -> None:
         raise SoftmapError(f"{option} {path}: there is no folder {file.parent}; make it first")
 
 
+def check_new(option: str, path: str | None, suffix: str) -> None:
+    """As `check_file`, of a file that must not exist yet."""
+    check_file(option, path, suffix)
+    if path and Path(path).exists():
+        raise SoftmapError(f"{option} {path}: it exists; give another name")
+
+
 def check_no_run(option: str, path: str | None, force: bool | None = None) -> None:
     """Raise SoftmapError when a run stands where `option` would write something else, or another recording.
 

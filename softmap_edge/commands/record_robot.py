@@ -15,7 +15,7 @@ from typing import Any
 
 from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.camera.frames import Seen
-from softmap_edge.commands.output import check_bundle, check_file, check_no_run, to_stderr
+from softmap_edge.commands.output import check_bundle, check_file, check_new, check_no_run, to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import Bench, emulated, plain_map, read_bench
@@ -101,9 +101,7 @@ def _checked(args: argparse.Namespace) -> None:
         raise SoftmapError("--calibrated: only an emulated robot knows its true map; `softmap calibrate` finds one")
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out)
-    check_file("--record", args.record, ".mcap")
-    if args.record and Path(args.record).exists():
-        raise SoftmapError(f"--record {args.record}: it exists; give another name")
+    check_new("--record", args.record, ".mcap")
     if args.calibrated:
         check_bundle(args.calibrated)
 

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from softmap_edge.commands.output import check_new
+from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.servo.combined import calibration_of, combined
 from softmap_edge.servo.finger import EmulatedFinger, emulated_bench, hidden_laws
@@ -43,6 +45,31 @@ def read_bench(path: str, model: Model) -> Bench:
     rig = read_rig(path)
     found = combined(rig, model, known, RATE)
     return Bench(rig, found.table(), found.calibration, replace(model, calibration=found.calibration))
+
+
+def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
+    """Declare what verbs share that drive a model on a robot; `seed` is what else it is of."""
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="whose model and effects are used (default: the built-in finger)"
+    )
+    parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out, to compare")
+    parser.add_argument(
+        "--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides: backlash,creep"
+    )
+    parser.add_argument("--seed", type=int, help=f"--sim: of what is hidden and of noise (0){seed}")
+    parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
+
+
+def check_driven(args: argparse.Namespace) -> None:
+    """Raise SoftmapError where those arguments cannot be."""
+    check_new("--record", args.record, ".mcap")
+    if args.hidden and not args.sim:
+        raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
+
+
+def driven_model(args: argparse.Namespace, model: Model) -> Model:
+    """Return the model without its effects where that is asked for."""
+    return model.with_effects([], np.zeros(0)) if args.no_effects else model
 
 
 @contextlib.contextmanager

@@ -6,16 +6,13 @@ import argparse
 import contextlib
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
-
 from softmap_edge.bundle import builtin_model
-from softmap_edge.commands.output import check_file, to_stderr
+from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import open_model
-from softmap_edge.commands.robot import bench_of
-from softmap_edge.errors import SoftmapError, TeleopError
+from softmap_edge.commands.robot import bench_of, check_driven, driven_arguments, driven_model
+from softmap_edge.errors import TeleopError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.keys import terminal
@@ -47,7 +44,6 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--send", metavar="udp://HOST:PORT", help="drive nothing here: send landmarks and key there")
     what.add_argument("--fetch-model", metavar="FROM", help="make the model of hands of mediapipe's wheel, or a copy")
     what.add_argument("--new-key", metavar="FILE", help="make a key that both computers share")
-    parser.add_argument("--bundle", metavar="DIR", help="whose model and effects are used (the built-in finger)")
     cameras = "a camera, a video, landmarks of another computer, or none: keys and mouse (none)"
     parser.add_argument("--camera", default="none", metavar="N|FILE|udp://:PORT|none", help=cameras)
     parser.add_argument("--model", metavar="FILE.task", help="the model of hands (where --fetch-model puts it)")
@@ -55,7 +51,6 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--page", default=str(PORT), metavar="PORT|none", help=f"of the page; 0: any free ({PORT})")
     parser.add_argument("--page-host", default="127.0.0.1", metavar="ADDRESS", help="where it listens (127.0.0.1)")
     parser.add_argument("--tip", action="store_true", help="lead the tip in x and y, by inverse kinematics")
-    parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out")
     parser.add_argument("--hand", default="any", choices=("any", "left", "right"), help="which hand drives (any)")
     parser.add_argument("--mirrored", action="store_true", help="the camera gives mirror images")
     parser.add_argument("--flip", default="", metavar="x,y", help="turn the hand's sideways (x) or forward (y) round")
@@ -63,9 +58,7 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--reach", default=HandMap.reach, type=_two, metavar="SIDE,FORWARD", help=reach)
     parser.add_argument("--gesture", default="fist-releases", choices=RULES, help="beside the key (fist-releases)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after this long")
-    parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
-    parser.add_argument("--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides")
-    parser.add_argument("--seed", type=int, default=0, help="--sim: of what is hidden and of noise")
+    driven_arguments(parser)
     parser.add_argument("--force", action="store_true", help="--fetch-model: replace the file that is there")
     parser.set_defaults(plan=False)
 
@@ -87,11 +80,7 @@ def teleop(args: argparse.Namespace) -> int:
 
 
 def _drive(args: argparse.Namespace) -> int:
-    check_file("--record", args.record, ".mcap")
-    if args.record and Path(args.record).exists():
-        raise SoftmapError(f"--record {args.record}: it exists; give another name")
-    if args.hidden and not args.sim:
-        raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
+    check_driven(args)
     whole = builtin_model() if args.bundle is None else open_model(args.bundle)
     flips = _flips(args.flip)
     with contextlib.ExitStack() as stack:
@@ -110,7 +99,7 @@ def _drive(args: argparse.Namespace) -> int:
         if not inputs and args.seconds is None and not by_hand:
             raise TeleopError("nothing can drive: no page, no terminal, no camera; leave --page none away")
         bench = stack.enter_context(bench_of(args, whole))
-        model = bench.model.with_effects([], np.zeros(0)) if args.no_effects else bench.model
+        model = driven_model(args, bench.model)
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
         aim: Aim = Tip(kinematics) if args.tip else Direct(kinematics)
         robot = stack.enter_context(

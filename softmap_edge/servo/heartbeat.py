@@ -14,11 +14,9 @@ from __future__ import annotations
 import socket
 import struct
 import time
-from types import TracebackType
-from typing import Self
 
 from softmap_edge.errors import ServoError
-from softmap_edge.signed_udp import TAG, offered, tag
+from softmap_edge.signed_udp import TAG, Link, offered, tag
 
 MARK, OFFER_MARK = b"SMB1", b"SMC1"
 _BODY = struct.Struct("<4sB16sQQ")
@@ -27,8 +25,9 @@ PRESSED = 1
 NO_SESSION = bytes(16)
 
 
-class Heart:
-    """Beats for the robot at `host`:`port`, signed with `key`; a context manager, to be closed.
+class Heart(Link):
+    """Beats for the robot at `host`:`port`, signed with `key`; a context manager, to be closed, which the robot takes
+    for pressed.
 
     Raises:
         ServoError: no such host or port.
@@ -66,13 +65,3 @@ class Heart:
     def _listen(self) -> None:
         """Take the newest session that the robot offers."""
         self._session = offered(self._socket, self._key, OFFER_MARK, self._session)
-
-    def close(self) -> None:
-        """Stop beating: the robot takes it for pressed."""
-        self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
-        self.close()

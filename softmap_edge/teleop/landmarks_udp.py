@@ -22,12 +22,11 @@ import struct
 import time
 from collections import Counter
 from dataclasses import dataclass
-from types import TracebackType
 
 import numpy as np
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.signed_udp import TAG, checked_key, offered, open_udp, tag
+from softmap_edge.signed_udp import TAG, Link, checked_key, offered, open_udp, tag
 from softmap_edge.teleop.hand import LANDMARKS, Hand
 
 MARK, OFFER_MARK = b"SMH1", b"SMO1"
@@ -88,7 +87,7 @@ def unpacked(datagram: bytes, key: bytes) -> tuple[Message, bytes, int, float] |
     return Message(hand, bool(flags & HELD)), session, sequence, clock
 
 
-class Sender:
+class Sender(Link):
     """Sends messages to `host`:`port`; a context manager, to be closed.
 
     Raises:
@@ -118,18 +117,8 @@ class Sender:
         """Take the newest session that the receiver offers."""
         self._session = offered(self._socket, self._key, OFFER_MARK, self._session)
 
-    def close(self) -> None:
-        """Close the socket; may be called again."""
-        self._socket.close()
 
-    def __enter__(self) -> Sender:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
-
-class Receiver:
+class Receiver(Link):
     """Takes messages at `host`:`port` (0: any free one, see `.port`); a context manager, to be closed.
 
     `newest()` is to be asked at least as often as pictures come. `.refused` counts what was not taken, by why:
@@ -213,13 +202,3 @@ class Receiver:
         least = min(quickest + DRIFT * (now - when), now - clock)
         self._quickest = (least, now)
         return (now - clock) - least
-
-    def close(self) -> None:
-        """Close the socket; may be called again."""
-        self._socket.close()
-
-    def __enter__(self) -> Receiver:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
