@@ -28,6 +28,11 @@ class Line:
     found: str
     do: str = ""
 
+    @property
+    def fine(self) -> bool:
+        """Whether it is in order."""
+        return self.state == OK
+
     def __str__(self) -> str:
         said = f"{self.state:<8} {self.name}: {self.found}"
         return f"{said}\n{'':<9}→ {self.do}" if self.do else said
