@@ -46,8 +46,8 @@ def test_from_the_box_to_ready(tmp_path, monkeypatch, capsys):
     assert not any(on for _, on, _ in horns), "torque is off"
     rig = read_rig("rig.toml")
     assert all(servo.home is not None and servo.current_mA for servo in rig.servos)
-    assert set(rig.made) >= {"homed", "pulled"} and rig.ceiling.get("high") == 1500.0
-    assert "1500" in said["limits"] and "nothing is driven" not in said["limits"]
+    assert set(rig.made) >= {"homed", "pulled"} and rig.ceiling.get("high") == 800.0
+    assert "800" in said["limits"] and "nothing is driven" not in said["limits"]
     assert "servo 1" in said["doctor"] and Path("o.svg").read_text(encoding="utf-8").startswith("<")
     done = json.loads(Path("finger/calibration.json").read_text(encoding="utf-8"))
     assert done["A"][0][0] == pytest.approx(1 / 280.0, rel=0.01)
