@@ -17,6 +17,7 @@ from softmap_edge.servo.controller import REQUESTS
 from softmap_edge.servo.limits import BUDGET, loop_limits, servo_limits
 
 STATES = ("off", "connected", "homed", "ready", "engaged", "hold", "safe_stop", "fault", "commissioning")
+DRIVEN = ("engaged", "hold", "commissioning")
 LEADS_ON = dict(off="connect", connected="home", homed="arm", ready="engage", fault="acknowledge")
 HOMES = (2000, 2400)  # apart, so that exchanged ids show
 FAR = (2.0, 2.0)  # mm
@@ -159,7 +160,15 @@ class Loop:
             self.reach("disconnect", "off")
 
     def bring(self, state):
-        """Lead the guard from OFF to `state`; engaged, it stands far out."""
+        """Lead the guard from OFF to `state`; engaged, it stands far out. A busy machine may end it on the way."""
+        for _ in range(3):
+            self._lead(state)
+            if self.state == state:
+                return
+            self.restore()
+        raise AssertionError(f"never {state}: {self.reports[-1]}")
+
+    def _lead(self, state):
         if state == "off":
             return
         self.reach("connect", "connected")
@@ -182,14 +191,14 @@ class Loop:
             return
         self.reach("engage", "engaged")
         self._arrive(FAR[0] * TICKS_PER_MM)
-        if state in ("hold", "safe_stop"):
+        if state in ("hold", "safe_stop") and self.state == "engaged":
             self.reach({"hold": "hold", "safe_stop": "stop"}[state], state)
 
     def _arrive(self, away):
         far = np.array(HOMES) + away
         until = time.monotonic() + PATIENCE
-        while np.abs(self.angles() - far).max() > 12.0:
-            assert time.monotonic() < until, f"{self.angles()} is not {far}"
+        while self.state in DRIVEN and np.abs(self.angles() - far).max() > 12.0:
+            assert time.monotonic() < until, f"{self.angles()} is not {far}: {self.reports[-1]}"
             time.sleep(0.005)
 
     def angles(self):
