@@ -19,6 +19,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from softmap_edge.errors import TeleopError
+from softmap_edge.servo import words
 from softmap_edge.teleop import page as pages
 from softmap_edge.teleop.page import Page
 
@@ -313,18 +314,18 @@ def test_in_a_browser_space_drives_and_leaving_the_page_lets_go(tmp_path):
         page.on("console", lambda line: wrong.append(line.text) if line.type == "error" else None)
         page.goto(url)
         said = page.locator("#state")
-        shows = lambda text: until(lambda: said.text_content() == text)  # noqa: E731
+        shows = lambda state: until(lambda: said.text_content() == words.NAMES[state].capitalize())  # noqa: E731
         for let_go in (
             lambda: page.keyboard.up("Space"),
             lambda: page.evaluate("window.dispatchEvent(new Event('blur'))"),
             lambda: page.evaluate("document.dispatchEvent(new Event('visibilitychange'))"),
             lambda: page.keyboard.press("Escape"),
         ):
-            shows("Ready")
+            shows("ready")
             page.keyboard.down("Space")
-            shows("Driving")
+            shows("engaged")
             let_go()
-            until(lambda: said.text_content() != "Driving")
+            until(lambda: said.text_content() != words.NAMES["engaged"].capitalize())
             page.keyboard.up("Space")
         assert said.is_visible() and page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         page.set_viewport_size({"width": 390, "height": 844})
