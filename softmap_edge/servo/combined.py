@@ -22,7 +22,7 @@ from softmap_edge import _core
 from softmap_edge.errors import LimitError, ServoError
 from softmap_edge.model import Model
 from softmap_edge.safety import Safety, derived
-from softmap_edge.servo.limits import RATE, Table, loop_limits, servo_limits
+from softmap_edge.servo.limits import RATE, Table, following, loop_limits, servo_limits
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import TURN, Calibration
@@ -257,6 +257,7 @@ def _servo(
         pulled = [] if safety.tension is None else [_current(safety, entry, calibration, k)]
         least("current", own, *pulled, of="current_mA")
     limits.append(Limit("fastest", start["fastest"], "ticks/s", DATA, "half above its fastest turn is not believed"))
+    start["following"] = following(float(_of(limits, "slew").value))
     for name in ("following", "warm", "hot"):
         least(name)
     limits.append(Limit("voltage", start["voltage"], "V", DATA))
