@@ -36,7 +36,7 @@ SERVOS = [servo_limits("XL330-M288", 2000, (-900.0, 900.0))] * 2
 SOFTMAP = str(Path(sys.executable).with_name("softmap"))
 WATCHDOG = 0.08  # s: without a word for 0.1 s a servo stops by itself, and looks are 0.01 s apart
 TRIALS = 3
-TELLING = ["small loops at two offsets", "triangles of growing size"]
+TELLING = ["small loops at two offsets", "triangles of growing size", "diagonals"]
 
 
 def short(load=False):
@@ -220,7 +220,7 @@ def blinded(finger):
 @pytest.fixture(scope="module")
 def commands(tmp_path_factory):
     file = tmp_path_factory.mktemp("commands") / "commands.csv"
-    write_commands(file, plan(chosen(TELLING), Limits.even(2, 4.0)), MODEL.robot)
+    write_commands(file, plan(chosen(TELLING), Limits.even(2, 5.0)), MODEL.robot)
     return file
 
 
