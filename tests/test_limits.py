@@ -68,9 +68,7 @@ def test_the_ceiling_stands_in_place_of_the_defaults_and_a_bundle_only_tightens_
     assert table["servos"][1]["low"] == HOME - 300 and table["hold"] == 0.5 and table["turns"] == 1.0
 
 
-@pytest.mark.parametrize(
-    "ceiling, ticks", [((), 720.0), ((("slew", 900.0),), 400.0), ((("following", 300.0),), 300.0)]
-)
+@pytest.mark.parametrize("ceiling, ticks", [((), 720.0), ((("slew", 900.0),), 400.0), ((("following", 300.0),), 300.0)])
 def test_a_servo_may_be_as_late_as_the_trunks_were_at_its_speed_unless_the_bench_says_otherwise(ceiling, ticks):
     found = combined(rig(ceiling), FINGER, turned(np.eye(2) / 280.0))
     assert limit(found, "following").value == ticks
