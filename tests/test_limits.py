@@ -1,6 +1,7 @@
 """The limits in force: the bench's ceiling, the finger's safety, servo and calibration, each with its origin."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -176,19 +177,20 @@ def test_each_range_is_the_guard_s_own_whoever_reads_the_limit(tmp_path):
     rig().write(tmp_path / "rig.toml")
     for name, (_, high, unit) in _core.limit_ranges().items():
         own = name in table["servos"][0]
-        beyond = high + 1 if name in ("home", "low", "high") else 1.5 * high
+        beyond = int(high) + 1 if name in ("home", "low", "high") else 1.5 * high
         value = (3.5, beyond) if name == "voltage" else (1.0, beyond) if name == "jump" else beyond
         changed = {"servos": table["servos"] * 17} if name == "servos" else {name: value}
+        changed |= {"hot": 80.0} if name == "warm" else {}
         changes = {"servos": [table["servos"][0] | changed]} if own else changed
         with pytest.raises(ServoError, match=rf"{name}.* is .*; allowed is .* to {high:.7g} ?{unit}"):
             _core.check_limits(table | changes)
         if (key := "current_mA" if name == "current" else name) in RANGES:
             value = list(value) if isinstance(value, tuple) else value
             (tmp_path / "wide.toml").write_text((tmp_path / "rig.toml").read_text() + f"[ceiling]\n{key} = {value}\n")
-            with pytest.raises(ServoError, match=rf"{key} = .*{high:g}"):
+            with pytest.raises(ServoError, match=rf"{key} = .*{re.escape(f'{high:g}')}"):
                 read_rig(tmp_path / "wide.toml")
         if name in (*TIMES, *TURNS):
-            said = f"{name} = {getattr(FINGER.safety, name):g}"
+            said = f"{name} = {getattr(FINGER.safety, name)}"
             text = FINGER.safety.to_toml()
             assert said in text
             with pytest.raises(BundleError, match=rf"{name} = .*, expected .* to {high:g}"):

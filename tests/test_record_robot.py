@@ -36,7 +36,7 @@ SERVOS = [servo_limits("XL330-M288", 2000, (-900.0, 900.0))] * 2
 SOFTMAP = str(Path(sys.executable).with_name("softmap"))
 WATCHDOG = 0.08  # s: without a word for 0.1 s a servo stops by itself, and looks are 0.01 s apart
 TRIALS = 3
-TELLING = ["small loops at two offsets", "triangles of growing size"]
+TELLING = ["small loops at two offsets", "triangles of growing size", "diagonals"]
 
 
 def short(load=False):
@@ -111,8 +111,9 @@ def replace_points(frame):
 def stood(file):
     """Return for how long (s) the line to the servos stood before a fault ended a recording; 0 for any other cause.
 
-    A busy computer hands over late what is sent, of all servos alike: for so long none of them is heard. What one servo
-    does, or what the guard finds besides, is no such fault.
+    Loop and emulated servos run before all ordinary threads, but a worker of the kernel's, an ordinary one, carries the
+    bytes of a pseudo-terminal between them: where the computer is busy it comes late, and for so long no servo is heard
+    at all. What one servo does, or what the guard finds besides, is no such fault.
     """
     periods = read_recording(file).periods
     end = next((k for k, period in enumerate(periods) if period["state"] == "fault"), None)
@@ -188,8 +189,8 @@ def test_a_camera_that_is_gone_ends_it_and_what_was_seen_is_kept(tmp_path, monke
     made = short()
     made = Protocol(made.name, made.t * 1.5, made.command, made.gravity, made.t_seen * 1.5, made.block)
 
-    def tell(finger, share):  # by then frames were taken, and half a second later there is still something to play
-        finger.blind(share > 0.6)
+    def tell(finger, share):  # by then frames were taken, and half a second later it still is away from home
+        finger.blind(share > 0.5)
 
     player, paced, file, ended = played(tmp_path, made, lambda *said: None, tell=tell)
     line, states = TABLE["camera gone, recording"]
@@ -219,7 +220,7 @@ def blinded(finger):
 @pytest.fixture(scope="module")
 def commands(tmp_path_factory):
     file = tmp_path_factory.mktemp("commands") / "commands.csv"
-    write_commands(file, plan(chosen(TELLING), Limits.even(2, 4.0)), MODEL.robot)
+    write_commands(file, plan(chosen(TELLING), Limits.even(2, 5.0)), MODEL.robot)
     return file
 
 

@@ -213,9 +213,10 @@ class Controller:
             return
         with self._heard:
             off = self._heard.wait_for(lambda: self._last.get("emergency") and not self._last.get("torque"), FROZEN)
-        if not off and self._process is not None:
-            self._process.kill()
-            self._process.wait()
+        process = self._process  # another thread may be closing it
+        if not off and process is not None:
+            process.kill()
+            process.wait()
             self._rescue()
             raise ServoError(str(self._last["rescued"]))
 
