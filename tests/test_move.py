@@ -41,6 +41,8 @@ def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
             jog.stop()
             until(lambda: not torque(bus))
             jog.by(1, -900, Held())
+            until(lambda: angles(bus)[1] <= HOME - jog.travel + 6)
+            time.sleep(0.3)
             assert angles(bus)[1] == pytest.approx(HOME - jog.travel, abs=6), "no farther than its travel"
         assert not torque(bus)
 
