@@ -20,7 +20,6 @@ from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import loop
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import budget_of
 from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import RigServo
 from softmap_edge.teleop.frames import CameraFrames
@@ -77,7 +76,7 @@ def program(rig, limits):
     """Run the loop's own program here, as whoever this process is; raises what it reports instead of a state."""
     calibrated = calibration()
     setup = dict(port=rig.port, baud=rig.baud, servos=rig.numbers, homes=[HOME, HOME], limits=limits, gpio=None)
-    setup |= dict(slope=calibrated.A.ravel().tolist(), b=[0.0, 0.0], home=[HOME, HOME], budget=budget_of(limits))
+    setup |= dict(slope=calibrated.A.ravel().tolist(), b=[0.0, 0.0], home=[HOME, HOME])
     (orders, _), (said, reports) = os.pipe(), os.pipe()
     sys.stdin = io.StringIO(json.dumps(setup | dict(heartbeat=None)))
     sys.argv = ["loop", str(orders), str(reports)]

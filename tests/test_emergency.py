@@ -292,6 +292,7 @@ def test_torque_off_drives_nothing_home():
             until(lambda: not torque(bus), 2.0)
             time.sleep(1.0)  # at half the slew home would be 0.4 s away
             assert abs(angles(bus) - before).max() < 15
+            robot.emergency(False)
             again(robot)
             until(there, 20.0)
         assert abs(angles(bus) - HOME).max() < 15

@@ -23,7 +23,7 @@ from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.experiment.command_file import write_commands
 from softmap_edge.protocol import Limits
 from softmap_edge.servo.emergency_key import HELP, PRESSED
-from softmap_edge.servo.finger import emulated_bench, full_window
+from softmap_edge.servo.finger import emulated_bench
 from softmap_edge.servo.recording import read_recording
 
 SOFTMAP = str(Path(sys.executable).with_name("softmap"))
@@ -37,7 +37,7 @@ def robot(tmp_path_factory):
     """Give an emulated bus and the folder with its rig, bundle and commands; its camera sends to CAMERA."""
     folder, model = tmp_path_factory.mktemp("robot"), builtin_model()
     known = plain_map(model)
-    model = replace(model, calibration=replace(known, window=full_window(model, known)))
+    model = replace(model, calibration=replace(known, window=known.holding(model.command_range)))
     save_bundle(model, folder / "finger")
     write_commands(folder / "commands.csv", plan(chosen(["circle"]), Limits.even(2, 3.0)), model.robot)
     with (

@@ -1,6 +1,7 @@
 """The limits in force: the bench's ceiling, the finger's safety, servo and calibration, each with its origin."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -69,6 +70,13 @@ def test_the_ceiling_stands_in_place_of_the_defaults_and_a_bundle_only_tightens_
         assert (one.value, one.by) == (value, "rig.toml"), name
     table = found.table()
     assert table["servos"][1]["low"] == HOME - 300 and table["hold"] == 0.5 and table["turns"] == 1.0
+
+
+@pytest.mark.parametrize("ceiling, ticks", [((), 720.0), ((("slew", 900.0),), 400.0), ((("following", 300.0),), 300.0)])
+def test_a_servo_may_be_as_late_as_the_trunks_were_at_its_speed_unless_the_bench_says_otherwise(ceiling, ticks):
+    found = combined(rig(ceiling), FINGER, turned(np.eye(2) / 280.0))
+    assert limit(found, "following").value == ticks
+    assert servo_limits(MODEL, HOME, (-9.0, 9.0))["following"] == 720.0
 
 
 def test_whatever_a_finger_says_the_ceiling_holds():
@@ -180,19 +188,20 @@ def test_each_range_is_the_guard_s_own_whoever_reads_the_limit(tmp_path):
     rig().write(tmp_path / "rig.toml")
     for name, (_, high, unit) in _core.limit_ranges().items():
         own = name in table["servos"][0]
-        beyond = high + 1 if name in ("home", "low", "high") else 1.5 * high
+        beyond = int(high) + 1 if name in ("home", "low", "high") else 1.5 * high
         value = (3.5, beyond) if name == "voltage" else (1.0, beyond) if name == "jump" else beyond
         changed = {"servos": table["servos"] * 17} if name == "servos" else {name: value}
+        changed |= {"hot": 80.0} if name == "warm" else {}
         changes = {"servos": [table["servos"][0] | changed]} if own else changed
         with pytest.raises(ServoError, match=rf"{name}.* is .*; allowed is .* to {high:.7g} ?{unit}"):
             _core.check_limits(table | changes)
         if (key := "current_mA" if name == "current" else name) in RANGES:
             value = list(value) if isinstance(value, tuple) else value
             (tmp_path / "wide.toml").write_text((tmp_path / "rig.toml").read_text() + f"[ceiling]\n{key} = {value}\n")
-            with pytest.raises(ServoError, match=rf"{key} = .*{high:g}"):
+            with pytest.raises(ServoError, match=rf"{key} = .*{re.escape(f'{high:g}')}"):
                 read_rig(tmp_path / "wide.toml")
         if name in (*TIMES, *TURNS):
-            said = f"{name} = {getattr(FINGER.safety, name):g}"
+            said = f"{name} = {getattr(FINGER.safety, name)}"
             text = FINGER.safety.to_toml()
             assert said in text
             with pytest.raises(BundleError, match=rf"{name} = .*, expected .* to {high:g}"):
@@ -268,6 +277,23 @@ def test_a_servo_that_caps_no_current_gets_a_cap_of_its_pwm_by_the_same_limit():
     with opened(bus.path, BAUD) as back:
         assert registers(back, 1)["goal_pwm"] == int(885 * 150.0 / 1400.0)
     bus.unplug()
+
+
+def test_a_ceiling_of_hot_alone_is_one_of_warm_too(tmp_path):
+    calibrated = replace(FINGER, calibration=turned(np.eye(2) / 280.0))
+    for values, warm, by in (
+        ((("hot", 50.0),), 40.0, "rig.toml"),
+        ((("hot", 79.0),), 55.0, "the servo's data"),
+        ((("hot", 50.0), ("warm", 45.0)), 45.0, "rig.toml"),
+    ):
+        found = combined(rig(values), calibrated)
+        limits = {one.name: one for one in found.servos[0]}
+        assert (limits["warm"].value, limits["warm"].by) == (warm, by)
+        assert limits["hot"].value <= 65.0, "a servo's own data is never passed"
+        found.table()
+    rig((("hot", 50.0), ("warm", 60.0))).write(tmp_path / "rig.toml")
+    with pytest.raises(ServoError, match="ceiling: warm = 60, expected at most hot = 50 °C"):
+        read_rig(tmp_path / "rig.toml")
 
 
 def test_the_loop_keeps_to_the_limits_of_the_finger():

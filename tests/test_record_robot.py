@@ -23,7 +23,7 @@ from softmap_edge.camera.frames import Frame
 from softmap_edge.cli import main
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.command_file import write_commands
-from softmap_edge.experiment.pace import ANSWER, BEHIND, SPAN, STILL, pace, servos_still, view_still
+from softmap_edge.experiment.pace import ANSWER, BEHIND, SHARE, SPAN, STILL, pace, servos_still, view_still
 from softmap_edge.experiment.play import Player, merged
 from softmap_edge.protocol import Limits, Protocol
 from softmap_edge.servo.controller import Controller
@@ -36,7 +36,7 @@ SERVOS = [servo_limits("XL330-M288", 2000, (-900.0, 900.0))] * 2
 SOFTMAP = str(Path(sys.executable).with_name("softmap"))
 WATCHDOG = 0.08  # s: without a word for 0.1 s a servo stops by itself, and looks are 0.01 s apart
 TRIALS = 3
-TELLING = ["small loops at two offsets", "triangles of growing size"]
+TELLING = ["small loops at two offsets", "triangles of growing size", "diagonals"]
 
 
 def short(load=False):
@@ -55,7 +55,7 @@ def test_a_file_is_slowed_to_what_servos_can_do():
     made = plan(chosen(["circle", "fast and slow triangles"]), Limits.even(2, 3.0))
     paced = pace(made, calibration(), SERVOS)
     speed = np.abs(np.diff(calibration().ticks(made.command), axis=0)) / np.diff(paced.t)[:, None]
-    most = BEHIND * SERVOS[0]["following"] / ANSWER
+    most = min(SHARE * SERVOS[0]["slew"], BEHIND * SERVOS[0]["following"] / ANSWER)
     assert speed.max() <= most + 1e-6 and np.all(np.diff(paced.t) >= np.diff(made.t) - 1e-9)
     asked = np.abs(np.diff(calibration().ticks(made.command), axis=0)) / np.diff(made.t)[:, None]
     assert asked.max() > most
@@ -111,8 +111,9 @@ def replace_points(frame):
 def stood(file):
     """Return for how long (s) the line to the servos stood before a fault ended a recording; 0 for any other cause.
 
-    A busy computer hands over late what is sent, of all servos alike: for so long none of them is heard. What one servo
-    does, or what the guard finds besides, is no such fault.
+    Loop and emulated servos run before all ordinary threads, but a worker of the kernel's, an ordinary one, carries the
+    bytes of a pseudo-terminal between them: where the computer is busy it comes late, and for so long no servo is heard
+    at all. What one servo does, or what the guard finds besides, is no such fault.
     """
     periods = read_recording(file).periods
     end = next((k for k, period in enumerate(periods) if period["state"] == "fault"), None)
@@ -121,6 +122,12 @@ def stood(file):
     heard = [period["now"] for period in periods[:end] if set(period["position"]) != {None}]
     last = [now for now in heard if periods[end]["now"] - now < 2e9] + [periods[end]["now"]]
     return max(np.diff(last), default=0) * 1e-9
+
+
+def halted(file):
+    """Return the longest time (s) for which a whole recording heard no servo at all."""
+    heard = [period["now"] for period in read_recording(file).periods if set(period["position"]) != {None}]
+    return max(np.diff(heard), default=0) * 1e-9
 
 
 def excused(file):
@@ -188,8 +195,8 @@ def test_a_camera_that_is_gone_ends_it_and_what_was_seen_is_kept(tmp_path, monke
     made = short()
     made = Protocol(made.name, made.t * 1.5, made.command, made.gravity, made.t_seen * 1.5, made.block)
 
-    def tell(finger, share):  # by then frames were taken, and half a second later there is still something to play
-        finger.blind(share > 0.6)
+    def tell(finger, share):  # by then frames were taken, and half a second later it still is away from home
+        finger.blind(share > 0.5)
 
     player, paced, file, ended = played(tmp_path, made, lambda *said: None, tell=tell)
     line, states = TABLE["camera gone, recording"]
@@ -219,7 +226,7 @@ def blinded(finger):
 @pytest.fixture(scope="module")
 def commands(tmp_path_factory):
     file = tmp_path_factory.mktemp("commands") / "commands.csv"
-    write_commands(file, plan(chosen(TELLING), Limits.even(2, 4.0)), MODEL.robot)
+    write_commands(file, plan(chosen(TELLING), Limits.even(2, 5.0)), MODEL.robot)
     return file
 
 
@@ -280,9 +287,14 @@ def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, c
         camera = receiver.port
         until(lambda: receiver.taken > 0)
         receiver.close()  # its port is for the one who records
-        run = recorded(tmp_path, argv)
-    model = load_bundle(robot / "bundle")
-    answer = diagnose(model, run)
+        model = load_bundle(robot / "bundle")
+        for trial in range(TRIALS):  # anew only where the computer stood still meanwhile: then the finger did, too
+            folder = tmp_path / f"{trial}"
+            folder.mkdir()
+            run = recorded(folder, argv)
+            answer = diagnose(model, run)
+            if answer.verdict == "identified" or max(map(halted, folder.glob("*.mcap"))) < WATCHDOG:
+                break
     assert [effect["name"] for effect in answer.effects] == ["backlash"] and answer.verdict == "identified"
     assert compare(model, run).error["rms_mm"] > 4 * compare(answer.added(model, ["backlash"]), run).error["rms_mm"]
 

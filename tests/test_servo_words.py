@@ -16,7 +16,9 @@ def test_every_state_and_cause_of_the_guard_has_its_words():
     assert words.sentence({"state": "engaged", "cause": "deadman"}) == "Driving"
     unsure = "torque off was sent; not every servo confirmed it"
     assert unsure in words.sentence({"state": "fault", "cause": "silent"})
-    assert unsure in words.sentence({"state": "fault", "cause": "loop", "torque": True, "rescued": "but servo 1 did not"})
+    assert unsure in words.sentence(
+        {"state": "fault", "cause": "loop", "torque": True, "rescued": "but servo 1 did not"}
+    )
     assert "torque is off" in words.sentence({"state": "fault", "cause": "hot", "torque": False})
     assert "was released" in words.sentence({"state": "fault", "cause": "loop", "rescued": "it was released"})
     assert words.level({"state": "fault"}) == "fault" and words.level({}) == "off"

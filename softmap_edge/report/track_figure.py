@@ -80,7 +80,9 @@ def _errors(axes: Axes, course: Course, tracked: Tracked) -> None:
     """Draw how far off the tip was seen, and how far off the model itself expects it."""
     plan = course.plan
     axes.plot(tracked.t, tracked.error, color=AFTER, linewidth=1.2, label="seen")
-    axes.plot(plan.t[course.counts], plan.distance[course.counts], color=FLOOR, linewidth=1.0, label="expected")
+    expected = plan.distance[course.counts]
+    if expected.max() > LEAST_MM:  # part of it is out of reach; else it lies on the axis
+        axes.plot(plan.t[course.counts], expected, color=FLOOR, linewidth=1.0, label="expected")
     axes.set(ylabel="tip off by, mm", ylim=(0.0, max(LEAST_MM, axes.get_ylim()[1])))
 
 

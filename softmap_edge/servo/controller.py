@@ -237,7 +237,8 @@ class Controller:
             return
         with self._heard:
             off = self._heard.wait_for(lambda: self._last.get("emergency") and not self._last.get("torque"), FROZEN)
-        if not off and (process := self._process) is not None:
+        process = self._process  # another thread may be closing it
+        if not off and process is not None:
             self._rescue(process)
             raise ServoError(str(self._last["rescued"]))
 

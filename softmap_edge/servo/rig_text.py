@@ -100,14 +100,18 @@ def _set(part: Part, old: Mapping[str, Any], new: Mapping[str, Any]) -> Part:
     changed, place = [part[0]], 1
     for line in part[1:]:
         key, comment = _key(line)
-        if key is not None and key in old and key not in new:
-            continue
-        if key is not None and key in old and old[key] != new[key]:
+        if key is not None and key in old and old[key] != new.get(key):
+            if key not in new:
+                continue
             line = f"{line[: line.index('=')]}= {written(new[key])}{comment}"
         changed.append(line)
         place = len(changed) if key is not None else place
-    added = [f"{key if key.isidentifier() else quoted(key)} = {written(new[key])}" for key in new if key not in old]
+    added = [f"{_bare(key)} = {written(new[key])}" for key in new if key not in old]
     return changed[:place] + added + changed[place:]
+
+
+def _bare(key: str) -> str:
+    return key if key.isidentifier() and key.isascii() else quoted(key)
 
 
 def _key(line: str) -> tuple[str | None, str]:

@@ -122,6 +122,16 @@ mod tests {
     }
 
     #[test]
+    fn the_first_move_is_no_turn_whichever_way() {
+        for goal in [-0.01, 0.01, -1.0, 1.0] {
+            let mut channel = Reversals::new(0.0, &BUDGET);
+            assert_eq!(channel.step(0.0, 0.01, &BUDGET), 0.0);
+            assert_eq!(channel.step(goal, 0.01, &BUDGET), goal);
+            assert_eq!((channel.turned, channel.refused), (0, 0), "{goal}");
+        }
+    }
+
+    #[test]
     fn the_band_itself_is_no_turn_and_the_budget_is_not_saved_beyond_its_burst() {
         let budget = Budget {
             band: 0.25,
