@@ -14,6 +14,7 @@ from mcap.stream_reader import StreamReader
 from rigs import HOME, TICKS_PER_MM, bench, calibration
 
 from softmap_edge import _core
+from softmap_edge.cli import main
 from softmap_edge.errors import RunError, ServoError
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.recording import Recording, read_recording
@@ -125,6 +126,27 @@ def test_a_file_cut_anywhere_gives_every_whole_message(recorded, tmp_path):
         expected = everything[: int(np.searchsorted(ends, cut, side="right"))]
         assert [message for _, _, message in _core.read_recording(str(file))] == expected
         assert stream(io.BytesIO(whole[:cut])) == expected
+
+
+def test_what_a_recording_lacks_is_told(recorded, tmp_path, capsys):
+    """A record whose kind, number or length a flipped byte changes is no period less that nobody notices."""
+    whole, file = recorded.read_bytes(), tmp_path / "less.mcap"
+    assert read_recording(recorded).short is None
+    messages = [message for _, _, message in _core.read_recording(str(recorded))]
+    record = [whole.index(message) - 31 for message in messages]  # kind, length; channel, number, two times
+    quarter = record[len(record) // 4]
+    for place in (0, 1, 9, 11):  # kind, length, channel, number
+        bad = bytearray(whole)
+        bad[quarter + place] ^= 0x40
+        file.write_bytes(bad)
+        short = read_recording(file).short
+        assert short is not None, place
+        assert main(["replay", str(file)]) == 1
+        assert f"less.mcap is not whole: {short}" in capsys.readouterr().err
+    file.write_bytes(whole[:quarter] + whole[record[len(record) // 4 + 1] :])
+    assert read_recording(file).short.startswith("damaged (after message")
+    file.write_bytes(whole[:quarter])
+    assert read_recording(file).short == "its loop did not close it: cut short"
 
 
 def test_damaged_recordings_end_with_a_line(recorded, tmp_path):

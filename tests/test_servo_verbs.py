@@ -224,6 +224,11 @@ def test_a_recording_is_decided_again_and_written_as_a_run(tmp_path, capsys):
     code, document = said(capsys, "replay", str(file), "--run", str(out))
     assert code == 0 and document["otherwise"] == [] and document["periods"] > 5
     assert Run.load(out).hash() == read_recording(file).run().hash()
+    before = out.read_bytes()
+    assert main(["replay", str(file), "--run", str(out)]) == 2
+    assert "a run stands there and would be lost; give another name or --force" in capsys.readouterr().err
+    assert main(["replay", str(file), "--run", str(out), "--force"]) == 0 and out.read_bytes() == before
+    capsys.readouterr()
     assert main(["replay", str(file)]) == 0
     assert "every one decided alike" in capsys.readouterr().out
     assert main(["replay", str(out)]) == 2

@@ -26,11 +26,15 @@ SETUP, LOOP = "/setup", "/loop"
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a loop was made of, and each of its periods (softmap.loop as in the file's schema)."""
+    """What a loop was made of, and each of its periods (softmap.loop as in the file's schema).
+
+    short: why there may be more periods than these, None where the loop closed it.
+    """
 
     file: Path
     setup: Document
     periods: list[Document]
+    short: str | None = None
 
     @property
     def limits(self) -> Document:
@@ -143,13 +147,22 @@ def read_recording(path: str | Path) -> Recording:
         periods = [document for topic, document in documents if topic == LOOP]
         if setup is None or not isinstance(setup.get("limits"), dict) or not periods:
             raise RunError(f"{file}: holds no periods of a control loop; give what `softmap` recorded")
-        return Recording(file, setup, periods)
+        return Recording(file, setup, periods, _short(file))
     except RunError:
         raise
     except SoftmapError as fault:
         raise RunError(str(fault)) from None
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as fault:
         raise RunError(f"{file}: damaged ({type(fault).__name__} {fault!s:.60}); record again") from None
+
+
+def _short(file: Path) -> str | None:
+    """Return why a recording may hold less than was driven: damaged within, or never closed by its loop."""
+    try:
+        _, ended = _core.Reading(str(file)).more()
+    except SoftmapError as fault:
+        return str(fault).removeprefix(f"{file}: ")
+    return None if ended else "its loop did not close it: cut short"
 
 
 def _filled(rows: list[list[float | None]], before: list[list[float | None]]) -> NDArray[np.float64]:
