@@ -139,6 +139,9 @@ def test_what_a_recording_lacks_is_told(recorded, tmp_path, capsys):
         bad = bytearray(whole)
         bad[quarter + place] ^= 0x40
         file.write_bytes(bad)
+        if place == 1:
+            assert main(["replay", str(file)]) == 2 and "less.mcap: damaged" in capsys.readouterr().err
+            continue
         short = read_recording(file).short
         assert short is not None, place
         assert main(["replay", str(file)]) == 1
@@ -179,6 +182,20 @@ def test_damaged_recordings_end_with_a_line(recorded, tmp_path):
             read_recording(file)
     with pytest.raises(RunError, match="none.mcap: no such file; give what a loop recorded"):
         read_recording(tmp_path / "none.mcap")
+
+
+@pytest.mark.parametrize("goal", [[[1], 2], [1, [2, 3]], [1e300, 2], ["x", 2], [True, {}], [1]])
+def test_goals_that_are_no_ticks_make_no_run(recorded, goal):
+    recording = read_recording(recorded)
+    first = next(k for k, period in enumerate(recording.periods) if period["torque"])
+    recording.periods[first + 3]["goal"] = goal
+    with pytest.raises(RunError, match="drive.mcap: (period .* is )?damaged"):
+        recording.run()
+    recording = read_recording(recorded)
+    for period in recording.periods:
+        period["position"] = [[1, 2], [3, 4]]
+    with pytest.raises(RunError, match="drive.mcap: (period .* is )?damaged"):
+        recording.run()
 
 
 def test_the_setup_says_what_made_it(recorded):

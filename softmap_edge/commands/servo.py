@@ -32,6 +32,7 @@ STEPS: dict[str, tuple[str, Declare, Do]] = {  # of commissioning, in their orde
     ),
     "pull": ("measure the current at the stroke; it becomes the ceiling", pull_arguments, pull_test),
 }
+SLOWEST, FASTEST = 9_600, 4_500_000  # baud
 OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise
 
 
@@ -81,6 +82,13 @@ def servo(args: argparse.Namespace) -> int:
 
 
 def _ports(args: argparse.Namespace) -> list[str]:
+    """Return the ports that are meant.
+
+    Raises:
+        ServoError: none, or a rate that no port has.
+    """
+    if args.baud is not None and not SLOWEST <= args.baud <= FASTEST:
+        raise ServoError(f"--baud {args.baud}; {SLOWEST} to {FASTEST} is allowed")
     found = [args.port] if args.port else commission.ports()
     if not found:
         raise ServoError("no serial port on this machine; connect the adapter, or give --port")

@@ -22,6 +22,7 @@ from softmap_edge.ticks import Calibration
 
 Document = dict[str, Any]
 SETUP, LOOP = "/setup", "/loop"
+FARTHEST = 2.0**31  # ticks: what a servo's register of its position holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,15 +72,22 @@ class Recording:
         if first is None:
             raise RunError(f"{self.file}: torque was never on, so nothing was driven; record while the finger moves")
         kept = self.periods[first:]
-        columns = {
-            key: _filled([period[key] for period in kept], [period[key] for period in self.periods[:first]])
-            for key in ("position", "current_mA", "temperature_C")
-        }
+        try:
+            columns = {
+                key: _filled([period[key] for period in kept], [period[key] for period in self.periods[:first]])
+                for key in ("position", "current_mA", "temperature_C")
+            }
+            goals = np.array([[np.nan if goal is None else goal for goal in period["goal"]] for period in kept], float)
+            now = np.array([period["now"] for period in kept], np.int64)
+            if not columns["position"].shape == columns["current_mA"].shape[:2] == goals.shape[:2]:
+                raise ValueError("goals, positions and currents of different numbers of servos")
+            if np.nanmax(np.abs(np.stack([goals, columns["position"]])), initial=0.0) > FARTHEST or goals.ndim != 2:
+                raise ValueError("a tick that no servo has")
+        except (ValueError, KeyError, TypeError, OverflowError) as fault:
+            raise RunError(f"{self.file}: damaged ({fault!s:.60}); record again") from None
         if np.isnan(columns["position"]).any():
             raise RunError(f"{self.file}: a servo was not heard before torque came on; record again")
-        goals = np.array([[np.nan if goal is None else goal for goal in period["goal"]] for period in kept], float)
         goals = np.where(np.isnan(goals), columns["position"], goals)
-        now = np.array([period["now"] for period in kept], np.int64)
         current = columns["current_mA"]
         return Run(
             t=(now - now[0]) * 1e-9,
