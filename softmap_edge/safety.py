@@ -35,6 +35,7 @@ START = 10.0  # 1/s: the slew is reached in a tenth of a second
 JUMP = 0.25  # of the window: what a target jumps at most without being told
 MOST_LOOKS = 700  # commands of the window at which tension and strain are looked at
 LEAST_LOOKS = 3  # along each command
+FAR, HIGHEST = 3.0, 1000.0  # times the simulated tension that may be allowed at most, and N where none was simulated
 DAMAGED = 4.0  # mm/mm: a strain that no surface has
 STALE, HOLD, SLACKEN, RAMP = 0.25, 2.0, 5.0, 1.0  # s
 BAND = 0.02 / 32.0  # of the window: of 32 mm what a still hand's noise stays below
@@ -152,7 +153,8 @@ def _read(top: TomlTable, reach: Floats, unit: str) -> Safety:
                 f"high within {least:g} to {most:g}, where the model has been"
             )
     told, refused = _needed_pair(command, "jump", width)
-    highest = 1000.0 if found["tension_n"] is None else 3.0 * found["tension_n"]
+    # What the file itself says was simulated may be edited too: `held_to` asks the model.
+    highest = HIGHEST if found["tension_n"] is None else FAR * found["tension_n"]
     safety = Safety(
         unit=unit,
         low=tuple(low.tolist()),
@@ -196,6 +198,27 @@ def _needed_pair(table: TomlTable, key: str, most: float) -> tuple[float, float]
             f"refused ≤ {most:g}"
         )
     return float(value[0]), float(value[1])
+
+
+def held_to(told: Safety, model: Model) -> Safety:
+    """Return the limits of a file with the tension that the model allows where the file is silent of one.
+
+    Raises:
+        BundleError: it allows more than FAR times the largest tension that the model itself was simulated with.
+    """
+    if model.channels == 0 or told.unit != "mm":
+        return told
+    most = _tension(model, _looks(*(_inward(side) for side in np.asarray(model.command_range, float).T)))
+    if not most:
+        return told
+    if told.tension is None:
+        return replace(told, tension=_digits(MARGIN * most))
+    if told.tension > FAR * most * (1.0 + 1e-3):  # a file holds four digits
+        raise BundleError(
+            f"safety.toml: tension_n = {told.tension:g}, allowed is up to {FAR * most:.4g} N, {FAR:g} times what the "
+            "model was simulated with; mend it there, or build the bundle again"
+        )
+    return told
 
 
 def derived(model: Model, modulus: float | None = None) -> Safety | None:

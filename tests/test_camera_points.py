@@ -77,6 +77,8 @@ def one(points=POINTS, stamp=1.0, session=bytes(range(16)), sequence=1):
         ("signature", packed(one(), bytes(32))),
         ("signature", packed(one(), KEY)[:40] + b"\x01" + packed(one(), KEY)[41:]),
         ("content", packed(one(stamp=math.nan), KEY)),
+        ("content", packed(one(stamp=1e300), KEY)),
+        ("content", packed(one(stamp=-1.1e10), KEY)),
         ("content", packed(one(POINTS * 1e9), KEY)),
         ("content", packed(one(np.full((4, 3), np.inf)), KEY)),
         ("content", packed(one(np.zeros((0, 3))), KEY)),

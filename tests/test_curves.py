@@ -48,6 +48,7 @@ def test_curves_of_a_path_are_flattened(tmp_path):
         ("a.csv", "1,2\n", "1 points"),
         ("a.csv", "1,2\n1,2\n", "the same"),
         ("a.csv", "1,2\nnan,2\n", "finite"),
+        ("a.csv", "0,1e308\n1,-1e308\n", "within ±1e\\+06"),
         ("a.svg", "<svg></svg>", "no path"),
         ("a.svg", "<svg", "no XML"),
         ("a.svg", '<!DOCTYPE a [<!ENTITY b "c">]><svg/>', "document type"),

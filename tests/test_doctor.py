@@ -11,9 +11,12 @@ from rigs import HOME, MODEL, bench, calibration, torque
 
 from softmap_edge import _core, builtin_model, doctor, load_bundle, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.commands.robot import read_bench
 from softmap_edge.doctor import FAULT, OK, WARNING, host
+from softmap_edge.servo import emergency
 from softmap_edge.servo.combined import combined
 from softmap_edge.servo.rig import Rig, RigServo
+from softmap_edge.signed_udp import new_key
 
 
 def named(lines, name):
@@ -109,6 +112,49 @@ def test_a_bundle_without_calibration(tmp_path):
     lines = doctor.examine(bundle=tmp_path / "b").lines
     assert named(lines, "bundle").state == OK and named(lines, "safety.toml") == doctor.Line("safety.toml", OK, "there")
     assert named(lines, "calibration").state == FAULT and "softmap calibrate" in named(lines, "calibration").do
+
+
+def test_an_emergency_stop_that_cannot_be_asked_is_a_fault(tmp_path):
+    with bench() as (_, rig, _):
+        for chip, key, faults in (
+            (
+                "/dev/gpiochip9x",
+                tmp_path / "none.key",
+                ["none.key: the key cannot be read", "gpiochip9x: no such file"],
+            ),
+            (str(tmp_path / "plain"), tmp_path / "stop.key", ["plain: no gpio chip"]),
+            (None, tmp_path / "stop.key", []),
+        ):
+            (tmp_path / "plain").touch()
+            if key.name == "stop.key" and not key.exists():
+                new_key(key)
+            line = None if chip is None else emergency.Line(chip, 3)
+            replace(rig, emergency=emergency.Emergency(line, emergency.Beats(5006, str(key)))).write(
+                tmp_path / "r.toml"
+            )
+            found = [one for one in doctor.examine(tmp_path / "r.toml").lines if one.name == "emergency stop"]
+            wrong = [one for one in found if one.state == "fault"]
+            assert len(wrong) == len(faults) and all(one.do for one in wrong), found
+            for one, said in zip(wrong, faults):
+                assert said in one.found.lower()
+            assert faults or [one.state for one in found] == [OK] and "UDP port 5006" in found[0].found
+        rig.write(tmp_path / "r.toml")
+        assert not [one for one in doctor.examine(tmp_path / "r.toml").lines if one.name == "emergency stop"]
+
+
+def test_an_edited_safety_toml_is_told(tmp_path, capsys):
+    folder = save_bundle(replace(builtin_model(), calibration=calibration()), tmp_path / "b")
+    lines = doctor.examine(bundle=folder).lines
+    assert named(lines, "safety.toml").state == OK
+    text = (folder / "safety.toml").read_text()
+    (folder / "safety.toml").write_text(text.replace("slew = 8.0", "slew = 7.0"))
+    line = named(doctor.examine(bundle=folder).lines, "safety.toml")
+    assert line.state == "warning" and line.found == "edited since the bundle was written" and line.do
+    with bench() as (_, rig, _):
+        rig.write(tmp_path / "r.toml")
+        read_bench(str(tmp_path / "r.toml"), load_bundle(folder))
+    said = capsys.readouterr().err
+    assert said == "safety.toml of the bundle was edited since that was written; `softmap servo limits` prints it\n"
 
 
 def test_what_combined_drives_is_no_fault(tmp_path):

@@ -10,7 +10,7 @@ from rigs import BAUD, HOME, MODEL, angles, bench, calibration, torque
 from waiting import hold_for
 
 from softmap_edge import _core
-from softmap_edge.bundle import builtin_model, save_bundle
+from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import BundleError, LimitError, ServoError
 from softmap_edge.safety import TIMES, TURNS, read_safety
@@ -277,6 +277,24 @@ def test_a_servo_that_caps_no_current_gets_a_cap_of_its_pwm_by_the_same_limit():
     with opened(bus.path, BAUD) as back:
         assert registers(back, 1)["goal_pwm"] == int(885 * 150.0 / 1400.0)
     bus.unplug()
+
+
+def test_a_file_allows_no_tension_that_its_model_does_not(tmp_path):
+    """Neither a limit that is left out nor a simulated one that was edited raises what pulls a tendon."""
+    bundle = save_bundle(replace(FINGER, calibration=turned(np.eye(2) / 280.0)), tmp_path / "b")
+    text = (bundle / "safety.toml").read_text()
+    usual = limit(combined(rig(), load_bundle(bundle)), "current").value
+    silent = re.sub(r"\n\[tendon\]\ntension_n = .*\n", "\n", text)
+    assert silent != text
+    (bundle / "safety.toml").write_text(silent)
+    assert limit(combined(rig(), load_bundle(bundle)), "current").value == pytest.approx(usual, abs=0.5)
+    edited = re.sub(r"(\[simulated\].*\n)tension_n = .*", r"\1tension_n = 300.0", text)
+    edited = re.sub(r"(\[tendon\]\n)tension_n = .*", r"\1tension_n = 80.0", edited)
+    (bundle / "safety.toml").write_text(edited)
+    with pytest.raises(BundleError, match=r"tension_n = 80, allowed is up to 25\.\d* N, 3 times what the model"):
+        combined(rig(), load_bundle(bundle))
+    (bundle / "safety.toml").write_text(re.sub(r"(\[tendon\]\n)tension_n = .*", r"\1tension_n = 20.0", text))
+    assert usual < limit(combined(rig(), load_bundle(bundle)), "current").value < 1.7 * usual, "as its user knows"
 
 
 def test_a_ceiling_of_hot_alone_is_one_of_warm_too(tmp_path):

@@ -14,6 +14,7 @@ from mcap.stream_reader import StreamReader
 from rigs import HOME, TICKS_PER_MM, bench, calibration
 
 from softmap_edge import _core
+from softmap_edge.cli import main
 from softmap_edge.errors import RunError, ServoError
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.recording import Recording, read_recording
@@ -127,6 +128,30 @@ def test_a_file_cut_anywhere_gives_every_whole_message(recorded, tmp_path):
         assert stream(io.BytesIO(whole[:cut])) == expected
 
 
+def test_what_a_recording_lacks_is_told(recorded, tmp_path, capsys):
+    """A record whose kind, number or length a flipped byte changes is no period less that nobody notices."""
+    whole, file = recorded.read_bytes(), tmp_path / "less.mcap"
+    assert read_recording(recorded).short is None
+    messages = [message for _, _, message in _core.read_recording(str(recorded))]
+    record = [whole.index(message) - 31 for message in messages]  # kind, length; channel, number, two times
+    quarter = record[len(record) // 4]
+    for place in (0, 1, 9, 11):  # kind, length, channel, number
+        bad = bytearray(whole)
+        bad[quarter + place] ^= 0x40
+        file.write_bytes(bad)
+        if place == 1:
+            assert main(["replay", str(file)]) == 2 and "less.mcap: damaged" in capsys.readouterr().err
+            continue
+        short = read_recording(file).short
+        assert short is not None, place
+        assert main(["replay", str(file)]) == 1
+        assert f"less.mcap is not whole: {short}" in capsys.readouterr().err
+    file.write_bytes(whole[:quarter] + whole[record[len(record) // 4 + 1] :])
+    assert read_recording(file).short.startswith("damaged (after message")
+    file.write_bytes(whole[:quarter])
+    assert read_recording(file).short == "its loop did not close it: cut short"
+
+
 def test_damaged_recordings_end_with_a_line(recorded, tmp_path):
     file = tmp_path / "bad.mcap"
     whole = bytearray(recorded.read_bytes())
@@ -157,6 +182,20 @@ def test_damaged_recordings_end_with_a_line(recorded, tmp_path):
             read_recording(file)
     with pytest.raises(RunError, match="none.mcap: no such file; give what a loop recorded"):
         read_recording(tmp_path / "none.mcap")
+
+
+@pytest.mark.parametrize("goal", [[[1], 2], [1, [2, 3]], [1e300, 2], ["x", 2], [True, {}], [1]])
+def test_goals_that_are_no_ticks_make_no_run(recorded, goal):
+    recording = read_recording(recorded)
+    first = next(k for k, period in enumerate(recording.periods) if period["torque"])
+    recording.periods[first + 3]["goal"] = goal
+    with pytest.raises(RunError, match="drive.mcap: (period .* is )?damaged"):
+        recording.run()
+    recording = read_recording(recorded)
+    for period in recording.periods:
+        period["position"] = [[1, 2], [3, 4]]
+    with pytest.raises(RunError, match="drive.mcap: (period .* is )?damaged"):
+        recording.run()
 
 
 def test_the_setup_says_what_made_it(recorded):

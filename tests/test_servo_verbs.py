@@ -1,6 +1,8 @@
 """Servos found, set up, read and released from the command line, on an emulated bus; a recording decided again."""
 
+import io
 import json
+import os
 import subprocess
 import sys
 import time
@@ -224,7 +226,54 @@ def test_a_recording_is_decided_again_and_written_as_a_run(tmp_path, capsys):
     code, document = said(capsys, "replay", str(file), "--run", str(out))
     assert code == 0 and document["otherwise"] == [] and document["periods"] > 5
     assert Run.load(out).hash() == read_recording(file).run().hash()
+    before = out.read_bytes()
+    assert main(["replay", str(file), "--run", str(out)]) == 2
+    assert "a run stands there and would be lost; give another name or --force" in capsys.readouterr().err
+    assert main(["replay", str(file), "--run", str(out), "--force"]) == 0 and out.read_bytes() == before
+    capsys.readouterr()
     assert main(["replay", str(file)]) == 0
     assert "every one decided alike" in capsys.readouterr().out
     assert main(["replay", str(out)]) == 2
     assert "holds no periods of a control loop" in capsys.readouterr().err
+
+
+def test_a_servo_of_another_rate_than_its_bench_is_left_as_it_is(tmp_path, capsys):
+    rig = tmp_path / "rig.toml"
+    with bench() as (bus, there, _):
+        there.write(rig)
+        before = rig.read_text()
+        argv = ["servo", "setup", "--port", bus.path, "--baud", "1000000", "--id", "2", "--rig", str(rig)]
+        assert main([*argv, "--new-baud", "57600"]) == 2
+        assert "the bench runs at 1000000 baud, servo 2 at 57600; give --new-baud 1000000" in capsys.readouterr().err
+        assert [one.id for one in commission.scan(bus.path, 1_000_000)] == [1, 2] and rig.read_text() == before
+
+
+def test_a_rate_that_no_port_has_is_refused(fresh, capsys):
+    for what in ("scan", "read", "setup", "off"):
+        for baud in ("-1", "99999999999999999999"):
+            assert main(["servo", what, "--port", fresh.path, "--baud", baud]) == 2
+            assert f"--baud {baud}; 9600 to 4500000 is allowed" in capsys.readouterr().err
+    assert main(["servo", "emulate", "--seed", "99999999999999999999999"]) == 2
+    assert "--seed 99999999999999999999999; 0 to" in capsys.readouterr().err
+
+
+def test_an_emulator_replaces_no_bench_but_its_own(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    rig = tmp_path / "rig.toml"
+    argv = ["servo", "emulate", "--servos", "1", "--rig", str(rig)]
+    assert main(argv) == 0 and main(argv) == 0, "its own is replaced"
+    assert read_rig(rig).made["emulated"] == {"by": "softmap servo emulate"}
+    real = 'schema = "softmap.rig/1"\nport = "/dev/ttyUSB0"\n[[servo]]\nid = 1\nmodel = "XL330-M288"\n'
+    for text in (real, "no TOML"):
+        rig.write_text(text)
+        for more in ([], ["--fresh"]):
+            assert main([*(argv if not more else ["servo", "emulate", "--rig", str(rig)]), *more]) == 2
+            assert "a file that no emulator wrote stands there" in capsys.readouterr().err
+        assert rig.read_text() == text
+    assert main([*argv, "--force"]) == 0 and read_rig(rig).port != "/dev/ttyUSB0"
+
+
+def test_a_rig_that_is_no_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "rig.toml")
+    with pytest.raises(ServoError, match="rig.toml: no file; give a rig.toml"):
+        read_rig(tmp_path / "rig.toml")

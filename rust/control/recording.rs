@@ -119,6 +119,7 @@ pub struct Reading {
     file: File,
     records: LinearReader,
     topics: HashMap<u16, String>,
+    counts: HashMap<u16, u32>,
     ended: bool,
 }
 
@@ -133,6 +134,7 @@ impl Reading {
             path: path.to_owned(),
             records: LinearReader::new_with_options(options),
             topics: HashMap::new(),
+            counts: HashMap::new(),
             ended: false,
         })
     }
@@ -179,6 +181,14 @@ impl Reading {
                     }
                     Ok(Record::Message { header, data }) => {
                         if let Some(topic) = self.topics.get(&header.channel_id) {
+                            let number = header.sequence;
+                            let before = self.counts.insert(header.channel_id, number);
+                            if before.is_some_and(|last| last.wrapping_add(1) != number) {
+                                let last = before.unwrap_or(0);
+                                break format!(
+                                    "damaged (after message {last} of {topic} comes {number}); record again"
+                                );
+                            }
                             found.push((topic.clone(), header.log_time, data.into_owned()));
                         }
                     }

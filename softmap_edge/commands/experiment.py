@@ -181,6 +181,7 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--sim", action="store_true", help="on a simulated finger: frames are solved, not watched")
     where.add_argument("--emulated", action="store_true", help="on emulated servos with a finger on them, in real time")
     where.add_argument("--rig", metavar="FILE.toml", help="on the servos of this rig, seen by --camera")
+    where.add_argument("--recover", metavar="FILE.seen", help="make the run of what a recording left that was cut")
     camera_arguments(parser)
     parser.add_argument("--yes", action="store_true", help="--rig: do not ask before a condition changes")
     parser.add_argument("--record", metavar="FILE.mcap", help="--rig, --emulated: keep what the loop recorded")
@@ -214,6 +215,10 @@ def record(args: argparse.Namespace) -> int:
     from softmap_edge.solid.finger import Finger
     from softmap_edge.truth import WATCH, check_hidden
 
+    if args.recover:
+        from softmap_edge.commands.record_robot import recover
+
+        return recover(args)
     if not (args.sim or args.emulated or args.rig):
         raise SoftmapError("where is it played? give --sim (simulated), --emulated (real packets) or --rig FILE.toml")
     if not args.sim:

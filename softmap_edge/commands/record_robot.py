@@ -6,9 +6,10 @@ import argparse
 import contextlib
 import json
 import shlex
+import signal
 import sys
-import tempfile
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,68 +23,176 @@ from softmap_edge.commands.robot import Bench, emulated, plain_map, read_bench
 from softmap_edge.commands.seeing import late, receiver
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.command_file import read_commands
+from softmap_edge.experiment.kept import Keeper, read_kept
 from softmap_edge.experiment.pace import Pace, pace
 from softmap_edge.experiment.play import Player, merged
 from softmap_edge.model import Model
+from softmap_edge.protocol import Protocol
+from softmap_edge.run import Run
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.finger import LATE
+from softmap_edge.servo.recording import read_recording
 
 INTERRUPTED = 130
+LOOP, SEEN = ".loop.mcap", ".seen"  # of the files beside the run, until that is written
 SIMULATED = ("virtual", "truth", "finger", "truth_from")
 
 
 def record_on_robot(args: argparse.Namespace) -> int:
-    """Play a command file on a robot and write the run; what there is of it also when it is cut short."""
+    """Play a command file on a robot and write the run; what there is of it also when it is cut short.
+
+    Until the run is written, what the loop did and what was seen are in files beside it, as they come.
+    """
     _checked(args)
     model = open_model(args.bundle)
     if args.emulated:
         known = model.calibration or plain_map(model)
         model = replace(model, calibration=replace(known, window=known.window or known.holding(model.command_range)))
-    made, robot_name = read_commands(args.commands)
-    if robot_name != model.robot:
-        raise SoftmapError(f"{args.commands}: made for '{robot_name}', the model is of '{model.robot}'")
+    made = _commands(args, model)
     behind = late(args, LATE[0] if args.emulated else 0.0)
+    file, seen_file = _left(args)
     ended: BaseException | None = None
-    with tempfile.TemporaryDirectory(dir=Path(args.out).parent) as folder, _robot(args, model) as (bench, seen):
-        model = bench.model
-        paced = pace(made, bench.calibration, bench.limits["servos"])
-        if not args.json:
-            print(_ahead(args, paced), file=sys.stderr)
-        if args.calibrated:
-            save_bundle(model, args.calibrated)
-        file = Path(args.record) if args.record else Path(folder) / "loop.mcap"
-        with Bar(args.json) as bar:
-            robot = Controller(bench.rig, bench.calibration, bench.limits, record=file)
-            key = EmergencyKey(robot, to_stderr)
-            player = Player(
-                robot,
-                paced,
-                seen,
-                ask=lambda what: _ask(args, what, key),
-                tell=lambda share: bar("recording", share),
-                late=behind,
-            )
-            try:
-                with key, robot:
-                    player.play()
-            except (SoftmapError, KeyboardInterrupt) as cause:
-                ended = cause
-        if ended is not None and not player.played.taken:
-            raise ended
-        run = merged(file, model, paced, player.played)
-        run.save(args.out)
-    document = {
-        "schema": "softmap.record/1", "out": args.out, "rows": len(run.t), "channels": run.channels,
-        "frames": run.frames, "wanted": made.frames, "minutes": round(float(run.t[-1] - run.t[0]) / 60.0, 2),
-        "simulated": False, "emulated": args.emulated, "whole": player.played.whole, "hash": run.hash(),
-        "unsettled": player.played.unsettled, "settling_s": round(player.played.waited, 1), "record": args.record,
-        "bundle": args.calibrated,
+    try:
+        with _cut_in_order(), _robot(args, model) as (bench, seen):
+            model = bench.model
+            paced = pace(made, bench.calibration, bench.limits["servos"])
+            if not args.json:
+                print(_ahead(args, paced), file=sys.stderr)
+            if args.calibrated:
+                save_bundle(model, args.calibrated)
+            with Bar(args.json) as bar, Keeper(seen_file, behind) as keeper:
+                robot = Controller(bench.rig, bench.calibration, bench.limits, record=file)
+                key = EmergencyKey(robot, to_stderr)
+                player = Player(
+                    robot,
+                    paced,
+                    seen,
+                    ask=lambda what: _ask(args, what, key),
+                    tell=lambda share: _watch(bar, share, robot, keeper),
+                    late=behind,
+                    keep=keeper.add,
+                )
+                try:
+                    with key, robot:
+                        player.play()
+                except (SoftmapError, KeyboardInterrupt) as cause:
+                    ended = cause
+            if ended is not None and not player.played.taken:
+                seen_file.unlink()  # nothing to keep
+                if not args.record:
+                    file.unlink(missing_ok=True)
+                raise ended
+            ended = ended or _broken(robot, keeper)
+            run = merged(file, model, paced, player.played)
+            run.save(args.out)
+    except BaseException as fault:
+        if seen_file.exists() and file.exists():
+            to_stderr(f"kept: {file} and {seen_file}; they become the run by: {_again(args)}")
+        if isinstance(fault, OSError):
+            raise SoftmapError(f"{args.out}: {(fault.strerror or str(fault)).lower()}; see to the disk") from None
+        raise
+    seen_file.unlink()
+    if not args.record:
+        file.unlink()
+    document = _document(args, run, made) | {
+        "emulated": args.emulated, "whole": player.played.whole, "unsettled": player.played.unsettled,
+        "settling_s": round(player.played.waited, 1), "record": args.record, "bundle": args.calibrated,
     }  # fmt: skip
     print(json.dumps(document, ensure_ascii=False) if args.json else _said(args, run, document))
     if isinstance(ended, SoftmapError):
         raise SoftmapError(f"{ended}; what was recorded before is in {args.out}")
     return INTERRUPTED if ended is not None else 0
+
+
+def recover(args: argparse.Namespace) -> int:
+    """Make the run of what a recording left that was cut: the loop's file and what was seen."""
+    check_file("--out", args.out, ".npz")
+    check_no_run("--out", args.out)
+    model = open_model(args.bundle)
+    made = _commands(args, model)
+    seen_file = Path(args.recover)
+    file = Path(args.record) if args.record else seen_file.with_suffix(LOOP)
+    played, told = read_kept(seen_file), read_recording(file)
+    if not played.taken:
+        raise SoftmapError(f"{seen_file}: no frame was taken before it was cut; record again")
+    run = merged(file, model, pace(made, told.calibration, told.limits["servos"]), played)
+    run.save(args.out)
+    document = _document(args, run, made) | {"emulated": None, "whole": False, "recovered": args.recover}
+    said = f"{run}\n{run.frames} of {made.frames} frames; written to {args.out}"
+    print(json.dumps(document, ensure_ascii=False) if args.json else said)
+    return 0
+
+
+def _commands(args: argparse.Namespace, model: Model) -> Protocol:
+    made, robot = read_commands(args.commands)
+    if robot != model.robot:
+        raise SoftmapError(f"{args.commands}: made for '{robot}', the model is of '{model.robot}'")
+    return made
+
+
+def _document(args: argparse.Namespace, run: Run, made: Protocol) -> dict[str, Any]:
+    return {
+        "schema": "softmap.record/1", "out": args.out, "rows": len(run.t), "channels": run.channels,
+        "frames": run.frames, "wanted": made.frames, "minutes": round(float(run.t[-1] - run.t[0]) / 60.0, 2),
+        "simulated": False, "hash": run.hash(),
+    }  # fmt: skip
+
+
+def _left(args: argparse.Namespace) -> tuple[Path, Path]:
+    """Return where the loop's recording and what is seen go until the run is written.
+
+    Raises:
+        SoftmapError: an earlier one that was cut left them there.
+    """
+    out = Path(args.out)
+    file, seen = Path(args.record) if args.record else out.with_suffix(LOOP), out.with_suffix(SEEN)
+    for there in (file, seen):
+        if there.exists():
+            raise SoftmapError(
+                f"{there} is what a recording left that was cut; make its run by: {_again(args)}, or give another --out"
+            )
+    return file, seen
+
+
+def _again(args: argparse.Namespace) -> str:
+    """Return what makes the run of the files that are left."""
+    words = ["softmap", "record", args.commands, "--recover", str(Path(args.out).with_suffix(SEEN))]
+    words += ["--record", args.record] if args.record else []
+    words += ["--bundle", args.calibrated or args.bundle] if args.calibrated or args.bundle else []
+    return shlex.join([*words, "--out", args.out])
+
+
+def _watch(bar: Callable[[str, float], None], share: float, robot: Controller, keeper: Keeper) -> None:
+    """Show how far it is; end it where it is recorded no more."""
+    bar("recording", share)
+    if fault := _broken(robot, keeper):
+        raise fault
+
+
+def _broken(robot: Controller, keeper: Keeper) -> SoftmapError | None:
+    """Return what ended the writing of either file, a full disk perhaps."""
+    if robot.unrecorded is not None:
+        return SoftmapError(robot.unrecorded)
+    return None if keeper.fault is None else SoftmapError(f"what is seen is kept no more: {keeper.fault}")
+
+
+@contextlib.contextmanager
+def _cut_in_order() -> Iterator[None]:
+    """Take SIGTERM and SIGHUP (a closed terminal, a dropped ssh) as Ctrl-C: slacken, and write what there is."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {one: signal.signal(one, interrupt) for one in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
 
 
 def _checked(args: argparse.Namespace) -> None:
@@ -145,7 +254,8 @@ def _ahead(args: argparse.Namespace, paced: Pace) -> str:
     rests = int(paced.rests.sum())
     return (
         f"a recording of {minutes:.1f} minutes{slower}; beside that up to {rests * 3} s for {rests} rests to settle; "
-        "Ctrl-C ends it and keeps what there is"
+        "Ctrl-C ends it and keeps what there is; should the computer fail, this makes the run of what is there: "
+        f"{_again(args)}"
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_file, to_stderr
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.servo.combined import calibration_of, combined
@@ -43,8 +43,15 @@ def read_bench(path: str, model: Model) -> Bench:
     """
     known = calibration_of(model)  # asked first: the bundle is what a user mends first
     rig = read_rig(path)
+    tell_edited(model)
     found = combined(rig, model, known, RATE)
     return Bench(rig, found.table(), found.calibration, replace(model, calibration=found.calibration))
+
+
+def tell_edited(model: Model) -> None:
+    """Say that the limits of a finger are not those that its bundle was written with."""
+    if model.safety is not None and model.safety.edited:
+        to_stderr("safety.toml of the bundle was edited since that was written; `softmap servo limits` prints it")
 
 
 def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:

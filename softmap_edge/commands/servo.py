@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.commissioning import home, home_arguments
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_file, check_no_run, to_stderr
 from softmap_edge.commands.servo_calibrate import calibrate_bench, calibrate_bench_arguments
 from softmap_edge.commands.servo_emulate import emulate, emulate_arguments
 from softmap_edge.commands.servo_heartbeat import heartbeat, heartbeat_arguments
@@ -33,6 +33,7 @@ STEPS: dict[str, tuple[str, Declare, Do]] = {  # of commissioning, in their orde
     ),
     "pull": ("measure the current at the stroke; it becomes the ceiling", pull_arguments, pull_test),
 }
+SLOWEST, FASTEST = 9_600, 4_500_000  # baud
 OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise
 
 
@@ -82,6 +83,13 @@ def servo(args: argparse.Namespace) -> int:
 
 
 def _ports(args: argparse.Namespace) -> list[str]:
+    """Return the ports that are meant.
+
+    Raises:
+        ServoError: none, or a rate that no port has.
+    """
+    if args.baud is not None and not SLOWEST <= args.baud <= FASTEST:
+        raise ServoError(f"--baud {args.baud}; {SLOWEST} to {FASTEST} is allowed")
     found = [args.port] if args.port else commission.ports()
     if not found:
         raise ServoError("no serial port on this machine; connect the adapter, or give --port")
@@ -144,6 +152,8 @@ def _setup(args: argparse.Namespace) -> int:
         ids = ", ".join(str(servo.id) for servo in found)
         raise ServoError(f"{len(found)} servos answer (ids {ids}); connect one at a time, or say which with --id")
     old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
+    if old is not None:
+        _check_rate(old, found[0].id, args.new_baud or found[0].baud)  # before anything is changed
     mended: list[str] = []
     done = commission.set_up(found[0], args.new_id, args.new_baud, mended.append)
     if args.rig:
@@ -157,16 +167,18 @@ def _setup(args: argparse.Namespace) -> int:
     return 0
 
 
+def _check_rate(bench: Rig, id: int, baud: int) -> None:
+    if bench.baud != baud:
+        raise ServoError(f"the bench runs at {bench.baud} baud, servo {id} at {baud}; give --new-baud {bench.baud}")
+
+
 def _noted(done: commission.Found, old: Rig | None) -> Rig:
     """Return the bench with the servo that was set up; it keeps its place if it is there."""
     assert done.model is not None
     new = RigServo(done.id, done.model["name"])  # another mode may count turns anew: no home, no ceiling
     if old is None:
         return Rig(done.port, done.baud, (new,))
-    if old.baud != done.baud:
-        raise ServoError(
-            f"the bench runs at {old.baud} baud, servo {done.id} at {done.baud}; give --new-baud {old.baud}"
-        )
+    _check_rate(old, done.id, done.baud)
     servos = [new if servo.id == done.id else servo for servo in old.servos]
     if new not in servos:
         servos.append(new)
@@ -199,11 +211,13 @@ def replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `replay`."""
     parser.add_argument("recording", help="what the control loop recorded (.mcap)")
     parser.add_argument("--run", metavar="FILE.npz", help="write it as a run as well")
+    parser.add_argument("--force", action="store_true", help="replace the run that stands there")
 
 
 def replay(args: argparse.Namespace) -> int:
-    """Let the guard decide a recording again; 1 if it decides otherwise anywhere."""
+    """Let the guard decide a recording again; 1 if it decides otherwise anywhere, or the recording is not whole."""
     check_file("--run", args.run, ".npz")
+    check_no_run("--run", args.run, args.force)
     recording = read_recording(args.recording)
     differ = recording.replay()
     if args.run:
@@ -212,10 +226,12 @@ def replay(args: argparse.Namespace) -> int:
     seconds = (last["now"] - first["now"]) * 1e-9
     if args.json:
         document = {"schema": "softmap.replay/1", "periods": len(recording.periods), "seconds": seconds}
-        print(json.dumps(document | {"otherwise": differ, "run": args.run}))
+        print(json.dumps(document | {"otherwise": differ, "short": recording.short, "run": args.run}))
     else:
         said = "every one decided alike" if not differ else f"{len(differ)} decided otherwise, the first is {differ[0]}"
         print(f"{args.recording}: {len(recording.periods)} periods in {seconds:.1f} s, {said}")
         if args.run:
             print(f"{args.run}: written")
-    return OTHERWISE if differ else 0
+    if recording.short:
+        to_stderr(f"softmap replay: {args.recording} is not whole: {recording.short}; these periods are what is there")
+    return OTHERWISE if differ or recording.short else 0

@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from softmap_edge import _core
@@ -30,7 +31,7 @@ from softmap_edge.servo.finger import (
     hidden_laws,
 )
 from softmap_edge.servo.models import servo_model
-from softmap_edge.servo.rig import MOST_SERVOS, Rig, RigServo
+from softmap_edge.servo.rig import MOST_SERVOS, Rig, RigServo, read_rig
 from softmap_edge.signed_udp import read_key, udp_address
 
 FAULTS = (
@@ -39,6 +40,7 @@ FAULTS = (
     "drop|damage|junk|slow SHARE · unpowered 0|1 · unplug (SERVO from 0)"
 )
 FINGER_FAULTS = "blind 0|1"
+EMULATED = "emulated"  # in [made] of the bench that it writes
 BROKEN = ("mute", "stuck", "torn", "reversed", "jammed", "uncapped")
 
 
@@ -53,6 +55,7 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fresh", action="store_true", help="servos as delivered: not set up, home not known")
     parser.add_argument("--servos", type=int, metavar="N", help="N bare servos, as delivered, without a finger")
     parser.add_argument("--rig", metavar="FILE.toml", help="write the bench that it is")
+    parser.add_argument("--force", action="store_true", help="replace the bench that stands there, a real one too")
     parser.add_argument("--calibrated", metavar="DIR", help="write its bundle, with the true map of the servos")
     parser.add_argument(
         "--stream", action="append", default=[], metavar="udp://HOST:PORT",
@@ -66,6 +69,9 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
 def emulate(args: argparse.Namespace) -> int:
     """Emulate until standard input ends or Ctrl-C."""
     check_file("--rig", args.rig, ".toml")
+    _check_no_bench(args.rig, args.force)
+    if not 0 <= args.seed < 2**63:
+        raise ServoError(f"--seed {args.seed}; 0 to {2**63 - 1} is allowed")
     if args.servos is not None:
         return _bare(args)
     if args.calibrated is not None:
@@ -86,7 +92,7 @@ def emulate(args: argparse.Namespace) -> int:
             stack.enter_context(sender)
         bus, rig, _, finger = stack.enter_context(robot)
         if args.rig:
-            rig.write(args.rig)
+            _written(rig, args.rig)
         if args.calibrated:
             save_bundle(replace(whole, calibration=calibration), args.calibrated)
         stack.enter_context(streaming(finger, senders))
@@ -98,6 +104,26 @@ def emulate(args: argparse.Namespace) -> int:
         print(json.dumps(document) if args.json else _said(args, bus.path, whole, names), flush=True)
         _obey(bus, finger)
     return 0
+
+
+def _check_no_bench(path: str | None, force: bool) -> None:
+    """Raise SoftmapError where `--rig` names a file that no emulator wrote, and no `force`."""
+    if path is None or force or not Path(path).exists():
+        return
+    try:
+        emulated = EMULATED in read_rig(path).made
+    except ServoError:
+        emulated = False
+    if not emulated:
+        raise SoftmapError(
+            f"--rig {path}: a file that no emulator wrote stands there, perhaps a real bench; give another name, or "
+            "--force to replace it"
+        )
+
+
+def _written(rig: Rig, path: str) -> None:
+    """Write the bench that it is, marked as emulated."""
+    replace(rig, made={**rig.made, EMULATED: {"by": "softmap servo emulate"}}).write(path)
 
 
 def _said(args: argparse.Namespace, port: str, model: Model, names: list[str]) -> str:
@@ -171,7 +197,7 @@ def _bare(args: argparse.Namespace) -> int:
     bus = _core.EmulatedBus(servos, [pull] * args.servos, seed=args.seed)
     try:
         if args.rig:
-            Rig(bus.path, args.baud, tuple(RigServo(id, args.model) for id, *_ in servos)).write(args.rig)
+            _written(Rig(bus.path, args.baud, tuple(RigServo(id, args.model) for id, *_ in servos)), args.rig)
         document: dict[str, Any] = {"schema": "softmap.emulated/1", "port": bus.path, "baud": args.baud}
         said = f"{bus.path} at {args.baud} baud, ids 1 to {args.servos}, no finger; {FAULTS}"
         print(json.dumps(document | {"servos": args.servos, "ready": False}) if args.json else said, flush=True)

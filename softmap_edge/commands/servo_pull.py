@@ -8,6 +8,7 @@ import json
 from softmap_edge.commands.move import deadman, hold_argument, tell
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
+from softmap_edge.commands.robot import tell_edited
 from softmap_edge.servo.combined import IDLE, combined
 from softmap_edge.servo.pull import MARGIN, noted, pull
 from softmap_edge.servo.rig import read_rig
@@ -25,7 +26,9 @@ def pull_test(args: argparse.Namespace) -> int:
     """Measure and write the ceilings; 0 when all are found."""
     check_file("--rig", args.rig, ".toml")
     rig = read_rig(args.rig)
-    found = combined(rig, open_model(args.bundle))
+    model = open_model(args.bundle)
+    tell_edited(model)
+    found = combined(rig, model)
     with deadman(args.hold) as hand:
         tell(args, "each servo goes slowly to both ends of its window and back", hand)
         done = pull(found, hand, () if args.servo is None else (args.servo,))

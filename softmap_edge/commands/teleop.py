@@ -127,6 +127,7 @@ def _drive(args: argparse.Namespace) -> int:
         "record": args.record,
     }
     _print(args, told, _text(told))
+    robot.check_recorded()
     return FAULT if account.failed else DONE
 
 

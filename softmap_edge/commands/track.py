@@ -100,6 +100,8 @@ def track(args: argparse.Namespace) -> int:
         _draw(args.picture, kinematics, planned, tracked)
     document = _document(args, kinematics, planned, tracked)
     print(json.dumps(document) if args.json else _text(document))
+    if bench is not None:
+        robot.check_recorded()
     return 0
 
 

@@ -5,6 +5,9 @@ Servos are asked only: nothing is written to them. Pinned by tests/test_doctor.p
 
 from __future__ import annotations
 
+import errno
+import os
+import stat
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,9 +17,11 @@ from softmap_edge.doctor.line import FAULT, OK, WARNING, Line, faulty
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo import commission
 from softmap_edge.servo.combined import combined
+from softmap_edge.servo.emergency import Emergency
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import check_proved
 from softmap_edge.servo.rig import Rig, read_rig
+from softmap_edge.signed_udp import read_key
 
 SCAN = "run softmap servo scan"
 
@@ -41,7 +46,11 @@ def bundle(folder: str | Path) -> Iterator[Line]:
         window = f"; window {low:+.0f} to {high:+.0f} ticks about home" if found.window else ""
         yield Line("calibration", OK, f"of {textwrap.shorten(found.run, 60, placeholder=' …')}{window}")
     there = (Path(folder) / "safety.toml").is_file()
-    yield Line("safety.toml", OK, "there" if there else "none: the limits are derived from the model each time")
+    if model.safety is not None and model.safety.edited:
+        do = "look at softmap servo limits, or build the bundle again"
+        yield Line("safety.toml", WARNING, "edited since the bundle was written", do)
+    else:
+        yield Line("safety.toml", OK, "there" if there else "none: the limits are derived from the model each time")
 
 
 def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
@@ -80,11 +89,34 @@ def rig(file: str | Path) -> Iterator[Line]:
     if uncapped:
         do = f"write current_mA (at the stroke) to it in {file}; until then a share of the servo's own limit is taken"
         yield Line("ceiling", WARNING, f"servo {_listed(uncapped)} has no measured current", do)
+    yield from _stops(bench)
     try:
         with commission.opened(bench.port, bench.baud) as bus:
             yield from _servos(bus, bench)
     except ServoError as fault:
         yield faulty("bus", fault, SCAN)
+
+
+def _stops(bench: Rig) -> Iterator[Line]:
+    """Whether the bench's emergency stops can be asked: the key of a heartbeat, the chip of a line."""
+    stops, wrong = bench.emergency, []
+    if stops.udp is not None:
+        try:
+            read_key(stops.udp.key_file)
+        except (SoftmapError, OSError) as fault:
+            do = "softmap servo heartbeat --new-key FILE makes one, for both computers"
+            wrong.append(faulty("emergency stop", fault, do))
+    if stops.gpio is not None:
+        try:
+            if not stat.S_ISCHR(os.stat(stops.gpio.chip).st_mode):
+                raise OSError(errno.ENODEV, "no GPIO chip")
+            os.close(os.open(stops.gpio.chip, os.O_RDWR | os.O_NONBLOCK))
+        except OSError as fault:
+            said = f"{stops.gpio.chip}: {(fault.strerror or 'no chip').lower()}"
+            wrong.append(Line("emergency stop", FAULT, said, "gpiodetect lists the chips; mend [emergency] of the rig"))
+    yield from wrong
+    if not wrong and stops != Emergency():
+        yield Line("emergency stop", OK, str(stops))
 
 
 def _servos(bus: _core.ServoBus, bench: Rig) -> Iterator[Line]:

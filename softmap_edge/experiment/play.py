@@ -52,7 +52,7 @@ class Player:
 
     Args:
         ask: called with what is to be done by hand; returns when it is done. tell: called with the share that is done.
-        late: s that the quickest frame takes.
+        late: s that the quickest frame takes. keep: called with what was played and the frames that came, all the time.
     """
 
     def __init__(
@@ -64,9 +64,10 @@ class Player:
         ask: Callable[[str], None],
         tell: Callable[[float], None] = lambda share: None,
         late: float = 0.0,
+        keep: Callable[[Played, list[Frame]], None] = lambda played, came: None,
     ) -> None:
         self._robot, self._pace, self._seen = robot, pace, seen
-        self._ask, self._tell = ask, tell
+        self._ask, self._tell, self._keep = ask, tell, keep
         self.played = Played(camera=HostClock(late))
         self._looks: list[tuple[float, int]] = []  # host s, of which look
         self._history: list[tuple[float, list[float]]] = []
@@ -194,7 +195,7 @@ class Player:
     def _gather(self, now: float) -> None:
         """Note what has arrived, and take the frames of looks that are long enough ago."""
         frames = self._seen()[-200:]
-        self.played.camera.add(frames)
+        came = self.played.camera.add(frames)
         if frames:
             self._newest = frames[-1].arrived
         while frames and self._looks and self._looks[0][0] < now - WAIT:
@@ -204,6 +205,7 @@ class Player:
             earlier = self.played.taken[-1][1].stamp if self.played.taken else -np.inf
             if abs(taken[k] - when) <= NEAR and frames[k].stamp > earlier:
                 self.played.taken.append((look, frames[k]))
+        self._keep(self.played, came)
 
 
 def merged(recording: Path, model: Model, pace: Pace, played: Played) -> Run:

@@ -22,6 +22,7 @@ from softmap_edge.whole_file import MOST_TEXT
 Floats = NDArray[np.float64]
 
 MOST_POINTS = 20_000
+FARTHEST = 1e6  # units of a file from its origin: beyond, differences of points lose their digits
 _ROUND = np.linspace(0.0, 2 * np.pi, 181)
 _FLATTENED = 24  # pieces of one Bézier curve
 
@@ -94,8 +95,10 @@ def _points_of(file: Path, suffix: str) -> Floats:
     except UnicodeDecodeError:
         raise SoftmapError(f"{file}: no text in UTF-8") from None
     points = np.array(_csv(file, text) if suffix == ".csv" else _svg(file, text), float)
-    if not 2 <= len(points) <= MOST_POINTS or not np.isfinite(points).all():
-        raise SoftmapError(f"{file}: {len(points)} points; 2 to {MOST_POINTS} finite ones make a figure")
+    if not 2 <= len(points) <= MOST_POINTS or not (np.abs(points) <= FARTHEST).all():  # also false for NaN
+        raise SoftmapError(
+            f"{file}: {len(points)} points; 2 to {MOST_POINTS} finite ones make a figure, within ±{FARTHEST:g}"
+        )
     return points
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import LimitError, ServoError
 from softmap_edge.model import Model
-from softmap_edge.safety import Safety, derived
+from softmap_edge.safety import Safety, derived, held_to
 from softmap_edge.servo.ceiling import RANGES
 from softmap_edge.servo.limits import COOL, RATE, Table, following, loop_limits, servo_limits, slowed, strongest
 from softmap_edge.servo.models import Model as Entry
@@ -152,13 +152,14 @@ def combined(rig: Rig, model: Model, calibration: Calibration | None = None, rat
 
     Raises:
         ServoError: the bundle has no calibration or another number of servos, what acts at home lies outside the
-            window, or home of the bench is not the calibration's.
+            window, or home of the bench is not the calibration's. BundleError: safety.toml allows a tension far beyond
+            what the model was simulated with.
     """
     found = calibration or calibration_of(model)
     if len(found.b) != len(rig.servos):
         raise ServoError(f"the rig has {len(rig.servos)} servos, the calibration {len(found.b)}; they must agree")
     told = model.safety.within(model.command_range) if model.safety is not None else None
-    safety = told or derived(model)
+    safety = derived(model) if told is None else held_to(told, model)
     if safety is None or len(safety.low) != len(found.b):
         raise ServoError(f"the model takes {model.channels} commands, the calibration is of {len(found.b)} servos")
     box = _box(found, safety)

@@ -62,7 +62,7 @@ class Controller:
     and that home was proved since they got power (`proof.py`), and goes to READY. With `commissioning` it goes to
     CONNECTED, home is not asked for, and small slow moves are all that is allowed (`jog.py`). Leaving slackens and
     switches torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to that file,
-    which must not exist (`recording.py`).
+    which must not exist (`recording.py`); a disk that is full ends the recording and not the loop (`unrecorded`).
 
     Raises:
         ServoError: a limit is missing or out of range, the loop cannot start, or a request is denied; the message says
@@ -146,6 +146,17 @@ class Controller:
     def recording(self) -> Path | None:
         """The file that is recorded to; it can be read while it grows."""
         return self._record
+
+    @property
+    def unrecorded(self) -> str | None:
+        """Why the recording ended before the loop did, a full disk perhaps; None while it goes on, or was whole."""
+        fault = self._last.get("unrecorded")
+        return None if fault is None else f"{self._record}: the recording broke off ({fault}); what it has is kept"
+
+    def check_recorded(self) -> None:
+        """Raise ServoError where a recording ended before the loop did."""
+        if self.unrecorded is not None:
+            raise ServoError(self.unrecorded)
 
     @property
     def report(self) -> Report:

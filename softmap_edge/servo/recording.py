@@ -22,15 +22,20 @@ from softmap_edge.ticks import Calibration
 
 Document = dict[str, Any]
 SETUP, LOOP = "/setup", "/loop"
+FARTHEST = 2.0**31  # ticks: what a servo's register of its position holds
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a loop was made of, and each of its periods (softmap.loop as in the file's schema)."""
+    """What a loop was made of, and each of its periods (softmap.loop as in the file's schema).
+
+    short: why there may be more periods than these, None where the loop closed it.
+    """
 
     file: Path
     setup: Document
     periods: list[Document]
+    short: str | None = None
 
     @property
     def limits(self) -> Document:
@@ -67,15 +72,22 @@ class Recording:
         if first is None:
             raise RunError(f"{self.file}: torque was never on, so nothing was driven; record while the finger moves")
         kept = self.periods[first:]
-        columns = {
-            key: _filled([period[key] for period in kept], [period[key] for period in self.periods[:first]])
-            for key in ("position", "current_mA", "temperature_C")
-        }
+        try:
+            columns = {
+                key: _filled([period[key] for period in kept], [period[key] for period in self.periods[:first]])
+                for key in ("position", "current_mA", "temperature_C")
+            }
+            goals = np.array([[np.nan if goal is None else goal for goal in period["goal"]] for period in kept], float)
+            now = np.array([period["now"] for period in kept], np.int64)
+            if not columns["position"].shape == columns["current_mA"].shape[:2] == goals.shape[:2]:
+                raise ValueError("goals, positions and currents of different numbers of servos")
+            if np.nanmax(np.abs(np.stack([goals, columns["position"]])), initial=0.0) > FARTHEST or goals.ndim != 2:
+                raise ValueError("a tick that no servo has")
+        except (ValueError, KeyError, TypeError, OverflowError) as fault:
+            raise RunError(f"{self.file}: damaged ({fault!s:.60}); record again") from None
         if np.isnan(columns["position"]).any():
             raise RunError(f"{self.file}: a servo was not heard before torque came on; record again")
-        goals = np.array([[np.nan if goal is None else goal for goal in period["goal"]] for period in kept], float)
         goals = np.where(np.isnan(goals), columns["position"], goals)
-        now = np.array([period["now"] for period in kept], np.int64)
         current = columns["current_mA"]
         return Run(
             t=(now - now[0]) * 1e-9,
@@ -143,13 +155,22 @@ def read_recording(path: str | Path) -> Recording:
         periods = [document for topic, document in documents if topic == LOOP]
         if setup is None or not isinstance(setup.get("limits"), dict) or not periods:
             raise RunError(f"{file}: holds no periods of a control loop; give what `softmap` recorded")
-        return Recording(file, setup, periods)
+        return Recording(file, setup, periods, _short(file))
     except RunError:
         raise
     except SoftmapError as fault:
         raise RunError(str(fault)) from None
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as fault:
         raise RunError(f"{file}: damaged ({type(fault).__name__} {fault!s:.60}); record again") from None
+
+
+def _short(file: Path) -> str | None:
+    """Return why a recording may hold less than was driven: damaged within, or never closed by its loop."""
+    try:
+        _, ended = _core.Reading(str(file)).more()
+    except SoftmapError as fault:
+        return str(fault).removeprefix(f"{file}: ")
+    return None if ended else "its loop did not close it: cut short"
 
 
 def _filled(rows: list[list[float | None]], before: list[list[float | None]]) -> NDArray[np.float64]:

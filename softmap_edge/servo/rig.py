@@ -120,6 +120,8 @@ def read_rig(path: str | Path) -> Rig:
     """
     file = Path(path)
     try:
+        if file.exists() and not file.is_file():
+            raise ServoError(f"{file}: no file; give a rig.toml")
         if file.stat().st_size > MOST_TEXT:
             raise ServoError(f"{file}: too large for a rig")
         table = TomlTable(tomllib.loads(file.read_text("utf-8")), str(file))

@@ -1,0 +1,154 @@
+"""What `softmap record` leaves when it is ended by a signal, killed, or out of disk: a cut loses its last second."""
+
+import json
+import os
+import resource
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from waiting import until
+
+from softmap_edge import Run, builtin_model
+from softmap_edge.camera.frames import Frame, HostClock
+from softmap_edge.cli import main
+from softmap_edge.errors import RunError
+from softmap_edge.experiment.blocks import chosen, plan
+from softmap_edge.experiment.command_file import write_commands
+from softmap_edge.experiment.kept import Keeper, read_kept
+from softmap_edge.experiment.play import Played
+from softmap_edge.protocol import Limits
+
+MOST = 200_000  # bytes of a file
+SOFTMAP = str(Path(sys.executable).with_name("softmap"))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Give a folder with a command file, where a recording is made."""
+    monkeypatch.chdir(tmp_path)
+    write_commands(tmp_path / "c.csv", plan(chosen(["circle"]), Limits.even(2, 4.0)), builtin_model().robot)
+    return tmp_path
+
+
+def record(folder, *more, before=None):
+    """Begin a recording; gives its process."""
+    argv = [SOFTMAP, "record", "c.csv", "--emulated", "--out", "run.npz", *more]
+    return subprocess.Popen(
+        argv, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=before
+    )
+
+
+def frames(file):
+    """Return how many frames a file holds that grows."""
+    if not file.exists():
+        return 0
+    return sum(len(json.loads(line).get("taken", [])) for line in file.read_text().splitlines(True) if line[-1] == "\n")
+
+
+def kept(tmp_path, shape=(5, 3)):
+    """Return what was played, and what its file gives back."""
+    rng, played = np.random.default_rng(0), Played(camera=HostClock(0.01))
+    with Keeper(tmp_path / "a.seen", 0.01) as keeper:
+        for k in range(8):
+            frame = Frame(k / 30, 5.0 + k / 30 + 0.01 * rng.random(), rng.normal(size=shape).astype(np.float32))
+            played.clock.append((5.0 + k / 30, k / 30))
+            if k % 2:
+                played.taken.append((k, frame))
+            keeper.add(played, played.camera.add([frame]))
+    assert keeper.fault is None
+    return played, tmp_path / "a.seen"
+
+
+def test_what_was_kept_is_read_back_and_to_its_last_whole_line(tmp_path):
+    played, file = kept(tmp_path)
+    again = read_kept(file)
+    assert again.clock == played.clock and [look for look, _ in again.taken] == [1, 3, 5, 7]
+    for (_, one), (_, other) in zip(played.taken, again.taken, strict=True):
+        np.testing.assert_array_equal(one.points, other.points)
+    stamps = [frame for _, frame in played.taken]
+    np.testing.assert_array_equal(played.camera.times(stamps), again.camera.times(stamps))
+    file.write_bytes(file.read_bytes()[:-9])
+    assert [look for look, _ in read_kept(file).taken] == [1, 3, 5], "the last line was cut"
+    for bad in (b"", b"{}\n", b"[1]\n", b'{"schema": "softmap.seen/1", "late": "x"}\n', b"\xff\n"):
+        file.write_bytes(bad)
+        with pytest.raises(RunError, match="a.seen: damaged, or not what"):
+            read_kept(file)
+    with pytest.raises(RunError, match="none.seen: no such file"):
+        read_kept(tmp_path / "none.seen")
+
+
+@pytest.mark.parametrize("ends", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_it_as_ctrl_c_does(folder, ends):
+    process = record(folder)
+    until(lambda: frames(folder / "run.seen") > 8 or process.poll() is not None, 60)
+    process.send_signal(ends)
+    said = process.communicate(timeout=60)
+    assert process.returncode in (130, 2), said  # 2: a busy machine was quicker
+    assert Run.load(folder / "run.npz").frames > 3
+    assert sorted(os.listdir(folder)) == ["c.csv", "run.npz"], "what is in the run is kept once"
+
+
+def test_who_is_killed_loses_the_last_second(folder, capsys):
+    process = record(folder)
+    until(lambda: frames(folder / "run.seen") > 8 or process.poll() is not None, 60)
+    process.kill()
+    said = process.communicate()[1]
+    if not (folder / "run.seen").exists():
+        pytest.skip("a busy machine ended it before")
+    time.sleep(1.0)
+    assert main(["record", "c.csv", "--emulated", "--out", "run.npz"]) == 2
+    again = capsys.readouterr().err
+    line = "softmap record c.csv --recover run.seen --out run.npz"
+    assert line in again and line in said, "how, told at the start and by who finds it"
+    seen = frames(folder / "run.seen")
+    assert main([*shlex.split(line)[1:], "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    run = Run.load(folder / "run.npz")
+    assert told["schema"] == "softmap.record/1" and not told["whole"] and told["frames"] == run.frames >= seen - 3 > 2
+    assert run.vertices.shape[1:] == builtin_model().rest.shape and set(run.block) <= {"circle", "home"}
+    assert np.abs(np.diff(run.ticks, axis=0)).max() > 0
+
+
+def little():
+    """Give a process that begins no room for files beyond MOST."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (MOST, MOST))
+
+
+def test_a_full_disk_is_told_and_what_there_is_is_kept(folder):
+    process = record(folder, before=little)
+    out, said = process.communicate(timeout=200)
+    assert process.returncode != 0 and not (folder / "run.npz.part").exists(), out
+    left = set(os.listdir(folder))
+    assert "run.npz" in left or {"run.loop.mcap", "run.seen"} <= left, said
+    assert "recording broke off" in said or "is kept no more" in said or "kept: run.loop.mcap and run.seen" in said
+
+
+def test_a_full_disk_under_a_drive_is_told(folder):
+    argv = [SOFTMAP, "track", "O", "--sim", "--amplitude", "2", "--duration", "6", "--record", "t.mcap", "--json"]
+    done = subprocess.run(argv, capture_output=True, text=True, timeout=200, preexec_fn=little)
+    assert done.returncode == 2 and "t.mcap: the recording broke off (" in done.stderr, done.stderr
+    assert (folder / "t.mcap").exists() and (folder / "t.mcap").stat().st_size <= MOST
+    assert main(["replay", "t.mcap"]) == 1
+
+
+def test_an_error_in_making_the_run_keeps_both_files(folder, monkeypatch, capsys):
+    def fails(self, path):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("softmap_edge.run.Run.save", fails)
+    assert main(["record", "c.csv", "--emulated", "--out", "run.npz"]) == 2
+    said = capsys.readouterr().err
+    assert "run.npz: no space left on device; see to the disk" in said
+    assert "kept: run.loop.mcap and run.seen; they become the run by: softmap record c.csv --recover run.seen" in said
+    monkeypatch.undo()
+    assert {"run.loop.mcap", "run.seen"} <= set(os.listdir(folder))
+    os.chdir(folder)
+    assert main(["record", "c.csv", "--recover", "run.seen", "--out", "run.npz"]) == 0
+    assert Run.load(folder / "run.npz").frames > 3
