@@ -72,8 +72,10 @@ class Loop:
 
     def close(self):
         """End the loop, and the bench."""
-        self._closed.set()
         self.process.send_signal(signal.SIGCONT)
+        self.emergency = True  # without torque it ends at once
+        self.wait(lambda: self.ended or not self.reports[-1]["torque"])
+        self._closed.set()
         self._threads[1].join()
         os.close(self._orders)
         try:
