@@ -245,6 +245,23 @@ def test_the_verb_prints_every_limit_and_who_set_it(tmp_path, capsys):
     assert main(argv) == 1 and "nothing is driven: servo 1, 2 has no home" in capsys.readouterr().out
 
 
+def test_a_ceiling_of_hot_alone_is_one_of_warm_too(tmp_path):
+    calibrated = replace(FINGER, calibration=turned(np.eye(2) / 280.0))
+    for values, warm, by in (
+        ((("hot", 50.0),), 40.0, "rig.toml"),
+        ((("hot", 79.0),), 55.0, "the servo's data"),
+        ((("hot", 50.0), ("warm", 45.0)), 45.0, "rig.toml"),
+    ):
+        found = combined(rig(values), calibrated)
+        limits = {one.name: one for one in found.servos[0]}
+        assert (limits["warm"].value, limits["warm"].by) == (warm, by)
+        assert limits["hot"].value <= 65.0, "a servo's own data is never passed"
+        found.table()
+    rig((("hot", 50.0), ("warm", 60.0))).write(tmp_path / "rig.toml")
+    with pytest.raises(ServoError, match="ceiling: warm = 60, expected at most hot = 50 °C"):
+        read_rig(tmp_path / "rig.toml")
+
+
 def test_the_loop_keeps_to_the_limits_of_the_finger():
     """Through the process: a window, a slew and a hold that only safety.toml asks for."""
     safety = replace(FINGER.safety, high=(0.8, 16.0), hold=0.3)

@@ -124,6 +124,12 @@ def stood(file):
     return max(np.diff(last), default=0) * 1e-9
 
 
+def halted(file):
+    """Return the longest time (s) for which a whole recording heard no servo at all."""
+    heard = [period["now"] for period in read_recording(file).periods if set(period["position"]) != {None}]
+    return max(np.diff(heard), default=0) * 1e-9
+
+
 def excused(file):
     """Return whether the computer, not the robot, ended a recording: its line stood as long as a watchdog waits."""
     return stood(file) > WATCHDOG
@@ -281,9 +287,14 @@ def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, c
         camera = receiver.port
         until(lambda: receiver.taken > 0)
         receiver.close()  # its port is for the one who records
-        run = recorded(tmp_path, argv)
-    model = load_bundle(robot / "bundle")
-    answer = diagnose(model, run)
+        model = load_bundle(robot / "bundle")
+        for trial in range(TRIALS):  # anew only where the computer stood still meanwhile: then the finger did, too
+            folder = tmp_path / f"{trial}"
+            folder.mkdir()
+            run = recorded(folder, argv)
+            answer = diagnose(model, run)
+            if answer.verdict == "identified" or max(map(halted, folder.glob("*.mcap"))) < WATCHDOG:
+                break
     assert [effect["name"] for effect in answer.effects] == ["backlash"] and answer.verdict == "identified"
     assert compare(model, run).error["rms_mm"] > 4 * compare(answer.added(model, ["backlash"]), run).error["rms_mm"]
 
