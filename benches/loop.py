@@ -79,9 +79,7 @@ def _bench(baud: int, rate: float):
             set_mark(driver, id, HOME)
         driver.close()
         window = (-900.0, 900.0)
-        scale, error = np.eye(2) / 280.0, dict.fromkeys(("command", "shape_mm", "matched_shape_mm"), 0.0)
-        home = np.full(2, float(HOME))
-        calibration = Calibration(scale, np.zeros(2), home, 0 * scale, np.zeros(2), error, "bench", 0, 0, window)
+        calibration = Calibration.stated(np.eye(2) / 280.0, np.zeros(2), np.full(2, HOME), "bench", window)
         limits = loop_limits([servo_limits(MODEL, HOME, window)] * 2, rate)
         yield Rig(bus.path, baud, tuple(RigServo(id, MODEL, HOME) for id in (1, 2))), calibration, limits
     finally:

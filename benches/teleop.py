@@ -66,9 +66,7 @@ def rows() -> list[dict[str, object]]:
 def measured(video: Path, model: Path | None) -> list[dict[str, object]]:
     """Drive the built-in finger by the hand of a video."""
     finger = builtin_model()
-    scale, zero, home = np.eye(2) / 280.0, np.zeros(2), np.full(2, 2048.0)
-    error = dict.fromkeys(("command", "shape_mm", "matched_shape_mm"), 0.0)
-    calibration = Calibration(scale, zero, home, 0 * scale, zero, error, "bench", 0, 0, None)
+    calibration = Calibration.stated(np.eye(2) / 280.0, np.zeros(2), np.full(2, 2048.0), "bench")
     kinematics, sent = Kinematics(finger), []  # sent: when a picture was due, and the command of it
     with tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "teleop.mcap"

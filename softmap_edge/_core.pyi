@@ -18,7 +18,9 @@ __all__ = [
     "ElasticField",
     "ElasticRod",
     "EmulatedBus",
+    "FAST_FIRMWARE",
     "FIELDS",
+    "HARDWARE_ERRORS",
     "Inputs",
     "Inverse",
     "LOADS",
@@ -27,6 +29,7 @@ __all__ = [
     "Network",
     "Predictor",
     "Reach",
+    "Reading",
     "Registration",
     "Rod",
     "RodField",
@@ -45,6 +48,7 @@ __all__ = [
     "control_loop",
     "effects",
     "forget",
+    "limit_ranges",
     "monomial_degrees",
     "monomials",
     "read_recording",
@@ -143,11 +147,10 @@ class ServoBus:
     def scan(self) -> list[tuple[int, int, int]]: ...
     def read(self, id: int, address: int, size: int) -> bytes: ...
     def write(self, id: int, address: int, data: bytes) -> None: ...
-    def reboot(self, id: int) -> None: ...
-    def clear_turns(self, id: int) -> None: ...
     def release(self) -> None: ...
 
 def check_limits(table: dict[str, Any]) -> None: ...
+def limit_ranges() -> dict[str, tuple[float, float, str]]: ...
 def control_loop(
     orders: int,
     reports: int,
@@ -159,16 +162,19 @@ def control_loop(
     slope: Sequence[float],
     b: Sequence[float],
     home: Sequence[float],
-    budget: Sequence[float],
     chain: Mapping[str, Any] | None = None,
     gpio: tuple[str, int, bool] | None = None,
     heartbeat: tuple[str, int, bytes, float] | None = None,
-    fast: bool = True,
-    slack: float = 0.002,
     record: str | None = None,
     setup: str = "",
 ) -> None: ...
 def read_recording(path: str) -> list[tuple[str, int, bytes]]: ...
+
+@final
+class Reading:
+    def __new__(cls, path: str) -> Self: ...
+    def more(self) -> tuple[list[tuple[str, int, bytes]], bool]: ...
+
 def replay(table: dict[str, Any], periods: Sequence[tuple[Any, ...]]) -> list[tuple[str, str, bool, list[int]]]: ...
 
 @final
@@ -191,12 +197,12 @@ class EmulatedBus:
         self,
         servo: int,
         *,
-        mute: bool = False,
-        stuck: bool = False,
-        torn: bool = False,
-        reversed: bool = False,
-        jammed: bool = False,
-        uncapped: bool = False,
+        mute: bool | None = None,
+        stuck: bool | None = None,
+        torn: bool | None = None,
+        reversed: bool | None = None,
+        jammed: bool | None = None,
+        uncapped: bool | None = None,
     ) -> None: ...
     def burden(self, servo: int, factor: float) -> None: ...
     def lose_turn(self, servo: int) -> None: ...
@@ -207,14 +213,17 @@ class EmulatedBus:
     def heat(self, servo: int, temperature: float) -> None: ...
     def supply(self, servo: int, volts: float) -> None: ...
     def rename(self, servo: int, id: int) -> None: ...
+    def flash(self, servo: int, firmware: int) -> None: ...
     def unplug(self) -> None: ...
-    def state(self) -> tuple[float, list[tuple[float, bool, bool]]]: ...
+    def state(self) -> tuple[float, list[tuple[float, bool, bool, float]]]: ...
 
 FIELDS: list[str]
 LOADS: list[str]
 MODULI: list[str]
 STATIONS: list[float]
 STANDARD_GRAVITY: float  # m/s², N/kg
+FAST_FIRMWARE: int
+HARDWARE_ERRORS: list[tuple[int, str]]
 
 def effects() -> list[dict[str, Any]]: ...
 def register(declaration: Mapping[str, Any], rollout: Callable[..., _Floats]) -> None: ...

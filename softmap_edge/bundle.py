@@ -33,17 +33,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softmap_edge import __version__, _core, own_effect
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
-from softmap_edge.features import SECTIONS, Body
 from softmap_edge.manifest import LARGEST, finite_number, load_manifest, read_json
 from softmap_edge.model import Arrays, Model
 from softmap_edge.network import read_network
 from softmap_edge.npz import read_npz, write_npz
 from softmap_edge.safety import Safety, derived, read_safety
 from softmap_edge.shape_arrays import cables_from, family_from, fields_from, second_from
+from softmap_edge.template_arrays import template_arrays, template_from
 from softmap_edge.ticks import Calibration
 from softmap_edge.whole_file import MOST_TEXT
 
@@ -53,7 +52,6 @@ _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
 # Those that its manifest may name beside them.
 _PERHAPS = ("prior.onnx", "residual.onnx", "residual.npz", "calibration.json", SAFETY)
 Trust = Callable[[Path, str], bool]
-_MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
 
 
 def save_bundle(model: Model, path: str | Path) -> Path:
@@ -79,19 +77,7 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         if arrays or f"{name}.npz" in _FILES:
             files += [] if f"{name}.npz" in _FILES else [f"{name}.npz"]
             write_npz(partial / f"{name}.npz", arrays)
-    template: dict[str, NDArray[np.generic]] = {
-        "rest": model.rest.astype(np.float32),
-        "triangles": model.triangles.astype(np.uint16 if len(model.rest) < 65536 else np.uint32),
-        "tip": model.tip_indices.astype(np.uint32),
-        "form_error_mm": model.form_error.astype(np.float32),
-    }
-    if model.body is not None:
-        template |= {"section": model.body.section.astype(np.uint16), "along": model.body.along.astype(np.float32)}
-        if model.body.angle is not None:
-            template["angle"] = model.body.angle.astype(np.float32)
-    if model.handles is not None:
-        template["handles"] = model.handles.astype(np.uint32)
-    write_npz(partial / "template.npz", template)
+    write_npz(partial / "template.npz", template_arrays(model))
     if model.calibration is not None:
         files.append("calibration.json")
         (partial / files[-1]).write_text(json.dumps(model.calibration.to_dict(), indent=1) + "\n")
@@ -259,7 +245,7 @@ def _arrays(folder: Path, manifest: dict[str, Any]) -> tuple[dict[str, Arrays], 
 
 def _model(folder: Path, manifest: dict[str, Any]) -> Model:
     arrays, foreign = _arrays(folder, manifest)
-    template = arrays["template"]
+    template = template_from(folder.name, arrays["template"])
     if manifest["kind"] != "rod":
         if (manifest["kind"] == "network") != ("prior.onnx" in _named(manifest)):
             raise BundleError(f"{folder.name}: a prior.onnx goes with the kind network, not with {manifest['kind']}")
@@ -272,20 +258,11 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
 
         prior, fields = rod_from_arrays(arrays["prior"])
         cables = second = None
-    rest = np.asarray(template["rest"], float)
-    if rest.ndim != 2 or rest.shape[1] != 3 or prior.size != rest.size:
+    rest = template.rest
+    if prior.size != rest.size:
         raise BundleError(f"{folder.name}: template {rest.shape} and prior of {prior.size} numbers do not fit together")
     if prior.channels != manifest["channels"]:
         raise BundleError(f"{folder.name}: prior of {prior.channels} channels, manifest says {manifest['channels']}")
-    triangles = np.asarray(template["triangles"], np.int32).reshape(-1, 3)
-    body = _body(folder, template, len(rest)) if "section" in template else None
-    what = "markers" if body is None and not len(triangles) else "vertices"
-    if not 1 <= len(rest) <= _MOST_POINTS[what]:
-        raise BundleError(f"{folder.name}: template of {len(rest)} {what}, allowed are 1 to {_MOST_POINTS[what]}")
-    tip = np.asarray(template["tip"], np.int64)
-    for name, index in (("triangles", triangles), ("tip", tip)):
-        if index.size and not 0 <= index.min() <= index.max() < len(rest):
-            raise BundleError(f"{folder.name}: template '{name}' points outside its {len(rest)} vertices")
     apart = foreign["prior"]["table_off_mm"] if "prior" in foreign else 0.0
     made_from = _made_from(manifest) | ({"through_onnxruntime": foreign} if foreign else {})
     model = Model(
@@ -295,19 +272,19 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         cables=cables,
         second=second,
         rest=rest,
-        triangles=triangles,
-        form_error=np.asarray(template["form_error_mm"], float),
+        triangles=template.triangles,
+        form_error=template.form_error,
         vertex_error_mm=float(np.hypot(manifest["held_out_error_mm"], apart)),
         error_per_g_mm=float(manifest.get("held_out_error_per_g_mm", 0.0)),
-        tip_indices=tip,
+        tip_indices=template.tip,
         gravity_reference=np.array(manifest["gravity_reference"], float),
         command_range=np.array(manifest["command_range"], float).reshape(-1, 2),
         robot=manifest["robot"],
         command_unit=str(manifest.get("command_unit", "mm")),
         input=str(manifest.get("input", "present")),
         made_from=made_from,
-        body=body,
-        handles=_handles(folder, template["handles"], len(rest)) if "handles" in template else None,
+        body=template.body,
+        handles=template.handles,
         calibration=_calibration(folder, manifest),
         safety=_safety(folder, manifest),
         stiffness_known=bool(manifest.get("stiffness_known", manifest["kind"] != "rod")),
@@ -355,32 +332,6 @@ def _safety(folder: Path, manifest: dict[str, Any]) -> Safety | None:
         raise BundleError(f"{folder.name}: {SAFETY} is no text; copy it again") from None
     read = read_safety(text, reach, str(manifest.get("command_unit", "mm")), f"{folder.name}: {SAFETY}")
     return replace(read, edited=_sha256(file) != manifest["sha256"][SAFETY])
-
-
-def _handles(folder: Path, stored: NDArray[np.generic], points: int) -> NDArray[np.int64]:
-    """Read which vertices are handles; each one once."""
-    handles = np.asarray(stored, np.int64)
-    if handles.ndim != 1 or not len(handles) or not np.all(np.diff(handles, prepend=-1, append=points) > 0):
-        raise BundleError(
-            f"{folder.name}: template 'handles' of shape {handles.shape}, expected 1 to {points} of its vertices 0 to "
-            f"{points - 1}, ascending; build it again"
-        )
-    return handles
-
-
-def _body(folder: Path, template: Arrays, points: int) -> Body:
-    """Read how the points lie along a body; as many sections as features are made of."""
-    for name in ("section", "along", "angle"):
-        if name in template and template[name].shape != (points,):
-            raise BundleError(
-                f"{folder.name}: template '{name}' of shape {template[name].shape}, expected ({points},); build it "
-                "again"
-            )
-    section = np.asarray(template["section"], np.int64)
-    if template["section"].dtype.kind not in "iu" or not 0 <= section.min() <= section.max() < SECTIONS:
-        raise BundleError(f"{folder.name}: template 'section' holds other than whole numbers below {SECTIONS}")
-    angle = np.asarray(template["angle"], float) if "angle" in template else None
-    return Body(section, np.asarray(template["along"], float), angle)
 
 
 def load_chain(path: str | Path) -> tuple[list[str], dict[str, float]]:

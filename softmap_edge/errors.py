@@ -63,8 +63,23 @@ class ServoError(SoftmapError):
     """A servo or its port does not do what was asked."""
 
 
+class LimitError(ServoError):
+    """A limit that the guard refuses.
+
+    `.name` is its name in the table of limits, `.servo` its place among the servos (from 0), None for the robot's own.
+    """
+
+    def __init__(self, text: str, name: str, servo: int | None) -> None:
+        super().__init__(text)
+        self.name, self.servo = name, servo
+
+
 class TeleopError(SoftmapError):
     """Camera, hand or landmarks cannot be had, or what teleoperation needs is not installed."""
+
+
+class LinkError(SoftmapError):
+    """A key, an address or a datagram between two programs is not usable."""
 
 
 class CoreError(SoftmapError, ValueError):

@@ -182,6 +182,10 @@ class Model:
         model = self if chain.numbers else self._before_laws()
         return replace(model.with_residual(None), chain_names=tuple(names), chain_params=params)
 
+    def bare(self) -> Model:
+        """Return the model without its effects and its residual: the prior alone."""
+        return self.with_effects([], {})
+
     def with_residual(self, arrays: Arrays | None) -> Model:
         """Return the model with the residual that a shape family's `arrays` hold, in place of its own, or with none.
 

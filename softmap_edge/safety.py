@@ -9,7 +9,6 @@ Pinned by tests/test_safety.py.
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -19,9 +18,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.shape_arrays import plain_table
-from softmap_edge.toml_table import TomlTable
+from softmap_edge.toml_table import TomlTable, quoted
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -39,9 +39,8 @@ DAMAGED = 4.0  # mm/mm: a strain that no surface has
 STALE, HOLD, SLACKEN, RAMP = 0.25, 2.0, 5.0, 1.0  # s
 BAND = 0.02 / 32.0  # of the window: of 32 mm what a still hand's noise stays below
 TURNS_A_SECOND, BURST = 4.0, 4.0
-# What a file may say, in s, 1 and 1/s; lengths are bounded by the window itself.
-TIMES = {"stale": (0.02, 2.0), "hold": (0.05, 60.0), "slacken": (0.1, 60.0), "ramp": (0.0, 10.0)}
-TURNS = {"turns": (0.1, 50.0), "burst": (1.0, 50.0)}
+# What the guard itself bounds, in s, 1/s and 1; lengths are bounded by the window.
+TIMES, TURNS = ("stale", "hold", "slacken", "ramp"), ("turns", "burst")
 SIMULATED = ("tension_n", "strain", "modulus_mpa")
 LONGEST = 300  # characters of a sentence
 
@@ -88,15 +87,15 @@ class Safety:
     def to_toml(self) -> str:
         """Return the text of `safety.toml`."""
         lines = [
-            f"# Limits of this finger; rig.toml is the ceiling. May be edited.\nschema = {_text(SCHEMA)}",
-            f"assumes = {_text(self.assumes)}",
+            f"# Limits of this finger; rig.toml is the ceiling. May be edited.\nschema = {quoted(SCHEMA)}",
+            f"assumes = {quoted(self.assumes)}",
         ]
         if self.simulated:
             lines.append("\n[simulated]  # the largest in the window; no limits")
             lines += [f"{name} = {_short(self.simulated[name])}" for name in SIMULATED if name in self.simulated]
         lines += [
             f"\n[command]  # in {self.unit}, s",
-            f"unit = {_text(self.unit)}",
+            f"unit = {quoted(self.unit)}",
             f"low = {[*map(_short, self.low)]}",
             f"high = {[*map(_short, self.high)]}",
             f"slew = {_short(self.slew)}",
@@ -162,13 +161,13 @@ def _read(top: TomlTable, reach: Floats, unit: str) -> Safety:
         acceleration=_needed(command, "acceleration", 1e-4 * width, 2000.0 * width),
         jump=(told, refused),
         tension=tendon.number("tension_n", None, 1e-3, max(1e-3, highest)),
-        stale=_needed(times, "stale", *TIMES["stale"]),
-        hold=_needed(times, "hold", *TIMES["hold"]),
-        slacken=_needed(times, "slacken", *TIMES["slacken"]),
-        ramp=_needed(times, "ramp", *TIMES["ramp"]),
+        stale=_allowed(times, "stale"),
+        hold=_allowed(times, "hold"),
+        slacken=_allowed(times, "slacken"),
+        ramp=_allowed(times, "ramp"),
         band=_needed(reversal, "band", 0.0, 0.1 * width),
-        turns=_needed(reversal, "turns", *TURNS["turns"]),
-        burst=_needed(reversal, "burst", *TURNS["burst"]),
+        turns=_allowed(reversal, "turns"),
+        burst=_allowed(reversal, "burst"),
         assumes=assumes,
         simulated={name: value for name, value in found.items() if value is not None},
     )
@@ -182,6 +181,11 @@ def _needed(table: TomlTable, key: str, low: float, high: float) -> float:
     if value is None:
         raise BundleError(f"{table.where}: no {key}; give {low:g} to {high:g}")
     return value
+
+
+def _allowed(table: TomlTable, key: str) -> float:
+    low, high, _ = _core.limit_ranges()[key]
+    return _needed(table, key, low, high)
 
 
 def _needed_pair(table: TomlTable, key: str, most: float) -> tuple[float, float]:
@@ -304,7 +308,3 @@ def _digits(value: float) -> float:
 
 def _short(value: float) -> float:
     return float(f"{value:.6g}")
-
-
-def _text(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)

@@ -1,26 +1,38 @@
-"""What datagrams of this package share: a key in a file, a signature, an address, a socket.
+"""What datagrams of this package share: a key in a file, a signature, an address, and the two ends of a session.
 
 HMAC-SHA256 under a shared key: whoever has no key can neither write nor change a datagram; they are not secret.
-Pinned by tests/test_landmarks_udp.py and tests/test_camera_points.py.
+
+A session is a random number of the listener's: it offers it, signed, to who signs rightly under another one, and
+sequence numbers must rise within it. So a recorded datagram counts nowhere again, also after either side was started
+anew, and no clocks need agree. While a sender is alive no other takes its place. What does not count is counted by why,
+and nothing of it is answered. The first datagrams of a sender only ask for the session.
+Without a key (programs of one computer) all is the same, unsigned. `rust/control/heartbeat.rs` is another listener.
+Pinned by tests/test_landmarks_udp.py, tests/test_camera_points.py and tests/test_emergency.py.
 """
 
 from __future__ import annotations
 
 import hashlib
 import hmac
+import math
 import os
 import re
 import secrets
 import socket
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
-from softmap_edge.errors import TeleopError
+from softmap_edge.errors import LinkError
 
 TAG = 32  # bytes of HMAC-SHA256
 SESSION = 16  # bytes that name a session
-MOST_AT_ONCE = 64  # offers that are taken in at a time
+NO_SESSION = bytes(SESSION)
+SILENCE = 0.5  # s after which a sender that is not heard may be followed by another
+OFFER_LASTS = 1.0  # s for which a session that was offered can be taken up
+MOST_OFFERS = 64  # that are taken in at a time
 SHORTEST_KEY = 16  # bytes
 
 
@@ -28,14 +40,14 @@ def new_key(path: str | Path) -> bytes:
     """Write a key of 32 random bytes as text to a new file that its owner alone can read, and return it.
 
     Raises:
-        TeleopError: the file is there already, or cannot be written.
+        LinkError: the file is there already, or cannot be written.
     """
     key = secrets.token_bytes(32)
     try:
         with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
             file.write(key.hex() + "\n")
     except OSError as cause:
-        raise TeleopError(f"{path}: the key cannot be written ({cause.strerror}); give a new file") from None
+        raise LinkError(f"{path}: the key cannot be written ({cause.strerror}); give a new file") from None
     return key
 
 
@@ -43,18 +55,16 @@ def read_key(path: str | Path) -> bytes:
     """Return the key in a file that `new_key` wrote.
 
     Raises:
-        TeleopError: it cannot be read, others may read it, or it is no key.
+        LinkError: it cannot be read, others may read it, or it is no key.
     """
     try:
         with open(path, "rb") as file:
             mode = os.fstat(file.fileno()).st_mode
             text = file.read(1025)
     except OSError as cause:
-        raise TeleopError(
-            f"{path}: the key cannot be read ({cause.strerror}); copy it from the other computer"
-        ) from None
+        raise LinkError(f"{path}: the key cannot be read ({cause.strerror}); copy it from the other computer") from None
     if mode & 0o077:
-        raise TeleopError(f"{path}: others can read this key; run chmod 600 {path}")
+        raise LinkError(f"{path}: others can read this key; run chmod 600 {path}")
     try:
         key = bytes.fromhex(text.decode("ascii").strip()) if len(text) <= 1024 else b""
     except ValueError:
@@ -66,10 +76,10 @@ def checked_key(key: bytes) -> bytes:
     """Return a key that is long enough.
 
     Raises:
-        TeleopError: it is not.
+        LinkError: it is not.
     """
     if len(key) < SHORTEST_KEY:
-        raise TeleopError(
+        raise LinkError(
             f"key: {len(key)} bytes in hexadecimal digits, at least {SHORTEST_KEY} are needed; make a new one"
         )
     return key
@@ -80,44 +90,153 @@ def tag(key: bytes, body: bytes) -> bytes:
     return hmac.new(key, body, hashlib.sha256).digest()
 
 
-def offered(link: socket.socket, key: bytes, mark: bytes, session: bytes) -> bytes:
-    """Return the newest session (SESSION bytes) that the other side of `link` offers, signed and behind `mark`;
-    `session` where it offers none."""
-    size = len(mark) + SESSION + TAG
-    for _ in range(MOST_AT_ONCE):
+def signed(key: bytes | None, body: bytes) -> bytes:
+    """Return `body` as a datagram: followed by its tag where there is a key."""
+    return body if key is None else body + tag(key, body)
+
+
+def body_of(key: bytes | None, datagram: bytes, size: int) -> bytes | str:
+    """Return the first `size` bytes of a datagram that is `signed`, or in a word why it is not: length, signature."""
+    if len(datagram) != size + (0 if key is None else TAG):
+        return "length"
+    body = datagram[:size]
+    if key is not None and not hmac.compare_digest(datagram[size:], tag(key, body)):
+        return "signature"
+    return body
+
+
+class _Link:
+    """An open socket and its key; a context manager, to be closed."""
+
+    def __init__(self, key: bytes | None, opened: socket.socket) -> None:
+        self._key, self._socket = key, opened
+
+    def close(self) -> None:
+        """Close the socket; may be called again."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+class Sender(_Link):
+    """The end that sends to `host`:`port`, for a class that has a layout of its own; offers stand behind `mark`.
+
+    Raises:
+        LinkError: no such host or port, or the key is too short.
+    """
+
+    def __init__(self, host: str, port: int, key: bytes | None, mark: bytes, mend: str = "check host and port") -> None:
+        key = None if key is None else checked_key(key)
+        super().__init__(key, _open(host, port, socket.socket.connect, "be reached", mend))
+        self._mark, self._session, self._sequence = mark, NO_SESSION, 0
+
+    @property
+    def heard(self) -> bool:
+        """Whether the listener has answered; until then what is sent only asks for its session."""
+        return self._session != NO_SESSION
+
+    def _next(self) -> tuple[bytes, int]:
+        """Return the newest session that the listener offers, and the next number in it."""
+        size = len(self._mark) + SESSION
+        for _ in range(MOST_OFFERS):
+            try:
+                offer = self._socket.recv(size + TAG + 1)
+            except BlockingIOError:
+                break
+            except OSError:
+                continue  # what came back of an earlier datagram
+            body = body_of(self._key, offer, size)
+            if isinstance(body, bytes) and body.startswith(self._mark):
+                self._session = body[len(self._mark) :]
+        self._sequence += 1
+        return self._session, self._sequence
+
+    def _put(self, datagram: bytes) -> bool:
+        """Send a datagram; False where it could not be sent just now (no network, or nobody listens)."""
         try:
-            offer = link.recv(size + 1)
-        except BlockingIOError:
-            break
+            return self._socket.send(datagram) == len(datagram)
+        except OSError:  # refused or unreachable: the other side may come back
+            return False
+
+
+class Listener(_Link):
+    """The end that listens at `host`:`port` (0: any free one, see `.port`), for a class that has a layout of its own.
+
+    `.refused` counts what was not taken, by why: session (of one that is not ours), replay (a number that did not
+    rise), sender (another one while ours is alive), and what the layout adds. `.lost` counts numbers that never came.
+
+    Raises:
+        LinkError: the address is not ours or in use, or the key is too short.
+    """
+
+    def __init__(self, host: str, port: int, key: bytes | None, mark: bytes) -> None:
+        key = None if key is None else checked_key(key)
+        mend = "give a free port of this computer"
+        super().__init__(key, _open(host, port, socket.socket.bind, "be listened at", mend))
+        self.port = int(self._socket.getsockname()[1])
+        self.refused: Counter[str] = Counter()
+        self.lost = 0
+        self._mark = mark
+        self._session, self._offered = b"", (b"", -math.inf)  # ours; one that was offered, and when it first was
+        self._from: object = None
+        self._sequence, self._heard = 0, -math.inf  # the last that counted: its number, and s at which it came
+
+    def _counts(self, session: bytes, sequence: int, address: Any, now: float) -> bool:
+        """Return whether a datagram that came rightly signed from `address` at `now` s counts; else note why not."""
+        offered, since = self._offered
+        another = address != self._from and now - self._heard < SILENCE
+        if another:
+            self.refused["sender"] += 1
+        elif session == offered and now - since < OFFER_LASTS:
+            # Who signs under what was just offered has answered now: no recording could.
+            self._session, self._offered, self._sequence = session, (b"", -math.inf), sequence - 1
+        elif session != self._session:
+            if session != NO_SESSION:  # who only asks is not refused
+                self.refused["session"] += 1
+            self._offer(address, now)
+        if another or session != self._session:
+            return False
+        if sequence <= self._sequence:
+            self.refused["replay"] += 1
+            return False
+        self.lost += sequence - self._sequence - 1
+        self._from, self._sequence, self._heard = address, sequence, now
+        return True
+
+    def _offer(self, address: Any, now: float) -> None:
+        """Tell who signs rightly, but not under our session, what to sign under."""
+        if now - self._offered[1] >= OFFER_LASTS:
+            self._offered = (secrets.token_bytes(SESSION), now)
+        try:
+            self._socket.sendto(signed(self._key, self._mark + self._offered[0]), address)
         except OSError:
-            continue  # what came back of an earlier datagram
-        body = offer[: size - TAG]
-        right = len(offer) == size and body.startswith(mark)
-        if right and hmac.compare_digest(offer[len(body) :], tag(key, body)):
-            session = body[len(mark) :]
-    return session
+            return  # it asks again with its next datagram
 
 
 def udp_address(text: str) -> tuple[str, int]:
     """Return (host, port) of `udp://HOST:PORT`; the host may be left out, or be an IPv6 address in brackets.
 
     Raises:
-        TeleopError: it is no such address.
+        LinkError: it is no such address.
     """
     found = re.fullmatch(r"udp://(?:\[([0-9A-Fa-f:.%]+)\]|([^\[\]:/@]*)):(\d{1,5})/?", text)
     if found is None or not 1 <= int(found[3]) <= 65535:
-        raise TeleopError(f"'{text[:80]}' is no address; give udp://HOST:PORT with a port of 1 to 65535")
+        raise LinkError(f"'{text[:80]}' is no address; give udp://HOST:PORT with a port of 1 to 65535")
     return found[1] or found[2] or "", int(found[3])
 
 
-def open_udp(host: str, port: int, use: Callable[[socket.socket, Any], None], what: str, mend: str) -> socket.socket:
+def _open(host: str, port: int, use: Callable[[socket.socket, Any], None], what: str, mend: str) -> socket.socket:
     """Return a socket that never waits, connected or bound (`use`) to an address; IPv4 where a host has both.
 
     Raises:
-        TeleopError: it cannot; the line says `what`, and how to `mend` it.
+        LinkError: it cannot; the line says `what`, and how to `mend` it.
     """
-    if not 0 <= port <= 65535:
-        raise TeleopError(f"udp://{host}:{port}: ports are 1 to 65535; {mend}")
+    if not (1 if use is socket.socket.connect else 0) <= port <= 65535:
+        raise LinkError(f"udp://{host}:{port}: ports are 1 to 65535; {mend}")
     try:
         found = socket.getaddrinfo(host or None, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE)
         family, kind, proto, _, address = min(found, key=lambda entry: entry[0] != socket.AF_INET)
@@ -128,6 +247,6 @@ def open_udp(host: str, port: int, use: Callable[[socket.socket, Any], None], wh
             opened.close()
             raise
     except (OSError, UnicodeError) as cause:
-        raise TeleopError(f"udp://{host}:{port}: cannot {what} ({cause!s:.80}); {mend}") from None
+        raise LinkError(f"udp://{host}:{port}: cannot {what} ({cause!s:.80}); {mend}") from None
     opened.setblocking(False)
     return opened

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ SCHEMA = "softmap.calibration/1"
 ERRORS = ("command", "shape_mm", "matched_shape_mm")
 LARGEST = 1e7  # ticks, mm: beyond any servo, as for a run
 MOST_SERVOS = 64
-TURN = 4096  # ticks
+TURN = 4096  # ticks of a turn of the horn
 SINGULAR = 1e6  # condition of A from which it has no inverse of use
 
 
@@ -81,6 +82,22 @@ class Calibration:
                 )
             object.__setattr__(self, "window", (low, high))
 
+    @classmethod
+    def stated(
+        cls,
+        A: ArrayLike,
+        b: ArrayLike,
+        home: ArrayLike,
+        said: str,
+        window: tuple[float, float] | None = None,
+        unit: str = "mm",
+    ) -> Calibration:
+        """Return a map that nobody measured but that is so, of an emulated robot or of a bench told by its user: no
+        doubt, no error, no frames; `said` stands where the run would."""
+        slope, shift = np.asarray(A, float), np.asarray(b, float)
+        none = dict.fromkeys(ERRORS, 0.0)
+        return cls(slope, shift, np.asarray(home, float), 0 * slope, 0 * shift, none, said, 0, 0, window, unit)
+
     @property
     def condition(self) -> float:
         """Condition of A: 1 where all servos pull alike and across each other."""
@@ -101,6 +118,11 @@ class Calibration:
         after their power was off, servos count turns anew."""
         turns = np.rint((np.asarray(home, float) - self.home) / TURN)
         return replace(self, home=self.home + TURN * turns) if turns.any() else self
+
+    def holding(self, reach: ArrayLike) -> tuple[float, float]:
+        """Return the window (low, high) of ticks about home that holds a whole range `reach` (C, 2) of commands."""
+        away = self.ticks(list(product(*np.asarray(reach, float)))) - self.home
+        return float(away.min()), float(away.max())
 
     def usable(self, reach: ArrayLike) -> Floats:
         """Return a range [l, h] (C, 2) of commands all of whose combinations lie in the window: `reach` (C, 2), shrunk.

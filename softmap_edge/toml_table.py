@@ -1,6 +1,7 @@
 """A TOML table that is read key by key and then says which of its keys nobody knows.
 
-Every fault is one RunError that names the file, the key, what was found and what is expected.
+Every fault is one RunError that names the file, the key, what was found and what is expected. `quoted` is how any text
+is written into TOML. Pinned by tests/test_rig_file.py.
 """
 
 from __future__ import annotations
@@ -94,3 +95,22 @@ def shown(value: Any) -> str:
         return str(value)[:40]
     except ValueError:  # python does not print whole numbers of more than 4300 digits
         return "a number of thousands of digits"
+
+
+def quoted(text: str) -> str:
+    """Return a text as a TOML string of one line; what has no UTF-8 form is written as `?`, as `write_whole` does."""
+    plain = text.encode("utf-8", "replace").decode("utf-8").replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else _escaped(ord(c)) for c in plain) + '"'
+
+
+def _escaped(code: int) -> str:
+    return f"\\u{code:04X}" if code <= 0xFFFF else f"\\U{code:08X}"
+
+
+def written(value: Any) -> str:
+    """Return a text, a number or a list of them as TOML writes it."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(written, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return quoted(value) if isinstance(value, str) else repr(value)

@@ -8,7 +8,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 LONG = [
     "test_hidden_effects", "test_three_tendons", "test_truth", "test_demo", "test_readme", "test_diagnosis",
     "test_bank", "test_refit_finger", "test_mutated_files", "test_tdcr", "test_trunk", "test_own_effect_page",
-    "test_design_fields",
+    "test_design_fields", "test_faults", "test_record_robot",
 ]  # fmt: skip
 
 

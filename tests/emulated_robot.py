@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -25,14 +24,6 @@ def emulated(folder, *more):
             yield process, json.loads(process.stdout.readline()), camera
             process.communicate()
             assert process.returncode == 0
-
-
-def until(condition, seconds=20.0):
-    """Wait until a condition holds."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def say(process, line):

@@ -19,7 +19,7 @@ def hand_model(tmp):
     """Return the path of the task file; without PyPI, or where mediapipe cannot run, the test is skipped."""
     for need in (libraries(), processor()):
         if not need.fine:
-            pytest.skip(f"not run: {need}")
+            pytest.skip(f"not run: {need.name}: {need.found}")
     task = CACHE / "hand_landmarker.task"
     try:
         if check_model(task).sha256 in KNOWN:

@@ -13,10 +13,11 @@ import numpy as np
 from rigs import BAUD, MODEL, NUMBER, TICKS_PER_MM, angles, set_up
 
 from softmap_edge import _core
-from softmap_edge.servo.controller import BUDGET, REQUESTS
+from softmap_edge.servo.controller import REQUESTS
 from softmap_edge.servo.limits import loop_limits, servo_limits
 
 STATES = ("off", "connected", "homed", "ready", "engaged", "hold", "safe_stop", "fault", "commissioning")
+DRIVEN = ("engaged", "hold", "commissioning")
 LEADS_ON = dict(off="connect", connected="home", homed="arm", ready="engage", fault="acknowledge")
 HOMES = (2000, 2400)  # apart, so that exchanged ids show
 FAR = (2.0, 2.0)  # mm
@@ -31,7 +32,7 @@ class Loop:
         servos = [(id, NUMBER, BAUD, float(home)) for id, home in zip((1, 2), HOMES)]
         load = [[(home - 1000.0, -400.0), (home, 0.0), (home + 1000.0, 400.0)] for home in HOMES]
         self.bus = _core.EmulatedBus(servos, load, delay=0.01, lag=0.03, seed=3)
-        set_up(self.bus.path)
+        set_up(self.bus.path, homes=HOMES)
         axes = [servo_limits(MODEL, home, (-900.0, 900.0)) | {"slew": slew, "following": 200.0} for home in HOMES]
         quick = dict(stale=0.5, hold=60.0, late=0.04, silent=0.2, grace=0.2, ramp=0.1, slacken=10.0)
         quick |= dict(jog_travel=150.0, jog_slew=1000.0)
@@ -43,7 +44,8 @@ class Loop:
         orders, self._orders = os.pipe()
         mine, reports = os.pipe()
         setup = dict(port=self.bus.path, baud=BAUD, servos=[(1, NUMBER), (2, NUMBER)], limits=self.limits)
-        setup |= dict(slope=(np.eye(2) / TICKS_PER_MM).reshape(-1).tolist(), b=[0.0, 0.0], home=HOMES, budget=BUDGET)
+        setup |= dict(slope=(np.eye(2) / TICKS_PER_MM).reshape(-1).tolist(), b=[0.0, 0.0], home=HOMES)
+        setup |= dict(homes=HOMES, gpio=None, heartbeat=None)
         self.process = subprocess.Popen(
             [sys.executable, "-m", "softmap_edge.servo.loop", str(orders), str(reports)],
             stdin=subprocess.PIPE,
@@ -158,7 +160,15 @@ class Loop:
             self.reach("disconnect", "off")
 
     def bring(self, state):
-        """Lead the guard from OFF to `state`; engaged, it stands far out."""
+        """Lead the guard from OFF to `state`; engaged, it stands far out. A busy machine may end it on the way."""
+        for _ in range(3):
+            self._lead(state)
+            if self.state == state:
+                return
+            self.restore()
+        raise AssertionError(f"never {state}: {self.reports[-1]}")
+
+    def _lead(self, state):
         if state == "off":
             return
         self.reach("connect", "connected")
@@ -181,14 +191,14 @@ class Loop:
             return
         self.reach("engage", "engaged")
         self._arrive(FAR[0] * TICKS_PER_MM)
-        if state in ("hold", "safe_stop"):
+        if state in ("hold", "safe_stop") and self.state == "engaged":
             self.reach({"hold": "hold", "safe_stop": "stop"}[state], state)
 
     def _arrive(self, away):
         far = np.array(HOMES) + away
         until = time.monotonic() + PATIENCE
-        while np.abs(self.angles() - far).max() > 12.0:
-            assert time.monotonic() < until, f"{self.angles()} is not {far}"
+        while self.state in DRIVEN and np.abs(self.angles() - far).max() > 12.0:
+            assert time.monotonic() < until, f"{self.angles()} is not {far}: {self.reports[-1]}"
             time.sleep(0.005)
 
     def angles(self):

@@ -18,29 +18,25 @@ TICKS_PER_MM = 280.0
 
 def calibration():
     """Return a map of 280 ticks a mm about HOME."""
-    scale = np.eye(2) / TICKS_PER_MM
-    error = dict(command=0.0, shape_mm=0.0, matched_shape_mm=0.0)
-    return Calibration(
-        scale, np.zeros(2), np.full(2, float(HOME)), 0 * scale, np.zeros(2), error, "made for tests", 0, 0, WINDOW
-    )
+    return Calibration.stated(np.eye(2) / TICKS_PER_MM, np.zeros(2), np.full(2, HOME), "made for tests", WINDOW)
 
 
-def set_up(path, ids=(1, 2)):
-    """Do what `softmap servo setup` and `servo home` do: mode 5, no return delay, home proved to be HOME."""
+def set_up(path, ids=(1, 2), homes=(HOME, HOME)):
+    """Do what `softmap servo setup` and `servo home` do: mode 5, no return delay, homes proved."""
     bus = _core.ServoBus(path, BAUD)
-    for id in ids:
+    for id, home in zip(ids, homes):
         bus.write(id, 64, b"\x00")
         bus.write(id, 11, b"\x05")
         bus.write(id, 9, b"\x00")
-        set_mark(bus, id, HOME)
+        set_mark(bus, id, home)
     bus.close()
 
 
 @contextmanager
-def bench(rate=200.0, **changes):
-    """Give an emulated bus, its rig and its limits."""
+def bench(rate=200.0, load=LOAD, **changes):
+    """Give an emulated bus whose horns carry `load` each, its rig and its limits."""
     servos = [(id, NUMBER, BAUD, float(HOME)) for id in (1, 2)]
-    bus = _core.EmulatedBus(servos, [LOAD, LOAD], delay=0.01, lag=0.03, seed=3)
+    bus = _core.EmulatedBus(servos, [load, load], delay=0.01, lag=0.03, seed=3)
     set_up(bus.path)
     rig = Rig(bus.path, BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))
     limits = loop_limits([servo_limits(MODEL, HOME, WINDOW)] * 2, rate, **changes)
@@ -52,9 +48,9 @@ def bench(rate=200.0, **changes):
 
 def torque(bus):
     """Return whether any servo has torque."""
-    return any(on for _, on, _ in bus.state()[1])
+    return any(on for _, on, *_ in bus.state()[1])
 
 
 def angles(bus):
     """Return how far the horns have really turned, ticks."""
-    return np.array([angle for angle, _, _ in bus.state()[1]])
+    return np.array([angle for angle, *_ in bus.state()[1]])

@@ -3,7 +3,8 @@
 import pytest
 
 from softmap_edge.teleop.clutch import PATIENCE, Clutch
-from softmap_edge.teleop.keys import FIRST, LAPSE, REPEAT, HeldKey, RepeatedKey, Wish
+from softmap_edge.teleop.keys import LAPSE, HeldKey, Wish
+from softmap_edge.terminal_keys import FIRST, REPEAT, RepeatedKey
 
 
 def told(key, *said):
@@ -35,7 +36,9 @@ def test_a_key_that_only_repeats_is_held_while_it_does():
     assert not key.held(0.0)
     key.press(1.0)
     assert key.held(1.0 + 0.9 * FIRST) and not key.held(1.0 + 1.01 * FIRST)
+    assert not key.repeats(1.0), "a tap is not known to be held"
     key.press(1.5)
+    assert key.repeats(1.5)
     key.press(1.53)
     assert key.held(1.53 + 0.9 * REPEAT) and not key.held(1.53 + 1.1 * REPEAT)
     key.press(1.6)

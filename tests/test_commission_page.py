@@ -43,12 +43,15 @@ def test_from_the_box_to_ready(tmp_path, monkeypatch, capsys):
                 said[name] = told.out
         horns = bus.state()[1]
     assert done == STEPS
-    assert not any(on for _, on, _ in horns), "torque is off"
+    assert not any(on for _, on, _, _ in horns), "torque is off"
     rig = read_rig("rig.toml")
     assert all(servo.home is not None and servo.current_mA for servo in rig.servos)
-    assert set(rig.made) >= {"homed", "pulled"} and rig.ceiling.get("high") == 1500.0
-    assert "1500" in said["limits"] and "nothing is driven" not in said["limits"]
-    assert "servo 1" in said["doctor"] and Path("o.svg").read_text(encoding="utf-8").startswith("<")
+    assert set(rig.made) >= {"homed", "pulled"} and rig.ceiling.get("high") == 800.0
+    assert "800" in said["limits"] and "nothing is driven" not in said["limits"]
+    well = {line.removeprefix("ok").split(":")[0].strip() for line in said["doctor"].splitlines() if line[:2] == "ok"}
+    assert {"bundle", "calibration", "safety.toml", "rig", "servo 1", "servo 2", "limits"} <= well, said["doctor"]
+    assert {"home of servo 1", "home of servo 2"} <= well and "ceiling" not in said["doctor"]
+    assert Path("o.svg").read_text(encoding="utf-8").startswith("<")
     done = json.loads(Path("finger/calibration.json").read_text(encoding="utf-8"))
     assert done["A"][0][0] == pytest.approx(1 / 280.0, rel=0.01)
 

@@ -11,29 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, set_up, torque
+from waiting import hold_for, until
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
-
-
-def hold_for(robot, u, seconds):
-    """Send the command `u` for some seconds."""
-    until = time.monotonic() + seconds
-    while time.monotonic() < until:
-        robot.target(u)
-        time.sleep(0.02)
-
-
-def wait_for(what, seconds):
-    """Wait until `what()`; the seconds it took."""
-    begin = time.monotonic()
-    while not what():
-        assert time.monotonic() - begin < seconds, f"not within {seconds} s"
-        time.sleep(0.01)
-    return time.monotonic() - begin
 
 
 def test_follows_targets_and_ends_slack():
@@ -56,20 +40,32 @@ def test_who_stops_calling_is_held_then_slackened():
     with bench(hold=0.4) as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage()
         hold_for(robot, [1.0, 0.0], 0.8)
-        wait_for(lambda: robot.state == "hold", 1.0)
+        until(lambda: robot.state == "hold", 1.0)
         assert torque(bus)
         robot.target([1.0, 0.0])
-        wait_for(lambda: robot.state == "engaged", 0.5)
-        wait_for(lambda: robot.state == "safe_stop", 1.5)
-        wait_for(lambda: robot.state == "ready" and not torque(bus), 3.0)
+        until(lambda: robot.state == "engaged", 0.5)
+        until(lambda: robot.state == "safe_stop", 1.5)
+        until(lambda: robot.state == "ready" and not torque(bus), 3.0)
         with pytest.raises(ServoError, match="in state ready .*engage it first"):
             robot.target([0.0, 0.0])
 
 
+@pytest.mark.parametrize("old", [(0, 1), (1,)], ids=["both", "one"])
+def test_servos_of_older_firmware_are_driven_as_well(old):
+    with bench() as (bus, rig, limits):
+        for servo in old:
+            bus.flash(servo, _core.FAST_FIRMWARE - 1)
+        with Controller(rig, calibration(), limits) as robot:
+            robot.engage()
+            hold_for(robot, [1.0, 1.0], 1.0)
+            assert robot.state == "engaged" and None not in robot.report["position"]
+            np.testing.assert_allclose(angles(bus), HOME + TICKS_PER_MM, atol=5)
+
+
 def test_a_request_that_is_denied_says_why():
     with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
-        with pytest.raises(ServoError, match="'home' is denied in state ready: not allowed in state ready"):
-            robot.request("home")
+        with pytest.raises(ServoError, match="'arm' is denied in state ready: not allowed in state ready"):
+            robot.request("arm")
         with pytest.raises(ServoError, match="no request 'fly'"):
             robot.request("fly")
         with pytest.raises(ServoError, match="shape"):
@@ -101,15 +97,48 @@ def test_a_fault_ends_without_torque(name, breaks):
             assert robot.state == "fault" and robot.report["cause"] == name
             with pytest.raises(ServoError, match="in state fault"):
                 robot.target([0.0, 0.0])
-        bus.damage(1)
+        bus.damage(1, mute=False)
         assert not bus.state()[1][0][1], "the servo that hears has no torque"
+
+
+@pytest.mark.parametrize(
+    "power, proved",
+    [pytest.param(False, True, id="a servo was mute"), pytest.param(True, False, id="the bus had no power")],
+)
+def test_a_running_loop_takes_nobody_s_word_for_home_and_a_start_looks_for_its_proof(power, proved):
+    with bench() as (bus, rig, limits):
+        with Controller(rig, calibration(), limits) as robot:
+            robot.engage()
+            hold_for(robot, [1.0, 1.0], 0.4)
+            bus.faults(unpowered=True) if power else bus.damage(1, mute=True)
+            until(lambda: robot.state == "fault", 5.0)
+            bus.faults(unpowered=False) if power else bus.damage(1, mute=False)
+            until(lambda: acknowledged(robot), 5.0)
+            assert robot.state == "connected", "home is forgotten"
+            with pytest.raises(ServoError, match="in state connected, and a running loop cannot prove home"):
+                robot.request("home")
+            assert robot.state == "connected" and not torque(bus)
+            with pytest.raises(ServoError, match="'engage' is denied in state connected"):
+                robot.request("engage")
+        with contextlib.ExitStack() as stack:
+            if not proved:
+                stack.enter_context(pytest.raises(ServoError, match="home is not proved since power-up"))
+            with Controller(rig, calibration(), limits) as robot:
+                assert robot.state == "ready"
+
+
+def acknowledged(robot):
+    """Return whether the fault could be acknowledged; it cannot before every servo has said that it has no torque."""
+    with contextlib.suppress(ServoError):
+        robot.request("acknowledge")
+    return robot.state != "fault"
 
 
 def test_an_unplugged_port_ends_the_loop_with_a_reason():
     with bench() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage()
         bus.unplug()
-        wait_for(lambda: robot.state == "fault" and robot.ended, 5.0)
+        until(lambda: robot.state == "fault" and robot.ended, 5.0)
         assert robot.ended["ended"] == "port"
 
 
@@ -139,7 +168,7 @@ def program():
         text = PROGRAM.format(tests=str(Path(__file__).parent), path=bus.path)
         user = subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         loop = int(user.stdout.readline())
-        wait_for(lambda: np.abs(angles(bus) - HOME).min() > 250, 5.0)
+        until(lambda: np.abs(angles(bus) - HOME).min() > 250, 5.0)
         try:
             yield bus, user, loop
         finally:
@@ -165,9 +194,9 @@ def test_kill_9_of_the_program_holds_then_slackens(program):
     time.sleep(0.2)
     assert torque(bus), "held first"
     assert np.abs(angles(bus) - HOME).min() > 200
-    took = wait_for(lambda: not torque(bus), 4.0)
+    took = until(lambda: not torque(bus), 4.0)
     assert took > 0.3 and np.abs(angles(bus) - HOME).max() < 80, "slackened before torque went off"
-    wait_for(lambda: not alive(loop), 3.0)
+    until(lambda: not alive(loop), 3.0)
 
 
 def test_an_interrupt_ends_the_program_in_order(program):
@@ -176,13 +205,13 @@ def test_an_interrupt_ends_the_program_in_order(program):
     assert user.wait(10) != 0
     assert not torque(bus) and np.abs(angles(bus) - HOME).max() < 80
     assert b"KeyboardInterrupt" in user.stderr.read()
-    wait_for(lambda: not alive(loop), 3.0)
+    until(lambda: not alive(loop), 3.0)
 
 
 def test_sigterm_of_the_loop_slackens(program):
     bus, _, loop = program
     os.kill(loop, signal.SIGTERM)
-    wait_for(lambda: not torque(bus), 4.0)
+    until(lambda: not torque(bus), 4.0)
     assert np.abs(angles(bus) - HOME).max() < 80
 
 
@@ -190,7 +219,7 @@ def test_sigterm_of_the_loop_slackens(program):
 def test_a_loop_that_dies_or_freezes_is_released_from_here(program, how):
     bus, user, loop = program
     os.kill(loop, how)
-    wait_for(lambda: not torque(bus), 2.0)
+    until(lambda: not torque(bus), 2.0)
     user.wait(10)
     assert b"engage it first" in user.stderr.read()
 
@@ -199,7 +228,7 @@ def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so
     bus, user, loop = program
     user.send_signal(signal.SIGSTOP)  # cannot rescue
     os.kill(loop, signal.SIGKILL)
-    wait_for(lambda: all(tripped for _, _, tripped in bus.state()[1]), 1.0)
+    until(lambda: all(tripped for _, _, tripped, _ in bus.state()[1]), 1.0)
     at = angles(bus)
     time.sleep(0.3)
     assert torque(bus) and angles(bus) == pytest.approx(at, abs=1.0), "it stands where it was"
@@ -215,13 +244,13 @@ def test_a_frozen_computer_leaves_the_servos_standing_and_releases_them_when_it_
     bus, user, loop = program
     for pid in (user.pid, loop):
         os.kill(pid, signal.SIGSTOP)
-    wait_for(lambda: all(tripped for _, _, tripped in bus.state()[1]), 1.0)
+    until(lambda: all(tripped for _, _, tripped, _ in bus.state()[1]), 1.0)
     at = angles(bus)
     time.sleep(0.8)  # longer than the program would wait for its loop
     assert torque(bus) and angles(bus) == pytest.approx(at, abs=1.0), "they hold where they were"
     for pid in (loop, user.pid):
         os.kill(pid, signal.SIGCONT)
-    wait_for(lambda: not torque(bus), 4.0)
+    until(lambda: not torque(bus), 4.0)
     assert user.wait(10) != 0
     assert b"in state fault" in user.stderr.read()
 
@@ -275,7 +304,10 @@ def test_a_rig_survives_its_file(tmp_path):
         ("schema = 1", "expected text"),
         ('schema = "softmap.rig/1"\nbaud = 57600', "no port"),
         ('schema = "softmap.rig/1"\nport = "x"\n[[servo]]\nmodel = "XL330-M288"', "servo 1 has no id"),
-        ('schema = "softmap.rig/1"\nport = "x"\nbaud = 1000000\n[[servo]]\nid = 1\nmodel = "Y"', "no model 'Y'"),
+        (
+            'schema = "softmap.rig/1"\nport = "x"\nbaud = 1000000\n[[servo]]\nid = 1\nmodel = "Y"',
+            "no servo 'Y' is known",
+        ),
         ('schema = "softmap.rig/1"\nport = "x"', "0 servos"),
         ("[", "no TOML"),
     ):

@@ -90,6 +90,7 @@ def old(tmp_path_factory):
         model,
         arrays={"prior": prior, "fields": kept},
         fields={name: field for name, field in model.fields.items() if name not in design},
+        safety=None,
     )
     folder = save_bundle(model, tmp_path_factory.mktemp("bundles") / "old")
     assert '"schema": 1,' in (folder / "manifest.json").read_text()

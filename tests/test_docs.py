@@ -17,7 +17,7 @@ def script(path):
     return module
 
 
-OWN = ("tdcr_", "beam_")  # pictures of a page of real data have a script and a test of their own
+OWN = ("tdcr_", "beam_", "track_")  # pictures of real data, and in real time, have scripts of their own
 
 
 def test_the_pictures_are_made_where_they_are_wanted(tmp_path, capsys):
@@ -33,6 +33,22 @@ def test_the_pictures_are_made_where_they_are_wanted(tmp_path, capsys):
     assert all(b"<svg" in content[:1000] for name, content in made.items() if name.endswith(".svg"))
     assert "backlash" in capsys.readouterr().out
     assert {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in docs} == before
+
+
+def test_a_picture_that_needs_a_browser_is_left_as_it_is_without_one(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    monkeypatch.setattr("benches.data.find", lambda name: tmp_path)
+    assert script(ROOT / "docs/figures_teleop.py").main(["--out", str(tmp_path / "pictures")]) == 0
+    assert "teleop.jpg is not drawn anew: the command chromium is absent" in capsys.readouterr().out
+    assert not (tmp_path / "pictures").exists()
+
+
+def test_pictures_that_take_the_time_of_a_robot_stay_small_and_are_shown():
+    """What they draw is tested by test_track.py and test_teleop_page.py."""
+    assert callable(script(ROOT / "docs/figures_track.py").main)
+    for name, page in (("track_s.svg", "track.md"), ("teleop.jpg", "teleop.md")):
+        assert 10_000 < (ROOT / "docs" / name).stat().st_size < 150_000
+        assert f"]({name})" in (ROOT / "docs" / page).read_text(encoding="utf-8")
 
 
 def test_every_example_is_used_by_a_test():

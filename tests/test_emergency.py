@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
-from rigs import angles, bench, calibration, torque
-from test_controller import hold_for, wait_for
+from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, torque
+from waiting import hold_for, until
 
-from softmap_edge.errors import ServoError, TeleopError
+from softmap_edge.errors import LinkError, ServoError
 from softmap_edge.servo import controller as controller_module
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency import Beats, Emergency, Line
@@ -61,7 +61,7 @@ def acknowledged(robot):
 
 def again(robot):
     """Acknowledge and go on, as whoever released the stop does; home need not be proved."""
-    wait_for(lambda: acknowledged(robot), 3.0)  # servos are asked five times a second whether they have torque
+    until(lambda: acknowledged(robot), 3.0)  # servos are asked five times a second whether they have torque
     assert robot.state == "homed", "home is still known"
     robot.request("arm")
     robot.engage()
@@ -70,7 +70,7 @@ def again(robot):
 
 def assert_stopped(robot, bus):
     """Torque is off where the finger stood, the fault is latched and says why."""
-    wait_for(lambda: robot.state == "fault" and not torque(bus), 2.0)
+    until(lambda: robot.state == "fault" and not torque(bus), 2.0)
     assert robot.report["cause"] == "emergency"
     with pytest.raises(ServoError, match="in state fault .*emergency"):
         robot.target([0.5, 0.0])
@@ -83,13 +83,15 @@ def test_a_program_presses_and_releases():
         robot.emergency()
         assert robot.report["torque"] is False, "it returns once torque is off"
         assert_stopped(robot, bus)
-        with pytest.raises(ServoError, match="'acknowledge' is denied in state fault: something is wrong: emergency"):
+        with pytest.raises(
+            ServoError, match="'acknowledge' is denied in state fault: something is wrong: the emergency"
+        ):
             robot.request("acknowledge")
         robot.release()  # any other order in between releases nothing
         time.sleep(0.1)
         assert robot.report["emergency"] and robot.state == "fault"
         robot.emergency(False)
-        wait_for(lambda: not robot.report["emergency"], 1.0)
+        until(lambda: not robot.report["emergency"], 1.0)
         time.sleep(0.1)
         assert robot.state == "fault" and not torque(bus), "released is not acknowledged"
         again(robot)
@@ -115,7 +117,7 @@ def test_a_loop_that_does_not_hear_it_is_ended_and_the_servos_released(monkeypat
         monkeypatch.setattr(controller_module, "FROZEN", 0.3)
         with pytest.raises(ServoError, match="died or froze; its servos were released"):
             robot.emergency()
-        wait_for(lambda: not torque(bus), 2.0)  # what was sent takes its time on the emulated wire
+        until(lambda: not torque(bus), 2.0)  # what was sent takes its time on the emulated wire
 
 
 @pytest.fixture
@@ -139,7 +141,7 @@ def test_a_heart_that_presses_or_stops_is_an_emergency(heart_rig):
             said["pressed"] = True
             assert_stopped(robot, bus)
             said["pressed"] = False
-            wait_for(lambda: not robot.report["emergency"], 2.0)
+            until(lambda: not robot.report["emergency"], 2.0)
             again(robot)
             hold_for(robot, [0.5, 0.5], 0.3)
             heart.beat, beat = (lambda pressed: None), heart.beat  # the wire is cut
@@ -147,7 +149,7 @@ def test_a_heart_that_presses_or_stops_is_an_emergency(heart_rig):
             with pytest.raises(ServoError, match="denied .* emergency"):
                 robot.request("acknowledge")
             heart.beat = beat
-            wait_for(lambda: not robot.report["emergency"], 3.0)
+            until(lambda: not robot.report["emergency"], 3.0)
             again(robot)
 
 
@@ -229,7 +231,7 @@ def test_the_verb_beats_and_its_end_is_an_emergency(heart_rig, tmp_path):
                     assert_stopped(robot, bus)
                     verb.stdin.write(b"release\n")
                     verb.stdin.flush()
-                    wait_for(lambda: not robot.report["emergency"], 3.0)
+                    until(lambda: not robot.report["emergency"], 3.0)
                     again(robot)
                     verb.stdin.write(b"end\n")
                     verb.stdin.flush()
@@ -262,11 +264,11 @@ def test_rig_toml_carries_its_stops(tmp_path):
 
 
 def test_what_a_heart_cannot_reach_is_refused():
-    with pytest.raises(ServoError, match="ports are 1 to 65535"):
+    with pytest.raises(LinkError, match=r"ports are 1 to 65535; .* \[emergency\] of the robot's rig.toml"):
         Heart("127.0.0.1", 0, b"k" * 32)
-    with pytest.raises(ServoError, match="cannot be reached"):
+    with pytest.raises(LinkError, match="cannot be reached"):
         Heart("no such host", 5, b"k" * 32)
-    with pytest.raises(TeleopError, match="the key cannot be read"):
+    with pytest.raises(LinkError, match="the key cannot be read"):
         read_key("/nowhere")
     with Heart("127.0.0.1", free_port(), b"k" * 32) as heart:
         for _ in range(5):
@@ -274,12 +276,23 @@ def test_what_a_heart_cannot_reach_is_refused():
         assert not heart.heard
 
 
-def test_the_finger_stays_where_it_was_when_torque_goes_off():
-    """Torque off releases the tendons: the emulated horns run out by themselves, they are not driven home."""
-    with bench() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
-        robot.engage()
-        hold_for(robot, [1.5, 1.5], 1.0)
-        before = angles(bus)
-        robot.emergency()
-        wait_for(lambda: not torque(bus), 2.0)
-        assert abs(angles(bus) - before).max() < 400
+def test_torque_off_drives_nothing_home():
+    """Horns that no tendon pulls stay where the stop met them; whoever ends without one goes home."""
+    with bench(load=[]) as (bus, rig, limits):
+        with Controller(rig, calibration(), limits) as robot:
+
+            def there():
+                robot.target([1.5, 1.5])
+                return abs(angles(bus) - HOME - 1.5 * TICKS_PER_MM).max() < 15
+
+            robot.engage()
+            until(there, 20.0)
+            before = angles(bus)
+            robot.emergency()
+            until(lambda: not torque(bus), 2.0)
+            time.sleep(1.0)  # at half the slew home would be 0.4 s away
+            assert abs(angles(bus) - before).max() < 15
+            robot.emergency(False)
+            again(robot)
+            until(there, 20.0)
+        assert abs(angles(bus) - HOME).max() < 15

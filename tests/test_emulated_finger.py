@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from emulated_robot import emulated, say, until
+from emulated_robot import emulated, say
 from rigs import HOME, bench, calibration
+from waiting import until
 
 from softmap_edge import SoftmapError, _core, builtin_model, load_bundle
 from softmap_edge.camera.frames import on_host
@@ -76,13 +77,36 @@ def test_a_camera_sees_the_finger_that_packets_drive(model):
 
 def test_a_reversed_and_a_broken_tendon_show(model):
     with bench() as (bus, rig, limits), EmulatedFinger(bus, model, calibration()) as finger:
-        finger.tendon(0, -1.0)
-        finger.tendon(1, 0.0)
+        bus.damage(0, reversed=True)
+        bus.damage(1, torn=True)
         with Controller(rig, calibration(), limits) as robot:
             robot.engage()
             moved(robot, [1.5, 1.5], 2.0)
             _, acting = finger.acting()
     np.testing.assert_allclose(acting[-1], [-1.5, 0.0], atol=0.02)
+
+
+def test_a_second_fault_leaves_the_first_and_mending_ends_both(model):
+    with bench() as (bus, rig, limits), EmulatedFinger(bus, model, calibration()) as finger:
+
+        def driven():
+            with Controller(rig, calibration(), limits) as robot:
+                robot.engage()
+                moved(robot, [1.5, 1.5], 2.0)
+                return finger.acting()[1][-1], robot.report["current_mA"]
+
+        bus.damage(0, torn=True)
+        bus.damage(0, uncapped=True)
+        bus.damage(1, reversed=True)
+        bus.damage(1, uncapped=True)
+        acting, drawn = driven()
+        np.testing.assert_allclose(acting, [0.0, -1.5], atol=0.02)
+        assert abs(drawn[0]) < 5.0 < abs(drawn[1]), "a torn tendon asks for nothing"
+        for servo in (0, 1):
+            bus.damage(servo, torn=False, reversed=False, uncapped=False)
+        acting, drawn = driven()
+        np.testing.assert_allclose(acting, [1.5, 1.5], atol=0.02)
+        assert min(map(abs, drawn)) > 5.0
 
 
 def test_tendons_ask_for_what_the_model_says(model):
@@ -134,9 +158,9 @@ def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
             away = camera.seen()[-1].points[model.tip_indices].mean(axis=0) - model.tip(np.zeros((1, 2)))[0]
             assert away @ (tip - model.tip(np.zeros((1, 2)))[0]) < 0
         say(process, "blind 1")
-        until(lambda: camera.silent > 0.5)
+        until(lambda: time.monotonic() - camera.seen()[-1].arrived > 0.5)
         say(process, "blind 0")
-        until(lambda: camera.silent < 0.3)
+        until(lambda: time.monotonic() - camera.seen()[-1].arrived < 0.3)
         say(process, "blind 2")
         assert "no such fault" in process.stderr.readline()
         say(process, "reversed 7")

@@ -26,7 +26,7 @@ from softmap_training.prior import Surface, train_prior, with_prior  # noqa: E40
 from softmap_training.recordings import Lesson  # noqa: E402
 from softmap_training.simulated import SimulatedSet  # noqa: E402
 
-from softmap_edge import Run, builtin_model, save_bundle  # noqa: E402
+from softmap_edge import Run, builtin_model, load_bundle, save_bundle  # noqa: E402
 from softmap_edge.alignment.result import in_frame  # noqa: E402
 from softmap_edge.alignment.rigid import Pose, rotation  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
@@ -209,6 +209,29 @@ def test_the_verb_prints_both_tables_beside_the_papers(files, capsys, monkeypatc
     exact = np.linalg.norm(MODEL.predict(run) - np.load("truth.npz")["vertices"], axis=2).mean()
     assert row["vertex_mm"]["mean"] == pytest.approx(exact) and row["surface_mm"]["mean"] > 0
     assert said["schema"] == "softmap.evaluation/1" and said["simulated"] == [] and said["samples"] == []
+
+
+def test_a_bundle_of_a_decoder_stands_beside_models_and_has_no_vertices(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    assert main(["train", "prior", "s.npz", "--model", "deepsoro", "--epochs", "1", "--out", "rival"]) == 0
+    save_bundle(MODEL, "finger")
+    capsys.readouterr()
+    laid = []
+    for order in (["rival", "finger"], ["finger", "rival"]):
+        options = ["--set", "s.npz", "--run", "run.npz", "--truth", "truth.npz", "--json"]
+        assert main(["evaluate", *order, *options]) == 0
+        said = json.loads(capsys.readouterr().out)
+        rows = {row["name"]: row for row in said["recorded"]}
+        assert set(rows) == {"rival", "finger, without residual"} and rows["rival"]["what"] == "deepsoro"
+        assert "vertex_mm" not in rows["rival"] and "visible_mm" not in rows["rival"]
+        assert rows["rival"]["whole_mm"]["mean"] > rows["finger, without residual"]["whole_mm"]["mean"]
+        laid.append(rows["finger, without residual"]["visible_mm"])
+        learned = load_bundle("rival").made_from["prior"]["parameters"]
+        assert {row["parameters"] for row in (rows["rival"], *said["simulated"]) if row["name"] == "rival"} == {learned}
+    assert laid[0] == laid[1]  # clouds are laid by the finger, whichever comes first
+    for options in (["--run", "run.npz"], ["--set", "s.npz", "--model", "table"]):
+        assert main(["evaluate", "rival", *options]) == 2
+        assert "rival has points of its own" in capsys.readouterr().err
 
 
 def test_the_papers_three_rows_both_falls_and_a_page(files, capsys, monkeypatch):

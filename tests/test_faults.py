@@ -113,7 +113,7 @@ def changes(loop, state, begin, cause, wanted, within):
 def without_torque(loop):
     """Wait until no servo that hears has torque."""
     until = time.monotonic() + PATIENCE
-    while any(on for _, on, _ in loop.bus.state()[1][:1]):
+    while any(on for _, on, *_ in loop.bus.state()[1][:1]):
         assert time.monotonic() < until
         time.sleep(0.01)
 
@@ -165,7 +165,7 @@ def briefly(loop, state, cell, begin):
             time.sleep(1.2 * loop.limits["late"])
         else:
             assert loop.wait(lambda since=begin: loop.changes(since, state))
-        loop.bus.damage(1)
+        loop.bus.damage(1, mute=False)
         silent = time.monotonic() - begin
         time.sleep(LOOK)
         if silent < 0.8 * loop.limits["silent"]:
@@ -185,12 +185,12 @@ def frozen(loop, state, cell):
     """The loop's process stands still, and nobody is there to rescue; then it goes on."""
     if cell.startswith("stands"):
         until = time.monotonic() + PATIENCE
-        while not all(tripped for _, _, tripped in loop.bus.state()[1]):
+        while not all(tripped for _, _, tripped, _ in loop.bus.state()[1]):
             assert time.monotonic() < until, "the watchdogs do not trip"
             time.sleep(0.01)
         at = loop.angles()
         time.sleep(0.1)
-        assert all(on for _, on, _ in loop.bus.state()[1]), "they hold"
+        assert all(on for _, on, *_ in loop.bus.state()[1]), "they hold"
         assert loop.angles() == pytest.approx(at, abs=1.0), "they stand"
     else:
         time.sleep(0.4)
@@ -203,7 +203,7 @@ def frozen(loop, state, cell):
     time.sleep(LOOK)
     allowed = [[]] + [[one.lower()] for one in re.findall("[A-Z]+", cell)]
     assert [report["state"] for report in loop.changes(begin, state)] in allowed
-    assert not any(on for _, on, _ in loop.bus.state()[1])
+    assert not any(on for _, on, *_ in loop.bus.state()[1])
     return None
 
 

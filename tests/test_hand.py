@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from softmap_edge.commands.teleop import _flips
 from softmap_edge.errors import TeleopError
 from softmap_edge.teleop.hand import FARTHEST, SMALLEST, Hand, HandMap, View, in_pixels, projection
 
@@ -122,11 +123,11 @@ def test_the_pose_of_engaging_is_rest_and_reach_is_the_end_of_the_range():
     drive = HandMap(RANGE, reach=(0.5, 0.8))
     neutral = projection(hand(curl=0.2, sideways=0.1))
     assert drive.command(neutral, neutral).tolist() == [0.0, 0.0]
-    np.testing.assert_allclose(drive.command(neutral + [0.0, 0.5], neutral), [9.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(drive.command(neutral + [-0.8, -0.25], neutral), [-4.5, -6.0], atol=1e-12)
+    np.testing.assert_allclose(drive.command(neutral + [0.0, 0.5], neutral), [-9.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(drive.command(neutral + [-0.8, -0.25], neutral), [4.5, -6.0], atol=1e-12)
     np.testing.assert_allclose(drive.command(neutral + [0.4, 0.0], neutral), [0.0, 4.0], atol=1e-12)
     both = HandMap(RANGE, reach=(0.5, 0.8), flip=(True, True))
-    np.testing.assert_allclose(both.command(neutral + [0.8, 0.5], neutral), [-9.0, -6.0], atol=1e-12)
+    np.testing.assert_allclose(both.command(neutral + [0.8, 0.5], neutral), [9.0, -6.0], atol=1e-12)
 
 
 def test_no_command_leaves_the_range():
@@ -149,3 +150,15 @@ def test_the_driving_hand_and_mirrored_pictures():
     np.testing.assert_allclose(View(mirrored=True).projection(image), View().projection(bent), atol=1e-12)
     assert View(mirrored=True).side(image) == View().side(bent) == "right"
     assert View().projection(None) is None
+
+
+def test_as_it_ships_a_finger_leads_to_the_side_to_which_its_owner_points():
+    """A camera sees its owner from in front: the owner's right is the picture's left."""
+    straight, drive = hand(), HandMap(RANGE)
+    points = straight.points.copy()
+    points[8, 0] -= 0.2 * np.linalg.norm(points[9] - points[0])
+    pointing = Hand(points, "right")
+    u = drive.command(View().projection(pointing), View().projection(straight))
+    assert u[0] > 1.0, u
+    flipped = HandMap(RANGE, flip=_flips("x")).command(View().projection(pointing), View().projection(straight))
+    assert _flips("") == (False, False) and flipped[0] == pytest.approx(-u[0])

@@ -4,6 +4,7 @@ import importlib
 import pkgutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -43,6 +44,32 @@ def test_public_names_are_loaded_late_and_unknown_ones_are_told():
     subprocess.run([sys.executable, "-c", code], check=True)
     with pytest.raises(AttributeError, match="no attribute 'nonsense'; there are .*compare"):
         softmap_edge.nonsense  # noqa: B018
+
+
+LONGEST = 400  # lines: what a reader holds in mind
+SPLIT_LATER = {"softmap_edge/bundle.py"}
+
+
+def test_no_file_is_longer_than_a_reader_can_hold_in_mind():
+    root = Path(__file__).parents[1]
+    folders = ("softmap_edge", "training", "benches", "docs", "tests", "examples")
+    files = [file for folder in folders for file in sorted((root / folder).rglob("*.py"))]
+    assert len(files) > 300
+    counts = {str(file.relative_to(root)): len(file.read_text(encoding="utf-8").splitlines()) for file in files}
+    long = {name: count for name, count in counts.items() if count > LONGEST and name not in SPLIT_LATER}
+    assert not long, f"split by concept: {long}"
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [["track", "S", "--sim"], ["teleop", "--sim"], ["record", "c.csv", "--emulated", "--out", "run.npz"]],
+)
+def test_a_recording_is_never_written_over(argv, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("old.mcap").write_bytes(b"kept")
+    assert main([*argv, "--record", "old.mcap"]) == 2
+    assert "--record old.mcap: it exists; give another name" in capsys.readouterr().err
+    assert Path("old.mcap").read_bytes() == b"kept"
 
 
 @pytest.mark.parametrize(("argv", "code"), [(["--version"], 0), (["--help"], 0), ([], 2), (["nonsense"], 2)])

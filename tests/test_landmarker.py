@@ -12,12 +12,12 @@ import pytest
 from hand_model import hand_model
 from logs import published
 
+from softmap_edge.doctor import WARNING, Line
 from softmap_edge.errors import TeleopError
 from softmap_edge.teleop import landmarker
 from softmap_edge.teleop.frames import FileFrames
 from softmap_edge.teleop.gesture import CLOSED, OPEN, openness
 from softmap_edge.teleop.hand import View
-from softmap_edge.teleop.installed import Finding
 from softmap_edge.teleop.landmarker import Landmarker, try_out
 from softmap_edge.teleop.model_file import fetch_model
 from softmap_edge.teleop.one_euro import OneEuro
@@ -141,7 +141,7 @@ def test_a_library_that_aborts_is_an_error_of_this_process(tmp_path):
 
 
 def test_a_processor_without_lse_is_asked_before_anything_is_started(monkeypatch, tmp_path):
-    monkeypatch.setattr(landmarker, "processor", lambda: Finding("processor", False, "no LSE", "udp"))
+    monkeypatch.setattr(landmarker, "processor", lambda: Line("processor", WARNING, "no LSE", "udp"))
     with pytest.raises(TeleopError, match="no LSE; udp"):
         try_out(tmp_path / "other", python(tmp_path, "exit 0"))
     monkeypatch.setattr(landmarker.importlib.metadata, "version", lambda _: "0.10.18")

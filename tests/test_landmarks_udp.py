@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 from test_hand import hand
 
-from softmap_edge.errors import TeleopError
-from softmap_edge.signed_udp import new_key, read_key, tag
+from softmap_edge import signed_udp
+from softmap_edge.errors import LinkError
+from softmap_edge.signed_udp import NO_SESSION, SILENCE, new_key, read_key, tag
 from softmap_edge.teleop import landmarks_udp
 from softmap_edge.teleop.landmarks_udp import (
     DATAGRAM,
-    NO_SESSION,
     OFFER,
-    SILENCE,
     Message,
     Receiver,
     Sender,
@@ -51,10 +50,10 @@ def met(receiver, sender):
 
 def test_a_hand_arrives_as_it_was_sent(receiver):
     with Sender("127.0.0.1", receiver.port, KEY) as sender:
-        assert receiver.newest() is None and not sender.known
+        assert receiver.newest() is None and not sender.heard
         assert arrived(receiver, sender) is None  # nobody is believed before he answered
         got = arrived(receiver, sender)
-        assert sender.known and got.sequence == 2 and got.message.held and 0 <= got.age < 0.5
+        assert sender.heard and got.sequence == 2 and got.message.held and 0 <= got.age < 0.5
         np.testing.assert_allclose(got.message.hand.points, PALM.hand.points, rtol=1e-7)
         assert got.message.hand.side == "right"
         left = Message(hand(curl=0.4, side="left"))
@@ -62,7 +61,7 @@ def test_a_hand_arrives_as_it_was_sent(receiver):
         assert got.message.hand.side == "left" and not got.message.held
         got = arrived(receiver, sender, Message(held=True))  # a heartbeat without a hand
         assert got.message.hand is None and got.message.held
-        assert receiver.lost == 0 and dict(receiver.refused) == {"session": 1}
+        assert receiver.lost == 0 and not receiver.refused
 
 
 def test_silence_ages(receiver):
@@ -125,7 +124,7 @@ def test_a_recording_counts_nothing_after_a_restart_of_the_receiver():
 
 
 def test_a_session_that_was_offered_is_soon_over(receiver, monkeypatch):
-    monkeypatch.setattr(landmarks_udp, "OFFER_LASTS", 0.05)
+    monkeypatch.setattr(signed_udp, "OFFER_LASTS", 0.05)
     with Sender("127.0.0.1", receiver.port, KEY) as sender:
         assert arrived(receiver, sender) is None
         time.sleep(0.1)
@@ -142,11 +141,12 @@ def test_either_side_may_be_started_anew():
             time.sleep(SILENCE)
             assert met(receiver, sender).sequence == 2
             receiver.close()
-            assert sender.send(PALM) in (True, False) and sender.send(PALM) in (True, False)  # nobody listens
+            for _ in range(2):
+                sender.send(PALM)  # nobody listens: it raises nothing and goes on counting
             with Receiver("127.0.0.1", port, KEY) as second:
                 for _ in range(4):
                     got = arrived(second, sender)
-                assert got is not None
+                assert got.sequence == 8
 
 
 def test_while_a_sender_is_alive_no_other_takes_its_place(receiver):
@@ -155,7 +155,7 @@ def test_while_a_sender_is_alive_no_other_takes_its_place(receiver):
         for _ in range(5):
             arrived(receiver, second, Message())
             assert arrived(receiver, first).message.held
-        assert not second.known and receiver.refused["sender"] == 5
+        assert not second.heard and receiver.refused["sender"] == 5
         second._session, second._sequence = first._session, 10**6  # even under our own session
         assert arrived(receiver, second, Message()).message.held
         second._session = NO_SESSION
@@ -168,7 +168,7 @@ def test_another_key_and_changed_bytes_count_nothing(receiver):
     with Sender("127.0.0.1", receiver.port, KEY) as sender, Sender("127.0.0.1", receiver.port, KEY[::-1]) as stranger:
         met(receiver, sender)
         before = receiver.newest().sequence
-        assert arrived(receiver, stranger).sequence == before and not stranger.known
+        assert arrived(receiver, stranger).sequence == before and not stranger.heard
         good = packed(PALM, sender._session, 10**9, time.monotonic(), KEY)
         for place in range(DATAGRAM):
             changed = bytearray(good)
@@ -195,7 +195,7 @@ def test_forged_offers_are_not_taken(receiver):
             ):
                 other.sendto(junk, address)
             sender.send(PALM)
-            assert not sender.known
+            assert not sender.heard
 
 
 def test_fuzzed_datagrams_never_crash_and_are_never_believed(receiver):
@@ -268,20 +268,20 @@ def test_keys(tmp_path):
     key = new_key(file)
     assert read_key(file) == key and len(key) == 32 and stat.S_IMODE(file.stat().st_mode) == 0o600
     assert new_key(tmp_path / "other") != key
-    with pytest.raises(TeleopError, match="give a new file"):
+    with pytest.raises(LinkError, match="give a new file"):
         new_key(file)
     file.chmod(0o644)
-    with pytest.raises(TeleopError, match="others can read this key; run chmod 600"):
+    with pytest.raises(LinkError, match="others can read this key; run chmod 600"):
         read_key(file)
-    with pytest.raises(TeleopError, match="copy it from the other computer"):
+    with pytest.raises(LinkError, match="copy it from the other computer"):
         read_key(tmp_path / "absent")
     file.chmod(0o600)
     for text in (b"", b"no key\n", b"abcd\n", b"\xff" * 64, b"00" * 2000):
         file.write_bytes(text)
-        with pytest.raises(TeleopError, match="at least 16 are needed"):
+        with pytest.raises(LinkError, match="at least 16 are needed"):
             read_key(file)
     for make in (lambda: Sender("127.0.0.1", 9, b"short"), lambda: Receiver("127.0.0.1", 0, b"short")):
-        with pytest.raises(TeleopError, match="key: 5 bytes"):
+        with pytest.raises(LinkError, match="key: 5 bytes"):
             make()
 
 
@@ -295,5 +295,5 @@ def test_addresses_that_cannot_be_had(receiver):
         (lambda: Receiver("", -1, KEY), "ports are 1 to 65535"),
     ]
     for act, said in cases:
-        with pytest.raises(TeleopError, match=said):
+        with pytest.raises(LinkError, match=said):
             act()

@@ -1,18 +1,21 @@
 """The limits in force: the bench's ceiling, the finger's safety, servo and calibration, each with its origin."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from rigs import BAUD, HOME, MODEL, angles, bench, calibration, torque
-from test_controller import hold_for
+from waiting import hold_for
 
+from softmap_edge import _core
 from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.errors import ServoError
+from softmap_edge.errors import BundleError, LimitError, ServoError
+from softmap_edge.safety import TIMES, TURNS, read_safety
 from softmap_edge.servo.ceiling import RANGES, Ceiling
-from softmap_edge.servo.combined import combined, on_bench
+from softmap_edge.servo.combined import combined
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
@@ -100,8 +103,7 @@ def test_all_servos_at_once_stay_inside_the_window_and_the_rates_of_the_finger()
         for name, most in (("slew", 8.0), ("acceleration", 80.0)):
             rate = np.array([limit(found, name, k).value for k in (0, 1)])
             assert (np.abs(slope / 280.0) @ rate).max() <= most * (1 + 1e-9)
-        plan = on_bench(rig(), replace(FINGER, calibration=map_))
-        reach = plan.calibration.usable(plan.command_range)
+        reach = combined(rig(), FINGER, map_).calibration.usable(FINGER.command_range)
         for u in np.array([[x, y] for x in reach[0] for y in reach[1]]):
             ticks = map_.ticks(u[None])[0] - HOME
             assert np.all(ticks >= ends[:, 0] - 1) and np.all(ticks <= ends[:, 1] + 1), "a plan stays inside"
@@ -137,18 +139,64 @@ def test_what_cannot_be_driven_is_refused_with_its_reason():
         combined(short, FINGER, turned(np.eye(2) / 280.0)).table()
 
 
+@pytest.mark.parametrize("name", ["jog_travel", "jog_slew", "jog_current", "jump", "turns", "following", "hot"])
+def test_a_limit_that_the_guard_refuses_is_named_as_in_the_table_with_who_set_it(name):
+    beyond = (1.0, 2e6) if name == "jump" else 0.01 if name in ("following", "hot") else 5000.0
+    found = combined(rig(((name, beyond),)), replace(FINGER, safety=None), turned(np.eye(2) / 280.0))
+    if name in ("jump", "turns"):  # the finger's is stricter: put the bench's in its place
+        robot = tuple(replace(one, value=beyond, by="rig.toml") if one.name == name else one for one in found.robot)
+        found = replace(found, robot=robot)
+    with pytest.raises(ServoError, match=rf"^(servo 1: )?{name}.* is .*; allowed is .* \(rig\.toml says so\)$"):
+        found.table()
+    with pytest.raises(LimitError) as refused:
+        one = servo_limits(MODEL, 0, (-500, 500))
+        own = name in one
+        loop_limits([one, one | {name: beyond}] if own else [one], **({} if own else {name: beyond}))
+    assert (refused.value.name, refused.value.servo) == (name, 1 if own else None)
+
+
 def test_dead_band_and_reversals_are_limits_like_the_others():
     one = servo_limits(MODEL, 0, (-500, 500))
     assert loop_limits([one])["band"] == 0.02
     for changes, said in (
         ({"band": -1.0}, "band is -1; allowed is 0 to 100"),
-        ({"turns": 0.0}, "turns is 0; allowed is 0.1 to 100"),
-        ({"burst": float("nan")}, "burst is nan"),
+        ({"turns": 0.0}, "turns is 0 1/s; allowed is 0.1 to 100 1/s"),
+        ({"burst": float("nan")}, "burst is NaN"),
     ):
         with pytest.raises(ServoError, match=said):
             loop_limits([one], **changes)
-    with bench() as (_, rig, limits), pytest.raises(ServoError, match="band is nan"):
+        with pytest.raises(ServoError, match=said):  # the guard's own check, whoever made the table
+            _core.check_limits(loop_limits([one]) | changes)
+    with bench() as (_, rig, limits), pytest.raises(ServoError, match="'band' is missing"):
         Controller(rig, calibration(), {name: value for name, value in limits.items() if name != "band"})
+
+
+def test_each_range_is_the_guard_s_own_whoever_reads_the_limit(tmp_path):
+    """What a rig may say, and what a bundle may, the guard refuses nowhere by itself, and beyond it all three do."""
+    table = loop_limits([servo_limits(MODEL, 0, (-500, 500))])
+    rig().write(tmp_path / "rig.toml")
+    for name, (_, high, unit) in _core.limit_ranges().items():
+        own = name in table["servos"][0]
+        beyond = int(high) + 1 if name in ("home", "low", "high") else 1.5 * high
+        value = (3.5, beyond) if name == "voltage" else (1.0, beyond) if name == "jump" else beyond
+        changed = {"servos": table["servos"] * 17} if name == "servos" else {name: value}
+        changed |= {"hot": 80.0} if name == "warm" else {}
+        changes = {"servos": [table["servos"][0] | changed]} if own else changed
+        with pytest.raises(ServoError, match=rf"{name}.* is .*; allowed is .* to {high:.7g} ?{unit}"):
+            _core.check_limits(table | changes)
+        if (key := "current_mA" if name == "current" else name) in RANGES:
+            value = list(value) if isinstance(value, tuple) else value
+            (tmp_path / "wide.toml").write_text((tmp_path / "rig.toml").read_text() + f"[ceiling]\n{key} = {value}\n")
+            with pytest.raises(ServoError, match=rf"{key} = .*{re.escape(f'{high:g}')}"):
+                read_rig(tmp_path / "wide.toml")
+        if name in (*TIMES, *TURNS):
+            said = f"{name} = {getattr(FINGER.safety, name)}"
+            text = FINGER.safety.to_toml()
+            assert said in text
+            with pytest.raises(BundleError, match=rf"{name} = .*, expected .* to {high:g}"):
+                read_safety(text.replace(said, f"{name} = {beyond}"), FINGER.command_range, "mm", "here")
+            kept = read_safety(text.replace(said, f"{name} = {high}"), FINGER.command_range, "mm", "here")
+            assert getattr(kept, name) == high
 
 
 def test_rig_toml_carries_its_ceiling(tmp_path):
@@ -162,7 +210,7 @@ def test_rig_toml_carries_its_ceiling(tmp_path):
         ("[ceiling]", "[ceiling]\nfly = 1", "no key 'fly'"),
         ("jump = [1.0, 2.0]", "jump = [3.0, 2.0]", "0 ≤ told ≤ refused"),
         ("slew = 5000.75", "slew = 90000.0", "slew = 90000.0, expected 1 to 20000"),
-        ("low = -900", "low = 900", "expected low < 0 < high"),
+        ("low = -900", "low = 900", "low = 900, expected -1048575 to -1"),
     ):
         assert old in text, old
         (tmp_path / "bad.toml").write_text(text.replace(old, new))

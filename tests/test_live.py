@@ -1,6 +1,5 @@
 """`softmap compare --live`: a growing recording followed, a model's error while another process drives and is seen."""
 
-import contextlib
 import json
 import math
 import signal
@@ -9,17 +8,20 @@ import time
 
 import numpy as np
 import pytest
-from emulated_robot import emulated, until
+from emulated_robot import emulated
 from rigs import bench, calibration
 from test_interrupt import softmap
+from waiting import until
 
 from softmap_edge import builtin_model, load_bundle
-from softmap_edge.camera.frames import Frame
+from softmap_edge.camera.frames import Frame, HostClock
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.live import Live
+from softmap_edge.diagnosis.comparison import aligned
+from softmap_edge.diagnosis.live import KEPT, Live
 from softmap_edge.errors import ComparisonError, RunError
+from softmap_edge.run import Run
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.follow import MARK, Following
+from softmap_edge.servo.follow import Following
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.servo.rig import read_rig
@@ -55,7 +57,6 @@ def test_a_growing_recording_is_followed_to_its_last_period(tmp_path):
             time.sleep(0.05)
         thread.join()
         periods += loop.new()
-        loop.close()
     whole = read_recording(file)
     assert loop.ended and loop.setup == whole.setup and parts > 2
     assert periods == whole.periods
@@ -75,7 +76,6 @@ def test_any_cut_gives_what_is_whole_and_damage_is_told(tmp_path):
         with cut.open("ab") as more:
             more.write(content[size:])
         assert found + loop.new() == whole and loop.ended
-        loop.close()
     for _ in range(300):
         damaged = bytearray(content)
         for place in rng.integers(0, len(content), 3):
@@ -86,11 +86,11 @@ def test_any_cut_gives_what_is_whole_and_damage_is_told(tmp_path):
             assert all(isinstance(period, dict) for period in loop.new())
         except RunError as fault:
             assert "record again" in str(fault) or "no recording" in str(fault)
-        loop.close()
-    for content, line in ((b"PK\x03\x04" * 9, "no recording of a control loop"), (MARK + b"\xff" * 20, "damaged")):
+    begun = content[:8]
+    for content, line in ((b"PK\x03\x04" * 9, "no recording of a control loop"), (begun + b"\xff" * 20, "damaged")):
         cut.write_bytes(content)
-        with contextlib.closing(Following(cut)) as loop, pytest.raises(RunError, match=line):
-            loop.new()
+        with pytest.raises(RunError, match=line):
+            Following(cut).new()
     with pytest.raises(RunError, match="No such file"):
         Following(tmp_path / "none.mcap")
 
@@ -127,6 +127,66 @@ def test_the_error_is_that_of_the_frames_and_memory_is_right():
     assert told.whole_mm == pytest.approx(0.3 * math.sqrt(5 / 20), abs=0.02)
     assert missed.whole_mm > 0.8 > 4 * told.whole_mm
     assert json.loads(json.dumps(told.to_dict()))["schema"] == "softmap.live/1"
+
+
+EFFECTS = {
+    "memory": ["backlash", "creep", "latency"],
+    "all stages": ["gain", "hysteresis", "slack", "gravity", "mount", "camera_drift"],
+    "a clock that is ahead": ["lag", "clock_shift"],
+    "none": [],
+}
+NUMBERS = {
+    "backlash.gap": 1.0,
+    "latency.delay": 0.12,
+    "lag.tau": 0.1,
+    "clock_shift.late": -0.3,
+    "mount.shift_x": 1.0,
+    "camera_drift.shift_x": 1.0,
+}
+
+
+@pytest.mark.parametrize("names", EFFECTS.values(), ids=EFFECTS)
+def test_what_is_told_while_it_runs_is_the_error_of_the_whole_run(names):
+    model = with_map()
+    names = [name for name in names if not model.lacking(name)]
+    chain = model.with_effects(names, {}).chain
+    start = dict(zip(chain.labels, chain.start)) | {k: v for k, v in NUMBERS.items() if k in chain.labels}
+    model = model.with_effects(names, start)
+    t = np.arange(0.0, KEPT + 20.0, 0.02)
+    u = np.stack([3 * np.sin(0.7 * t) * (t < 30) + (t >= 30), np.cos(0.4 * t)], axis=1)
+    ticks = calibration().ticks(u)
+    stamps = np.arange(0.5, t[-1] - 0.5, 0.25)
+    noise = np.random.default_rng(0).normal(0, 0.3, (len(stamps), *model.rest.shape))
+    points, whole = model.rest + noise, []
+    run = Run(t=t, ticks=ticks, present_ticks=ticks, t_seen=stamps, vertices=points, robot=model.robot)
+    predicted, seen, visible = aligned(model, run)
+    whole = np.sqrt(np.sum((predicted - seen) ** 2) / visible.sum())
+    live = Live(model)
+    told = periods(t, u)
+    for begin, end in zip(range(0, len(t), 47), range(47, len(t) + 47, 47)):
+        live.drove(told[begin:end])
+        live.saw([Frame(s + 1000.0, s, p) for s, p in zip(stamps, points) if s <= t[min(end, len(t)) - 1]])
+        live.compared()
+    now = live.compared()
+    assert now.frames == len(stamps) and now.left_out == 0
+    assert now.whole_mm == pytest.approx(whole, rel=1e-6)  # ns of the recording's clock
+    if "backlash" in names:  # memory that begins anew at what is still kept would be another's
+        late = Live(model)
+        late.drove(told[len(t) // 2 :])
+        late.saw([Frame(s + 1000.0, s, p) for s, p in zip(stamps, points)])
+        assert len(live._t) < len(t) and abs(late.compared().recent_mm - now.recent_mm) > 0.01
+
+
+def test_a_clock_keeps_a_few_numbers_of_many_frames():
+    rng = np.random.default_rng(2)
+    taken = np.arange(0.0, 900.0, 1 / 30)
+    arrived = taken + 0.01 + rng.exponential(0.01, taken.size)
+    frames = [Frame(s * (1 + 50e-6) + 7.0, a, np.zeros((1, 3))) for s, a in zip(taken, arrived)]
+    clock = HostClock(late=0.01)
+    for k in range(0, len(frames), 1000):
+        assert len(clock.add(frames[: k + 1000])) == len(frames[k : k + 1000])
+    assert np.abs(clock.times(frames) - taken).max() < 1e-3
+    assert len(clock._lower) < 100 and len(clock._parts) <= 91
 
 
 def test_what_was_not_seen_counts_nothing_and_other_robots_are_told():

@@ -1,8 +1,10 @@
 """Servos jogged by held keys of a terminal, by options, and sent to a command: always through the guard."""
 
+import contextlib
 import json
 import os
 import pty
+import select
 import subprocess
 import sys
 import threading
@@ -12,11 +14,14 @@ from pathlib import Path
 
 import pytest
 from rigs import HOME, TICKS_PER_MM, angles, bench, torque
+from waiting import until
 
 from softmap_edge.cli import main
+from softmap_edge.commands.move import STEP
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.jog import Held, Jog
-from softmap_edge.servo.keys import Keys, named
+from softmap_edge.servo.keys import Keys
+from softmap_edge.terminal_keys import named
 
 SOFTMAP = str(Path(sys.executable).with_name("softmap"))
 
@@ -31,7 +36,7 @@ def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
             assert came == pytest.approx(200, abs=6) and torque(bus)
             assert angles(bus) == pytest.approx([HOME + 200, HOME], abs=6)
             jog.stop()
-            wait_for(lambda: not torque(bus))
+            until(lambda: not torque(bus))
             jog.by(1, -900, Held())
             assert angles(bus)[1] == pytest.approx(HOME - jog.travel, abs=6), "no farther than its travel"
         assert not torque(bus)
@@ -43,17 +48,17 @@ def test_a_ceiling_about_a_proved_home_is_kept():
         with Jog(tight) as jog:
             assert jog.by(0, 200, Held()) == pytest.approx(50, abs=4)
             assert jog.by(0, -290, Held()) == pytest.approx(-150, abs=4)
-        with Jog(tight, beyond=True) as jog:
+            jog.stop()
+            until(lambda: not torque(bus))
+            jog.by(0, 20, Held())
+            end = time.monotonic() + 2.0
+            while time.monotonic() < end:
+                jog.robot.target([HOME + 250.0, HOME - 250.0])  # whoever asks: the guard keeps it
+                time.sleep(0.02)
+            assert angles(bus) == pytest.approx([HOME + 50, HOME - 100], abs=4)
+        with Jog(rig) as jog:
             jog.by(0, 200, Held())
-            assert angles(bus)[0] > HOME + 60
-
-
-def wait_for(what, seconds=3.0):
-    """Wait until `what()`."""
-    begin = time.monotonic()
-    while not what():
-        assert time.monotonic() - begin < seconds
-        time.sleep(0.01)
+            assert angles(bus)[0] > HOME + 60, "without one it goes on"
 
 
 class LetGo(Held):
@@ -129,22 +134,38 @@ def terminal():
     os.close(theirs)
 
 
-def test_held_keys_jog_and_escape_stops(terminal):
-    ours, theirs = terminal
+RIGHT = b"\x1b[C"
+
+
+def types(ours, key, seconds):
+    """Hold a key as a keyboard does: a press, 0.6 s nothing, then a repetition every 33 ms."""
+    os.write(ours, key)
+    time.sleep(0.6)
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        os.write(ours, key)
+        time.sleep(0.033)
+
+
+@contextlib.contextmanager
+def jogging(terminal, *on):
+    """Give the process of `softmap move` at a terminal, once it reads keys."""
     with subprocess.Popen(
-        [SOFTMAP, "move", "--sim", "--json"], stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [SOFTMAP, "move", *on, "--json"], stdin=terminal[1], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
         told = b""
         while b"connected" not in told:  # the keys are read from here on
             told += process.stderr.read1(200)
             assert process.poll() is None, told
-        drained = threading.Thread(target=process.stderr.read, daemon=True)
-        drained.start()
-        for _ in range(30):
-            os.write(ours, b"\x1b[C")
-            time.sleep(0.033)
+        threading.Thread(target=process.stderr.read, daemon=True).start()
+        yield process
+
+
+def test_held_keys_jog_and_escape_stops(terminal):
+    with jogging(terminal, "--sim") as process:
+        types(terminal[0], RIGHT, 1.0)
         time.sleep(1.0)  # let go
-        os.write(ours, b"\x1b")
+        os.write(terminal[0], b"\x1b")
         document = json.loads(process.stdout.readline())
         assert process.wait(20) == 0
     one, two = document["servos"]
@@ -152,19 +173,64 @@ def test_held_keys_jog_and_escape_stops(terminal):
     assert document["stopped"]
 
 
-def test_keys_of_a_terminal(terminal):
+def test_a_tap_is_one_step(terminal, tmp_path):
+    with bench() as (bus, rig, _):
+        rig.write(tmp_path / "rig.toml")
+        with jogging(terminal, "--rig", str(tmp_path / "rig.toml")) as process:
+            for k in (1, 2):
+                os.write(terminal[0], RIGHT)
+                until(lambda: torque(bus), 20)
+                until(lambda: not torque(bus), 20)
+                assert angles(bus)[0] == pytest.approx(HOME + k * STEP, abs=6), "it does not run on"
+            os.write(terminal[0], b"q")
+            assert process.wait(20) == 0
+
+
+def test_between_a_press_and_its_repetitions_torque_stays_on(terminal, tmp_path):
+    """A machine that is busy for long lets go rightly: of some tries one must do."""
+    came = []
+    with bench() as (bus, rig, _):
+        rig.write(tmp_path / "rig.toml")
+        with jogging(terminal, "--rig", str(tmp_path / "rig.toml")) as process:
+            for key in (RIGHT, b"\x1b[D") * 3:
+                begun, before, ons = angles(bus)[0], False, 0
+                typist = threading.Thread(target=types, args=(terminal[0], key, 0.5))
+                typist.start()
+                while typist.is_alive() or torque(bus):
+                    now = torque(bus)
+                    ons, before = ons + (now and not before), now
+                    time.sleep(0.005)
+                came.append((ons, abs(angles(bus)[0] - begun)))
+                if came[-1][0] == 1 and came[-1][1] > 5 * STEP:
+                    break
+            os.write(terminal[0], b"q")
+            assert process.wait(20) == 0
+    assert came[-1][0] == 1 and came[-1][1] > 5 * STEP, came
+
+
+def test_keys_of_a_terminal(terminal, monkeypatch):
     ours, theirs = terminal
+    now = [100.0]
+    monkeypatch.setattr("softmap_edge.servo.keys.time.monotonic", lambda: now[0])
+
+    def after(seconds, typed=b""):
+        now[0] += seconds
+        os.write(ours, typed)
+        if typed:
+            select.select([theirs], [], [], 5.0)
+        return keys.key(), keys.held()
+
     with Keys(theirs) as keys:
-        assert not keys.held() and not keys.stopped
-        os.write(ours, b"+")
-        time.sleep(0.05)
-        assert keys.key() == "+" and keys.held()
-        time.sleep(0.4)
-        assert not keys.held(), "who does not repeat has let go"
-        os.write(ours, b"+ ")
-        time.sleep(0.05)
-        assert not keys.held() and keys.stopped, "space stops, whatever else is held"
-    assert named(b"a\x1b[A\x1b[Z\x1bOBq\x1b") == ["a", "up", "down", "q", "escape"]
+        assert after(0.0) == ("", False) and not keys.stopped
+        assert after(0.0, b"+") == ("+", False), "a press alone is no holding"
+        assert after(0.5) == ("+", False)
+        for _ in range(30):
+            assert after(0.033, b"+") == ("+", True) and keys.presses == 1
+        assert after(0.25) == ("", False), "who does not repeat has let go"
+        assert after(0.1, b"+") == ("+", False) and keys.presses == 2
+        assert after(0.1, b"-") == ("-", False) and keys.presses == 3, "another key has not repeated"
+        assert after(0.1, b"- ") == ("", False) and keys.stopped, "space stops, whatever else is held"
+    assert named(b"a\x1b[A\x1b[Z\x1bOBq\x1b[15~\x1b") == ["a", "up", "down", "q", "escape"]
     file = os.open("/dev/null", os.O_RDONLY)
     with pytest.raises(ServoError, match="no terminal whose keys"):
         Keys(file)

@@ -16,6 +16,7 @@ from softmap_training.export import Graph, to_onnx  # noqa: E402
 from torch import nn  # noqa: E402
 
 from softmap_edge import _core, builtin_model, load_bundle, save_bundle  # noqa: E402
+from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.errors import BundleError  # noqa: E402
 from softmap_edge.motion.kinematics import Kinematics  # noqa: E402
 from softmap_edge.network import run_elsewhere  # noqa: E402
@@ -176,6 +177,16 @@ def test_a_graph_that_only_onnxruntime_reads_becomes_a_table_that_says_so(tmp_pa
     np.testing.assert_allclose(again.prior.evaluate(u), model.prior.evaluate(u), atol=1e-3)
 
 
+def test_check_says_that_a_graph_is_run_as_a_table(tmp_path, capsys):
+    folder = bundle(tmp_path, foreign("Tanh"))
+    assert main(["check", str(folder)]) == 0
+    (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("onnxruntime")]
+    assert "the prior is a table of what onnxruntime makes of its graph" in said and "'Tanh'" in said
+    assert main(["check", str(folder), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["through_onnxruntime"]["prior"]
+    assert f"{told['table_off_mm']:.2g} mm off" in said and told["why"] in said
+
+
 def test_a_graph_that_jumps_is_no_table(tmp_path):
     with pytest.raises(BundleError, match=r"holds 'Sign'.* mm off, allowed is 0\.2; train a network"):
         load_bundle(bundle(tmp_path, foreign("Sign")))
@@ -188,7 +199,7 @@ def test_a_decoder_in_the_manner_of_deepsoro_goes_through_onnxruntime():
     with torch.no_grad():
         wanted = network(torch.as_tensor(u, dtype=torch.float32)).numpy().reshape(len(u), -1)
     np.testing.assert_allclose(run_elsewhere(content, u), wanted, atol=1e-4)
-    with pytest.raises(Exception, match="type 7"):
+    with pytest.raises(Exception, match=r"'w\d+' holds int64 numbers; the core's network pass reads weights of 32-bit"):
         _core.Network(content)
 
 

@@ -2,24 +2,25 @@
 
 import io
 import json
+import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from emulated_robot import emulated, until
+from emulated_robot import emulated
 from rigs import calibration, torque
+from test_bad_input import TABLE
 from test_interrupt import softmap
+from waiting import until
 
 from softmap_edge import Run, SoftmapError, builtin_model, compare, diagnose, load_bundle
 from softmap_edge.camera.frames import Frame
 from softmap_edge.cli import main
-from softmap_edge.errors import ServoError
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.command_file import write_commands
 from softmap_edge.experiment.pace import ANSWER, BEHIND, SPAN, STILL, pace, servos_still, view_still
@@ -33,6 +34,8 @@ from softmap_edge.servo.recording import read_recording
 MODEL = builtin_model()
 SERVOS = [servo_limits("XL330-M288", 2000, (-900.0, 900.0))] * 2
 SOFTMAP = str(Path(sys.executable).with_name("softmap"))
+WATCHDOG = 0.08  # s: without a word for 0.1 s a servo stops by itself, and looks are 0.01 s apart
+TRIALS = 3
 TELLING = ["small loops at two offsets", "triangles of growing size", "diagonals"]
 
 
@@ -105,19 +108,41 @@ def replace_points(frame):
     return Frame(frame.stamp, frame.arrived, np.full(frame.points.shape, np.nan))
 
 
-def played(folder, made, ask, act=lambda finger: None):
-    """Play a protocol on an emulated finger; gives the player, its pace, the recording's path and what ended it."""
-    for trial in range(4):  # a computer that stands still trips the servos' watchdogs
-        try:
-            found = played_once(folder / f"loop{trial}.mcap", made, ask, act)
-        except ServoError:
-            continue
+def stood(file):
+    """Return for how long (s) the line to the servos stood before a fault ended a recording; 0 for any other cause.
+
+    Loop and emulated servos run before all ordinary threads, but a worker of the kernel's, an ordinary one, carries the
+    bytes of a pseudo-terminal between them: where the computer is busy it comes late, and for so long no servo is heard
+    at all. What one servo does, or what the guard finds besides, is no such fault.
+    """
+    periods = read_recording(file).periods
+    end = next((k for k, period in enumerate(periods) if period["state"] == "fault"), None)
+    if end is None or periods[end]["cause"] not in ("silent", "tripped"):
+        return 0.0
+    heard = [period["now"] for period in periods[:end] if set(period["position"]) != {None}]
+    last = [now for now in heard if periods[end]["now"] - now < 2e9] + [periods[end]["now"]]
+    return max(np.diff(last), default=0) * 1e-9
+
+
+def excused(file):
+    """Return whether the computer, not the robot, ended a recording: its line stood as long as a watchdog waits."""
+    return stood(file) > WATCHDOG
+
+
+def played(folder, made, ask, act=lambda finger: None, tell=lambda finger, share: None):
+    """Play a protocol on an emulated finger; gives the player, its pace, the recording's path and what ended it.
+
+    It is played anew only where the recording proves that the computer stood still.
+    """
+    for trial in range(TRIALS):
+        found = played_once(folder / f"loop{trial}.mcap", made, ask, act, tell)
         if not (found[-1] and "state fault" in found[-1]):
             return found
-    pytest.fail("the guard stopped it each time")
+        assert excused(found[2]), found[-1]
+    pytest.fail(f"the computer stood still in each of {TRIALS} recordings")
 
 
-def played_once(file, made, ask, act):
+def played_once(file, made, ask, act, tell):
     """Play it once."""
     ended = None
     with (
@@ -126,7 +151,13 @@ def played_once(file, made, ask, act):
     ):
         act(finger)
         paced = pace(made, calibration(), limits["servos"])
-        player = Player(robot, paced, finger.seen, ask=lambda what: ask(what, bus, robot, finger))
+        player = Player(
+            robot,
+            paced,
+            finger.seen,
+            ask=lambda what: ask(what, bus, robot, finger),
+            tell=lambda share: tell(finger, share),
+        )
         try:
             player.play()
         except SoftmapError as fault:
@@ -154,15 +185,18 @@ def test_a_condition_is_changed_while_torque_is_off(tmp_path):
 
 
 def test_a_camera_that_is_gone_ends_it_and_what_was_seen_is_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr("softmap_edge.experiment.play.LOST", 3.0)
+    monkeypatch.setattr("softmap_edge.experiment.play.LOST", 1.5)
     made = short()
-    made = Protocol(made.name, made.t * 4, made.command, made.gravity, made.t_seen * 4, made.block)
+    made = Protocol(made.name, made.t * 1.5, made.command, made.gravity, made.t_seen * 1.5, made.block)
 
-    def ask(what, bus, robot, finger):
-        threading.Timer(9.0, finger.blind, [True]).start()
+    def tell(finger, share):  # by then frames were taken, and half a second later it still is away from home
+        finger.blind(share > 0.5)
 
-    player, paced, file, ended = played(tmp_path, made, ask)
-    assert "the camera is gone: no frame for" in ended
+    player, paced, file, ended = played(tmp_path, made, lambda *said: None, tell=tell)
+    line, states = TABLE["camera gone, recording"]
+    assert re.fullmatch(line, ended), ended
+    passed = [one["state"] for one in read_recording(file).periods]
+    assert [*dict.fromkeys(reversed(passed))][1::-1] == states
     assert not player.played.whole and player.played.taken
     run = merged(file, MODEL, paced, player.played)
     assert run.frames == len(player.played.taken)
@@ -191,18 +225,32 @@ def commands(tmp_path_factory):
 
 
 def recorded(folder, argv):
-    """Record by the verb until nothing stopped it: a computer that stands still trips the servos' watchdogs."""
-    for trial in range(4):
-        out = folder / f"run{trial}.npz"
-        done = subprocess.run(
-            [SOFTMAP, "record", *argv(trial), "--out", str(out), "--json"], capture_output=True, text=True, timeout=300
-        )
+    """Record by the verb; anew only where the recording proves that the computer stood still."""
+    for trial in range(TRIALS):
+        out, loop = folder / f"run{trial}.npz", folder / f"loop{trial}.mcap"
+        more = ["--out", str(out), "--record", str(loop), "--json"]
+        done = subprocess.run([SOFTMAP, "record", *argv(trial), *more], capture_output=True, text=True, timeout=300)
         if done.returncode == 0:
             told = json.loads(done.stdout)
             assert told["schema"] == "softmap.record/1" and told["whole"] and told["frames"] >= told["wanted"] - 1
             return Run.load(out)
-        assert "state fault" in done.stderr, done.stderr
-    pytest.fail(done.stderr)
+        assert "state fault" in done.stderr and excused(loop), done.stderr
+    pytest.fail(f"the computer stood still in each of {TRIALS} recordings")
+
+
+def test_only_a_line_that_stood_excuses_a_recording(tmp_path, monkeypatch):
+    """One silent servo, a blocked finger, a line that stood for a moment: none of them is played again."""
+
+    def ends(cause, heard, seconds=0.15):
+        rows = [dict(now=0, state="engaged", cause="none", position=[1, 2])]
+        rows += [dict(now=int(1e9 * k * seconds / 9), state="hold", cause="late", position=heard) for k in range(1, 9)]
+        rows += [dict(now=int(1e9 * seconds), state="fault", cause=cause, position=heard)]
+        monkeypatch.setitem(globals(), "read_recording", lambda file: type("Told", (), dict(periods=rows)))
+        return excused(tmp_path)
+
+    assert ends("silent", [None, None]) and ends("tripped", [None, None])
+    assert not ends("silent", [1, None]) and not ends("following", [None, None]) and not ends("lost", [None, None])
+    assert not ends("tripped", [None, None], seconds=0.05)
 
 
 def test_nothing_hidden_is_diagnosed_as_nothing(tmp_path, commands):
@@ -278,4 +326,4 @@ def test_nobody_to_ask_is_told(tmp_path, commands, monkeypatch, capsys):
 
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     with pytest.raises(SoftmapError, match="nobody is there to say that it is done"):
-        _ask(type("Args", (), dict(yes=False, emulated=False, json=True)), "hang 10 g at the tip")
+        _ask(type("Args", (), dict(yes=False, emulated=False, json=True)), "hang 10 g at the tip", None)

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from rigs import bench, calibration, torque
 from softmap_edge import _core
 from softmap_edge.cli import main
 from softmap_edge.commands.robot import HOME
+from softmap_edge.errors import ServoError
 from softmap_edge.run import Run
 from softmap_edge.servo import commission
 from softmap_edge.servo.controller import Controller
@@ -66,6 +68,70 @@ def test_a_new_servo_is_found_at_its_rate_and_made_ready(fresh, capsys, tmp_path
     assert code == 0 and document["servos"][0]["complaints"] == []
     assert main(["servo", "read", "--port", fresh.path, "--baud", "1000000"]) == 0
     assert "ready to be driven" in capsys.readouterr().out
+
+
+def setting(bus, **changed):
+    """Write registers of servo 1 as a user of before may have left them."""
+    with commission.opened(bus.path, 57_600) as port:
+        for name, value in changed.items():
+            address, size, _ = _core.servo_registers()[name]
+            port.write(1, address, value.to_bytes(size, "little", signed=value < 0))
+
+
+@pytest.mark.parametrize("firmware, runs_on", [(46, False), (42, False), (41, True), (38, True)])
+@pytest.mark.parametrize("number, counts", [(XL330, 5), (XL430, 4)])
+@pytest.mark.parametrize("mode", [3, 4, 5])
+def test_a_homing_offset_is_mended_whatever_mode_and_firmware(number, counts, mode, firmware, runs_on):
+    """Mode 4 with an offset on firmware below 42 runs on when its watchdog trips: never driven, and said."""
+    bus = _core.EmulatedBus([(1, number, 57_600, 500.0)], [[]])
+    setting(bus, operating_mode=mode, homing_offset=1000)
+    (found,) = commission.scan(bus.path, 57_600)
+    found, said = replace(found, firmware=firmware), []
+    with commission.opened(bus.path, 57_600) as port:
+        complaints = commission.complaints(found, commission.registers(port, 1))
+    wrong = [line for line in complaints if line.startswith("homing offset is 1000")]
+    assert len(wrong) == 1 and wrong[0].endswith("needed is 0; `softmap servo setup`")
+    assert (f"firmware {firmware} lets the motor run on when its watchdog trips in mode 4" in wrong[0]) == runs_on
+    done = commission.set_up(found, tell=said.append)
+    with commission.opened(bus.path, 57_600) as port:
+        now = commission.registers(port, 1)
+        assert commission.complaints(done, now) == []
+    assert (now["operating_mode"], now["homing_offset"], now["present_position"]) == (counts, 0, 500)
+    mended = [line for line in said if line.startswith("homing offset is 1000")]
+    assert len(mended) == 1 and mended[0].endswith("it becomes 0") and ("lets the motor run on" in mended[0]) == runs_on
+    assert any(line.startswith("operating mode is ") for line in said) == (mode != counts)
+    again = []
+    commission.set_up(found, tell=again.append)
+    assert again == [], "what is well is not written"
+    bus.unplug()
+
+
+def test_firmware_without_a_watchdog_is_refused_and_nothing_is_written(fresh):
+    (found,) = commission.scan(fresh.path, 57_600)
+    with commission.opened(fresh.path, 57_600) as port:
+        before = commission.registers(port, 1)
+    line = "it is left as it is, its firmware 37 has no bus watchdog; update it to 45 with Dynamixel Wizard"
+    with pytest.raises(ServoError, match=line):
+        commission.set_up(replace(found, firmware=37), 2, 1_000_000)
+    with commission.opened(fresh.path, 57_600) as port:
+        after = commission.registers(port, 1)
+    moving = ("realtime_tick", "present_position", "present_current", "present_temperature", "present_voltage")
+    assert {k: v for k, v in before.items() if k not in moving} == {k: v for k, v in after.items() if k not in moving}
+
+
+def test_what_setup_mends_is_told(fresh, capsys):
+    setting(fresh, drive_mode=1, secondary_id=7, torque_enable=1)
+    argv = ["servo", "setup", "--port", fresh.path, "--baud", "57600"]
+    code, document = said(capsys, *argv)
+    assert code == 0 and document["mended"] == [
+        "its torque was on: it is off",
+        "operating mode is 3 (position): it becomes 5",
+        "return delay time is 250: it becomes 0",
+        "drive mode is 1: it becomes 0",
+        "secondary id is 7: it becomes 255",
+    ]
+    assert main(argv) == 0
+    assert capsys.readouterr().out.count("\n") == 1, "the second time there is nothing to mend"
 
 
 def test_one_servo_at_a_time_is_set_up(capsys, tmp_path):

@@ -26,10 +26,11 @@ PICTURE = np.zeros((8, 8, 3), np.uint8)
 
 
 def hand(aside=0.0, forward=0.8, fist=False):
-    """Return a hand of 100 px whose index finger shows (forward, aside)."""
+    """Return a hand of 100 px whose index finger shows (forward, aside): positive to its owner's right, who is seen
+    from in front."""
     points = np.zeros((21, 2))
     points[0], points[9], points[5] = (300, 400), (300, 300), (330, 310)
-    points[8] = points[5] + 100 * np.array([aside, -forward])
+    points[8] = points[5] + 100 * np.array([-aside, -forward])
     for knuckle, tip in ((9, 12), (13, 16), (17, 20)):
         points[knuckle] = points[9] if knuckle == 9 else (300 - 3 * knuckle, 320)
         points[tip] = points[knuckle] + (0, 20 if fist else -90)
@@ -93,12 +94,14 @@ class Fingers:
 class Session:
     """A drive that runs in a thread."""
 
+    cameras = Camera
+
     def __init__(self, source="hand", aim=Direct, options=None, **limits):
         self.source, self.aim, self.options, self.limits = source, aim, options or {}, limits
 
     @contextmanager
     def running(self):
-        self.camera, self.finder, self.fingers, self.lines = Camera(), Finder(), Fingers(self.source), []
+        self.camera, self.finder, self.fingers, self.lines = self.cameras(), Finder(), Fingers(self.source), []
         eyes = CameraEyes("camera 0", self.camera, self.finder, View()) if self.source == "hand" else NoEyes()
         kinematics = Kinematics(MODEL, axes="xy" if self.aim is Tip else "xyz")
         with (

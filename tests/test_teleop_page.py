@@ -14,6 +14,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
+from waiting import until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -76,13 +77,6 @@ class Client:
             self.say(held, knob)
 
 
-def until(what):
-    begin = time.monotonic()
-    while not what():
-        assert time.monotonic() - begin < PATIENT
-        time.sleep(0.005)
-
-
 def get(page, path="/", host=None):
     asked = http.client.HTTPConnection("127.0.0.1", page.port, timeout=PATIENT)
     asked.putrequest("GET", path, skip_host=True)
@@ -98,7 +92,12 @@ def get(page, path="/", host=None):
 def test_everything_is_served_from_the_package_under_a_strict_policy():
     with served() as page:
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/#[\w-]{32}", page.url)
-        for path, kind in (("/", "text/html"), ("/page.js", "text/javascript"), ("/page.css", "text/css")):
+        for path, kind in (
+            ("/", "text/html"),
+            ("/page.js", "text/javascript"),
+            ("/page_drawing.js", "text/javascript"),
+            ("/page.css", "text/css"),
+        ):
             answer, body = get(page, path)
             assert answer.status == 200 and answer.headers["Content-Type"].startswith(kind)
             policy = answer.headers["Content-Security-Policy"]
@@ -222,8 +221,9 @@ def test_numbers_that_are_none_or_beyond_the_range_lead_nowhere():
 
 def test_too_many_pages_and_a_busy_port_are_refused():
     with served() as page, ExitStack() as stack:
-        for _ in range(pages.MOST_PAGES):
+        for count in range(pages.MOST_PAGES):
             stack.enter_context(connect(**link(page)))
+            until(lambda count=count: len(page._pages) > count)
         with pytest.raises(InvalidStatus) as refused:
             stack.enter_context(connect(**link(page)))
         assert refused.value.response.status_code == 503
@@ -231,6 +231,26 @@ def test_too_many_pages_and_a_busy_port_are_refused():
             Page(page.port)
     with pytest.raises(TeleopError, match="port 70000"):
         Page(70_000)
+
+
+def test_pages_that_come_at_once_are_no_more_than_are_allowed(monkeypatch):
+    with served() as page:
+        monkeypatch.setattr(pages, "MOST_PAGES", 1)
+        with connect(**link(page)) as first:
+            until(lambda: len(page._pages) == 1)
+            late = Late()
+            page._serve(late)  # let in before the first was counted
+            assert late.closed == 1013 and len(page._pages) == 1
+            assert first.recv(PATIENT)
+
+
+class Late:
+    """A connection that only hears that it is closed."""
+
+    closed = None
+
+    def close(self, code, reason):
+        self.closed = code
 
 
 def test_without_websockets_the_install_line_is_told(monkeypatch):

@@ -1,12 +1,10 @@
-"""The terminal as an input, read at a pseudo-terminal; and what the guard does, in words."""
+"""The terminal as an input, read at a pseudo-terminal."""
 
 import os
 import pty
-from pathlib import Path
 
 import pytest
 
-from softmap_edge.teleop import words
 from softmap_edge.teleop.terminal import STEP, Terminal
 
 
@@ -42,17 +40,3 @@ def test_esc_stops_and_unknown_keys_do_nothing(typed):
     write("qe")
     terminal.controls(0.2)
     assert terminal.asked() == "emergency"
-
-
-def test_every_state_and_cause_of_the_guard_has_its_words():
-    said = {words.sentence({"state": state, "cause": "late", "servo": 1}) for state in words.STATES}
-    assert len(said) == len(words.STATES)
-    assert "Holding where it is; it slackens soon: servo 2 did not answer in time" in said
-    assert words.sentence({"state": "engaged", "cause": "deadman"}) == "Driving"
-    assert "was released" in words.sentence({"state": "fault", "cause": "loop", "rescued": "it was released"})
-    assert words.level("fault") == "fault" and words.level("nothing") == "off"
-    assert words.limits({"slowed": True, "outside": False}) == ["as fast as allowed"]
-    guard = (Path(__file__).parents[1] / "rust/servo/guard/mod.rs").read_text()
-    causes = guard.split("pub enum Cause {")[1].split("}")[0]
-    named = [line.strip(" ,").lower() for line in causes.splitlines() if line.strip() and "///" not in line]
-    assert set(named) <= set(words.CAUSES), "a cause of the guard without words"

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hand_model import hand_model
 from test_teleop_drive import Camera, Finder, Fingers, hand
+from waiting import until
 
 from benches.data import find
 from softmap_edge.cli import main
@@ -40,7 +41,7 @@ PATIENT = 20.0
         (["--sim", "--camera", "none.mp4", "--model", "none.task"], "no model of hands; get the wheel"),
         (["--sim", "--flip", "z"], "there are x and y"),
         (["--sim", "--seconds", "0"], "--seconds 0"),
-        (["--sim", "--reach", "1"], "invalid _two value"),
+        (["--sim", "--reach", "1"], "give two numbers, SIDE,FORWARD"),
         (["--sim", "--reach", "0,1"], "two numbers above 0"),
         (["--rig", "none.toml"], "no calibration"),
         (["--rig", "r.toml", "--hidden", "creep"], "give --sim with it"),
@@ -90,13 +91,6 @@ def test_a_video_is_played_through_the_whole_chain(capsys, tmp_path):
     told = json.loads(capsys.readouterr().out)
     assert told["pictures"] > 5 and told["hands"] == told["pictures"] and told["presses"] == 0
     assert set(told["states_s"]) == {"ready"}, "a hand alone drives nothing"
-
-
-def until(what):
-    begin = time.monotonic()
-    while not what():
-        assert time.monotonic() - begin < PATIENT
-        time.sleep(0.01)
 
 
 def test_landmarks_and_key_reach_the_other_computer():

@@ -10,7 +10,7 @@ from tick_runs import HOME, MODEL, A, B, commands, record, scattered
 
 from softmap_edge import compare, diagnose, learn_residual, load_bundle, save_bundle
 from softmap_edge.alignment.calibration import calibrate
-from softmap_edge.errors import BundleError, RunError
+from softmap_edge.errors import BundleError, CalibrationError, RunError
 from softmap_edge.ticks import Calibration, converted
 
 
@@ -38,6 +38,22 @@ def test_ticks_and_commands_are_each_others_inverse_and_the_window_holds_what_is
     assert farthest == pytest.approx(7000.0, abs=1.0)  # as large as its form allows
     assert np.all((usable[:, 0] > -18.0) & (usable[:, 1] < 18.0))
     np.testing.assert_array_equal(published().usable(reach), reach)
+
+
+def test_a_window_holds_a_range_and_not_a_tick_less():
+    told, reach = published(), [[-1.0, 2.0], [-3.0, 1.0]]
+    low, high = told.holding(reach)
+    corners = told.ticks([[a, b] for a in reach[0] for b in reach[1]]) - told.home
+    assert corners.min() == low < 0 < high == corners.max()
+
+
+def test_a_map_that_is_stated_claims_nothing_of_a_run():
+    told = Calibration.stated(A, B, HOME, "made up", (-5.0, 5.0), "ticks")
+    np.testing.assert_array_equal(told.commands([[2048, 2048]]), np.add(A @ (2048 - np.array(HOME)), B)[None])
+    assert not told.sigma_A.any() and not told.sigma_b.any() and not any(told.held_out.values())
+    assert (told.run, told.frames, told.held, told.unit) == ("made up", 0, 0, "ticks")
+    with pytest.raises(CalibrationError, match="expected"):
+        Calibration.stated(A, B[:1], HOME, "made up")
 
 
 def test_a_bundle_carries_its_calibration_and_older_ones_have_none(found, tmp_path):

@@ -1,18 +1,24 @@
 """Figures tracked on an emulated robot: with what it hides and without, through what was found, with feedback."""
 
+import argparse
 import json
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from page import blocks, lines
 from rigs import calibration
 
 from softmap_edge import Run, SoftmapError, _core, builtin_model, diagnose, save_bundle
 from softmap_edge.camera.frames import Frame
 from softmap_edge.camera.points_udp import PointReceiver, PointSender
 from softmap_edge.cli import main
-from softmap_edge.commands.servo_emulate import streaming
+from softmap_edge.commands.experiment import record_arguments
+from softmap_edge.commands.servo_emulate import emulate_arguments, streaming
+from softmap_edge.commands.teleop import teleop_arguments
+from softmap_edge.commands.track import track_arguments
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.motion.response import fit_response
 from softmap_edge.motion.track import _Feedback, course, track
@@ -105,13 +111,59 @@ def test_the_verb_tracks_on_an_emulated_robot_and_draws(tmp_path, capsys):
     assert main(["track", "O", "--sim", "--picture", files[0], "--record", files[1], *options]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["schema"] == "softmap.track/1" and told["waypoints"] == 81 and told["seen_mm"]["mean"] < 0.3
+    assert told["hidden"] == [] and told["effects"] == []
     assert (tmp_path / "o.svg").read_bytes().startswith(b"<?xml") and read_recording(files[1]).periods
+    assert (tmp_path / "o.svg").stat().st_size < 500_000
+
+
+def test_a_plan_is_drawn_with_its_commands_and_a_workspace_from_its_rest(tmp_path):
+    plan, reach = tmp_path / "plan.svg", tmp_path / "reach.svg"
+    assert main(["track", "O", "--plan", "--amplitude", "5", "--rate", "20", "--picture", str(plan)]) == 0
+    assert "command, mm" in plan.read_text() and "edge of reach" not in plan.read_text()
+    assert main(["track", "--workspace", "--reach", "60", "0", "60", "--picture", str(reach)]) == 0
+    assert "edge of reach" in reach.read_text() and "tip off by" not in plan.read_text()
+    assert max(file.stat().st_size for file in (plan, reach)) < 500_000
+
+
+def test_a_finger_that_hides_nothing_is_said_to_be_led_astray_by_effects_that_are_undone(model, tmp_path, capsys):
+    bundle = save_bundle(model.with_effects(["backlash"], {"backlash.gap": 1.0}), tmp_path / "play")
+    options = ["--bundle", str(bundle), "--sim", "--amplitude", "3", "--duration", "3", "--rate", "20"]
+    assert main(["track", "O", *options]) == 0
+    assert "hides nothing, so undoing backlash leads it astray" in capsys.readouterr().out
 
 
 def test_the_verb_plans_without_a_robot_and_says_what_is_out_of_reach(capsys):
     assert main(["track", "circle", "--plan", "--amplitude", "70"]) == 0
     said = capsys.readouterr().out
     assert "out of reach" in said and "no camera" not in said
+
+
+def test_the_commands_of_the_page_are_some_and_those_without_a_robot_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = (Path(__file__).parents[1] / "docs/track.md").read_text(encoding="utf-8")
+    ours = [words for _, text in blocks(page) for words in lines(text) if words[:2] == ["softmap", "track"]]
+    assert len(ours) == 5
+    for words in ours:
+        parser = argparse.ArgumentParser()
+        track_arguments(parser)
+        told = parser.parse_args(words[2:])
+        if told.plan or told.workspace:
+            assert main(words[1:]) == 0, words
+    assert (tmp_path / "reach.svg").exists() and (tmp_path / "s.svg").exists()
+
+
+@pytest.mark.parametrize("word", ["--hidden", "--hide"])
+def test_what_a_finger_hides_is_named_by_one_word_in_every_verb(word):
+    for arguments, others in (
+        (track_arguments, ["S", "--sim"]),
+        (teleop_arguments, ["--sim"]),
+        (emulate_arguments, []),
+        (record_arguments, ["c.csv", "--out", "r.npz"]),
+    ):
+        parser = argparse.ArgumentParser()
+        arguments(parser)
+        told = vars(parser.parse_args([*others, word, "backlash,creep"]))
+        assert "backlash,creep" in (told.get("hidden"), *told.get("hide", ()))
 
 
 @pytest.mark.parametrize(
@@ -179,7 +231,7 @@ def test_a_camera_that_goes_and_comes_while_a_figure_is_tracked(model, tmp_path,
         for timer in timers:
             timer.start()
         assert main(argv) == 0
-        assert not any(on for _, on, _ in bus.state()[1])
+        assert not any(on for _, on, *_ in bus.state()[1])
     told = json.loads(capsys.readouterr().out)
     assert 1.0 < told["unseen_s"] < 10.0 and told["seen_mm"]["n"] > 30
     assert told["seen_mm"]["mean"] < 1.0

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from softmap_edge.teleop.page import SERVED
+
 DIST = Path(__file__).parents[1] / "dist"
 MOST = 5_000_000  # bytes
 BASE = {"numpy", "onnxruntime"}
@@ -42,7 +44,7 @@ def test_it_asks_for_numpy_and_onnxruntime_alone_and_holds_what_runs(wheel):
     assert always == BASE and not any("torch" in line for line in asked)
     folders = {name.split("/")[0] for name in names}
     assert {name for name in folders if ".dist-info" not in name} == {"softmap_edge"}
-    pages = {f"softmap_edge/teleop/page.{kind}" for kind in ("html", "css", "js")}
+    pages = {f"softmap_edge/teleop/{name}" for name, _ in SERVED.values()}
     assert {"softmap_edge/data/finger/manifest.json", "softmap_edge/py.typed", *pages} <= set(names)
 
 

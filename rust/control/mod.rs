@@ -8,22 +8,23 @@
 pub mod emergency;
 pub mod gpio;
 pub mod heartbeat;
+pub mod period;
 pub mod pipe;
 pub mod plan;
 mod realtime;
 pub mod recording;
-pub(crate) mod report;
+mod report;
 
 use std::os::fd::OwnedFd;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use softmap_servo::bus::{Bus, Fault, PortFault};
+use softmap_servo::bus::{Bus, Fault, PortFault, SLACK};
 use softmap_servo::control::{Control, Plan, Record};
 use softmap_servo::drive::{Drive, Member};
-use softmap_servo::guard::reversals::Budget;
 use softmap_servo::guard::{Guard, Limits, Request};
+use softmap_servo::registers::FAST_FIRMWARE;
 use softmap_servo::serial::{Serial, monotonic};
 
 use crate::error::{Result, invalid};
@@ -46,12 +47,7 @@ pub struct Setup {
     pub port: String,
     pub baud: u32,
     pub members: Vec<Member>,
-    /// All servos answer in one packet (firmware 45 and later).
-    pub fast: bool,
-    /// s that an answer may take beyond its bytes.
-    pub slack: f64,
     pub limits: Limits,
-    pub budget: Budget,
     /// The emergency stops of the bench, beside the one in the orders.
     pub stops: Emergency,
     /// A file that the loop is recorded to, and the JSON document that says what it was made of.
@@ -74,14 +70,9 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
     }
     let serial =
         Serial::open(&setup.port, setup.baud).map_err(|fault| invalid(fault.to_string()))?;
-    let slack = (setup.slack * 1e9) as u64;
-    let mut drive = Drive::new(
-        Bus::new(serial, setup.baud, slack),
-        &setup.members,
-        setup.fast,
-        WATCHDOG,
-    );
-    found_as_said(&mut drive, &setup.members)?;
+    let mut bus = Bus::new(serial, setup.baud, SLACK);
+    let fast = found_as_said(&mut bus, &setup.members)?;
+    let drive = Drive::new(bus, &setup.members, fast, WATCHDOG);
     let mailbox = PipeMailbox::new(orders, plan.channels(), setup.stops);
     let (sender, receiver) = rtrb::RingBuffer::new(RING);
     let warnings = realtime::warnings();
@@ -93,14 +84,7 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
     let reporter = Reporter::start(receiver, reports, recording, sizes, &warnings);
     let guard = Guard::new(setup.limits);
     let record = Ring::new(sender);
-    let mut control = Farewell(Control::new(
-        drive,
-        guard,
-        plan,
-        mailbox,
-        record,
-        setup.budget,
-    ));
+    let mut control = Farewell(Control::new(drive, guard, plan, mailbox, record));
     realtime::enter();
     let ended = run(&mut control.0, &stop);
     let (timing, lost) = (control.0.timing().clone(), control.0.record.lost());
@@ -159,11 +143,12 @@ fn patiently<T>(
     answer
 }
 
-/// Refuse servos that are not what they are said to be, or whose torque is on.
-fn found_as_said(drive: &mut Drive<Serial>, members: &[Member]) -> Result<()> {
+/// Refuse servos that are not what they are said to be, or whose torque is on; whether all can answer in one packet.
+fn found_as_said(bus: &mut Bus<Serial>, members: &[Member]) -> Result<bool> {
+    let mut fast = true;
     for Member { id, model } in members {
-        let told = patiently(|| drive.bus().ping(*id));
-        let (number, _) = told.map_err(|fault| {
+        let told = patiently(|| bus.ping(*id));
+        let (number, firmware) = told.map_err(|fault| {
             invalid(format!(
                 "servo {id}: {fault}; check power, wiring and baud rate"
             ))
@@ -176,11 +161,12 @@ fn found_as_said(drive: &mut Drive<Serial>, members: &[Member]) -> Result<()> {
                 model.name, model.number
             )));
         }
+        fast &= firmware >= FAST_FIRMWARE;
         let (mut head, mut torque) = ([0; 64], [0]);
         let register = |fault: Fault| invalid(format!("servo {id}: {fault}"));
-        patiently(|| drive.bus().read(*id, 0, &mut head)).map_err(register)?;
+        patiently(|| bus.read(*id, 0, &mut head)).map_err(register)?;
         let enabled = model.layout().torque_enable.address;
-        patiently(|| drive.bus().read(*id, enabled, &mut torque)).map_err(register)?;
+        patiently(|| bus.read(*id, enabled, &mut torque)).map_err(register)?;
         let offset = model.layout().homing_offset.address as usize;
         if torque[0] != 0 {
             return Err(invalid(format!(
@@ -201,7 +187,7 @@ fn found_as_said(drive: &mut Drive<Serial>, members: &[Member]) -> Result<()> {
             )));
         }
     }
-    Ok(())
+    Ok(fast)
 }
 
 /// Torque off is the last that the servos hear.

@@ -200,7 +200,7 @@ mod tests {
         map.passed(&[2000, 1000], 0.01);
         let none = Budget {
             band: 0.0,
-            rate: f64::INFINITY,
+            turns: f64::INFINITY,
             burst: f64::INFINITY,
         };
         let budget = budget.unwrap_or(none);
@@ -236,7 +236,7 @@ mod tests {
     fn a_still_hand_turns_no_servo_through_an_inverted_play() {
         let budget = Some(Budget {
             band: 0.02,
-            rate: 4.0,
+            turns: 4.0,
             burst: 4.0,
         });
         assert_eq!(turns(&["backlash"], &[0.5], budget), 0);

@@ -5,25 +5,29 @@
 //! refuses alike). No chunks and no compression: a file cut anywhere gives every message before the cut.
 //! Source of the format: MCAP, Foxglove, https://mcap.dev/spec.
 
-use std::fmt::Write as _;
+use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufWriter, Write};
-use std::path::Path;
+use std::io::{BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
 
-use enumset::EnumSet;
-use mcap::WriteOptions;
-use mcap::read::{Options, RawMessageStream};
-use mcap::records::MessageHeader;
+use mcap::records::{MessageHeader, Record};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{McapError, WriteOptions, parse_record};
+use serde::Serialize;
+use serde_json::{Map, Value, json};
 use softmap_servo::control::Entry;
-use softmap_servo::guard::{MOST_SERVOS, Request};
+use softmap_servo::guard::Request;
 
-use super::report::{list, name, quoted};
+use super::period::{Period, name, sensed};
 use crate::error::{Result, invalid};
 
 /// ns after which what was recorded is on the disk.
 const SAFE: u64 = 500_000_000;
 /// Bytes of a recording that are read at most.
 const MOST: u64 = 4 << 30;
+/// Bytes of a record at most, and of what is read at once.
+const LONGEST: usize = 1 << 24;
+const AT_ONCE: usize = 1 << 16;
 
 /// An open recording.
 pub struct Recording {
@@ -32,7 +36,7 @@ pub struct Recording {
     channel: u16,
     count: u32,
     saved: u64,
-    line: String,
+    line: Vec<u8>,
     servos: usize,
 }
 
@@ -59,7 +63,7 @@ impl Recording {
             let schema = writer.add_schema(
                 "softmap.loop",
                 "jsonschema",
-                schema_of(servos, commands).as_bytes(),
+                schema_of(servos, commands).to_string().as_bytes(),
             )?;
             let channel = writer.add_channel(schema, "/loop", "json", &Default::default())?;
             writer.write_to_known_channel(&header(told, 0, now), setup.as_bytes())?;
@@ -73,7 +77,7 @@ impl Recording {
             channel,
             count: 0,
             saved: now,
-            line: String::new(),
+            line: vec![],
             servos,
         })
     }
@@ -81,11 +85,11 @@ impl Recording {
     /// Add a period.
     pub fn add(&mut self, entry: &Entry, commands: usize) -> mcap::McapResult<()> {
         self.line.clear();
-        document(&mut self.line, entry, self.servos, commands);
+        let told = Told::of(entry, self.servos, commands);
+        serde_json::to_writer(&mut self.line, &told).map_err(std::io::Error::from)?;
         self.count = self.count.wrapping_add(1);
         let header = header(self.channel, self.count, entry.now);
-        self.writer
-            .write_to_known_channel(&header, self.line.as_bytes())?;
+        self.writer.write_to_known_channel(&header, &self.line)?;
         if entry.now.saturating_sub(self.saved) >= SAFE {
             self.saved = entry.now;
             self.save()?;
@@ -106,9 +110,92 @@ impl Recording {
     }
 }
 
-/// The messages of a recording: topic, time (ns) and bytes; those before the cut of one that was cut short.
-pub fn read(path: &Path) -> Result<Vec<(String, u64, Vec<u8>)>> {
-    let size = std::fs::metadata(path)
+/// A message: its topic, its time (ns) and its bytes.
+pub type Message = (String, u64, Vec<u8>);
+
+/// A recording that is read, also while it grows.
+pub struct Reading {
+    path: PathBuf,
+    file: File,
+    records: LinearReader,
+    topics: HashMap<u16, String>,
+    ended: bool,
+}
+
+impl Reading {
+    /// Begin to read `path`.
+    pub fn open(path: &Path) -> Result<Reading> {
+        let options = LinearReaderOptions::default()
+            .with_skip_end_magic(true)
+            .with_record_length_limit(LONGEST);
+        Ok(Reading {
+            file: File::open(path).map_err(|fault| failed(path, &fault))?,
+            path: path.to_owned(),
+            records: LinearReader::new_with_options(options),
+            topics: HashMap::new(),
+            ended: false,
+        })
+    }
+
+    /// Whether whoever wrote it has closed it.
+    pub fn ended(&self) -> bool {
+        self.ended
+    }
+
+    /// Add to `found` the messages that are whole and new; an error where what follows them is damaged.
+    pub fn more(&mut self, found: &mut Vec<Message>) -> Result<()> {
+        let damaged = |fault: McapError| match fault {
+            McapError::BadMagic => {
+                "no recording of a control loop; give what `softmap` recorded".to_owned()
+            }
+            other => format!("damaged ({other}); record again"),
+        };
+        let fault = loop {
+            if self.ended {
+                return Ok(());
+            }
+            let event = match self.records.next_event() {
+                None => return Ok(()),
+                Some(Err(fault)) => break damaged(fault),
+                Some(Ok(event)) => event,
+            };
+            match event {
+                LinearReadEvent::ReadRequest(bytes) => {
+                    let room = self.records.insert(bytes.max(AT_ONCE));
+                    match self.file.read(room) {
+                        // It may grow: the reader is not told that this is the end.
+                        Ok(0) => return Ok(()),
+                        Ok(count) => self.records.notify_read(count),
+                        Err(fault) => break fault.to_string(),
+                    }
+                }
+                LinearReadEvent::Record { opcode: 0, .. } => {
+                    break "damaged (a record of no kind); record again".to_owned();
+                }
+                LinearReadEvent::Record { opcode, data } => match parse_record(opcode, data) {
+                    Err(fault) => break damaged(fault),
+                    Ok(Record::Channel(channel)) => {
+                        self.topics.insert(channel.id, channel.topic);
+                    }
+                    Ok(Record::Message { header, data }) => {
+                        if let Some(topic) = self.topics.get(&header.channel_id) {
+                            found.push((topic.clone(), header.log_time, data.into_owned()));
+                        }
+                    }
+                    Ok(record) => self.ended |= matches!(record, Record::DataEnd(_)),
+                },
+            }
+        };
+        Err(failed(&self.path, &fault))
+    }
+}
+
+/// The messages of a recording; those before the cut, or the damage, of one that was cut short.
+pub fn read(path: &Path) -> Result<Vec<Message>> {
+    let mut reading = Reading::open(path)?;
+    let size = reading
+        .file
+        .metadata()
         .map_err(|fault| failed(path, &fault))?
         .len();
     if size > MOST {
@@ -119,25 +206,9 @@ pub fn read(path: &Path) -> Result<Vec<(String, u64, Vec<u8>)>> {
             MOST >> 20
         )));
     }
-    let bytes = std::fs::read(path).map_err(|fault| failed(path, &fault))?;
-    let stream = RawMessageStream::new_with_options(&bytes, EnumSet::only(Options::IgnoreEndMagic));
-    let mut stream = stream.map_err(|_| {
-        invalid(format!(
-            "{}: is no MCAP file; give a recording of softmap",
-            path.display()
-        ))
-    })?;
     let mut found = vec![];
-    while let Some(Ok(message)) = stream.next() {
-        let Some(channel) = stream.get_channel(message.header.channel_id) else {
-            break;
-        };
-        found.push((
-            channel.topic.clone(),
-            message.header.log_time,
-            message.data.to_vec(),
-        ));
-    }
+    // What a cut of power leaves behind may be anything.
+    let _ = reading.more(&mut found);
     Ok(found)
 }
 
@@ -154,105 +225,92 @@ fn header(channel_id: u16, sequence: u32, now: u64) -> MessageHeader {
     }
 }
 
-fn schema_of(servos: usize, commands: usize) -> String {
+fn schema_of(servos: usize, commands: usize) -> Value {
     let numbers = |count: usize| {
-        format!(
-            r#"{{"type": ["array", "null"], "items": {{"type": ["number", "null"]}}, "minItems": {count}, "maxItems": {count}}}"#
-        )
+        json!({
+            "type": ["array", "null"],
+            "items": {"type": ["number", "null"]},
+            "minItems": count,
+            "maxItems": count,
+        })
     };
-    let of = |keys: &[&str], form: &str| {
-        keys.iter()
-            .map(|key| format!(r#""{key}": {form}"#))
-            .collect::<Vec<_>>()
-            .join(", ")
+    let (integer, text, flag) = (
+        json!({"type": "integer"}),
+        json!({"type": ["string", "null"]}),
+        json!({"type": "boolean"}),
+    );
+    let forms = [
+        (integer, "now sent late_ns took_ns overruns"),
+        (text, "state cause request denied bus"),
+        (flag, "heard deadman emergency torque refused"),
+        (
+            numbers(servos),
+            "target goal position clock current_mA temperature_C voltage_V",
+        ),
+        (numbers(servos), "hardware has_torque tripped"),
+        (numbers(commands), "command"),
+    ];
+    let each = |(form, keys): (Value, &'static str)| {
+        keys.split(' ')
+            .map(move |key| (key.to_owned(), form.clone()))
     };
-    format!(
-        r#"{{"type": "object", "properties": {{{}, {}, {}, {}, {}, {}}}}}"#,
-        of(
-            &["now", "sent", "late_ns", "took_ns", "overruns"],
-            r#"{"type": "integer"}"#
-        ),
-        of(
-            &["state", "cause", "request", "denied", "bus"],
-            r#"{"type": ["string", "null"]}"#
-        ),
-        of(
-            &["heard", "deadman", "emergency", "torque", "refused"],
-            r#"{"type": "boolean"}"#
-        ),
-        of(
-            &[
-                "target",
-                "goal",
-                "position",
-                "clock",
-                "current_mA",
-                "temperature_C",
-                "voltage_V"
-            ],
-            &numbers(servos)
-        ),
-        of(&["hardware", "has_torque", "tripped"], &numbers(servos)),
-        of(&["command"], &numbers(commands)),
-    )
+    let properties: Map<String, Value> = forms.into_iter().flat_map(each).collect();
+    json!({"type": "object", "properties": properties})
 }
 
-fn document(line: &mut String, entry: &Entry, servos: usize, commands: usize) {
-    let (orders, output) = (&entry.orders, &entry.output);
-    // Writing to a String cannot fail.
-    let _ = write!(
-        line,
-        r#"{{"now": {}, "heard": {}, "deadman": {}, "emergency": {}, "request": {}, "sent": {}, "state": "{}", "cause": "{}", "torque": {}, "refused": {}, "denied": {}, "bus": {}, "late_ns": {}, "took_ns": {}, "overruns": {}"#,
-        entry.now,
-        orders.heard,
-        orders.deadman,
-        orders.emergency,
-        quoted(orders.request.map(name)),
-        orders.sent,
-        name(output.state),
-        name(output.cause),
-        output.torque,
-        output.refused,
-        quoted(output.denied.map(name)),
-        quoted(entry.fault.map(|fault| fault.to_string())),
-        entry.late,
-        entry.took,
-        entry.overruns,
-    );
-    if let Some(command) = &orders.command {
-        list(line, "command", commands, &|k| Some(command[k]));
-    }
-    if entry.aimed {
-        list(line, "target", servos, &|k| Some(entry.targets[k]));
-    }
-    list(line, "goal", servos, &|k| {
-        output.torque.then(|| f64::from(entry.goals[k]))
-    });
-    let sensed = |k: usize| entry.feedback[k];
-    list(line, "position", servos, &|k| {
-        Some(f64::from(sensed(k)?.position))
-    });
-    list(line, "clock", servos, &|k| {
-        Some(f64::from(sensed(k)?.clock))
-    });
-    list(line, "current_mA", servos, &|k| sensed(k)?.current);
-    list(line, "temperature_C", servos, &|k| {
-        Some(sensed(k)?.temperature)
-    });
-    list(line, "voltage_V", servos, &|k| Some(sensed(k)?.voltage));
-    let health = |k: usize| sensed(k)?.health;
-    if (0..servos.min(MOST_SERVOS)).any(|k| health(k).is_some()) {
-        list(line, "hardware", servos, &|k| {
-            Some(f64::from(health(k)?.hardware))
+/// All that the guard was told in a period, and what it said.
+#[derive(Serialize)]
+struct Told {
+    now: u64,
+    heard: bool,
+    deadman: bool,
+    request: Option<String>,
+    sent: u64,
+    late_ns: u64,
+    took_ns: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    command: Option<Vec<f64>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    target: Option<Vec<f64>>,
+    clock: Vec<Option<u16>>,
+    #[serde(flatten)]
+    health: Option<Examined>,
+    #[serde(flatten)]
+    period: Period,
+}
+
+/// What servos said of themselves, asked for less often.
+#[derive(Serialize)]
+struct Examined {
+    hardware: Vec<Option<u8>>,
+    has_torque: Vec<Option<u8>>,
+    tripped: Vec<Option<u8>>,
+}
+
+impl Told {
+    fn of(entry: &Entry, servos: usize, commands: usize) -> Told {
+        let orders = &entry.orders;
+        let hardware = sensed(entry, servos, |said| Some(said.health?.hardware));
+        let health = hardware.iter().any(Option::is_some).then(|| Examined {
+            hardware,
+            has_torque: sensed(entry, servos, |said| Some(u8::from(said.health?.torque))),
+            tripped: sensed(entry, servos, |said| Some(u8::from(said.health?.tripped))),
         });
-        list(line, "has_torque", servos, &|k| {
-            Some(f64::from(u8::from(health(k)?.torque)))
-        });
-        list(line, "tripped", servos, &|k| {
-            Some(f64::from(u8::from(health(k)?.tripped)))
-        });
+        Told {
+            now: entry.now,
+            heard: orders.heard,
+            deadman: orders.deadman,
+            request: orders.request.map(name),
+            sent: orders.sent,
+            late_ns: entry.late,
+            took_ns: entry.took,
+            command: orders.command.map(|command| command[..commands].to_vec()),
+            target: entry.aimed.then(|| entry.targets[..servos].to_vec()),
+            clock: sensed(entry, servos, |said| Some(said.clock)),
+            health,
+            period: Period::of(entry, servos),
+        }
     }
-    line.push('}');
 }
 
 /// The request of its name in a recording.

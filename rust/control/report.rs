@@ -3,7 +3,7 @@
 //! `softmap.loop/1`: the state and why, of each servo goal, position, current, temperature and voltage; what was refused
 //! or denied at once; at the end how late periods began and how old commands were.
 
-use std::fmt::{Debug, Write as _};
+use std::fmt::Display;
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,13 +12,17 @@ use std::time::{Duration, Instant};
 
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::io::{Errno, write};
+use serde::Serialize;
+use serde_json::json;
 use softmap_servo::control::{Entry, Record};
-use softmap_servo::guard::State;
-use softmap_servo::timing::Timing;
+use softmap_servo::timing::{BINS, Timing};
 
 use super::Ended;
+use super::period::{Period, name};
 use super::recording::Recording;
 
+/// What the documents are.
+const SCHEMA: &str = "softmap.loop/1";
 /// How often the thread looks at the ring.
 const LOOK: Duration = Duration::from_millis(5);
 /// ns between two reports while nothing changes.
@@ -68,10 +72,10 @@ impl Reporter {
         }
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = stop.clone();
-        let begin = format!("{{\"schema\": \"softmap.loop/1\", \"warnings\": {warnings:?}}}\n");
+        let begin = json!({"schema": SCHEMA, "warnings": warnings});
         let thread = std::thread::spawn(move || {
             say(&pipe, &begin);
-            let (mut told, mut state, mut line) = (0, None, String::new());
+            let (mut told, mut state) = (0, None);
             loop {
                 let last = stopped.load(Ordering::Relaxed);
                 while let Ok(entry) = ring.pop() {
@@ -80,21 +84,19 @@ impl Reporter {
                     {
                         // A disk that is full ends the recording, not the loop.
                         recording = None;
-                        say(&pipe, &unrecorded(&fault.to_string()));
+                        say(&pipe, &unrecorded(&fault));
                     }
                     let output = &entry.output;
                     let news =
                         state != Some(output.state) || output.denied.is_some() || output.refused;
                     if news || entry.now.saturating_sub(told) >= OFTEN {
                         (told, state) = (entry.now, Some(output.state));
-                        line.clear();
-                        document(&mut line, &entry, servos);
-                        say(&pipe, &line);
+                        say(&pipe, &Told::of(&entry, servos));
                     }
                 }
                 if last {
                     if let Some(Err(fault)) = recording.map(Recording::end) {
-                        say(&pipe, &unrecorded(&fault.to_string()));
+                        say(&pipe, &unrecorded(&fault));
                     }
                     return pipe;
                 }
@@ -113,24 +115,21 @@ impl Reporter {
         let Some(Ok(pipe)) = self.thread.take().map(JoinHandle::join) else {
             return;
         };
-        let quantiles = |bins| {
+        let quantiles = |bins: &[u64; BINS]| {
             let [a, b, c] = [0.5, 0.99, 0.999].map(|q| Timing::quantile(bins, q));
-            format!("{{\"p50\": {a}, \"p99\": {b}, \"p99_9\": {c}}}")
+            json!({"p50": a, "p99": b, "p99_9": c})
         };
-        let line = format!(
-            "{{\"schema\": \"softmap.loop/1\", \"ended\": \"{}\", \"ticks\": {}, \"overruns\": {}, \"lost\": {lost}, \
-             \"late_us\": {}, \"command_age_us\": {}, \"late_bins\": {:?}}}\n",
-            name(ended),
-            timing.ticks,
-            timing.overruns,
-            quantiles(&timing.late),
-            if timing.age.iter().any(|count| *count > 0) {
-                quantiles(&timing.age)
-            } else {
-                "null".to_owned()
-            },
-            timing.late
-        );
+        let aged = timing.age.iter().any(|count| *count > 0);
+        let line = json!({
+            "schema": SCHEMA,
+            "ended": name(ended),
+            "ticks": timing.ticks,
+            "overruns": timing.overruns,
+            "lost": lost,
+            "late_us": quantiles(&timing.late),
+            "command_age_us": aged.then(|| quantiles(&timing.age)),
+            "late_bins": &timing.late[..],
+        });
         let begin = Instant::now();
         while !say(&pipe, &line) && begin.elapsed() < Duration::from_secs(1) {
             std::thread::sleep(LOOK);
@@ -138,97 +137,65 @@ impl Reporter {
     }
 }
 
-fn unrecorded(fault: &str) -> String {
-    format!("{{\"schema\": \"softmap.loop/1\", \"unrecorded\": {fault:?}}}\n")
+fn unrecorded(fault: &impl Display) -> serde_json::Value {
+    json!({"schema": SCHEMA, "unrecorded": fault.to_string()})
 }
 
 /// Write a line that fits into the pipe whole; false if there is no room for it now.
-fn say(pipe: &OwnedFd, line: &str) -> bool {
-    write(pipe, line.as_bytes()) != Err(Errno::AGAIN)
+fn say(pipe: &OwnedFd, document: &impl Serialize) -> bool {
+    // A document whose keys are texts can always be written.
+    let mut line = serde_json::to_vec(document).unwrap_or_default();
+    line.push(b'\n');
+    write(pipe, &line) != Err(Errno::AGAIN)
 }
 
-/// A name of the guard's in small letters with underscores.
-pub(crate) fn name(of: impl Debug) -> String {
-    let mut small = String::new();
-    for letter in format!("{of:?}").chars() {
-        if letter.is_uppercase() && !small.is_empty() && !small.ends_with(['(', '_']) {
-            small.push('_');
+/// What a report says of a period beside what a recording says too.
+#[derive(Serialize)]
+struct Told {
+    schema: &'static str,
+    /// s.
+    t: f64,
+    servo: Option<u8>,
+    jumped: bool,
+    outside: bool,
+    slowed: bool,
+    #[serde(flatten)]
+    period: Period,
+}
+
+impl Told {
+    fn of(entry: &Entry, servos: usize) -> Told {
+        let output = &entry.output;
+        Told {
+            schema: SCHEMA,
+            t: entry.now as f64 * 1e-9,
+            servo: output.servo,
+            jumped: output.jumped,
+            outside: output.outside,
+            slowed: output.slowed,
+            period: Period::of(entry, servos),
         }
-        small.push(letter.to_ascii_lowercase());
     }
-    small
-}
-
-/// A text of JSON, or null.
-pub(super) fn quoted(text: Option<String>) -> String {
-    text.map_or("null".to_owned(), |text| format!("{text:?}"))
-}
-
-/// Add `"key": [...]`, null where there is no finite number.
-pub(super) fn list(
-    line: &mut String,
-    key: &str,
-    count: usize,
-    number: &dyn Fn(usize) -> Option<f64>,
-) {
-    // Writing to a String cannot fail.
-    let _ = write!(line, ", \"{key}\": [");
-    for k in 0..count {
-        let between = if k == 0 { "" } else { ", " };
-        let _ = match number(k).filter(|number| number.is_finite()) {
-            Some(number) => write!(line, "{between}{number}"),
-            None => write!(line, "{between}null"),
-        };
-    }
-    line.push(']');
-}
-
-fn document(line: &mut String, entry: &Entry, servos: usize) {
-    let output = &entry.output;
-    let active = output.state != State::Off && output.torque;
-    let _ = write!(
-        line,
-        "{{\"schema\": \"softmap.loop/1\", \"t\": {}, \"state\": \"{}\", \"cause\": \"{}\", \"servo\": {}, \"torque\": {}, \
-         \"denied\": {}, \"emergency\": {}, \"refused\": {}, \"jumped\": {}, \"outside\": {}, \"slowed\": {}, \"bus\": {}, \"overruns\": {}",
-        entry.now as f64 * 1e-9,
-        name(output.state),
-        name(output.cause),
-        output
-            .servo
-            .map_or("null".to_owned(), |servo| servo.to_string()),
-        output.torque,
-        quoted(output.denied.map(name)),
-        entry.orders.emergency,
-        output.refused,
-        output.jumped,
-        output.outside,
-        output.slowed,
-        quoted(entry.fault.map(|fault| fault.to_string())),
-        entry.overruns,
-    );
-    let sensed = |k: usize| entry.feedback[k];
-    list(line, "goal", servos, &|k| {
-        active.then(|| f64::from(entry.goals[k]))
-    });
-    list(line, "position", servos, &|k| {
-        Some(f64::from(sensed(k)?.position))
-    });
-    list(line, "current_mA", servos, &|k| sensed(k)?.current);
-    list(line, "temperature_C", servos, &|k| {
-        Some(sensed(k)?.temperature)
-    });
-    list(line, "voltage_V", servos, &|k| Some(sensed(k)?.voltage));
-    line.push_str("}\n");
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use softmap_servo::guard::{Cause, Denied};
+    use rustix::io::read;
+    use rustix::pipe::pipe;
 
     #[test]
-    fn names_are_small() {
-        assert_eq!(name(State::SafeStop), "safe_stop");
-        assert_eq!(name(Denied::Trouble(Cause::Hot)), "trouble(hot)");
+    fn whatever_is_told_is_one_line_of_json() {
+        let (ours, theirs) = pipe().unwrap();
+        let text = "no\u{1b} \u{7f} \u{200b} \"€\" \n";
+        assert!(say(&theirs, &json!({"unrecorded": text, "t": f64::NAN})));
+        let mut line = [0; 256];
+        let count = read(&ours, &mut line).unwrap();
+        assert_eq!(
+            line[..count].iter().filter(|byte| **byte == b'\n').count(),
+            1
+        );
+        let back: serde_json::Value = serde_json::from_slice(&line[..count]).unwrap();
+        assert_eq!(back, json!({"unrecorded": text, "t": null}));
     }
 }

@@ -120,6 +120,35 @@ pub fn layers(file: &[u8]) -> Result<Vec<Layer>> {
     Ok(found)
 }
 
+/// What the numbers of a tensor are, by ONNX's element types.
+fn type_name(data_type: i32) -> String {
+    let names = [
+        "uint8",
+        "int8",
+        "uint16",
+        "int16",
+        "int32",
+        "int64",
+        "strings",
+        "bool",
+        "float16",
+        "float64",
+        "uint32",
+        "uint64",
+        "complex64",
+        "complex128",
+        "bfloat16",
+    ];
+    let known = usize::try_from(data_type - 2)
+        .ok()
+        .and_then(|k| names.get(k));
+    match *known.unwrap_or(&"") {
+        "" => format!("numbers of an unknown type ({data_type})"),
+        "strings" => "strings".into(),
+        name => format!("{name} numbers"),
+    }
+}
+
 fn constants(tensors: Vec<Tensor>) -> Result<HashMap<String, Constant>> {
     let (mut found, mut total) = (HashMap::new(), 0usize);
     for tensor in tensors {
@@ -130,10 +159,10 @@ fn constants(tensors: Vec<Tensor>) -> Result<HashMap<String, Constant>> {
             )))
         };
         if tensor.data_type != FLOAT {
-            return refuse(format!(
-                "type {}, expected 32-bit numbers",
-                tensor.data_type
-            ));
+            return Err(invalid(format!(
+                "constant '{name}' holds {}; the core's network pass reads weights of 32-bit floats alone",
+                type_name(tensor.data_type)
+            )));
         }
         let shape: Vec<usize> = tensor
             .dims

@@ -6,17 +6,20 @@ use crate::control::emergency::{Button, Emergency};
 use crate::control::gpio::Gpio;
 use crate::control::heartbeat::Heartbeat;
 use crate::control::plan::Map;
-use crate::control::{Setup, recording, report, serve};
+use crate::control::{Setup, period, recording, serve};
 use crate::effects::Chain;
 use crate::inverse::chain::Inverse;
+use pyo3::import_exception;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use softmap_servo::drive::Member;
-use softmap_servo::guard::reversals::Budget;
-use softmap_servo::guard::{Axis, Feedback, Guard, Health, Input, Limits, Message};
+use softmap_servo::guard::{self, Axis, Budget, Feedback, Guard, Health, Input, Limits, RANGES};
 use softmap_servo::registers::model;
 use std::os::fd::{FromRawFd, OwnedFd, RawFd};
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+
+import_exception!(softmap_edge.errors, LimitError);
 
 fn number(from: &Bound<'_, PyDict>, name: &str) -> PyResult<f64> {
     let value = from
@@ -86,8 +89,25 @@ fn limits(from: &Bound<'_, PyDict>) -> PyResult<Limits> {
         jog_travel: number(from, "jog_travel")?,
         jog_slew: number(from, "jog_slew")?,
         jog_current: number(from, "jog_current")?,
+        budget: Budget {
+            band: number(from, "band")?,
+            turns: number(from, "turns")?,
+            burst: number(from, "burst")?,
+        },
     };
-    limits.checked().map_err(trouble)
+    limits
+        .checked()
+        .map_err(|fault| LimitError::new_err((fault.text, fault.name, fault.servo)))
+}
+
+/// Lowest and highest value and unit of each limit by itself, by its name; `low` and `high` are about home.
+#[pyfunction]
+pub fn limit_ranges(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
+    let told = PyDict::new(py);
+    for (name, low, high, unit) in RANGES {
+        told.set_item(name, (low, high, unit))?;
+    }
+    Ok(told)
 }
 
 /// Refuse limits that make no sense.
@@ -120,11 +140,10 @@ fn through(from: &Bound<'_, PyDict>) -> PyResult<Inverse> {
 ///
 /// `servos` are (id, model number); `slope` (C, C) mm a tick, `b` (C,) mm and `home` (C,) ticks are the calibration's; with a
 /// `chain` (names, params, low and high (C,) mm, gravity, load, temperature) commands are what should act through it;
-/// `budget` is that of reversals: band (mm), turns a second, turns at once; emergency stops are `gpio` (chip, line, pressed when
-/// low) and `heartbeat` (host, port, key, s between beats at most); `record` a file to record to, `setup` the
-/// document that begins it.
+/// emergency stops are `gpio` (chip, line, pressed when low) and `heartbeat` (host, port, key, s between beats at most);
+/// `record` a file to record to, `setup` the document that begins it.
 #[pyfunction]
-#[pyo3(signature = (orders, reports, *, port, baud, servos, limits, slope, b, home, budget, chain=None, gpio=None, heartbeat=None, fast=true, slack=0.002, record=None, setup=""))]
+#[pyo3(signature = (orders, reports, *, port, baud, servos, limits, slope, b, home, chain=None, gpio=None, heartbeat=None, record=None, setup=""))]
 pub fn control_loop(
     py: Python<'_>,
     orders: RawFd,
@@ -136,12 +155,9 @@ pub fn control_loop(
     slope: Vec<f64>,
     b: Vec<f64>,
     home: Vec<f64>,
-    budget: [f64; 3],
     chain: Option<&Bound<'_, PyDict>>,
     gpio: Option<(String, u32, bool)>,
     heartbeat: Option<(String, u16, Vec<u8>, f64)>,
-    fast: bool,
-    slack: f64,
     record: Option<PathBuf>,
     setup: &str,
 ) -> PyResult<()> {
@@ -167,14 +183,7 @@ pub fn control_loop(
         port,
         baud,
         members: servos.into_iter().map(member).collect::<PyResult<_>>()?,
-        fast,
-        slack,
         limits: self::limits(limits)?,
-        budget: Budget {
-            band: budget[0],
-            rate: budget[1],
-            burst: budget[2],
-        },
     };
     let chain = chain.map(through).transpose()?;
     let plan = Map::new(slope, b, home, chain, made.limits.period)?;
@@ -185,17 +194,45 @@ pub fn control_loop(
         .map_err(trouble)
 }
 
+/// A recording that is read while it grows.
+#[pyclass(name = "Reading", module = "softmap_edge._core", frozen)]
+pub struct PyReading {
+    reading: Mutex<recording::Reading>,
+}
+
+#[pymethods]
+impl PyReading {
+    /// Begin to read `path`.
+    #[new]
+    fn new(path: PathBuf) -> PyResult<PyReading> {
+        let reading = Mutex::new(recording::Reading::open(&path)?);
+        Ok(PyReading { reading })
+    }
+
+    /// The messages (topic, ns, bytes) that are whole and new, and whether whoever wrote it has closed it.
+    fn more<'py>(&self, py: Python<'py>) -> PyResult<(Vec<Message<'py>>, bool)> {
+        let mut found = vec![];
+        let ended = py.detach(|| {
+            let mut reading = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
+            reading.more(&mut found).map(|()| reading.ended())
+        })?;
+        Ok((messages(py, found), ended))
+    }
+}
+
+/// A message: topic, ns, bytes.
+type Message<'py> = (String, u64, Bound<'py, PyBytes>);
+
+fn messages(py: Python<'_>, found: Vec<recording::Message>) -> Vec<Message<'_>> {
+    let one = |(topic, now, bytes): recording::Message| (topic, now, PyBytes::new(py, &bytes));
+    found.into_iter().map(one).collect()
+}
+
 /// The messages (topic, ns, bytes) of a recording, those before the cut of one that was cut short.
 #[pyfunction]
-pub fn read_recording<'py>(
-    py: Python<'py>,
-    path: PathBuf,
-) -> PyResult<Vec<(String, u64, Bound<'py, PyBytes>)>> {
+pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Vec<Message<'_>>> {
     let found = py.detach(|| recording::read(&path))?;
-    Ok(found
-        .into_iter()
-        .map(|(topic, now, bytes)| (topic, now, PyBytes::new(py, &bytes)))
-        .collect())
+    Ok(messages(py, found))
 }
 
 /// One servo's feedback of a period: position, clock, current, voltage, temperature, and (hardware, torque, tripped).
@@ -237,7 +274,7 @@ pub fn replay(
             let output = guard.tick(&Input {
                 now: *now,
                 feedback: &feedback,
-                message: deadman.map(|deadman| Message {
+                message: deadman.map(|deadman| guard::Message {
                     deadman,
                     goal: targets.as_deref().filter(|_| *new),
                 }),
@@ -246,8 +283,8 @@ pub fn replay(
                 emergency: *emergency,
             });
             (
-                report::name(output.state),
-                report::name(output.cause),
+                period::name(output.state),
+                period::name(output.cause),
                 output.torque,
                 guard.goals().to_vec(),
             )

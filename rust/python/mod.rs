@@ -5,6 +5,7 @@ mod cables;
 mod control;
 mod effects;
 mod elastic;
+mod emulated;
 mod fem;
 mod geometry;
 mod inverse;
@@ -60,11 +61,15 @@ mod _core {
     #[pymodule_export]
     use super::cables::{PyCables, PySecond};
     #[pymodule_export]
-    use super::control::{check_limits, control_loop, read_recording, replay};
+    use super::control::{
+        PyReading, check_limits, control_loop, limit_ranges, read_recording, replay,
+    };
     #[pymodule_export]
     use super::effects::PyChain;
     #[pymodule_export]
     use super::elastic::{PyElasticField, PyElasticRod};
+    #[pymodule_export]
+    use super::emulated::PyEmulatedBus;
     #[pymodule_export]
     use super::fem::Solid;
     #[pymodule_export]
@@ -86,9 +91,7 @@ mod _core {
     #[pymodule_export]
     use super::scattered::PyScattered;
     #[pymodule_export]
-    use super::servo::{
-        PyEmulatedBus, PyServoBus, servo_models, servo_packet, servo_packets, servo_registers,
-    };
+    use super::servo::{PyServoBus, servo_models, servo_packet, servo_packets, servo_registers};
     #[pymodule_export]
     use super::shape::{PyShape, PySum};
     #[pymodule_export]
@@ -96,7 +99,8 @@ mod _core {
 
     /// Adds the base of its errors; `FIELDS`, the names of the shape fields in the order of `Chain.coefficients`;
     /// `LOADS`, those of them that are dead loads; `MODULI`, those of the modulus; `STATIONS`, shares of the height at which
-    /// an obstacle can push; and `STANDARD_GRAVITY`.
+    /// an obstacle can push; `FAST_FIRMWARE`, that from which servos answer in one packet;
+    /// `HARDWARE_ERRORS`, bits of the hardware error status and what they mean; and `STANDARD_GRAVITY`.
     #[pymodule_init]
     fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
         use pyo3::types::PyModuleMethods;
@@ -106,6 +110,8 @@ mod _core {
         module.add("MODULI", &crate::loads::FIELDS[moduli])?;
         module.add("STATIONS", crate::loads::STATIONS)?;
         module.add("FIELDS", crate::loads::FIELDS)?;
+        module.add("HARDWARE_ERRORS", softmap_servo::registers::HARDWARE_ERRORS)?;
+        module.add("FAST_FIRMWARE", softmap_servo::registers::FAST_FIRMWARE)?;
         module.add("STANDARD_GRAVITY", crate::loads::STANDARD_GRAVITY)
     }
 }

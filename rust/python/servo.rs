@@ -5,13 +5,10 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use softmap_servo::bus::{Bus, Fault, SLACK};
 use softmap_servo::decoder::Decoder;
-use softmap_servo::emulator::pty::Terminal;
-use softmap_servo::emulator::servo::{Broken, Motion, Servo};
-use softmap_servo::emulator::{Emulator, Faults};
-use softmap_servo::packet::{HIGHEST_ID, LONGEST, packet};
-use softmap_servo::registers::{BAUD_RATES, MODELS, model};
-use softmap_servo::serial::{Serial, monotonic};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use softmap_servo::packet::{LONGEST, packet};
+use softmap_servo::registers::MODELS;
+use softmap_servo::serial::Serial;
+use std::sync::{Mutex, PoisonError};
 
 import_exception!(softmap_edge.errors, ServoError);
 
@@ -57,7 +54,7 @@ pub fn servo_models<'py>(py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let told = PyDict::new(py);
         told.set_item("name", model.name)?;
         told.set_item("number", model.number)?;
-        told.set_item("baud_rates", &BAUD_RATES[..=usize::from(model.fastest)])?;
+        told.set_item("baud_rates", model.baud_rates())?;
         told.set_item(
             "current_unit_mA",
             model.has_current().then_some(model.current_unit),
@@ -70,10 +67,7 @@ pub fn servo_models<'py>(py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         )?;
         told.set_item("temperature_limit_C", model.temperature_limit)?;
         told.set_item("voltage_V", model.voltage)?;
-        told.set_item(
-            "fastest_ticks_per_s",
-            f64::from(model.velocity_limit) * 0.229 * 4096.0 / 60.0,
-        )?;
+        told.set_item("fastest_ticks_per_s", model.fastest_turn())?;
         told.set_item("stall_torque_Nm", model.stall.0)?;
         told.set_item("stall_current_mA", model.stall.1)?;
         told.set_item("operating_mode", model.driven_in())?;
@@ -184,222 +178,8 @@ impl PyServoBus {
         self.ask(py, |bus| bus.write(id, address, data).map(drop))
     }
 
-    /// Restart a servo: turns and RAM are lost.
-    fn reboot(&self, py: Python<'_>, id: u8) -> PyResult<()> {
-        self.ask(py, |bus| bus.reboot(id).map(drop))
-    }
-
-    /// Set the present position back to within one turn.
-    fn clear_turns(&self, py: Python<'_>, id: u8) -> PyResult<()> {
-        self.ask(py, |bus| bus.clear_turns(id).map(drop))
-    }
-
     /// Switch the torque of every servo off, whether or not it answers.
     fn release(&self, py: Python<'_>) -> PyResult<()> {
-        self.ask(py, |bus| bus.write_all(64, &[0]))
-    }
-}
-
-/// Servos at a pseudo-terminal with a tendon behind each, and faults on command.
-#[pyclass(name = "EmulatedBus", module = "softmap_edge._core", frozen)]
-pub struct PyEmulatedBus {
-    terminal: Mutex<Terminal>,
-}
-
-impl PyEmulatedBus {
-    fn terminal(&self) -> MutexGuard<'_, Terminal> {
-        self.terminal.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn with<T>(&self, servo: usize, act: impl FnOnce(&mut Servo) -> T) -> PyResult<T> {
-        let terminal = self.terminal();
-        let mut emulator = terminal.emulator();
-        let count = emulator.servos.len();
-        let found = emulator.servos.get_mut(servo).map(act);
-        found.ok_or_else(|| trouble(format!("no servo {servo}; there are 0 to {}", count - 1)))
-    }
-}
-
-#[pymethods]
-impl PyEmulatedBus {
-    /// `servos` are (id, model number, baud rate, ticks of the horn); `delay` and `lag` in s; `load` are (ticks, mA) of
-    /// each, ascending.
-    #[new]
-    #[pyo3(signature = (servos, load, *, delay=0.02, lag=0.04, seed=0))]
-    fn new(
-        servos: Vec<(u8, u16, u32, f64)>,
-        load: Vec<Vec<(f64, f64)>>,
-        delay: f64,
-        lag: f64,
-        seed: u64,
-    ) -> PyResult<PyEmulatedBus> {
-        let times = [delay, lag].iter().all(|time| (0.0..=1.0).contains(time));
-        if servos.is_empty() || servos.len() != load.len() || !times {
-            return Err(trouble(format!(
-                "{} servos with {} loads, delay {delay} s, lag {lag} s; one load a servo and times from 0 to 1 s are allowed",
-                servos.len(),
-                load.len()
-            )));
-        }
-        let mut made = vec![];
-        for ((id, number, baud, angle), load) in servos.into_iter().zip(load) {
-            let kind = model(number)
-                .ok_or_else(|| trouble(format!("no servo of model number {number} is known")))?;
-            let code = BAUD_RATES[..=usize::from(kind.fastest)]
-                .iter()
-                .position(|rate| *rate == baud);
-            let code =
-                code.ok_or_else(|| trouble(format!("{} has no rate of {baud} baud", kind.name)))?;
-            if id > HIGHEST_ID
-                || !angle.is_finite()
-                || load
-                    .iter()
-                    .any(|(tick, drawn)| !tick.is_finite() || !drawn.is_finite())
-            {
-                return Err(trouble(format!(
-                    "servo id {id} at {angle} ticks: ids go to {HIGHEST_ID}, numbers are finite"
-                )));
-            }
-            made.push(Servo::new(
-                kind,
-                id,
-                code as u8,
-                angle,
-                Motion { delay, lag, load },
-            ));
-        }
-        let terminal = Terminal::open(Emulator::new(made, 57_600, seed)).map_err(trouble)?;
-        Ok(PyEmulatedBus {
-            terminal: Mutex::new(terminal),
-        })
-    }
-
-    /// The device to open.
-    #[getter]
-    fn path(&self) -> String {
-        self.terminal().path().to_owned()
-    }
-
-    /// What the wire does to answers: chances that one is lost, damaged or follows junk, s that it is late, and no power.
-    #[pyo3(signature = (*, drop=0.0, damage=0.0, junk=0.0, slow=0.0, unpowered=false))]
-    fn faults(
-        &self,
-        drop: f64,
-        damage: f64,
-        junk: f64,
-        slow: f64,
-        unpowered: bool,
-    ) -> PyResult<()> {
-        if ![drop, damage, junk, slow]
-            .iter()
-            .all(|share| (0.0..=1.0).contains(share))
-        {
-            return Err(trouble(
-                "faults are chances from 0 to 1, and slow from 0 to 1 s",
-            ));
-        }
-        self.terminal().emulator().set_faults(Faults {
-            drop,
-            damage,
-            junk,
-            slow,
-            unpowered,
-        });
-        Ok(())
-    }
-
-    /// Break a servo, or mend it: it is mute, its encoder stands, its tendon is torn or wound the other way, its horn is
-    /// blocked, it does not keep to its current cap.
-    #[pyo3(signature = (servo, *, mute=false, stuck=false, torn=false, reversed=false, jammed=false, uncapped=false))]
-    fn damage(
-        &self,
-        servo: usize,
-        mute: bool,
-        stuck: bool,
-        torn: bool,
-        reversed: bool,
-        jammed: bool,
-        uncapped: bool,
-    ) -> PyResult<()> {
-        let broken = Broken {
-            mute,
-            stuck,
-            torn,
-            reversed,
-            jammed,
-            uncapped,
-        };
-        self.with(servo, |servo| servo.broken = broken)
-    }
-
-    /// Make a servo's load so many times as heavy as it was.
-    fn burden(&self, servo: usize, factor: f64) -> PyResult<()> {
-        if !(0.0..=100.0).contains(&factor) {
-            return Err(trouble(format!(
-                "a load {factor} times as heavy; allowed is 0 to 100"
-            )));
-        }
-        self.with(servo, |servo| servo.burden(factor))
-    }
-
-    /// Let a servo count a turn too few from now on.
-    fn lose_turn(&self, servo: usize) -> PyResult<()> {
-        self.with(servo, Servo::lose_turn)
-    }
-
-    /// Exchange the ids of two servos.
-    fn swap(&self, one: usize, other: usize) -> PyResult<()> {
-        let (first, second) = (self.with(one, |s| s.id())?, self.with(other, |s| s.id())?);
-        let terminal = self.terminal();
-        let mut emulator = terminal.emulator();
-        emulator.servos[one].set_id(second);
-        emulator.servos[other].set_id(first);
-        Ok(())
-    }
-
-    /// Make everything as it was mounted: nothing is broken, ids and horns are as they were, the servos have just started.
-    fn mend(&self) {
-        self.terminal().emulator().mend();
-    }
-
-    /// Reset a servo, as a dip of its supply does.
-    fn reset(&self, servo: usize) -> PyResult<()> {
-        self.with(servo, Servo::boot)
-    }
-
-    /// Let a servo report hardware errors (bits of register 70).
-    fn fail(&self, servo: usize, bits: u8) -> PyResult<()> {
-        self.with(servo, |servo| servo.fail(bits))
-    }
-
-    /// Set a servo's temperature, °C.
-    fn heat(&self, servo: usize, temperature: f64) -> PyResult<()> {
-        self.with(servo, |servo| servo.heat(temperature))
-    }
-
-    /// Set a servo's supply, V.
-    fn supply(&self, servo: usize, volts: f64) -> PyResult<()> {
-        self.with(servo, |servo| servo.supply(volts))
-    }
-
-    /// Give a servo another id.
-    fn rename(&self, servo: usize, id: u8) -> PyResult<()> {
-        self.with(servo, |servo| servo.set_id(id))
-    }
-
-    /// Pull the plug of the port.
-    fn unplug(&self, py: Python<'_>) {
-        py.detach(|| self.terminal().unplug());
-    }
-
-    /// The time (s, monotonic clock), and of each servo how far its horn has turned (ticks), whether it has torque and whether its watchdog tripped.
-    fn state(&self) -> (f64, Vec<(f64, bool, bool)>) {
-        let terminal = self.terminal();
-        let emulator = terminal.emulator();
-        let one = |servo: &Servo| (servo.angle(), servo.torque(), servo.tripped());
-        (
-            monotonic() as f64 * 1e-9,
-            emulator.servos.iter().map(one).collect(),
-        )
+        self.ask(py, Bus::release)
     }
 }

@@ -7,7 +7,7 @@
 
 use crate::decoder::{Decoder, fast_slots};
 use crate::packet::{BROADCAST, CLEAR_TURNS, Full, HEAD, HIGHEST_ID, LONGEST, Packet, instruction};
-use crate::registers::{ALERT, STATUS_ERRORS};
+use crate::registers::{ALERT, STATUS_ERRORS, X_SERIES};
 
 /// Bytes to and from a bus, and the clock that deadlines are of.
 pub trait Port {
@@ -162,6 +162,11 @@ impl<P: Port> Bus<P> {
         self.send(packet)
     }
 
+    /// Switch the torque of everybody off, whether or not it answers.
+    pub fn release(&mut self) -> Result<(), Fault> {
+        self.write_all(X_SERIES.torque_enable.address, &[0])
+    }
+
     /// Read the registers from `address` on into `data`.
     pub fn read(&mut self, id: u8, address: u16, data: &mut [u8]) -> Heard {
         let [a, b] = address.to_le_bytes();
@@ -211,7 +216,7 @@ impl<P: Port> Bus<P> {
 
     /// Read `size` bytes from `address` on of each of `ids` into `data`; `heard` says of each what came of it.
     ///
-    /// `fast` asks for all answers in one packet, which firmware 45 and later can do.
+    /// `fast` asks for all answers in one packet, which servos of `FAST_FIRMWARE` and later know.
     pub fn sync_read(
         &mut self,
         ids: &[u8],

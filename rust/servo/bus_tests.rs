@@ -1,9 +1,11 @@
+//! The bus on emulated servos: who is silent, late or damaged takes nothing of the others with it; ports that are none.
+
 use super::*;
 use crate::emulator::pty::Terminal;
-use crate::emulator::servo::RESET;
-use crate::emulator::tests::{FINE, bus, engaged, servos};
+use crate::emulator::servo::{RESET, Servo};
+use crate::emulator::virtual_port::{FINE, bus, engaged, servos};
 use crate::emulator::{Emulator, Faults};
-use crate::registers::X_SERIES;
+use crate::registers::{FAST_FIRMWARE, X_SERIES};
 use crate::serial::{OpenFault, Serial};
 
 #[test]
@@ -22,6 +24,34 @@ fn a_silent_servo_does_not_take_the_other_s_answer_with_it() {
         assert_eq!(data[4..8], [0xAA; 4], "no data are no zeros");
         assert_eq!(bus.counts().silent, if fast { 2 } else { 1 });
     }
+}
+
+#[test]
+fn old_firmware_answers_by_itself_but_not_in_one_packet() {
+    for (version, fast, expected) in [
+        (FAST_FIRMWARE, true, FINE),
+        (FAST_FIRMWARE - 1, true, Err(Fault::Silent)),
+        (FAST_FIRMWARE - 1, false, FINE),
+    ] {
+        let mut bus = bus(&[1, 2]);
+        bus.port().emulator.servos[1].set_firmware(version);
+        assert_eq!(bus.ping(2), Ok((1200, version)));
+        let (mut data, mut heard) = ([0; 8], [FINE; 2]);
+        bus.sync_read(&[1, 2], 132, 4, &mut data, &mut heard, fast)
+            .unwrap();
+        assert_eq!(heard, [FINE, expected], "{version} {fast}");
+    }
+}
+
+#[test]
+fn all_are_released_at_once_and_two_ids_are_exchanged() {
+    let mut bus = engaged(&[1, 2]);
+    bus.port().emulator.swap(0, 1);
+    let servos = &bus.port().emulator.servos;
+    assert_eq!([servos[0].id(), servos[1].id()], [2, 1]);
+    bus.release().unwrap();
+    bus.port().pass(0.01);
+    assert!(!bus.port().emulator.servos.iter().any(Servo::torque));
 }
 
 #[test]
@@ -161,4 +191,83 @@ fn a_pseudo_terminal_is_a_serial_port() {
         Serial::open("/tmp", 57_600).err(),
         Some(OpenFault::NoTerminal("/tmp".into()))
     );
+}
+
+/// A port that keeps what is sent and gives one answer.
+struct Tape {
+    sent: Vec<u8>,
+    answer: Vec<u8>,
+}
+
+impl Port for Tape {
+    fn now(&self) -> u64 {
+        0
+    }
+
+    fn wait(&mut self, _until: u64) {}
+
+    fn send(&mut self, bytes: &[u8], _until: u64) -> Result<(), PortFault> {
+        self.sent.extend(bytes);
+        Ok(())
+    }
+
+    fn receive(&mut self, into: &mut [u8], _until: u64) -> Result<usize, PortFault> {
+        let count = self.answer.len();
+        into[..count].copy_from_slice(&self.answer);
+        self.answer.clear();
+        Ok(count)
+    }
+
+    fn discard(&mut self) -> Result<(), PortFault> {
+        Ok(())
+    }
+}
+
+fn bytes(hex: &str) -> Vec<u8> {
+    let byte = |pair| u8::from_str_radix(pair, 16).unwrap();
+    hex.split(' ').map(byte).collect()
+}
+
+/// The same bytes as in tests/test_sdk_packets.py, where the official SDK sends the packets and reads the answers.
+#[test]
+fn what_the_loop_sends_and_hears_is_the_sdk_s() {
+    let bus = |answer: &str| {
+        let answer = bytes(answer);
+        Bus::new(
+            Tape {
+                sent: vec![],
+                answer,
+            },
+            1_000_000,
+            1,
+        )
+    };
+    let answers =
+        "FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0 FF FF FD 00 02 08 00 55 00 1F 08 00 00 BA BE";
+    let together = "FF FF FD 00 FE 11 00 55 00 01 A6 00 00 00 74 3B 00 02 1F 08 00 00 1C 36";
+    for (fast, answer, packet) in [
+        (
+            false,
+            answers,
+            "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA",
+        ),
+        (
+            true,
+            together,
+            "FF FF FD 00 FE 09 00 8A 84 00 04 00 01 02 4D 72",
+        ),
+    ] {
+        let mut bus = bus(answer);
+        let (mut data, mut heard) = ([0; 8], [Err(Fault::Silent); 2]);
+        bus.sync_read(&[1, 2], 132, 4, &mut data, &mut heard, fast)
+            .unwrap();
+        assert_eq!(bus.port().sent, bytes(packet));
+        assert_eq!(heard, [FINE; 2]);
+        assert_eq!(data, [0xA6, 0, 0, 0, 0x1F, 8, 0, 0]);
+    }
+    let mut bus = bus("00");
+    bus.sync_write(&[1, 2], 116, 4, &[0x96, 0, 0, 0, 0xAA, 0, 0, 0])
+        .unwrap();
+    let packet = "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87";
+    assert_eq!(bus.port().sent, bytes(packet));
 }

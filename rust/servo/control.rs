@@ -5,7 +5,7 @@
 
 use crate::bus::{Fault, Port};
 use crate::drive::Drive;
-use crate::guard::reversals::{Budget, Reversals};
+use crate::guard::reversals::Reversals;
 use crate::guard::{Feedback, Guard, Input, MOST_SERVOS, Message, Output, Request};
 use crate::timing::Timing;
 
@@ -78,7 +78,6 @@ pub struct Control<P, L, M, R> {
     pub mailbox: M,
     pub record: R,
     timing: Timing,
-    budget: Budget,
     channels: Vec<Reversals>,
     /// The newest command as it was sent, and as it is aimed at, mm.
     wanted: Option<[f64; MOST_SERVOS]>,
@@ -99,13 +98,13 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
         plan: L,
         mailbox: M,
         record: R,
-        budget: Budget,
     ) -> Control<P, L, M, R> {
         let (servos, channels) = (guard.limits().axes.len(), plan.channels());
+        let resting = Reversals::new(0.0, &guard.limits().budget);
         Control {
             period: (guard.limits().period * 1e9) as u64,
             timing: Timing::default(),
-            channels: vec![Reversals::new(0.0, &budget); channels],
+            channels: vec![resting; channels],
             wanted: None,
             command: vec![0.0; channels],
             targets: vec![0.0; servos],
@@ -118,7 +117,6 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
             plan,
             mailbox,
             record,
-            budget,
         }
     }
 
@@ -222,10 +220,11 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
     /// The ticks of the newest command, its reversals within their budget; the planner's effects go on meanwhile.
     fn aim(&mut self, period: f64) {
         let Some(wanted) = &self.wanted else { return };
+        let budget = &self.guard.limits().budget;
         for ((channel, command), mm) in self.channels.iter_mut().zip(&mut self.command).zip(wanted)
         {
             *command = if mm.is_finite() {
-                channel.step(*mm, period, &self.budget)
+                channel.step(*mm, period, budget)
             } else {
                 f64::NAN
             };

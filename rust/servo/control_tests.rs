@@ -1,29 +1,12 @@
+//! The loop on emulated servos in virtual time: a day's work, every fault of a servo, a bad wire, a replay bit for bit.
+
 use super::*;
+use crate::bench::{self, Linear};
 use crate::bus::Bus;
-use crate::drive::Member;
-use crate::emulator::servo::{Motion, Servo};
-use crate::emulator::tests::Virtual;
+use crate::emulator::servo::Servo;
+use crate::emulator::virtual_port::Virtual;
 use crate::emulator::{Emulator, Faults};
-use crate::guard::{Axis, Cause, Limits, State};
-use crate::registers::{X_SERIES, mode, model};
-
-/// Commands in mm to ticks, 280 a mm about home.
-struct Linear;
-
-impl Plan for Linear {
-    fn channels(&self) -> usize {
-        2
-    }
-
-    fn ticks(&mut self, command: &[f64], ticks: &mut [f64]) {
-        ticks
-            .iter_mut()
-            .zip(command)
-            .for_each(|(tick, mm)| *tick = 2000.0 + 280.0 * mm);
-    }
-
-    fn passed(&mut self, _ticks: &[i32], _period: f64) {}
-}
+use crate::guard::{Cause, Limits, State};
 
 #[derive(Default)]
 struct Script(Orders);
@@ -48,72 +31,21 @@ impl Record for Log {
 type Bench = Control<Virtual, Linear, Script, Log>;
 
 const PERIOD: f64 = 0.005;
-const IDS: [u8; 2] = [1, 2];
-
 fn limits() -> Limits {
-    let axis = Axis {
-        home: 2000,
-        low: 1000,
-        high: 3000,
-        slew: 2000.0,
-        acceleration: 20_000.0,
-        current: Some(600.0),
-        fastest: 8000.0,
-        following: 300.0,
-        warm: 50.0,
-        hot: 60.0,
-        voltage: (4.0, 6.5),
-    };
-    let limits = Limits {
-        period: PERIOD,
-        axes: vec![axis; 2],
-        stale: 0.1,
-        hold: 0.5,
-        slacken: 3.0,
-        late: 0.02,
-        silent: 0.2,
-        grace: 0.2,
-        ramp: 0.2,
-        jump: (100.0, 800.0),
-        jog_travel: 200.0,
-        jog_slew: 200.0,
-        jog_current: 150.0,
-    };
-    limits.checked().unwrap()
+    bench::limits(PERIOD)
 }
 
 fn bench() -> Bench {
-    let model = model(1200).unwrap();
-    let motion = Motion {
-        delay: 0.01,
-        lag: 0.03,
-        load: vec![(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)],
-    };
-    let servos = IDS.map(|id| Servo::new(model, id, 3, 2000.0, motion.clone()));
-    let emulator = Emulator::new(servos.to_vec(), 1_000_000, 5);
-    let mut bus = Bus::new(Virtual { emulator, now: 1 }, 1_000_000, 1_000_000);
-    for id in IDS {
-        bus.write(
-            id,
-            X_SERIES.operating_mode.address,
-            &[mode::CURRENT_BASED_POSITION],
-        )
-        .unwrap();
-        bus.write(id, X_SERIES.return_delay.address, &[0]).unwrap();
-    }
-    let drive = Drive::new(bus, &IDS.map(|id| Member { id, model }), true, 100.0);
-    let budget = Budget {
-        band: 0.02,
-        rate: 5.0,
-        burst: 5.0,
+    let port = Virtual {
+        emulator: bench::emulator(),
+        now: 1,
     };
     Control::new(
-        drive,
+        bench::drive(Bus::new(port, bench::BAUD, 1_000_000)),
         Guard::new(limits()),
         Linear,
         Script::default(),
         Log::default(),
-        budget,
     )
 }
 

@@ -2,6 +2,12 @@
 //!
 //! But for the serial port no clock is read here and, but for the emulator, nothing is allocated once it is set up.
 
+// As tests/ name it, so that both can use `bench.rs`.
+#[cfg(test)]
+extern crate self as softmap_servo;
+
+#[cfg(test)]
+mod bench;
 pub mod bus;
 pub mod control;
 pub mod crc;

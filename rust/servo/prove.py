@@ -9,6 +9,7 @@ with the reason why no test can tell it from the code. Standard library only.
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -21,7 +22,8 @@ CODEC = ["crc.rs", "packet.rs", "decoder.rs", "registers.rs"]
 GUARD = [f"guard/{name}.rs" for name in ("limits", "machine", "mod", "path", "reversals", "servo", "time")]
 SCORE = 0.95
 FUZZ = "400000"  # periods of the guard's fuzz a mutant: a second instead of ten
-TIMEOUT = "30"  # s; a mutant that loops for ever is caught
+TIMEOUT = "20"  # s; a mutant that loops for ever is caught
+FOUND = (0, 2, 3)  # how cargo-mutants ends when all are caught, some survive, some ran out of time
 
 
 def cargo(*words: str, **environment: str) -> int:
@@ -87,12 +89,15 @@ def mutants(jobs: int, only: list[str]) -> int:
     """Let the tests judge each mutant of guard and codec."""
     files = [part for name in only or CODEC + GUARD for part in ("-f", f"rust/servo/{name}")]
     out = ROOT / "target" / "mutants"
-    out.mkdir(parents=True, exist_ok=True)
-    # Survivors make cargo-mutants fail; what it found is judged here.
-    cargo(
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    code = cargo(
         "mutants", "-p", "softmap-servo", *files, "--jobs", str(jobs), "--timeout", TIMEOUT, "--output", str(out),
         "--colors", "never", "--", "--lib", "--locked", SOFTMAP_FUZZ_PERIODS=FUZZ,
     )  # fmt: skip
+    if code not in FOUND:
+        print(f"cargo-mutants ended with {code} and judged nothing: the tests fail without a mutant, or it cannot run")
+        return 1
     document = json.loads((out / "mutants.out" / "outcomes.json").read_text())
     listed = tomllib.loads((HERE / "survivors.toml").read_text(encoding="utf-8"))["survivor"]
     explained = Counter({entry["mutant"]: entry.get("times", 1) for entry in listed if entry["why"].strip()})

@@ -179,6 +179,9 @@ pub const ALERT: u8 = 0x80;
 /// Ticks of a turn of the servo's horn.
 pub const TICKS_PER_TURN: i32 = 4096;
 
+/// Ticks/s of a step of the velocity registers: 0.229 revolutions a minute.
+pub const VELOCITY_STEP: f64 = 0.229 * TICKS_PER_TURN as f64 / 60.0;
+
 /// Goals in modes that count turns lie within this many ticks either way: 256 turns.
 pub const FARTHEST_GOAL: i32 = 1_048_575;
 
@@ -187,8 +190,8 @@ pub const BAUD_RATES: [u32; 8] = [
     9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000,
 ];
 
-/// Below it, a servo with a homing offset keeps running when its watchdog trips in extended position mode.
-pub const FIRMWARE_CLEAR: u8 = 42;
+/// Firmware from which servos answer all in one packet (fast sync read).
+pub const FAST_FIRMWARE: u8 = 45;
 
 /// A kind of servo.
 #[derive(Debug, PartialEq)]
@@ -205,11 +208,12 @@ pub struct Model {
     pub temperature_limit: u8,
     /// Volts between which it runs as delivered.
     pub voltage: (f64, f64),
-    /// Fastest turn as delivered, steps of 0.229 revolutions a minute.
+    /// Fastest turn as delivered, steps of `VELOCITY_STEP`.
     pub velocity_limit: u16,
     /// Errors that shut it down as delivered.
     pub shutdown: u8,
-    /// N·m and mA that it stalls at, as its manual has it for the supply that is recommended.
+    /// N·m and mA that it stalls at: "Stall Torque" under "Specifications" of the page of its name in ROBOTIS' e-Manual, at
+    /// 5.0 V (XL330, XC330-M), 11.1 V (XC330-T) or 12.0 V (XL430, XM430, XM540).
     pub stall: (f64, f64),
 }
 
@@ -226,6 +230,22 @@ impl Model {
         } else {
             mode::EXTENDED_POSITION
         }
+    }
+
+    /// Ticks/s of its fastest turn as delivered.
+    pub fn fastest_turn(&self) -> f64 {
+        f64::from(self.velocity_limit) * VELOCITY_STEP
+    }
+
+    /// The baud rates that it knows.
+    pub fn baud_rates(&self) -> &'static [u32] {
+        &BAUD_RATES[..=usize::from(self.fastest)]
+    }
+
+    /// The code of a baud rate in register 8, if it knows that.
+    pub fn code_of(&self, baud: u32) -> Option<u8> {
+        let code = self.baud_rates().iter().position(|rate| *rate == baud);
+        code.map(|code| code as u8)
     }
 
     pub fn layout(&self) -> &'static Layout {
@@ -335,6 +355,12 @@ mod tests {
             assert_eq!(known.current_unit, unit);
             assert_eq!(BAUD_RATES[usize::from(known.fastest)], fastest);
             assert_eq!(known.temperature_limit, hot);
+            assert_eq!(known.code_of(fastest), Some(known.fastest));
+            assert_eq!(known.code_of(4_500_000).is_some(), fastest == 4_500_000);
+            assert_eq!(
+                (known.code_of(57_600), known.code_of(57_601)),
+                (Some(1), None)
+            );
             assert_eq!(known.has_current(), unit > 0.0);
             let shape = (known.voltage, known.velocity_limit, known.shutdown);
             let made = x(
@@ -361,5 +387,10 @@ mod tests {
             assert_eq!(expected.layout().goal_position.end(), 120);
         }
         assert_eq!(model(0), None);
+        let turn = model(1200).map(Model::fastest_turn).unwrap();
+        assert!(
+            (turn - 445.0 * 0.229 * 4096.0 / 60.0).abs() < 1e-9,
+            "{turn}"
+        );
     }
 }

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from softmap_edge.alignment.affine import Fit, fit
 from softmap_edge.alignment.held import Held
+from softmap_edge.ticks import TURN
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-TURN = 4096  # ticks of a turn of the usual servos
 PLACES = (0.2, 0.35, 0.5, 0.65, 0.8)  # quantiles of the ticks at which a kink is looked for, and home
 FOLDS = 5
 WORTH, CLEAR = 0.15, 3.0

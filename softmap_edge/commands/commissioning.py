@@ -31,7 +31,7 @@ def home(args: argparse.Namespace) -> int:
             raise ServoError("home is not proved: nobody said that the finger is straight")
         confirmed = "by the user at the terminal"
     homed = prove(rig, confirmed, new=args.new)
-    homed.rig.write(args.rig)
+    homed.rig.note(args.rig)
     print(json.dumps(homed.to_dict() | {"rig": args.rig}) if args.json else f"{homed}\n{args.rig}: home is proved")
     return 0
 

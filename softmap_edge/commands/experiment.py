@@ -199,7 +199,9 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     effects_argument(parser)
     parser.add_argument("--finger", metavar="TOML", help="the simulated finger; the built-in one without it")
     hidden = parser.add_mutually_exclusive_group()
-    hidden.add_argument("--hide", nargs="+", default=[], metavar="NAME", help="effects that the simulated finger has")
+    hidden.add_argument(
+        "--hide", "--hidden", nargs="+", default=[], metavar="NAME", help="effects that the simulated finger has"
+    )
     hidden.add_argument("--truth-from", metavar="FILE", help="the same secrets as in a demo (its --json document)")
     parser.add_argument("--seed", type=int, help="draws the finger and the strengths of its secrets (1)")
     parser.add_argument("--noise-seed", type=int, default=0, help="draws the noise of the camera (0)")

@@ -31,7 +31,8 @@ def compare_live(args: argparse.Namespace) -> int:
     load_own(args)
     model = open_model((args.bundle or [None])[0])
     live = Live(model, late(args))
-    with contextlib.closing(_begun(args.run)) as loop, receiver(args, len(model.rest)) as camera:
+    loop = _begun(args.run)
+    with receiver(args, len(model.rest)) as camera:
         effects = ", ".join(model.chain_names) or "none"
         if not args.json:
             print(f"'{model.robot}', effects of the model: {effects}; Ctrl-C ends it", flush=True)
@@ -66,6 +67,8 @@ def _begun(path: str) -> Following:
         RunError: it does not begin.
     """
     end = time.monotonic() + BEGINS
+    if not Path(path).exists():
+        print(f"waiting up to {BEGINS:g} s for {path} to be begun", file=sys.stderr, flush=True)
     while not Path(path).exists():
         if time.monotonic() > end:
             raise RunError(f"{path}: no recording began within {BEGINS:g} s; start what is recorded with --record")

@@ -12,21 +12,27 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.commissioning import confirm
+from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import bench_of, emulated
 from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.jog import EVERY, SLEW, TRAVEL, Deadman, Held, Jog
+from softmap_edge.servo.emergency_key import EmergencyKey
+from softmap_edge.servo.jog import EVERY, Deadman, Held, Jog
 from softmap_edge.servo.keys import Keys
+from softmap_edge.servo.limits import JOG_SLEW, JOG_TRAVEL
 from softmap_edge.servo.rig import Rig, read_rig
+from softmap_edge.terminal_keys import EMERGENCY, terminal
 
 ARROWS = {"right": (0, 1), "left": (0, -1), "up": (1, 1), "down": (1, -1)}
 SIGNS = {"+": 1, "=": 1, "-": -1}
+STEP = 10.0  # ticks that a tap turns: more only once the key repeats
 HELP = (
-    "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a key counts as held "
-    "while it repeats, at least every 0.25 s; space, escape and q stop"
+    "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a tap is one step of "
+    f"{STEP:.0f} ticks, a held key goes on from its first repetition; space, escape and q stop, {EMERGENCY} is the "
+    "emergency stop"
 )
 
 
@@ -38,7 +44,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--rig", metavar="rig.toml", help="the servos of this bench")
     parser.add_argument("--bundle", metavar="DIR", help="whose calibration maps mm to ticks (default: built-in finger)")
     parser.add_argument("--servo", type=int, metavar="ID", help="jog this servo, by --by")
-    parser.add_argument("--by", type=float, metavar="TICKS", help=f"how far, at most {TRAVEL:.0f} either way")
+    parser.add_argument("--by", type=float, metavar="TICKS", help=f"how far, at most {JOG_TRAVEL:.0f} either way")
     parser.add_argument("--seconds", type=float, default=3.0, metavar="S", help="stay at U1,U2 so long (3)")
     hold_argument(parser)
 
@@ -54,8 +60,8 @@ def move(args: argparse.Namespace) -> int:
     """Jog, or go to one command; 0 when that was done."""
     if (args.servo is None) != (args.by is None) or (args.command and args.by is not None):
         raise SoftmapError("give U1,U2, or --servo ID with --by TICKS, or none of them to jog by keys")
-    if args.by is not None and not 1 <= abs(args.by) <= TRAVEL:
-        raise SoftmapError(f"--by {args.by:g}; allowed are 1 to {TRAVEL:.0f} ticks either way")
+    if args.by is not None and not 1 <= abs(args.by) <= JOG_TRAVEL:
+        raise SoftmapError(f"--by {args.by:g}; allowed are 1 to {JOG_TRAVEL:.0f} ticks either way")
     if args.command:
         return _go(args)
     with bench(args) as rig:
@@ -64,7 +70,7 @@ def move(args: argparse.Namespace) -> int:
         with deadman(args.hold and args.by is not None) as hand, Jog(rig) as jog:
             begin = jog.position
             if args.by is not None:
-                tell(args, f"servo {args.servo} by {args.by:+.0f} ticks at {SLEW:.0f} ticks/s", hand)
+                tell(args, f"servo {args.servo} by {args.by:+.0f} ticks at {JOG_SLEW:.0f} ticks/s", hand)
                 jog.by(_numbered(rig, args.servo), args.by, hand)
             else:
                 print(HELP, file=sys.stderr)
@@ -86,26 +92,25 @@ def bench(args: argparse.Namespace) -> Iterator[Rig]:
     if args.rig:
         yield read_rig(args.rig)
         return
-    model = builtin_model() if getattr(args, "bundle", None) is None else open_model(args.bundle)
+    model = open_model(args.bundle)
     with emulated(model) as robot:
         yield robot.rig
 
 
 @contextlib.contextmanager
 def deadman(held: bool) -> Iterator[Deadman]:
-    """Give what has to be held: the program itself, or a key of this terminal."""
-    if held:
+    """Give what has to be held: the program itself, stopped by keys where there is a terminal, or a key of it."""
+    if held and terminal() is None:
         yield Held()
     else:
-        with Keys() as keys:
+        with Keys(always=held) as keys:
             yield keys
 
 
 def tell(args: argparse.Namespace, what: str, hand: Deadman) -> None:
     """Say what will move, and how it is stopped."""
-    how = "Ctrl-C lets go" if isinstance(hand, Held) else "hold any key; space, escape and q stop"
     if not args.json:
-        print(f"{what}; {how}", file=sys.stderr)
+        print(f"{what}; {hand.how}", file=sys.stderr)
 
 
 def _numbered(rig: Rig, id: int) -> int:
@@ -116,19 +121,25 @@ def _numbered(rig: Rig, id: int) -> int:
 
 
 def _by_keys(jog: Jog, hand: Any) -> None:
-    """Let held keys jog until one stops."""
-    chosen, count = 0, len(jog.rig.servos)
+    """Let keys jog until one stops: a step at a press, kept under torque while it may yet be held, then on."""
+    chosen, count, presses, step = 0, len(jog.rig.servos), 0, 0.0
     while not hand.stopped:
         key = hand.key()
         if key.isdigit() and 0 < int(key) <= count:
             chosen = int(key) - 1
         servo, way = ARROWS.get(key, (chosen, SIGNS.get(key, 0)))
         if way and servo < count:
-            jog.push(servo, way)
+            if hand.held():
+                jog.push(servo, way)
+            else:
+                if hand.presses != presses:
+                    presses, step = hand.presses, float(jog.goal[servo]) + way * STEP
+                jog.press(servo, step)
         at = "  ".join(f"{one.id}: {tick:.0f}" for one, tick in zip(jog.rig.servos, jog.position))
-        print(f"\r{at}  ({jog.robot.state}) ", end="", file=sys.stderr, flush=True)
+        print(f"\r{at}  ({words.state(jog.robot.report)}) ", end="", file=sys.stderr, flush=True)
         time.sleep(EVERY)
     print(file=sys.stderr)
+    jog.obey(hand)
 
 
 def _go(args: argparse.Namespace) -> int:
@@ -139,13 +150,14 @@ def _go(args: argparse.Namespace) -> int:
         raise SoftmapError(f"'{args.command:.40}' is no command; expected mm, one a servo: 2.5,-1") from None
     if not np.isfinite(u).all() or not 0.0 <= args.seconds <= 600.0:
         raise SoftmapError("commands are finite numbers, --seconds is 0 to 600")
-    model = builtin_model() if args.bundle is None else open_model(args.bundle)
+    model = open_model(args.bundle)
     with bench_of(args, model) as there:
         if len(u) != len(there.rig.servos):
             raise SoftmapError(f"{len(u)} numbers for {len(there.rig.servos)} servos; give mm, one a servo")
         if not args.hold and not confirm(f"The finger goes to {args.command} mm and comes back. Is it free?"):
             raise ServoError("nothing moved: nobody said that the finger is free")
-        with Controller(there.rig, there.calibration, there.limits) as robot:
+        robot = Controller(there.rig, there.calibration, there.limits)
+        with EmergencyKey(robot, to_stderr), robot:
             done, begun = robot.engage(u), time.monotonic()
             while time.monotonic() - begun < args.seconds:
                 done = robot.target(u)

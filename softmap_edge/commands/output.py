@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import zipfile
 from pathlib import Path
 
@@ -10,8 +11,11 @@ from softmap_edge.bundle import check_folder
 from softmap_edge.errors import BundleError, SoftmapError
 
 
-def check_file(option: str, path: str | None, suffix: str = "") -> None:
-    """Raise SoftmapError when the file that `option` names cannot be written, or does not end in `suffix`."""
+def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = False) -> None:
+    """Raise SoftmapError when the file that `option` names cannot be written, or does not end in `suffix`.
+
+    `new`: nothing may stand there either, since it would be lost.
+    """
     if path is None:
         return
     file = Path(path)
@@ -21,6 +25,8 @@ def check_file(option: str, path: str | None, suffix: str = "") -> None:
         raise SoftmapError(f"{option} {path}: it is saved as {suffix}; give a name that ends so")
     if not file.parent.is_dir():
         raise SoftmapError(f"{option} {path}: there is no folder {file.parent}; make it first")
+    if new and file.exists():
+        raise SoftmapError(f"{option} {path}: it exists; give another name")
 
 
 def check_no_run(option: str, path: str | None, force: bool | None = None) -> None:
@@ -58,3 +64,8 @@ def check_bundle(path: str, force: bool = False) -> None:
     check_folder(folder)
     if not force and (folder / "manifest.json").exists():
         raise BundleError(f"--out {path}: a bundle stands there already; give another name, or --force to replace it")
+
+
+def to_stderr(line: str) -> None:
+    """Tell a line while a verb runs; standard output is for what came of it."""
+    print(line, file=sys.stderr, flush=True)

@@ -13,9 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.bundle import builtin_model, save_bundle
+from softmap_edge.bundle import save_bundle
 from softmap_edge.camera.frames import Seen
-from softmap_edge.commands.output import check_bundle, check_file, check_no_run
+from softmap_edge.commands.output import check_bundle, check_file, check_no_run, to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import Bench, emulated, plain_map, read_bench
@@ -26,7 +26,8 @@ from softmap_edge.experiment.pace import Pace, pace
 from softmap_edge.experiment.play import Player, merged
 from softmap_edge.model import Model
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.finger import LATE, full_window
+from softmap_edge.servo.emergency_key import EmergencyKey
+from softmap_edge.servo.finger import LATE
 
 INTERRUPTED = 130
 SIMULATED = ("virtual", "truth", "finger", "truth_from")
@@ -35,10 +36,10 @@ SIMULATED = ("virtual", "truth", "finger", "truth_from")
 def record_on_robot(args: argparse.Namespace) -> int:
     """Play a command file on a robot and write the run; what there is of it also when it is cut short."""
     _checked(args)
-    model = builtin_model() if args.bundle is None else open_model(args.bundle)
+    model = open_model(args.bundle)
     if args.emulated:
         known = model.calibration or plain_map(model)
-        model = replace(model, calibration=replace(known, window=known.window or full_window(model, known)))
+        model = replace(model, calibration=replace(known, window=known.window or known.holding(model.command_range)))
     made, robot_name = read_commands(args.commands)
     if robot_name != model.robot:
         raise SoftmapError(f"{args.commands}: made for '{robot_name}', the model is of '{model.robot}'")
@@ -54,22 +55,23 @@ def record_on_robot(args: argparse.Namespace) -> int:
         file = Path(args.record) if args.record else Path(folder) / "loop.mcap"
         with Bar(args.json) as bar:
             robot = Controller(bench.rig, bench.calibration, bench.limits, record=file)
+            key = EmergencyKey(robot, to_stderr)
             player = Player(
                 robot,
                 paced,
                 seen,
-                ask=lambda what: _ask(args, what),
+                ask=lambda what: _ask(args, what, key),
                 tell=lambda share: bar("recording", share),
                 late=behind,
             )
             try:
-                with robot:
+                with key, robot:
                     player.play()
             except (SoftmapError, KeyboardInterrupt) as cause:
                 ended = cause
         if ended is not None and not player.played.taken:
             raise ended
-        run = merged(file, model, paced, player.played, behind)
+        run = merged(file, model, paced, player.played)
         run.save(args.out)
     document = {
         "schema": "softmap.record/1", "out": args.out, "rows": len(run.t), "channels": run.channels,
@@ -99,9 +101,7 @@ def _checked(args: argparse.Namespace) -> None:
         raise SoftmapError("--calibrated: only an emulated robot knows its true map; `softmap calibrate` finds one")
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out)
-    check_file("--record", args.record, ".mcap")
-    if args.record and Path(args.record).exists():
-        raise SoftmapError(f"--record {args.record}: it exists; give another name")
+    check_file("--record", args.record, ".mcap", new=True)
     if args.calibrated:
         check_bundle(args.calibrated)
 
@@ -124,7 +124,7 @@ def _robot(args: argparse.Namespace, model: Model) -> Iterator[tuple[Bench, Seen
                 print(camera.said(), file=sys.stderr)
 
 
-def _ask(args: argparse.Namespace, what: str) -> None:
+def _ask(args: argparse.Namespace, what: str, key: EmergencyKey) -> None:
     """Say what is to be done by hand, and wait until it is."""
     if args.yes or args.emulated:
         if not args.json:
@@ -133,7 +133,8 @@ def _ask(args: argparse.Namespace, what: str) -> None:
     if not sys.stdin.isatty():
         raise SoftmapError(f"{what}: nobody is there to say that it is done; give --yes if it is")
     print(f"\n{what}; torque is off. Press Enter when it is so, Ctrl-C to end.", file=sys.stderr)
-    sys.stdin.readline()
+    with key.aside():
+        sys.stdin.readline()
 
 
 def _ahead(args: argparse.Namespace, paced: Pace) -> str:

@@ -10,15 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from softmap_edge.commands.output import check_file
+from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.servo.combined import calibration_of, combined
 from softmap_edge.servo.finger import EmulatedFinger, emulated_bench, hidden_laws
+from softmap_edge.servo.limits import RATE
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.ticks import Calibration
 
 TICKS_PER_MM = 280.0  # of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
 HOME = 2048.0
-RATE = 100.0  # periods a second of the loop
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,35 @@ def read_bench(path: str, model: Model) -> Bench:
     return Bench(rig, found.table(), found.calibration, replace(model, calibration=found.calibration))
 
 
+def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
+    """Declare what verbs share that drive a model on a robot; `seed` is what else it is of."""
+    parser.add_argument(
+        "--bundle", metavar="DIR", help="whose model and effects are used (default: the built-in finger)"
+    )
+    parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out, to compare")
+    parser.add_argument(
+        "--hidden",
+        "--hide",
+        default="",
+        metavar="NAMES",
+        help="--sim: laws that the finger hides: backlash,creep",
+    )
+    parser.add_argument("--seed", type=int, help=f"--sim: of what is hidden and of noise (0){seed}")
+    parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
+
+
+def check_driven(args: argparse.Namespace) -> None:
+    """Raise SoftmapError where those arguments cannot be."""
+    check_file("--record", args.record, ".mcap", new=True)
+    if args.hidden and not args.sim:
+        raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
+
+
+def driven_model(args: argparse.Namespace, model: Model) -> Model:
+    """Return the model without its effects where that is asked for."""
+    return model.bare() if args.no_effects else model
+
+
 @contextlib.contextmanager
 def emulated(model: Model, hidden: str = "", seed: int = 0) -> Iterator[Bench]:
     """Give an emulated robot with the finger of `model`, which hides laws by their names."""
@@ -66,6 +97,6 @@ def bench_of(args: argparse.Namespace, model: Model) -> Iterator[Bench]:
 
 def plain_map(model: Model) -> Calibration:
     """Return the map of an emulated robot whose bundle holds none."""
-    scale, zero = np.eye(model.channels) / TICKS_PER_MM, np.zeros(model.channels)
-    error = {"command": 0.0, "shape_mm": 0.0, "matched_shape_mm": 0.0}
-    return Calibration(scale, zero, zero + HOME, 0 * scale, zero, error, "an emulated robot's own map", 0, 0, None)
+    zero = np.zeros(model.channels)
+    scale = np.eye(model.channels) / TICKS_PER_MM
+    return Calibration.stated(scale, zero, zero + HOME, "an emulated robot's own map")

@@ -183,7 +183,8 @@ def _bundle(path: Path, asking: bool = True) -> dict[str, Any]:
     model = open_model(str(path))
     chain = {"effects": list(model.chain_names), "params": model.params}
     calibration = {} if model.calibration is None else {"calibration": model.calibration.to_dict()}
-    return {"manifest": manifest, **chain, **calibration}
+    tables = {key: model.made_from[key] for key in ("through_onnxruntime",) if key in model.made_from}
+    return {"manifest": manifest, **chain, **calibration, **tables}
 
 
 def _bundle_lines(document: dict[str, Any]) -> list[str]:
@@ -192,6 +193,11 @@ def _bundle_lines(document: dict[str, Any]) -> list[str]:
     if found := document.get("calibration"):
         shown["calibration"] = {key: found[key] for key in ("A", "b", "home", "condition")}
     lines = [f"{key:<18} {_plain(value)}" for key, value in shown.items()]
+    for name, told in document.get("through_onnxruntime", {}).items():
+        lines.append(
+            f"{'onnxruntime':<18} the {name} is a table of what onnxruntime makes of its graph, "
+            f"{told['table_off_mm']:.2g} mm off between the nodes (RMS): {told['why']}"
+        )
     for name in manifest.get("own_effects", {}):
         file = Path(document["path"]) / f"{name}.py"
         lines.append(

@@ -143,12 +143,15 @@ def _setup(args: argparse.Namespace) -> int:
         ids = ", ".join(str(servo.id) for servo in found)
         raise ServoError(f"{len(found)} servos answer (ids {ids}); connect one at a time, or say which with --id")
     old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
-    done = commission.set_up(found[0], args.new_id, args.new_baud)
+    mended: list[str] = []
+    done = commission.set_up(found[0], args.new_id, args.new_baud, mended.append)
     if args.rig:
-        _noted(done, old).write(args.rig)
+        bench = _noted(done, old)
+        (bench.write if old is None else bench.note)(args.rig)
     if args.json:
-        print(json.dumps({"schema": "softmap.servos/1", "servos": [_told(done)], "rig": args.rig}))
+        print(json.dumps({"schema": "softmap.servos/1", "servos": [_told(done)], "rig": args.rig, "mended": mended}))
     else:
+        print("".join(f"  {line}\n" for line in mended), end="")
         print(f"{done}: ready to be driven" + (f", noted in {args.rig}" if args.rig else ""))
     return 0
 

@@ -6,7 +6,7 @@ import argparse
 import json
 from dataclasses import replace
 
-from softmap_edge.bundle import builtin_model, save_bundle
+from softmap_edge.bundle import save_bundle
 from softmap_edge.commands.commissioning import confirm
 from softmap_edge.commands.move import deadman, hold_argument, tell
 from softmap_edge.commands.output import bundle_arguments, check_bundle
@@ -35,7 +35,7 @@ def calibrate_bench_arguments(parser: argparse.ArgumentParser) -> None:
 def calibrate_bench(args: argparse.Namespace) -> int:
     """Write the bundle with a first calibration; 0 when it is written."""
     check_bundle(args.out, args.force)
-    rig, model = read_rig(args.rig), builtin_model() if args.bundle is None else open_model(args.bundle)
+    rig, model = read_rig(args.rig), open_model(args.bundle)
     pulley = radius(args.pulley_mm, _reading(args.ruler))
     given = [1] * len(rig.servos) if args.signs is None else _signs(args.signs)
     found = bench_calibration(rig, model, pulley, given)  # refuses before anything moves

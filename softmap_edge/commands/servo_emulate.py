@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 from softmap_edge import _core
-from softmap_edge.bundle import builtin_model, save_bundle
+from softmap_edge.bundle import save_bundle
 from softmap_edge.camera.points_udp import PointSender
 from softmap_edge.commands.output import check_bundle, check_file
 from softmap_edge.commands.own import open_model
@@ -27,9 +27,9 @@ from softmap_edge.servo.finger import (
     SERVO,
     EmulatedFinger,
     emulated_bench,
-    full_window,
     hidden_laws,
 )
+from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig import MOST_SERVOS, Rig, RigServo
 from softmap_edge.signed_udp import read_key, udp_address
 
@@ -40,13 +40,12 @@ FAULTS = (
 )
 FINGER_FAULTS = "blind 0|1"
 BROKEN = ("mute", "stuck", "torn", "reversed", "jammed", "uncapped")
-PULLS = {"torn": 0.0, "reversed": -1.0, "mend": 1.0}  # what a servo's tendon then does to the finger
 
 
 def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo emulate`."""
     parser.add_argument("--bundle", metavar="DIR", help="whose finger it is (default: the built-in one)")
-    parser.add_argument("--hidden", default="", metavar="NAMES", help="laws that it hides: backlash,creep")
+    parser.add_argument("--hidden", "--hide", default="", metavar="NAMES", help="laws that it hides: backlash,creep")
     parser.add_argument("--strength", type=float, default=1.0, metavar="X", help="how strong they are (1)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn by chance (0)")
     parser.add_argument("--model", default=SERVO, metavar="NAME", help=f"of the servos ({SERVO})")
@@ -73,9 +72,9 @@ def emulate(args: argparse.Namespace) -> int:
         check_bundle(args.calibrated)
     if not 0.0 < args.strength <= 10.0:
         raise ServoError(f"--strength {args.strength:g}; more than 0 and up to 10 times is allowed")
-    whole = builtin_model() if args.bundle is None else open_model(args.bundle)
+    whole = open_model(args.bundle)
     calibration = whole.calibration or plain_map(whole)
-    calibration = replace(calibration, window=calibration.window or full_window(whole, calibration))
+    calibration = replace(calibration, window=calibration.window or calibration.holding(whole.command_range))
     names = [name for name in args.hidden.split(",") if name]
     laws = hidden_laws(names, whole.channels, args.seed, args.strength)
     senders = _senders(args)
@@ -161,16 +160,14 @@ def streaming(finger: EmulatedFinger, senders: list[PointSender]) -> Iterator[No
 
 def _bare(args: argparse.Namespace) -> int:
     """Emulate servos without a finger, with a nominal load on each."""
-    models = {model["name"]: model for model in _core.servo_models()}
-    if args.model not in models:
-        raise ServoError(f"no servo '{args.model}' is known; there are {', '.join(models)}")
+    number = servo_model(args.model)["number"]
     if not 1 <= args.servos <= MOST_SERVOS:
         raise ServoError(f"{args.servos} servos; allowed are 1 to {MOST_SERVOS}")
     given = [f"--{name}" for name in ("bundle", "hidden", "stream", "calibrated", "key") if getattr(args, name)]
     if given:
         raise ServoError(f"{given[0]} needs a finger; leave --servos out")
     pull = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]
-    servos = [(id, models[args.model]["number"], args.baud, 2000.0) for id in range(1, args.servos + 1)]
+    servos = [(id, number, args.baud, 2000.0) for id in range(1, args.servos + 1)]
     bus = _core.EmulatedBus(servos, [pull] * args.servos, seed=args.seed)
     try:
         if args.rig:
@@ -202,9 +199,7 @@ def _break(bus: _core.EmulatedBus, finger: EmulatedFinger | None, fault: list[st
     if name == "unplug" and not numbers:
         bus.unplug()
     elif name in (*BROKEN, "mend") and len(numbers) == 1:
-        bus.damage(int(numbers[0]), **({name: True} if name in BROKEN else {}))
-        if finger is not None and name in PULLS:
-            finger.tendon(int(numbers[0]), PULLS[name])
+        bus.damage(int(numbers[0]), **({name: True} if name in BROKEN else dict.fromkeys(BROKEN, False)))
     elif name in ("reset", "lose_turn") and len(numbers) == 1:
         getattr(bus, name)(int(numbers[0]))
     elif name in ("heat", "supply", "burden") and len(numbers) == 2:

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.heartbeat import Heart
 from softmap_edge.signed_udp import new_key, read_key
+from softmap_edge.terminal_keys import Typed, terminal
 
 EVERY = 0.02  # s between beats
 UNHEARD = 5.0  # s without an answer after which that is told
@@ -73,41 +74,28 @@ def heartbeat(args: argparse.Namespace) -> int:
 @contextmanager
 def _keys() -> Iterator[Iterator[str | None]]:
     """Give what was asked for since: `press`, `release`, `end`, then None for nothing more. Never waits."""
-    if not sys.stdin.isatty():
+    if (file := terminal()) is None:
         yield _lines()
         return
-    import termios
-    import tty
-
-    before = termios.tcgetattr(sys.stdin)
-    tty.setcbreak(sys.stdin)
-    try:
-        yield _pressed()
-    finally:
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+    with Typed(file) as typed:
+        yield _pressed(typed)
 
 
-def _waiting() -> bool:
-    return bool(select.select([sys.stdin], [], [], 0.0)[0])
-
-
-def _pressed() -> Iterator[str | None]:
+def _pressed(typed: Typed) -> Iterator[str | None]:
     while True:
-        yield {" ": "press", "r": "release", "q": "end", "": "end"}.get(_read(1)) if _waiting() else None
+        asked = [{" ": "press", "r": "release", "q": "end"}.get(key) for key in typed.read()]
+        yield from filter(None, asked)
+        yield "end" if typed.gone else None
 
 
 def _lines() -> Iterator[str | None]:
     text, open_ = "", True
     while True:
-        if open_ and _waiting():
-            more = _read(1024)
+        if open_ and select.select([sys.stdin], [], [], 0.0)[0]:
+            more = os.read(sys.stdin.fileno(), 1024).decode("utf-8", "replace")
             open_ = more != ""  # who gives no lines ends it by a signal
             text += more
         line, end, rest = text.partition("\n")
         if end:
             text = rest
         yield {"press": "press", "release": "release", "end": "end"}.get(line.strip()) if end else None
-
-
-def _read(count: int) -> str:
-    return os.read(sys.stdin.fileno(), count).decode("utf-8", "replace")

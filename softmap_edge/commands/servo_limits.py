@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 
-from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.own import open_model
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.combined import combined
@@ -26,7 +25,7 @@ def limits_arguments(parser: argparse.ArgumentParser) -> None:
 
 def limits(args: argparse.Namespace) -> int:
     """Print the limits; 1 when nothing can be driven with them, and why."""
-    model = builtin_model() if args.bundle is None else open_model(args.bundle)
+    model = open_model(args.bundle)
     found = combined(read_rig(args.rig), model, rate=args.rate)
     refused = None
     try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 
-from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.move import deadman, hold_argument, tell
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
@@ -27,11 +26,11 @@ def pull_test(args: argparse.Namespace) -> int:
     check_file("--rig", args.rig, ".toml")
     rig = read_rig(args.rig)
     # A ceiling of an earlier pull is what is found anew; it bounds no move of commissioning.
-    found = combined(rig, builtin_model() if args.bundle is None else open_model(args.bundle))
+    found = combined(rig, open_model(args.bundle))
     with deadman(args.hold) as hand:
         tell(args, "each servo goes slowly to both ends of its window and back", hand)
         done = pull(found, hand, () if args.servo is None else (args.servo,))
-    noted(rig, done).write(args.rig)
+    noted(rig, done).note(args.rig)
     if args.json:
         document = {"schema": "softmap.pull/1", "servos": [one.to_dict() for one in done]}
         print(json.dumps(document | {"margin": MARGIN, "idle_of_stall": IDLE, "rig": args.rig}))

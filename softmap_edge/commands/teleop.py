@@ -5,18 +5,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
-
-from softmap_edge.bundle import builtin_model
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import open_model
-from softmap_edge.commands.robot import bench_of
-from softmap_edge.errors import SoftmapError, TeleopError
+from softmap_edge.commands.robot import bench_of, check_driven, driven_arguments, driven_model
+from softmap_edge.errors import TeleopError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo.controller import Controller
 from softmap_edge.signed_udp import new_key, read_key
@@ -34,6 +29,7 @@ from softmap_edge.teleop.moments import Shown
 from softmap_edge.teleop.page import PORT, Page
 from softmap_edge.teleop.sketch import Sketch
 from softmap_edge.teleop.terminal import HELP, Terminal
+from softmap_edge.terminal_keys import terminal
 
 DONE, FAULT = 0, 1
 RULES = {rule.replace(" ", "-"): rule for rule in get_args(Rule)}
@@ -47,7 +43,6 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--send", metavar="udp://HOST:PORT", help="drive nothing here: send landmarks and key there")
     what.add_argument("--fetch-model", metavar="FROM", help="make the model of hands of mediapipe's wheel, or a copy")
     what.add_argument("--new-key", metavar="FILE", help="make a key that both computers share")
-    parser.add_argument("--bundle", metavar="DIR", help="whose model and effects are used (the built-in finger)")
     cameras = "a camera, a video, landmarks of another computer, or none: keys and mouse (none)"
     parser.add_argument("--camera", default="none", metavar="N|FILE|udp://:PORT|none", help=cameras)
     parser.add_argument("--model", metavar="FILE.task", help="the model of hands (where --fetch-model puts it)")
@@ -55,7 +50,6 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--page", default=str(PORT), metavar="PORT|none", help=f"of the page; 0: any free ({PORT})")
     parser.add_argument("--page-host", default="127.0.0.1", metavar="ADDRESS", help="where it listens (127.0.0.1)")
     parser.add_argument("--tip", action="store_true", help="lead the tip in x and y, by inverse kinematics")
-    parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out")
     parser.add_argument("--hand", default="any", choices=("any", "left", "right"), help="which hand drives (any)")
     parser.add_argument("--mirrored", action="store_true", help="the camera gives mirror images")
     parser.add_argument("--flip", default="", metavar="x,y", help="turn the hand's sideways (x) or forward (y) round")
@@ -63,11 +57,8 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--reach", default=HandMap.reach, type=_two, metavar="SIDE,FORWARD", help=reach)
     parser.add_argument("--gesture", default="fist-releases", choices=RULES, help="beside the key (fist-releases)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after this long")
-    parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
-    parser.add_argument("--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides")
-    parser.add_argument("--seed", type=int, default=0, help="--sim: of what is hidden and of noise")
+    driven_arguments(parser)
     parser.add_argument("--force", action="store_true", help="--fetch-model: replace the file that is there")
-    parser.set_defaults(plan=False)
 
 
 def teleop(args: argparse.Namespace) -> int:
@@ -87,12 +78,8 @@ def teleop(args: argparse.Namespace) -> int:
 
 
 def _drive(args: argparse.Namespace) -> int:
-    check_file("--record", args.record, ".mcap")
-    if args.record and Path(args.record).exists():
-        raise SoftmapError(f"--record {args.record}: it exists; give another name")
-    if args.hidden and not args.sim:
-        raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
-    whole = builtin_model() if args.bundle is None else open_model(args.bundle)
+    check_driven(args)
+    whole = open_model(args.bundle)
     flips = _flips(args.flip)
     with contextlib.ExitStack() as stack:
         eyes = stack.enter_context(_eyes(args, stack))
@@ -104,13 +91,13 @@ def _drive(args: argparse.Namespace) -> int:
             inputs.append(page)
         if isinstance(eyes, FarEyes):
             inputs.append(eyes)
-        if sys.stdin.isatty():
-            inputs.append(stack.enter_context(Terminal("hand" if by_hand else "knob")))
-            _say(HELP)
+        if (typed := terminal()) is not None:
+            inputs.append(stack.enter_context(Terminal("hand" if by_hand else "knob", typed)))
+            to_stderr(HELP)
         if not inputs and args.seconds is None and not by_hand:
             raise TeleopError("nothing can drive: no page, no terminal, no camera; leave --page none away")
         bench = stack.enter_context(bench_of(args, whole))
-        model = bench.model.with_effects([], np.zeros(0)) if args.no_effects else bench.model
+        model = driven_model(args, bench.model)
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
         aim: Aim = Tip(kinematics) if args.tip else Direct(kinematics)
         robot = stack.enter_context(
@@ -122,10 +109,10 @@ def _drive(args: argparse.Namespace) -> int:
             shown = Shown(model, aim, eyes, Sketch(model, bench.calibration), about)
             page.shows(shown.hello, shown.view)
             show = shown.take
-            _say(f"open {page.url}")
+            to_stderr(f"open {page.url}")
         drive = Drive(
             robot, kinematics, aim, eyes, inputs, reach=args.reach, flip=flips, rule=RULES[args.gesture],
-            stays=page is not None, show=show, say=_say,
+            stays=page is not None, show=show, say=to_stderr,
         )  # fmt: skip
         account = drive.run(args.seconds)
     told = {
@@ -165,10 +152,11 @@ def _send(args: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         eyes: CameraEyes = stack.enter_context(camera_eyes(what, args.model, View(args.hand, args.mirrored)))
         sender = stack.enter_context(Sender(there.host, there.port, key))
-        terminal = stack.enter_context(Terminal("hand")) if sys.stdin.isatty() else None
-        if terminal is not None:
-            _say("hold Space to drive, q ends")
-        sent = send(eyes, sender, terminal, args.seconds, _say)
+        typed = terminal()
+        keys = None if typed is None else stack.enter_context(Terminal("hand", typed))
+        if keys is not None:
+            to_stderr("hold Space to drive, q ends")
+        sent = send(eyes, sender, keys, args.seconds, to_stderr)
     told = {"camera": eyes.name, "pictures": eyes.taken, "hands": eyes.hands, **sent.to_dict()}
     _print(args, told, f"{eyes.taken} pictures, {eyes.hands} with a hand, {sent.sent} sent; {sent.ended}")
     return FAULT if sent.failed else DONE
@@ -187,21 +175,19 @@ def _port(text: str) -> int:
 
 
 def _two(text: str) -> tuple[float, float]:
-    side, forward = (float(part) for part in text.split(","))
+    try:
+        side, forward = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r:.30}: give two numbers, SIDE,FORWARD, as 0.35,0.8") from None
     return side, forward
 
 
 def _flips(text: str) -> tuple[bool, bool]:
-    """Return which axes are turned round: as shipped a finger that points to its owner's right leads to the right."""
+    """Return which axes are turned round."""
     named = [part for part in text.split(",") if part]
     if wrong := [part for part in named if part not in ("x", "y")]:
         raise TeleopError(f"--flip {wrong[0]!r:.20}: there are x and y")
-    return "x" not in named, "y" in named
-
-
-def _say(line: str) -> None:
-    """Tell a line while it runs; standard output is for what came of it."""
-    print(line, file=sys.stderr, flush=True)
+    return "x" in named, "y" in named
 
 
 def _print(args: argparse.Namespace, told: dict[str, Any], text: str) -> None:

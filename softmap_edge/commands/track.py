@@ -13,20 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.bundle import builtin_model
 from softmap_edge.camera.frames import Seen
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_file, to_stderr
 from softmap_edge.commands.own import open_model
-from softmap_edge.commands.robot import Bench, bench_of, plain_map
+from softmap_edge.commands.robot import Bench, bench_of, check_driven, driven_arguments, driven_model, plain_map
 from softmap_edge.commands.seeing import camera_arguments, late, receiver
 from softmap_edge.commands.track_table import table, workspace
 from softmap_edge.errors import SoftmapError
-from softmap_edge.model import Model
 from softmap_edge.motion.curves import FIGURES
 from softmap_edge.motion.kinematics import METHODS, Kinematics
 from softmap_edge.motion.track import Course, Tracked, course
 from softmap_edge.motion.track import track as follow
 from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.finger import SERVO
 from softmap_edge.servo.limits import servo_limits
 from softmap_edge.whole_file import write_whole
@@ -35,9 +34,6 @@ from softmap_edge.whole_file import write_whole
 def track_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `track`."""
     parser.add_argument("figure", nargs="?", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y) or FILE.svg")
-    parser.add_argument(
-        "--bundle", metavar="DIR", help="whose model and effects are used (default: the built-in finger)"
-    )
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--sim", action="store_true", help="on an emulated robot: real packets, simulated finger")
     where.add_argument("--rig", metavar="FILE.toml", help="on the servos of this rig")
@@ -53,27 +49,16 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, metavar="HZ", help="waypoints a second (30; --table: 3)")
     parser.add_argument("--axes", help="the plane of the figure, and what of the tip counts (xy; --workspace: xyz)")
     parser.add_argument("--method", choices=METHODS, help="how inverse kinematics is solved (exact; --table: paper)")
-    parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out, to compare")
     parser.add_argument("--observe", action="store_true", help="feed back what the camera sees of the tip")
     camera_arguments(parser)
-    parser.add_argument(
-        "--hidden", default="", metavar="NAMES", help="--sim: laws that the emulated finger hides: backlash,creep"
-    )
-    parser.add_argument(
-        "--seed", type=int, help="--sim: of what is hidden and of noise (0); --table: of the stand-in (1)"
-    )
-    parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
+    driven_arguments(parser, "; --table: of the stand-in (1)")
     parser.add_argument("--picture", metavar="FILE.svg", help="draw it")
 
 
 def track(args: argparse.Namespace) -> int:
     """Lead the tip along a figure, judge it, draw it."""
-    check_file("--record", args.record, ".mcap")
+    check_driven(args)
     check_file("--picture", args.picture, ".svg")
-    if args.record and Path(args.record).exists():
-        raise SoftmapError(f"--record {args.record}: it exists; give another name")
-    if args.hidden and not args.sim:
-        raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
     if args.camera and not args.rig:
         raise SoftmapError("--camera watches a robot; give --rig with it (an emulated finger has a camera of its own)")
     if args.observe and not (args.sim or args.camera):
@@ -83,17 +68,17 @@ def track(args: argparse.Namespace) -> int:
     if (args.rival and not args.table) or (args.reach and not args.workspace):
         raise SoftmapError("--rival goes with --table, --reach with --workspace; give that too")
     behind = late(args)
-    whole = builtin_model() if args.bundle is None else open_model(args.bundle)
+    whole = open_model(args.bundle)
     if args.table:
         return table(args, whole)
     if args.workspace:
-        return workspace(args, Kinematics(_bare(args, whole), axes=args.axes or "xyz"))
+        return workspace(args, Kinematics(driven_model(args, whole), axes=args.axes or "xyz"))
     tracked = None
     with contextlib.ExitStack() as stack:
         bench = None if args.plan else stack.enter_context(bench_of(args, whole))
         seen = None if bench is None else stack.enter_context(_eyes(args, bench))
         calibration = bench.calibration if bench else whole.calibration or plain_map(whole)
-        kinematics = Kinematics(_bare(args, bench.model if bench else whole), axes=args.axes or "xy")
+        kinematics = Kinematics(driven_model(args, bench.model if bench else whole), axes=args.axes or "xy")
         limits = bench.limits["servos"] if bench else [servo_limits(SERVO, 0, (-1000.0, 1000.0))] * whole.channels
         planned = course(
             kinematics,
@@ -109,18 +94,13 @@ def track(args: argparse.Namespace) -> int:
         if bench is not None:
             record = Path(args.record or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "track.mcap")
             robot = Controller(bench.rig, calibration, bench.limits, kinematics=kinematics, record=record)
-            with robot:
+            with EmergencyKey(robot, to_stderr), robot:
                 tracked = follow(robot, kinematics, planned, seen, observe=args.observe, late=behind)
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)
     document = _document(args, kinematics, planned, tracked)
     print(json.dumps(document) if args.json else _text(document))
     return 0
-
-
-def _bare(args: argparse.Namespace, model: Model) -> Model:
-    """Return the model without its effects where that is asked for."""
-    return model.with_effects([], np.zeros(0)) if args.no_effects else model
 
 
 @contextlib.contextmanager
@@ -155,6 +135,7 @@ def _document(
         "axes": kinematics.axes,
         "method": args.method or "exact",
         "effects": list(kinematics.model.chain_names),
+        "hidden": [name for name in args.hidden.split(",") if name] if args.sim else None,
         "waypoints": int(counts.sum()),
         "seconds": float(plan.t[-1] - plan.t[counts][0]),
         "quickest_s": planned.quickest,
@@ -191,7 +172,12 @@ def _text(told: dict[str, Any]) -> str:
             "servos answer {delay:.3f} s late, with a lag of {lag:.3f} s: previewed".format(**told["servos_s"])
         )
     if told["seen_mm"]:
-        lines.append(f"the camera saw it off by     {numbers('seen_mm')}")
+        lines.append(f"the camera saw it off by {numbers('seen_mm')}")
+        if told["hidden"] == [] and told["effects"]:
+            lines.append(
+                f"the emulated finger hides nothing, so undoing {', '.join(told['effects'])} leads it astray; --hidden "
+                "NAMES lets it hide something, --no-effects undoes nothing"
+            )
         if told["unseen_s"]:
             fed = ", and nothing was fed back then" if told["observed"] else ""
             lines.append(f"the tip was not seen for {told['unseen_s']:.1f} s of it{fed}")

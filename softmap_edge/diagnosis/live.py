@@ -1,7 +1,9 @@
 """A model's error while a robot runs: of the newest frames, over the last seconds, and since the beginning.
 
-Positions of the servos come period by period, frames as they arrive; each frame is compared with what the model
-predicts for it from all positions so far, so that memory is right. A frame waits until positions of its time are there.
+Positions of the servos come period by period, frames as they arrive. The chain of effects is advanced by the new
+periods alone and remembers all that came before; a frame waits until positions of its time are there, and is compared
+with the shape of what acts then: the error is that of the whole run. What acted is kept for `KEPT` s.
+Known limit: an effect of the user's own cannot be advanced; with one all positions are kept and rolled out each time.
 Pinned by tests/test_live.py.
 """
 
@@ -9,14 +11,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.camera.frames import Frame, host_times
+from softmap_edge import _core
+from softmap_edge.camera.frames import Frame, HostClock
 from softmap_edge.diagnosis.comparison import aligned
 from softmap_edge.errors import ComparisonError, RunError
 from softmap_edge.model import Model
@@ -27,7 +30,8 @@ Floats = NDArray[np.float64]
 SCHEMA = "softmap.live/1"
 RECENT = 5.0  # s
 NOW = 0.5  # s
-MOST = 200_000  # periods that are kept: half an hour at 100 Hz
+KEPT = 60.0  # s for which is kept what acted: a frame that arrives later is left out
+AROUND = 1.0  # s about a frame whose acting its shape may need: a clock may be shifted by half a second
 FRESH = 64  # frames that are compared at a time, the newest: what a slow computer cannot follow is left out
 
 
@@ -71,13 +75,16 @@ class Live:
             raise ComparisonError(
                 "the bundle holds no calibration of the servos, so their ticks mean nothing to it; `softmap calibrate`"
             )
-        self._model, self._late = model, late
-        self._t: list[float] = []
-        self._ticks: list[list[float]] = []
-        self._stamps: list[tuple[float, float]] = []
+        self._acts, self._shape = _advancing(model), _shape(model)
+        self._model, self._clock = model, HostClock(late)
+        shift = dict(model.params).get("clock_shift.late", 0.0)
+        self._ahead = max(0.0, -shift)  # s by which positions have to be ahead of a frame
+        self._begun = math.nan  # s of the host at the first period; all other times are since then
+        self._t, self._acting = np.zeros(0), np.zeros((0, model.channels))
         self._waiting: deque[Frame] = deque()
-        self._errors: list[tuple[float, float, int]] = []  # s of the host, mean square mm², points
-        self._square, self._points, self._worst, self.left_out = 0.0, 0, math.nan, 0
+        self._first: float | None = None  # when the first frame was seen
+        self._errors: deque[tuple[float, float, int]] = deque()  # s, mean square mm², points, of the last RECENT s
+        self._square, self._points, self._worst, self._frames, self.left_out = 0.0, 0, math.nan, 0, 0
 
     def drove(self, periods: Iterable[dict[str, Any]]) -> None:
         """Take periods of a loop; those in which a servo was not heard count nothing.
@@ -85,10 +92,13 @@ class Live:
         Raises:
             RunError: they are not of this robot, or damaged.
         """
+        times: list[float] = []
+        rows: list[list[float]] = []
+        last = float(self._t[-1]) if len(self._t) else -math.inf
         for period in periods:
             try:
                 now, position = period["now"] * 1e-9, period["position"]
-                if None in position or (self._t and now <= self._t[-1]):
+                if None in position:
                     continue
                 ticks = [float(tick) for tick in position]
             except (KeyError, TypeError, ValueError) as fault:
@@ -97,33 +107,36 @@ class Live:
                 raise RunError(
                     f"the recording is of {len(ticks)} servos, the model takes {self._model.channels} commands"
                 )
-            self._t.append(now)
-            self._ticks.append(ticks)
-        if len(self._t) > MOST:  # what is older than that is forgotten by most effects as well
-            del self._t[: -MOST // 2], self._ticks[: -MOST // 2]
+            self._begun = now if math.isnan(self._begun) else self._begun
+            if now - self._begun > last:
+                last = now - self._begun
+                times.append(last)
+                rows.append(ticks)
+        if times and self._model.calibration is not None:
+            t, u = np.array(times), self._model.calibration.commands(np.rint(rows))
+            kept = self._t > t[-1] - KEPT
+            self._acting = np.concatenate([self._acting[kept], self._acts(u, t)])
+            self._t = np.concatenate([self._t[kept], t])
 
     def saw(self, frames: Sequence[Frame]) -> None:
         """Take the frames that a camera keeps; those that were taken before count once."""
-        newest = self._stamps[-1][0] if self._stamps else -math.inf
-        for frame in frames:
-            if frame.stamp > newest:
-                self._stamps.append((frame.stamp, frame.arrived))
-                self._waiting.append(frame)
+        self._waiting.extend(self._clock.add(frames))
 
     def compared(self) -> Now:
         """Compare what can be compared now, and return how far off the model is."""
         if self._waiting and len(self._t) > 1:
-            known = np.array(self._stamps)
-            taken = host_times(known[:, 0], known[:, 1], self._late)[-len(self._waiting) :]
-            ready = int(np.searchsorted(taken, self._t[-1]))
+            taken = self._clock.times(self._waiting) - self._begun
+            ready = int(np.searchsorted(taken, self._t[-1] - self._ahead))
             frames = [self._waiting.popleft() for _ in range(ready)]
-            inside = [(t, frame) for t, frame in zip(taken[:ready], frames) if t > self._t[0]][-FRESH:]
+            inside = [(float(t), frame) for t, frame in zip(taken[:ready], frames) if t > self._t[0]][-FRESH:]
             self.left_out += ready - len(inside)
             self._compare(inside)
-        end = self._t[-1] if self._t else 0.0
+        end = float(self._t[-1]) if len(self._t) else 0.0
+        while self._errors and self._errors[0][0] < end - RECENT:
+            self._errors.popleft()
         return Now(
-            seconds=end - self._t[0] if self._t else 0.0,
-            frames=len(self._errors),
+            seconds=end,
+            frames=self._frames,
             now_mm=self._since(end - NOW),
             recent_mm=self._since(end - RECENT),
             whole_mm=math.sqrt(self._square / self._points) if self._points else math.nan,
@@ -136,25 +149,33 @@ class Live:
             return
         points = np.array([frame.points for _, frame in inside], float)
         shown = np.isfinite(points).all(axis=2)
+        seen_at = np.array([t for t, _ in inside])
+        self._first = float(seen_at[0]) if self._first is None else self._first
         if not shown.any():
             return
-        ticks = np.rint(np.array(self._ticks)).astype(np.int64)
+        begin, end = np.searchsorted(self._t, [seen_at[0] - AROUND, seen_at[-1] + AROUND])
+        near = slice(max(int(begin) - 1, 0), int(end) + 1)
+        if self._first < seen_at[0]:  # drift is counted from the first frame: it is there, and shows nothing
+            seen_at = np.concatenate([[self._first], seen_at])
+            points = np.concatenate([np.zeros_like(points[:1]), points])
+            shown = np.concatenate([np.zeros_like(shown[:1]), shown])
         vertices = not self._model.markers and points.shape[1] == len(self._model.rest)
         run = Run(
-            t=np.array(self._t) - self._t[0],
-            ticks=ticks,
-            present_ticks=ticks,
-            t_seen=np.array([t for t, _ in inside]) - self._t[0],
+            t=self._t[near],
+            command=self._acting[near],
+            command_unit=self._model.command_unit,
+            t_seen=seen_at,
             vertices=points if vertices else None,
             markers=None if vertices else points,
             visible=shown,
             robot=self._model.robot,
         )
-        predicted, seen, visible = aligned(self._model, run)
+        predicted, seen, visible = aligned(self._shape, run)
         squared = np.where(visible, np.sum((predicted - seen) ** 2, axis=2), 0.0).sum(axis=1)
-        for (t, _), square, count in zip(inside, squared, visible.sum(axis=1)):
+        for at, square, count in zip(seen_at, squared, visible.sum(axis=1)):
             if count:
-                self._errors.append((t, float(square / count), int(count)))
+                self._frames += 1
+                self._errors.append((float(at), float(square / count), int(count)))
                 self._square, self._points = self._square + float(square), self._points + int(count)
                 self._worst = max(math.sqrt(square / count), 0.0 if math.isnan(self._worst) else self._worst)
 
@@ -165,3 +186,41 @@ class Live:
                 break
             total, points = total + square * count, points + count
         return math.sqrt(total / points) if points else math.nan
+
+
+def _channel(name: str) -> bool:
+    """Return whether an effect changes the commands, and may remember them."""
+    return next(bool(one["role"] == "channel") for one in _core.effects() if one["name"] == name)
+
+
+def _shape(model: Model) -> Model:
+    """Return the model of what is acting already: without the effects that change commands, and without ticks."""
+    names = tuple(name for name in model.chain_names if not _channel(name))
+    rest = _core.Chain(list(names), model.channels)
+    params = np.array([model.params[label] for label in rest.labels])
+    return replace(model, chain_names=names, chain_params=params, calibration=None)
+
+
+def _advancing(model: Model) -> Callable[[Floats, Floats], Floats]:
+    """Return what makes of new commands (n, C) at (n,) s what acts (n, C), after all that it was given before."""
+    chain, params = model.chain, model.chain_params[None]
+    own = {effect["name"] for effect in _core.effects() if effect["own"]} & set(model.chain_names)
+    state: Floats | None = None
+    before_u, before_t = np.zeros((0, model.channels)), np.zeros(0)
+
+    def gravity(t: Floats) -> Floats:
+        return np.ascontiguousarray(np.broadcast_to(model.gravity_reference, (len(t), 3)))
+
+    def advanced(u: Floats, t: Floats) -> Floats:
+        nonlocal state
+        acting, state = chain.advance(params, np.ascontiguousarray(u), t, gravity(t), state=state)
+        return np.asarray(acting[0])
+
+    def anew(u: Floats, t: Floats) -> Floats:
+        nonlocal before_u, before_t
+        before_u, before_t = np.concatenate([before_u, u]), np.concatenate([before_t, t])
+        return np.asarray(chain.rollout(params, before_u, before_t, gravity(before_t))[0, -len(t) :])
+
+    if not model.chain_names:
+        return lambda u, t: u
+    return anew if own else advanced

@@ -16,11 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.camera.frames import Frame, Seen, host_times
+from softmap_edge.camera.frames import Frame, HostClock, Seen
 from softmap_edge.errors import RunError, ServoError, SoftmapError
 from softmap_edge.experiment.pace import PATIENCE, SPAN, Pace, condition, servos_still, view_still
 from softmap_edge.model import Model
 from softmap_edge.run import Run
+from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.recording import read_recording
 
@@ -40,7 +41,7 @@ class Played:
 
     clock: list[tuple[float, float]] = field(default_factory=list)
     taken: list[tuple[int, Frame]] = field(default_factory=list)  # the look, its frame
-    stamps: list[tuple[float, float]] = field(default_factory=list)  # of all frames: stamp, arrival
+    camera: HostClock = field(default_factory=HostClock)
     waited: float = 0.0  # s in which it waited for the robot to settle
     unsettled: int = 0  # rests that went on before all was still
     whole: bool = False
@@ -65,8 +66,8 @@ class Player:
         late: float = 0.0,
     ) -> None:
         self._robot, self._pace, self._seen = robot, pace, seen
-        self._ask, self._tell, self._late = ask, tell, late
-        self.played = Played()
+        self._ask, self._tell = ask, tell
+        self.played = Played(camera=HostClock(late))
         self._looks: list[tuple[float, int]] = []  # host s, of which look
         self._history: list[tuple[float, list[float]]] = []
         self._newest, self._looked = -np.inf, 0
@@ -158,7 +159,7 @@ class Player:
         end = time.monotonic() + BACK
         while self._robot.state != "ready":
             if time.monotonic() > end:
-                raise ServoError(f"the finger did not stop within {BACK:g} s (state {self._robot.state})")
+                raise ServoError(f"the finger did not stop within {BACK:g} s ({words.where(self._robot.report)})")
             time.sleep(0.05)
         begun = time.monotonic()
         self._ask(what)
@@ -193,22 +194,19 @@ class Player:
     def _gather(self, now: float) -> None:
         """Note what has arrived, and take the frames of looks that are long enough ago."""
         frames = self._seen()[-200:]
-        stamps = self.played.stamps
-        newest = stamps[-1][0] if stamps else -np.inf
-        stamps += [(frame.stamp, frame.arrived) for frame in frames if frame.stamp > newest]
+        self.played.camera.add(frames)
         if frames:
             self._newest = frames[-1].arrived
         while frames and self._looks and self._looks[0][0] < now - WAIT:
             when, look = self._looks.pop(0)
-            known = np.array(stamps)
-            taken = host_times(known[:, 0], known[:, 1], self._late)[-len(frames) :]
+            taken = self.played.camera.times(frames)
             k = int(np.argmin(np.abs(taken - when)))
             earlier = self.played.taken[-1][1].stamp if self.played.taken else -np.inf
             if abs(taken[k] - when) <= NEAR and frames[k].stamp > earlier:
                 self.played.taken.append((look, frames[k]))
 
 
-def merged(recording: Path, model: Model, pace: Pace, played: Played, late: float = 0.0) -> Run:
+def merged(recording: Path, model: Model, pace: Pace, played: Played) -> Run:
     """Return the run of what a robot's loop recorded and what was seen meanwhile.
 
     Raises:
@@ -226,9 +224,7 @@ def merged(recording: Path, model: Model, pace: Pace, played: Played, late: floa
     if len(counts) > 1:
         raise RunError(f"frames of {sorted(counts)} points; a camera's program sends one number of them throughout")
     looks, frames = [look for look, _ in played.taken], [frame for _, frame in played.taken]
-    known = np.array(played.stamps).reshape(-1, 2)
-    stamps = known[:, 0]
-    taken = host_times(stamps, known[:, 1], late)[np.searchsorted(stamps, [frame.stamp for frame in frames])]
+    taken = played.camera.times(frames)
     inside = (taken > host[0]) & (taken < host[-1])
     points = np.array([frame.points for frame in frames], float).reshape(len(frames), -1, 3)[inside]
     visible = np.isfinite(points).all(axis=2)

@@ -102,7 +102,7 @@ def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list
                 f"{len(PUBLISHED.home)}: it is solved there"
             )
     map_, found = model.calibration, []
-    plain = model.with_effects([], np.zeros(0))
+    plain = model.bare()
     found.append(Contender(OURS, plain, None, map_))
     if model.chain_names:
         leaning = np.asarray(HANGING) @ rotation((*finger.declared_deg, 0.0)).T
@@ -159,10 +159,7 @@ def table_two(
 
 def _told() -> Calibration:
     """Return the servos' own map, where the commands of a model are taken as they are."""
-    slope, zero = np.array(PUBLISHED.slope), np.zeros(2)
-    error = {"command": 0.0, "shape_mm": 0.0, "matched_shape_mm": 0.0}
-    shift, home = np.array(PUBLISHED.shift), np.array(PUBLISHED.home)
-    return Calibration(slope, shift, home, 0 * slope, zero, error, "the servos' own map", 0, 0, None)
+    return Calibration.stated(PUBLISHED.slope, PUBLISHED.shift, PUBLISHED.home, "the servos' own map")
 
 
 def _stand_in(

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.camera.frames import Frame, Seen, on_host
+from softmap_edge.camera.frames import Frame, HostClock, Seen, on_host
 from softmap_edge.errors import SoftmapError
 from softmap_edge.motion.curves import even, figure
 from softmap_edge.motion.kinematics import AXES, Kinematics, Plan, early
@@ -231,7 +231,8 @@ class _Feedback:
     """
 
     def __init__(self, kinematics: Kinematics, plan: Plan, answer: float, late: float) -> None:
-        self._kinematics, self._plan, self._answer, self._late = kinematics, plan, answer, late
+        self._kinematics, self._plan, self._answer = kinematics, plan, answer
+        self._clock = HostClock(late)
         self._off, self._last = np.zeros(3), -np.inf
         self._seen, self._asked_at = -np.inf, -np.inf  # s of the plan
         self._counts = _counted(kinematics)
@@ -239,10 +240,10 @@ class _Feedback:
 
     def __call__(self, u: Floats, t: float, begun: float, frames: Sequence[Frame]) -> Floats:
         """Return by how much (C,) mm what should act changes at `t` s of the plan."""
-        recent = frames[-300:]
-        for frame, taken in zip(recent, on_host(recent, self._late) - begun):
-            tip = _tips(self._kinematics, [frame])[0] if frame.stamp > self._last else np.full(3, np.nan)
-            if taken < 0 or not np.isfinite(tip).all():
+        new = self._clock.add(frames)
+        for frame, taken in zip(new, self._clock.times(new) - begun):
+            tip = _tips(self._kinematics, [frame])[0] if taken >= 0 else np.full(3, np.nan)
+            if not np.isfinite(tip).all():
                 continue
             plan = self._plan
             target = np.array([np.interp(taken, plan.t, column) for column in plan.targets.T])

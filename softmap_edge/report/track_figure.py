@@ -1,5 +1,5 @@
-"""The picture of a tracked figure: where the tip should go, where it went, what it can reach, and how far off it was
-(SVG).
+"""The picture of a tracked figure: where the tip should go, where it went, what it can reach, and how far off it was,
+or, of a plan, which commands lead it there (SVG).
 
 Needs matplotlib; imported by `softmap track --picture` only.
 """
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -18,12 +19,15 @@ from softmap_edge.motion.kinematics import AXES
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, FLOOR, INK, STYLE, WIDE, svg
 
 if TYPE_CHECKING:
-    from softmap_edge.motion.kinematics import Kinematics
+    from softmap_edge.motion.kinematics import Kinematics, Plan
     from softmap_edge.motion.track import Course, Tracked
 
 Floats = NDArray[np.float64]
 
-FINE = 49  # places along each of two commands at which reach is drawn
+FINE = 25  # places along each of two commands at which reach is drawn
+COLOURS = (AFTER, BEFORE, INK, FLOOR)  # of commands
+EDGE = "edge of reach"
+LEAST_MM = 0.1  # that the axis of errors spans: below that they are round-off
 
 
 def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None) -> bytes:
@@ -39,19 +43,18 @@ def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None
         left.plot(wanted[:, across], wanted[:, up], color=INK, linewidth=2.4, label="wanted")
         if seen and tracked is not None:
             left.plot(tracked.tip[:, across], tracked.tip[:, up], color=AFTER, linewidth=1.2, label="seen")
-            right.plot(tracked.t, tracked.error, color=AFTER, linewidth=1.2, label="seen")
+            _errors(right, course, tracked)
         else:
             expected = plan.tip[course.counts]
             left.plot(expected[:, across], expected[:, up], color=AFTER, linewidth=1.2, label="expected")
+            _commands(right, plan, kinematics.model.command_unit)
         out = plan.unreachable[course.counts] > 0.01
         if out.any():
             left.plot(wanted[out, across], wanted[out, up], ".", color=BEFORE, markersize=4, label="out of reach")
         left.set(xlabel=f"{AXES[across]}, mm", ylabel=f"{AXES[up]}, mm", aspect="equal")
-        _closer(left, [line.get_xydata() for line in left.lines if line.get_label() != "edge of reach"])
+        _closer(left, [line.get_xydata() for line in left.lines if line.get_label() != EDGE])
         left.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
-        right.plot(plan.t[course.counts], plan.distance[course.counts], color=FLOOR, linewidth=1.0, label="expected")
-        right.set(xlabel="time, s", ylabel="tip off by, mm")
-        right.set_ylim(bottom=0.0)
+        right.set_xlabel("time, s")
         right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
         return svg(figure)
 
@@ -68,16 +71,37 @@ def workspace_figure(kinematics: Kinematics, rest: Floats, target: Floats | None
                 axes.plot(*target[[across, up]], "x", color=BEFORE, markersize=7, label="target")
                 axes.plot(*nearest[[across, up]], "o", color=AFTER, markersize=4, label="nearest within reach")
             axes.set(xlabel=f"{AXES[across]}, mm", ylabel=f"{AXES[up]}, mm", aspect="equal")
+            axes.margins(0.05)
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
         return svg(figure)
 
 
+def _errors(axes: Axes, course: Course, tracked: Tracked) -> None:
+    """Draw how far off the tip was seen, and how far off the model itself expects it."""
+    plan = course.plan
+    axes.plot(tracked.t, tracked.error, color=AFTER, linewidth=1.2, label="seen")
+    expected = plan.distance[course.counts]
+    if expected.max() > LEAST_MM:  # part of it is out of reach; else it lies on the axis
+        axes.plot(plan.t[course.counts], expected, color=FLOOR, linewidth=1.0, label="expected")
+    axes.set(ylabel="tip off by, mm", ylim=(0.0, max(LEAST_MM, axes.get_ylim()[1])))
+
+
+def _commands(axes: Axes, plan: Plan, unit: str) -> None:
+    """Draw the commands that lead the tip along, and to where the figure begins."""
+    for c, command in enumerate(plan.commands.T):
+        axes.plot(plan.t, command, color=COLOURS[c % len(COLOURS)], linewidth=1.2, label=f"u{c}")
+    axes.set_ylabel(f"command, {unit}")
+
+
 def _closer(axes: Axes, paths: list[Any]) -> None:
-    """Show paths and some of what is around them."""
+    """Show paths and some of what is around them; an edge of reach that lies farther off has no place in the legend."""
     points = np.concatenate([np.asarray(path, float) for path in paths])
     low, high = points.min(axis=0), points.max(axis=0)
     middle, half = (low + high) / 2, 0.8 * float((high - low).max())
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
+    for line in axes.lines:
+        if line.get_label() == EDGE and (np.abs(np.asarray(line.get_xydata()) - middle) > half).any(axis=1).all():
+            line.set_label("_")
 
 
 def _reach(axes: Axes, kinematics: Kinematics, across: int, up: int) -> None:
@@ -89,8 +113,8 @@ def _reach(axes: Axes, kinematics: Kinematics, across: int, up: int) -> None:
         return
     sides = [np.linspace(low, high, FINE) for low, high in bounds.tolist()]
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1)
-    places = np.asarray(kinematics.tip.evaluate(grid.reshape(-1, 2))).reshape(FINE, FINE, 3)
-    x, y = places[..., across], places[..., up]
-    axes.pcolormesh(x, y, np.zeros((FINE, FINE)), cmap=matplotlib.colors.ListedColormap([FAINT]), shading="gouraud")
+    places = np.asarray(kinematics.tip.evaluate(grid.reshape(-1, 2))).reshape(FINE, FINE, 3)[..., [across, up]]
+    cells = np.stack([places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:]], axis=2).reshape(-1, 4, 2)
+    axes.add_collection(PolyCollection(cells.tolist(), facecolors=FAINT, edgecolors=FAINT, linewidths=0.6, zorder=0))
     edge = np.concatenate([places[0], places[:, -1], places[-1, ::-1], places[::-1, 0]])
-    axes.plot(edge[:, across], edge[:, up], color=FLOOR, linewidth=0.8, label="edge of reach")
+    axes.plot(edge[:, 0], edge[:, 1], color=FLOOR, linewidth=0.8, label=EDGE)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import CalibrationError, ServoError
 from softmap_edge.model import Model
-from softmap_edge.servo.finger import full_window
 from softmap_edge.servo.home import NEAR
 from softmap_edge.servo.rig import Rig
 from softmap_edge.ticks import TURN, Calibration
@@ -118,7 +117,7 @@ def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[in
         0,
         0,
     )
-    return replace(found, window=full_window(model, found))
+    return replace(found, window=found.holding(model.command_range))
 
 
 def _expected(model: Model, share: float, at_home: float) -> dict[str, float]:

@@ -9,36 +9,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.toml_table import TomlTable
 
 Value = float | tuple[float, float]
 
-FARTHEST = 1_048_575.0  # ticks: 256 turns
-# Name: lowest and highest value. The compiled guard checks them again, together.
+# What a bench does not set: its rate, what was counted or proved, and a servo's own data.
+OTHERS = ("servos", "period", "home", "fastest", "voltage")
+# Name: lowest and highest value, as the compiled guard has them; it checks them again, together.
 RANGES: Mapping[str, tuple[float, float]] = {
-    "current_mA": (1.0, 6000.0),
-    "low": (-FARTHEST, -1.0),  # ticks about home
-    "high": (1.0, FARTHEST),
-    "slew": (1.0, 20_000.0),  # ticks/s
-    "acceleration": (1.0, 1e6),  # ticks/s²
-    "following": (1.0, 4096.0),  # ticks
-    "warm": (20.0, 80.0),  # °C
-    "hot": (30.0, 80.0),
-    "stale": (0.001, 2.0),  # s, as all down to `ramp`
-    "hold": (0.001, 60.0),
-    "slacken": (0.1, 60.0),
-    "late": (0.001, 0.5),
-    "silent": (0.001, 1.0),
-    "grace": (0.001, 2.0),
-    "ramp": (0.0, 10.0),
-    "jump": (0.0, FARTHEST),  # ticks, a pair: told, refused
-    "jog_travel": (1.0, 4096.0),  # ticks
-    "jog_slew": (1.0, 1000.0),  # ticks/s
-    "jog_current": (0.0, 1000.0),  # mA
-    "band": (0.0, 100.0),  # the commands' unit
-    "turns": (0.1, 100.0),  # 1/s
-    "burst": (1.0, 100.0),
+    "current_mA" if name == "current" else name: (low, high)
+    for name, (low, high, _) in _core.limit_ranges().items()
+    if name not in OTHERS
 }
 
 

@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.errors import ServoError
+from softmap_edge.errors import LimitError, ServoError
 from softmap_edge.model import Model
 from softmap_edge.safety import Safety, derived
 from softmap_edge.servo.limits import RATE, Table, loop_limits, servo_limits
+from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import TURN, Calibration
 
@@ -31,11 +32,7 @@ Floats = NDArray[np.float64]
 IDLE = 0.05  # of a servo's stall current: what motor and gears take without a load
 ASTRAY = 0.03  # of the window: how far home of the bench may lie from the calibration's, but for whole turns
 FINGER, CEILING, DATA, OWN = "safety.toml", "rig.toml", "the servo's data", "softmap"
-UNITS = {
-    "low": "ticks", "high": "ticks", "slew": "ticks/s", "acceleration": "ticks/s²", "current": "mA",
-    "fastest": "ticks/s", "following": "ticks", "warm": "°C", "hot": "°C", "voltage": "V", "jump": "ticks",
-    "jog_travel": "ticks", "jog_slew": "ticks/s", "jog_current": "mA", "turns": "1/s", "burst": "turns",
-}  # fmt: skip
+UNITS = {name: unit for name, (_, _, unit) in _core.limit_ranges().items()}  # none: the commands'
 SERVO_NAMES = ("low", "high", "slew", "acceleration", "current", "fastest", "following", "warm", "hot", "voltage")
 LEAST = ("ramp", "band")  # the larger is the stricter
 
@@ -91,19 +88,10 @@ class Combined:
             servos.append({"home": servo.home} | values)
         try:
             return loop_limits(servos, self.rate, **{limit.name: limit.value for limit in self.robot})
-        except ServoError as fault:
-            raise ServoError(f"{fault}{self._origin(str(fault))}") from None
-
-    def _origin(self, said: str) -> str:
-        """Return who set the limit that an error of the guard names."""
-        name = said.split(" is ")[0]
-        limits: tuple[Limit, ...] = self.robot
-        if name.startswith("servo "):
-            number, _, name = name.removeprefix("servo ").partition(": ")
-            limits = self.servos[int(number) - 1]
-        name = name.replace("jog.", "jog_").split(".")[0]
-        found = [limit for limit in limits if limit.name == name]
-        return f" ({found[0].by} says so)" if found else ""
+        except LimitError as fault:
+            limits = self.robot if fault.servo is None else self.servos[fault.servo]
+            by = [f" ({limit.by} says so)" for limit in limits if limit.name == fault.name]
+            raise ServoError(f"{fault}{''.join(by)}") from None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document softmap.limits/1."""
@@ -184,15 +172,6 @@ def calibration_of(model: Model) -> Calibration:
     return model.calibration
 
 
-def on_bench(rig: Rig, model: Model, rate: float = RATE) -> Model:
-    """Return the model with its calibration as it is on this bench: whoever plans with it stays inside the limits.
-
-    Raises:
-        ServoError: as `combined`.
-    """
-    return replace(model, calibration=combined(rig, model, rate=rate).calibration)
-
-
 def _box(calibration: Calibration, safety: Safety) -> Floats:
     """Return ticks about home (servo, 2), all of whose combinations stay inside the window of commands."""
     b, window = calibration.b, np.array([safety.low, safety.high]).T
@@ -247,7 +226,7 @@ def _servo(
 ) -> tuple[Limit, ...]:
     """Return the limits of servo `k`, whose home in the calibration is `off` ticks from that of the bench."""
     servo, unit = rig.servos[k], safety.unit
-    entry = next(model for model in _core.servo_models() if model["name"] == servo.model)
+    entry = servo_model(servo.model)
     start = servo_limits(servo.model, 0, (-1.0, 1.0))
     allowed = _bench(rig, servo)
     through = "through the calibration"
@@ -318,7 +297,7 @@ def _robot(
         if hasattr(safety, name):
             found.append((getattr(safety, name), FINGER, ""))
         value, by, why = (max if name in LEAST else min)(found, key=lambda one: float(one[0]))
-        limits.append(Limit(name, value, safety.unit if name == "band" else UNITS.get(name, "s"), by, why))
+        limits.append(Limit(name, value, UNITS[name] or safety.unit, by, why))
     return tuple(limits)
 
 

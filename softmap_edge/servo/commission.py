@@ -1,35 +1,27 @@
 """Set servos up on a bench: find them, read them, make them ready to be driven.
 
-Sources: the X-series control tables and the traps of facts/robot.md: turns are counted in modes 4 and 5 only, a homing
-offset makes a watchdog dangerous on old firmware, a return delay costs bus time. Pinned by tests/test_servo_verbs.py.
+Sources: the X-series control tables and their known traps: turns are counted in modes 4 and 5 only, a homing offset
+makes a watchdog dangerous there on old firmware, a return delay costs bus time. Pinned by tests/test_servo_verbs.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.proof import set_mark
-
-Model = dict[str, Any]
+from softmap_edge.servo.models import Model, numbered
+from softmap_edge.servo.proof import TRIES, patiently, set_mark
+from softmap_edge.servo.rig import Rig, RigServo
 
 PATTERNS = ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*")
-FAST = 45  # firmware from which all servos answer in one packet
+CLEAR = 42  # firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
 OLD = 38  # firmware below which there is no bus watchdog
 NO_SHADOW = 255
 ALWAYS = 2  # status return level: every question is answered
-HARDWARE = {
-    0x01: "input voltage",
-    0x04: "overheating",
-    0x08: "motor encoder",
-    0x10: "electrical shock",
-    0x20: "overload",
-}
 MODES = {
     0: "current", 1: "velocity", 3: "position", 4: "extended position", 5: "current-based position", 16: "PWM",
 }  # fmt: skip
@@ -50,7 +42,7 @@ class Found:
     @property
     def model(self) -> Model | None:
         """What is known of its model."""
-        return next((model for model in _core.servo_models() if model["number"] == self.number), None)
+        return numbered(self.number)
 
     def __str__(self) -> str:
         name = self.model["name"] if self.model else f"unknown model {self.number}"
@@ -135,27 +127,81 @@ def complaints(found: Found, values: dict[str, int]) -> list[str]:
     said = []
     for name, value in wanted(model).items():
         if values[name] != value:
-            note = f" ({MODES.get(values[name], 'unknown')})" if name == "operating_mode" else ""
-            said.append(f"{name.replace('_', ' ')} is {values[name]}{note}, needed is {value}; `softmap servo setup`")
+            said.append(f"{_is(found, name, values[name])}, needed is {value}; `softmap servo setup`")
     if values["hardware_error_status"]:
-        bits = [text for bit, text in HARDWARE.items() if values["hardware_error_status"] & bit]
+        bits = [text for bit, text in _core.HARDWARE_ERRORS if values["hardware_error_status"] & bit]
         said.append(f"it reports {', '.join(bits) or values['hardware_error_status']}; find the cause, then restart it")
     if values["torque_enable"]:
         said.append("its torque is on; `softmap servo off` releases it")
     if found.firmware < OLD:
-        said.append(f"its firmware {found.firmware} has no bus watchdog; update it to {FAST} with Dynamixel Wizard")
+        said.append(_too_old(found))
     return said
 
 
-def set_up(found: Found, new_id: int | None = None, new_baud: int | None = None) -> Found:
-    """Make one servo ready to be driven and prove it by reading back; returns it as it is then.
+def _is(found: Found, name: str, value: int) -> str:
+    """Return in words what a register holds, and why that is dangerous where it is."""
+    note = f" ({MODES.get(value, 'unknown')})" if name == "operating_mode" else ""
+    if name == "homing_offset" and found.firmware < CLEAR:
+        note = f" (with one, firmware {found.firmware} lets the motor run on when its watchdog trips in mode 4)"
+    return f"{name.replace('_', ' ')} is {value}{note}"
+
+
+def _too_old(found: Found) -> str:
+    update = f"update it to {_core.FAST_FIRMWARE} with Dynamixel Wizard"
+    return f"its firmware {found.firmware} has no bus watchdog; {update}"
+
+
+def examined(bus: _core.ServoBus, rig: Rig) -> list[tuple[RigServo, Found | None, list[str]]]:
+    """Return each servo of a bench with what answers in its place (None: nobody) and what keeps it from being driven.
+
+    Servos are asked only; a sentence of the list says what was found, and behind "; " what to do.
 
     Raises:
-        ServoError: its model is unknown, the id or rate is not one it can have, or it keeps other values.
+        ServoError: one that answered does not go on to.
+    """
+    seen: list[tuple[RigServo, Found | None, list[str]]] = []
+    for servo, (id, number) in zip(rig.servos, rig.numbers):
+        told = next((told for _ in range(TRIES) if (told := bus.ping(id)) is not None), None)
+        if told is None:
+            said = [
+                f"no answer at {rig.port}, {rig.baud} baud; check power, wiring and baud rate, `softmap servo scan` "
+                "lists who answers"
+            ]
+            seen.append((servo, None, said))
+            continue
+        found = Found(rig.port, rig.baud, id, *told)
+        if found.number != number:
+            name = found.model["name"] if found.model else "an unknown model"
+            said = [
+                f"it is {name} ({found.number}), the rig says {servo.model} ({number}); mend the rig, or connect the "
+                "servo that it names"
+            ]
+        else:
+            said = complaints(found, patiently(registers, bus, id))
+        seen.append((servo, found, said))
+    return seen
+
+
+def set_up(
+    found: Found,
+    new_id: int | None = None,
+    new_baud: int | None = None,
+    tell: Callable[[str], None] = lambda line: None,
+) -> Found:
+    """Make one servo ready to be driven and prove it by reading back; returns it as it is then.
+
+    Args:
+        tell: is told each thing that was mended, a line each.
+
+    Raises:
+        ServoError: its model is unknown, its firmware has no watchdog, the id or rate is not one it can have, or it
+            keeps other values.
     """
     model = found.model
     if model is None:
         raise ServoError(str(found) + ": this model is not known and is left as it is")
+    if found.firmware < OLD:
+        raise ServoError(f"{found}: it is left as it is, {_too_old(found)}")
     id = found.id if new_id is None else new_id
     baud = found.baud if new_baud is None else new_baud
     if not 0 <= id <= 252:
@@ -173,9 +219,14 @@ def set_up(found: Found, new_id: int | None = None, new_baud: int | None = None)
     with opened(found.port, found.baud) as bus:
         if id != found.id and bus.ping(id) is not None:
             raise ServoError(f"id {id} is taken by another servo on this bus; connect one servo at a time")
+        before = patiently(registers, bus, found.id)
+        if before["torque_enable"]:
+            tell("its torque was on: it is off")
         write(bus, found.id, "torque_enable", 0)
         for name, value in wanted(model).items():
-            write(bus, found.id, name, value)
+            if before[name] != value:
+                write(bus, found.id, name, value)
+                tell(f"{_is(found, name, before[name])}: it becomes {value}")
         set_mark(bus, found.id, None)  # another mode counts turns anew
         if id != found.id:
             write(bus, found.id, "id", id)

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import __version__, _core
 from softmap_edge.errors import ServoError
 from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.servo.limits import budget_of
+from softmap_edge.servo import words
 from softmap_edge.servo.rig import Rig
 from softmap_edge.ticks import Calibration
 
@@ -43,6 +43,7 @@ REQUESTS = ("connect", "home", "arm", "engage", "hold", "stop", "acknowledge", "
 STARTS = 10.0  # s until the loop's process has said something
 SAID = 2.0  # s within which every servo has said whether it has torque
 FROZEN = 0.6  # s without a report after which the loop's process is taken to be frozen
+PASSING = ("torque", "trouble(late)")  # what denies a request, and may be over soon
 ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
 
 
@@ -57,7 +58,8 @@ class Controller:
     which must not exist (`recording.py`).
 
     Raises:
-        ServoError: the loop cannot start or a request is denied; the message says why.
+        ServoError: a limit is missing or out of range, the loop cannot start, or a request is denied; the message says
+            why.
     """
 
     def __init__(
@@ -77,17 +79,19 @@ class Controller:
                 f"{len(limits['servos'])}; they must agree"
             )
         self.rig, self.limits = rig, dict(limits)
+        _core.check_limits(self.limits)
         self.calibration = calibration.turned([servo["home"] for servo in self.limits["servos"]])
         if kinematics is not None and kinematics.model.channels != count:
             raise ServoError(f"the model takes {kinematics.model.channels} commands, the rig has {count} servos")
         self.kinematics = kinematics
         self._commissioning = commissioning
-        self._budget, self._record = budget_of(self.limits), None if record is None else Path(record)
+        self._record = None if record is None else Path(record)
         self._last: Report = {}
         self._end: Report = {}
         self._heard = threading.Condition()
         self._process: subprocess.Popen[bytes] | None = None
         self._orders = -1
+        self._ordering = threading.Lock()
         self._command: Floats | None = None
         self._pressed = False
         self._reported = 0.0
@@ -97,9 +101,8 @@ class Controller:
         try:
             self._wait(self._heard_all, STARTS, "the servos say nothing")
             self._wait_for_release()
-            self._connect()
-            for request in () if self._commissioning else ("home", "arm"):
-                self.request(request)
+            for request in ("connect",) if self._commissioning else ("connect", "home", "arm"):
+                self._reach(request)
         except BaseException:
             self.close()
             raise
@@ -132,13 +135,23 @@ class Controller:
         return dict(self._end)
 
     def request(self, name: str, seconds: float = 3.0) -> None:
-        """Ask for `connect`, `home`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.
+        """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.
+
+        `home` is none of them: a start alone looks whether it is proved since the servos got power.
 
         Raises:
             ServoError: no such request, it was denied, or the loop did not answer.
         """
+        if name == "home":
+            raise ServoError(
+                f"the robot is in state {self.state}, and a running loop cannot prove home (turns are lost without "
+                "power); close the Controller and start another, which looks for the proof of `softmap servo home`"
+            )
         if name not in REQUESTS:
-            raise ServoError(f"no request '{name}'; there are {', '.join(REQUESTS)}")
+            raise ServoError(f"no request '{name}'; there are {', '.join(one for one in REQUESTS if one != 'home')}")
+        self._ask(name, seconds)
+
+    def _ask(self, name: str, seconds: float = 3.0) -> None:
         reached = {"connect": "connected", "home": "homed", "arm": "ready", "disconnect": "off"}.get(name)
         with self._heard:
             self._last.pop("denied", None)
@@ -153,9 +166,9 @@ class Controller:
             f"'{name}' was not answered",
         )
         if denied := self._last.get("denied"):
-            raise ServoError(f"'{name}' is denied in state {before}: {_why(denied)}")
+            raise ServoError(f"'{name}' is denied {words.where({'state': before})}: {words.denied(denied)}")
         if reached is not None and self._last["state"] != reached:
-            raise ServoError(f"'{name}' led to {self._last['state']} ({self._last['cause']}), expected {reached}")
+            raise ServoError(f"'{name}' led elsewhere: the robot is {words.where(self._last)}")
 
     def engage(self, u: ArrayLike | None = None) -> Floats:
         """Switch torque on where the finger stands and go to `u` (C,) mm, by default straight.
@@ -180,7 +193,7 @@ class Controller:
         """
         state = self.state
         if state not in ("engaged", "hold", "commissioning"):
-            raise ServoError(f"the robot is in state {state} ({self._last.get('cause')}); engage it first")
+            raise ServoError(f"the robot is {words.where(self._last)}; engage it first")
         return self._target(np.asarray(u, float))
 
     def release(self) -> None:
@@ -200,9 +213,10 @@ class Controller:
             return
         with self._heard:
             off = self._heard.wait_for(lambda: self._last.get("emergency") and not self._last.get("torque"), FROZEN)
-        if not off and self._process is not None:
-            self._process.kill()
-            self._process.wait()
+        process = self._process  # another thread may be closing it
+        if not off and process is not None:
+            process.kill()
+            process.wait()
             self._rescue()
             raise ServoError(str(self._last["rescued"]))
 
@@ -220,8 +234,9 @@ class Controller:
                         float(self.limits["slacken"]) + 2.0,
                     )
         finally:
-            self._process = None
-            os.close(self._orders)
+            with self._ordering:
+                self._process = None
+                os.close(self._orders)
             try:
                 process.wait(3.0)
             except subprocess.TimeoutExpired:
@@ -248,7 +263,6 @@ class Controller:
             "slope": self.calibration.A.reshape(-1).tolist(),
             "b": self.calibration.b.tolist(),
             "home": self.calibration.home.tolist(),
-            "budget": self._budget,
             "chain": None if self.kinematics is None else self.kinematics.document(),
             **self.rig.emergency.setup(),
         }
@@ -288,16 +302,15 @@ class Controller:
             self._last.setdefault("gone", "the process of the control loop has ended")
             self._heard.notify_all()
 
-    def _connect(self) -> None:
-        """Connect once each servo has said that it has no torque: that is asked five times a second, in turn."""
+    def _reach(self, request: str) -> None:
+        """Ask until it is granted: whether a servo has torque is heard five times a second, and one late answer is no
+        trouble that lasts."""
         until = time.monotonic() + SAID
         while True:
             try:
-                return self.request("connect")
+                return self._ask(request)
             except ServoError:
-                if self._last.get("denied") is None or not str(self._last["denied"]).startswith("torque"):
-                    raise
-                if time.monotonic() > until:
+                if not str(self._last.get("denied")).startswith(PASSING) or time.monotonic() > until:
                     raise
             time.sleep(0.05)
 
@@ -331,7 +344,9 @@ class Controller:
         flags = (1 if deadman else 0) | (2 if self._pressed else 0) | (4 if command is not None else 0)
         frame = struct.pack(f"<BB6xQ{len(numbers)}d", flags, request, time.monotonic_ns(), *numbers)
         try:
-            os.write(self._orders, frame)
+            with self._ordering:  # an emergency stop of another thread may come at any time, also before and after
+                if self._process is not None:
+                    os.write(self._orders, frame)
         except (BlockingIOError, BrokenPipeError):
             self._rescue_if_needed()
 
@@ -376,15 +391,3 @@ class Controller:
         with self._heard:
             self._last |= {"state": "fault", "cause": "loop", "torque": False, "rescued": said}
             self._heard.notify_all()
-
-
-def _why(denied: str) -> str:
-    """Return a sentence for what the loop's report says of a denied request."""
-    kind, _, of = denied.rstrip(")").partition("(")
-    return {
-        "from": f"not allowed in state {of}",
-        "trouble": f"something is wrong: {of}",
-        "torque": "a servo has torque; `softmap servo off` releases it",
-        "outside": "a servo stands outside its window; home it again",
-        "undriven": "no fresh target, or the deadman is not pressed",
-    }.get(kind, denied)

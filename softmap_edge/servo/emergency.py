@@ -10,13 +10,12 @@ pressed. docs/safety.md says how to wire and use them. Pinned by tests/test_emer
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from softmap_edge.errors import ServoError
-from softmap_edge.toml_table import TomlTable
+from softmap_edge.toml_table import TomlTable, quoted
 
 TIMEOUT = 0.2  # s: some beats of the usual fifty a second may be lost
 SHORTEST, LONGEST = 0.02, 2.0  # s
@@ -71,10 +70,10 @@ class Emergency:
         lines = []
         if self.gpio is not None:
             low = "true" if self.gpio.active_low else "false"
-            lines.append(f"gpio = {{chip = {_text(self.gpio.chip)}, line = {self.gpio.line}, active_low = {low}}}")
+            lines.append(f"gpio = {{chip = {quoted(self.gpio.chip)}, line = {self.gpio.line}, active_low = {low}}}")
         if (udp := self.udp) is not None:
             lines.append(
-                f"udp = {{host = {_text(udp.host)}, port = {udp.port}, key_file = {_text(udp.key_file)}, "
+                f"udp = {{host = {quoted(udp.host)}, port = {udp.port}, key_file = {quoted(udp.key_file)}, "
                 f"timeout = {udp.timeout!r}}}"
             )
         return ["", "[emergency]", *lines] if lines else []
@@ -101,13 +100,9 @@ def read_emergency(table: TomlTable, folder: Path) -> Emergency:
             raise ServoError(f"{one.where}: no port or no key_file; `softmap servo heartbeat --new-key FILE` makes one")
         timeout = one.number("timeout", TIMEOUT, SHORTEST, LONGEST)
         assert timeout is not None
-        udp = Beats(port, str(folder / key), timeout, one.get("host", (str,), Beats.host))
+        udp = Beats(port, str((folder / key).absolute()), timeout, one.get("host", (str,), Beats.host))
         one.done()
     for name in ("gpio", "udp"):
         table.get(name, (dict,))
     table.done()
     return Emergency(gpio, udp)
-
-
-def _text(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)

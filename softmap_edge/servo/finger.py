@@ -12,7 +12,6 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from itertools import product
 from types import TracebackType
 from typing import Any, Self
 
@@ -23,8 +22,9 @@ from softmap_edge import _core
 from softmap_edge.camera.frames import Frame
 from softmap_edge.errors import ServoError
 from softmap_edge.model import Model
-from softmap_edge.servo.commission import FAST, Found, opened, set_up
+from softmap_edge.servo.commission import Found, opened, set_up
 from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.servo.tendon_load import tendon_loads
@@ -95,7 +95,7 @@ class EmulatedFinger:
         self._rng = np.random.default_rng(seed)
         self._zero = time.monotonic() - float(self._rng.uniform(5.0, 500.0))  # where the camera's clock began
         self._drift = DRIFT * float(self._rng.uniform(-1.0, 1.0))
-        self._signs, self._blind = np.ones(channels), False
+        self._blind = False
         self._frames: deque[Frame] = deque(maxlen=KEPT)
         self._acting: deque[tuple[float, Floats]] = deque(maxlen=int(KEPT * RATE / FRAMES))
         self._taken = -np.inf
@@ -111,15 +111,6 @@ class EmulatedFinger:
     ) -> None:
         self._done.set()
         self._thread.join(2.0)
-
-    def tendon(self, channel: int, sign: float) -> None:
-        """Change how a horn pulls from now on: 1 as it should, -1 the wrong way, 0 for a broken tendon."""
-        self._signs[channel] = sign
-
-    @property
-    def signs(self) -> list[float]:
-        """How each horn pulls, as `tendon` has set it."""
-        return [float(sign) for sign in self._signs]
 
     def blind(self, dark: bool) -> None:
         """Let the camera see nothing, or again."""
@@ -139,8 +130,8 @@ class EmulatedFinger:
         last, due = -np.inf, time.monotonic()
         while not self._done.is_set():
             now, horns = self._bus.state()
-            angles = np.array([angle for angle, _, _ in horns])
-            u = self._map.A @ (self._signs * (angles - self._map.home)) + self._map.b
+            angles, pulls = np.array([(angle, pull) for angle, _, _, pull in horns]).T
+            u = self._map.A @ (pulls * (angles - self._map.home)) + self._map.b
             if now > last:
                 acting = self._step(now, u)
                 self._acting.append((now, acting))
@@ -178,19 +169,17 @@ def emulated_bench(
     Raises:
         ServoError: no such model, or it has no such rate.
     """
-    known = {entry["name"]: entry for entry in _core.servo_models()}
-    if servo not in known:
-        raise ServoError(f"no servo '{servo}' is known; there are {', '.join(known)}")
+    known = servo_model(servo)
     ids = range(1, model.channels + 1)
     homes = [round(float(home)) for home in calibration.home]
-    window = calibration.window or full_window(model, calibration)
-    servos = [(id, int(known[servo]["number"]), baud, float(home)) for id, home in zip(ids, homes)]
-    loads = tendon_loads(model, calibration, window, known[servo])
+    window = calibration.window or calibration.holding(model.command_range)
+    servos = [(id, int(known["number"]), baud, float(home)) for id, home in zip(ids, homes)]
+    loads = tendon_loads(model, calibration, window, known)
     bus = _core.EmulatedBus(servos, loads, delay=ANSWER[0], lag=ANSWER[1], seed=seed)
     try:
         if ready:
             for id, home in zip(ids, homes):
-                _ready(Found(bus.path, baud, id, int(known[servo]["number"]), FAST), home)
+                _ready(Found(bus.path, baud, id, int(known["number"]), _core.FAST_FIRMWARE), home)
         rig = Rig(bus.path, baud, tuple(RigServo(id, servo, home if ready else None) for id, home in zip(ids, homes)))
         each = [servo_limits(servo, home, window) for home in homes]
         for one in each:  # at full speed these servos are that far behind, and half as much again
@@ -213,10 +202,3 @@ def _ready(found: Found, home: int) -> None:
         except ServoError:
             if not left:
                 raise
-
-
-def full_window(model: Model, calibration: Calibration) -> tuple[float, float]:
-    """Return ticks about home that hold the model's whole range."""
-    corners = np.array(list(product(*np.asarray(model.command_range, float))))
-    away = calibration.ticks(corners) - calibration.home
-    return float(away.min()), float(away.max())

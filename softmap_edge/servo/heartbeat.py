@@ -11,68 +11,32 @@ those of `rust/control/heartbeat.rs`, which listens. Pinned by tests/test_emerge
 
 from __future__ import annotations
 
-import socket
 import struct
 import time
-from types import TracebackType
-from typing import Self
 
-from softmap_edge.errors import ServoError
-from softmap_edge.signed_udp import TAG, offered, tag
+from softmap_edge.signed_udp import TAG, Sender, signed
 
 MARK, OFFER_MARK = b"SMB1", b"SMC1"
 _BODY = struct.Struct("<4sB16sQQ")
 BEAT = _BODY.size + TAG
 PRESSED = 1
-NO_SESSION = bytes(16)
 
 
-class Heart:
-    """Beats for the robot at `host`:`port`, signed with `key`; a context manager, to be closed.
+class Heart(Sender):
+    """Beats for the robot at `host`:`port`, signed with `key`; a context manager. Closing it presses the stop.
+
+    `.heard` says whether the robot has answered: what beats for nobody holds nobody.
 
     Raises:
-        ServoError: no such host or port.
+        LinkError: no such host or port, or the key is too short.
     """
 
     def __init__(self, host: str, port: int, key: bytes) -> None:
-        if not 1 <= port <= 65_535:
-            raise ServoError(
-                f"{host}:{port}: ports are 1 to 65535; give the one in [emergency] of the robot's rig.toml"
-            )
-        self._key, self._session, self._sequence = key, NO_SESSION, 0
-        try:
-            found = socket.getaddrinfo(host, port, family=socket.AF_INET, type=socket.SOCK_DGRAM)
-            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            self._socket.connect(found[0][4])
-        except (OSError, UnicodeError) as cause:
-            raise ServoError(f"{host}:{port} cannot be reached ({cause!s:.80}); check host and port") from None
-        self._socket.setblocking(False)
-
-    @property
-    def heard(self) -> bool:
-        """Whether the robot has answered: what beats for nobody holds nobody."""
-        return self._session != NO_SESSION
+        mend = "give the host, and the port in [emergency] of the robot's rig.toml"
+        super().__init__(host, port, key, OFFER_MARK, mend)
 
     def beat(self, pressed: bool = False) -> bool:
         """Beat once, and say whether the stop is `pressed`; False where it could not be sent just now."""
-        self._listen()
-        self._sequence += 1
-        body = _BODY.pack(MARK, PRESSED if pressed else 0, self._session, self._sequence, time.monotonic_ns())
-        try:
-            return self._socket.send(body + tag(self._key, body)) == BEAT
-        except OSError:  # nobody listens there, or no network: the robot may come back
-            return False
-
-    def _listen(self) -> None:
-        """Take the newest session that the robot offers."""
-        self._session = offered(self._socket, self._key, OFFER_MARK, self._session)
-
-    def close(self) -> None:
-        """Stop beating: the robot takes it for pressed."""
-        self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
+        session, sequence = self._next()
+        flags = PRESSED if pressed else 0
+        return self._put(signed(self._key, _BODY.pack(MARK, flags, session, sequence, time.monotonic_ns())))

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import commission
-from softmap_edge.servo.proof import TRIES, marked, patiently, set_mark
+from softmap_edge.servo.proof import marked, patiently, set_mark
 from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
+from softmap_edge.ticks import TURN
 
-TURN = 4096  # ticks of a turn of the horn
 NEAR = 150  # ticks from the stored home that a straight finger may stand: half a mm on a spool of 2.2 mm
 STEADY = 4  # ticks that an encoder may flicker while the finger stands; the play of an XM is 3
 WATCHED, LOOKS = 1.0, 20  # s for which it has to stand, and how often it is looked at meanwhile
@@ -53,31 +53,19 @@ class Homed:
 
 
 def relax(rig: Rig) -> list[int]:
-    """Check that the servos are those of `rig` and set up, and switch their torque off; returns their firmware.
+    """Switch torque off and check that the servos are those of `rig` and set up; returns their firmware.
 
     Raises:
         ServoError: one does not answer, is another model, is not set up, or reports an error.
     """
-    firmware = []
     with commission.opened(rig.port, rig.baud) as bus:
-        for id, number in rig.numbers:
-            told = next((told for _ in range(TRIES) if (told := bus.ping(id)) is not None), None)
-            if told is None:
-                raise ServoError(
-                    f"servo {id}: no answer at {rig.port}, {rig.baud} baud; check power, wiring and baud rate"
-                )
-            found = commission.Found(rig.port, rig.baud, id, *told)
-            if told[0] != number:
-                name = found.model["name"] if found.model else "an unknown model"
-                wanted = next(servo.model for servo in rig.servos if servo.id == id)
-                raise ServoError(f"servo {id} is {name} ({told[0]}), the rig says {wanted} ({number}); mend the rig")
-            firmware.append(told[1])
-            for _ in range(3):
-                bus.release()
-            said = commission.complaints(found, patiently(commission.registers, bus, id))
-            if said:
-                raise ServoError(f"servo {id}: {'; '.join(said)}")
-    return firmware
+        for _ in range(3):
+            bus.release()
+        seen = commission.examined(bus, rig)
+    for servo, _, said in seen:
+        if said:
+            raise ServoError(f"servo {servo.id}: {'; '.join(said)}")
+    return [found.firmware for _, found, _ in seen if found is not None]
 
 
 def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:

@@ -4,14 +4,13 @@
         jog.by(0, 100, Held())     # as long as it is held: who lets go stops it
 
 Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; torque goes off when nobody
-holds. Where home is proved and the rig has a ceiling of ticks, that is kept too. Pinned by tests/test_move.py.
+holds. Where home is proved and the rig has a ceiling of ticks, the guard keeps that too. Pinned by tests/test_move.py.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -19,16 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import ServoError
+from softmap_edge.servo import words
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.emergency_key import PRESSED
+from softmap_edge.servo.limits import JOG_CURRENT, JOG_SLEW, JOG_TRAVEL, Table, loop_limits, servo_limits
 from softmap_edge.servo.proof import marked
-from softmap_edge.servo.rig import FARTHEST, Rig
+from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
 from softmap_edge.ticks import Calibration
 
 Ticks = NDArray[np.float64]
 
-TRAVEL, SLEW, CURRENT = 300.0, 200.0, 150.0  # ticks, ticks/s, mA: what a jog may do unless more is asked for
 EVERY = 0.02  # s between two orders
 AHEAD = 0.4  # s of its slew that a held key aims ahead
 ARRIVED = 3.0  # ticks of the goal from where it was sent
@@ -37,11 +37,17 @@ WAITS = 3.0  # s beyond the time that a jog should take
 
 
 class Deadman(Protocol):
-    """What has to be held while anything moves: `keys.Keys`, or `Held`."""
+    """What has to be held while anything moves: a key (`keys.Keys`) from its first repetition on, or `Held`."""
+
+    how: str  # it is let go, in words
 
     @property
     def stopped(self) -> bool:
         """Whether somebody asked to stop; it stays so."""
+
+    @property
+    def emergency(self) -> bool:
+        """Whether somebody stopped by the emergency stop; it stays so."""
 
     def held(self) -> bool:
         """Whether it is held now."""
@@ -50,7 +56,7 @@ class Deadman(Protocol):
 class Held:
     """A deadman that the program holds as long as it runs; Ctrl-C lets go."""
 
-    stopped = False
+    how, stopped, emergency = "Ctrl-C lets go", False, False
 
     def held(self) -> bool:
         """Always."""
@@ -58,45 +64,33 @@ class Held:
 
 
 class Jog:
-    """The servos of `rig`, jogged one at a time; from entering to leaving. `beyond` leaves its ceiling of ticks aside.
+    """The servos of `rig`, jogged one at a time; from entering to leaving.
 
     Raises:
-        ServoError: the loop cannot start, or a servo is not as the rig says.
+        ServoError: the port cannot be opened, the loop cannot start, or a servo is not as the rig says.
     """
 
     def __init__(
         self,
         rig: Rig,
         *,
-        travel: float = TRAVEL,
-        slew: float = SLEW,
-        current: float = CURRENT,
-        rate: float = 100.0,
-        record: str | Path | None = None,
-        beyond: bool = False,
+        travel: float = JOG_TRAVEL,
+        slew: float = JOG_SLEW,
+        current: float = JOG_CURRENT,
     ) -> None:
-        count, anywhere = len(rig.servos), (-float(FARTHEST), float(FARTHEST))
+        count = len(rig.servos)
         self.rig, self.slew, self.travel = rig, slew, travel
         limits = loop_limits(
-            [servo_limits(servo.model, 0, anywhere) for servo in rig.servos],
-            rate,
-            jump=anywhere[1:] * 2,
-            jog_travel=travel,
-            jog_slew=slew,
-            jog_current=current,
+            _windows(rig), jump=(float(FARTHEST),) * 2, jog_travel=travel, jog_slew=slew, jog_current=current
         )
-        none = np.zeros((count, count)), np.zeros(count)
-        error = dict.fromkeys(("command", "shape_mm", "matched_shape_mm"), 0.0)
-        ticks = Calibration(np.eye(count), none[1], none[1], *none, error, "ticks as they are", 0, 0, None, "ticks")
-        self.robot = Controller(rig, ticks, limits, record=record, commissioning=True)
+        home = np.array([servo["home"] for servo in limits["servos"]], float)
+        ticks = Calibration.stated(np.eye(count), home, home, "ticks as they are", unit="ticks")
+        self.robot = Controller(rig, ticks, limits, commissioning=True)
         self._began: Ticks | None = None
         self._target: Ticks | None = None
         self._stood: Ticks = np.full(count, np.nan)
-        self._window, self._beyond = np.tile(np.array(anywhere), (count, 1)), beyond
 
     def __enter__(self) -> Self:
-        if not self._beyond:
-            self._window = _window(self.rig, self._window)
         self.robot.__enter__()
         until = time.monotonic() + WAITS
         while np.isnan(self.position).any() and time.monotonic() < until:
@@ -139,15 +133,16 @@ class Jog:
         """
         state = self.robot.state
         if state not in ("commissioning", "connected"):
-            raise ServoError(f"the guard ended the jog: {state}, because of {self.robot.report.get('cause')}")
+            raise ServoError(f"the guard ended the jog: the robot is {words.where(self.robot.report)}")
         if state == "connected":
             self.robot.request("commission")
             self._began, self._target = self.goal, None
         began = self.position if self._began is None else self._began
         target = self.goal if self._target is None else self._target.copy()
-        low, high = self._window[servo]
-        ticks = min(max(ticks, low, began[servo] - self.travel), high, began[servo] + self.travel)
-        target[servo] = ticks
+        # What the guard allows, so that arriving there counts.
+        limits, at = self.robot.limits["servos"][servo], float(began[servo])
+        low, high = max(at - self.travel, min(at, limits["low"])), min(at + self.travel, max(at, limits["high"]))
+        target[servo] = min(max(ticks, low), high)
         self._target = target
         self.robot.target(target)
 
@@ -169,6 +164,16 @@ class Jog:
             while self.robot.state == "commissioning" and time.monotonic() < until:
                 time.sleep(EVERY)
 
+    def obey(self, hand: Deadman) -> None:
+        """Press the robot's emergency stop if `hand` did so.
+
+        Raises:
+            ServoError: it did; torque is off.
+        """
+        if hand.emergency:
+            self.robot.emergency()
+            raise ServoError(PRESSED)
+
     def by(self, servo: int, ticks: float, hand: Deadman, seen: Callable[[Jog], bool] | None = None) -> float:
         """Turn a servo by `ticks` while `hand` holds; returns how far it came, still under torque if held.
 
@@ -176,7 +181,7 @@ class Jog:
             seen: is shown this jog each time; True ends the move where it is.
 
         Raises:
-            ServoError: a fault ended it, or it did not arrive in time.
+            ServoError: a fault or the emergency stop ended it, or it did not arrive in time.
         """
         begin, left, settled = float(self.position[servo]), abs(ticks) / self.slew + WAITS, 0.0
         last = time.monotonic()
@@ -197,22 +202,27 @@ class Jog:
                         f"{self.position[servo] - begin:+.0f} in time; look what holds it"
                     )
             time.sleep(EVERY)
+        self.obey(hand)
         return float(self.position[servo] - begin)
 
     def _aim(self, servo: int) -> float:
         return float("nan") if self._target is None else float(self._target[servo])
 
 
-def _window(rig: Rig, window: Ticks) -> Ticks:
-    """Return the ticks (C, 2) that each servo may take: its ceiling about a home that is proved, else `window`."""
-    window = window.copy()
+def _anywhere(servo: RigServo) -> Table:
+    return servo_limits(servo.model, 0, (-float(FARTHEST), float(FARTHEST)))
+
+
+def _windows(rig: Rig) -> list[Table]:
+    """Return the limits of each servo: its ceiling about a home that is proved, else no window."""
+    found = []
     with opened(rig.port, rig.baud) as bus:
-        for k, servo in enumerate(rig.servos):
-            if servo.home is None or (servo.low is None and servo.high is None) or bus.ping(servo.id) is None:
-                continue
-            if marked(bus, servo.id, servo.home):
-                window[k] = [
-                    window[k, side] if away is None else servo.home + away
-                    for side, away in enumerate((servo.low, servo.high))
-                ]
-    return window
+        for servo in rig.servos:
+            limits = _anywhere(servo)
+            ceiling = servo.low is not None or servo.high is not None
+            if servo.home is not None and ceiling and marked(bus, servo.id, servo.home):
+                low = -FARTHEST - servo.home if servo.low is None else servo.low
+                high = FARTHEST - servo.home if servo.high is None else servo.high
+                limits = servo_limits(servo.model, servo.home, (low, high))
+            found.append(limits)
+    return found

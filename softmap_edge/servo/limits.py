@@ -6,13 +6,13 @@ tests/test_controller.py and, for what the guard makes of it, by the tests of ru
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
-
-import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
+from softmap_edge.safety import BURST, HOLD, JUMP, RAMP, SLACKEN, STALE, TURNS_A_SECOND
+from softmap_edge.servo.models import servo_model
 
 Table = dict[str, Any]
 
@@ -21,8 +21,8 @@ SLEW = 2000.0  # ticks/s; 7 mm of tendon a second on a spool of 2.2 mm
 ACCELERATION = 20_000.0  # ticks/s²
 CURRENT = 0.35  # of a servo's own limit
 FASTER = 1.5  # than a servo's own fastest turn is no position to believe
-BUDGET = (0.02, 4.0, 4.0)  # mm that a goal comes back before its servo turns, turns a second, turns at once
-BUDGETS = ((0.0, 100.0), (0.1, 100.0), (1.0, 100.0))  # what those may be
+BAND = 0.02  # mm that a goal comes back before its servo turns
+JOG_TRAVEL, JOG_SLEW, JOG_CURRENT = 300.0, 200.0, 150.0  # ticks, ticks/s, mA: what a jog may do
 COOL = (15.0, 5.0)  # °C below its own limit at which a servo's current is cut back, and at which it slackens
 
 
@@ -30,15 +30,12 @@ def servo_limits(model: str, home: int, window: tuple[float, float]) -> Table:
     """Return the limits of one servo by its model's data.
 
     Args:
-        model: its name, as in `_core.servo_models()`. home: ticks. window: ticks about home, LOW < 0 < HIGH.
+        model: its name, as `servo_model` knows it. home: ticks. window: ticks about home, LOW < 0 < HIGH.
 
     Raises:
         ServoError: no such model.
     """
-    known = {entry["name"]: entry for entry in _core.servo_models()}
-    if model not in known:
-        raise ServoError(f"no servo '{model}' is known; there are {', '.join(known)}")
-    entry = known[model]
+    entry = servo_model(model)
     most = entry["current_limit_mA"]
     return {
         "home": home,
@@ -68,37 +65,24 @@ def loop_limits(servos: Sequence[Table], rate: float = RATE, **changes: Any) -> 
     table: Table = {
         "servos": [dict(one) for one in servos],
         "period": period,
-        "stale": max(0.25, 3 * period),
-        "hold": 2.0,
-        "slacken": 5.0,
+        "stale": max(STALE, 3 * period),
+        "hold": HOLD,
+        "slacken": SLACKEN,
         "late": max(0.05, 4 * period),
         "silent": max(0.25, 6 * period),
         "grace": 0.5,
-        "ramp": 1.0,
-        "jump": (0.25 * window, window),
-        "jog_travel": 300.0,
-        "jog_slew": 200.0,
-        "jog_current": 150.0,
-        **dict(zip(("band", "turns", "burst"), BUDGET)),
+        "ramp": RAMP,
+        "jump": (JUMP * window, window),
+        "jog_travel": JOG_TRAVEL,
+        "jog_slew": JOG_SLEW,
+        "jog_current": JOG_CURRENT,
+        "band": BAND,
+        "turns": TURNS_A_SECOND,
+        "burst": BURST,
     }
     unknown = [name for name in changes if name not in table]
     if unknown:
         raise ServoError(f"no limit '{unknown[0]}'; there are {', '.join(table)}")
     table |= changes
     _core.check_limits(table)
-    budget_of(table)
     return table
-
-
-def budget_of(table: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Return dead band and reversals of a table of limits, if they are what the loop can keep to.
-
-    Raises:
-        ServoError: one is missing or out of range.
-    """
-    names = ("band", "turns", "burst")
-    for name, (low, high) in zip(names, BUDGETS):
-        if not low <= (value := float(table.get(name, np.nan))) <= high:  # also for what is no number
-            raise ServoError(f"{name} is {value:g}; allowed is {low:g} to {high:g}")
-    band, turns, burst = (float(table[name]) for name in names)
-    return band, turns, burst

@@ -20,16 +20,19 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
+from softmap_edge.servo import words
 from softmap_edge.servo.combined import IDLE, Combined
 from softmap_edge.servo.commission import opened
-from softmap_edge.servo.jog import CURRENT, EVERY, SLEW, Deadman, Jog
+from softmap_edge.servo.jog import EVERY, Deadman, Jog
+from softmap_edge.servo.limits import JOG_CURRENT, JOG_SLEW
+from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import check_proved
 from softmap_edge.servo.rig import Rig, RigServo
 
 Floats = NDArray[np.float64]
 
 MARGIN = 1.25  # times the current at the stroke that the ceiling allows
-FARTHEST_LEG = 4096.0  # ticks from home: what the guard lets a commissioning move do at most
+FARTHEST_LEG = _core.limit_ranges()["jog_travel"][1]  # ticks from home, of a move
 BEYOND = 1.25  # times what was reached: a stroke up to there is told by a straight line
 SHORT = 0.05  # of a leg by which a servo may stay behind its goal, but never less than LEAST_SHORT
 LEAST_SHORT = 25.0  # ticks
@@ -113,7 +116,7 @@ def pull(found: Combined, hand: Deadman, ids: Sequence[int] = ()) -> list[Pulled
         check_proved(bus, [(servo.id, servo.home) for servo in rig.servos])
     inside = tuple(replace(one, low=round(low), high=round(high)) for one, (low, high) in zip(rig.servos, ends))
     most = min(allowed, max(abs(end) for k in numbers for end in ends[k]) + LEAST_SHORT)
-    slew, current = _ceiling(rig, "jog_slew", SLEW), _ceiling(rig, "jog_current", CURRENT)
+    slew, current = _ceiling(rig, "jog_slew", JOG_SLEW), _ceiling(rig, "jog_current", JOG_CURRENT)
     done = []
     for k in numbers:
         with Jog(replace(rig, servos=inside), travel=most, slew=slew, current=current) as jog:
@@ -130,17 +133,13 @@ def noted(rig: Rig, done: Sequence[Pulled]) -> Rig:
     servos = tuple(
         replace(servo, current_mA=by_id[servo.id].ceiling_mA) if servo.id in by_id else servo for servo in rig.servos
     )
-    slew = _ceiling(rig, "jog_slew", SLEW)
+    slew = _ceiling(rig, "jog_slew", JOG_SLEW)
     said = {f"servo_{id}": one.provenance(when, slew) for id, one in by_id.items()}
     return replace(rig, servos=servos, made={**rig.made, "pulled": {**rig.made.get("pulled", {}), **said}})
 
 
-def _entry(servo: RigServo) -> dict[str, Any]:
-    return next(entry for entry in _core.servo_models() if entry["name"] == servo.model)
-
-
 def _check_measures(servo: RigServo) -> None:
-    if _entry(servo)["current_unit_mA"] is None:
+    if servo_model(servo.model)["current_unit_mA"] is None:
         raise ServoError(
             f"servo {servo.id}, a {servo.model}, reports no current and caps none: its PWM is its limit, a pull test "
             "finds nothing; give --servo ID for those that do"
@@ -193,6 +192,7 @@ def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
     while time.monotonic() < until or len(stood) < LEAST_READ:
         if time.monotonic() > until + SILENT and hand.held():
             raise ServoError(f"servo {servo.id} says nothing of its current; look at the wiring of the bus")
+        jog.obey(hand)
         if hand.stopped or jog.robot.state != "commissioning":
             raise ServoError(_ended(jog, servo))
         if hand.held():
@@ -231,7 +231,9 @@ def _now(jog: Jog, k: int) -> list[tuple[float, float]]:
 
 
 def _ended(jog: Jog, servo: RigServo) -> str:
-    return f"the pull of servo {servo.id} was stopped before its end ({jog.robot.state}); nothing was written"
+    return (
+        f"the pull of servo {servo.id} was stopped before its end, {words.where(jog.robot.report)}; nothing was written"
+    )
 
 
 def _allowed(servo: RigServo, legs: tuple[Leg, Leg]) -> float:
@@ -240,7 +242,7 @@ def _allowed(servo: RigServo, legs: tuple[Leg, Leg]) -> float:
     Raises:
         ServoError: on a side the current does not rise towards the stroke.
     """
-    entry = _entry(servo)
+    entry = servo_model(servo.model)
     for leg in legs:
         if not leg.rises > RISES * entry["current_unit_mA"]:
             raise ServoError(

@@ -134,6 +134,8 @@ def read_recording(path: str | Path) -> Recording:
         RunError: no recording of a loop, or damaged.
     """
     file = Path(path)
+    if not file.is_file():
+        raise RunError(f"{file}: no such file; give what a loop recorded, as of `softmap track --record FILE.mcap`")
     try:
         messages = _core.read_recording(str(file))
         documents = [(topic, json.loads(message)) for topic, _, message in messages]

@@ -1,6 +1,6 @@
 """One bench: where its servos are and where home is, kept on the machine that drives them (`rig.toml`).
 
-A bundle is somebody else's file; what belongs to a bench never travels with it. Pinned by tests/test_controller.py.
+A bundle is somebody else's file; what belongs to a bench never travels with it. Pinned by tests/test_rig_file.py.
 """
 
 from __future__ import annotations
@@ -13,14 +13,16 @@ from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.servo.ceiling import Ceiling, read_ceiling
+from softmap_edge.servo.ceiling import RANGES, Ceiling, read_ceiling
 from softmap_edge.servo.emergency import Emergency, read_emergency
-from softmap_edge.toml_table import TomlTable
+from softmap_edge.servo.models import servo_model
+from softmap_edge.servo.rig_text import noted
+from softmap_edge.toml_table import TomlTable, quoted, written
 from softmap_edge.whole_file import MOST_TEXT, write_whole
 
 SCHEMA = "softmap.rig/1"
-MOST_SERVOS = 16
-FARTHEST = 1_048_575  # ticks: 256 turns
+MOST_SERVOS = int(_core.limit_ranges()["servos"][1])
+FARTHEST = int(_core.limit_ranges()["home"][1])  # ticks: 256 turns
 KEPT = ("home", "current_mA", "low", "high", "slew", "acceleration")  # of a servo, where it is known
 
 
@@ -58,16 +60,17 @@ class Rig:
     made: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        known = {entry["name"]: entry for entry in _core.servo_models()}
         ids = [servo.id for servo in self.servos]
         if not 1 <= len(ids) <= MOST_SERVOS:
             raise ServoError(f"the rig has {len(ids)} servos; allowed are 1 to {MOST_SERVOS}")
         for servo in self.servos:
-            if servo.model not in known:
-                raise ServoError(f"servo {servo.id}: no model '{servo.model}' is known; there are {', '.join(known)}")
+            try:
+                known = servo_model(servo.model)
+            except ServoError as fault:
+                raise ServoError(f"servo {servo.id}: {fault}") from None
             if ids.count(servo.id) > 1 or not 0 <= servo.id <= 252:
                 raise ServoError(f"servo id {servo.id} stands twice or beyond 252; give each servo one of its own")
-            if self.baud not in known[servo.model]["baud_rates"]:
+            if self.baud not in known["baud_rates"]:
                 raise ServoError(f"servo {servo.id}, a {servo.model}, has no rate of {self.baud} baud")
             if not (servo.low is None or servo.low < 0) or not (servo.high is None or servo.high > 0):
                 raise ServoError(f"servo {servo.id}: low {servo.low}, high {servo.high}; expected low < 0 < high")
@@ -75,25 +78,37 @@ class Rig:
     @property
     def numbers(self) -> list[tuple[int, int]]:
         """Id and model number of each servo."""
-        known = {entry["name"]: entry["number"] for entry in _core.servo_models()}
-        return [(servo.id, known[servo.model]) for servo in self.servos]
+        return [(servo.id, servo_model(servo.model)["number"]) for servo in self.servos]
 
     def to_toml(self) -> str:
         """Return the text of `rig.toml`."""
-        lines = [f'schema = "{SCHEMA}"', f"port = {_quoted(self.port)}", f"baud = {self.baud}"]
+        lines = [f'schema = "{SCHEMA}"', f"port = {quoted(self.port)}", f"baud = {self.baud}"]
         lines += [*self.ceiling.to_toml(), *self.emergency.to_toml()]
         for servo in self.servos:
             lines += ["", "[[servo]]", f"id = {servo.id}", f'model = "{servo.model}"']
             lines += [f"{key} = {value}" for key in KEPT if (value := getattr(servo, key)) is not None]
         for name, found in self.made.items():
-            lines += ["", f"[made.{_quoted(name)}]"] + [
-                f"{_quoted(key)} = {_value(said)}" for key, said in found.items()
+            lines += [
+                "",
+                f"[made.{quoted(name)}]",
+                *(f"{quoted(key)} = {written(said)}" for key, said in found.items()),
             ]
         return "\n".join(lines) + "\n"
 
     def write(self, path: str | Path) -> None:
-        """Write `rig.toml`, whole or not at all."""
+        """Write a new `rig.toml`, whole or not at all."""
         write_whole(path, self.to_toml())
+
+    def note(self, path: str | Path) -> None:
+        """Write what is known of the servos, and how it was found, into the `rig.toml` that this was read from.
+
+        What its user wrote there stays, comments too (`rig_text.py`).
+
+        Raises:
+            ServoError: it is no rig any more. OSError: it cannot be read or written.
+        """
+        read_rig(path)
+        write_whole(path, noted(Path(path).read_text("utf-8"), self.to_toml()))
 
 
 def read_rig(path: str | Path) -> Rig:
@@ -120,11 +135,11 @@ def read_rig(path: str | Path) -> Rig:
                     id,
                     one.get("model", (str,), ""),
                     one.whole("home", None, -FARTHEST, FARTHEST),
-                    one.number("current_mA", None, 1.0, 6000.0),
-                    one.whole("low", None, -FARTHEST, FARTHEST),
-                    one.whole("high", None, -FARTHEST, FARTHEST),
-                    one.number("slew", None, 1.0, 20_000.0),
-                    one.number("acceleration", None, 1.0, 1e6),
+                    one.number("current_mA", None, *RANGES["current_mA"]),
+                    one.whole("low", None, *_whole(RANGES["low"])),
+                    one.whole("high", None, *_whole(RANGES["high"])),
+                    one.number("slew", None, *RANGES["slew"]),
+                    one.number("acceleration", None, *RANGES["acceleration"]),
                 )
             )
         if not port or baud is None:
@@ -144,6 +159,10 @@ def read_rig(path: str | Path) -> Rig:
         raise ServoError(f"{file}: no TOML ({fault!s:.80})") from None
 
 
+def _whole(bounds: tuple[float, float]) -> tuple[int, int]:
+    return int(bounds[0]), int(bounds[1])
+
+
 def _found(table: TomlTable) -> dict[str, Any]:
     """Return how something was found: texts, numbers and lists of them."""
     for key, value in table.values.items():
@@ -153,18 +172,3 @@ def _found(table: TomlTable) -> dict[str, Any]:
                 f"{table.where}: {key} is {type(value).__name__}, expected a text, a number or a list of them"
             )
     return table.values
-
-
-def _value(said: Any) -> str:
-    """Return a value as TOML writes it."""
-    if isinstance(said, list):
-        return f"[{', '.join(_value(one) for one in said)}]"
-    if isinstance(said, bool):
-        return str(said).lower()
-    return _quoted(said) if isinstance(said, str) else repr(said)
-
-
-def _quoted(text: str) -> str:
-    """Return a TOML string of one line."""
-    plain = text.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in plain) + '"'

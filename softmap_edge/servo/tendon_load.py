@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 
 from softmap_edge.model import Model
 from softmap_edge.shape_arrays import plain_table
-from softmap_edge.ticks import Calibration
+from softmap_edge.ticks import TURN, Calibration
 
 Floats = NDArray[np.float64]
 Load = list[tuple[float, float]]
 
-TICKS_PER_RAD = 4096.0 / (2.0 * np.pi)
-STALL = (0.52, 1470.0)  # N·m and mA of an XL330-M288 at 5 V (its manual), where a model's table has none
+TICKS_PER_RAD = TURN / (2.0 * np.pi)
 NOMINAL = 0.5  # N a mm of command, of a bundle without tensions: about the built-in finger's
 OWN = 0.6  # of the largest change of tension: a tendon that changes as much is the command's own
 POINTS = 41  # of a table
@@ -35,9 +34,9 @@ def tendon_loads(
     """Return what each servo's tendons ask, (ticks, mA) ascending over `window` about home.
 
     Args:
-        servo: its entry of `_core.servo_models()`.
+        servo: what is known of its model (`servo_model`).
     """
-    stall = (servo.get("stall_torque_Nm", STALL[0]), servo.get("stall_current_mA", STALL[1]))
+    stall = servo["stall_torque_Nm"], servo["stall_current_mA"]
     away = np.linspace(*window, POINTS)
     loads = []
     for s, home in enumerate(calibration.home):

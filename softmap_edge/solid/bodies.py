@@ -25,11 +25,11 @@ from softmap_edge.solid.numbers import (
     check_pairs,
     check_vector,
     listed,
-    quoted,
     rows,
     sequence,
     shown,
 )
+from softmap_edge.toml_table import quoted
 
 Floats = NDArray[np.float64]
 

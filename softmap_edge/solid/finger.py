@@ -25,11 +25,11 @@ from softmap_edge.solid.numbers import (
     finite,
     listed,
     names,
-    quoted,
     sequence,
     shown,
 )
 from softmap_edge.solid.tendons import Region, Tendon, check_commands, region_from, tendon_from, unit_of
+from softmap_edge.toml_table import quoted
 
 __all__ = ["Finger", "Region", "Tendon"]
 

@@ -99,12 +99,6 @@ def names(items: Iterable[Any]) -> str:
     return ", ".join(map(shown, sorted(items)))
 
 
-def quoted(text: str) -> str:
-    """Return a text as TOML writes it."""
-    escaped = "".join(f"\\u{ord(c):04X}" if ord(c) < 32 or ord(c) == 127 or c in '"\\' else c for c in text)
-    return f'"{escaped}"'
-
-
 def listed(values: Iterable[Any]) -> str:
     """Return numbers, or rows of numbers, as TOML writes them."""
     return "[" + ", ".join(listed(v) if isinstance(v, tuple | list) else repr(float(v)) for v in values) + "]"

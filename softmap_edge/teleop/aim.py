@@ -42,7 +42,7 @@ class Direct:
         TeleopError: the model takes another number of commands.
     """
 
-    names = ("u₁", "u₂")
+    names = ("u0", "u1")
 
     def __init__(self, kinematics: Kinematics) -> None:
         if (count := kinematics.model.channels) != 2:

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import ServoError
 from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
-from softmap_edge.teleop import words
 from softmap_edge.teleop.aim import Aim
 from softmap_edge.teleop.clutch import Clutch
 from softmap_edge.teleop.eyes import Eyes, Sight
@@ -109,7 +109,6 @@ class Drive:
         reach: tuple[float, float] = HandMap.reach,
         flip: tuple[bool, bool] = (False, False),
         rule: Rule = "fist releases",
-        smooth: OneEuro | None = None,
         stays: bool = False,
         sent: Callable[[float, Floats], None] | None = None,
         show: Callable[[Moment], None] | None = None,
@@ -118,7 +117,7 @@ class Drive:
         self._robot, self._aim, self._eyes, self._inputs = robot, aim, eyes, list(inputs)
         self._map = HandMap(aim.box, reach, flip)
         self._kinematics, self._settled = kinematics, kinematics.inverse()
-        self._clutch, self._gesture, self._filter = Clutch(), Deadman(rule), smooth or OneEuro()
+        self._clutch, self._gesture, self._filter = Clutch(), Deadman(rule), OneEuro()
         self._stays, self._sent, self._show, self._say = stays, sent, show, say
         self._smooth: OneEuroState | None = None
         self._last_sight = -1
@@ -316,7 +315,7 @@ class Drive:
     def _tell(self, report: dict[str, Any]) -> None:
         said = words.sentence(report)
         if self._clutch.stage == "lost":
-            said += f"; driving ended: {self._clutch.why}; let go of the key and press it anew"
+            said += f"; {words.lost(report, self._clutch.why)}"
         elif self._clutch.stage == "waiting" and self._clutch.why:
             said += f"; waiting: {self._clutch.why}"
         if said != self._line:

@@ -43,7 +43,7 @@ def send(eyes: Eyes, sender: Sender, key: Input | None, seconds: float | None, s
             held = key is not None and key.controls(now).held
             hand = sight.hand if sight is not None and now - sight.t <= OLD else None
             done.sent += sender.send(Message(hand, held))
-            said = ("sending" if sender.known else "nobody answers there yet") + ("" if hand else ", no hand is seen")
+            said = ("sending" if sender.heard else "nobody answers there yet") + ("" if hand else ", no hand is seen")
             if said != line:
                 line = said
                 say(said)

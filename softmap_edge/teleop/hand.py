@@ -111,13 +111,17 @@ class View:
         return None if seen is None else seen * (1.0, -1.0 if self.mirrored else 1.0)
 
 
+SIGNS = np.array([-1.0, 1.0])  # of lateral and vertical: what a picture's x and curling lead to
+
+
 @dataclass(frozen=True, eq=False)
 class HandMap:
     """From (c_f, c_r) to the commands (u_lat, u_vert) of a model, which is at rest in the pose it was engaged in.
 
     `command_range` (2, 2) the lowest and highest of each command, in the model's unit, 0 among them (`Model.
     command_range`); `reach` (lateral, forward) by how much c must change for the end of the range, in hand scales;
-    `flip` which of the two commands changes its sign.
+    `flip` which of the two commands changes its sign. Unflipped, a finger that points to its owner's right leads to the
+    right: pictures are as a camera sees them, where that is to the left (`SIGNS`).
 
     Raises:
         TeleopError: not two commands, a range without 0, a reach that is not above 0.
@@ -148,6 +152,6 @@ class HandMap:
             raise TeleopError(
                 f"hand: {both.tolist()!s:.80} is not (c_f, c_r) twice; without a hand there is no command"
             )
-        moved = (both[0] - both[1])[::-1] / self.reach * np.where(self.flip, -1.0, 1.0)  # lateral, vertical
+        moved = (both[0] - both[1])[::-1] / self.reach * SIGNS * np.where(self.flip, -1.0, 1.0)
         low, high = self.command_range.T
         return np.asarray(np.clip(np.where(moved < 0, -low, high) * moved, low, high))

@@ -1,4 +1,4 @@
-"""The deadman's keys: one that is heard of again and again, one that only repeats, and who of several holds.
+"""The deadman's key that is heard of again and again, what an operator does, and who of several asks for what.
 
 What is heard of less often than every LAPSE counts as let go, and must then be let go and pressed anew: a page or a
 computer that comes back after a silence with its key down does not go on by itself. Pinned by tests/test_clutch.py.
@@ -13,7 +13,6 @@ from typing import Literal, Protocol
 Source = Literal["hand", "knob"]
 
 LAPSE = 0.25  # s without a word, after which a key counts as let go: the guard's own limit for commands
-FIRST, REPEAT = 0.7, 0.2  # s until a keyboard's first repetition of a key (0.25 to 0.66), and between two (0.03 to 0.1)
 
 
 class HeldKey:
@@ -35,27 +34,6 @@ class HeldKey:
         """Return whether it is held at `now` s."""
         with self._lock:
             return self._down and not self._must_let_go and now - self._last <= self._lapse
-
-
-class RepeatedKey:
-    """A key of a terminal, which tells nothing but repetitions: it counts as let go when none came in time."""
-
-    def __init__(self) -> None:
-        self._since = self._last = float("-inf")
-
-    def press(self, now: float) -> None:
-        """Tell that the key, or a repetition of it, came at `now` s."""
-        if not self.held(now):
-            self._since = now
-        self._last = now
-
-    def let_go(self) -> None:
-        """Count it as let go, whatever comes."""
-        self._since = self._last = float("-inf")
-
-    def held(self, now: float) -> bool:
-        """Return whether it is held at `now` s."""
-        return now - self._last <= (FIRST if self._last == self._since else REPEAT)
 
 
 @dataclass(frozen=True)

@@ -130,7 +130,7 @@ def try_out(model: Path, python: str = sys.executable, limit: float = TRY_SECOND
         raise TeleopError(f"landmarker: mediapipe is not installed; run {INSTALL}, or {UDP}") from None
     here = processor()
     if not here.fine and int(version.split(".")[0]) >= NEEDS_LSE:
-        raise TeleopError(f"landmarker: mediapipe {version} on {here}")
+        raise TeleopError(f"landmarker: mediapipe {version} on {here.name}: {here.found}; {here.do}")
     try:
         done = subprocess.run([python, "-P", "-c", _TRY, str(model)], capture_output=True, timeout=limit, check=False)
     except subprocess.TimeoutExpired:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.model import Model
-from softmap_edge.teleop import words
+from softmap_edge.servo import words
 from softmap_edge.teleop.aim import Aim
 from softmap_edge.teleop.drive import Moment
 from softmap_edge.teleop.eyes import Eyes
@@ -79,11 +79,13 @@ class Shown:
         state = {
             "t": moment.t,
             "state": str(report.get("state", "off")),
-            "level": words.level(str(report.get("state", "off"))),
+            "name": words.state(report).capitalize(),
+            "level": words.level(report),
             "said": words.sentence(report),
             "stage": clutch.stage,
             "who": clutch.who,
             "why": clutch.why,
+            "lost": words.lost(report, clutch.why) if clutch.stage == "lost" else "",
             "lacking": moment.lacking,
             "source": moment.controls.source,
             "limits": words.limits(report) + _at_ends(led, self._aim),

@@ -45,6 +45,7 @@ JPEG = 70  # quality, of 100: 25 kB a picture
 SERVED = {
     "/": ("page.html", "text/html; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "/page_drawing.js": ("page_drawing.js", "text/javascript; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
 }
 HEADERS = {
@@ -160,7 +161,13 @@ class Page:
 
     def _serve(self, connection: Any) -> None:
         """Read what a page says; what it is sent goes by a thread of its own."""
-        self._pages.add(connection)
+        with self._lock:
+            room = len(self._pages) < MOST_PAGES  # several may have been let in at once
+            if room:
+                self._pages.add(connection)
+        if not room:
+            connection.close(1013, "too many pages are open; close one")
+            return
         self._sit(connection)
         shown = _Shown()
         writer = threading.Thread(target=self._write, args=(connection, shown), daemon=True)

@@ -127,7 +127,8 @@ class Recording:
 
     def judge(self, name: str, model: Model, told: Mapping[str, Any] | None = None) -> Row:
         """Judge a model."""
-        return self.judge_shapes(name, np.asarray(model.predict(self.run)), model.triangles, told)
+        shapes = np.asarray(model.predict(self.run))
+        return self.judge_shapes(name, shapes, model.triangles, told, body=not is_decoder(model))
 
     def judge_shapes(
         self, name: str, shapes: Floats, triangles: Triangles, told: Mapping[str, Any] | None = None, body: bool = True
@@ -212,8 +213,15 @@ def fall(before: Row, after: Row) -> dict[str, float]:
     }
 
 
+def is_decoder(model: Model) -> bool:
+    """Return whether a model's points are no vertices of its finger (`softmap train prior --model deepsoro`)."""
+    return (model.made_from.get("prior") or {}).get("kind") == "deepsoro"
+
+
 def size_of(model: Model) -> int:
     """Return how many numbers make a model's shapes: of its prior and of its residual."""
+    if is_decoder(model):  # its table is only what onnxruntime makes of them
+        return int(model.made_from["prior"]["parameters"])
     shapes = [(model.arrays["prior"], model.prior), (model.arrays.get("residual", {}), model.residual)]
     return sum(
         shape.parameters if isinstance(shape, _core.Network) else sum(np.size(array) for array in arrays.values())

@@ -30,6 +30,7 @@ from softmap_training.evaluate import (
     Row,
     fall,
     halfway,
+    is_decoder,
     on_shapes,
     size_of,
     told_these,
@@ -141,6 +142,21 @@ def _checked(args: argparse.Namespace) -> list[str]:
     return list(asked)
 
 
+def _first(models: dict[str, Any], what: str) -> tuple[str, Any]:
+    """Return the first of the models whose points are vertices of the finger.
+
+    Raises:
+        TrainingError: all are decoders.
+    """
+    found = next(((name, model) for name, model in models.items() if not is_decoder(model)), None)
+    if found is None:
+        raise TrainingError(
+            f"{what} needs the finger's own vertices, and {', '.join(models)} has points of its own (a decoder); give "
+            "a bundle of the finger too"
+        )
+    return found
+
+
 def _seeds(args: argparse.Namespace) -> list[int]:
     return list(range(args.seed, args.seed + args.seeds))
 
@@ -186,7 +202,7 @@ def _on_set(
     from softmap_training.contenders import fitted_to_set
     from softmap_training.prior import Surface
 
-    surface = Surface.of(next(iter(models.values())))
+    surface = Surface.of(_first(models, "--model")[1])
     return rows + [fitted_to_set(name, data, surface, _plan(args), bar) for name in asked]
 
 
@@ -206,7 +222,7 @@ def _on_run(
     if args.truth is not None and truth is None:
         raise TrainingError(f"{args.truth}: no `vertices` in it; give what `softmap record --virtual --truth` wrote")
     bar("registering", 0.0)
-    first, model = next(iter(models.items()))
+    first, model = _first(models, "--run")
     judge = Recording.of(run, model, truth)
     warnings += [f"--run: {note}" for note in judge.remarks]
     warnings += [f"{first}: {note}" for note in unlike(model, match(model, judge.laid).mae_mm)]
@@ -216,9 +232,10 @@ def _on_run(
         bar("recording", k / len(models))
         warnings += [f"{name}: {note}" for note in beyond(one, run)]
         base, trained = one.with_residual(None), one.made_from.get("prior") or {}
-        told = took(base) | {"what": "without residual", "base": name}
+        what = "deepsoro" if is_decoder(one) else "without residual"
+        told = took(base) | {"what": what, "base": name}
         told |= {key: trained[key] for key in ("seconds", "seed") if key in trained}
-        rows.append(judge.judge(name + WITHOUT, base, told))
+        rows.append(judge.judge(name if is_decoder(one) else name + WITHOUT, base, told))
         if one.residual is not None:
             told = took(one) | {"what": "with residual", "base": name}
             learned = one.made_from.get("residual") or {}

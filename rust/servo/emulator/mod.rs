@@ -4,16 +4,19 @@
 //! of several servos one after the other. Time comes from outside, so that tests run as fast as they can and the
 //! pseudo-terminal (`pty.rs`) in real time. What it is for: every fault of docs/safety.md, without breaking a servo.
 
+mod motor;
 pub mod pty;
 pub mod servo;
 mod table;
+#[cfg(test)]
+pub(crate) mod virtual_port;
 
 use std::collections::VecDeque;
 
 use crate::crc::crc;
 use crate::decoder::Decoder;
 use crate::packet::{BROADCAST, CLEAR_TURNS, HEADER, LONGEST, Packet, instruction};
-use crate::registers::BAUD_RATES;
+use crate::registers::{BAUD_RATES, FAST_FIRMWARE};
 use servo::Servo;
 use table::refusal;
 
@@ -74,6 +77,13 @@ impl Emulator {
             self.servos.iter_mut().for_each(Servo::boot);
         }
         self.faults = faults;
+    }
+
+    /// Exchange the ids of two servos.
+    pub fn swap(&mut self, one: usize, other: usize) {
+        let (first, second) = (self.servos[one].id(), self.servos[other].id());
+        self.servos[one].set_id(second);
+        self.servos[other].set_id(first);
     }
 
     /// Nothing is broken, and the servos have just started.
@@ -245,7 +255,7 @@ impl Emulator {
         }
     }
 
-    /// One packet of all; from a silent servo on nothing follows.
+    /// One packet of all; from a servo on that is silent, or too old to know the question, nothing follows.
     fn answer_fast(&mut self, ids: &[u8], address: u16, size: u16, hears: impl Fn(&Servo) -> bool) {
         let length = ids.len() * (usize::from(size) + 4) + 1;
         let mut bytes = HEADER.to_vec();
@@ -255,11 +265,9 @@ impl Emulator {
         let empty = bytes.len();
         let mut delay = 0.0;
         for id in ids {
-            let Some(servo) = self
-                .servos
-                .iter()
-                .find(|servo| servo.id() == *id && hears(servo))
-            else {
+            let Some(servo) = self.servos.iter().find(|servo| {
+                servo.id() == *id && hears(servo) && servo.firmware() >= FAST_FIRMWARE
+            }) else {
                 break;
             };
             let Ok(data) = servo.read(address, size) else {
@@ -344,4 +352,4 @@ fn firmware(registers: Vec<u8>) -> Vec<u8> {
 
 #[cfg(test)]
 #[path = "tests.rs"]
-pub(crate) mod tests;
+mod tests;

@@ -1,80 +1,35 @@
-//! One emulated servo: its registers as a master sees them, and a motor that pulls a tendon behind them.
+//! One emulated servo: its registers as a master sees them; what they drive is `motor.rs`.
 //!
-//! The goal arrives `delay` later, the horn follows it with the time constant `lag` up to its fastest speed, and as far as
-//! its current carries the tendon's load (mA over ticks, a table). Without torque the load turns the horn back until it is
-//! no more than friction. Heat is one node: dT/dt = heating·I² − (T − room)/cooling.
-//! What a reset does: RAM as delivered, torque off, turns lost (the position is that within one turn).
-//! A servo that draws its largest current for long protects itself: overload error, torque off.
+//! The goal arrives `delay` later. What a reset does: RAM as delivered, torque off, turns lost (the position is that
+//! within one turn). A servo that draws its largest current for long protects itself: overload error, torque off.
 
 use std::collections::VecDeque;
 
+pub use super::motor::{Broken, Motion};
+use super::motor::{Caps, Motor, STEP};
 use super::table::{Table, refusal};
 use crate::packet::instruction;
-use crate::registers::{ALERT, Model, TICKS_PER_TURN, mode};
+use crate::registers::{ALERT, Model, TICKS_PER_TURN, VELOCITY_STEP, mode};
 
-/// s between two steps of the motor.
-pub const STEP: f64 = 0.001;
-/// mA that do not turn the horn.
-const FRICTION: f64 = 15.0;
-/// °C of the room; °C/s by 1 A; s of cooling down.
-const ROOM: f64 = 25.0;
-const HEATING: f64 = 0.5;
-const COOLING: f64 = 120.0;
 /// s that a reset takes.
 pub const RESET: f64 = 0.3;
-/// mA of those that do not cap their current.
-const MOST: f64 = 1500.0;
 /// The share of its largest current, and the s for which it draws it, that a servo takes for an overload, and its bit.
 const STRAINED: f64 = 0.95;
 const PATIENCE: f64 = 1.0;
 const OVERLOAD: u8 = 0x20;
-
-/// How a servo moves.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Motion {
-    /// s until a goal arrives, and of the first-order lag behind it.
-    pub delay: f64,
-    pub lag: f64,
-    /// mA that the tendon asks for at horn angles in ticks, ascending; ends go on flat. Positive pulls the angle down.
-    pub load: Vec<(f64, f64)>,
-}
-
-/// What is broken about a servo.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Broken {
-    /// It never answers.
-    pub mute: bool,
-    /// Its encoder says what it said last.
-    pub stuck: bool,
-    /// Its tendon pulls no more.
-    pub torn: bool,
-    /// Its tendon is wound the other way round.
-    pub reversed: bool,
-    /// Something blocks its horn.
-    pub jammed: bool,
-    /// It draws what its load asks for, whatever its cap.
-    pub uncapped: bool,
-}
 
 #[derive(Debug, Clone)]
 pub struct Servo {
     pub model: &'static Model,
     pub broken: Broken,
     table: Table,
-    motion: Motion,
-    /// How many times heavier its load is.
-    burden: f64,
+    motor: Motor,
     /// s for which it has drawn its largest current.
     strained: f64,
-    /// As it was mounted.
-    mounted: (u8, f64),
-    /// Ticks since it was mounted, never lost.
-    angle: f64,
+    /// Its id as it was mounted.
+    mounted: u8,
     /// Ticks that the encoder's count leaves out.
     base: f64,
-    measured: f64,
-    speed: f64,
-    temperature: f64,
     volts: f64,
     /// Goals under way, and the one that has arrived.
     goals: VecDeque<(f64, i32)>,
@@ -92,15 +47,10 @@ impl Servo {
             model,
             broken: Broken::default(),
             table: Table::default(),
-            motion,
-            burden: 1.0,
+            motor: Motor::new(angle, motion),
             strained: 0.0,
-            mounted: (id, angle),
-            angle,
+            mounted: id,
             base: 0.0,
-            measured: angle,
-            speed: 0.0,
-            temperature: ROOM,
             volts: usual(model),
             goals: VecDeque::new(),
             arrived: 0,
@@ -142,6 +92,15 @@ impl Servo {
         self.table.set(self.model.layout().id, i32::from(id));
     }
 
+    pub fn firmware(&self) -> u8 {
+        self.table.get(self.model.layout().firmware) as u8
+    }
+
+    pub fn set_firmware(&mut self, version: u8) {
+        self.table
+            .set(self.model.layout().firmware, i32::from(version));
+    }
+
     pub fn baud(&self) -> usize {
         self.table.get(self.model.layout().baud_rate) as usize
     }
@@ -181,12 +140,12 @@ impl Servo {
 
     /// Ticks that the horn has really turned.
     pub fn angle(&self) -> f64 {
-        self.angle
+        self.motor.angle
     }
 
     /// °C, and V, as somebody sets them.
     pub fn heat(&mut self, temperature: f64) {
-        self.temperature = temperature;
+        self.motor.temperature = temperature;
     }
 
     pub fn supply(&mut self, volts: f64) {
@@ -195,7 +154,7 @@ impl Servo {
 
     /// Make its load so many times as heavy.
     pub fn burden(&mut self, factor: f64) {
-        self.burden = factor;
+        self.motor.burden = factor;
     }
 
     /// Count a turn too few from now on, as an encoder that missed one; nothing else is forgotten.
@@ -206,9 +165,9 @@ impl Servo {
     /// As it was mounted: nothing is broken, and it has just started.
     pub fn mend(&mut self) {
         self.broken = Broken::default();
-        (self.burden, self.temperature, self.volts) = (1.0, ROOM, usual(self.model));
-        (self.angle, self.measured, self.speed) = (self.mounted.1, self.mounted.1, 0.0);
-        self.set_id(self.mounted.0);
+        self.volts = usual(self.model);
+        self.motor.mend();
+        self.set_id(self.mounted);
         self.boot();
         self.base = 0.0;
         self.stay();
@@ -240,7 +199,8 @@ impl Servo {
     pub fn boot(&mut self) {
         let layout = self.model.layout();
         self.table.forget(layout.torque_enable.address);
-        self.base = f64::from(TICKS_PER_TURN) * (self.angle / f64::from(TICKS_PER_TURN)).floor();
+        self.base =
+            f64::from(TICKS_PER_TURN) * (self.motor.angle / f64::from(TICKS_PER_TURN)).floor();
         self.asleep = self.time + RESET;
         self.strained = 0.0;
         self.waiting = None;
@@ -290,7 +250,8 @@ impl Servo {
         let touched = self.table.write(self.model, address, data)?;
         if touched(layout.goal_position) {
             let goal = self.table.get(layout.goal_position);
-            self.goals.push_back((self.time + self.motion.delay, goal));
+            self.goals
+                .push_back((self.time + self.motor.motion.delay, goal));
         } else if touched(layout.torque_enable) && self.torque() {
             self.stay();
         }
@@ -300,10 +261,11 @@ impl Servo {
 
     /// Clear the turns; only while it stands.
     pub fn clear(&mut self) -> Result<(), u8> {
-        if self.speed.abs() > 1.0 {
+        if self.motor.speed.abs() > 1.0 {
             return Err(refusal::ACCESS);
         }
-        self.base = f64::from(TICKS_PER_TURN) * (self.angle / f64::from(TICKS_PER_TURN)).floor();
+        self.base =
+            f64::from(TICKS_PER_TURN) * (self.motor.angle / f64::from(TICKS_PER_TURN)).floor();
         self.stay();
         Ok(())
     }
@@ -319,16 +281,16 @@ impl Servo {
         self.table
             .set(layout.realtime_tick, (self.time * 1000.0) as i32 & 0x7FFF);
         self.table
-            .set(layout.moving, i32::from(self.speed.abs() > 10.0));
+            .set(layout.moving, i32::from(self.motor.speed.abs() > 10.0));
         self.table.set(
             layout.present_velocity,
-            (self.speed * 60.0 / f64::from(TICKS_PER_TURN) / 0.229) as i32,
+            (self.motor.speed / VELOCITY_STEP) as i32,
         );
         self.table
             .set(layout.present_voltage, (self.volts * 10.0) as i32);
         self.table.set(
             layout.present_temperature,
-            self.temperature.clamp(0.0, 255.0) as i32,
+            self.motor.temperature.clamp(0.0, 255.0) as i32,
         );
     }
 
@@ -348,53 +310,17 @@ impl Servo {
                 .pop_front()
                 .map_or(self.arrived, |(_, goal)| goal);
         }
-        let load = if self.broken.torn {
-            0.0
-        } else {
-            self.load(self.angle)
-        };
-        let before = self.angle;
-        let most = f64::from(self.model.velocity_limit) * 0.229 * f64::from(TICKS_PER_TURN) / 60.0;
-        let (cap, most_drawn) = if self.model.has_current() {
-            let unit = self.model.current_unit;
-            let cap = f64::from(self.table.get(layout.goal_current)) * unit;
-            (cap, f64::from(self.model.current_limit) * unit)
-        } else {
-            (MOST, MOST)
-        };
-        let cap = if self.broken.uncapped {
-            most_drawn
-        } else {
-            cap
-        };
-        let wanted = if self.torque() && self.time >= self.asleep {
-            let reference = f64::from(self.arrived) + self.base;
-            ((reference - self.measured) / self.motion.lag.max(STEP)).clamp(-most, most)
-        } else if load.abs() > FRICTION {
-            -load.signum() * most
-        } else {
-            0.0
-        };
-        let next = self.angle + wanted * STEP;
-        let against = self.load(next) * wanted.signum();
-        let jammed = self.broken.jammed && wanted.abs() > 1.0;
-        let stalls = self.torque() && (!self.broken.torn && against > cap || jammed);
-        self.angle = if stalls || jammed { before } else { next };
-        self.speed = (self.angle - before) / STEP;
-        if !self.broken.stuck {
-            self.measured = self.angle;
-        }
-        let moving = if self.speed.abs() > 1.0 {
-            FRICTION * self.speed.signum()
-        } else {
-            0.0
-        };
-        let current = match (self.torque(), stalls) {
-            (false, _) => 0.0,
-            (true, true) => cap * wanted.signum(),
-            (true, false) => (load + moving).clamp(-cap, cap),
-        };
-        self.strained = if self.torque() && current.abs() >= STRAINED * most_drawn {
+        let torque = self.torque();
+        let goal = f64::from(self.arrived) + self.base;
+        let caps = Caps::of(self.model, self.table.get(layout.goal_current));
+        let current = self.motor.step(
+            (torque && self.time >= self.asleep).then_some(goal),
+            torque,
+            &caps,
+            self.model.fastest_turn(),
+            &self.broken,
+        );
+        self.strained = if torque && current.abs() >= STRAINED * caps.largest {
             self.strained + STEP
         } else {
             0.0
@@ -402,9 +328,6 @@ impl Servo {
         if self.strained > PATIENCE {
             self.fail(OVERLOAD);
         }
-        let amperes = current * 1e-3;
-        self.temperature +=
-            STEP * (HEATING * amperes * amperes - (self.temperature - ROOM) / COOLING);
         let unit = if self.model.has_current() {
             self.model.current_unit
         } else {
@@ -415,28 +338,7 @@ impl Servo {
     }
 
     fn position(&self) -> i32 {
-        (self.measured - self.base).round() as i32
-    }
-
-    /// mA that the tendon asks for.
-    fn load(&self, angle: f64) -> f64 {
-        let mirrored = 2.0 * self.mounted.1 - angle;
-        self.burden
-            * if self.broken.reversed {
-                -self.pull(mirrored)
-            } else {
-                self.pull(angle)
-            }
-    }
-
-    fn pull(&self, angle: f64) -> f64 {
-        let table = &self.motion.load;
-        let at = table.partition_point(|(tick, _)| *tick <= angle);
-        match (at.checked_sub(1).and_then(|k| table.get(k)), table.get(at)) {
-            (Some((a, low)), Some((b, high))) => low + (high - low) * (angle - a) / (b - a),
-            (Some((_, end)), None) | (None, Some((_, end))) => *end,
-            (None, None) => 0.0,
-        }
+        (self.motor.measured - self.base).round() as i32
     }
 }
 

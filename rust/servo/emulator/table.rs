@@ -69,20 +69,10 @@ impl Table {
             from < usize::from(register.end()) && usize::from(register.address) < end
         };
         let torque = self.get(layout.torque_enable) == 1;
-        let fixed = [
-            layout.model_number,
-            layout.firmware,
-            layout.hardware_error,
-            layout.realtime_tick,
-            layout.moving,
-            layout.present_pwm,
-            layout.present_current,
-            layout.present_velocity,
-            layout.present_position,
-            layout.present_voltage,
-            layout.present_temperature,
-        ];
-        if address < layout.torque_enable.address && torque || fixed.into_iter().any(touched) {
+        let mut fixed = layout.all().filter(|register| !register.writable);
+        if address < layout.torque_enable.address && torque
+            || fixed.any(|register| touched(*register))
+        {
             return Err(refusal::ACCESS);
         }
         let mut after = self.clone();

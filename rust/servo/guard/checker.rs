@@ -346,14 +346,17 @@ impl Checker {
             };
             let step = path - before;
             let period = self.limits.period;
-            let (low, high) = if commissioning {
-                (
-                    self.began[k] - self.limits.jog_travel,
-                    self.began[k] + self.limits.jog_travel,
-                )
-            } else {
-                (f64::from(axis.low), f64::from(axis.high))
-            };
+            let (mut low, mut high) = (f64::from(axis.low), f64::from(axis.high));
+            if commissioning {
+                let (began, travel) = (self.began[k], self.limits.jog_travel);
+                if began < low {
+                    low = began;
+                }
+                if began > high {
+                    high = began;
+                }
+                (low, high) = (low.max(began - travel), high.min(began + travel));
+            }
             if !(low - ROUND..=high + ROUND).contains(&path)
                 || !commissioning && !(low..=high).contains(&goal)
             {

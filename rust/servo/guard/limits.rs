@@ -1,5 +1,6 @@
 //! What a bench and a finger allow, checked before anything moves: a limit that makes no sense is refused, not clamped.
 
+use crate::guard::Budget;
 use crate::guard::path::Bounds;
 
 /// Limits of one servo.
@@ -51,91 +52,166 @@ pub struct Limits {
     pub jog_travel: f64,
     pub jog_slew: f64,
     pub jog_current: f64,
+    /// Of each command.
+    pub budget: Budget,
 }
 
-/// A limit that makes no sense.
+/// A limit that makes no sense: its name, its servo (from 0) where it is one's own, and the sentence.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{0}")]
-pub struct BadLimit(pub String);
+#[error("{text}")]
+pub struct BadLimit {
+    pub servo: Option<usize>,
+    pub name: &'static str,
+    pub text: String,
+}
 
 /// Servos that one loop drives at most.
 pub const MOST_SERVOS: usize = 16;
 /// Ticks that a goal may be away from 0, as the servos themselves allow.
 pub const FARTHEST: i32 = crate::registers::FARTHEST_GOAL;
 
+/// Of each limit by itself: name, lowest and highest value, unit (of the commands where there is none). `low` and `high`
+/// lie about home, `jump` and `voltage` are pairs; what the others leave of it, `Limits::checked` knows.
+#[rustfmt::skip]
+pub const RANGES: [(&str, f64, f64, &str); 27] = [
+    ("servos", 1.0, MOST_SERVOS as f64, ""),
+    ("period", 0.0005, 0.1, "s"),
+    ("stale", 0.001, 2.0, "s"),
+    ("hold", 0.001, 60.0, "s"),
+    ("slacken", 0.1, 60.0, "s"),
+    ("late", 0.001, 0.5, "s"),
+    ("silent", 0.001, 1.0, "s"),
+    ("grace", 0.001, 2.0, "s"),
+    ("ramp", 0.0, 10.0, "s"),
+    ("jump", 0.0, FARTHEST as f64, "ticks"),
+    ("jog_travel", 1.0, 4096.0, "ticks"),
+    ("jog_slew", 1.0, 1000.0, "ticks/s"),
+    ("jog_current", 0.0, 1000.0, "mA"),
+    ("band", 0.0, 100.0, ""),
+    ("turns", 0.1, 100.0, "1/s"),
+    ("burst", 1.0, 100.0, "turns"),
+    ("home", -FARTHEST as f64, FARTHEST as f64, "ticks"),
+    ("low", -FARTHEST as f64, -1.0, "ticks"),
+    ("high", 1.0, FARTHEST as f64, "ticks"),
+    ("slew", 1.0, 20_000.0, "ticks/s"),
+    ("acceleration", 1.0, 1e6, "ticks/s²"),
+    ("current", 1.0, 6000.0, "mA"),
+    ("fastest", 1.0, 50_000.0, "ticks/s"),
+    ("following", 1.0, 4096.0, "ticks"),
+    ("warm", 20.0, 80.0, "°C"),
+    ("hot", 30.0, 80.0, "°C"),
+    ("voltage", 3.0, 30.0, "V"),
+];
+
+/// A value, whose it is, and what the other limits leave of its range.
+struct Told {
+    servo: Option<usize>,
+    name: &'static str,
+    /// Which of a pair.
+    side: &'static str,
+    value: f64,
+    least: f64,
+    most: f64,
+}
+
+fn told(name: &'static str, value: f64) -> Told {
+    Told {
+        servo: None,
+        name,
+        side: "",
+        value,
+        least: f64::NEG_INFINITY,
+        most: f64::INFINITY,
+    }
+}
+
+impl Told {
+    fn of(self, servo: usize) -> Told {
+        let servo = Some(servo);
+        Told { servo, ..self }
+    }
+
+    fn side(self, side: &'static str) -> Told {
+        Told { side, ..self }
+    }
+
+    fn least(self, least: f64) -> Told {
+        Told { least, ..self }
+    }
+
+    fn most(self, most: f64) -> Told {
+        Told { most, ..self }
+    }
+
+    fn check(&self) -> Result<(), BadLimit> {
+        // Of a name that has no range nothing is allowed.
+        let (low, high, unit) = RANGES
+            .iter()
+            .find(|range| range.0 == self.name)
+            .map_or((f64::INFINITY, 0.0, ""), |range| {
+                (range.1, range.2, range.3)
+            });
+        let (low, high) = (low.max(self.least), high.min(self.most));
+        if self.value >= low && self.value <= high {
+            return Ok(());
+        }
+        let whose = self
+            .servo
+            .map_or_else(String::new, |servo| format!("servo {}: ", servo + 1));
+        let unit = if unit.is_empty() {
+            String::new()
+        } else {
+            format!(" {unit}")
+        };
+        let (servo, name, side, value) = (self.servo, self.name, self.side, self.value);
+        let text =
+            format!("{whose}{name}{side} is {value}{unit}; allowed is {low} to {high}{unit}");
+        Err(BadLimit { servo, name, text })
+    }
+}
+
 impl Limits {
     /// The same limits, or what is wrong with them.
     pub fn checked(self) -> Result<Limits, BadLimit> {
-        let within = |name: &str, value: f64, low: f64, high: f64, unit: &str| {
-            if value >= low && value <= high {
-                return Ok(());
-            }
-            Err(BadLimit(format!(
-                "{name} is {value} {unit}; allowed is {low} to {high} {unit}"
-            )))
-        };
-        within("period", self.period, 0.0005, 0.1, "s")?;
-        within("stale", self.stale, 2.0 * self.period, 2.0, "s")?;
-        within("hold", self.hold, self.period, 60.0, "s")?;
-        within("slacken", self.slacken, 0.1, 60.0, "s")?;
-        within("late", self.late, 2.0 * self.period, 0.5, "s")?;
-        within("silent", self.silent, self.late, 1.0, "s")?;
-        within("grace", self.grace, self.period, 2.0, "s")?;
-        within("ramp", self.ramp, 0.0, 10.0, "s")?;
-        within("jump.limit", self.jump.0, 0.0, f64::from(FARTHEST), "ticks")?;
-        within(
-            "jump.reject",
-            self.jump.1,
-            self.jump.0,
-            f64::from(FARTHEST),
-            "ticks",
-        )?;
-        within("jog.travel", self.jog_travel, 1.0, 4096.0, "ticks")?;
-        within("jog.slew", self.jog_slew, 1.0, 1000.0, "ticks/s")?;
-        within("jog.current", self.jog_current, 0.0, 1000.0, "mA")?;
-        within(
-            "servos",
-            self.axes.len() as f64,
-            1.0,
-            MOST_SERVOS as f64,
-            "",
-        )?;
+        let (period, jump, budget) = (self.period, self.jump, self.budget);
+        let robot = [
+            told("servos", self.axes.len() as f64),
+            told("period", period),
+            told("stale", self.stale).least(2.0 * period),
+            told("hold", self.hold).least(period),
+            told("slacken", self.slacken),
+            told("late", self.late).least(2.0 * period),
+            told("silent", self.silent).least(self.late),
+            told("grace", self.grace).least(period),
+            told("ramp", self.ramp),
+            told("jump", jump.0).side(" (told)"),
+            told("jump", jump.1).side(" (refused)").least(jump.0),
+            told("jog_travel", self.jog_travel),
+            told("jog_slew", self.jog_slew),
+            told("jog_current", self.jog_current),
+            told("band", budget.band),
+            told("turns", budget.turns),
+            told("burst", budget.burst),
+        ];
+        robot.iter().try_for_each(Told::check)?;
         for (k, axis) in self.axes.iter().enumerate() {
-            let named = |name: &str| format!("servo {}: {name}", k + 1);
-            let far = f64::from(FARTHEST);
-            let home = f64::from(axis.home);
-            within(&named("home"), home, -far, far, "ticks")?;
-            within(&named("low"), axis.low.into(), -far, home - 1.0, "ticks")?;
-            within(&named("high"), axis.high.into(), home + 1.0, far, "ticks")?;
-            within(&named("slew"), axis.slew, 1.0, 20_000.0, "ticks/s")?;
-            within(
-                &named("acceleration"),
-                axis.acceleration,
-                1.0,
-                1e6,
-                "ticks/s²",
-            )?;
-            within(
-                &named("fastest"),
-                axis.fastest,
-                axis.slew,
-                50_000.0,
-                "ticks/s",
-            )?;
-            within(&named("following"), axis.following, 1.0, 4096.0, "ticks")?;
-            within(&named("hot"), axis.hot, 30.0, 80.0, "°C")?;
-            within(&named("warm"), axis.warm, 20.0, axis.hot, "°C")?;
-            within(&named("voltage.high"), axis.voltage.1, 3.0, 30.0, "V")?;
-            within(
-                &named("voltage.low"),
-                axis.voltage.0,
-                3.0,
-                axis.voltage.1,
-                "V",
-            )?;
-            if let Some(current) = axis.current {
-                within(&named("current"), current, 1.0, 6000.0, "mA")?;
-            }
+            let (home, far, volts) = (f64::from(axis.home), f64::from(FARTHEST), axis.voltage);
+            let servo = [
+                told("home", home),
+                told("low", f64::from(axis.low) - home).least(-far - home),
+                told("high", f64::from(axis.high) - home).most(far - home),
+                told("slew", axis.slew),
+                told("acceleration", axis.acceleration),
+                told("fastest", axis.fastest).least(axis.slew),
+                told("following", axis.following),
+                told("hot", axis.hot),
+                told("warm", axis.warm).most(axis.hot),
+                told("voltage", volts.1).side(" (highest)"),
+                told("voltage", volts.0).side(" (lowest)").most(volts.1),
+            ];
+            let current = axis.current.map(|current| told("current", current));
+            let mut all = servo.into_iter().chain(current);
+            all.try_for_each(|one| one.of(k).check())?;
         }
         Ok(self)
     }
@@ -192,6 +268,11 @@ mod tests {
             jog_travel: 200.0,
             jog_slew: 200.0,
             jog_current: 150.0,
+            budget: Budget {
+                band: 0.02,
+                turns: 4.0,
+                burst: 4.0,
+            },
         }
     }
 
@@ -199,7 +280,7 @@ mod tests {
     fn each_limit_has_its_edges_and_is_refused_by_name_beyond_them() {
         type Set = fn(&mut Limits, f64);
         let far = f64::from(FARTHEST);
-        let table: [(&str, Set, f64, f64); 22] = [
+        let table: [(&str, Set, f64, f64); 25] = [
             ("period", |l, v| l.period = v, 0.0005, 0.005),
             ("stale", |l, v| l.stale = v, 0.002, 2.0),
             ("hold", |l, v| l.hold = v, 0.001, 60.0),
@@ -208,11 +289,14 @@ mod tests {
             ("silent", |l, v| l.silent = v, 0.01, 1.0),
             ("grace", |l, v| l.grace = v, 0.001, 2.0),
             ("ramp", |l, v| l.ramp = v, 0.0, 10.0),
-            ("jump.limit", |l, v| l.jump.0 = v, 0.0, far),
-            ("jump.reject", |l, v| l.jump = (5.0, v), 5.0, far),
-            ("jog.travel", |l, v| l.jog_travel = v, 1.0, 4096.0),
-            ("jog.slew", |l, v| l.jog_slew = v, 1.0, 1000.0),
-            ("jog.current", |l, v| l.jog_current = v, 0.0, 1000.0),
+            ("jump (told)", |l, v| l.jump.0 = v, 0.0, far),
+            ("jump (refused)", |l, v| l.jump = (5.0, v), 5.0, far),
+            ("jog_travel", |l, v| l.jog_travel = v, 1.0, 4096.0),
+            ("jog_slew", |l, v| l.jog_slew = v, 1.0, 1000.0),
+            ("jog_current", |l, v| l.jog_current = v, 0.0, 1000.0),
+            ("band", |l, v| l.budget.band = v, 0.0, 100.0),
+            ("turns", |l, v| l.budget.turns = v, 0.1, 100.0),
+            ("burst", |l, v| l.budget.burst = v, 1.0, 100.0),
             ("servo 2: slew", |l, v| l.axes[1].slew = v, 1.0, 20_000.0),
             (
                 "servo 2: acceleration",
@@ -235,13 +319,13 @@ mod tests {
             ("servo 2: hot", |l, v| l.axes[1].hot = v, 30.0, 80.0),
             ("servo 2: warm", |l, v| l.axes[1].warm = v, 20.0, 80.0),
             (
-                "servo 2: voltage.high",
+                "servo 2: voltage (highest)",
                 |l, v| l.axes[1].voltage.1 = v,
                 3.0,
                 30.0,
             ),
             (
-                "servo 2: voltage.low",
+                "servo 2: voltage (lowest)",
                 |l, v| l.axes[1].voltage.0 = v,
                 3.0,
                 30.0,
@@ -264,10 +348,22 @@ mod tests {
             // The period's own upper edge lies beyond what `late` needs of it.
             let above = if name == "period" { 0.1 } else { high } + 1e-6;
             for value in [low - 1e-6, above, f64::NAN, f64::NEG_INFINITY] {
-                let said = with(value).unwrap_err().to_string();
+                let fault = with(value).unwrap_err();
+                let said = fault.to_string();
                 assert!(said.starts_with(&format!("{name} is {value}")), "{said}");
+                let whose = fault
+                    .servo
+                    .map_or_else(String::new, |servo| format!("servo {}: ", servo + 1));
+                assert!(name.starts_with(&(whose + fault.name)), "{fault:?}");
             }
         }
+        let tried = table.map(|(name, ..)| name.rsplit(": ").next().unwrap_or(name));
+        for (name, ..) in RANGES {
+            let there = tried.iter().any(|one| one.split(" (").next() == Some(name));
+            let ticks = ["servos", "home", "low", "high"].contains(&name);
+            assert!(there != ticks, "{name} is tried here or with the ticks");
+        }
+        assert!(told("fly", 0.0).check().is_err(), "what has no range");
         let mut slow = widest();
         (slow.period, slow.late, slow.stale) = (0.1, 0.5, 0.5);
         assert!(slow.checked().is_ok());
@@ -318,7 +414,7 @@ mod tests {
             assert_eq!(checked.is_ok(), fine, "{count} servos");
             if let Err(fault) = checked {
                 assert!(
-                    fault.0.starts_with(&format!("servos is {count}")),
+                    fault.text.starts_with(&format!("servos is {count}")),
                     "{fault}"
                 );
             }

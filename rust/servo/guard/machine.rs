@@ -340,15 +340,16 @@ impl Guard {
         }
     }
 
-    /// The same for moves of commissioning, which wait for targets of their own.
+    /// The same for moves of commissioning, which wait for targets of their own. From outside the window they lead back only.
     fn start_jog(&mut self) {
         self.start();
         self.fresh = None;
         for (k, path) in self.paths.iter().enumerate() {
+            let (axis, travel) = (&self.limits.axes[k], self.limits.jog_travel);
             self.targets[k] = path.at;
             self.jogs[k] = Bounds {
-                low: path.at - self.limits.jog_travel,
-                high: path.at + self.limits.jog_travel,
+                low: (path.at - travel).max(path.at.min(axis.low.into())),
+                high: (path.at + travel).min(path.at.max(axis.high.into())),
                 slew: (self.limits.jog_slew * self.limits.period).min(self.bounds[k].slew),
                 ..self.bounds[k]
             };

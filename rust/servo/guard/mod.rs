@@ -9,20 +9,29 @@
 //! clock that stands still or jumps back stretches none.
 
 #[cfg(test)]
+mod age_tests;
+#[cfg(test)]
+mod cause_tests;
+#[cfg(test)]
 mod checker;
 #[cfg(test)]
 mod fuzz;
 pub mod limits;
 mod machine;
-pub mod path;
-pub mod reversals;
-mod servo;
 #[cfg(test)]
-mod table_tests;
+mod move_tests;
+pub mod path;
+#[cfg(test)]
+mod request_tests;
+pub mod reversals;
+#[cfg(test)]
+mod robot;
+mod servo;
 mod time;
 
-pub use limits::{Axis, BadLimit, FARTHEST, Limits, MOST_SERVOS};
+pub use limits::{Axis, BadLimit, FARTHEST, Limits, MOST_SERVOS, RANGES};
 pub use machine::Guard;
+pub use reversals::Budget;
 
 /// Where the guard stands. Torque is on from ENGAGED to SAFE_STOP and while commissioning, nowhere else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -81,7 +81,7 @@ mod tests {
         let bounds = bounds(-10.0, 200.0, 5.0, 1.0);
         let mut path = Path::rest(0.0);
         let mut steps = 0;
-        while path.at != 100.0 || path.speed != 0.0 {
+        while (path.at != 100.0 || path.speed != 0.0) && steps < 100 {
             path.step(100.0, 5.0, &bounds);
             steps += 1;
         }
@@ -94,10 +94,11 @@ mod tests {
         for i in 0..2000 {
             let (distance, acceleration) = (f64::from(i) * 0.37, 0.013 * f64::from(i % 7 + 1));
             let mut speed = fastest(distance, acceleration);
-            let mut sum = 0.0;
-            while speed > 0.0 {
+            let (mut sum, mut steps) = (0.0, 0);
+            while speed > 0.0 && steps < 1000 {
                 sum += speed;
                 speed -= acceleration;
+                steps += 1;
             }
             assert!(
                 (sum - distance).abs() < 1e-8 * distance.max(1.0),

@@ -1,7 +1,7 @@
 //! Reversals that are worth their cost: a still hand must not make a servo chatter through an inverted backlash.
 //!
 //! Whoever inverts a play of 0.5 mm jumps by 0.5 mm at every reversal, be it one of 5 µm. So a command follows exactly
-//! while it keeps its direction, turns only once the goal has come back by more than `band`, and turns at most `rate`
+//! while it keeps its direction, turns only once the goal has come back by more than `band`, and turns at most `turns`
 //! times a second in the long run (`burst` at once). While it may not turn it stands, never further off than the goal
 //! has come back.
 
@@ -11,7 +11,7 @@ pub struct Budget {
     /// mm that a goal comes back before the command turns.
     pub band: f64,
     /// Turns a second.
-    pub rate: f64,
+    pub turns: f64,
     /// Turns that may be saved up, at least 1.
     pub burst: f64,
 }
@@ -42,7 +42,7 @@ impl Reversals {
 
     /// The command for `goal` (mm, finite), `period` seconds after the last one.
     pub fn step(&mut self, goal: f64, period: f64, budget: &Budget) -> f64 {
-        self.left = (self.left + budget.rate * period).min(budget.burst);
+        self.left = (self.left + budget.turns * period).min(budget.burst);
         let away = goal - self.at;
         if away * self.direction < 0.0 {
             if away.abs() <= budget.band {
@@ -69,7 +69,7 @@ mod tests {
 
     const BUDGET: Budget = Budget {
         band: 0.02,
-        rate: 2.0,
+        turns: 2.0,
         burst: 3.0,
     };
 
@@ -122,10 +122,20 @@ mod tests {
     }
 
     #[test]
+    fn the_first_move_is_no_turn_whichever_way() {
+        for goal in [-0.01, 0.01, -1.0, 1.0] {
+            let mut channel = Reversals::new(0.0, &BUDGET);
+            assert_eq!(channel.step(0.0, 0.01, &BUDGET), 0.0);
+            assert_eq!(channel.step(goal, 0.01, &BUDGET), goal);
+            assert_eq!((channel.turned, channel.refused), (0, 0), "{goal}");
+        }
+    }
+
+    #[test]
     fn the_band_itself_is_no_turn_and_the_budget_is_not_saved_beyond_its_burst() {
         let budget = Budget {
             band: 0.25,
-            rate: 1.0,
+            turns: 1.0,
             burst: 1.0,
         };
         let mut channel = Reversals::new(0.0, &budget);

@@ -14,10 +14,11 @@ import resource
 import stat
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from softmap_edge import __version__
-from softmap_edge.doctor import FAULT, OK, WARNING, Line
+from softmap_edge.doctor.line import FAULT, OK, WARNING, Line, faulty
 
 PROC, DEV, SYS = Path("/proc"), Path("/dev"), Path("/sys")
 PYTHON = (3, 11)
@@ -156,12 +157,7 @@ def teleoperation() -> Iterator[Line]:
     from softmap_edge.teleop.installed import findings
 
     for one in findings():
-        absent = not one.fine and ("not installed" in one.found or "no model" in one.found or one.name in ASIDE)
-        state = OK if one.fine else WARNING if absent else FAULT
-        yield Line(f"teleop: {one.name}", state, one.found, one.mend)
-
-
-ASIDE = ("graphics libraries", "processor")  # a robot that is not driven by a hand before its own camera needs neither
+        yield replace(one, name=f"teleop: {one.name}")
 
 
 def cameras(number: str | None = None, dev: Path = DEV) -> Iterator[Line]:
@@ -197,5 +193,4 @@ def _picture(number: str) -> Line:
         height, width = frame.picture.shape[:2]
         return Line(name, OK, f"gives pictures of {width} × {height}")
     except SoftmapError as fault:
-        found, _, do = str(fault).partition("; ")
-        return Line(name, FAULT, found or "gives no picture", do)
+        return faulty(name, fault, "unplug it and plug it in again, or give another --camera")

@@ -3,8 +3,8 @@
     from softmap_edge.doctor import examine
     print(examine())
 
-Nothing is sent to a servo unless a rig is given, and then only questions. `doctor_host.py` looks at the computer,
-`doctor_bench.py` at what belongs to one bench. Pinned by tests/test_doctor.py.
+Nothing is sent to a servo unless a rig is given, and then only questions. `host.py` looks at the computer, `bench.py`
+at what belongs to one bench. Pinned by tests/test_doctor.py.
 """
 
 from __future__ import annotations
@@ -15,22 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge import __version__
+from softmap_edge.doctor.line import FAULT, OK, WARNING, Line
 
-OK, WARNING, FAULT = "ok", "warning", "fault"
-
-
-@dataclass(frozen=True)
-class Line:
-    """One thing that was looked at: its name, `ok`, `warning` or `fault`, what was found, and what to do (or empty)."""
-
-    name: str
-    state: str
-    found: str
-    do: str = ""
-
-    def __str__(self) -> str:
-        said = f"{self.state:<8} {self.name}: {self.found}"
-        return f"{said}\n{'':<9}→ {self.do}" if self.do else said
+__all__ = ["FAULT", "OK", "WARNING", "Examined", "Line", "examine"]
 
 
 @dataclass(frozen=True)
@@ -60,21 +47,22 @@ def examine(rig: str | Path | None = None, bundle: str | Path | None = None, cam
 
     Args:
         rig: a `rig.toml`, whose port is opened and whose servos are asked what they are. bundle: its folder. camera:
-            number of a camera, which is opened and closed.
+            number of a camera, which is opened and closed. With bench and bundle the limits in force are looked at.
     """
-    from softmap_edge import doctor_bench, doctor_host
+    from softmap_edge.doctor import bench, host
 
     looks: list[Callable[[], Iterable[Line]]] = [
-        doctor_host.versions,
-        doctor_host.processor,
-        doctor_host.real_time,
-        doctor_host.ports,
-        doctor_host.latency,
-        doctor_host.teleoperation,
-        lambda: doctor_host.cameras(camera),
+        host.versions,
+        host.processor,
+        host.real_time,
+        host.ports,
+        host.latency,
+        host.teleoperation,
+        lambda: host.cameras(camera),
     ]
-    looks += [] if bundle is None else [lambda: doctor_bench.bundle(bundle)]
-    looks += [] if rig is None else [lambda: doctor_bench.rig(rig)]
+    looks += [] if bundle is None else [lambda: bench.bundle(bundle)]
+    looks += [] if rig is None else [lambda: bench.rig(rig)]
+    looks += [] if rig is None or bundle is None else [lambda: bench.limits(rig, bundle)]
     return Examined(tuple(line for look in looks for line in _safely(look)))
 
 

@@ -1,0 +1,89 @@
+//! One period of the loop in words: what a report and a recording both say of it.
+//!
+//! JSON: what was not heard and what is not finite is null, numbers are written in full. Pinned by tests/test_recording.py.
+
+use std::fmt::Debug;
+
+use serde::Serialize;
+use softmap_servo::control::Entry;
+use softmap_servo::guard::Feedback;
+
+/// What was decided, and of each servo where it is sent and what it senses.
+#[derive(Serialize)]
+pub struct Period {
+    state: String,
+    cause: String,
+    torque: bool,
+    refused: bool,
+    /// Why a request changed nothing.
+    denied: Option<String>,
+    emergency: bool,
+    /// How the bus failed.
+    bus: Option<String>,
+    overruns: u64,
+    goal: Vec<Option<i32>>,
+    position: Vec<Option<i32>>,
+    #[serde(rename = "current_mA")]
+    current: Vec<Option<f64>>,
+    #[serde(rename = "temperature_C")]
+    temperature: Vec<Option<f64>>,
+    #[serde(rename = "voltage_V")]
+    voltage: Vec<Option<f64>>,
+}
+
+impl Period {
+    /// The period of `entry`, a robot of so many servos.
+    pub fn of(entry: &Entry, servos: usize) -> Period {
+        let output = &entry.output;
+        let goals = entry.goals.iter().take(servos);
+        Period {
+            state: name(output.state),
+            cause: name(output.cause),
+            torque: output.torque,
+            refused: output.refused,
+            denied: output.denied.map(name),
+            emergency: entry.orders.emergency,
+            bus: entry.fault.map(|fault| fault.to_string()),
+            overruns: entry.overruns,
+            goal: goals.map(|goal| output.torque.then_some(*goal)).collect(),
+            position: sensed(entry, servos, |said| Some(said.position)),
+            current: sensed(entry, servos, |said| said.current),
+            temperature: sensed(entry, servos, |said| Some(said.temperature)),
+            voltage: sensed(entry, servos, |said| Some(said.voltage)),
+        }
+    }
+}
+
+/// What each servo said of one thing.
+pub fn sensed<T>(
+    entry: &Entry,
+    servos: usize,
+    of: impl Fn(&Feedback) -> Option<T>,
+) -> Vec<Option<T>> {
+    let each = entry.feedback.iter().take(servos);
+    each.map(|said| said.as_ref().and_then(&of)).collect()
+}
+
+/// A name of the guard's in small letters with underscores.
+pub fn name(of: impl Debug) -> String {
+    let mut small = String::new();
+    for letter in format!("{of:?}").chars() {
+        if letter.is_uppercase() && !small.is_empty() && !small.ends_with(['(', '_']) {
+            small.push('_');
+        }
+        small.push(letter.to_ascii_lowercase());
+    }
+    small
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use softmap_servo::guard::{Cause, Denied, State};
+
+    #[test]
+    fn names_are_small() {
+        assert_eq!(name(State::SafeStop), "safe_stop");
+        assert_eq!(name(Denied::Trouble(Cause::Hot)), "trouble(hot)");
+    }
+}

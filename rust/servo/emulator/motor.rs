@@ -1,0 +1,180 @@
+//! The motor of an emulated servo: a horn that follows its goal and pulls a tendon.
+//!
+//! The horn follows with the time constant `lag` up to its fastest speed, and as far as its current carries the tendon's
+//! load (mA over ticks, a table). Without torque the load turns the horn back until it is no more than friction.
+//! Heat is one node: dT/dt = heating·I² − (T − room)/cooling.
+
+use crate::registers::Model;
+
+/// s between two steps of the motor.
+pub const STEP: f64 = 0.001;
+/// mA that do not turn the horn.
+const FRICTION: f64 = 15.0;
+/// °C of the room; °C/s by 1 A; s of cooling down.
+const ROOM: f64 = 25.0;
+const HEATING: f64 = 0.5;
+const COOLING: f64 = 120.0;
+/// mA of those that do not cap their current.
+const MOST: f64 = 1500.0;
+
+/// How a servo moves.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Motion {
+    /// s until a goal arrives, and of the first-order lag behind it.
+    pub delay: f64,
+    pub lag: f64,
+    /// mA that the tendon asks for at horn angles in ticks, ascending; ends go on flat. Positive pulls the angle down.
+    pub load: Vec<(f64, f64)>,
+}
+
+/// What is broken about a servo.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Broken {
+    /// It never answers.
+    pub mute: bool,
+    /// Its encoder says what it said last.
+    pub stuck: bool,
+    /// Its tendon pulls no more.
+    pub torn: bool,
+    /// Its tendon is wound the other way round.
+    pub reversed: bool,
+    /// Something blocks its horn.
+    pub jammed: bool,
+    /// It draws what its load asks for, whatever its cap.
+    pub uncapped: bool,
+}
+
+impl Broken {
+    /// How its horn pulls the finger: 1 as it should, −1 the wrong way, 0 not at all.
+    pub fn pull(&self) -> f64 {
+        match (self.torn, self.reversed) {
+            (true, _) => 0.0,
+            (false, true) => -1.0,
+            (false, false) => 1.0,
+        }
+    }
+}
+
+/// mA that a servo may draw now, and the largest that it can.
+pub(super) struct Caps {
+    pub now: f64,
+    pub largest: f64,
+}
+
+impl Caps {
+    /// Those of `model` while its register of goal current says `goal`.
+    pub fn of(model: &Model, goal: i32) -> Caps {
+        let (now, largest) = if model.has_current() {
+            let unit = model.current_unit;
+            (
+                f64::from(goal) * unit,
+                f64::from(model.current_limit) * unit,
+            )
+        } else {
+            (MOST, MOST)
+        };
+        Caps { now, largest }
+    }
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct Motor {
+    pub motion: Motion,
+    /// How many times heavier its load is.
+    pub burden: f64,
+    /// Ticks at which it was mounted.
+    mounted: f64,
+    /// Ticks since it was mounted, never lost.
+    pub angle: f64,
+    /// As the encoder has it.
+    pub measured: f64,
+    /// ticks/s
+    pub speed: f64,
+    /// °C
+    pub temperature: f64,
+}
+
+impl Motor {
+    pub fn new(angle: f64, motion: Motion) -> Motor {
+        Motor {
+            motion,
+            burden: 1.0,
+            mounted: angle,
+            angle,
+            measured: angle,
+            speed: 0.0,
+            temperature: ROOM,
+        }
+    }
+
+    /// As it was mounted.
+    pub fn mend(&mut self) {
+        (self.burden, self.temperature, self.speed) = (1.0, ROOM, 0.0);
+        (self.angle, self.measured) = (self.mounted, self.mounted);
+    }
+
+    /// Let `STEP` pass on the way to `goal` (ticks since it was mounted; none without torque): mA that are drawn.
+    pub fn step(
+        &mut self,
+        goal: Option<f64>,
+        torque: bool,
+        caps: &Caps,
+        fastest: f64,
+        broken: &Broken,
+    ) -> f64 {
+        let load = self.load(self.angle, broken);
+        let before = self.angle;
+        let cap = if broken.uncapped {
+            caps.largest
+        } else {
+            caps.now
+        };
+        let wanted = match goal {
+            Some(goal) => {
+                ((goal - self.measured) / self.motion.lag.max(STEP)).clamp(-fastest, fastest)
+            }
+            None if load.abs() > FRICTION => -load.signum() * fastest,
+            None => 0.0,
+        };
+        let next = self.angle + wanted * STEP;
+        let against = self.load(next, broken) * wanted.signum();
+        let jammed = broken.jammed && wanted.abs() > 1.0;
+        let stalls = torque && (against > cap || jammed);
+        self.angle = if stalls || jammed { before } else { next };
+        self.speed = (self.angle - before) / STEP;
+        if !broken.stuck {
+            self.measured = self.angle;
+        }
+        let moving = if self.speed.abs() > 1.0 {
+            FRICTION * self.speed.signum()
+        } else {
+            0.0
+        };
+        let current = match (torque, stalls) {
+            (false, _) => 0.0,
+            (true, true) => cap * wanted.signum(),
+            (true, false) => (load + moving).clamp(-cap, cap),
+        };
+        let amperes = current * 1e-3;
+        self.temperature +=
+            STEP * (HEATING * amperes * amperes - (self.temperature - ROOM) / COOLING);
+        current
+    }
+
+    /// mA that the tendon asks for.
+    fn load(&self, angle: f64, broken: &Broken) -> f64 {
+        let pull = broken.pull();
+        self.burden * pull * self.tendon(self.mounted + pull * (angle - self.mounted))
+    }
+
+    /// mA that a tendon as it was mounted asks for.
+    fn tendon(&self, angle: f64) -> f64 {
+        let table = &self.motion.load;
+        let at = table.partition_point(|(tick, _)| *tick <= angle);
+        match (at.checked_sub(1).and_then(|k| table.get(k)), table.get(at)) {
+            (Some((a, low)), Some((b, high))) => low + (high - low) * (angle - a) / (b - a),
+            (Some((_, end)), None) | (None, Some((_, end))) => *end,
+            (None, None) => 0.0,
+        }
+    }
+}

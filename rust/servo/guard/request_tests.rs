@@ -1,0 +1,197 @@
+//! The requests of docs/safety.md: where each leads, what it asks for, and what a user who falls silent leads to.
+
+use super::robot::*;
+use super::*;
+
+#[test]
+fn requests_lead_along_their_edges_alone() {
+    for state in State::ALL {
+        for request in Request::ALL {
+            let to = match (state, request) {
+                (State::Off, Request::Connect) => Some(State::Connected),
+                (State::Connected, Request::Home) => Some(State::Homed),
+                (State::Homed, Request::Arm) => Some(State::Ready),
+                (State::Ready, Request::Engage) => Some(State::Engaged),
+                (State::Connected | State::Homed, Request::Commission) => {
+                    Some(State::Commissioning)
+                }
+                (State::Engaged, Request::Hold) => Some(State::Hold),
+                (State::Engaged | State::Hold, Request::Stop) => Some(State::SafeStop),
+                (State::Commissioning, Request::Stop) => Some(State::Homed),
+                (State::Fault, Request::Acknowledge) => Some(State::Homed),
+                (State::Connected | State::Homed | State::Ready, Request::Disconnect) => {
+                    Some(State::Off)
+                }
+                _ => None,
+            };
+            let mut robot = Robot::within(state);
+            let output = robot.ask(request);
+            let denied = to.is_none().then_some(Denied::From(state));
+            assert_eq!(output.denied, denied, "{request:?} in {state:?}");
+            assert_eq!(
+                output.state,
+                to.unwrap_or(state),
+                "{request:?} in {state:?}"
+            );
+        }
+    }
+    let mut robot = Robot::within(State::Connected);
+    robot.ask(Request::Commission);
+    assert_eq!(
+        robot.ask(Request::Stop).state,
+        State::Connected,
+        "home is not known"
+    );
+}
+
+#[test]
+fn conditions_of_requests() {
+    for (state, request, breaks, denied) in [
+        (
+            State::Off,
+            Request::Connect,
+            (|r| r.torque = true) as Break,
+            Denied::Torque,
+        ),
+        (
+            State::Off,
+            Request::Connect,
+            |r| r.wrong = |said| said.temperature = 70.0,
+            Denied::Trouble(Cause::Hot),
+        ),
+        (
+            State::Connected,
+            Request::Home,
+            |r| r.at = [601, 100],
+            Denied::Outside,
+        ),
+        (
+            State::Connected,
+            Request::Home,
+            |r| r.at = [100, -401],
+            Denied::Outside,
+        ),
+        (
+            State::Ready,
+            Request::Engage,
+            |r| r.deadman = Some(false),
+            Denied::Undriven,
+        ),
+        (
+            State::Fault,
+            Request::Acknowledge,
+            |r| r.torque = true,
+            Denied::Torque,
+        ),
+    ] {
+        let mut robot = Robot::within(state);
+        let leap = robot.at;
+        breaks(&mut robot);
+        if robot.at != leap {
+            // As slowly as a servo moves by itself.
+            let to = robot.at;
+            robot.at = leap;
+            for _ in 0..100 {
+                for (at, to) in robot.at.iter_mut().zip(to) {
+                    *at += (to - *at).clamp(-20, 20);
+                }
+                robot.tick(None);
+            }
+        }
+        let output = robot.ask(request);
+        assert_eq!(
+            (output.denied, output.state),
+            (Some(denied), state),
+            "{request:?}"
+        );
+    }
+    // Without a target, and with none that is fresh.
+    let mut robot = Robot::new();
+    robot.target = None;
+    robot.tick(None);
+    for request in [Request::Connect, Request::Home, Request::Arm] {
+        assert_eq!(robot.ask(request).denied, None);
+    }
+    assert_eq!(robot.ask(Request::Engage).denied, Some(Denied::Undriven));
+    robot.target = Some([100.0, 100.0]);
+    robot.tick(None);
+    robot.target = None;
+    robot.run(10);
+    assert_eq!(
+        robot.clone().ask(Request::Engage).denied,
+        Some(Denied::Undriven)
+    );
+    robot.target = Some([100.0, 100.0]);
+    assert_eq!(robot.ask(Request::Engage).denied, None);
+}
+
+#[test]
+fn silence_of_the_user_holds_then_slackens_then_ends() {
+    for (deadman, cause, count) in [
+        (Some(false), Cause::Deadman, 1),
+        (None, Cause::Deadman, 11),
+        (Some(true), Cause::Stale, 11),
+    ] {
+        let mut robot = Robot::within(State::Engaged);
+        (robot.deadman, robot.target) = (deadman, None);
+        let (took, output) = robot.until_change();
+        assert_eq!((output.state, output.cause), (State::Hold, cause));
+        assert_eq!(took, count, "{cause:?}");
+        let mut again = robot.clone();
+        (again.deadman, again.target) = (Some(true), Some([400.0, 300.0]));
+        let output = again.tick(None);
+        assert_eq!((output.state, output.cause), (State::Engaged, Cause::None));
+        let (took, output) = robot.until_change();
+        assert_eq!(
+            (took, output.state, output.cause),
+            (26, State::SafeStop, cause)
+        );
+        let (took, output) = robot.until_change();
+        assert_eq!(output.state, State::Ready);
+        assert!(
+            (60..80).contains(&took),
+            "300 ticks at half the slew: {took}"
+        );
+        assert_eq!(robot.at, [100, 100]);
+    }
+}
+
+#[test]
+fn after_a_hold_that_was_asked_for_or_refused_targets_the_deadman_is_let_go_first() {
+    let mut robot = Robot::within(State::Hold);
+    assert_eq!(robot.run(20).state, State::Hold, "still pressed");
+    robot.deadman = Some(false);
+    robot.tick(None);
+    robot.deadman = Some(true);
+    assert_eq!(robot.tick(None).state, State::Engaged);
+
+    for bad in [[f64::NAN, 0.0], [0.0, 2e6], [400.0, -400.1]] {
+        let mut robot = Robot::within(State::Engaged);
+        robot.target = Some(bad);
+        let (took, output) = robot.until_change();
+        assert_eq!(
+            (took, output.state, output.cause),
+            (11, State::Hold, Cause::Refused)
+        );
+        assert!(output.refused);
+        robot.target = Some([400.0, 300.0]);
+        assert_eq!(robot.run(15).state, State::Hold);
+        robot.deadman = Some(false);
+        robot.tick(None);
+        robot.deadman = Some(true);
+        assert_eq!(robot.tick(None).state, State::Engaged);
+    }
+}
+
+#[test]
+fn each_state_says_whether_it_has_torque() {
+    for state in State::ALL {
+        let mut robot = Robot::within(state);
+        let torque = robot.tick(None).torque;
+        let expected = !matches!(
+            state,
+            State::Off | State::Connected | State::Homed | State::Ready | State::Fault
+        );
+        assert_eq!((torque, state.active()), (expected, expected), "{state:?}");
+    }
+}

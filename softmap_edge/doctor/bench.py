@@ -1,0 +1,107 @@
+"""What the doctor looks at of one bench: its bundle, its rig.toml, and what its servos say when they are asked.
+
+Servos are asked only: nothing is written to them. Pinned by tests/test_doctor.py.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+from softmap_edge import _core
+from softmap_edge.doctor.line import FAULT, OK, WARNING, Line, faulty
+from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.servo import commission
+from softmap_edge.servo.combined import combined
+from softmap_edge.servo.models import servo_model
+from softmap_edge.servo.proof import check_proved
+from softmap_edge.servo.rig import Rig, read_rig
+
+SCAN = "run softmap servo scan"
+
+
+def bundle(folder: str | Path) -> Iterator[Line]:
+    """A bundle: whether it loads, and holds what a robot needs."""
+    from softmap_edge.bundle import load_bundle
+
+    try:
+        model = load_bundle(folder)
+    except (SoftmapError, OSError) as fault:
+        yield faulty("bundle", fault, "make it again, or get it whole")
+        return
+    effects = ", ".join(model.chain_names) or "none"
+    yield Line("bundle", OK, f"{folder}: {model.robot}, {model.channels} commands, effects: {effects}")
+    found = model.calibration
+    if found is None:
+        do = "run softmap calibrate with a run that has ticks"
+        yield Line("calibration", FAULT, "the bundle holds none", do)
+    else:
+        low, high = found.window or (0.0, 0.0)
+        window = f"; window {low:+.0f} to {high:+.0f} ticks about home" if found.window else ""
+        yield Line("calibration", OK, f"of {textwrap.shorten(found.run, 60, placeholder=' …')}{window}")
+    there = (Path(folder) / "safety.toml").is_file()
+    yield Line("safety.toml", OK, "there" if there else "none: the limits are derived from the model each time")
+
+
+def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
+    """A finger on its bench: whether limits follow that the guard takes; nothing where one of the two was at fault."""
+    from softmap_edge.bundle import load_bundle
+
+    try:
+        bench, model = read_rig(file), load_bundle(folder)
+    except (SoftmapError, OSError):
+        return
+    if model.calibration is None:
+        return
+    try:
+        found = combined(bench, model)
+        found.table()
+    except SoftmapError as fault:
+        yield faulty("limits", fault, "softmap servo limits says who sets them")
+        return
+    said = "derived from the model" if found.derived else "with those of the bundle"
+    yield Line("limits", OK, f"{said}; softmap servo limits prints them")
+
+
+def rig(file: str | Path) -> Iterator[Line]:
+    """A bench: whether its file is sound, its servos answer and are set up, and home is proved."""
+    try:
+        bench = read_rig(file)
+    except ServoError as fault:
+        yield faulty("rig", fault, "mend it there, or make it again with softmap servo setup")
+        return
+    yield Line("rig", OK, f"{file}: {len(bench.servos)} servos at {bench.port}, {bench.baud} baud")
+    uncapped = [
+        servo.id
+        for servo in bench.servos
+        if servo.current_mA is None and servo_model(servo.model)["current_limit_mA"] is not None
+    ]
+    if uncapped:
+        do = f"write current_mA (at the stroke) to it in {file}; until then a share of the servo's own limit is taken"
+        yield Line("ceiling", WARNING, f"servo {_listed(uncapped)} has no measured current", do)
+    try:
+        with commission.opened(bench.port, bench.baud) as bus:
+            yield from _servos(bus, bench)
+    except ServoError as fault:
+        yield faulty("bus", fault, SCAN)
+
+
+def _servos(bus: _core.ServoBus, bench: Rig) -> Iterator[Line]:
+    for servo, found, said in commission.examined(bus, bench):
+        name = f"servo {servo.id}"
+        for complaint in said:
+            yield faulty(name, complaint, SCAN)
+        if found is None or found.number != dict(bench.numbers)[servo.id]:
+            continue
+        if not said:
+            yield Line(name, OK, f"{servo.model}, firmware {found.firmware}, set up")
+        try:
+            check_proved(bus, [(servo.id, servo.home)])
+            yield Line(f"home of {name}", OK, f"proved since power-up, at {servo.home}")
+        except ServoError as fault:
+            yield faulty(f"home of {name}", fault, SCAN)
+
+
+def _listed(ids: list[int]) -> str:
+    return ", ".join(map(str, ids))

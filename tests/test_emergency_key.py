@@ -1,0 +1,189 @@
+"""The key that is the emergency stop of `track`, `record` and `move`, typed at a terminal beside an emulated robot."""
+
+import contextlib
+import os
+import pty
+import subprocess
+import sys
+import termios
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs import torque
+
+from softmap_edge import builtin_model, save_bundle
+from softmap_edge.camera.points_udp import PointSender
+from softmap_edge.commands.robot import plain_map
+from softmap_edge.commands.servo_emulate import streaming
+from softmap_edge.experiment.blocks import chosen, plan
+from softmap_edge.experiment.command_file import write_commands
+from softmap_edge.protocol import Limits
+from softmap_edge.servo.emergency_key import HELP, PRESSED
+from softmap_edge.servo.finger import emulated_bench
+from softmap_edge.servo.recording import read_recording
+
+SOFTMAP = str(Path(sys.executable).with_name("softmap"))
+AWAY = 120.0  # ticks from home: it is driven
+PATIENCE = 60.0  # s, on a busy machine
+CAMERA = 5991
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """Give an emulated bus and the folder with its rig, bundle and commands; its camera sends to CAMERA."""
+    folder, model = tmp_path_factory.mktemp("robot"), builtin_model()
+    known = plain_map(model)
+    model = replace(model, calibration=replace(known, window=known.holding(model.command_range)))
+    save_bundle(model, folder / "finger")
+    write_commands(folder / "commands.csv", plan(chosen(["circle"]), Limits.even(2, 3.0)), model.robot)
+    with (
+        emulated_bench(model, model.calibration, rate=100.0) as (bus, rig, _, finger),
+        PointSender("127.0.0.1", CAMERA) as sender,
+        streaming(finger, [sender]),
+    ):
+        rig.write(folder / "rig.toml")
+        yield bus, rig, folder
+
+
+class Typist:
+    """A program at a terminal of its own, and what it has said so far."""
+
+    def __init__(self, folder, *words):
+        self.ours, self.theirs = pty.openpty()
+        self.before = termios.tcgetattr(self.theirs)
+        self.process = subprocess.Popen(
+            [SOFTMAP, *words], cwd=folder, stdin=self.theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+        self._said = b""
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self):
+        while more := self.process.stderr.read1(400):
+            self._said += more
+
+    @property
+    def said(self):
+        """What it has said on standard error."""
+        return self._said.decode()
+
+    def types(self, text):
+        """Type a text."""
+        os.write(self.ours, text.encode())
+
+    def until(self, what):
+        """Wait until `what()`."""
+        end = time.monotonic() + PATIENCE
+        while not what():
+            assert time.monotonic() < end and self.process.poll() is None, self.said
+            time.sleep(0.01)
+
+    def ends(self):
+        """Wait for its end; its exit code."""
+        code = self.process.wait(PATIENCE)
+        self._reader.join(PATIENCE)
+        return code
+
+
+@contextlib.contextmanager
+def typist(folder, *words):
+    one = Typist(folder, *words)
+    try:
+        yield one
+    finally:
+        one.process.kill()
+        one.process.wait()
+        one.process.stdout.close()
+        one._reader.join()
+        one.process.stderr.close()
+        os.close(one.ours)
+        os.close(one.theirs)
+
+
+def driven(bus, rig):
+    """Return whether a servo has torque and stands away from home."""
+    angles = np.array([angle for angle, *_ in bus.state()[1]])
+    return torque(bus) and np.abs(angles - [servo.home for servo in rig.servos]).max() > AWAY
+
+
+ON = ["--rig", "rig.toml", "--bundle", "finger"]
+DRIVES = {
+    "track": ["track", "O", *ON, "--amplitude", "4", "--duration", "30", "--record", "track.mcap"],
+    "record": [
+        "record", "commands.csv", *ON, "--camera", f"udp://:{CAMERA}", "--out", "run.npz", "--record", "record.mcap",
+    ],
+    "move": ["move", "2,-1", *ON, "--hold", "--seconds", "100"],
+    "jog by keys": ["move", "--rig", "rig.toml"],
+    "jog by ticks": ["move", "--rig", "rig.toml", "--servo", "1", "--by", "290", "--hold"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("verb", DRIVES)
+def test_the_key_switches_torque_off_at_once(robot, verb):
+    bus, rig, folder = robot
+    with typist(folder, *DRIVES[verb]) as one:
+        if verb == "record":  # a line is read from the same terminal
+            one.until(lambda: "Press Enter when it is so" in one.said)
+            one.types("e, not yet\n")
+        one.until(lambda: "is the emergency stop" in one.said)
+        if verb == "jog by keys":
+            one.until(lambda: "connected" in one.said)
+            holds = threading.Event()
+            held = threading.Thread(target=lambda: [one.types("\x1b[C") for _ in iter(lambda: holds.wait(0.03), True)])
+            held.start()
+        one.until(lambda: driven(bus, rig))
+        if verb == "jog by keys":
+            holds.set()
+            held.join()
+        one.types("e")
+        one.until(lambda: not torque(bus))
+        assert one.ends() == 2 and PRESSED in one.said
+        assert termios.tcgetattr(one.theirs) == one.before, "the terminal is as it was"
+    file = folder / f"{verb}.mcap"
+    if file.exists():
+        periods = read_recording(file).periods
+        states = list(dict.fromkeys((one["state"], one["cause"]) for one in periods if one["emergency"]))
+        assert states == [("fault", "emergency")], "never slackened: off in the first period that knows"
+    if verb == "record":
+        assert not (folder / "run.npz").exists() or "what was recorded before is in run.npz" in one.said
+
+
+def test_without_a_terminal_nothing_is_said(robot):
+    bus, _, folder = robot
+    words = ["move", "1,-1", *ON, "--hold", "--seconds", "0.5"]
+    done = subprocess.run([SOFTMAP, *words], cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stderr == "" and not torque(bus)
+
+
+def test_another_key_does_nothing(robot):
+    bus, _, folder = robot
+    with typist(folder, "move", "1,-1", *ON, "--hold", "--seconds", "1") as one:
+        one.until(lambda: HELP in one.said)
+        one.types("x \x1b[15~q")
+        assert one.ends() == 0
+    assert not torque(bus)
+
+
+def test_in_the_background_the_terminal_is_not_read():
+    """Whoever reads or sets its terminal from the background is stopped by the system."""
+    code = """if True:
+        import fcntl, os, sys, termios
+        os.setsid()
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+        from softmap_edge.terminal_keys import terminal
+        front = terminal()
+        if os.fork() == 0:
+            os.setpgid(0, 0)
+            print(front, terminal(), flush=True)
+            os._exit(0)
+        os.wait()
+    """
+    ours, theirs = pty.openpty()
+    done = subprocess.run([sys.executable, "-c", code], stdin=theirs, capture_output=True, text=True, timeout=PATIENCE)
+    os.close(ours)
+    os.close(theirs)
+    assert done.stdout == "0 None\n", done.stderr

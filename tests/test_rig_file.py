@@ -1,0 +1,191 @@
+"""rig.toml: whatever a name or a port holds is read back, and what its user wrote there lives through the verbs."""
+
+import random
+import re
+import tomllib
+from dataclasses import replace
+
+import pytest
+from rigs import BAUD, HOME, MODEL, NUMBER, set_up
+
+from softmap_edge import _core
+from softmap_edge.cli import main
+from softmap_edge.errors import ServoError
+from softmap_edge.servo.emergency import Beats, Emergency, Line
+from softmap_edge.servo.models import numbered, servo_model
+from softmap_edge.servo.rig import Rig, RigServo, read_rig
+from softmap_edge.servo.rig_text import noted
+from softmap_edge.toml_table import quoted
+
+ODD = [
+    *range(0x20),
+    0x22,
+    0x23,
+    0x5C,
+    0x7F,
+    0x85,
+    0xA0,
+    0xAD,
+    0x2028,
+    0x202E,
+    0xFEFF,
+    0xFFFF,
+    0x1F916,
+    0xF0001,
+    0x10FFFF,
+]
+EDITED = f"""# Bench 3, second floor.
+schema = "softmap.rig/1"
+port = "/dev/ttyUSB0"   # the left adapter, "#1"
+baud = {BAUD}
+
+[ceiling]  # measured in May
+slew = 1500.0 # calm
+
+# the bending pair
+[[servo]]
+id = 1
+model = "{MODEL}" # new in June
+home = 1 # where it hung
+current_mA = 210.5
+note = "ours"
+
+  [[servo]]   # the other pair
+id = 2
+model = '{MODEL}'
+
+[made.homed]
+how = "by eye, # two of us"  # in the morning
+confirmed = "by --yes"
+# the end
+"""
+
+
+def odd_text(rng):
+    """Return some characters, many of which TOML must not hold as they are."""
+    plain = [c for c in (rng.randrange(0x110000) for _ in range(6)) if not 0xD800 <= c < 0xE000]
+    return "".join(map(chr, rng.sample(plain + rng.choices(ODD, k=8), k=len(plain) + 8)))
+
+
+def test_every_character_is_read_back():
+    for start in range(0, 0x110000, 4096):
+        text = "".join(chr(c) for c in range(start, start + 4096) if not 0xD800 <= c < 0xE000)
+        assert tomllib.loads(f"a = {quoted(text)}")["a"] == text
+    assert tomllib.loads(f"a = {quoted('x' + chr(0xD800))}")["a"] == "x?", "half a character has no form in a file"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_rig_of_odd_names_is_read_as_it_was_written(tmp_path, seed):
+    rng = random.Random(seed)
+    port, chip, said, name = (odd_text(rng) for _ in range(4))
+    stops = Emergency(Line(chip, 1), Beats(5006, str(tmp_path / "a\x7fb\U000f0001"), 0.2, odd_text(rng)))
+    rig = Rig(
+        port, BAUD, (RigServo(1, MODEL, HOME),), emergency=stops, made={name: {name: said, "all": [said, 1, 0.5]}}
+    )
+    rig.write(tmp_path / "rig.toml")
+    assert read_rig(tmp_path / "rig.toml") == rig
+    replace(rig, servos=(RigServo(1, MODEL, HOME + 1),)).note(tmp_path / "rig.toml")
+    assert read_rig(tmp_path / "rig.toml") == replace(rig, servos=(RigServo(1, MODEL, HOME + 1),))
+
+
+@pytest.fixture
+def hanging(tmp_path):
+    """Give a bus of two servos that hang at HOME, and the file that a user has edited."""
+    bus = _core.EmulatedBus([(id, NUMBER, BAUD, float(HOME)) for id in (1, 2)], [[], []], seed=2)
+    set_up(bus.path)
+    file = tmp_path / "rig.toml"
+    file.write_text(EDITED.replace("/dev/ttyUSB0", bus.path).replace("home = 1 #", f"home = {HOME - 4096} #"))
+    yield bus, file
+    bus.unplug()
+
+
+def comments(text):
+    return [line[line.index("#") :] for line in text.splitlines() if "#" in line]
+
+
+def test_homing_changes_home_and_its_provenance_alone(hanging, capsys):
+    bus, file = hanging
+    before, rig = file.read_text(), read_rig(file)
+    assert main(["servo", "home", "--rig", str(file), "--yes"]) == 0
+    after = file.read_text()
+    assert [c for c in comments(after) if "in the morning" not in c] == [
+        c for c in comments(before) if "in the morning" not in c
+    ]
+    head, made = after.split("[made.homed]")
+    assert head == before.split("[made.homed]")[0].replace(f"home = {HOME - 4096} #", f"home = {HOME} #").replace(
+        f"model = '{MODEL}'\n", f"model = '{MODEL}'\nhome = {HOME}\n"
+    )
+    assert "  # in the morning\n" in made and made.endswith("# the end\n")
+    now = read_rig(file)
+    assert [servo.home for servo in now.servos] == [HOME, HOME] and now.servos[0].current_mA == 210.5
+    assert now.made["homed"]["firmware"] == [46, 46] and now.ceiling == rig.ceiling
+    assert tomllib.loads(after)["servo"][0]["note"] == "ours"
+    assert main(["servo", "home", "--rig", str(file), "--yes"]) == 0
+    assert file.read_text().split("[made.homed]")[0] == head, "homed where it is, nothing changes"
+
+
+def test_setting_up_anew_takes_what_was_found_and_leaves_what_was_written(hanging):
+    bus, file = hanging
+    assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1", "--rig", str(file)]) == 0
+    text = file.read_text()
+    assert "home" not in text.split("[made.homed]")[0] and "current_mA" not in text
+    assert "# new in June" in text and "# measured in May" in text and 'note = "ours"' in text
+
+
+def test_a_servo_and_provenance_are_added(tmp_path):
+    (tmp_path / "rig.toml").write_text(EDITED)
+    rig = read_rig(tmp_path / "rig.toml")
+    more = replace(rig, port="/dev/ttyACM1", servos=(*rig.servos, RigServo(7, MODEL, 5)))
+    more = replace(more, made={**more.made, "pulled": {"servo_1": "so", 'a "b"': [1, 2]}})
+    more.note(tmp_path / "rig.toml")
+    assert read_rig(tmp_path / "rig.toml") == more
+    text = (tmp_path / "rig.toml").read_text()
+    assert comments(text) == comments(EDITED) and text.index("id = 7") < text.index("[made.homed]")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f'schema = "softmap.rig/1"\nport = "p"\nservo = [{{id = 1, model = "{MODEL}"}}]\n',
+        f'schema = "softmap.rig/1"\nport = """\n[[servo]]\n"""\n[[servo]]\nid = 1\nmodel = "{MODEL}"\nhome = 3 # x\n',
+        f'schema = "softmap.rig/1"\nport = "p"\n[[servo]]\nid = 1\nmodel = "{MODEL}"\n[made.homed]\nat = [\n1,\n2]\n',
+        f'schema = "softmap.rig/1"\nport = "p"\nmade = {{homed = {{a = 1}}}}\n[[servo]]\nid = 1\nmodel = "{MODEL}"\n',
+    ],
+)
+def test_a_file_of_another_form_says_the_same_afterwards(tmp_path, text):
+    (tmp_path / "rig.toml").write_text(text)
+    rig = read_rig(tmp_path / "rig.toml")
+    changed = replace(rig, servos=(replace(rig.servos[0], home=9),), made={"homed": {"at": [3, 4]}})
+    changed.note(tmp_path / "rig.toml")
+    assert read_rig(tmp_path / "rig.toml") == changed
+
+
+def test_what_is_known_of_a_servo_is_looked_up_in_one_place(tmp_path, capsys):
+    for model in _core.servo_models():
+        assert servo_model(model["name"]) == model == numbered(model["number"])
+    assert numbered(7) is None
+    said = r"no servo 'X' is known; there are .*XL330-M288, .*"
+    with pytest.raises(ServoError, match=f"servo 1: {said}"):
+        Rig("p", BAUD, (RigServo(1, "X"),))
+    for more in ([], ["--servos", "2"]):
+        assert main(["servo", "emulate", "--model", "X", *more]) == 2
+        assert re.match(f"softmap servo: {said}", capsys.readouterr().err)
+
+
+def test_nothing_found_changes_nothing(tmp_path):
+    (tmp_path / "rig.toml").write_text(EDITED)
+    assert noted(EDITED, read_rig(tmp_path / "rig.toml").to_toml()) == EDITED
+    (tmp_path / "rig.toml").write_text("[")
+    with pytest.raises(ServoError, match="no TOML"):
+        Rig("p", BAUD, (RigServo(1, MODEL),)).note(tmp_path / "rig.toml")
+
+
+def test_a_key_file_beside_the_rig_is_found_however_often_it_is_written(tmp_path, monkeypatch):
+    (tmp_path / "bench").mkdir()
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "bench/rig.toml"
+    file.write_text(EDITED + '[emergency]\nudp = {port = 5006, key_file = "stop.key"}\n')
+    for _ in range(2):
+        rig = read_rig("bench/rig.toml")
+        assert rig.emergency.udp.key_file == str(tmp_path / "bench/stop.key")
+        rig.write("bench/rig.toml")

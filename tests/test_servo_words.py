@@ -1,0 +1,62 @@
+"""What the guard does, why, and what it denies, in words: one set of them, for every state and cause."""
+
+from pathlib import Path
+
+import pytest
+from loops import STATES
+
+from softmap_edge.servo import words
+from softmap_edge.servo.jog import Jog
+
+
+def test_every_state_and_cause_of_the_guard_has_its_words():
+    said = {words.sentence({"state": state, "cause": "late", "servo": 1}) for state in words.STATES}
+    assert len(said) == len(words.STATES)
+    assert "Holding where it is; it slackens soon: servo 2 did not answer in time" in said
+    assert words.sentence({"state": "engaged", "cause": "deadman"}) == "Driving"
+    assert "was released" in words.sentence({"state": "fault", "cause": "loop", "rescued": "it was released"})
+    assert words.level({"state": "fault"}) == "fault" and words.level({}) == "off"
+    assert words.limits({"slowed": True, "outside": False}) == ["as fast as allowed"]
+    assert set(words.NAMES) == set(words.STATES) == set(STATES), "every state that the loop tells"
+    guard = (Path(__file__).parents[1] / "rust/servo/guard/mod.rs").read_text()
+    causes = guard.split("pub enum Cause {")[1].split("}")[0]
+    named = [line.strip(" ,").lower() for line in causes.splitlines() if line.strip() and "///" not in line]
+    assert set(named) <= set(words.CAUSES), "a cause of the guard without words"
+
+
+@pytest.mark.parametrize(
+    "said, line",
+    [
+        ("from(safe_stop)", "not allowed in state slackening"),
+        ("trouble(late)", "something is wrong: a servo did not answer in time"),
+        ("torque", "a servo has torque; `softmap servo off` releases it"),
+        ("undriven", "no fresh target, or the deadman is not pressed"),
+        ("something new(2)", "something new(2)"),
+    ],
+)
+def test_what_is_denied_is_told_in_words(said, line):
+    assert words.denied(said) == line
+
+
+def test_no_word_of_the_guards_own_is_shown():
+    report = {"state": "safe_stop", "cause": "stale"}
+    assert words.where(report) == "in state slackening (no target came in time)"
+    assert words.where({"state": "fault", "cause": "hot", "servo": 1}) == "in state fault (servo 2 is too hot)"
+    assert words.where({"state": "ready", "cause": "none"}) == "in state ready"
+
+    class Ended:
+        state, report = "safe_stop", {"state": "safe_stop", "cause": "stale"}
+
+    jog = object.__new__(Jog)
+    jog.robot = Ended()
+    with pytest.raises(Exception, match=r"ended the jog: the robot is in state slackening \(no target came in time\)"):
+        jog.press(0, 1.0)
+
+
+def test_why_driving_ended_is_said_once_and_with_what_leads_on():
+    tripped = {"state": "fault", "cause": "tripped", "servo": 0}
+    assert words.lost(tripped, words.sentence(tripped)) == "let go of the key, then reset the fault"
+    held = {"state": "hold", "cause": "deadman"}
+    assert words.lost(held, "no hand") == "driving ended: no hand; let go of the key and press it anew"
+    unproved = {"state": "connected", "cause": "tripped"}
+    assert "prove home anew" in words.lost(unproved, words.sentence(tripped))
