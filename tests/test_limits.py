@@ -68,6 +68,13 @@ def test_the_ceiling_stands_in_place_of_the_defaults_and_a_bundle_only_tightens_
     assert table["servos"][1]["low"] == HOME - 300 and table["hold"] == 0.5 and table["turns"] == 1.0
 
 
+@pytest.mark.parametrize("ceiling, ticks", [((), 720.0), ((("slew", 900.0),), 400.0), ((("following", 300.0),), 300.0)])
+def test_a_servo_may_be_as_late_as_the_trunks_were_at_its_speed_unless_the_bench_says_otherwise(ceiling, ticks):
+    found = combined(rig(ceiling), FINGER, turned(np.eye(2) / 280.0))
+    assert limit(found, "following").value == ticks
+    assert servo_limits(MODEL, HOME, (-9.0, 9.0))["following"] == 720.0
+
+
 def test_whatever_a_finger_says_the_ceiling_holds():
     """Proof that the ceiling is one: the loosest file that is accepted moves no limit above it."""
     loose = replace(
@@ -236,6 +243,23 @@ def test_the_verb_prints_every_limit_and_who_set_it(tmp_path, capsys):
     assert "servo 1, XL330-M288, home 2000 ticks" in said and "emergency stops: none" in said and "0.25 MPa" in said
     Rig("/dev/none", BAUD, (RigServo(1, MODEL), RigServo(2, MODEL))).write(tmp_path / "rig.toml")
     assert main(argv) == 1 and "nothing is driven: servo 1, 2 has no home" in capsys.readouterr().out
+
+
+def test_a_ceiling_of_hot_alone_is_one_of_warm_too(tmp_path):
+    calibrated = replace(FINGER, calibration=turned(np.eye(2) / 280.0))
+    for values, warm, by in (
+        ((("hot", 50.0),), 40.0, "rig.toml"),
+        ((("hot", 79.0),), 55.0, "the servo's data"),
+        ((("hot", 50.0), ("warm", 45.0)), 45.0, "rig.toml"),
+    ):
+        found = combined(rig(values), calibrated)
+        limits = {one.name: one for one in found.servos[0]}
+        assert (limits["warm"].value, limits["warm"].by) == (warm, by)
+        assert limits["hot"].value <= 65.0, "a servo's own data is never passed"
+        found.table()
+    rig((("hot", 50.0), ("warm", 60.0))).write(tmp_path / "rig.toml")
+    with pytest.raises(ServoError, match="ceiling: warm = 60, expected at most hot = 50 °C"):
+        read_rig(tmp_path / "rig.toml")
 
 
 def test_the_loop_keeps_to_the_limits_of_the_finger():

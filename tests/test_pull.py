@@ -57,6 +57,15 @@ def test_the_current_at_the_stroke_becomes_the_ceiling(folder, capsys):
     assert limits["current"].value <= rig.servos[0].current_mA, "and it is in force"
 
 
+def test_what_the_bench_allows_a_servo_binds_its_pull(folder, brief, capsys):
+    _, file, bundle = folder
+    rig = read_rig(file)
+    replace(rig, servos=(replace(rig.servos[0], current_mA=30.0), rig.servos[1])).write(file)
+    assert main(words(file, bundle, "--servo", "1")) == 2
+    said = capsys.readouterr().err
+    assert "under 30 mA" in said and "raise jog_current in [ceiling], or its current_mA" in said
+
+
 def test_one_servo_keeps_what_was_found_of_the_other(folder, brief, capsys):
     _, file, bundle = folder
     rig = read_rig(file)

@@ -23,7 +23,7 @@ from softmap_edge.camera.frames import Frame
 from softmap_edge.cli import main
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.command_file import write_commands
-from softmap_edge.experiment.pace import ANSWER, BEHIND, SPAN, STILL, pace, servos_still, view_still
+from softmap_edge.experiment.pace import ANSWER, BEHIND, SHARE, SPAN, STILL, pace, servos_still, view_still
 from softmap_edge.experiment.play import Player, merged
 from softmap_edge.protocol import Limits, Protocol
 from softmap_edge.servo.controller import Controller
@@ -55,7 +55,7 @@ def test_a_file_is_slowed_to_what_servos_can_do():
     made = plan(chosen(["circle", "fast and slow triangles"]), Limits.even(2, 3.0))
     paced = pace(made, calibration(), SERVOS)
     speed = np.abs(np.diff(calibration().ticks(made.command), axis=0)) / np.diff(paced.t)[:, None]
-    most = BEHIND * SERVOS[0]["following"] / ANSWER
+    most = min(SHARE * SERVOS[0]["slew"], BEHIND * SERVOS[0]["following"] / ANSWER)
     assert speed.max() <= most + 1e-6 and np.all(np.diff(paced.t) >= np.diff(made.t) - 1e-9)
     asked = np.abs(np.diff(calibration().ticks(made.command), axis=0)) / np.diff(made.t)[:, None]
     assert asked.max() > most

@@ -48,7 +48,7 @@ id = 1
 model = "{MODEL}" # new in June
 home = 1 # where it hung
 current_mA = 210.5
-note = "ours"
+# ours
 
   [[servo]]   # the other pair
 id = 2
@@ -119,7 +119,6 @@ def test_homing_changes_home_and_its_provenance_alone(hanging, capsys):
     now = read_rig(file)
     assert [servo.home for servo in now.servos] == [HOME, HOME] and now.servos[0].current_mA == 210.5
     assert now.made["homed"]["firmware"] == [46, 46] and now.ceiling == rig.ceiling
-    assert tomllib.loads(after)["servo"][0]["note"] == "ours"
     assert main(["servo", "home", "--rig", str(file), "--yes"]) == 0
     assert file.read_text().split("[made.homed]")[0] == head, "homed where it is, nothing changes"
 
@@ -129,7 +128,7 @@ def test_setting_up_anew_takes_what_was_found_and_leaves_what_was_written(hangin
     assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1", "--rig", str(file)]) == 0
     text = file.read_text()
     assert "home" not in text.split("[made.homed]")[0] and "current_mA" not in text
-    assert "# new in June" in text and "# measured in May" in text and 'note = "ours"' in text
+    assert "# new in June" in text and "# measured in May" in text and "# ours\n" in text
 
 
 def test_a_servo_and_provenance_are_added(tmp_path):
@@ -170,6 +169,28 @@ def test_what_is_known_of_a_servo_is_looked_up_in_one_place(tmp_path, capsys):
     for more in ([], ["--servos", "2"]):
         assert main(["servo", "emulate", "--model", "X", *more]) == 2
         assert re.match(f"softmap servo: {said}", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (
+            "[emergancy]\nudp = {port = 5006, key_file = 'stop.key'}",
+            "rig.toml: no key 'emergancy'; there are .*emergency",
+        ),
+        ("[ceilling]\nslew = 3.0", "rig.toml: no key 'ceilling'; there are .*ceiling"),
+        ("[ceiling]\nhigth = 3.0", "rig.toml: ceiling: no key 'higth'; there are .*high"),
+        (
+            "[[servo]]\nid = 3\nmodel = 'XL330-M288'\ncurent_mA = 3.0",
+            "servo 2: no key 'curent_mA'; there are .*current_mA",
+        ),
+    ],
+)
+def test_a_mistyped_key_is_refused_and_none_is_overlooked(tmp_path, wrong, said):
+    file = tmp_path / "rig.toml"
+    file.write_text(f'schema = "softmap.rig/1"\nport = "p"\n[[servo]]\nid = 1\nmodel = "{MODEL}"\n{wrong}\n')
+    with pytest.raises(ServoError, match=said):
+        read_rig(file)
 
 
 def test_nothing_found_changes_nothing(tmp_path):

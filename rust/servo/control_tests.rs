@@ -7,6 +7,7 @@ use crate::emulator::servo::Servo;
 use crate::emulator::virtual_port::Virtual;
 use crate::emulator::{Emulator, Faults};
 use crate::guard::{Cause, Limits, State};
+use crate::registers::X_SERIES;
 
 #[derive(Default)]
 struct Script(Orders);
@@ -222,6 +223,42 @@ fn each_fault_of_a_servo_ends_without_torque_in_its_time() {
             "{name}"
         );
         assert_ne!(bench.ask(Request::Engage).denied, None, "{name} is latched");
+    }
+}
+
+/// The cap (mA) and the watchdog of the first servo, as it has them.
+fn kept(bench: &mut Bench) -> (i32, u8) {
+    let servo = &bench.emulator().servos[0];
+    let cap = servo.read(X_SERIES.goal_current.address, 2).unwrap();
+    let watchdog = servo.read(X_SERIES.bus_watchdog.address, 1).unwrap();
+    (i16::from_le_bytes([cap[0], cap[1]]).into(), watchdog[0])
+}
+
+#[test]
+fn a_cap_or_a_watchdog_that_is_lost_on_the_wire_is_written_again_or_torque_goes_off() {
+    for (register, others) in [
+        (X_SERIES.goal_current, (1750, 5)),
+        (X_SERIES.bus_watchdog, (600, 0)),
+    ] {
+        for lost in [2, 1000] {
+            let mut bench = bench();
+            bench.run(0.3);
+            for request in [Request::Connect, Request::Home, Request::Arm] {
+                assert_eq!(bench.ask(request).denied, None, "{request:?}");
+            }
+            bench.drive_to([0.0, 0.0]);
+            bench.emulator().lose(register.address, lost);
+            assert_eq!(bench.ask(Request::Engage).state, State::Engaged);
+            assert_eq!(kept(&mut bench), others, "{} is lost", register.name);
+            if lost == 2 {
+                bench.run(0.05);
+                assert_eq!(kept(&mut bench), (600, 5), "{}", register.name);
+                assert_eq!(bench.run(1.0).state, State::Engaged);
+            } else {
+                until(&mut bench, State::Fault, 0.1);
+                assert_eq!(bench.record.0.last().unwrap().output.cause, Cause::Tripped);
+            }
+        }
     }
 }
 

@@ -20,9 +20,9 @@ from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
-from softmap_edge.servo.jog import EVERY, Deadman, Held, Jog
+from softmap_edge.servo.jog import EVERY, Deadman, Held, Jog, most_travel
 from softmap_edge.servo.keys import Keys
-from softmap_edge.servo.limits import JOG_SLEW, JOG_TRAVEL
+from softmap_edge.servo.limits import JOG_TRAVEL
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.terminal_keys import EMERGENCY, terminal
 
@@ -60,17 +60,17 @@ def move(args: argparse.Namespace) -> int:
     """Jog, or go to one command; 0 when that was done."""
     if (args.servo is None) != (args.by is None) or (args.command and args.by is not None):
         raise SoftmapError("give U1,U2, or --servo ID with --by TICKS, or none of them to jog by keys")
-    if args.by is not None and not 1 <= abs(args.by) <= JOG_TRAVEL:
-        raise SoftmapError(f"--by {args.by:g}; allowed are 1 to {JOG_TRAVEL:.0f} ticks either way")
+    _check_by(args.by, JOG_TRAVEL)
     if args.command:
         return _go(args)
     with bench(args) as rig:
         if args.by is not None:
             _numbered(rig, args.servo)
+            _check_by(args.by, most_travel(rig))
         with deadman(args.hold and args.by is not None) as hand, Jog(rig) as jog:
             begin = jog.position
             if args.by is not None:
-                tell(args, f"servo {args.servo} by {args.by:+.0f} ticks at {JOG_SLEW:.0f} ticks/s", hand)
+                tell(args, f"servo {args.servo} by {args.by:+.0f} ticks at {jog.slew:.0f} ticks/s", hand)
                 jog.by(_numbered(rig, args.servo), args.by, hand)
             else:
                 print(HELP, file=sys.stderr)
@@ -84,6 +84,11 @@ def move(args: argparse.Namespace) -> int:
     lines = [f"servo {one['id']}: {one['from']:.0f} → {one['to']:.0f} ticks" for one in servos]
     print(json.dumps(document) if args.json else "\n".join([*lines, "torque is off"]))
     return 0
+
+
+def _check_by(by: float | None, most: float) -> None:
+    if by is not None and not 1 <= abs(by) <= most:
+        raise SoftmapError(f"--by {by:g}; allowed are 1 to {most:.0f} ticks either way")
 
 
 @contextlib.contextmanager

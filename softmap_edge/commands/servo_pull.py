@@ -25,7 +25,6 @@ def pull_test(args: argparse.Namespace) -> int:
     """Measure and write the ceilings; 0 when all are found."""
     check_file("--rig", args.rig, ".toml")
     rig = read_rig(args.rig)
-    # A ceiling of an earlier pull is what is found anew; it bounds no move of commissioning.
     found = combined(rig, open_model(args.bundle))
     with deadman(args.hold) as hand:
         tell(args, "each servo goes slowly to both ends of its window and back", hand)

@@ -45,7 +45,7 @@ def read_ceiling(table: TomlTable) -> Ceiling:
     """Read the limits of a bench.
 
     Raises:
-        RunError: an unknown name, or a value out of range. ServoError: a pair that is none.
+        RunError: an unknown name, or a value out of range. ServoError: a pair that is none, or warm above hot.
     """
     found: list[tuple[str, Value]] = []
     for name, (low, high) in RANGES.items():
@@ -58,4 +58,8 @@ def read_ceiling(table: TomlTable) -> Ceiling:
         elif (value := table.number(name, None, low, high)) is not None:
             found.append((name, value))
     table.done()
-    return Ceiling(tuple(found))
+    ceiling = Ceiling(tuple(found))
+    warm, hot = ceiling.get("warm"), ceiling.get("hot")
+    if isinstance(warm, float) and isinstance(hot, float) and warm > hot:
+        raise ServoError(f"{table.where}: warm = {warm:g}, expected at most hot = {hot:g} °C")
+    return ceiling

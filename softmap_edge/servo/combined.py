@@ -22,7 +22,8 @@ from softmap_edge import _core
 from softmap_edge.errors import LimitError, ServoError
 from softmap_edge.model import Model
 from softmap_edge.safety import Safety, derived
-from softmap_edge.servo.limits import RATE, Table, loop_limits, servo_limits
+from softmap_edge.servo.ceiling import RANGES
+from softmap_edge.servo.limits import COOL, RATE, Table, following, loop_limits, servo_limits
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import TURN, Calibration
@@ -228,7 +229,7 @@ def _servo(
     servo, unit = rig.servos[k], safety.unit
     entry = servo_model(servo.model)
     start = servo_limits(servo.model, 0, (-1.0, 1.0))
-    allowed = _bench(rig, servo)
+    allowed = of_bench(rig, servo)
     through = "through the calibration"
     limits = []
     for side, name in enumerate(("low", "high")):
@@ -243,8 +244,10 @@ def _servo(
         limits.append(Limit(name, int(np.trunc(value)), UNITS[name], by, why))
 
     def least(name: str, *others: tuple[float, str, str], of: str | None = None) -> None:
-        own = (start[name], DATA if name in ("warm", "hot") else OWN, "")
-        value, by, why = min([allowed(of or name) or own, *others], key=lambda one: float(one[0]))
+        data = name in ("warm", "hot")
+        own = (start[name], DATA if data else OWN, "")
+        told = allowed(of or name) or own
+        value, by, why = min([told, *([own] if data else []), *others], key=lambda one: float(one[0]))
         limits.append(Limit(name, value, UNITS[name], by, why))
 
     real = (float(entry["fastest_ticks_per_s"]), DATA, "its fastest turn")
@@ -257,6 +260,7 @@ def _servo(
         pulled = [] if safety.tension is None else [_current(safety, entry, calibration, k)]
         least("current", own, *pulled, of="current_mA")
     limits.append(Limit("fastest", start["fastest"], "ticks/s", DATA, "half above its fastest turn is not believed"))
+    start["following"] = following(float(_of(limits, "slew").value))
     for name in ("following", "warm", "hot"):
         least(name)
     limits.append(Limit("voltage", start["voltage"], "V", DATA))
@@ -285,7 +289,7 @@ def _robot(
     ends = [(float(_of(one, "low").value), float(_of(one, "high").value)) for one in servos]
     placed = [servo_limits(servo.model, 0, end) for servo, end in zip(rig.servos, ends)]
     usual = loop_limits(placed, rate)
-    allowed = _bench(rig)
+    allowed = of_bench(rig)
     jump = [allowed("jump") or (usual["jump"], OWN, "")]
     ticks = tuple(float(by * rates.min()) for by in safety.jump)
     jump.append((ticks, FINGER, f"{safety.jump[0]:g} and {safety.jump[1]:g} {safety.unit}"))
@@ -305,13 +309,20 @@ def _side(side: int) -> Callable[[Any], float]:
     return lambda one: float(one[0][side])
 
 
-def _bench(rig: Rig, servo: RigServo | None = None) -> Callable[[str], tuple[Any, str, str] | None]:
-    """Return what looks up the strictest of what the bench sets, for all its servos and for this one."""
+def of_bench(rig: Rig, servo: RigServo | None = None) -> Callable[[str], tuple[Any, str, str] | None]:
+    """Return what looks up the strictest of what the bench sets, for all its servos and for this one: value, who, how.
+
+    A ceiling of `hot` that leaves `warm` unsaid is one of `warm` too, as far below as in the servo's data.
+    """
 
     def look(name: str) -> tuple[Any, str, str] | None:
         values: list[tuple[Any, str]] = [(rig.ceiling.get(name), "its [ceiling]")]
         values.append((getattr(servo, name, None), "its [[servo]]"))
         there = [(value, CEILING, why) for value, why in values if value is not None]
+        hot = rig.ceiling.get("hot")
+        if name == "warm" and not there and isinstance(hot, float):
+            by = COOL[0] - COOL[1]
+            there = [(max(hot - by, RANGES["warm"][0]), CEILING, f"{by:g} °C below hot of its [ceiling]")]
         return min(there, key=lambda one: -one[0] if name == "low" else one[0]) if there else None
 
     return look

@@ -4,7 +4,8 @@
         jog.by(0, 100, Held())     # as long as it is held: who lets go stops it
 
 Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; torque goes off when nobody
-holds. Where home is proved and the rig has a ceiling of ticks, the guard keeps that too. Pinned by tests/test_move.py.
+holds. What the bench allows (`[ceiling]` and each `[[servo]]`) binds a jog as it binds a drive, its ticks where home is
+proved. Pinned by tests/test_move.py.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import words
+from softmap_edge.servo.combined import of_bench
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import PRESSED
-from softmap_edge.servo.limits import JOG_CURRENT, JOG_SLEW, JOG_TRAVEL, Table, loop_limits, servo_limits
+from softmap_edge.servo.limits import JOG_SLEW, JOG_TRAVEL, Table, loop_limits, servo_limits
+from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import marked
-from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
+from softmap_edge.servo.rig import FARTHEST, Rig
 from softmap_edge.ticks import Calibration
 
 Ticks = NDArray[np.float64]
@@ -66,6 +69,10 @@ class Held:
 class Jog:
     """The servos of `rig`, jogged one at a time; from entering to leaving.
 
+    Args:
+        travel, slew, current: ticks, ticks/s and mA of a jog, by default the bench's or softmap's; the bench's bind
+            what is given too.
+
     Raises:
         ServoError: the port cannot be opened, the loop cannot start, or a servo is not as the rig says.
     """
@@ -74,15 +81,13 @@ class Jog:
         self,
         rig: Rig,
         *,
-        travel: float = JOG_TRAVEL,
-        slew: float = JOG_SLEW,
-        current: float = JOG_CURRENT,
+        travel: float | None = None,
+        slew: float | None = None,
+        current: float | None = None,
     ) -> None:
         count = len(rig.servos)
-        self.rig, self.slew, self.travel = rig, slew, travel
-        limits = loop_limits(
-            _windows(rig), jump=(float(FARTHEST),) * 2, jog_travel=travel, jog_slew=slew, jog_current=current
-        )
+        limits = _limits(rig, {"jog_travel": travel, "jog_slew": slew, "jog_current": current})
+        self.rig, self.travel, self.slew = rig, limits["jog_travel"], limits["jog_slew"]
         home = np.array([servo["home"] for servo in limits["servos"]], float)
         ticks = Calibration.stated(np.eye(count), home, home, "ticks as they are", unit="ticks")
         self.robot = Controller(rig, ticks, limits, commissioning=True)
@@ -209,20 +214,43 @@ class Jog:
         return float("nan") if self._target is None else float(self._target[servo])
 
 
-def _anywhere(servo: RigServo) -> Table:
-    return servo_limits(servo.model, 0, (-float(FARTHEST), float(FARTHEST)))
+def most_travel(rig: Rig) -> float:
+    """Return how far one jog may go, ticks: as the bench says, or softmap."""
+    return float((of_bench(rig)("jog_travel") or (JOG_TRAVEL,))[0])
 
 
-def _windows(rig: Rig) -> list[Table]:
-    """Return the limits of each servo: its ceiling about a home that is proved, else no window."""
+def _limits(rig: Rig, asked: dict[str, float | None]) -> Table:
+    """Return the limits of jogs: what is `asked` for, where the bench allows it, and all else that the bench says."""
+    robot, servos = of_bench(rig), _servos(rig)
+    anywhere = (float(FARTHEST),) * 2  # a goal of a jog may jump: its travel and its slew bound it
+    names = [name for name in loop_limits(servos, jump=anywhere) if name not in ("servos", "period", "jump")]
+    table = {name: found[0] for name in names if (found := robot(name))}
+    for name, value in asked.items():
+        if value is not None:
+            table[name] = min(value, table.get(name, value))
+    # All servos keep to the slowest, so that how long a jog takes is known.
+    table["jog_slew"] = min(table.get("jog_slew", JOG_SLEW), *(one["slew"] for one in servos))
+    return loop_limits(servos, jump=anywhere, **table)
+
+
+def _servos(rig: Rig) -> list[Table]:
+    """Return the limits of each servo: its ticks about a home that is proved, else no window."""
     found = []
     with opened(rig.port, rig.baud) as bus:
         for servo in rig.servos:
-            limits = _anywhere(servo)
-            ceiling = servo.low is not None or servo.high is not None
-            if servo.home is not None and ceiling and marked(bus, servo.id, servo.home):
-                low = -FARTHEST - servo.home if servo.low is None else servo.low
-                high = FARTHEST - servo.home if servo.high is None else servo.high
+            bench = of_bench(rig, servo)
+            low, high = ((bench(side) or (None,))[0] for side in ("low", "high"))
+            limits = servo_limits(servo.model, 0, (-float(FARTHEST), float(FARTHEST)))
+            if servo.home is not None and (low, high) != (None, None) and marked(bus, servo.id, servo.home):
+                low = -FARTHEST - servo.home if low is None else low
+                high = FARTHEST - servo.home if high is None else high
                 limits = servo_limits(servo.model, servo.home, (low, high))
+            for name in ("slew", "acceleration", "following"):
+                limits[name] = (bench(name) or (limits[name],))[0]
+            for name in ("warm", "hot"):
+                limits[name] = min(limits[name], (bench(name) or (limits[name],))[0])
+            if limits["current"] is not None:
+                own = float(servo_model(servo.model)["current_limit_mA"])
+                limits["current"] = min(own, (bench("current_mA") or (limits["current"],))[0])
             found.append(limits)
     return found

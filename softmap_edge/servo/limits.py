@@ -19,6 +19,8 @@ Table = dict[str, Any]
 RATE = 100.0  # periods a second: what one adapter at 1 Mbaud carries with room to spare
 SLEW = 2000.0  # ticks/s; 7 mm of tendon a second on a spool of 2.2 mm
 ACCELERATION = 20_000.0  # ticks/s²
+BEHIND = 1.5 * 0.24  # s by which a servo may be late: half as much again as the trunk's were (its recording)
+NEAR = 400.0  # ticks that it may be behind in any case, however slow
 CURRENT = 0.35  # of a servo's own limit
 FASTER = 1.5  # than a servo's own fastest turn is no position to believe
 BAND = 0.02  # mm that a goal comes back before its servo turns
@@ -45,11 +47,20 @@ def servo_limits(model: str, home: int, window: tuple[float, float]) -> Table:
         "acceleration": ACCELERATION,
         "current": None if most is None else CURRENT * most,
         "fastest": FASTER * entry["fastest_ticks_per_s"],
-        "following": 400.0,
+        "following": following(SLEW),
         "warm": entry["temperature_limit_C"] - COOL[0],
         "hot": entry["temperature_limit_C"] - COOL[1],
         "voltage": tuple(entry["voltage_V"]),
     }
+
+
+def following(slew: float) -> float:
+    """Return how far (ticks) a servo may be behind a goal that moves with up to `slew` (ticks/s).
+
+    Real servos are behind by their delay at each speed: a limit below that drops the torque of a healthy finger, and
+    its home must be proved anew. What is really blocked pulls for some tenths of a second more, within its current cap.
+    """
+    return min(max(NEAR, BEHIND * slew), float(_core.limit_ranges()["following"][1]))
 
 
 def loop_limits(servos: Sequence[Table], rate: float = RATE, **changes: Any) -> Table:

@@ -24,7 +24,7 @@ from softmap_edge.servo import words
 from softmap_edge.servo.combined import IDLE, Combined
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.jog import EVERY, Deadman, Jog
-from softmap_edge.servo.limits import JOG_CURRENT, JOG_SLEW
+from softmap_edge.servo.limits import JOG_SLEW
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import check_proved
 from softmap_edge.servo.rig import Rig, RigServo
@@ -116,10 +116,9 @@ def pull(found: Combined, hand: Deadman, ids: Sequence[int] = ()) -> list[Pulled
         check_proved(bus, [(servo.id, servo.home) for servo in rig.servos])
     inside = tuple(replace(one, low=round(low), high=round(high)) for one, (low, high) in zip(rig.servos, ends))
     most = min(allowed, max(abs(end) for k in numbers for end in ends[k]) + LEAST_SHORT)
-    slew, current = _ceiling(rig, "jog_slew", JOG_SLEW), _ceiling(rig, "jog_current", JOG_CURRENT)
     done = []
     for k in numbers:
-        with Jog(replace(rig, servos=inside), travel=most, slew=slew, current=current) as jog:
+        with Jog(replace(rig, servos=inside), travel=most) as jog:
             legs = (_leg(jog, k, ends[k][0], most, hand), _leg(jog, k, ends[k][1], most, hand))
             _go(jog, k, 0.0, hand, [])
             jog.stop()
@@ -174,7 +173,8 @@ def _leg(jog: Jog, k: int, stroke: float, most: float, hand: Deadman) -> Leg:
     if abs(reached - target) > max(LEAST_SHORT, SHORT * abs(target)):
         raise ServoError(
             f"servo {servo.id} was sent to {target:+.0f} ticks about home and came to {reached:+.0f} under "
-            f"{jog.robot.limits['jog_current']:g} mA: look what holds it, or raise jog_current in [ceiling] knowingly"
+            f"{_most_current(jog, k):g} mA: look what holds it, or raise jog_current in [ceiling], or its current_mA, "
+            "knowingly"
         )
     way = np.array(read + stood)
     side = way[way[:, 0] * np.sign(stroke) > 0.0]
@@ -182,6 +182,11 @@ def _leg(jog: Jog, k: int, stroke: float, most: float, hand: Deadman) -> Leg:
     end = max(float(np.median([abs(mA) for _, mA in stood])), float(np.median(np.abs(outer))) if len(outer) else 0.0)
     rises = float(np.median([abs(mA) for _, mA in stood])) - rest
     return Leg(stroke, reached, round(_at(stroke, reached, end, side), 1), rises, np.round(side, 1))
+
+
+def _most_current(jog: Jog, k: int) -> float:
+    limits = jog.robot.limits
+    return min(float(limits["jog_current"]), float(limits["servos"][k]["current"]))
 
 
 def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:

@@ -115,7 +115,8 @@ def read_rig(path: str | Path) -> Rig:
     """Read a `rig.toml`.
 
     Raises:
-        ServoError: it is missing, no TOML, of another schema, or an entry is not what it has to be.
+        ServoError: it is missing, no TOML, of another schema, an entry is not what it has to be, or nobody knows a key:
+            a mistyped stop or limit would be none.
     """
     file = Path(path)
     try:
@@ -142,12 +143,14 @@ def read_rig(path: str | Path) -> Rig:
                     one.number("acceleration", None, *RANGES["acceleration"]),
                 )
             )
+            one.done()
         if not port or baud is None:
             raise ServoError(f"{file}: no port; `softmap servo scan` finds it")
         ceiling = read_ceiling(table.table("ceiling"))
         emergency = read_emergency(table.table("emergency"), file.parent)
         made = table.table("made")
         found = {name: _found(made.table(name)) for name in made.values}
+        table.done()
         return Rig(port, baud, tuple(servos), ceiling, emergency, found)
     except OSError as fault:
         raise ServoError(f"{file}: {fault.strerror}; make it with `softmap servo setup`") from None

@@ -33,7 +33,7 @@ CAUSES = {
     "following": "a servo does not follow: blocked, or its encoder stands",
     "lost": "a position moved faster than a servo can: turns lost, or ids exchanged",
     "dropped": "a servo lost its torque by itself: it was reset or shut down",
-    "tripped": "a servo's own watchdog tripped",
+    "tripped": "a servo's own watchdog tripped, or it does not keep its watchdog or cap",
     "loop": "the control loop died or froze",
 }
 NAMES = {
