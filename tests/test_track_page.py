@@ -33,7 +33,7 @@ def page(tmp_path_factory):
             for words in lines(text) if language == "" else ():
                 assert words[:2] == ["softmap", "track"]
                 said = " ".join(words[2:])
-                assert main(words[1:] + (SHORT if "--sim" in words else [])) == 0, said
+                assert main(words[1:] + (SHORT if "--sim" in words else [])) == 0, printed[said]
     return there, {said: "\n".join(parts) for said, parts in printed.items()}
 
 
