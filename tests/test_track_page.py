@@ -19,7 +19,7 @@ from softmap_edge.servo.recording import read_recording
 
 PAGE = (Path(__file__).parents[1] / "docs/track.md").read_text(encoding="utf-8")
 PATH = "{http://www.w3.org/2000/svg}path"
-SHORT = ["--duration", "3"]  # of what moves: the page's own 20 s change nothing else
+SHORT = ["--duration", "6"]  # of what moves: the page's own 20 s change nothing else
 
 
 @pytest.fixture(scope="module")
