@@ -23,8 +23,7 @@ import subprocess
 import sys
 import threading
 import time
-import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -38,6 +37,7 @@ from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo import words
 from softmap_edge.servo.bench_limits import check_bench
 from softmap_edge.servo.commission import kept_torque, opened
+from softmap_edge.servo.ending import kept_words, numbers, running
 from softmap_edge.servo.rig import Rig
 from softmap_edge.ticks import Calibration
 
@@ -51,7 +51,6 @@ FROZEN = 0.6  # s without a report after which the loop's process is taken to be
 LOOKS = 6  # times in that at which its reports are looked for: a program that was frozen itself misses one of them
 PASSING = ("torque", "trouble(late)")  # what denies a request, and may be over soon
 ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
-_running: weakref.WeakSet[Controller] = weakref.WeakSet()
 
 
 class Controller:
@@ -312,7 +311,7 @@ class Controller:
         self._process.stdin.write(json.dumps(setup).encode())
         self._process.stdin.close()
         self._reported = time.monotonic()
-        _running.add(self)
+        running.add(self)
         self._reader = threading.Thread(target=self._watch, args=(mine, self._process), daemon=True)
         self._reader.start()
 
@@ -420,6 +419,12 @@ class Controller:
         ticks = np.clip(self.calibration.home + away, low, high)
         return np.asarray(self.calibration.A @ (ticks - self.calibration.home) + self.calibration.b)
 
+    def _let_go(self) -> None:
+        """In a child that a program forks: close its copy of the orders' pipe, which would outlive the program."""
+        if self._orders >= 0:
+            os.close(self._orders)
+            self._orders, self._process = -1, None
+
     # --- when the loop itself fails -----------------------------------------------------
 
     def _frozen(self) -> bool:
@@ -453,32 +458,3 @@ class Controller:
             with self._heard:
                 self._last |= {"state": "fault", "cause": "loop", "torque": bool(kept), "rescued": said, "kept": kept}
                 self._heard.notify_all()
-
-
-def numbers(command: ArrayLike) -> Floats | None:
-    """Return a command as an array of real numbers, None if it is none."""
-    try:
-        found = np.asarray(command)
-        return None if np.iscomplexobj(found) else found.astype(float)
-    except (TypeError, ValueError):
-        return None
-
-
-def kept_words(ids: Sequence[int]) -> str:
-    """Return what is to be said of servos that have not confirmed that their torque is off."""
-    which = ", ".join(map(str, ids))
-    return (
-        f"servo {which} did not confirm that its torque is off; cut its supply, or `softmap servo off` once it answers"
-    )
-
-
-def _forked() -> None:
-    """In a child that a program forks: close its copy of the orders' pipe, which would outlive the program."""
-    for robot in _running:
-        if robot._orders >= 0:
-            os.close(robot._orders)
-            robot._orders, robot._process = -1, None
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forked)
