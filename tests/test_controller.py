@@ -128,6 +128,7 @@ def test_a_running_loop_takes_nobody_s_word_for_home_and_the_next_start_asks_for
 @pytest.mark.parametrize("how", ["stuck", "jammed"])
 def test_a_fault_after_which_home_must_be_proved_is_kept_over_a_restart(how):
     with bench() as (bus, rig, limits):
+        limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
         with pytest.raises(ServoError, match="does not follow"), Controller(rig, calibration(), limits) as robot:
             robot.engage()
             hold_for(robot, [0.5, 0.0], 0.5)

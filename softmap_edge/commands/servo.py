@@ -18,7 +18,7 @@ from softmap_edge.commands.servo_limits import limits, limits_arguments
 from softmap_edge.commands.servo_pull import pull_arguments, pull_test
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import commission
-from softmap_edge.servo.controller import kept_words
+from softmap_edge.servo.ending import kept_words
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
 

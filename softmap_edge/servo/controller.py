@@ -17,14 +17,12 @@ from __future__ import annotations
 
 import json
 import os
-import select
 import struct
 import subprocess
 import sys
 import threading
 import time
-import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -37,8 +35,9 @@ from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo import words
 from softmap_edge.servo.bench_limits import check_bench
-from softmap_edge.servo.commission import kept_torque, opened
+from softmap_edge.servo.ending import kept_words, numbers, running
 from softmap_edge.servo.rig import Rig
+from softmap_edge.servo.watched import FROZEN, Watched
 from softmap_edge.ticks import Calibration
 
 Floats = NDArray[np.float64]
@@ -47,14 +46,11 @@ Report = dict[str, Any]
 REQUESTS = ("connect", "home", "arm", "engage", "hold", "stop", "acknowledge", "disconnect", "commission")
 STARTS = 10.0  # s until the loop's process has said something
 SAID = 2.0  # s within which every servo has said whether it has torque
-FROZEN = 0.6  # s without a report after which the loop's process is taken to be frozen
-LOOKS = 6  # times in that at which its reports are looked for: a program that was frozen itself misses one of them
 PASSING = ("torque", "trouble(late)")  # what denies a request, and may be over soon
 ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
-_running: weakref.WeakSet[Controller] = weakref.WeakSet()
 
 
-class Controller:
+class Controller(Watched):
     """The servos of `rig` driven within `limits` (`loop_limits`), commands mapped to ticks by `calibration`.
 
     With `kinematics` (`motion.kinematics`) commands are what should act: the loop undoes the effects of its model,
@@ -323,46 +319,9 @@ class Controller:
         self._process.stdin.write(json.dumps(setup).encode())
         self._process.stdin.close()
         self._reported = time.monotonic()
-        _running.add(self)
+        running.add(self)
         self._reader = threading.Thread(target=self._watch, args=(mine, self._process), daemon=True)
         self._reader.start()
-
-    def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
-        """Take the loop's reports until it ends; release its servos if it dies or freezes under torque."""
-        some, silent = b"", 0
-        while True:
-            if not select.select([pipe], [], [], FROZEN / LOOKS)[0]:
-                silent += 1
-                if silent >= LOOKS and self._last.get("torque") and not self._ending:
-                    self._rescue(process)
-                continue
-            silent, more = 0, os.read(pipe, 65536)
-            *lines, some = (some + more).split(b"\n")
-            for line in lines:
-                self._hear(json.loads(line))
-            if not more:
-                break
-        os.close(pipe)
-        if not self._ending and not self._end and "error" not in self._last:
-            self._rescue(process)
-        with self._heard:
-            self._last.setdefault("gone", self._last.get("rescued", "the process of the control loop has ended"))
-            self._heard.notify_all()
-
-    def _hear(self, document: Report) -> None:
-        with self._heard:
-            self._reported = time.monotonic()
-            self._drove |= bool(document.get("torque"))
-            if "ended" in document:
-                self._end = document
-            elif "rescued" not in self._last:  # what was said before is no news then
-                denied = self._last.get("denied")
-                self._last |= document
-                self._last["denied"] = document.get("denied") or denied
-                heard = np.array([np.nan if at is None else at for at in document.get("position", [])], float)
-                if heard.shape == self._stood.shape:
-                    self._stood = np.where(np.isnan(heard), self._stood, heard)
-            self._heard.notify_all()
 
     def _reach(self, request: str) -> None:
         """Ask until it is granted: whether a servo has torque is heard five times a second, and one late answer is no
@@ -431,65 +390,8 @@ class Controller:
         ticks = np.clip(self.calibration.home + away, low, high)
         return np.asarray(self.calibration.A @ (ticks - self.calibration.home) + self.calibration.b)
 
-    # --- when the loop itself fails -----------------------------------------------------
-
-    def _frozen(self) -> bool:
-        return time.monotonic() - self._reported > FROZEN
-
-    def _rescue_if_needed(self) -> None:
-        process = self._process
-        if process is None or "error" in self._last:
-            return
-        if process.poll() is not None and self._reader is not threading.current_thread():
-            self._reader.join(FROZEN)  # why it ended is being read
-        if (process.poll() is not None and not self._end and "error" not in self._last) or self._frozen():
-            self._rescue(process)
-
-    def _rescue(self, process: subprocess.Popen[bytes]) -> None:
-        """End the loop and switch torque off from here, once: the servos hold by their watchdogs."""
-        with self._rescuing:
-            if "rescued" in self._last:
-                return
-            process.kill()
-            process.wait()
-            said, kept = "the control loop died or froze; its servos were released from here", ""
-            try:
-                with opened(self.rig.port, self.rig.baud) as bus:
-                    if left := kept_torque(bus, [servo.id for servo in self.rig.servos]):
-                        kept = kept_words(left)
-                        said = f"the control loop died or froze; torque off was sent from here, but {kept}"
-            except ServoError as fault:
-                kept = f"the servos could not be released ({fault}): switch them off"
-                said = f"the control loop died or froze, and {kept}"
-            with self._heard:
-                self._last |= {"state": "fault", "cause": "loop", "torque": bool(kept), "rescued": said, "kept": kept}
-                self._heard.notify_all()
-
-
-def numbers(command: ArrayLike) -> Floats | None:
-    """Return a command as an array of real numbers, None if it is none."""
-    try:
-        found = np.asarray(command)
-        return None if np.iscomplexobj(found) else found.astype(float)
-    except (TypeError, ValueError):
-        return None
-
-
-def kept_words(ids: Sequence[int]) -> str:
-    """Return what is to be said of servos that have not confirmed that their torque is off."""
-    which = ", ".join(map(str, ids))
-    return (
-        f"servo {which} did not confirm that its torque is off; cut its supply, or `softmap servo off` once it answers"
-    )
-
-
-def _forked() -> None:
-    """In a child that a program forks: close its copy of the orders' pipe, which would outlive the program."""
-    for robot in _running:
-        if robot._orders >= 0:
-            os.close(robot._orders)
-            robot._orders, robot._process = -1, None
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forked)
+    def _let_go(self) -> None:
+        """In a child that a program forks: close its copy of the orders' pipe, which would outlive the program."""
+        if self._orders >= 0:
+            os.close(self._orders)
+            self._orders, self._process = -1, None
