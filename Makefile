@@ -57,6 +57,8 @@ docs: $(VENV)/.test
 	$(BIN)/python docs/figures.py
 	$(BIN)/python docs/figures_tdcr.py
 	$(BIN)/python docs/figures_beam.py
+	$(BIN)/python docs/figures_track.py
+	$(BIN)/python docs/figures_teleop.py
 
 # For every Linux with glibc 2.17 or later (zig links it so), checked as it will be installed. TARGET=aarch64-unknown-linux-gnu for
 # boards, once `rustup target add` has brought it.

@@ -12,7 +12,6 @@ use std::sync::Arc;
 /// Room that a shape works in and keeps for the next time: what asks at every tick of a loop allocates at the first alone.
 #[derive(Debug, Default)]
 pub struct Work {
-    pub singles: Vec<f32>,
     pub doubles: Vec<f64>,
     /// What a sum adds.
     more: Vec<f64>,
@@ -35,6 +34,11 @@ pub trait Shape: Send + Sync {
         for (i, out) in out.chunks_exact_mut(size).enumerate() {
             self.eval(&rows[i * channels..(i + 1) * channels], out);
         }
+    }
+
+    /// How finely the outputs are known, in their unit: what is nearer than that cannot be told apart. 0 in double precision.
+    fn grain(&self) -> f64 {
+        0.0
     }
 
     /// The table that this shape is, if it is one.
@@ -109,6 +113,10 @@ impl Shape for Sum {
 
     fn size(&self) -> usize {
         self.prior.size()
+    }
+
+    fn grain(&self) -> f64 {
+        self.prior.grain().max(self.residual.grain())
     }
 
     fn numbers(&self) -> Vec<&'static str> {

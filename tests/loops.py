@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 
 import numpy as np
 from rigs import BAUD, MODEL, NUMBER, TICKS_PER_MM, angles, set_up
@@ -21,25 +22,33 @@ DRIVEN = ("engaged", "hold", "commissioning")
 LEADS_ON = dict(off="connect", connected="home", homed="arm", ready="engage", fault="acknowledge")
 HOMES = (2000, 2400)  # apart, so that exchanged ids show
 FAR = (2.0, 2.0)  # mm
+BEAT, LAG = 0.02, 0.01  # s between two words to the loop, and by how much one may be late on a machine that is not busy
 PATIENCE = 8.0  # s for anything that must happen at all, on a busy machine
 
 
 class Loop:
-    """A loop on two emulated servos; deadman and target are sent by a thread, fifty times a second."""
+    """A loop on two emulated servos; deadman and target are sent by a thread, fifty times a second.
 
-    def __init__(self, **changes):
+    Its limits are quick ones, or as `usual`.
+    """
+
+    def __init__(self, usual=False, **changes):
         slew = changes.pop("slew", 2000.0)
         servos = [(id, NUMBER, BAUD, float(home)) for id, home in zip((1, 2), HOMES)]
         load = [[(home - 1000.0, -400.0), (home, 0.0), (home + 1000.0, 400.0)] for home in HOMES]
         self.bus = _core.EmulatedBus(servos, load, delay=0.01, lag=0.03, seed=3)
         set_up(self.bus.path, homes=HOMES)
         axes = [servo_limits(MODEL, home, (-900.0, 900.0)) | {"slew": slew, "following": 200.0} for home in HOMES]
-        quick = dict(stale=0.5, hold=60.0, late=0.04, silent=0.2, grace=0.2, ramp=0.1, slacken=10.0)
+        quick = dict(stale=0.5, hold=60.0, late=0.04, silent=0.2, grace=0.1, ramp=0.1, slacken=10.0)
         quick |= dict(jog_travel=150.0, jog_slew=1000.0)
-        self.limits = loop_limits(axes, 200.0, **quick | changes)
+        if usual:
+            self.limits = loop_limits([servo_limits(MODEL, home, (-900.0, 900.0)) for home in HOMES])
+        else:
+            self.limits = loop_limits(axes, 200.0, **quick | changes)
         self.path = 200.0 / (0.5 * slew)  # s in which a blocked servo is `following` ticks behind, on the way home
         self.reports, self.ended, self._wake = [], {}, threading.Condition()
         self.drives, self.emergency, self.command = True, False, FAR
+        self._beats = deque(maxlen=1000)  # s at which this process sent
         self.untouched = False  # nothing was broken since it was led to where it is
         orders, self._orders = os.pipe()
         mine, reports = os.pipe()
@@ -63,8 +72,10 @@ class Loop:
 
     def close(self):
         """End the loop, and the bench."""
-        self._closed.set()
         self.process.send_signal(signal.SIGCONT)
+        self.emergency = True  # without torque it ends at once
+        self.wait(lambda: self.ended or not self.reports[-1]["torque"])
+        self._closed.set()
         self._threads[1].join()
         os.close(self._orders)
         try:
@@ -90,7 +101,8 @@ class Loop:
             self._wake.notify_all()
 
     def _drive(self):
-        while not self._closed.wait(0.02):
+        while not self._closed.wait(BEAT):
+            self._beats.append(time.monotonic())
             self.send()
 
     def send(self, request=None):
@@ -133,6 +145,12 @@ class Loop:
 
         assert self.wait(answers, seconds), f"'{request}' is not answered in {before}"
         return answers()[0]["denied"]
+
+    def busy(self, since):
+        """Whether this process or the loop's was kept from running since then (s, monotonic)."""
+        beats = [since, *(beat for beat in list(self._beats) if beat > since), time.monotonic()]
+        overruns = [report["overruns"] for report in list(self.reports) if report["t"] > since - 0.1]
+        return bool(np.diff(beats).max() > BEAT + LAG or (overruns and overruns[-1] > overruns[0]))
 
     # --- into a state -------------------------------------------------------------------
 

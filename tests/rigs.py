@@ -6,7 +6,7 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.proof import set_mark
+from softmap_edge.servo.proof import patiently, set_mark
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import Calibration
 
@@ -25,9 +25,8 @@ def set_up(path, ids=(1, 2), homes=(HOME, HOME)):
     """Do what `softmap servo setup` and `servo home` do: mode 5, no return delay, homes proved."""
     bus = _core.ServoBus(path, BAUD)
     for id, home in zip(ids, homes):
-        bus.write(id, 64, b"\x00")
-        bus.write(id, 11, b"\x05")
-        bus.write(id, 9, b"\x00")
+        for address, value in ((64, b"\x00"), (11, b"\x05"), (9, b"\x00")):
+            patiently(bus.write, id, address, value)  # on a busy machine an answer may come late
         set_mark(bus, id, home)
     bus.close()
 

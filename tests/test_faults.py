@@ -3,14 +3,16 @@
 import re
 import signal
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from loops import LEADS_ON, PATIENCE, STATES, Loop
 
 PAGE = Path(__file__).parents[1] / "docs" / "safety.md"
-LOOK = 0.12  # s for which nothing must happen where nothing should: two dozen periods
-BUSY = 0.5  # s by which a busy machine may be late
+FEW = 8  # periods by which anything may be later than its time: two of them are the way to the servos and back
+WIRED = 3.0  # s of a poor wire at the limits of verbs
+TRIES = 4  # where the machine was seen to be too busy to tell
 
 
 def table():
@@ -59,25 +61,43 @@ def back(loop):
 
 @pytest.fixture(scope="module", params=STATES)
 def bench(request):
-    """Give a state and a function to get its loop, in that state; one loop for all faults, anew where it ended."""
-    loops = []
+    """Give a state and a function to get its loop, in that state; two loops take turns, one is led
+    there while the other is broken."""
+    state, stop = request.param, request.param == "safe_stop"
 
-    def loop():
-        if loops and loops[-1].ended:
-            loops.pop().close()
-        if loops and loops[-1].untouched and loops[-1].state == request.param != "safe_stop":
-            return loops[-1]
-        if not loops:
+    def led(loop):
+        """Lead it there, anew where it ended; one that slackens is stopped when it is asked for."""
+        if loop is not None and loop.ended:
+            loop.close()
+            loop = None
+        if loop is None:
             # Slow homewards, so that there is time for something to happen on the way.
-            loops.append(Loop(slew=1300.0 if request.param == "safe_stop" else 2000.0))
+            loop = Loop(slew=1300.0 if stop else 2000.0)
         else:
-            loops[-1].restore()
-        loops[-1].bring(request.param)
-        return loops[-1]
+            loop.restore()
+        loop.bring("engaged" if stop else state)
+        return loop
 
-    yield request.param, loop
-    for left in loops:
-        left.close()
+    with ThreadPoolExecutor(1) as worker:
+        now, next_one = None, worker.submit(led, None)
+
+        def loop():
+            nonlocal now, next_one
+            if now is not None and now.untouched and not now.ended and now.state == state and not stop:
+                return now
+            before, now = now, next_one.result()
+            next_one = worker.submit(led, before)
+            if now.state != ("engaged" if stop else state):  # a busy machine ended it meanwhile
+                now.restore()
+                now.bring(state)
+            elif stop:
+                now.reach("stop", "safe_stop")
+            return now
+
+        yield state, loop
+        for left in (now, next_one.result()):
+            if left is not None:
+                left.close()
 
 
 def seconds(text, loop):
@@ -89,24 +109,33 @@ def seconds(text, loop):
     )
 
 
+def look(loop, state):
+    """Return for how long (s) nothing must happen where nothing should: as long as the slowest reaction there takes."""
+    slowest = max(seconds(within, loop) for _, cells, within in TABLE.values() if within and cells[state] != "–")
+    return slowest + FEW * loop.limits["period"]
+
+
 def goes_on(loop, state, begin):
-    """Prove that nothing happens."""
-    time.sleep(LOOK)
+    """Prove that nothing happens, by the loop's own clock."""
+    until = begin + look(loop, state)
+    assert loop.wait(lambda: loop.ended or loop.reports[-1]["t"] >= until)
     away = [report["state"] for report in loop.changes(begin, state)]
-    assert away in ([], ["ready"] if state == "safe_stop" else []), "it goes on"
-    assert not loop.ended
-    assert loop.reports[-1]["t"] > begin
+    assert away in ([], ["ready"] if state == "safe_stop" else []), "it does not go on"
+    assert not loop.ended, "it does not go on"
 
 
 def changes(loop, state, begin, cause, wanted, within):
-    """Prove that the next changes are to the states `wanted`, because of `cause`, in its time."""
-    overruns = loop.reports[-1]["overruns"]
+    """Prove that the next changes are to the states `wanted`, because of `cause`, in its time since the fault.
+
+    By the loop's clock: a report tells of which period it is. Periods that it could not have are told too.
+    """
+    struck, overruns = time.monotonic(), loop.reports[-1]["overruns"]
     loop.wait(lambda: len(loop.changes(begin, state)) >= len(wanted) or loop.ended)
     found = loop.changes(begin, state)[: len(wanted)]
     causes = ["late" if one == "hold" else cause for one in wanted]
     assert [(one["state"], one["cause"]) for one in found] == list(zip(wanted, causes)), loop.reports[-1]
-    late = (loop.reports[-1]["overruns"] - overruns) * loop.limits["period"]
-    assert found[-1]["t"] - begin <= within + BUSY + late
+    late = FEW + loop.reports[-1]["overruns"] - overruns
+    assert found[-1]["t"] - struck <= within + late * loop.limits["period"], "too late"
     assert [one["torque"] for one in found] == [one in ("hold", "safe_stop") for one in wanted]
 
 
@@ -118,16 +147,56 @@ def without_torque(loop):
         time.sleep(0.01)
 
 
+def told(get, check):
+    """Check, and once more where it fails on a machine that was too busy meanwhile to tell (`Loop.busy`)."""
+    for left in reversed(range(TRIES)):
+        loop = get()
+        begin = time.monotonic()
+        loop.untouched = False
+        try:
+            return check(loop, begin)
+        except AssertionError:
+            if not left or not loop.busy(begin):
+                raise
+    return None
+
+
 @pytest.mark.parametrize("fault", TABLE)
 def test_reaction(bench, fault):
     state, get = bench
+    told(get, lambda loop, begin: reacts(loop, state, begin, fault, fault))
+
+
+# What reacts, in place of what does not: the cells of the second must not hold for the first.
+EXCHANGED = [
+    (state, broken, quiet)
+    for broken, quiet in (
+        ("the finger is blocked", "a tendon is torn"),
+        ("a servo draws more than its cap", "one answer in five is lost"),
+    )
+    for state in STATES
+    if TABLE[broken][1][state] != "–"
+] + [("ready", "a servo is mute", "each answer 0.5 ms late"), ("hold", "a servo is mute", "a tendon is torn")]
+
+
+@pytest.mark.parametrize("bench, broken, quiet", EXCHANGED, indirect=["bench"])
+def test_a_cell_of_nothing_does_not_hold_where_something_happens(bench, broken, quiet):
+    state, get = bench
+
+    def caught(loop, begin):
+        with pytest.raises(AssertionError, match="it does not go on"):
+            reacts(loop, state, begin, quiet, broken)
+
+    told(get, caught)
+
+
+def reacts(loop, state, begin, fault, broken):
+    """Prove the cell of `fault` where `broken` is what happens."""
     cause, cells, within = TABLE[fault]
-    cell, loop = cells[state], get()
-    begin = time.monotonic()
-    loop.untouched = False
-    BREAKS[fault](loop)
+    cell = cells[state]
+    BREAKS[broken](loop)
     if fault == "the computer freezes, and goes on":
-        return frozen(loop, state, cell)
+        return frozen(loop, state, cell, cause, seconds(within, loop))
     if fault == "a servo is mute for a moment":
         return briefly(loop, state, cell, begin)
     if cell == "–":
@@ -136,15 +205,7 @@ def test_reaction(bench, fault):
         loop.untouched = fault in WIRE
         return None
     if cell == "denies":
-        time.sleep(0.08 if cause == "silent" else seconds(within, loop) + 0.1)
-        known = ("trouble(late)", "trouble(silent)") if cause == "silent" else (f"trouble({cause})", "outside")
-        until = time.monotonic() + PATIENCE
-        # On a busy machine an answer may be late besides.
-        while (said := loop.ask(LEADS_ON[state])) not in known and time.monotonic() < until:
-            assert said is not None, "it is allowed"
-            time.sleep(0.01)
-        assert said in known and loop.state == state
-        return None
+        return denies(loop, state, cause, loop.limits["late"] if cause == "silent" else seconds(within, loop))
     *parts, last = cell.split(" → ")
     wanted = [part.lower() for part in [*parts, last] if part != "ends"]
     if wanted:
@@ -158,53 +219,96 @@ def test_reaction(bench, fault):
     return without_torque(loop)
 
 
+def denies(loop, state, cause, within):
+    """Prove that what leads on is denied from that time on, because of `cause`."""
+    begin = time.monotonic() + within + FEW * loop.limits["period"]
+    assert loop.wait(lambda: loop.reports[-1]["t"] >= begin)
+    known = ("trouble(late)", "trouble(silent)") if cause == "silent" else (f"trouble({cause})", "outside")
+    until = time.monotonic() + PATIENCE
+    # On a busy machine an answer may be late besides.
+    while (said := loop.ask(LEADS_ON[state])) not in known and time.monotonic() < until:
+        assert said is not None, "it is allowed"
+        time.sleep(0.01)
+    assert said in known and loop.state == state
+
+
 def briefly(loop, state, cell, begin):
-    """A servo is silent for longer than `late` and less than `silent`; once more where this test was not that quick."""
-    for _ in range(5):
-        if cell == "–":
-            time.sleep(1.2 * loop.limits["late"])
-        else:
-            assert loop.wait(lambda since=begin: loop.changes(since, state))
-        loop.bus.damage(1, mute=False)
-        silent = time.monotonic() - begin
-        time.sleep(LOOK)
-        if silent < 0.8 * loop.limits["silent"]:
-            break
-        loop.restore()
-        loop.bring(state)
-        begin = time.monotonic()
-        loop.bus.damage(1, mute=True)
-    found = [(report["state"], report["cause"]) for report in loop.changes(begin, state)]
+    """A servo is silent for longer than `late` and less than `silent`."""
+    late = loop.limits["late"]
+    if cell == "–":
+        time.sleep(1.2 * late)
+    else:
+        assert loop.wait(lambda: loop.changes(begin, state))
+    loop.bus.damage(1, mute=False)
+    assert time.monotonic() - begin < 0.8 * loop.limits["silent"], "this test was not quick enough"
     if cell == "–":
         return goes_on(loop, state, begin)
-    assert cell == "HOLD → ENGAGED" and found == [("hold", "late"), ("engaged", "none")]
+    assert cell == "HOLD → ENGAGED" and loop.wait(lambda: len(loop.changes(begin, state)) > 1)
+    found = loop.changes(begin, state)
+    assert [(report["state"], report["cause"]) for report in found] == [("hold", "late"), ("engaged", "none")]
+    assert found[0]["t"] - begin <= late + FEW * loop.limits["period"]
     return None
 
 
-def frozen(loop, state, cell):
+def frozen(loop, state, cell, cause, within):
     """The loop's process stands still, and nobody is there to rescue; then it goes on."""
-    if cell.startswith("stands"):
-        until = time.monotonic() + PATIENCE
-        while not all(tripped for _, _, tripped, _ in loop.bus.state()[1]):
-            assert time.monotonic() < until, "the watchdogs do not trip"
-            time.sleep(0.01)
-        at = loop.angles()
-        time.sleep(0.1)
-        assert all(on for _, on, *_ in loop.bus.state()[1]), "they hold"
-        assert loop.angles() == pytest.approx(at, abs=1.0), "they stand"
-    else:
-        time.sleep(0.4)
     begin = time.monotonic()
-    loop.process.send_signal(signal.SIGCONT)
+    try:
+        if cell.startswith("stands"):
+            while not all(tripped for _, _, tripped, _ in loop.bus.state()[1]):
+                assert time.monotonic() - begin < PATIENCE, "the watchdogs do not trip"
+                time.sleep(0.002)
+            took, at = time.monotonic() - begin, loop.angles()
+            assert took <= within + FEW * loop.limits["period"], "they trip too late"
+            time.sleep(0.03)  # with that it has stood for less than `silent`
+            assert all(on for _, on, *_ in loop.bus.state()[1]), "they hold"
+            assert loop.angles() == pytest.approx(at, abs=1.0), "they stand"
+        else:
+            time.sleep(0.4)
+    finally:
+        begin = time.monotonic()
+        loop.process.send_signal(signal.SIGCONT)
     if cell.startswith("stands"):
         assert loop.wait(lambda: loop.state == "fault")
-        assert loop.reports[-1]["cause"] in ("tripped", "silent")
+        assert [one["cause"] for one in loop.changes(begin, state)] == [cause]
         return without_torque(loop)
-    time.sleep(LOOK)
+    until = begin + look(loop, state)
+    assert loop.wait(lambda: loop.ended or loop.reports[-1]["t"] >= until)
     allowed = [[]] + [[one.lower()] for one in re.findall("[A-Z]+", cell)]
     assert [report["state"] for report in loop.changes(begin, state)] in allowed
     assert not any(on for _, on, *_ in loop.bus.state()[1])
     return None
+
+
+@pytest.fixture(scope="module")
+def usual():
+    """Give a function to get a loop at the rate and the limits that verbs have, engaged."""
+    loop = Loop(usual=True)
+
+    def engaged():
+        if loop.state != "engaged":
+            loop.restore()
+            loop.bring("engaged")
+        return loop
+
+    yield engaged
+    loop.close()
+
+
+@pytest.mark.parametrize("fault", WIRE)
+def test_a_poor_wire_at_the_limits_of_verbs_ends_nothing(usual, fault):
+    """At 100 Hz five answers in a row are late, and of one in five that happens: a hold that goes on by itself."""
+
+    def goes_on_by_itself(loop, begin):
+        BREAKS[fault](loop)
+        assert loop.wait(lambda: loop.ended or loop.reports[-1]["t"] >= begin + WIRED)
+        loop.bus.faults()
+        loop.wait(lambda: loop.state != "hold")
+        found = [(report["state"], report["cause"]) for report in loop.changes(begin, "engaged")]
+        assert found == len(found) // 2 * [("hold", "late"), ("engaged", "none")] and not loop.ended
+        assert len(found) // 2 <= 4, "0.2 are expected"
+
+    told(usual, goes_on_by_itself)
 
 
 def test_every_fault_and_state_is_in_the_table():

@@ -16,8 +16,12 @@ from softmap_edge.errors import BundleError, LimitError, ServoError
 from softmap_edge.safety import TIMES, TURNS, read_safety
 from softmap_edge.servo.ceiling import RANGES, Ceiling
 from softmap_edge.servo.combined import combined
+from softmap_edge.servo.commission import opened, registers
 from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.jog import Held, Jog
 from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.models import servo_model
+from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
 from softmap_edge.ticks import Calibration
 
@@ -66,6 +70,13 @@ def test_the_ceiling_stands_in_place_of_the_defaults_and_a_bundle_only_tightens_
         assert (one.value, one.by) == (value, "rig.toml"), name
     table = found.table()
     assert table["servos"][1]["low"] == HOME - 300 and table["hold"] == 0.5 and table["turns"] == 1.0
+
+
+@pytest.mark.parametrize("ceiling, ticks", [((), 720.0), ((("slew", 900.0),), 400.0), ((("following", 300.0),), 300.0)])
+def test_a_servo_may_be_as_late_as_the_trunks_were_at_its_speed_unless_the_bench_says_otherwise(ceiling, ticks):
+    found = combined(rig(ceiling), FINGER, turned(np.eye(2) / 280.0))
+    assert limit(found, "following").value == ticks
+    assert servo_limits(MODEL, HOME, (-9.0, 9.0))["following"] == 720.0
 
 
 def test_whatever_a_finger_says_the_ceiling_holds():
@@ -236,6 +247,36 @@ def test_the_verb_prints_every_limit_and_who_set_it(tmp_path, capsys):
     assert "servo 1, XL330-M288, home 2000 ticks" in said and "emergency stops: none" in said and "0.25 MPa" in said
     Rig("/dev/none", BAUD, (RigServo(1, MODEL), RigServo(2, MODEL))).write(tmp_path / "rig.toml")
     assert main(argv) == 1 and "nothing is driven: servo 1, 2 has no home" in capsys.readouterr().out
+
+
+def test_a_servo_that_caps_no_current_gets_a_cap_of_its_pwm_by_the_same_limit():
+    bus = _core.EmulatedBus([(id, 1060, BAUD, float(HOME)) for id in (1, 2)], [[], []])
+    with opened(bus.path, BAUD) as ours:
+        for id in (1, 2):
+            ours.write(id, 11, b"\x04")
+            ours.write(id, 9, b"\x00")
+            set_mark(ours, id, HOME)
+    ours = Rig(bus.path, BAUD, tuple(RigServo(id, "XL430-W250", HOME) for id in (1, 2)))
+    finger = replace(FINGER, calibration=turned(np.eye(2) / 280.0))
+    found = combined(ours, finger)
+    current = limit(found, "current").value
+    share = current / 1400.0
+    assert 0.01 < share < 0.35, "of its stall current"
+    assert limit(found, "slew").value <= share * servo_model("XL430-W250")["fastest_ticks_per_s"]
+    said = str(found)
+    assert f"  pwm           {round(100 * share, 1):g} %" in said and "  jog_pwm       10.7 %" in said
+    assert "  current " not in said and "  jog_current " not in said
+    with Controller(ours, found.calibration, found.table()) as robot:
+        robot.engage()
+        hold_for(robot, [1.0, 0.0], 3.0)
+        assert robot.state == "engaged" and robot.position[0] == pytest.approx(HOME + 280.0, abs=5.0)
+    with opened(bus.path, BAUD) as back:
+        assert registers(back, 1)["goal_pwm"] == int(885 * share)
+    with Jog(ours) as jog:
+        jog.by(0, 100, Held())
+    with opened(bus.path, BAUD) as back:
+        assert registers(back, 1)["goal_pwm"] == int(885 * 150.0 / 1400.0)
+    bus.unplug()
 
 
 def test_a_file_allows_no_tension_that_its_model_does_not(tmp_path):

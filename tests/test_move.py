@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from emulated_robot import emulated
 from rigs import HOME, TICKS_PER_MM, angles, bench, torque
 from waiting import until
 
@@ -40,6 +41,8 @@ def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
             jog.stop()
             until(lambda: not torque(bus))
             jog.by(1, -900, Held())
+            until(lambda: angles(bus)[1] <= HOME - jog.travel + 6)
+            time.sleep(0.3)
             assert angles(bus)[1] == pytest.approx(HOME - jog.travel, abs=6), "no farther than its travel"
         assert not torque(bus)
 
@@ -266,3 +269,16 @@ def test_keys_of_a_terminal(terminal, monkeypatch):
     with pytest.raises(ServoError, match="no terminal whose keys"):
         Keys(file)
     os.close(file)
+
+
+@pytest.mark.parametrize("command", [" -15,0", "15,15"])
+def test_the_documented_bench_goes_through_its_window_at_full_speed(tmp_path, command):
+    """Its servos are 0.24 s late, as the trunk's were; a limit of `following` below that faults on a healthy finger."""
+    with emulated(tmp_path):
+        on = ["--rig", str(tmp_path / "rig.toml"), "--bundle", str(tmp_path / "bundle")]
+        moved = subprocess.run(
+            [SOFTMAP, "move", command, *on, "--hold", "--seconds", "4", "--json"],
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+    assert moved.returncode == 0, moved.stderr
+    assert "fault" not in moved.stdout + moved.stderr

@@ -113,9 +113,7 @@ def test_who_stops_it_gets_no_ceiling():
 
 def test_a_servo_without_current_and_a_stroke_beyond_a_move_are_refused():
     rig = Rig("/dev/none", BAUD, tuple(RigServo(id, "XL430-W250", HOME) for id in (1, 2)))
-    with pytest.raises(
-        ServoError, match="servo 1, a XL430-W250, reports no current and caps none: its PWM is its limit"
-    ):
+    with pytest.raises(ServoError, match="servo 1, a XL430-W250, reports no current: its PWM is capped instead"):
         pull(combined(rig, FINGER), Held())
     short = Rig("/dev/none", BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)),
                 ceiling=Ceiling((("jog_travel", 500.0),)))  # fmt: skip

@@ -23,7 +23,7 @@ from softmap_edge.camera.frames import Frame
 from softmap_edge.cli import main
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.command_file import write_commands
-from softmap_edge.experiment.pace import ANSWER, BEHIND, SPAN, STILL, pace, servos_still, view_still
+from softmap_edge.experiment.pace import ANSWER, BEHIND, SHARE, SPAN, STILL, pace, servos_still, view_still
 from softmap_edge.experiment.play import Player, merged
 from softmap_edge.protocol import Limits, Protocol
 from softmap_edge.servo.controller import Controller
@@ -55,7 +55,7 @@ def test_a_file_is_slowed_to_what_servos_can_do():
     made = plan(chosen(["circle", "fast and slow triangles"]), Limits.even(2, 3.0))
     paced = pace(made, calibration(), SERVOS)
     speed = np.abs(np.diff(calibration().ticks(made.command), axis=0)) / np.diff(paced.t)[:, None]
-    most = BEHIND * SERVOS[0]["following"] / ANSWER
+    most = min(SHARE * SERVOS[0]["slew"], BEHIND * SERVOS[0]["following"] / ANSWER)
     assert speed.max() <= most + 1e-6 and np.all(np.diff(paced.t) >= np.diff(made.t) - 1e-9)
     asked = np.abs(np.diff(calibration().ticks(made.command), axis=0)) / np.diff(made.t)[:, None]
     assert asked.max() > most
@@ -122,6 +122,12 @@ def stood(file):
     heard = [period["now"] for period in periods[:end] if set(period["position"]) != {None}]
     last = [now for now in heard if periods[end]["now"] - now < 2e9] + [periods[end]["now"]]
     return max(np.diff(last), default=0) * 1e-9
+
+
+def halted(file):
+    """Return the longest time (s) for which a whole recording heard no servo at all."""
+    heard = [period["now"] for period in read_recording(file).periods if set(period["position"]) != {None}]
+    return max(np.diff(heard), default=0) * 1e-9
 
 
 def excused(file):
@@ -281,9 +287,14 @@ def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, c
         camera = receiver.port
         until(lambda: receiver.taken > 0)
         receiver.close()  # its port is for the one who records
-        run = recorded(tmp_path, argv)
-    model = load_bundle(robot / "bundle")
-    answer = diagnose(model, run)
+        model = load_bundle(robot / "bundle")
+        for trial in range(TRIALS):  # anew only where the computer stood still meanwhile: then the finger did, too
+            folder = tmp_path / f"{trial}"
+            folder.mkdir()
+            run = recorded(folder, argv)
+            answer = diagnose(model, run)
+            if answer.verdict == "identified" or max(map(halted, folder.glob("*.mcap"))) < WATCHDOG:
+                break
     assert [effect["name"] for effect in answer.effects] == ["backlash"] and answer.verdict == "identified"
     assert compare(model, run).error["rms_mm"] > 4 * compare(answer.added(model, ["backlash"]), run).error["rms_mm"]
 

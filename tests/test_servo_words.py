@@ -14,6 +14,12 @@ def test_every_state_and_cause_of_the_guard_has_its_words():
     assert len(said) == len(words.STATES)
     assert "Holding where it is; it slackens soon: servo 2 did not answer in time" in said
     assert words.sentence({"state": "engaged", "cause": "deadman"}) == "Driving"
+    unsure = "torque off was sent; not every servo confirmed it"
+    assert unsure in words.sentence({"state": "fault", "cause": "silent"})
+    assert unsure in words.sentence(
+        {"state": "fault", "cause": "loop", "torque": True, "rescued": "but servo 1 did not"}
+    )
+    assert "torque is off" in words.sentence({"state": "fault", "cause": "hot", "torque": False})
     assert "was released" in words.sentence({"state": "fault", "cause": "loop", "rescued": "it was released"})
     assert words.level({"state": "fault"}) == "fault" and words.level({}) == "off"
     assert words.limits({"slowed": True, "outside": False}) == ["as fast as allowed"]

@@ -84,9 +84,13 @@ def test_the_verb_prints_the_table_and_the_document_says_the_same(model, tmp_pat
     options = ["--table", "--rival", str(tmp_path / "rival"), "--rate", "1", "--duration", "2", "--json"]
     assert main(["track", *options]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["schema"] == "softmap.table2/1" and len(document["rows"]) == 8 and document["method"] == "paper"
+    assert document["schema"] == "softmap.table2/1" and document["method"] == "paper"
+    assert [(row["figure"], row["model"]) for row in document["rows"]] == [
+        (f, m) for f in "SHOE" for m in (OURS, RIVAL)
+    ]
     text = text_of(document)
     assert "paper: hardware" in text and "3.46 ± 2.98, 15.38" in text and "no hardware" in text
+    assert "The paper's columns are of other data" in text and len(text.splitlines()) >= 9
 
 
 def test_a_model_of_another_finger_is_refused(model):

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import queue
 import re
 import shutil
 import signal
@@ -9,6 +10,7 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 import time
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -19,6 +21,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from softmap_edge.errors import TeleopError
+from softmap_edge.servo import words
 from softmap_edge.teleop import page as pages
 from softmap_edge.teleop.page import Page
 
@@ -48,7 +51,8 @@ class Client:
 
     def __init__(self, connection):
         self.connection, self.state = connection, {}
-        self.say()
+        self.until(lambda state: "number" in state)
+        self.say()  # not held, and it is known how old that is
 
     def say(self, held=False, knob=(0.0, 0.0), do=None, **changes):
         said = {
@@ -139,9 +143,10 @@ def test_without_the_token_nobody_drives():
 
 
 def test_one_page_drives_and_others_watch_and_may_stop():
-    with served() as page, connect(**link(page)) as first, connect(**link(page)) as second:
-        driver, watcher = Client(first), Client(second)
+    with served() as page, connect(**link(page)) as first, ExitStack() as stack:
+        driver = Client(first)
         driver.until(lambda state: state.get("seat") == "mine")
+        watcher = Client(stack.enter_context(connect(**link(page))))
         watcher.until(lambda state: state.get("seat") == "taken")
         watcher.say(False)
         watcher.say(True, (0.5, 0.5))
@@ -196,12 +201,105 @@ def test_an_old_message_tells_nothing_of_now():
         assert not held(page)
 
 
+def delayed(port, there, back):
+    """Give a connection to `port` whose bytes take that long (s) there and back, evenly, as through a slow tunnel."""
+    ours, inner = socket.socketpair()
+    outer = socket.create_connection(("127.0.0.1", port))
+
+    def carry(source, sink, late):
+        parcels = queue.SimpleQueue()
+
+        def put():
+            while (parcel := parcels.get())[1]:
+                time.sleep(max(0.0, parcel[0] + late - time.monotonic()))
+                with suppress(OSError):
+                    sink.sendall(parcel[1])
+            sink.close()
+
+        threading.Thread(target=put, daemon=True).start()
+        data = b"-"
+        while data:
+            try:
+                data = source.recv(65536)
+            except OSError:
+                data = b""
+            parcels.put((time.monotonic(), data))
+
+    for way in ((inner, outer, there), (outer, inner, back)):
+        threading.Thread(target=carry, args=way, daemon=True).start()
+    return ours
+
+
+@pytest.mark.parametrize("there, back", [(0.6, 0.0), (0.6, 0.6), (0.3, 0.3)])
+def test_a_delay_that_is_always_the_same_is_seen_and_holds_no_key(there, back):
+    with served() as page, connect(**link(page), sock=delayed(page.port, there, back)) as connection:
+        client = Client(connection)
+        client.until(lambda state: state.get("seat") == "mine")
+        ever, end = [], time.monotonic() + 2.5
+        client.until(lambda state: state.get("slow_ms") or 0)
+        while time.monotonic() < end:
+            client.say(time.monotonic() > end - 1.8, (0.5, 0.5))
+            client.hear()
+            ever.append(held(page))
+        assert client.state["slow_ms"] > 1e3 * there - 1.0, "it is told why"
+        assert not any(ever) and page.controls(0.0).knob == (0.0, 0.0)
+        client.say(do="emergency")
+        until(lambda: page.asked() == "emergency")
+
+
+def test_a_small_delay_drives():
+    with served() as page, connect(**link(page), sock=delayed(page.port, 0.02, 0.02)) as connection:
+        client = Client(connection)
+        client.until(lambda state: state.get("seat") == "mine")
+        client.until(lambda _: held(page), held=True)
+
+
+def test_the_age_of_a_word_is_never_told_too_small():
+    """Clocks apart, delays that change: what is told is at least the true age, and exact where a state came at once."""
+    link, apart = pages._Link(), 1000.0  # s that the page's clock is behind
+    assert link.heard(0, 5.0 - apart, 5.1) and link.age == float("inf"), "nothing came back yet"
+    for number, (there, back) in enumerate([(0.2, 0.1), (0.0, 0.05), (0.2, 0.02), (3.0, 3.0), (0.01, 0.01)], 1):
+        begin = 10.0 * number
+        link.sends(begin)
+        assert link.heard(number, begin + there - apart, begin + there + back)
+        assert back - 1e-6 <= link.age <= back + (there if number == 1 else 0.0) + 1e-6
+    assert link.heard(5, 99.0 - apart, 102.0) and link.age == pytest.approx(3.0)
+    assert not link.heard(6, 100.0 - apart, 103.0), "a state that it was not sent"
+
+
+def test_connections_that_bring_no_token_are_few_and_do_not_stay(monkeypatch):
+    monkeypatch.setattr(pages, "OPENING", 1.0)
+    with served() as page, ExitStack() as stack:
+        driver = Client(stack.enter_context(connect(**link(page))))
+        driver.until(lambda state: state.get("seat") == "mine")
+        before, idle = threading.active_count(), []
+        for _ in range(4 * pages.MOST_OPENING):
+            idle.append(stack.enter_context(socket.create_connection(("127.0.0.1", page.port))))
+        until(lambda: sum(closed(one) for one in idle) >= 3 * pages.MOST_OPENING)
+        assert threading.active_count() - before <= 2 * pages.MOST_OPENING + 2
+        driver.until(lambda _: held(page), held=True)
+        until(lambda: all(closed(one) for one in idle))
+        until(lambda: threading.active_count() <= before + 2)
+        assert get(page)[0].status == 200, "there is room again"
+
+
+def closed(connection):
+    """Whether the other side has closed it."""
+    connection.settimeout(0.0)
+    try:
+        return not connection.recv(1, socket.MSG_PEEK)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+
+
 @pytest.mark.parametrize(
     "said",
     ["", "[]", "{}", "null", "[" * 900, b"\x00", '{"t": NaN}', "x" * 5000]
     + [json.dumps({"t": 0.0, "held": False, "source": "knob", "knob": [0.0, 0.0], "shown": 0} | change)
        for change in ({"t": 1e300}, {"held": 1}, {"knob": [0.0]}, {"knob": ["a", 0]}, {"source": "nose"}, {"shown": -1},
-                      {"do": "fly"}, {"do": []}, {"t": True})],
+                      {"do": "fly"}, {"do": []}, {"t": True}, {"shown": 1 << 20})],
 )  # fmt: skip
 def test_what_is_no_message_ends_the_connection_and_drives_nothing(said):
     with served() as page, connect(**link(page)) as connection:
@@ -313,18 +411,18 @@ def test_in_a_browser_space_drives_and_leaving_the_page_lets_go(tmp_path):
         page.on("console", lambda line: wrong.append(line.text) if line.type == "error" else None)
         page.goto(url)
         said = page.locator("#state")
-        shows = lambda text: until(lambda: said.text_content() == text)  # noqa: E731
+        shows = lambda state: until(lambda: said.text_content() == words.NAMES[state].capitalize())  # noqa: E731
         for let_go in (
             lambda: page.keyboard.up("Space"),
             lambda: page.evaluate("window.dispatchEvent(new Event('blur'))"),
             lambda: page.evaluate("document.dispatchEvent(new Event('visibilitychange'))"),
             lambda: page.keyboard.press("Escape"),
         ):
-            shows("Ready")
+            shows("ready")
             page.keyboard.down("Space")
-            shows("Driving")
+            shows("engaged")
             let_go()
-            until(lambda: said.text_content() != "Driving")
+            until(lambda: said.text_content() != words.NAMES["engaged"].capitalize())
             page.keyboard.up("Space")
         assert said.is_visible() and page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         page.set_viewport_size({"width": 390, "height": 844})

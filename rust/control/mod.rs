@@ -31,7 +31,7 @@ use crate::error::{Result, invalid};
 use emergency::Emergency;
 use pipe::PipeMailbox;
 use recording::Recording;
-use report::{Reporter, Ring};
+use report::{Last, Reporter, Ring};
 
 /// ms after which a servo stops by itself when it hears nothing: several periods, and well before anybody would wait.
 const WATCHDOG: f64 = 100.0;
@@ -54,8 +54,8 @@ pub struct Setup {
     pub record: Option<(PathBuf, String)>,
 }
 
-/// Run until the orders end or a signal comes; reports go to `reports`.
-pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -> Result<()> {
+/// Run until the orders end or a signal comes; reports go to `reports`. Returns whether home must be proved anew.
+pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -> Result<bool> {
     let servos = setup.members.len();
     if servos != setup.limits.axes.len() {
         return Err(invalid(format!(
@@ -84,13 +84,21 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
     let reporter = Reporter::start(receiver, reports, recording, sizes, &warnings);
     let guard = Guard::new(setup.limits);
     let record = Ring::new(sender);
-    let mut control = Farewell(Control::new(drive, guard, plan, mailbox, record));
+    let control = Control::new(drive, guard, plan, mailbox, record);
+    let mut control = Farewell(control, false);
     realtime::enter();
     let ended = run(&mut control.0, &stop);
-    let (timing, lost) = (control.0.timing().clone(), control.0.record.lost());
+    control.say();
+    let last = Last {
+        ended,
+        timing: control.0.timing().clone(),
+        lost: control.0.record.lost(),
+        kept: control.0.drive.unreleased(),
+    };
+    let forgot = control.0.guard.forgot_home();
     drop(control);
-    reporter.finish(ended, &timing, lost);
-    Ok(())
+    reporter.finish(&last);
+    Ok(forgot)
 }
 
 /// Why a loop ended, for the last report.
@@ -190,12 +198,16 @@ fn found_as_said(bus: &mut Bus<Serial>, members: &[Member]) -> Result<bool> {
     Ok(fast)
 }
 
-/// Torque off is the last that the servos hear.
-struct Farewell<L: Plan, R: Record>(Control<Serial, L, PipeMailbox, R>);
+/// Torque off is the last that the servos hear; whether it was said.
+struct Farewell<L: Plan, R: Record>(Control<Serial, L, PipeMailbox, R>, bool);
 
-impl<L: Plan, R: Record> Drop for Farewell<L, R> {
-    fn drop(&mut self) {
+impl<L: Plan, R: Record> Farewell<L, R> {
+    fn say(&mut self) {
+        if std::mem::replace(&mut self.1, true) {
+            return;
+        }
         let drive = &mut self.0.drive;
+        drive.ask_anew();
         let until = monotonic() + (FAREWELL * 1e9) as u64;
         while monotonic() < until {
             // A port that is gone takes nothing; the servos' own watchdogs stop them then.
@@ -205,5 +217,11 @@ impl<L: Plan, R: Record> Drop for Farewell<L, R> {
                 break;
             }
         }
+    }
+}
+
+impl<L: Plan, R: Record> Drop for Farewell<L, R> {
+    fn drop(&mut self) {
+        self.say();
     }
 }

@@ -1,7 +1,7 @@
 //! Commands of the finger to ticks of its servos: ticks = home + A⁻¹ (u − b), the calibration's own map.
 //!
 //! With a chain of effects, commands are what should act: the chain, which has seen every tick that was really sent, is inverted
-//! first (`inverse/chain.rs`).
+//! first (`inverse/chain.rs`), but for commands far beyond its bounds, which the guard has to see as they are.
 
 use softmap_servo::control::Plan;
 use softmap_servo::guard::MOST_SERVOS;
@@ -94,8 +94,9 @@ impl Plan for Map {
         let Some(chain) = self
             .chain
             .as_mut()
-            .filter(|_| command.iter().all(|u| u.is_finite()))
+            .filter(|chain| command.iter().all(|u| u.is_finite()) && !chain.absurd(command))
         else {
+            // As they are: what is refused without effects is refused with them.
             return self.linear(command, ticks);
         };
         let mut sent = [0.0; MOST_SERVOS];
@@ -260,6 +261,21 @@ mod tests {
         assert!(ticks[0].is_nan());
         map.ticks(&[0.5, 0.0], &mut ticks);
         assert!(ticks.iter().all(|t| t.is_finite()));
+    }
+
+    #[test]
+    fn a_command_far_beyond_the_bounds_is_seen_by_the_guard_as_it_is() {
+        let mut map = map(Some(inverse(&["backlash"], &[0.6])));
+        let (mut far, mut near, mut edge) = ([0.0; 2], [0.0; 2], [0.0; 2]);
+        map.passed(&[2000, 1000], 0.01);
+        map.ticks(&[1e6, 0.0], &mut far);
+        assert!(far[0] > 2.7e8, "{far:?}");
+        map.ticks(&[-10.5, 0.0], &mut far);
+        assert!((far[0] - 2000.0 + 280.0 * 10.61).abs() < 1.0, "{far:?}");
+        map.ticks(&[5.5, 0.0], &mut near);
+        map.ticks(&[9.9, 0.0], &mut edge);
+        assert_eq!(near, edge, "a little beyond is the edge");
+        assert!(near[0] - 2000.0 < 280.0 * 5.1);
     }
 
     #[test]

@@ -51,6 +51,16 @@ impl Record for Ring {
     }
 }
 
+/// What is said last.
+pub struct Last {
+    pub ended: Ended,
+    pub timing: Timing,
+    /// Entries that were not reported.
+    pub lost: u64,
+    /// Ids of servos that have not said that they have no torque.
+    pub kept: Vec<u8>,
+}
+
 /// The thread that reports.
 pub struct Reporter {
     stop: Arc<AtomicBool>,
@@ -110,11 +120,12 @@ impl Reporter {
     }
 
     /// Say how it ended, and how the loop kept its time.
-    pub fn finish(mut self, ended: Ended, timing: &Timing, lost: u64) {
+    pub fn finish(mut self, last: &Last) {
         self.stop.store(true, Ordering::Relaxed);
         let Some(Ok(pipe)) = self.thread.take().map(JoinHandle::join) else {
             return;
         };
+        let timing = &last.timing;
         let quantiles = |bins: &[u64; BINS]| {
             let [a, b, c] = [0.5, 0.99, 0.999].map(|q| Timing::quantile(bins, q));
             json!({"p50": a, "p99": b, "p99_9": c})
@@ -122,10 +133,11 @@ impl Reporter {
         let aged = timing.age.iter().any(|count| *count > 0);
         let line = json!({
             "schema": SCHEMA,
-            "ended": name(ended),
+            "ended": name(last.ended),
             "ticks": timing.ticks,
             "overruns": timing.overruns,
-            "lost": lost,
+            "lost": last.lost,
+            "kept_torque": &last.kept,
             "late_us": quantiles(&timing.late),
             "command_age_us": aged.then(|| quantiles(&timing.age)),
             "late_bins": &timing.late[..],

@@ -93,6 +93,19 @@ impl Inverse {
         self.low.len()
     }
 
+    /// Whether `wanted` (C,) lies beyond what the bounds could bring about by more than half their width: no aim, and not one
+    /// that should be answered by the nearest command.
+    pub fn absurd(&self, wanted: &[f64]) -> bool {
+        wanted.iter().zip(&self.by).any(|(mm, (c, rises))| {
+            let (low, high) = if *rises {
+                (self.low[*c], self.high[*c])
+            } else {
+                (-self.high[*c], -self.low[*c])
+            };
+            (mm - mm.clamp(low, high)).abs() > 0.5 * (high - low)
+        })
+    }
+
     /// Find which command moves which number, from large moves at rest: the largest first.
     fn match_commands(&mut self) -> Result<()> {
         let channels = self.channels();

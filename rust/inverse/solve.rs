@@ -16,13 +16,15 @@ use std::sync::Arc;
 
 /// mm below which a place is reached: a tick of a servo moves a tip by more than a hundred times as much.
 pub const REACHED: f64 = 1e-4;
-/// mm at which a search ends: the distance, which in single precision is known to some 1e-5, and a step.
+/// mm at which a search ends: the distance, or what the shape knows of it where that is less, and a step.
 const NEAR: f64 = 1e-5;
 const CLOSE: f64 = 1e-6;
 /// Damping at which a search begins, as a share of the largest slope: anew, and from the waypoint before.
 const ANEW: f64 = 1e-3;
 const WARM: f64 = 1e-6;
 const ROUNDS: usize = 60;
+/// Rounds after which another start is tried first: the way to a place within reach takes three or four.
+const BRIEF: usize = 12;
 /// Starts of a search that begins anew, and how far apart they are, as a share of the ranges.
 const STARTS: usize = 8;
 const APART: f64 = 0.1;
@@ -123,7 +125,7 @@ impl Reach {
 
     fn search(&self, search: &mut Search, target: &[f64; PLACE], from: Option<&[f64]>) -> Found {
         let before = search.tip.asked;
-        let mut best: Option<Found> = from.map(|u| search.from(u, target, WARM));
+        let mut best: Option<Found> = from.map(|u| search.from(u, target, WARM, BRIEF));
         let reached = |best: &Option<Found>| best.as_ref().is_some_and(|b| b.distance <= REACHED);
         let starts = if reached(&best) {
             vec![]
@@ -131,7 +133,7 @@ impl Reach {
             self.starts(target)
         };
         for start in starts {
-            let found = search.from(&start, target, ANEW);
+            let found = search.from(&start, target, ANEW, BRIEF);
             // A waypoint leaves its branch for what is really nearer, not for a tie.
             if best
                 .as_ref()
@@ -144,6 +146,9 @@ impl Reach {
             }
         }
         let mut best = best.unwrap_or_else(|| unreachable!("there is always a start"));
+        if best.distance > REACHED {
+            best = search.from(&best.u, target, ANEW, ROUNDS);
+        }
         best.asked = search.tip.asked - before;
         best
     }
@@ -247,7 +252,7 @@ impl Search<'_> {
         }
     }
 
-    fn from(&mut self, start: &[f64], target: &[f64; PLACE], share: f64) -> Found {
+    fn from(&mut self, start: &[f64], target: &[f64; PLACE], share: f64, rounds: usize) -> Found {
         let channels = self.reach.channels();
         let bounds = self.reach.low.iter().zip(&self.reach.high);
         let mut u: Vec<f64> = start
@@ -273,9 +278,10 @@ impl Search<'_> {
                 .map(|c| normal[c * channels + c])
                 .fold(0.0, f64::max)
         };
+        let near = NEAR.max(self.reach.shape.grain());
         let (mut damping, mut growth) = (share * largest(&normal).max(1e-12), 2.0);
-        for _ in 0..ROUNDS {
-            if now.sqrt() <= NEAR || !self.step(&u, &gradient, &normal, damping) {
+        for _ in 0..rounds {
+            if now.sqrt() <= near || !self.step(&u, &gradient, &normal, damping) {
                 break;
             }
             let moved = |c: usize| self.trial[c] - u[c];

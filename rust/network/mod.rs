@@ -5,8 +5,9 @@
 //! with Relu, Gelu (Hendrycks & Gimpel 2016, arXiv:1606.08415) or a normalised layer (Ba et al. 2016, arXiv:1607.06450) as a_k. Constants
 //! before and after a linear layer are folded into it in double precision when the file is read (`onnx.rs`); the layers then run in single
 //! precision, several commands side by side, or one command with its slopes (a tangent for each channel) in the same pass (`layers.rs`),
-//! with the widest vectors that this processor has. A pass reads the weights once and takes little longer than that; nothing is allocated
-//! where it may keep its room (`Shape::with_slopes`).
+//! with the widest vectors that this processor has, which is asked when the file is read. A pass reads the weights once and takes little
+//! longer than that. It allocates nothing: each thread keeps the room that passes work in, made when a network is read there, or in
+//! the first pass of another thread; so none waits for another.
 //! Limits: values are right to some 1e-6 of the size of the outputs; at a kink of Relu the slope is that of the side above.
 
 mod layers;
@@ -18,6 +19,15 @@ use layers::{Activation, Columns, Linear, affine, normalise};
 use crate::error::{Result, invalid};
 use crate::shape::{Shape, Work};
 use pulp::{Arch, Simd, WithSimd};
+use std::cell::RefCell;
+
+/// mm to which a place some 100 mm away is known after a few layers in single precision.
+const GRAIN: f64 = 2e-5;
+
+thread_local! {
+    /// Where the numbers between layers stand, of the widest network that this thread has run.
+    static ROOM: RefCell<Vec<f32>> = const { RefCell::new(vec![]) };
+}
 
 /// A layer as it stands in a file.
 pub(crate) enum Layer {
@@ -57,6 +67,7 @@ pub struct Network {
     size: usize,
     widest: usize,
     steps: Vec<Step>,
+    arch: Arch,
 }
 
 /// x ↦ scale·x + shift, number by number, which waits for a linear layer.
@@ -135,12 +146,23 @@ impl Network {
                 "a network must end in a linear layer; export it again",
             ));
         }
-        Ok(Network {
+        let found = Network {
             channels,
             size: width,
             widest,
             steps,
-        })
+            arch: Arch::new(),
+        };
+        ROOM.with_borrow_mut(|room| found.grow(room));
+        Ok(found)
+    }
+
+    /// Make room for the most columns that run side by side, twice: before a layer and behind it.
+    fn grow(&self, room: &mut Vec<f32>) {
+        let wanted = 2 * COLUMNS * layers::stride(self.widest);
+        if room.len() < wanted {
+            room.resize(wanted, 0.0);
+        }
     }
 
     /// Numbers that were trained.
@@ -181,6 +203,7 @@ impl Network {
         *last = Linear::new(columns, &rows, &bias);
         found.size = count;
         found.widest = found.widths().max().unwrap_or(0);
+        ROOM.with_borrow_mut(|room| found.grow(room));
         Ok(found)
     }
 
@@ -198,37 +221,36 @@ impl Network {
     fn columns<const N: usize>(
         &self,
         tangents: bool,
-        singles: &mut Vec<f32>,
         first: impl Fn(usize, usize) -> f64,
         mut take: impl FnMut(usize, &[f32]),
     ) {
         let stride = layers::stride(self.widest);
-        if singles.len() < 2 * N * stride {
-            singles.resize(2 * N * stride, 0.0);
-        }
-        let (x, next) = singles[..2 * N * stride].split_at_mut(N * stride);
-        for n in 0..N {
-            (0..self.channels).for_each(|c| x[n * stride + c] = first(n, c) as f32);
-        }
-        let found = Arch::new().dispatch(Pass::<N> {
-            steps: &self.steps,
-            width: self.channels,
-            x: Columns {
-                numbers: x,
-                stride,
-                tangents,
-            },
-            next: Columns {
-                numbers: next,
-                stride,
-                tangents,
-            },
+        ROOM.with_borrow_mut(|room| {
+            self.grow(room);
+            let (x, next) = room[..2 * N * stride].split_at_mut(N * stride);
+            for n in 0..N {
+                (0..self.channels).for_each(|c| x[n * stride + c] = first(n, c) as f32);
+            }
+            let found = self.arch.dispatch(Pass::<N> {
+                steps: &self.steps,
+                width: self.channels,
+                x: Columns {
+                    numbers: x,
+                    stride,
+                    tangents,
+                },
+                next: Columns {
+                    numbers: next,
+                    stride,
+                    tangents,
+                },
+            });
+            (0..N).for_each(|n| take(n, &found[n * stride..][..self.size]));
         });
-        (0..N).for_each(|n| take(n, &found[n * stride..][..self.size]));
     }
 
     /// The outputs at up to `COLUMNS` commands.
-    fn some(&self, rows: &[f64], out: &mut [f64], singles: &mut Vec<f32>) {
+    fn some(&self, rows: &[f64], out: &mut [f64]) {
         let (channels, size, count) = (self.channels, self.size, rows.len() / self.channels);
         // Where fewer commands are given than run, the last one runs again.
         let first = |n: usize, c: usize| rows[n.min(count - 1) * channels + c];
@@ -239,11 +261,41 @@ impl Network {
             }
         };
         match count {
-            1 => self.columns::<1>(false, singles, first, take),
-            2 => self.columns::<2>(false, singles, first, take),
-            3 => self.columns::<3>(false, singles, first, take),
-            4 => self.columns::<4>(false, singles, first, take),
-            _ => self.columns::<COLUMNS>(false, singles, first, take),
+            1 => self.columns::<1>(false, first, take),
+            2 => self.columns::<2>(false, first, take),
+            3 => self.columns::<3>(false, first, take),
+            4 => self.columns::<4>(false, first, take),
+            _ => self.columns::<COLUMNS>(false, first, take),
+        }
+    }
+
+    /// The slopes (M, C) at `u`, and the outputs where they are wanted; one pass where there are up to seven channels.
+    fn slopes(&self, u: &[f64], mut values: Option<&mut [f64]>, slopes: &mut [f64]) {
+        let channels = self.channels;
+        for c in (0..channels).step_by(COLUMNS - 1) {
+            let some = (channels - c).min(COLUMNS - 1);
+            let first = |n: usize, k: usize| match n.checked_sub(1) {
+                None => u[k],
+                Some(n) => f64::from(k == c + n),
+            };
+            let take = |n: usize, found: &[f32]| match n.checked_sub(1) {
+                None => {
+                    let both = values.iter_mut().flat_map(|values| values.iter_mut());
+                    both.zip(found).for_each(|(out, v)| *out = f64::from(*v));
+                }
+                Some(n) if n < some => {
+                    for (row, v) in slopes.chunks_exact_mut(channels).zip(found) {
+                        row[c + n] = f64::from(*v);
+                    }
+                }
+                Some(_) => {}
+            };
+            match some {
+                1 => self.columns::<2>(true, first, take),
+                2 => self.columns::<3>(true, first, take),
+                3 => self.columns::<4>(true, first, take),
+                _ => self.columns::<COLUMNS>(true, first, take),
+            }
         }
     }
 }
@@ -292,50 +344,27 @@ impl Shape for Network {
         self.size
     }
 
+    fn grain(&self) -> f64 {
+        GRAIN
+    }
+
     fn eval(&self, u: &[f64], out: &mut [f64]) {
-        self.some(u, out, &mut vec![]);
+        self.some(u, out);
     }
 
     fn eval_rows(&self, rows: &[f64], out: &mut [f64]) {
-        let (each, mut singles) = (COLUMNS * self.channels, vec![]);
-        for (rows, out) in rows.chunks(each).zip(out.chunks_mut(COLUMNS * self.size)) {
-            self.some(rows, out, &mut singles);
+        let rows = rows.chunks(COLUMNS * self.channels);
+        for (rows, out) in rows.zip(out.chunks_mut(COLUMNS * self.size)) {
+            self.some(rows, out);
         }
     }
 
     fn jacobian(&self, u: &[f64], out: &mut [f64]) {
-        let mut values = vec![0.0; self.size];
-        self.with_slopes(u, &mut values, out, &mut Work::default());
+        self.slopes(u, None, out);
     }
 
-    /// One pass where there are up to seven channels.
-    fn with_slopes(&self, u: &[f64], values: &mut [f64], slopes: &mut [f64], work: &mut Work) {
-        let channels = self.channels;
-        for c in (0..channels).step_by(COLUMNS - 1) {
-            let some = (channels - c).min(COLUMNS - 1);
-            let first = |n: usize, k: usize| match n.checked_sub(1) {
-                None => u[k],
-                Some(n) => f64::from(k == c + n),
-            };
-            let take = |n: usize, found: &[f32]| match n.checked_sub(1) {
-                None => {
-                    let both = values.iter_mut().zip(found);
-                    both.for_each(|(out, v)| *out = f64::from(*v));
-                }
-                Some(n) if n < some => {
-                    for (row, v) in slopes.chunks_exact_mut(channels).zip(found) {
-                        row[c + n] = f64::from(*v);
-                    }
-                }
-                Some(_) => {}
-            };
-            match some {
-                1 => self.columns::<2>(true, &mut work.singles, first, take),
-                2 => self.columns::<3>(true, &mut work.singles, first, take),
-                3 => self.columns::<4>(true, &mut work.singles, first, take),
-                _ => self.columns::<COLUMNS>(true, &mut work.singles, first, take),
-            }
-        }
+    fn with_slopes(&self, u: &[f64], values: &mut [f64], slopes: &mut [f64], _work: &mut Work) {
+        self.slopes(u, Some(values), slopes);
     }
 }
 

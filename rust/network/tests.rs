@@ -4,14 +4,16 @@ use super::layers::normal;
 use super::{Activation, Layer, Network};
 use crate::allocations::allocations;
 use crate::shape::{Shape, Work};
+use pulp::{Arch, Simd, WithSimd};
 
+/// Numbers between -size and size, about as many above 0 as below: where all are below, nothing lives behind Relu.
 fn numbers(seed: u64, count: usize, size: f64) -> Vec<f64> {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut next = || {
         state = state
             .wrapping_mul(6_364_136_223_846_793_005)
             .wrapping_add(1_442_695_040_888_963_407);
-        f64::from((state >> 33) as u32) / f64::from(u32::MAX >> 1) - 1.0
+        f64::from((state >> 32) as u32) / f64::from(u32::MAX >> 1) - 1.0
     };
     (0..count).map(|_| size * next()).collect()
 }
@@ -111,6 +113,7 @@ fn slopes_are_those_of_differences() {
     for u in numbers(8, 2 * 9, 12.0).chunks(2) {
         let mut slopes = [0.0; 12];
         network.jacobian(u, &mut slopes);
+        assert!(slopes.iter().any(|slope| slope.abs() > 0.01));
         for c in 0..2 {
             let (mut above, mut below) = (u.to_vec(), u.to_vec());
             above[c] += 1e-5;
@@ -209,20 +212,122 @@ fn published(size: usize) -> Network {
 }
 
 #[test]
-fn values_with_slopes_are_those_of_each_and_allocate_once() {
+fn values_with_slopes_are_those_of_each() {
     for (network, count) in [(Network::new(layers()).unwrap(), 6), (published(300), 300)] {
         let (weights, offset) = (numbers(9, count * 3, 0.2), vec![1.0, -2.0, 3.0]);
         let tip = network.project(&weights, &offset).unwrap();
-        let mut work = Work::default();
-        let (mut values, mut slopes) = ([0.0; 3], [0.0; 6]);
-        tip.with_slopes(&[1.0, 1.0], &mut values, &mut slopes, &mut work);
         for u in numbers(8, 2 * 9, 12.0).chunks(2) {
-            let asked = allocations(|| tip.with_slopes(u, &mut values, &mut slopes, &mut work));
-            assert_eq!(asked, 0);
+            let (mut values, mut slopes) = ([0.0; 3], [0.0; 6]);
+            tip.with_slopes(u, &mut values, &mut slopes, &mut Work::default());
             let (mut value, mut slope) = ([0.0; 3], [0.0; 6]);
             tip.eval(u, &mut value);
             tip.jacobian(u, &mut slope);
             assert_eq!((values, slopes), (value, slope));
+        }
+    }
+}
+
+/// How often this thread asks for memory in every kind of pass: one command, a batch that is no multiple of what runs side by
+/// side, slopes, and both.
+fn asked(network: &Network, values: &mut [f64], slopes: &mut [f64], rows: &[f64]) -> [usize; 4] {
+    let (channels, size) = (network.channels(), network.size());
+    let u = &rows[..channels];
+    let mut work = Work::default();
+    [
+        allocations(|| network.eval(u, &mut values[..size])),
+        allocations(|| network.eval_rows(rows, values)),
+        allocations(|| network.jacobian(u, slopes)),
+        allocations(|| network.with_slopes(u, &mut values[..size], slopes, &mut work)),
+    ]
+}
+
+#[test]
+fn no_pass_allocates_once_the_network_is_read() {
+    let small = Network::new(layers()).unwrap();
+    let whole = published(300);
+    let tip = whole.project(&numbers(9, 300 * 3, 0.2), &[0.0; 3]).unwrap();
+    let many = Network::new(vec![
+        linear(1, 400, 17),
+        Layer::Activation(Activation::Gelu),
+        linear(2, 4, 400),
+    ])
+    .unwrap();
+    for network in [&small, &whole, &tip, &many] {
+        let rows = numbers(7, 13 * network.channels(), 12.0);
+        let mut values = vec![0.0; 13 * network.size()];
+        let mut slopes = vec![0.0; network.size() * network.channels()];
+        assert_eq!(asked(network, &mut values, &mut slopes, &rows), [0; 4]);
+        // Another thread makes its room in its first pass, and no more.
+        let (first, later) = std::thread::scope(|scope| {
+            let other = scope.spawn(|| {
+                let first = asked(network, &mut values, &mut slopes, &rows);
+                (first, asked(network, &mut values, &mut slopes, &rows))
+            });
+            other.join().unwrap()
+        });
+        assert_eq!((first, later), ([1, 0, 0, 0], [0; 4]));
+    }
+}
+
+/// Every set of vectors that this processor has, from none on; `Arch::new` takes the last of them.
+fn sets() -> Vec<Arch> {
+    let mut sets = vec![Arch::Scalar];
+    #[cfg(target_arch = "x86_64")]
+    sets.extend(pulp::x86::V3::try_new().map(Arch::V3));
+    #[cfg(target_arch = "aarch64")]
+    sets.extend(pulp::aarch64::Neon::try_new().map(Arch::Neon));
+    let chosen = Arch::new();
+    if lanes(chosen) > sets.iter().map(|set| lanes(*set)).fold(0, usize::max) {
+        sets.push(chosen);
+    }
+    sets
+}
+
+/// Numbers in one of its vectors.
+fn lanes(set: Arch) -> usize {
+    struct Lanes;
+    impl WithSimd for Lanes {
+        type Output = usize;
+        fn with_simd<S: Simd>(self, _: S) -> usize {
+            S::F32_LANES
+        }
+    }
+    set.dispatch(Lanes)
+}
+
+#[test]
+fn every_set_of_vectors_gives_the_same_and_the_widest_is_taken() {
+    let sets = sets();
+    let widths: Vec<usize> = sets.iter().map(|set| lanes(*set)).collect();
+    assert_eq!(widths[0], 1);
+    assert_eq!(
+        widths.last(),
+        Some(&lanes(Network::new(layers()).unwrap().arch))
+    );
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+        assert!(widths.contains(&8), "{widths:?}");
+    }
+    for (mut network, count) in [(Network::new(layers()).unwrap(), 6), (published(300), 300)] {
+        let rows = numbers(7, 2 * 11, 12.0);
+        let mut all: Vec<[Vec<f64>; 2]> = vec![];
+        for set in &sets {
+            network.arch = *set;
+            let mut found = [vec![0.0; 11 * count], vec![0.0; 11 * 2 * count]];
+            network.eval_rows(&rows, &mut found[0]);
+            for (u, slopes) in rows.chunks(2).zip(found[1].chunks_mut(2 * count)) {
+                network.jacobian(u, slopes);
+            }
+            all.push(found);
+        }
+        // Five layers of sums of up to a thousand numbers, in single precision: fused or not, in another order.
+        for found in &all[1..] {
+            for (found, plain) in found.iter().zip(&all[0]) {
+                let size = plain.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
+                let apart = found.iter().zip(plain).map(|(a, b)| (a - b).abs());
+                let apart = apart.fold(0.0, f64::max);
+                assert!(apart < 1e-5 * size, "{apart} of {size}, {widths:?}");
+            }
         }
     }
 }

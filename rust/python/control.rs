@@ -160,7 +160,7 @@ pub fn control_loop(
     heartbeat: Option<(String, u16, Vec<u8>, f64)>,
     record: Option<PathBuf>,
     setup: &str,
-) -> PyResult<()> {
+) -> PyResult<bool> {
     let member = |[id, number]: [u16; 2]| {
         let id = u8::try_from(id).map_err(|_| trouble(format!("servo id {id} is beyond 252")))?;
         let model = model(number)

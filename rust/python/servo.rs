@@ -70,6 +70,10 @@ pub fn servo_models<'py>(py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         told.set_item("fastest_ticks_per_s", model.fastest_turn())?;
         told.set_item("stall_torque_Nm", model.stall.0)?;
         told.set_item("stall_current_mA", model.stall.1)?;
+        told.set_item(
+            "capped_by",
+            model.cap(0.0).0.name.replace(' ', "_").to_lowercase(),
+        )?;
         told.set_item("operating_mode", model.driven_in())?;
         Ok(told)
     };

@@ -7,6 +7,7 @@ use crate::emulator::servo::Servo;
 use crate::emulator::virtual_port::Virtual;
 use crate::emulator::{Emulator, Faults};
 use crate::guard::{Cause, Limits, State};
+use crate::registers::X_SERIES;
 
 #[derive(Default)]
 struct Script(Orders);
@@ -223,6 +224,90 @@ fn each_fault_of_a_servo_ends_without_torque_in_its_time() {
         );
         assert_ne!(bench.ask(Request::Engage).denied, None, "{name} is latched");
     }
+}
+
+/// The cap (mA) and the watchdog of the first servo, as it has them.
+fn kept(bench: &mut Bench) -> (i32, u8) {
+    let servo = &bench.emulator().servos[0];
+    let cap = servo.read(X_SERIES.goal_current.address, 2).unwrap();
+    let watchdog = servo.read(X_SERIES.bus_watchdog.address, 1).unwrap();
+    (i16::from_le_bytes([cap[0], cap[1]]).into(), watchdog[0])
+}
+
+#[test]
+fn a_cap_or_a_watchdog_that_is_lost_on_the_wire_is_written_again_or_torque_goes_off() {
+    for (register, others) in [
+        (X_SERIES.goal_current, (1750, 5)),
+        (X_SERIES.bus_watchdog, (600, 0)),
+    ] {
+        for lost in [2, 1000] {
+            let mut bench = bench();
+            bench.run(0.3);
+            for request in [Request::Connect, Request::Home, Request::Arm] {
+                assert_eq!(bench.ask(request).denied, None, "{request:?}");
+            }
+            bench.drive_to([0.0, 0.0]);
+            bench.emulator().lose(register.address, lost);
+            assert_eq!(bench.ask(Request::Engage).state, State::Engaged);
+            assert_eq!(kept(&mut bench), others, "{} is lost", register.name);
+            if lost == 2 {
+                bench.run(0.05);
+                assert_eq!(kept(&mut bench), (600, 5), "{}", register.name);
+                assert_eq!(bench.run(1.0).state, State::Engaged);
+            } else {
+                until(&mut bench, State::Fault, 0.1);
+                assert_eq!(bench.record.0.last().unwrap().output.cause, Cause::Tripped);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_servo_that_caps_no_current_gets_its_share_of_pwm_and_loses_no_cap() {
+    let mut bus = Bus::new(
+        Virtual {
+            emulator: bench::emulator(),
+            now: 1,
+        },
+        bench::BAUD,
+        1_000_000,
+    );
+    let kind = crate::registers::model(1060).unwrap();
+    let servo = bus.port().emulator.servos[0].clone();
+    let mut servos = vec![servo];
+    servos[0] = Servo::new(
+        kind,
+        1,
+        3,
+        2000.0,
+        crate::emulator::servo::Motion {
+            delay: 0.01,
+            lag: 0.03,
+            load: vec![],
+        },
+    );
+    bus.port().emulator.servos = servos;
+    let member = crate::drive::Member { id: 1, model: kind };
+    let mut drive = Drive::new(bus, &[member], true, 100.0);
+    let pwm = |drive: &mut Drive<Virtual>| {
+        let bytes = drive.bus().port().emulator.servos[0].read(100, 2).unwrap();
+        i16::from_le_bytes([bytes[0], bytes[1]])
+    };
+    assert_eq!(pwm(&mut drive), 885);
+    drive.command(true, &[2000], &[Some(140.0)]).unwrap();
+    assert_eq!(pwm(&mut drive), 88, "a tenth of the stall current");
+    drive.command(true, &[2000], &[Some(9000.0)]).unwrap();
+    assert_eq!(pwm(&mut drive), 885);
+    drive
+        .bus()
+        .port()
+        .emulator
+        .lose(X_SERIES.goal_pwm.address, 1);
+    drive.command(true, &[2000], &[Some(280.0)]).unwrap();
+    drive.examine().unwrap();
+    assert!(drive.alert());
+    drive.command(true, &[2000], &[Some(280.0)]).unwrap();
+    assert_eq!(pwm(&mut drive), 177);
 }
 
 #[test]

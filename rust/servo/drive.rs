@@ -2,6 +2,7 @@
 //!
 //! Goals and currents are written before torque, so that nothing jumps when it comes on; torque off is written until each
 //! servo has said that it has none. The bus watchdog runs while torque is on: a servo that hears nothing stops by itself.
+//! Nobody answers such writes, so that a cap or a watchdog may be lost on the wire: both are read back and written again.
 
 use crate::bus::{Answer, Bus, Fault, Heard, Port};
 use crate::guard::{Feedback, Health};
@@ -9,12 +10,14 @@ use crate::registers::{Model, Register, X_SERIES};
 
 /// From its own clock to its temperature: what is read each period.
 const SENSED: (u16, usize) = (X_SERIES.realtime_tick.address, 27);
-/// From torque to the bus watchdog: what is read less often.
-const HEALTH: (u16, usize) = (X_SERIES.torque_enable.address, 35);
+/// From torque to the current cap: what is read less often.
+const HEALTH: (u16, usize) = (X_SERIES.torque_enable.address, 40);
 /// ms of a step of the bus watchdog.
 const WATCHDOG_STEP: f64 = 20.0;
 /// A tripped bus watchdog, as it is read.
 const TRIPPED: u8 = 0xFF;
+/// Looks in a row at which a servo may lack its watchdog or cap, written again after each.
+const LACKS: u8 = 8;
 
 /// A servo on the bus.
 #[derive(Debug, Clone, Copy)]
@@ -37,6 +40,8 @@ pub struct Drive<P> {
     /// What was written last: whether torque is on, and the current in steps.
     torque: bool,
     currents: Vec<i16>,
+    /// Looks in a row at which a servo had another watchdog or cap than was written.
+    lacks: Vec<u8>,
     alert: bool,
 }
 
@@ -56,6 +61,7 @@ impl<P: Port> Drive<P> {
             health: vec![None; count],
             torque: false,
             currents: vec![i16::MIN; count],
+            lacks: vec![0; count],
             alert: false,
         }
     }
@@ -69,7 +75,7 @@ impl<P: Port> Drive<P> {
         &self.heard
     }
 
-    /// Whether a servo has reported that its hardware error status should be read.
+    /// Whether the servos should be examined now: one reported so, torque has just come on, or one lacked what was written.
     pub fn alert(&self) -> bool {
         self.alert
     }
@@ -78,6 +84,21 @@ impl<P: Port> Drive<P> {
     pub fn released(&self) -> bool {
         let said = |health: &Option<Health>| health.is_some_and(|health| !health.torque);
         self.health.iter().all(said)
+    }
+
+    /// The ids of those that have not.
+    pub fn unreleased(&self) -> Vec<u8> {
+        let said = |health: &Option<Health>| health.is_some_and(|health| !health.torque);
+        let servos = self.ids.iter().zip(&self.health);
+        servos
+            .filter(|(_, health)| !said(health))
+            .map(|(id, _)| *id)
+            .collect()
+    }
+
+    /// What servos have said of themselves counts no more.
+    pub fn ask_anew(&mut self) {
+        self.health.fill(None);
     }
 
     /// Read what each servo senses; none of a servo that was not heard.
@@ -118,19 +139,31 @@ impl<P: Port> Drive<P> {
             if heard.is_err() {
                 continue;
             }
-            let byte = |register: Register| {
-                self.data[k * HEALTH.1 + usize::from(register.address - HEALTH.0)]
+            let bytes = &self.data[k * HEALTH.1..(k + 1) * HEALTH.1];
+            let at = |register: Register| usize::from(register.address - HEALTH.0);
+            let watchdog = bytes[at(X_SERIES.bus_watchdog)];
+            let cap = at(self.models[k].cap(0.0).0);
+            let cap = i16::from_le_bytes([bytes[cap], bytes[cap + 1]]);
+            let bare = ![self.watchdog, TRIPPED].contains(&watchdog);
+            let most = Some(self.currents[k]).filter(|most| *most != i16::MIN);
+            self.lacks[k] = if self.torque && (bare || most.is_some_and(|most| cap != most)) {
+                self.lacks[k].saturating_add(1)
+            } else {
+                0
             };
+            self.alert |= again(self.lacks[k]);
+            // A cap below what was written is the servo's own limit: it may stay.
+            let beyond = bare || most.is_some_and(|most| cap > most);
             self.health[k] = Some(Health {
-                hardware: byte(X_SERIES.hardware_error),
-                torque: byte(X_SERIES.torque_enable) == 1,
-                tripped: byte(X_SERIES.bus_watchdog) == TRIPPED,
+                hardware: bytes[at(X_SERIES.hardware_error)],
+                torque: bytes[at(X_SERIES.torque_enable)] == 1,
+                tripped: watchdog == TRIPPED || beyond && self.lacks[k] >= LACKS,
             });
         }
         Ok(())
     }
 
-    /// Write goals (ticks) and currents (mA) under torque, or torque off.
+    /// Write goals (ticks) and currents (mA; of a servo that caps none the share of its PWM) under torque, or torque off.
     pub fn command(
         &mut self,
         torque: bool,
@@ -139,25 +172,30 @@ impl<P: Port> Drive<P> {
     ) -> Result<(), Fault> {
         if !torque {
             self.torque = false;
+            self.lacks.fill(0);
             self.each(X_SERIES.torque_enable, |_| 0)?;
             return self.each(X_SERIES.bus_watchdog, |_| 0);
         }
         let models = &self.models;
-        let steps = |k: usize| currents[k].map(|most: f64| (most / models[k].current_unit) as i16);
+        let steps = |k: usize| currents[k].map(|most: f64| models[k].cap(most).1);
         let changed =
             (0..goals.len()).any(|k| steps(k).is_some_and(|steps| steps != self.currents[k]));
-        if changed || !self.torque {
+        let lacking = self.lacks.iter().any(|looks| again(*looks));
+        if changed || lacking || !self.torque {
             (0..goals.len()).for_each(|k| self.currents[k] = steps(k).unwrap_or(i16::MIN));
             self.caps()?;
         }
         self.each(X_SERIES.goal_position, |k| goals[k])?;
+        let watchdog = i32::from(self.watchdog);
+        if lacking && self.torque {
+            self.each(X_SERIES.bus_watchdog, |_| watchdog)?;
+        }
         if !self.torque {
-            let watchdog = i32::from(self.watchdog);
             self.each(X_SERIES.bus_watchdog, |_| watchdog)?;
             self.each(X_SERIES.torque_enable, |_| 1)?;
             // Switching torque on may set the goal to where the servo stands.
             self.each(X_SERIES.goal_position, |k| goals[k])?;
-            self.torque = true;
+            (self.torque, self.alert) = (true, true);
         }
         Ok(())
     }
@@ -167,12 +205,9 @@ impl<P: Port> Drive<P> {
         for k in 0..self.ids.len() {
             if self.currents[k] != i16::MIN {
                 let bytes = self.currents[k].to_le_bytes();
-                self.bus.sync_write(
-                    &self.ids[k..k + 1],
-                    X_SERIES.goal_current.address,
-                    2,
-                    &bytes,
-                )?;
+                let address = self.models[k].cap(0.0).0.address;
+                self.bus
+                    .sync_write(&self.ids[k..k + 1], address, 2, &bytes)?;
             }
         }
         Ok(())
@@ -193,4 +228,9 @@ impl<P: Port> Drive<P> {
         self.bus
             .sync_read(&self.ids, address, size, data, &mut self.heard, self.fast)
     }
+}
+
+/// Whether what a servo has lacked at so many looks is to be written again.
+fn again(looks: u8) -> bool {
+    (1..LACKS).contains(&looks)
 }

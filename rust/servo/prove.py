@@ -20,9 +20,16 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 CODEC = ["crc.rs", "packet.rs", "decoder.rs", "registers.rs"]
 GUARD = [f"guard/{name}.rs" for name in ("limits", "machine", "mod", "path", "reversals", "servo", "time")]
+DRIVE = [
+    "drive.rs",
+    "bus.rs",
+    "control.rs",
+]  # told, not asked for: they wait for ports, clocks and faults of the system
 SCORE = 0.95
 FUZZ = "400000"  # periods of the guard's fuzz a mutant: a second instead of ten
-TIMEOUT = "20"  # s; a mutant that loops for ever is caught
+SLOWEST = 10  # times what the tests took without a mutant, and MINUTE: a mutant that loops for ever is ended
+MINUTE = 60  # s at least, on a machine however quick
+LATE = 0.05  # of the mutants may end by time-out: the loops of the codec; more, and it was the machine that was slow
 FOUND = (0, 2, 3)  # how cargo-mutants ends when all are caught, some survive, some ran out of time
 
 
@@ -32,22 +39,26 @@ def cargo(*words: str, **environment: str) -> int:
 
 
 def coverage() -> int:
-    """Count lines and regions of guard and codec that no test runs; 0 if there are none."""
+    """Count lines and regions that no test runs; 0 if guard and codec have none."""
     report = ROOT / "target" / "coverage.json"
     report.parent.mkdir(exist_ok=True)
     if cargo("llvm-cov", "-p", "softmap-servo", "--locked", "--lib", "--json", "--output-path", str(report)):
         return 1
     found = {entry["filename"]: entry["summary"] for entry in json.loads(report.read_text())["data"][0]["files"]}
     missing = 0
-    for name in CODEC + GUARD:
+    for name in CODEC + GUARD + DRIVE:
         summary = found[str(HERE / name)]
         parts = []
         for what in ("lines", "regions"):
             count, covered = summary[what]["count"], summary[what]["covered"]
-            missing += count - covered
+            missing += (count - covered) * (name not in DRIVE)
             parts.append(f"{covered} of {count} {what}")
-        print(f"{name}: {', '.join(parts)}")
-    print("every line and region is run" if not missing else f"{missing} lines and regions are not run; 0 are allowed")
+        print(f"{name}: {', '.join(parts)}{' (not asked for)' * (name in DRIVE)}")
+    print(
+        "of guard and codec every line and region is run"
+        if not missing
+        else f"{missing} lines and regions are not run; 0 are allowed"
+    )
     return int(missing > 0)
 
 
@@ -60,17 +71,26 @@ def judge(outcomes: list[dict[str, str]], explained: Counter[str]) -> int:
     """
     kinds = Counter(outcome["summary"] for outcome in outcomes)
     viable = sum(kinds.values()) - kinds["Unviable"]
-    caught = kinds["CaughtMutant"] + kinds["Timeout"]
+    caught, late = kinds["CaughtMutant"] + kinds["Timeout"], kinds["Timeout"]
     survivors = Counter(outcome["name"] for outcome in outcomes if outcome["summary"] == "MissedMutant")
     unexplained = survivors - explained
     score = caught / viable if viable else 0.0
     print(
-        f"{caught} of {viable} mutants are caught ({100 * score:.1f} %, {kinds['Timeout']} by time-out); "
-        f"{100 * SCORE:.0f} % are wanted; {survivors.total()} survive, {unexplained.total()} of them unexplained"
+        f"{caught} of {viable} mutants are caught ({100 * score:.1f} %), {caught - late} by a test that fails and "
+        f"{late} by time-out; {100 * SCORE:.0f} % are wanted"
     )
+    print(f"{survivors.total()} survive, {unexplained.total()} of them unexplained")
+    for outcome in outcomes:
+        if outcome["summary"] == "Timeout":
+            print(f"ran out of time: {outcome['name']}")
+    if late > LATE * viable:
+        print(
+            f"{late} ran out of time, {100 * LATE:.0f} % are allowed: that says nothing of the tests; run it on a "
+            "machine at rest"
+        )
     for name in unexplained:
         print(f"no reason in survivors.toml: {name}")
-    return int(score < SCORE or bool(unexplained))
+    return int(score < SCORE or late > LATE * viable or bool(unexplained))
 
 
 def names(document: dict[str, object]) -> list[dict[str, str]]:
@@ -92,8 +112,9 @@ def mutants(jobs: int, only: list[str]) -> int:
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     code = cargo(
-        "mutants", "-p", "softmap-servo", *files, "--jobs", str(jobs), "--timeout", TIMEOUT, "--output", str(out),
-        "--colors", "never", "--", "--lib", "--locked", SOFTMAP_FUZZ_PERIODS=FUZZ,
+        "mutants", "-p", "softmap-servo", *files, "--jobs", str(jobs), "--output", str(out),
+        "--timeout-multiplier", str(SLOWEST), "--minimum-test-timeout", str(MINUTE), "--colors", "never",
+        "--", "--lib", "--locked", SOFTMAP_FUZZ_PERIODS=FUZZ,
     )  # fmt: skip
     if code not in FOUND:
         print(f"cargo-mutants ended with {code} and judged nothing: the tests fail without a mutant, or it cannot run")

@@ -190,6 +190,9 @@ pub const BAUD_RATES: [u32; 8] = [
     9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000,
 ];
 
+/// Goal PWM at which a servo gives all it can.
+pub const FULL_PWM: u16 = 885;
+
 /// Firmware from which servos answer all in one packet (fast sync read).
 pub const FAST_FIRMWARE: u8 = 45;
 
@@ -200,7 +203,7 @@ pub struct Model {
     pub name: &'static str,
     /// The highest code of `BAUD_RATES` that it knows.
     pub fastest: u8,
-    /// mA a step of its current registers; 0 where it measures none and caps none (no mode 5: its PWM is the cap).
+    /// mA a step of its current registers; 0 where it measures none and caps none (no mode 5): its PWM is capped instead.
     pub current_unit: f64,
     /// Largest current limit, in steps.
     pub current_limit: u16,
@@ -218,6 +221,17 @@ pub struct Model {
 }
 
 impl Model {
+    /// The register that caps its torque, and its value for `most` mA. Where current cannot be capped that is goal PWM: torque at
+    /// standstill is in proportion to it, all of it at the stall current.
+    pub fn cap(&self, most: f64) -> (Register, i16) {
+        if self.has_current() {
+            (X_SERIES.goal_current, (most / self.current_unit) as i16)
+        } else {
+            let share = (most / self.stall.1).min(1.0);
+            (X_SERIES.goal_pwm, (share * f64::from(FULL_PWM)) as i16)
+        }
+    }
+
     /// Whether current is measured and capped.
     pub fn has_current(&self) -> bool {
         self.current_unit > 0.0

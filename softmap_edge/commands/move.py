@@ -167,7 +167,7 @@ def _go(args: argparse.Namespace) -> int:
             while time.monotonic() - begun < args.seconds:
                 done = robot.target(u)
                 time.sleep(EVERY)
-            at = there.calibration.commands(np.array(robot.report["position"], float))
+            at = there.calibration.commands(robot.position)
     document = {"schema": "softmap.move/1", "command_mm": u.tolist(), "done_mm": done.tolist(), "at_mm": at.tolist()}
     said = f"sent to {_mm(done)} mm, came to {_mm(at)} mm by the servos; slack again, torque is off"
     print(json.dumps(document) if args.json else said)

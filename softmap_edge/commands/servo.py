@@ -18,6 +18,7 @@ from softmap_edge.commands.servo_limits import limits, limits_arguments
 from softmap_edge.commands.servo_pull import pull_arguments, pull_test
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import commission
+from softmap_edge.servo.controller import kept_words
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
 
@@ -185,18 +186,25 @@ def _noted(done: commission.Found, old: Rig | None) -> Rig:
 
 
 def _off(args: argparse.Namespace) -> int:
-    port, baud = args.port, args.baud
+    port, baud, ids = args.port, args.baud, []
     if args.rig:
         rig = read_rig(args.rig)
-        port, baud = port or rig.port, baud or rig.baud
+        port, baud, ids = port or rig.port, baud or rig.baud, [servo.id for servo in rig.servos]
     args.port = port
-    for name in _ports(args):
-        commission.release(name, baud)
+    ports, released, kept = _ports(args), [], []
+    for name in ports:
+        there, left = commission.release(name, baud, ids)
+        released += there
+        kept += left
         if not args.json:
-            print(f"{name}: torque off was sent")
+            told = f"off: servo {', '.join(map(str, there))}" if there else "no servo confirmed it"
+            print(f"{name}: torque off was sent; {told}")
+            if left:
+                print(f"{name}: {kept_words(left)}")
     if args.json:
-        print(json.dumps({"schema": "softmap.servos/1", "released": _ports(args)}))
-    return 0
+        document = {"schema": "softmap.servos/1", "released": ports, "confirmed": released, "not_confirmed": kept}
+        print(json.dumps(document))
+    return 0 if released and not kept else OTHERWISE
 
 
 def replay_arguments(parser: argparse.ArgumentParser) -> None:

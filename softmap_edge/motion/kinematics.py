@@ -150,10 +150,18 @@ class Kinematics:
         first = None if start is None else np.asarray(start, float).tolist()
         return Solved(*self.reach.path(points, first, method == "paper"))
 
-    def plan(self, targets: ArrayLike, t: ArrayLike, start: ArrayLike | None = None, method: str = "exact") -> Plan:
+    def plan(
+        self,
+        targets: ArrayLike,
+        t: ArrayLike,
+        start: ArrayLike | None = None,
+        method: str = "exact",
+        acting: Floats | None = None,
+    ) -> Plan:
         """Return the commands that lead the tip through `targets` (T, 3) mm at times `t` (T,) s, effects undone.
 
-        The finger has rested at home, or at the command `start` (C,) mm, for long before the first of them.
+        The finger has rested at home, or at the command `start` (C,) mm, for long before the first of them. What is to
+        act is solved for, unless `acting` (T, C) mm tells it.
 
         Raises:
             SoftmapError: as `solve`, or times that do not rise.
@@ -161,13 +169,20 @@ class Kinematics:
         points, t = _points(targets), np.asarray(t, float)
         if t.shape != (len(points),) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
             raise SoftmapError(f"times of shape {t.shape} for {len(points)} targets; give each one, and let them rise")
-        solved = self.solve(points, None, method)
+        if acting is None:
+            solved = self.solve(points, None, method)
+            acting, unreachable = solved.acting, solved.distance
+        else:
+            unreachable = self._apart(np.asarray(self.tip.evaluate(acting)), points)
         self._chain.settle(np.zeros(self.model.channels) if start is None else np.asarray(start, float))
-        commands, acts = self._chain.path(early(solved.acting, t, *self.delays), t)
+        commands, acts = self._chain.path(early(acting, t, *self.delays), t)
         expected = np.asarray(self.tip.evaluate(self.late(acts, t)))
+        return Plan(t, points, acting, commands, expected, self._apart(expected, points), unreachable)
+
+    def _apart(self, places: Floats, targets: Floats) -> Floats:
+        """Return the distances (T,) mm along the axes that count."""
         counts = [axis in self.axes for axis in AXES]
-        distance = np.linalg.norm((expected - points)[:, counts], axis=1)
-        return Plan(t, points, solved.acting, commands, expected, distance, solved.distance)
+        return np.asarray(np.linalg.norm((places - targets)[:, counts], axis=1))
 
     @property
     def delays(self) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,18 +85,32 @@ def course(
     lead = placed(even(np.stack([np.zeros(2), line[0]]), max(3, PATH_POINTS // 4)))
     back = np.linalg.inv(calibration.A).T
 
-    def waypoints(points: Floats, least: float) -> tuple[Floats, float]:
-        acting = kinematics.solve(points, method="exact").acting
-        profile = timed(acting @ back, slew, acceleration, least)
+    def waypoints(points: Floats, least: float, start: Floats | None, fine: bool) -> tuple[Floats, Floats, float]:
+        acting = kinematics.solve(points, start).acting
+        line = np.concatenate([acting @ back, points], axis=1)
+        line = even(line, 2 * len(line)) if fine else line
+        profile = timed(line[:, :-3], slew, acceleration, least)
         t = np.arange(0.0, profile.t[-1] + 1e-9, 1.0 / rate)
-        along = np.linspace(0.0, 1.0, len(points))
-        targets = np.stack([np.interp(profile.at(t), along, column) for column in points.T], axis=1)
-        return targets, profile.quickest
+        along = np.linspace(0.0, 1.0, len(line))
+        found = np.stack([np.interp(profile.at(t), along, column) for column in line.T], axis=1)
+        return found[:, -3:], found[:, :-3] @ calibration.A.T, profile.quickest
 
-    (to, _), (figures, quickest) = waypoints(lead, LEAD), waypoints(way, duration)
-    targets = np.concatenate([to, figures])
+    def whole(fine: bool) -> tuple[Floats, Floats, NDArray[np.bool_], float]:
+        to, first, _ = waypoints(lead, LEAD, None, fine)
+        figures, then, quickest = waypoints(way, duration, first[-1], fine)
+        counts = np.arange(len(to) + len(figures)) >= len(to)
+        return np.concatenate([to, figures]), np.concatenate([first, then]), counts, quickest
+
+    targets, _, counts, quickest = whole(fine=False)
     plan = kinematics.plan(targets, np.arange(len(targets)) / rate, method=method)
-    return Course(plan, np.arange(len(targets)) >= len(to), quickest)
+    # Where a tendon hangs slack a whole mm of command may lie between two waypoints: no servo follows that. Then the
+    # path is timed evenly in ticks, and what was timed is to act, although the tip strays while it is taken up.
+    if method == "exact" and (np.abs(np.diff(plan.acting @ back, axis=0)) * rate > np.asarray(slew)).any():
+        targets, acting, counts, quickest = whole(fine=True)
+        t = np.arange(len(targets)) / rate
+        reached = kinematics.solve(targets).distance
+        plan = replace(kinematics.plan(targets, t, acting=acting), unreachable=reached)
+    return Course(plan, counts, quickest)
 
 
 @dataclass(frozen=True)

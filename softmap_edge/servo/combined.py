@@ -5,7 +5,8 @@ the calibration's window and a servo's own data. Limits of commands become limit
 a box of ticks all of whose corners lie inside the window of commands, and rates that no command exceeds whatever the
 servos do together. So they are first what each servo may do alone, then shrunk alike until all of them may at once.
 A tension becomes a current by the horn's radius and the stall torque of the servo's manual, and IDLE of the stall
-current on top for motor and gears: a bound on what pulls the tendon, not a measurement (a pull test is one).
+current on top for motor and gears: a bound on what pulls the tendon, not a measurement (a pull test is one). A servo
+that caps no current has its PWM capped by as much, which slows it down in proportion.
 Pinned by tests/test_limits.py.
 """
 
@@ -23,7 +24,8 @@ from softmap_edge.errors import LimitError, ServoError
 from softmap_edge.model import Model
 from softmap_edge.safety import Safety, derived, held_to
 from softmap_edge.servo.ceiling import RANGES
-from softmap_edge.servo.limits import COOL, RATE, Table, loop_limits, servo_limits
+from softmap_edge.servo.limits import COOL, RATE, Table, following, loop_limits, servo_limits, slowed, strongest
+from softmap_edge.servo.models import Model as Entry
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import TURN, Calibration
@@ -94,6 +96,23 @@ class Combined:
             by = [f" ({limit.by} says so)" for limit in limits if limit.name == fault.name]
             raise ServoError(f"{fault}{''.join(by)}") from None
 
+    @property
+    def _shown(self) -> list[list[Limit]]:
+        entries = [servo_model(servo.model) for servo in self.rig.servos]
+        return [[shown(one, entry) for one in limits] for limits, entry in zip(self.servos, entries)]
+
+    @property
+    def _robot_shown(self) -> list[Limit]:
+        """The limits of the robot; a jog's current as what each kind of servo makes of it."""
+        limits = []
+        for limit in self.robot:
+            kinds = {model: servo_model(model) for model in sorted({servo.model for servo in self.rig.servos})}
+            if limit.name == "jog_current":
+                limits += list(dict.fromkeys(shown(limit, entry) for entry in kinds.values()))
+            else:
+                limits.append(limit)
+        return limits
+
     def to_dict(self) -> dict[str, Any]:
         """Return the document softmap.limits/1."""
         return {
@@ -106,18 +125,18 @@ class Combined:
             },
             "servos": [
                 {"id": servo.id, "model": servo.model, "home": servo.home, "limits": [one.to_dict() for one in limits]}
-                for servo, limits in zip(self.rig.servos, self.servos)
+                for servo, limits in zip(self.rig.servos, self._shown)
             ],
-            "robot": [one.to_dict() for one in self.robot],
+            "robot": [one.to_dict() for one in self._robot_shown],
             "emergency": str(self.rig.emergency),
         }  # fmt: skip
 
     def __str__(self) -> str:
         lines = []
-        for servo, limits in zip(self.rig.servos, self.servos):
+        for servo, limits in zip(self.rig.servos, self._shown):
             home = "not known" if servo.home is None else f"{servo.home} ticks"
             lines += [f"servo {servo.id}, {servo.model}, home {home}", *map(_line, limits)]
-        lines += [f"the robot, {self.rate:g} periods a second", *map(_line, self.robot)]
+        lines += [f"the robot, {self.rate:g} periods a second", *map(_line, self._robot_shown)]
         what = "derived from the model, the bundle has none" if self.derived else "of the bundle"
         edited = ", edited since the bundle was written" if self.safety.edited else ""
         lines.append(f"safety.toml: {what}{edited}; {self.safety.assumes}")
@@ -251,20 +270,37 @@ def _servo(
         value, by, why = min([told, *([own] if data else []), *others], key=lambda one: float(one[0]))
         limits.append(Limit(name, value, UNITS[name], by, why))
 
-    real = (float(entry["fastest_ticks_per_s"]), DATA, "its fastest turn")
+    own = (strongest(entry), DATA, "its own limit")
+    pulled = [] if safety.tension is None else [_current(safety, entry, calibration, k)]
+    least("current", own, *pulled, of="current_mA")
+    current = limits.pop()
+    real = (slowed(entry, float(current.value)), DATA, "its fastest turn")
+    if by_pwm(entry):
+        real = (real[0], DATA, "its fastest turn, in proportion to its PWM")
     least("slew", real, (safety.slew * worth, FINGER, f"{safety.slew:g} {unit}/s {through}"))
     least("acceleration", (safety.acceleration * worth, FINGER, f"{safety.acceleration:g} {unit}/s² {through}"))
-    if start["current"] is None:
-        limits.append(Limit("current", None, "mA", DATA, "it caps no current: its PWM is the cap"))
-    else:
-        own = (float(entry["current_limit_mA"]), DATA, "its own limit")
-        pulled = [] if safety.tension is None else [_current(safety, entry, calibration, k)]
-        least("current", own, *pulled, of="current_mA")
+    limits.append(current)
     limits.append(Limit("fastest", start["fastest"], "ticks/s", DATA, "half above its fastest turn is not believed"))
+    start["following"] = following(float(_of(limits, "slew").value))
     for name in ("following", "warm", "hot"):
         least(name)
     limits.append(Limit("voltage", start["voltage"], "V", DATA))
     return tuple(limits)
+
+
+def by_pwm(entry: Entry) -> bool:
+    """Return whether a servo caps no current, so that its PWM is capped by as much."""
+    return bool(entry["capped_by"] == "goal_pwm")
+
+
+def shown(limit: Limit, entry: Entry) -> Limit:
+    """Return a limit as it is in force: of a servo that caps no current the share of its PWM."""
+    if limit.name not in ("current", "jog_current") or not by_pwm(entry):
+        return limit
+    stall = entry["stall_current_mA"]
+    share = round(100.0 * min(1.0, limit.value / stall), 1)
+    why = f"goal PWM for {limit.value:g} mA of {stall:g} mA at stall" + (f": {limit.why}" if limit.why else "")
+    return Limit("pwm" if limit.name == "current" else "jog_pwm", share, "%", limit.by, why)
 
 
 def _current(safety: Safety, entry: dict[str, Any], calibration: Calibration, k: int) -> tuple[float, str, str]:

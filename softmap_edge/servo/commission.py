@@ -6,7 +6,7 @@ makes a watchdog dangerous there on old firmware, a return delay costs bus time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +21,7 @@ PATTERNS = ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*")
 CLEAR = 42  # firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
 OLD = 38  # firmware below which there is no bus watchdog
 NO_SHADOW = 255
+ASKED = 10  # times that a servo is asked whether its torque is off
 ALWAYS = 2  # status return level: every question is answered
 MODES = {
     0: "current", 1: "velocity", 3: "position", 4: "extended position", 5: "current-based position", 16: "PWM",
@@ -247,17 +248,50 @@ def set_up(
     return now
 
 
-def release(port: str, baud: int | None = None) -> None:
-    """Switch the torque of every servo at `port` off, at one rate or at all of them; told three times.
+def kept_torque(bus: _core.ServoBus, ids: Iterable[int]) -> list[int]:
+    """Switch the torque of every servo off; returns those of `ids` that have not confirmed it, several times asked."""
+    address, size, _ = _core.servo_registers()["torque_enable"]
+    left = list(ids)
+    for _ in range(ASKED):
+        bus.release()
+        still = []
+        for id in left:
+            try:
+                if any(bus.read(id, address, size)):
+                    still.append(id)
+            except ServoError as fault:
+                if "port" in str(fault):
+                    raise
+                still.append(id)
+        left = still
+        if not left:
+            break
+    return left
+
+
+def release(port: str, baud: int | None = None, ids: Iterable[int] = ()) -> tuple[list[int], list[int]]:
+    """Switch the torque of every servo at `port` off, at one rate or at all of them.
+
+    Args:
+        ids: servos that must be there.
+
+    Returns:
+        The ids of those that confirmed it, and of those that did not.
 
     Raises:
         ServoError: the port cannot be opened.
     """
+    there: set[int] = set()
+    kept: set[int] = set()
+    missing = set(ids)
     for rate in rates() if baud is None else [baud]:
         try:
             with opened(port, rate) as bus:
-                for _ in range(3):
-                    bus.release()
+                kept_torque(bus, ())
+                found = {id for _ in range(3) for id, _, _ in bus.scan()} | (set(ids) if baud is not None else set())
+                left = set(kept_torque(bus, sorted(found)))
+                there, kept, missing = there | (found - left), kept | left, missing - found
         except ServoError as fault:
             if baud is not None or "baud" not in str(fault):
                 raise
+    return sorted(there), sorted(kept | missing)

@@ -8,7 +8,8 @@
 
 Python sends commands, never ticks; the loop guards them (docs/safety.md) and never waits for Python. A program that
 stops calling `target` is held, then slackened; one that ends or is killed likewise. Should the loop's own process die
-or freeze, the servos stop by their watchdogs and this side switches their torque off.
+or freeze, the servos stop by their watchdogs and a thread of this side switches their torque off, whatever the program
+does meanwhile. A servo that has not said that it has no torque at the end is an error.
 Pinned by tests/test_controller.py.
 """
 
@@ -16,12 +17,14 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import struct
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+import weakref
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -30,9 +33,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.errors import ServoError
+from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo import words
+from softmap_edge.servo.bench_limits import check_bench
+from softmap_edge.servo.commission import kept_torque, opened
 from softmap_edge.servo.rig import Rig
 from softmap_edge.ticks import Calibration
 
@@ -43,8 +48,10 @@ REQUESTS = ("connect", "home", "arm", "engage", "hold", "stop", "acknowledge", "
 STARTS = 10.0  # s until the loop's process has said something
 SAID = 2.0  # s within which every servo has said whether it has torque
 FROZEN = 0.6  # s without a report after which the loop's process is taken to be frozen
+LOOKS = 6  # times in that at which its reports are looked for: a program that was frozen itself misses one of them
 PASSING = ("torque", "trouble(late)")  # what denies a request, and may be over soon
 ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
+_running: weakref.WeakSet[Controller] = weakref.WeakSet()
 
 
 class Controller:
@@ -80,6 +87,8 @@ class Controller:
             )
         self.rig, self.limits = rig, dict(limits)
         _core.check_limits(self.limits)
+        if not commissioning:
+            check_bench(rig, self.limits)
         self.calibration = calibration.turned([servo["home"] for servo in self.limits["servos"]])
         if kinematics is not None and kinematics.model.channels != count:
             raise ServoError(f"the model takes {kinematics.model.channels} commands, the rig has {count} servos")
@@ -92,6 +101,10 @@ class Controller:
         self._process: subprocess.Popen[bytes] | None = None
         self._orders = -1
         self._ordering = threading.Lock()
+        self._rescuing = threading.Lock()
+        self._ending = self._drove = False
+        self._stood: Floats = np.full(count, np.nan)
+        self._done = self.calibration.b
         self._command: Floats | None = None
         self._pressed = False
         self._reported = 0.0
@@ -111,13 +124,23 @@ class Controller:
     def __exit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        try:
+            self.close()
+        except ServoError as kept:
+            if isinstance(fault, SoftmapError):
+                raise ServoError(f"{fault}; {kept}") from fault
+            raise
 
     @property
     def state(self) -> str:
         """Where the guard stands: `off`, `connected`, `homed`, `ready`, `engaged`, `hold`, `safe_stop`, `fault`, …"""
         self._rescue_if_needed()
         return str(self._last.get("state", "off"))
+
+    @property
+    def position(self) -> Floats:
+        """Where the servos stand (C,), ticks, by the last report that heard each: one lost answer is no place."""
+        return self._stood.copy()
 
     @property
     def recording(self) -> Path | None:
@@ -189,23 +212,24 @@ class Controller:
         Raises:
             ServoError: it is denied.
         """
-        straight = self.calibration.b if u is None else np.asarray(u, float)
-        done = self._target(straight)
+        done = self._target(self.calibration.b if u is None else u)
         self.request("engage")
         return done
 
     def target(self, u: ArrayLike) -> Floats:
         """Send the command `u` (C,) mm; returns the one that will be done: nearest within the window of the servos.
 
-        It counts as a pressed deadman: whoever stops calling it lets go.
+        One that is not finite is refused by the guard: then what was asked before will be done. It counts as a pressed
+        deadman: whoever stops calling it lets go.
 
         Raises:
-            ServoError: the guard is in no state that follows commands; the message says which and why.
+            ServoError: `u` is no C numbers, or the guard is in no state that follows commands; the message says which
+                and why.
         """
         state = self.state
         if state not in ("engaged", "hold", "commissioning"):
             raise ServoError(f"the robot is {words.where(self._last)}; engage it first")
-        return self._target(np.asarray(u, float))
+        return self._target(u)
 
     def release(self) -> None:
         """Let go of the deadman: the guard holds, then slackens."""
@@ -226,13 +250,15 @@ class Controller:
             off = self._heard.wait_for(lambda: self._last.get("emergency") and not self._last.get("torque"), FROZEN)
         process = self._process  # another thread may be closing it
         if not off and process is not None:
-            process.kill()
-            process.wait()
-            self._rescue()
+            self._rescue(process)
             raise ServoError(str(self._last["rescued"]))
 
     def close(self) -> None:
-        """Slacken, switch torque off, end the loop; whatever fails, torque off is sent."""
+        """Slacken, switch torque off, end the loop; whatever fails, torque off is sent.
+
+        Raises:
+            ServoError: a servo has not said that it has no torque.
+        """
         process = self._process
         if process is None:
             return
@@ -246,16 +272,20 @@ class Controller:
                     )
         finally:
             with self._ordering:
-                self._process = None
+                self._ending, self._process = True, None
                 os.close(self._orders)
+                self._orders = -1
             try:
                 process.wait(3.0)
             except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+                self._rescue(process)
             self._reader.join(3.0)
             if process.returncode != 0 and "error" not in self._last:
-                self._rescue()
+                self._rescue(process)
+        if kept := self._last.get("kept"):
+            raise ServoError(str(kept))
+        if self._drove and (kept := self._end.get("kept_torque")):
+            raise ServoError(kept_words(kept))
 
     # --- the loop's process -------------------------------------------------------------
 
@@ -293,24 +323,45 @@ class Controller:
         self._process.stdin.write(json.dumps(setup).encode())
         self._process.stdin.close()
         self._reported = time.monotonic()
-        self._reader = threading.Thread(target=self._read, args=(mine,), daemon=True)
+        _running.add(self)
+        self._reader = threading.Thread(target=self._watch, args=(mine, self._process), daemon=True)
         self._reader.start()
 
-    def _read(self, pipe: int) -> None:
-        with open(pipe, encoding="utf-8") as lines:
+    def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
+        """Take the loop's reports until it ends; release its servos if it dies or freezes under torque."""
+        some, silent = b"", 0
+        while True:
+            if not select.select([pipe], [], [], FROZEN / LOOKS)[0]:
+                silent += 1
+                if silent >= LOOKS and self._last.get("torque") and not self._ending:
+                    self._rescue(process)
+                continue
+            silent, more = 0, os.read(pipe, 65536)
+            *lines, some = (some + more).split(b"\n")
             for line in lines:
-                document = json.loads(line)
-                with self._heard:
-                    self._reported = time.monotonic()
-                    if "ended" in document:
-                        self._end = document
-                    else:
-                        denied = self._last.get("denied")
-                        self._last |= document
-                        self._last["denied"] = document.get("denied") or denied
-                    self._heard.notify_all()
+                self._hear(json.loads(line))
+            if not more:
+                break
+        os.close(pipe)
+        if not self._ending and not self._end and "error" not in self._last:
+            self._rescue(process)
         with self._heard:
-            self._last.setdefault("gone", "the process of the control loop has ended")
+            self._last.setdefault("gone", self._last.get("rescued", "the process of the control loop has ended"))
+            self._heard.notify_all()
+
+    def _hear(self, document: Report) -> None:
+        with self._heard:
+            self._reported = time.monotonic()
+            self._drove |= bool(document.get("torque"))
+            if "ended" in document:
+                self._end = document
+            elif "rescued" not in self._last:  # what was said before is no news then
+                denied = self._last.get("denied")
+                self._last |= document
+                self._last["denied"] = document.get("denied") or denied
+                heard = np.array([np.nan if at is None else at for at in document.get("position", [])], float)
+                if heard.shape == self._stood.shape:
+                    self._stood = np.where(np.isnan(heard), self._stood, heard)
             self._heard.notify_all()
 
     def _reach(self, request: str) -> None:
@@ -342,13 +393,13 @@ class Controller:
     def _wait(self, what: Callable[[], Any], seconds: float, said: str) -> None:
         with self._heard:
             self._heard.wait_for(lambda: what() or "error" in self._last or "gone" in self._last, seconds)
-            if "error" in self._last:
-                raise ServoError(str(self._last["error"]))
-            if "gone" in self._last:
-                self._rescue_if_needed()
-                raise ServoError(f"{self._last['gone']}; torque is off")
-            if not what():
-                raise ServoError(f"{said} within {seconds:g} s (bus: {self._last.get('bus')}); check power and wiring")
+            last, came = self._last, what()
+        if "error" in last:
+            raise ServoError(str(last["error"]))
+        if "gone" in last:
+            raise ServoError(str(last["gone"]))
+        if not came:
+            raise ServoError(f"{said} within {seconds:g} s (bus: {last.get('bus')}); check power and wiring")
 
     def _send(self, command: Floats | None = None, *, deadman: bool = False, request: int = 0) -> None:
         numbers = np.zeros(len(self.rig.servos)) if command is None else command
@@ -361,11 +412,18 @@ class Controller:
         except (BlockingIOError, BrokenPipeError):
             self._rescue_if_needed()
 
-    def _target(self, u: Floats) -> Floats:
-        if u.shape != self.calibration.b.shape:
-            raise ServoError(f"a command of shape {u.shape}, expected {self.calibration.b.shape}")
+    def _target(self, command: ArrayLike) -> Floats:
+        u, shape = numbers(command), self.calibration.b.shape
+        if u is None or u.shape != shape:
+            found = f"'{command!s:.40}'" if u is None else f"of shape {u.shape}"
+            raise ServoError(f"a command {found}, expected shape {shape}: {shape[0]} real numbers, one a servo")
         self._command = u
         self._send(u, deadman=True)
+        if np.isfinite(u).all():
+            self._done = self._nearest(u)
+        return self._done.copy()
+
+    def _nearest(self, u: Floats) -> Floats:
         if self.kinematics is not None and self.kinematics.model.chain_names:
             return np.clip(u, *self.kinematics.acting_bounds.T)
         low, high = (np.array([one[side] for one in self.limits["servos"]], float) for side in ("low", "high"))
@@ -380,25 +438,58 @@ class Controller:
 
     def _rescue_if_needed(self) -> None:
         process = self._process
-        if process is None or "rescued" in self._last or "error" in self._last:
+        if process is None or "error" in self._last:
             return
-        if process.poll() is not None or self._frozen():
+        if process.poll() is not None and self._reader is not threading.current_thread():
+            self._reader.join(FROZEN)  # why it ended is being read
+        if (process.poll() is not None and not self._end and "error" not in self._last) or self._frozen():
+            self._rescue(process)
+
+    def _rescue(self, process: subprocess.Popen[bytes]) -> None:
+        """End the loop and switch torque off from here, once: the servos hold by their watchdogs."""
+        with self._rescuing:
+            if "rescued" in self._last:
+                return
             process.kill()
             process.wait()
-            self._rescue()
-
-    def _rescue(self) -> None:
-        """Switch torque off from here: the loop is gone, and the servos hold by their watchdogs."""
-        said = "the control loop died or froze; its servos were released from here"
-        try:
-            bus = _core.ServoBus(self.rig.port, self.rig.baud)
+            said, kept = "the control loop died or froze; its servos were released from here", ""
             try:
-                for _ in range(5):
-                    bus.release()
-            finally:
-                bus.close()
-        except ServoError as fault:
-            said = f"the control loop died or froze, and the servos could not be released ({fault}): switch them off"
-        with self._heard:
-            self._last |= {"state": "fault", "cause": "loop", "torque": False, "rescued": said}
-            self._heard.notify_all()
+                with opened(self.rig.port, self.rig.baud) as bus:
+                    if left := kept_torque(bus, [servo.id for servo in self.rig.servos]):
+                        kept = kept_words(left)
+                        said = f"the control loop died or froze; torque off was sent from here, but {kept}"
+            except ServoError as fault:
+                kept = f"the servos could not be released ({fault}): switch them off"
+                said = f"the control loop died or froze, and {kept}"
+            with self._heard:
+                self._last |= {"state": "fault", "cause": "loop", "torque": bool(kept), "rescued": said, "kept": kept}
+                self._heard.notify_all()
+
+
+def numbers(command: ArrayLike) -> Floats | None:
+    """Return a command as an array of real numbers, None if it is none."""
+    try:
+        found = np.asarray(command)
+        return None if np.iscomplexobj(found) else found.astype(float)
+    except (TypeError, ValueError):
+        return None
+
+
+def kept_words(ids: Sequence[int]) -> str:
+    """Return what is to be said of servos that have not confirmed that their torque is off."""
+    which = ", ".join(map(str, ids))
+    return (
+        f"servo {which} did not confirm that its torque is off; cut its supply, or `softmap servo off` once it answers"
+    )
+
+
+def _forked() -> None:
+    """In a child that a program forks: close its copy of the orders' pipe, which would outlive the program."""
+    for robot in _running:
+        if robot._orders >= 0:
+            os.close(robot._orders)
+            robot._orders, robot._process = -1, None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forked)

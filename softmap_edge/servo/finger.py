@@ -181,10 +181,7 @@ def emulated_bench(
             for id, home in zip(ids, homes):
                 _ready(Found(bus.path, baud, id, int(known["number"]), _core.FAST_FIRMWARE), home)
         rig = Rig(bus.path, baud, tuple(RigServo(id, servo, home if ready else None) for id, home in zip(ids, homes)))
-        each = [servo_limits(servo, home, window) for home in homes]
-        for one in each:  # at full speed these servos are that far behind, and half as much again
-            one["following"] = max(one["following"], 1.5 * one["slew"] * sum(ANSWER))
-        limits = loop_limits(each, rate)
+        limits = loop_limits([servo_limits(servo, home, window) for home in homes], rate)
         with EmulatedFinger(bus, model, calibration, laws, seed=seed) as finger:
             yield bus, rig, limits, finger
     finally:

@@ -24,7 +24,7 @@ from softmap_edge.servo.combined import of_bench
 from softmap_edge.servo.commission import opened
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import PRESSED
-from softmap_edge.servo.limits import JOG_SLEW, JOG_TRAVEL, Table, loop_limits, servo_limits
+from softmap_edge.servo.limits import JOG_SLEW, JOG_TRAVEL, Table, loop_limits, servo_limits, strongest
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import marked
 from softmap_edge.servo.rig import FARTHEST, Rig
@@ -105,7 +105,7 @@ class Jog:
     def __exit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.robot.close()
+        self.robot.__exit__(kind, fault, trace)
 
     @property
     def position(self) -> Ticks:
@@ -249,8 +249,7 @@ def _servos(rig: Rig) -> list[Table]:
                 limits[name] = (bench(name) or (limits[name],))[0]
             for name in ("warm", "hot"):
                 limits[name] = min(limits[name], (bench(name) or (limits[name],))[0])
-            if limits["current"] is not None:
-                own = float(servo_model(servo.model)["current_limit_mA"])
-                limits["current"] = min(own, (bench("current_mA") or (limits["current"],))[0])
+            own = strongest(servo_model(servo.model))
+            limits["current"] = min(own, (bench("current_mA") or (limits["current"],))[0])
             found.append(limits)
     return found

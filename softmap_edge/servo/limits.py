@@ -12,13 +12,15 @@ from typing import Any
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.safety import BURST, HOLD, JUMP, RAMP, SLACKEN, STALE, TURNS_A_SECOND
-from softmap_edge.servo.models import servo_model
+from softmap_edge.servo.models import Model, servo_model
 
 Table = dict[str, Any]
 
 RATE = 100.0  # periods a second: what one adapter at 1 Mbaud carries with room to spare
 SLEW = 2000.0  # ticks/s; 7 mm of tendon a second on a spool of 2.2 mm
 ACCELERATION = 20_000.0  # ticks/s²
+BEHIND = 1.5 * 0.24  # s by which a servo may be late: half as much again as the trunk's were (its recording)
+NEAR = 400.0  # ticks that it may be behind in any case, however slow
 CURRENT = 0.35  # of a servo's own limit
 FASTER = 1.5  # than a servo's own fastest turn is no position to believe
 BAND = 0.02  # mm that a goal comes back before its servo turns
@@ -36,20 +38,40 @@ def servo_limits(model: str, home: int, window: tuple[float, float]) -> Table:
         ServoError: no such model.
     """
     entry = servo_model(model)
-    most = entry["current_limit_mA"]
+    most = strongest(entry)
     return {
         "home": home,
         "low": home + round(window[0]),
         "high": home + round(window[1]),
-        "slew": SLEW,
+        "slew": min(SLEW, slowed(entry, CURRENT * most)),
         "acceleration": ACCELERATION,
-        "current": None if most is None else CURRENT * most,
+        "current": CURRENT * most,
         "fastest": FASTER * entry["fastest_ticks_per_s"],
-        "following": 400.0,
+        "following": following(SLEW),
         "warm": entry["temperature_limit_C"] - COOL[0],
         "hot": entry["temperature_limit_C"] - COOL[1],
         "voltage": tuple(entry["voltage_V"]),
     }
+
+
+def strongest(entry: Model) -> float:
+    """Return the current (mA) at which a servo gives the most that it may: its limit, or its stall if it has none."""
+    return float(entry["current_limit_mA"] or entry["stall_current_mA"])
+
+
+def slowed(entry: Model, current: float) -> float:
+    """Return the fastest turn, ticks/s, of a servo under a cap of `current` mA: less PWM is less speed too."""
+    real = float(entry["fastest_ticks_per_s"])
+    return real if entry["current_limit_mA"] is not None else real * min(1.0, current / entry["stall_current_mA"])
+
+
+def following(slew: float) -> float:
+    """Return how far (ticks) a servo may be behind a goal that moves with up to `slew` (ticks/s).
+
+    Real servos are behind by their delay at each speed: a limit below that drops the torque of a healthy finger, and
+    its home must be proved anew. What is really blocked pulls for some tenths of a second more, within its current cap.
+    """
+    return min(max(NEAR, BEHIND * slew), float(_core.limit_ranges()["following"][1]))
 
 
 def loop_limits(servos: Sequence[Table], rate: float = RATE, **changes: Any) -> Table:

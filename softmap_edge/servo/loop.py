@@ -2,19 +2,21 @@
 
 ORDERS and REPORTS are descriptors of pipes; the setup is a JSON document on standard input (`Controller`). What cannot
 be started is told as a report `{"error": …}`. That home is proved is asked here, as late as can be: a servo that loses
-its turns afterwards is seen by the guard.
+its turns afterwards is seen by the guard. Where a fault made home unknown, its proof is taken from the servos at the
+end.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
 
 from softmap_edge import _core
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo.commission import opened
-from softmap_edge.servo.proof import TRIES, check_proved
+from softmap_edge.servo.proof import TRIES, check_proved, set_mark
 from softmap_edge.signed_udp import read_key
 
 
@@ -32,7 +34,8 @@ def main() -> int:
         if setup["heartbeat"] is not None:
             host, port, key_file, timeout = setup["heartbeat"]
             setup["heartbeat"] = host, port, read_key(key_file), timeout
-        _core.control_loop(orders, reports, **setup)
+        if _core.control_loop(orders, reports, **setup):
+            _forget_home(setup["port"], setup["baud"], setup["servos"])
     except SoftmapError as fault:
         os.write(told, (json.dumps({"schema": "softmap.loop/1", "error": str(fault)}) + "\n").encode())
         return 1
@@ -43,6 +46,14 @@ def _check_home(port: str, baud: int, servos: list[list[int]], homes: list[int |
     with opened(port, baud) as bus:
         answering = [(id, home) for (id, _), home in zip(servos, homes) if _answers(bus, id)]
         check_proved(bus, answering)  # of one that is silent the loop itself says why nothing begins
+
+
+def _forget_home(port: str, baud: int, servos: list[list[int]]) -> None:
+    """Take the marks away: a fault has made home unknown, and the next start must not believe them."""
+    with contextlib.suppress(ServoError), opened(port, baud) as bus:  # a port that is gone
+        for id, _ in servos:
+            with contextlib.suppress(ServoError):  # one that does not hear; those of the others are gone
+                set_mark(bus, id, None)
 
 
 def _answers(bus: _core.ServoBus, id: int) -> bool:

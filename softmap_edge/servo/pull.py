@@ -140,8 +140,8 @@ def noted(rig: Rig, done: Sequence[Pulled]) -> Rig:
 def _check_measures(servo: RigServo) -> None:
     if servo_model(servo.model)["current_unit_mA"] is None:
         raise ServoError(
-            f"servo {servo.id}, a {servo.model}, reports no current and caps none: its PWM is its limit, a pull test "
-            "finds nothing; give --servo ID for those that do"
+            f"servo {servo.id}, a {servo.model}, reports no current: its PWM is capped instead (softmap servo limits), "
+            "a pull test finds nothing; give --servo ID for those that do"
         )
 
 

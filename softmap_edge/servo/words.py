@@ -33,7 +33,7 @@ CAUSES = {
     "following": "a servo does not follow: blocked, or its encoder stands",
     "lost": "a position moved faster than a servo can: turns lost, or ids exchanged",
     "dropped": "a servo lost its torque by itself: it was reset or shut down",
-    "tripped": "a servo's own watchdog tripped",
+    "tripped": "a servo's own watchdog tripped, or it does not keep its watchdog or cap",
     "loop": "the control loop died or froze",
 }
 NAMES = {
@@ -105,6 +105,8 @@ def sentence(report: dict[str, Any]) -> str:
     name = str(report.get("state", "off"))
     said = STATES.get(name, name)
     why = "" if name in QUIET else cause(report)
+    if name == "fault" and (report.get("torque") or report.get("cause") == "silent"):
+        said = "Fault, torque off was sent; not every servo confirmed it"
     rescued = report.get("rescued")
     return f"{said}: {why}" + (f" ({rescued})" if rescued else "") if why else said
 

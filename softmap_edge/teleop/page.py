@@ -4,7 +4,9 @@ Served from this package alone by `websockets` (BSD; its threaded server needs n
 drives). Who has the link drives: its random token is in the part behind `#`, which no browser sends to anybody, and is
 asked of every connection. Host must be an address or localhost (a name that was bent to this computer, DNS rebinding,
 is refused) and Origin this very page. One page drives at a time, others watch; its key lapses by `keys.HeldKey`.
-Nothing is queued: a page is sent the newest state when it has taken the last. Pinned by tests/test_teleop_page.py.
+Nothing is queued: a page is sent the newest state when it has taken the last. By the numbers of states that come back
+it is known how old a word of the page may be at most (`_Link`), however evenly the network delays it; one that may be
+older than LATE holds no key. Pinned by tests/test_teleop_page.py.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import secrets
 import struct
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from importlib.resources import files
 from types import TracebackType
@@ -40,7 +43,10 @@ PORT = 8765
 OFTEN = 1 / 30  # s between two states that a page is sent
 MOST_PAGES = 8
 LONGEST = 2048  # bytes of a page's message
-LATE = 0.25  # s by which a message may come later than the quickest did
+MOST_OPENING = 16  # connections that have not brought their token yet; more are closed unheard
+OPENING = 5.0  # s for that
+LATE = 0.25  # s: a message that may be older tells nothing of now
+REMEMBERED = 64  # states that came back, by which a page's clock is read
 JPEG = 70  # quality, of 100: 25 kB a picture
 SERVED = {
     "/": ("page.html", "text/html; charset=utf-8"),
@@ -86,6 +92,7 @@ class Page:
         self._hello: dict[str, Any] = {}
         self._view: View | None = None
         self._encoded: tuple[int, bytes] = (-1, b"")
+        self._opening = threading.BoundedSemaphore(MOST_OPENING)
         quiet = logging.getLogger("softmap_edge.teleop.page")
         quiet.setLevel(logging.CRITICAL)  # a page that goes is no news
         try:
@@ -94,6 +101,8 @@ class Page:
                 host,
                 port,
                 process_request=self._request,
+                create_connection=_door(server.ServerConnection, self._opening),
+                open_timeout=OPENING,
                 max_size=LONGEST,
                 max_queue=4,
                 compression=None,
@@ -169,35 +178,31 @@ class Page:
             connection.close(1013, "too many pages are open; close one")
             return
         self._sit(connection)
-        shown = _Shown()
-        writer = threading.Thread(target=self._write, args=(connection, shown), daemon=True)
+        link = _Link()
+        writer = threading.Thread(target=self._write, args=(connection, link), daemon=True)
         writer.start()
-        quickest = math.inf
         try:
             for message in connection:
                 now = time.monotonic()
                 said = _read(message)
-                if said is None:
+                if said is None or not link.heard(said["shown"], said["t"], now):
                     connection.close(1008, "not understood")
                     break
-                shown.number = max(shown.number, said["shown"])
-                quickest = min(quickest, now - said["t"])
-                late = now - said["t"] - quickest
                 if self._driver is connection or said.get("do") in ("stop", "emergency"):  # those anybody may ask for
-                    self._hear(said, now, late)
+                    self._hear(said, now, link.age)
                 elif said.get("do") == "take":
                     self._sit(connection)
         finally:
             self._stand(connection)
 
-    def _hear(self, said: dict[str, Any], now: float, late: float) -> None:
+    def _hear(self, said: dict[str, Any], now: float, age: float) -> None:
         wish = said.get("do")
         if wish in GRAVEST:
             self._wish.ask(wish)
-        if wish in ("stop", "emergency") or late > LATE:  # an old message tells nothing of now
+        if wish in ("stop", "emergency") or age > LATE:  # an old message tells nothing of now
             return
         self._source, self._knob = said["source"], said["knob"]
-        self._key.say(said["held"], now - max(late, 0.0))
+        self._key.say(said["held"], now - age)
 
     def _sit(self, connection: object) -> None:
         """Give it the driver's seat, if that is free."""
@@ -213,24 +218,26 @@ class Page:
 
     # --- what pages are sent ------------------------------------------------------------
 
-    def _write(self, connection: Any, shown: _Shown) -> None:
+    def _write(self, connection: Any, link: _Link) -> None:
         closed = importlib.import_module("websockets.exceptions").ConnectionClosed
         with contextlib.suppress(closed, OSError):
             connection.send(json.dumps({"hello": self._hello}))
-            sent, number, drawn = 0, -1, None
+            number, drawn = -1, None
             while connection in self._pages:
                 begin = time.monotonic()
-                if self._view is not None and shown.number >= sent:  # it has drawn what it was sent
+                if self._view is not None and link.shown >= link.sent:  # it has drawn what it was sent
                     state, points, picture = self._view()
-                    sent += 1
+                    sent = link.sent + 1
                     seat = "mine" if self._driver is connection else "free" if self._driver is None else "taken"
                     state |= {"number": sent, "seat": seat, "knob": self._rest, "pages": len(self._pages)}
+                    state["slow_ms"] = round(1e3 * link.age) if LATE < link.age < math.inf else None
                     if points is not None and points is not drawn:
                         drawn = points
                         connection.send(struct.pack("<II", POINTS, sent) + points.astype("<f4").tobytes())
                     if picture is not None and picture[0] != number:
                         number = picture[0]
                         connection.send(struct.pack("<II", PICTURE, sent) + self._jpeg(*picture))
+                    link.sends(time.monotonic())
                     connection.send(json.dumps(state, allow_nan=False))
                 time.sleep(max(0.002, begin + OFTEN - time.monotonic()))
 
@@ -244,10 +251,55 @@ class Page:
             return self._encoded[1]
 
 
-class _Shown:
-    """The number of the newest state that a page has drawn."""
+class _Link:
+    """How old a page's words may be at most: a state's number comes back after it was sent, whatever the delay.
 
-    number = 0
+    The page's clock is ahead of ours by no more than its time at the first word with a number, less when that state was
+    sent. So a word that is always 3 s late is known to be old, which no difference between words shows.
+    """
+
+    def __init__(self) -> None:
+        self.sent, self.shown = 0, 0  # numbers of states
+        self.age = math.inf  # s of the last word, at most
+        self._when = 0.0
+        self._behind: deque[float] = deque(maxlen=REMEMBERED)  # s, our clock against the page's, at least
+
+    def sends(self, now: float) -> None:
+        """Note that the next state goes off; it is the only one on its way."""
+        self._when = now
+        self.sent += 1
+
+    def heard(self, shown: int, t: float, now: float) -> bool:
+        """Note a word said at `t` s of the page's clock; False if it names a state that it was not sent."""
+        if shown > self.sent:
+            return False
+        if shown > self.shown:
+            self._behind.append(self._when - t)
+            self.shown = shown
+        self.age = max(0.0, now - t - max(self._behind, default=-math.inf))
+        return True
+
+
+def _door(connection: Any, opening: threading.BoundedSemaphore) -> Any:
+    """Return what websockets makes connections by: those that have brought no token yet are counted, and few."""
+
+    class Door(connection):  # type: ignore[misc]
+        def handshake(self, *how: Any, **named: Any) -> None:
+            try:
+                super().handshake(*how, **named)
+            finally:
+                opening.release()
+
+    def made(*how: Any, **named: Any) -> Any:
+        if not opening.acquire(blocking=False):
+            raise ConnectionRefusedError("too many connections are being opened")  # websockets closes the socket
+        try:
+            return Door(*how, **named)
+        except BaseException:
+            opening.release()
+            raise
+
+    return made
 
 
 def _ours(host: str, port: int) -> bool:

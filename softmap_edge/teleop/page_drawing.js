@@ -29,6 +29,7 @@ function words() {
   if (!opened) return "The connection is lost: the finger is let go of, it holds, then slackens. Trying again …";
   if (!state) return "Connecting to the program …";
   let said = state.said + ".";
+  if (state.slow_ms) said += ` What this page says arrives up to ${(state.slow_ms / 1000).toFixed(1)} s late; it drives below 0.25 s.`;
   if (state.stage === "lost") said += ` ${state.lost[0].toUpperCase()}${state.lost.slice(1)}.`;
   else if (state.stage === "waiting" && state.why) said += ` Waiting: ${state.why}.`;
   else if (state.stage === "released" && state.lacking && state.level === "ready") said += ` Not yet: ${state.lacking}.`;

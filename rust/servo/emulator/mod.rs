@@ -40,6 +40,8 @@ pub struct Faults {
 pub struct Emulator {
     pub servos: Vec<Servo>,
     faults: Faults,
+    /// A register whose next so many writes to several servos are lost on the way.
+    loses: (u16, usize),
     decoder: Decoder,
     /// The master's baud rate.
     baud: u32,
@@ -55,6 +57,7 @@ impl Emulator {
         Emulator {
             servos,
             faults: Faults::default(),
+            loses: (0, 0),
             decoder: Decoder::default(),
             baud,
             answers: VecDeque::new(),
@@ -79,6 +82,11 @@ impl Emulator {
         self.faults = faults;
     }
 
+    /// Lose the next `count` writes to several servos at `address`: no servo hears them.
+    pub fn lose(&mut self, address: u16, count: usize) {
+        self.loses = (address, count);
+    }
+
     /// Exchange the ids of two servos.
     pub fn swap(&mut self, one: usize, other: usize) {
         let (first, second) = (self.servos[one].id(), self.servos[other].id());
@@ -88,7 +96,7 @@ impl Emulator {
 
     /// Nothing is broken, and the servos have just started.
     pub fn mend(&mut self) {
-        self.faults = Faults::default();
+        (self.faults, self.loses) = (Faults::default(), (0, 0));
         self.answers.clear();
         self.servos.iter_mut().for_each(Servo::mend);
     }
@@ -102,7 +110,12 @@ impl Emulator {
         while let Some(packet) = self.decoder.next(LONGEST) {
             let (id, asked, parameters) =
                 (packet.id, packet.instruction, packet.parameters.to_vec());
-            if !self.faults.unpowered {
+            let (address, left) = self.loses;
+            let lost = left > 0
+                && asked == instruction::SYNC_WRITE
+                && parameters.starts_with(&address.to_le_bytes());
+            self.loses.1 -= usize::from(lost);
+            if !self.faults.unpowered && !lost {
                 self.obey(id, asked, &parameters);
             }
         }

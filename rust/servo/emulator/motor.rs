@@ -4,7 +4,7 @@
 //! load (mA over ticks, a table). Without torque the load turns the horn back until it is no more than friction.
 //! Heat is one node: dT/dt = heating·I² − (T − room)/cooling.
 
-use crate::registers::Model;
+use crate::registers::{FULL_PWM, Model};
 
 /// s between two steps of the motor.
 pub const STEP: f64 = 0.001;
@@ -14,8 +14,6 @@ const FRICTION: f64 = 15.0;
 const ROOM: f64 = 25.0;
 const HEATING: f64 = 0.5;
 const COOLING: f64 = 120.0;
-/// mA of those that do not cap their current.
-const MOST: f64 = 1500.0;
 
 /// How a servo moves.
 #[derive(Debug, Clone, PartialEq)]
@@ -55,15 +53,17 @@ impl Broken {
     }
 }
 
-/// mA that a servo may draw now, and the largest that it can.
+/// mA that a servo may draw now, the largest that it can, and ticks/s that it may turn at.
 pub(super) struct Caps {
     pub now: f64,
     pub largest: f64,
+    pub fastest: f64,
 }
 
 impl Caps {
-    /// Those of `model` while its register of goal current says `goal`.
-    pub fn of(model: &Model, goal: i32) -> Caps {
+    /// Those of `model` while its registers of goal current and goal PWM say `goal` and `pwm`. PWM slows it down as well.
+    pub fn of(model: &Model, goal: i32, pwm: i32) -> Caps {
+        let share = f64::from(pwm) / f64::from(FULL_PWM);
         let (now, largest) = if model.has_current() {
             let unit = model.current_unit;
             (
@@ -71,9 +71,13 @@ impl Caps {
                 f64::from(model.current_limit) * unit,
             )
         } else {
-            (MOST, MOST)
+            (share * model.stall.1, model.stall.1)
         };
-        Caps { now, largest }
+        Caps {
+            now,
+            largest,
+            fastest: share * model.fastest_turn(),
+        }
     }
 }
 
@@ -114,15 +118,8 @@ impl Motor {
     }
 
     /// Let `STEP` pass on the way to `goal` (ticks since it was mounted; none without torque): mA that are drawn.
-    pub fn step(
-        &mut self,
-        goal: Option<f64>,
-        torque: bool,
-        caps: &Caps,
-        fastest: f64,
-        broken: &Broken,
-    ) -> f64 {
-        let load = self.load(self.angle, broken);
+    pub fn step(&mut self, goal: Option<f64>, torque: bool, caps: &Caps, broken: &Broken) -> f64 {
+        let (load, fastest) = (self.load(self.angle, broken), caps.fastest);
         let before = self.angle;
         let cap = if broken.uncapped {
             caps.largest

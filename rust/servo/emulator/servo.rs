@@ -312,12 +312,15 @@ impl Servo {
         }
         let torque = self.torque();
         let goal = f64::from(self.arrived) + self.base;
-        let caps = Caps::of(self.model, self.table.get(layout.goal_current));
+        let caps = Caps::of(
+            self.model,
+            self.table.get(layout.goal_current),
+            self.table.get(layout.goal_pwm),
+        );
         let current = self.motor.step(
             (torque && self.time >= self.asleep).then_some(goal),
             torque,
             &caps,
-            self.model.fastest_turn(),
             &self.broken,
         );
         self.strained = if torque && current.abs() >= STRAINED * caps.largest {

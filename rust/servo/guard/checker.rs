@@ -44,6 +44,8 @@ pub struct Checker {
     deadman: Option<u64>,
     target: Option<u64>,
     inside: u64,
+    /// By the clock, when that began.
+    entered: f64,
     /// Time by the clock, s, in periods, and what the clock said.
     time: (f64, u64),
     last: Option<u64>,
@@ -63,6 +65,7 @@ impl Checker {
             deadman: None,
             target: None,
             inside: 0,
+            entered: 0.0,
             time: (0.0, 0),
             last: None,
         }
@@ -86,6 +89,7 @@ impl Checker {
         self.inside = if from == said.output.state {
             self.inside + 1
         } else {
+            self.entered = self.time.0;
             0
         };
         self.before = Some(said.clone());
@@ -214,6 +218,18 @@ impl Checker {
                 "{from:?} → {to:?} with {asked:?}, denied {:?}",
                 said.output.denied
             ));
+        }
+        let home = |(known, axis): (&Known, &Axis)| {
+            known
+                .position
+                .is_some_and(|at| (at - axis.home).abs() <= 64)
+        };
+        if (from, to) == (SafeStop, Ready)
+            && self.seconds(self.inside).max(self.time.0 - self.entered) + 2.0 * self.limits.period
+                < self.limits.slacken
+            && !self.servos.iter().zip(&self.limits.axes).all(home)
+        {
+            return Err("torque went off away from home".into());
         }
         let fit = |known: &Known| {
             known.hardware == 0 && self.seconds(known.unheard) <= self.limits.late + ROUND

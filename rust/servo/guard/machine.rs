@@ -6,6 +6,9 @@ use super::servo::Servo;
 use super::time::{Stamp, Time};
 use super::{Cause, Denied, Input, Output, Reaction, Request, State};
 
+/// Ticks from home within which a servo is home.
+const AT_HOME: f64 = 64.0;
+
 /// The state machine and the paths of the goals.
 #[derive(Debug, Clone)]
 pub struct Guard {
@@ -17,6 +20,8 @@ pub struct Guard {
     cause: (Cause, Option<u8>),
     /// Home was proved and nothing has happened since that could lose it.
     homed: bool,
+    /// A cause took home away since it was known.
+    forgot: bool,
     servos: Vec<Servo>,
     paths: Vec<Path>,
     targets: Vec<f64>,
@@ -49,6 +54,7 @@ impl Guard {
             state: State::Off,
             cause: (Cause::None, None),
             homed: false,
+            forgot: false,
             servos: vec![Servo::default(); count],
             paths: limits
                 .axes
@@ -71,6 +77,11 @@ impl Guard {
 
     pub fn state(&self) -> State {
         self.state
+    }
+
+    /// Whether a cause took home away, so that it must be proved anew. Silence without torque does not: nothing was turned.
+    pub fn forgot_home(&self) -> bool {
+        self.forgot
     }
 
     pub fn limits(&self) -> &Limits {
@@ -187,6 +198,8 @@ impl Guard {
 
     fn react(&mut self, cause: Cause, servo: Option<u8>) {
         let because = (cause, servo);
+        let idle = cause == Cause::Silent && !self.state.active() && self.state != State::Fault;
+        self.forgot |= self.homed && !cause.keeps_home() && !idle;
         self.homed &= cause.keeps_home();
         match (self.state, cause.reaction()) {
             (State::Off | State::Fault, _) => {}
@@ -241,6 +254,7 @@ impl Guard {
             Request::Hold => self.rearm = true,
             Request::Connect | Request::Home => {
                 self.homed = request == Request::Home;
+                self.forgot &= !self.homed;
                 self.servos.iter_mut().for_each(|servo| servo.lost = false);
             }
             _ => {}
@@ -377,9 +391,14 @@ impl Guard {
             .all(|servo| servo.health.is_some_and(|health| !health.torque))
     }
 
+    /// Path and servo are home: a servo that lags or is short of current pulls its tendon yet.
     fn slack(&self) -> bool {
-        let mut paths = self.paths.iter().zip(&self.limits.axes);
-        paths.all(|(path, axis)| *path == Path::rest(axis.home.into()))
+        let mut servos = self.paths.iter().zip(&self.servos).zip(&self.limits.axes);
+        servos.all(|((path, servo), axis)| {
+            let home = f64::from(axis.home);
+            let there = |at: f64| (at - home).abs() <= AT_HOME;
+            *path == Path::rest(home) && servo.position.is_some_and(there)
+        })
     }
 }
 
