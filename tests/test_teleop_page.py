@@ -308,6 +308,19 @@ def test_the_verb_is_driven_by_its_page():
 @pytest.mark.skipif(CHROMIUM is None, reason="not run: there is no chromium here")
 def test_in_a_browser_space_drives_and_leaving_the_page_lets_go(tmp_path):
     browser = pytest.importorskip("playwright.sync_api", reason="not run: playwright is not installed")
+    for left in reversed(range(4)):
+        try:
+            in_a_browser(browser)
+            break
+        except Starved:
+            assert left, "the emulated servos never got to answer in time"
+
+
+class Starved(Exception):
+    """The machine was so busy with the browser that the emulated servos did not answer: begin again."""
+
+
+def in_a_browser(browser):
     with verb() as (program, url), browser.sync_playwright() as p:
         chromium = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         page = chromium.new_page(viewport={"width": 1280, "height": 800})
@@ -316,7 +329,15 @@ def test_in_a_browser_space_drives_and_leaving_the_page_lets_go(tmp_path):
         page.on("console", lambda line: wrong.append(line.text) if line.type == "error" else None)
         page.goto(url)
         said = page.locator("#state")
-        shows = lambda state: until(lambda: said.text_content() == words.NAMES[state].capitalize())  # noqa: E731
+
+        def shows(state):
+            def shown():
+                if "is silent" in page.locator("#said").text_content():
+                    raise Starved
+                return said.text_content() == words.NAMES[state].capitalize()
+
+            until(shown)
+
         for let_go in (
             lambda: page.keyboard.up("Space"),
             lambda: page.evaluate("window.dispatchEvent(new Event('blur'))"),
