@@ -23,7 +23,7 @@ const CLOSE: f64 = 1e-6;
 const ANEW: f64 = 1e-3;
 const WARM: f64 = 1e-6;
 const ROUNDS: usize = 60;
-/// Rounds after which another start is tried first: the way to a place within reach takes three or four.
+/// Rounds from each start of a search that begins anew: the way to a place within reach takes three or four.
 const BRIEF: usize = 12;
 /// Starts of a search that begins anew, and how far apart they are, as a share of the ranges.
 const STARTS: usize = 8;
@@ -125,7 +125,7 @@ impl Reach {
 
     fn search(&self, search: &mut Search, target: &[f64; PLACE], from: Option<&[f64]>) -> Found {
         let before = search.tip.asked;
-        let mut best: Option<Found> = from.map(|u| search.from(u, target, WARM, BRIEF));
+        let mut best: Option<Found> = from.map(|u| search.from(u, target, WARM, ROUNDS));
         let reached = |best: &Option<Found>| best.as_ref().is_some_and(|b| b.distance <= REACHED);
         let starts = if reached(&best) {
             vec![]
