@@ -86,10 +86,6 @@ impl Shape for Still {
         self.body.prior.size()
     }
 
-    fn grain(&self) -> f64 {
-        self.body.prior.grain()
-    }
-
     fn eval(&self, u: &[f64], out: &mut [f64]) {
         self.body.prior.eval(u, out);
         self.load(u, out, 1.0);

@@ -36,11 +36,6 @@ pub trait Shape: Send + Sync {
         }
     }
 
-    /// How finely the outputs are known, in their unit: what is nearer than that cannot be told apart. 0 in double precision.
-    fn grain(&self) -> f64 {
-        0.0
-    }
-
     /// The table that this shape is, if it is one.
     fn table(&self) -> Option<&Table> {
         None
@@ -113,10 +108,6 @@ impl Shape for Sum {
 
     fn size(&self) -> usize {
         self.prior.size()
-    }
-
-    fn grain(&self) -> f64 {
-        self.prior.grain().max(self.residual.grain())
     }
 
     fn numbers(&self) -> Vec<&'static str> {

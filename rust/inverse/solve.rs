@@ -16,14 +16,14 @@ use std::sync::Arc;
 
 /// mm below which a place is reached: a tick of a servo moves a tip by more than a hundred times as much.
 pub const REACHED: f64 = 1e-4;
-/// mm at which a search ends: the distance, or what the shape knows of it where that is less, and a step.
+/// mm at which a search ends: the distance, which in single precision is known to some 1e-5, and a step.
 const NEAR: f64 = 1e-5;
 const CLOSE: f64 = 1e-6;
 /// Damping at which a search begins, as a share of the largest slope: anew, and from the waypoint before.
 const ANEW: f64 = 1e-3;
 const WARM: f64 = 1e-6;
 const ROUNDS: usize = 60;
-/// Rounds after which another start is tried first: the way to a place within reach takes three or four.
+/// Rounds from each start of a search that begins anew: the way to a place within reach takes three or four.
 const BRIEF: usize = 12;
 /// Starts of a search that begins anew, and how far apart they are, as a share of the ranges.
 const STARTS: usize = 8;
@@ -125,7 +125,7 @@ impl Reach {
 
     fn search(&self, search: &mut Search, target: &[f64; PLACE], from: Option<&[f64]>) -> Found {
         let before = search.tip.asked;
-        let mut best: Option<Found> = from.map(|u| search.from(u, target, WARM, BRIEF));
+        let mut best: Option<Found> = from.map(|u| search.from(u, target, WARM, ROUNDS));
         let reached = |best: &Option<Found>| best.as_ref().is_some_and(|b| b.distance <= REACHED);
         let starts = if reached(&best) {
             vec![]
@@ -278,10 +278,9 @@ impl Search<'_> {
                 .map(|c| normal[c * channels + c])
                 .fold(0.0, f64::max)
         };
-        let near = NEAR.max(self.reach.shape.grain());
         let (mut damping, mut growth) = (share * largest(&normal).max(1e-12), 2.0);
         for _ in 0..rounds {
-            if now.sqrt() <= near || !self.step(&u, &gradient, &normal, damping) {
+            if now.sqrt() <= NEAR || !self.step(&u, &gradient, &normal, damping) {
                 break;
             }
             let moved = |c: usize| self.trial[c] - u[c];

@@ -21,9 +21,6 @@ use crate::shape::{Shape, Work};
 use pulp::{Arch, Simd, WithSimd};
 use std::cell::RefCell;
 
-/// mm to which a place some 100 mm away is known after a few layers in single precision.
-const GRAIN: f64 = 2e-5;
-
 thread_local! {
     /// Where the numbers between layers stand, of the widest network that this thread has run.
     static ROOM: RefCell<Vec<f32>> = const { RefCell::new(vec![]) };
@@ -342,10 +339,6 @@ impl Shape for Network {
 
     fn size(&self) -> usize {
         self.size
-    }
-
-    fn grain(&self) -> f64 {
-        GRAIN
     }
 
     fn eval(&self, u: &[f64], out: &mut [f64]) {
