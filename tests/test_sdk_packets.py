@@ -8,6 +8,7 @@ sends it without, and reads wrongly what follows the first byte that it takes ou
 
 import os
 import random
+import select
 import threading
 import tty
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ SYNC_READ = "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA"
 SYNC_WRITE = "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87"
 FAST_SYNC_READ = "FF FF FD 00 FE 09 00 8A 84 00 04 00 01 02 4D 72"
 FAST_ANSWER = "FF FF FD 00 FE 11 00 55 00 01 A6 00 00 00 74 3B 00 02 1F 08 00 00 1C 36"
+PATIENCE = 10.0  # s until a question must have come
 DONE = "FF FF FD 00 01 04 00 55 00 A1 0C"
 
 
@@ -70,6 +72,8 @@ def on_our_wire(ask, answer):
 
     def servo():
         while len(sent) < 7 or len(sent) < 7 + int.from_bytes(sent[5:7], "little"):
+            if not select.select([master], [], [], PATIENCE)[0]:
+                return  # it was never asked
             sent.extend(os.read(master, 1024))
         os.write(master, answer)
 

@@ -182,6 +182,16 @@ impl PyServoBus {
         self.ask(py, |bus| bus.write(id, address, data).map(drop))
     }
 
+    /// Restart a servo: turns and RAM are lost.
+    fn reboot(&self, py: Python<'_>, id: u8) -> PyResult<()> {
+        self.ask(py, |bus| bus.reboot(id).map(drop))
+    }
+
+    /// Set the present position back to within one turn.
+    fn clear_turns(&self, py: Python<'_>, id: u8) -> PyResult<()> {
+        self.ask(py, |bus| bus.clear_turns(id).map(drop))
+    }
+
     /// Switch the torque of every servo off, whether or not it answers.
     fn release(&self, py: Python<'_>) -> PyResult<()> {
         self.ask(py, Bus::release)
