@@ -95,12 +95,14 @@ def test_a_signal_ends_it_as_ctrl_c_does(folder, ends):
 
 
 def test_who_is_killed_loses_the_last_second(folder, capsys):
-    process = record(folder)
-    until(lambda: frames(folder / "run.seen") > 8 or process.poll() is not None, 60)
-    process.kill()
-    said = process.communicate()[1]
-    if not (folder / "run.seen").exists():
-        pytest.skip("a busy machine ended it before")
+    for _ in range(3):  # on a busy machine a recording may be whole before it is killed
+        process = record(folder)
+        until(lambda process=process: frames(folder / "run.seen") > 8 or process.poll() is not None, 60)
+        process.kill()
+        said = process.communicate()[1]
+        if (folder / "run.seen").exists():
+            break
+        (folder / "run.npz").unlink()
     time.sleep(1.0)
     assert main(["record", "c.csv", "--emulated", "--out", "run.npz"]) == 2
     again = capsys.readouterr().err

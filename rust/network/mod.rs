@@ -10,9 +10,11 @@
 //! the first pass of another thread; so none waits for another.
 //! Limits: values are right to some 1e-6 of the size of the outputs; at a kink of Relu the slope is that of the side above.
 
+mod fold;
 mod layers;
 mod onnx;
 
+use fold::{Waiting, folded, settle};
 pub use layers::COLUMNS;
 use layers::{Activation, Columns, Linear, affine, normalise};
 
@@ -65,12 +67,6 @@ pub struct Network {
     widest: usize,
     steps: Vec<Step>,
     arch: Arch,
-}
-
-/// x ↦ scale·x + shift, number by number, which waits for a linear layer.
-struct Waiting {
-    scale: Vec<f64>,
-    shift: Vec<f64>,
 }
 
 impl Network {
@@ -358,55 +354,6 @@ impl Shape for Network {
 
     fn with_slopes(&self, u: &[f64], values: &mut [f64], slopes: &mut [f64], _work: &mut Work) {
         self.slopes(u, Some(values), slopes);
-    }
-}
-
-impl Waiting {
-    fn none(width: usize) -> Waiting {
-        Waiting {
-            scale: vec![1.0; width],
-            shift: vec![0.0; width],
-        }
-    }
-}
-
-/// W (s x + t) + b as one layer.
-fn folded(
-    before: Option<Waiting>,
-    columns: usize,
-    mut weights: Vec<f64>,
-    mut bias: Vec<f64>,
-) -> Linear {
-    if let Some(before) = before {
-        for (row, bias) in weights.chunks_exact_mut(columns).zip(&mut bias) {
-            *bias += row
-                .iter()
-                .zip(&before.shift)
-                .map(|(w, t)| w * t)
-                .sum::<f64>();
-            row.iter_mut().zip(&before.scale).for_each(|(w, s)| *w *= s);
-        }
-    }
-    Linear::new(columns, &weights, &bias)
-}
-
-/// What waits after the last of `steps`: s (W x + b) + t as one layer, else a step of its own.
-fn settle(steps: &mut Vec<Step>, after: Option<Waiting>) {
-    let Some(after) = after else { return };
-    let Some(Step::Linear(layer)) = steps.last_mut() else {
-        let single = |values: Vec<f64>| values.into_iter().map(|v| v as f32).collect();
-        steps.push(Step::Affine {
-            scale: single(after.scale),
-            shift: single(after.shift),
-        });
-        return;
-    };
-    for r in 0..layer.rows {
-        for c in 0..layer.columns {
-            let weight = layer.weight_mut(r, c);
-            *weight = (f64::from(*weight) * after.scale[r]) as f32;
-        }
-        layer.bias[r] = (f64::from(layer.bias[r]) * after.scale[r] + after.shift[r]) as f32;
     }
 }
 

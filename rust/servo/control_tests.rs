@@ -263,54 +263,6 @@ fn a_cap_or_a_watchdog_that_is_lost_on_the_wire_is_written_again_or_torque_goes_
 }
 
 #[test]
-fn a_servo_that_caps_no_current_gets_its_share_of_pwm_and_loses_no_cap() {
-    let mut bus = Bus::new(
-        Virtual {
-            emulator: bench::emulator(),
-            now: 1,
-        },
-        bench::BAUD,
-        1_000_000,
-    );
-    let kind = crate::registers::model(1060).unwrap();
-    let servo = bus.port().emulator.servos[0].clone();
-    let mut servos = vec![servo];
-    servos[0] = Servo::new(
-        kind,
-        1,
-        3,
-        2000.0,
-        crate::emulator::servo::Motion {
-            delay: 0.01,
-            lag: 0.03,
-            load: vec![],
-        },
-    );
-    bus.port().emulator.servos = servos;
-    let member = crate::drive::Member { id: 1, model: kind };
-    let mut drive = Drive::new(bus, &[member], true, 100.0);
-    let pwm = |drive: &mut Drive<Virtual>| {
-        let bytes = drive.bus().port().emulator.servos[0].read(100, 2).unwrap();
-        i16::from_le_bytes([bytes[0], bytes[1]])
-    };
-    assert_eq!(pwm(&mut drive), 885);
-    drive.command(true, &[2000], &[Some(140.0)]).unwrap();
-    assert_eq!(pwm(&mut drive), 88, "a tenth of the stall current");
-    drive.command(true, &[2000], &[Some(9000.0)]).unwrap();
-    assert_eq!(pwm(&mut drive), 885);
-    drive
-        .bus()
-        .port()
-        .emulator
-        .lose(X_SERIES.goal_pwm.address, 1);
-    drive.command(true, &[2000], &[Some(280.0)]).unwrap();
-    drive.examine().unwrap();
-    assert!(drive.alert());
-    drive.command(true, &[2000], &[Some(280.0)]).unwrap();
-    assert_eq!(pwm(&mut drive), 177);
-}
-
-#[test]
 fn an_encoder_that_stands_is_released_before_it_pulls_far() {
     let mut bench = engaged();
     bench.emulator().servos[0].broken.stuck = true;

@@ -234,3 +234,7 @@ impl<P: Port> Drive<P> {
 fn again(looks: u8) -> bool {
     (1..LACKS).contains(&looks)
 }
+
+#[cfg(test)]
+#[path = "drive_tests.rs"]
+mod tests;

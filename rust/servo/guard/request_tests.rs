@@ -199,20 +199,9 @@ fn each_state_says_whether_it_has_torque() {
 #[test]
 fn torque_stays_on_until_the_servos_are_home_too_but_no_longer_than_slacken() {
     let slackening = |away: fn(&mut Feedback)| {
-        let mut robot = Robot::new();
         let mut far = limits();
         far.axes.iter_mut().for_each(|axis| axis.following = 200.0);
-        robot.guard = Guard::new(far);
-        robot.tick(None);
-        for request in [
-            Request::Connect,
-            Request::Home,
-            Request::Arm,
-            Request::Engage,
-        ] {
-            assert_eq!(robot.ask(request).denied, None);
-        }
-        robot.run(100);
+        let mut robot = Robot::engaged(far);
         robot.wrong = away;
         assert_eq!(robot.ask(Request::Stop).state, State::SafeStop);
         let (periods, output) = robot.until_change();

@@ -94,11 +94,16 @@ impl Robot {
 
     /// Engaged and at its targets, with `slacken` s to go home.
     pub fn hasty(slacken: f64) -> Robot {
-        let mut robot = Robot::new();
-        robot.guard = Guard::new(Limits {
+        Robot::engaged(Limits {
             slacken,
             ..limits()
-        });
+        })
+    }
+
+    /// Engaged and at its targets.
+    pub fn engaged(limits: Limits) -> Robot {
+        let mut robot = Robot::new();
+        robot.guard = Guard::new(limits);
         robot.tick(None);
         for request in [
             Request::Connect,
