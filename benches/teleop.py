@@ -16,10 +16,10 @@ import numpy as np
 
 from benches.data import find
 from softmap_edge.bundle import builtin_model
+from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.errors import SoftmapError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.finger import emulated_bench
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.teleop.aim import Direct
 from softmap_edge.teleop.drive import Drive

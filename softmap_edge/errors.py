@@ -63,6 +63,18 @@ class ServoError(SoftmapError):
     """A servo or its port does not do what was asked."""
 
 
+class NoAnswer(ServoError):
+    """A servo that was asked does not answer: it may not be there, or one packet was lost."""
+
+
+class PortLost(ServoError):
+    """A port that was open is gone, closed or failed: no servo behind it can be asked."""
+
+
+class NoSuchRate(ServoError):
+    """A port cannot be set to a baud rate."""
+
+
 class LimitError(ServoError):
     """A limit that the guard refuses.
 

@@ -19,6 +19,7 @@ import os
 import re
 import secrets
 import socket
+import stat
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -58,9 +59,10 @@ def read_key(path: str | Path) -> bytes:
         LinkError: it cannot be read, others may read it, or it is no key.
     """
     try:
-        with open(path, "rb") as file:
+        # A pipe that nobody writes is not waited for.
+        with open(path, "rb", opener=lambda file, flags: os.open(file, flags | os.O_NONBLOCK)) as file:
             mode = os.fstat(file.fileno()).st_mode
-            text = file.read(1025)
+            text = file.read(1025) if stat.S_ISREG(mode) else b""
     except OSError as cause:
         raise LinkError(f"{path}: the key cannot be read ({cause.strerror}); copy it from the other computer") from None
     if mode & 0o077:

@@ -2,6 +2,8 @@
 
 import os
 
+import pytest
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # One worker a file: the long ones begin first, so that none is left to one worker at the end.
@@ -14,3 +16,13 @@ LONG = [
 
 def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: LONG.index(item.path.stem) if item.path.stem in LONG else len(LONG))
+
+
+@pytest.fixture(autouse=True)
+def folder_is_left_as_it_was():
+    """Whoever goes to another folder comes back: the next test of the worker would begin there."""
+    before = os.getcwd()
+    yield
+    left = os.getcwd()
+    os.chdir(before)
+    assert left == before, f"left in {left}"

@@ -46,7 +46,7 @@ def test_who_stops_calling_is_held_then_slackened():
         until(lambda: robot.state == "engaged", 0.5)
         until(lambda: robot.state == "safe_stop", 1.5)
         until(lambda: robot.state == "ready" and not torque(bus), 3.0)
-        with pytest.raises(ServoError, match="in state ready .*engage it first"):
+        with pytest.raises(ServoError, match="in state ready .*mend and acknowledge that first"):
             robot.target([0.0, 0.0])
 
 
@@ -240,7 +240,7 @@ def test_a_loop_that_dies_or_freezes_is_released_from_here(program, how):
     os.kill(loop, how)
     until(lambda: not torque(bus), 2.0)
     user.wait(10)
-    assert b"engage it first" in user.stderr.read()
+    assert b"mend and acknowledge that first" in user.stderr.read()
 
 
 def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so(program):

@@ -21,6 +21,7 @@ from softmap_edge.servo.heartbeat import BEAT, Heart
 from softmap_edge.servo.rig import read_rig
 from softmap_edge.signed_udp import new_key, read_key
 
+AT_HOME = 64  # ticks: so near the guard calls a servo home, a sixth of what it was sent
 TIMEOUT = 0.3  # s between beats at most: generous, since tests share a computer
 
 
@@ -188,7 +189,7 @@ def test_a_heart_that_was_recorded_or_has_another_key_starts_nothing(heart_rig, 
 def test_a_stop_that_cannot_be_had_starts_nothing_and_says_why(tmp_path):
     with bench() as (bus, rig, limits):
         for stop, said in (
-            (Emergency(gpio=Line("/dev/gpiochip999", 17)), "line 17 of /dev/gpiochip999 is not there .*gpioinfo"),
+            (Emergency(gpio=Line("/dev/gpiochip999", 17)), "line 17 of /dev/gpiochip999 cannot be had .*gpioinfo"),
             (Emergency(gpio=Line("/dev/null", 3)), "line 3 of /dev/null cannot be had"),
             (Emergency(udp=Beats(free_port(), str(tmp_path / "none.key"))), "the key cannot be read"),
         ):
@@ -295,4 +296,4 @@ def test_torque_off_drives_nothing_home():
             robot.emergency(False)
             again(robot)
             until(there, 20.0)
-        assert abs(angles(bus) - HOME).max() < 15
+        assert abs(angles(bus) - HOME).max() <= AT_HOME

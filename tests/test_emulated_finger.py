@@ -12,12 +12,13 @@ from waiting import until
 from softmap_edge import SoftmapError, _core, builtin_model, load_bundle
 from softmap_edge.camera.frames import on_host
 from softmap_edge.cli import main
-from softmap_edge.servo import commission
+from softmap_edge.commissioning import setup
+from softmap_edge.emulated.finger import FRAMES, EmulatedFinger, hidden_laws
+from softmap_edge.emulated.tendon_load import NOMINAL, tendon_loads
+from softmap_edge.servo.bus import opened
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.finger import FRAMES, EmulatedFinger, hidden_laws
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.rig import read_rig
-from softmap_edge.servo.tendon_load import NOMINAL, tendon_loads
 from softmap_edge.shape_arrays import plain_table
 from softmap_edge.truth_laws import LAWS, Law
 from softmap_edge.truth_named import NAMED
@@ -132,10 +133,10 @@ def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
         rig, made = read_rig(tmp_path / "rig.toml"), load_bundle(tmp_path / "bundle")
         assert rig.port == told["port"] and [servo.home for servo in rig.servos] == made.calibration.home.tolist()
         for servo in rig.servos:
-            with commission.opened(rig.port, rig.baud) as bus:
+            with opened(rig.port, rig.baud) as bus:
                 number, firmware = bus.ping(servo.id)
-                values = commission.registers(bus, servo.id)
-            assert commission.complaints(commission.Found(rig.port, rig.baud, servo.id, number, firmware), values) == []
+                values = setup.registers(bus, servo.id)
+            assert setup.complaints(setup.Found(rig.port, rig.baud, servo.id, number, firmware), values) == []
         until(lambda: camera.taken > 5)
         frames = camera.seen()
         assert frames[-1].points.shape == model.rest.shape
@@ -170,13 +171,13 @@ def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
 def test_exchanged_ids_are_exchanged(tmp_path):
     with emulated(tmp_path, "--fresh") as (process, told, _):
         assert not told["ready"] and read_rig(tmp_path / "rig.toml").servos[0].home is None
-        with commission.opened(told["port"], told["baud"]) as bus:
-            assert commission.registers(bus, 1)["operating_mode"] == 3
+        with opened(told["port"], told["baud"]) as bus:
+            assert setup.registers(bus, 1)["operating_mode"] == 3
             say(process, "heat 0 60")
-            until(lambda: commission.registers(bus, 1)["present_temperature"] > 50)
+            until(lambda: setup.registers(bus, 1)["present_temperature"] > 50)
             say(process, "swap 0 1")
-            until(lambda: commission.registers(bus, 2)["present_temperature"] > 50)
-            assert commission.registers(bus, 1)["present_temperature"] < 40
+            until(lambda: setup.registers(bus, 2)["present_temperature"] > 50)
+            assert setup.registers(bus, 1)["present_temperature"] < 40
 
 
 def test_what_an_emulated_robot_cannot_be_is_told(capsys, tmp_path):
@@ -185,7 +186,7 @@ def test_what_an_emulated_robot_cannot_be_is_told(capsys, tmp_path):
         (["--strength", "-1"], "more than 0 and up to 10"),
         (["--stream", "udp://x"], "is no address"),
         (["--key", "k"], "give --stream"),
-        (["--servos", "2", "--hidden", "backlash"], "--hidden needs a finger"),
+        (["--servos", "2", "--hidden", "backlash"], "--hide needs a finger"),
         (["--rig", str(tmp_path / "rig.txt")], "saved as .toml"),
         (["--baud", "12345"], "has no rate of 12345 baud"),
     ):

@@ -7,10 +7,10 @@ from rigs import BAUD, HOME, MODEL, NUMBER, bench, calibration, set_up, torque
 
 from softmap_edge import _core
 from softmap_edge.cli import main
+from softmap_edge.commissioning.home import NEAR, prove
 from softmap_edge.errors import ServoError
-from softmap_edge.servo import commission
+from softmap_edge.servo.bus import opened
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.home import NEAR, prove
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.proof import mark, marked
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
@@ -49,7 +49,7 @@ def power_cycle(bus):
 
 def answers(file):
     rig = read_rig(file)
-    with commission.opened(rig.port, rig.baud) as bus:
+    with opened(rig.port, rig.baud) as bus:
         for servo in rig.servos:
             while bus.ping(servo.id) is None:
                 pass
@@ -98,7 +98,7 @@ def test_a_finger_that_is_not_straight_is_refused_and_nothing_is_marked(wound, c
     for away, code in ((NEAR, 0), (NEAR + 1, 2)):
         Rig(rig.port, rig.baud, tuple(RigServo(id, MODEL, FAR - away - 4096) for id in (1, 2))).write(file)
         assert home(file) == code
-        with commission.opened(rig.port, rig.baud) as port:
+        with opened(rig.port, rig.baud) as port:
             assert marked(port, 1, FAR - away) == (code == 0)
     said = capsys.readouterr().err
     assert f"{NEAR + 1:+d} ticks from the stored home" in said and "--new" in said and "slipped" in said

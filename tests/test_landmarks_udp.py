@@ -280,6 +280,9 @@ def test_keys(tmp_path):
         file.write_bytes(text)
         with pytest.raises(LinkError, match="at least 16 are needed"):
             read_key(file)
+    os.mkfifo(tmp_path / "pipe", 0o600)
+    with pytest.raises(LinkError, match="at least 16 are needed"):
+        read_key(tmp_path / "pipe")  # does not wait for who writes it
     for make in (lambda: Sender("127.0.0.1", 9, b"short"), lambda: Receiver("127.0.0.1", 0, b"short")):
         with pytest.raises(LinkError, match="key: 5 bytes"):
             make()

@@ -12,13 +12,14 @@ from waiting import hold_for
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.commissioning.jog import Held, Jog
+from softmap_edge.commissioning.setup import registers
 from softmap_edge.errors import BundleError, LimitError, ServoError
 from softmap_edge.safety import TIMES, TURNS, read_safety
+from softmap_edge.servo.bus import opened
 from softmap_edge.servo.ceiling import RANGES, Ceiling
 from softmap_edge.servo.combined import combined
-from softmap_edge.servo.commission import opened, registers
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.jog import Held, Jog
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import set_mark

@@ -19,11 +19,12 @@ from waiting import until
 
 from softmap_edge.cli import main
 from softmap_edge.commands.move import STEP
+from softmap_edge.commissioning import setup
+from softmap_edge.commissioning.jog import Held, Jog
+from softmap_edge.commissioning.keys import Keys
 from softmap_edge.errors import ServoError
-from softmap_edge.servo import commission
+from softmap_edge.servo.bus import opened
 from softmap_edge.servo.ceiling import Ceiling
-from softmap_edge.servo.jog import Held, Jog
-from softmap_edge.servo.keys import Keys
 from softmap_edge.terminal_keys import named
 
 SOFTMAP = str(Path(sys.executable).with_name("softmap"))
@@ -78,8 +79,8 @@ def test_whatever_the_bench_allows_binds_a_jog():
             assert jog.by(0, 300, Held()) == pytest.approx(50, abs=4), "the window of [ceiling]"
             assert time.monotonic() - begun > 50 / 60, "and its slew"
             assert jog.robot.limits["servos"][0]["warm"] == 40.0, "a ceiling of hot is one of warm"
-        with commission.opened(bus.path, rig.baud) as port:
-            assert commission.registers(port, 1)["goal_current"] <= 20, "mA"
+        with opened(bus.path, rig.baud) as port:
+            assert setup.registers(port, 1)["goal_current"] <= 20, "mA"
         with Jog(replace(tight, servos=slow), travel=200, slew=300, current=100) as jog:
             limits = jog.robot.limits
             assert (limits["jog_travel"], limits["jog_slew"], limits["jog_current"]) == (90.0, 50.0, 20.0)
@@ -88,8 +89,8 @@ def test_whatever_the_bench_allows_binds_a_jog():
             assert (one["slew"], one["acceleration"], one["current"], one["hot"]) == (50.0, 800.0, 30.0, 50.0)
         with Jog(replace(rig, servos=slow)) as jog:
             assert jog.by(0, 20, Held()) == pytest.approx(20, abs=4)
-        with commission.opened(bus.path, rig.baud) as port:
-            assert commission.registers(port, 1)["goal_current"] <= 30
+        with opened(bus.path, rig.baud) as port:
+            assert setup.registers(port, 1)["goal_current"] <= 30
         bus.heat(0, 52.0)
         with pytest.raises(ServoError, match="hot"), Jog(tight) as jog:
             jog.by(0, 20, Held())
@@ -245,7 +246,7 @@ def test_between_a_press_and_its_repetitions_torque_stays_on(terminal, tmp_path)
 def test_keys_of_a_terminal(terminal, monkeypatch):
     ours, theirs = terminal
     now = [100.0]
-    monkeypatch.setattr("softmap_edge.servo.keys.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("softmap_edge.commissioning.keys.time.monotonic", lambda: now[0])
 
     def after(seconds, typed=b""):
         now[0] += seconds

@@ -10,11 +10,11 @@ from rigs import BAUD, HOME, MODEL, bench, calibration, torque
 
 from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.commissioning.jog import Held, Jog
+from softmap_edge.commissioning.pull import MARGIN, pull
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.ceiling import Ceiling
 from softmap_edge.servo.combined import IDLE, combined
-from softmap_edge.servo.jog import Held, Jog
-from softmap_edge.servo.pull import MARGIN, pull
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
 
 FINGER = replace(builtin_model(), calibration=calibration())
@@ -34,7 +34,7 @@ def folder(tmp_path):
 @pytest.fixture
 def brief(monkeypatch):
     """Stand a shorter while at each end, where what was measured there is no matter."""
-    monkeypatch.setattr("softmap_edge.servo.pull.STANDS", 0.1)
+    monkeypatch.setattr("softmap_edge.commissioning.pull.STANDS", 0.1)
 
 
 def words(file, bundle, *more):

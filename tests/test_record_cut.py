@@ -144,13 +144,12 @@ def test_an_error_in_making_the_run_keeps_both_files(folder, monkeypatch, capsys
     def fails(self, path):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("softmap_edge.run.Run.save", fails)
-    assert main(["record", "c.csv", "--emulated", "--out", "run.npz"]) == 2
+    with monkeypatch.context() as patch:
+        patch.setattr("softmap_edge.run.Run.save", fails)
+        assert main(["record", "c.csv", "--emulated", "--out", "run.npz"]) == 2
     said = capsys.readouterr().err
     assert "run.npz: no space left on device; see to the disk" in said
     assert "kept: run.loop.mcap and run.seen; they become the run by: softmap record c.csv --recover run.seen" in said
-    monkeypatch.undo()
     assert {"run.loop.mcap", "run.seen"} <= set(os.listdir(folder))
-    os.chdir(folder)
     assert main(["record", "c.csv", "--recover", "run.seen", "--out", "run.npz"]) == 0
     assert Run.load(folder / "run.npz").frames > 3

@@ -21,13 +21,13 @@ from waiting import until
 from softmap_edge import Run, SoftmapError, builtin_model, compare, diagnose, load_bundle
 from softmap_edge.camera.frames import Frame
 from softmap_edge.cli import main
+from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.command_file import write_commands
 from softmap_edge.experiment.pace import ANSWER, BEHIND, SHARE, SPAN, STILL, pace, servos_still, view_still
 from softmap_edge.experiment.play import Player, merged
 from softmap_edge.protocol import Limits, Protocol
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.finger import emulated_bench
 from softmap_edge.servo.limits import servo_limits
 from softmap_edge.servo.recording import read_recording
 

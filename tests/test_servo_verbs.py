@@ -15,9 +15,10 @@ from rigs import bench, calibration, torque
 from softmap_edge import _core
 from softmap_edge.cli import main
 from softmap_edge.commands.robot import HOME
+from softmap_edge.commissioning import setup
 from softmap_edge.errors import ServoError
 from softmap_edge.run import Run
-from softmap_edge.servo import commission
+from softmap_edge.servo.bus import opened, ports
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.servo.rig import RigServo, read_rig
@@ -74,7 +75,7 @@ def test_a_new_servo_is_found_at_its_rate_and_made_ready(fresh, capsys, tmp_path
 
 def setting(bus, **changed):
     """Write registers of servo 1 as a user of before may have left them."""
-    with commission.opened(bus.path, 57_600) as port:
+    with opened(bus.path, 57_600) as port:
         for name, value in changed.items():
             address, size, _ = _core.servo_registers()[name]
             port.write(1, address, value.to_bytes(size, "little", signed=value < 0))
@@ -87,36 +88,36 @@ def test_a_homing_offset_is_mended_whatever_mode_and_firmware(number, counts, mo
     """Mode 4 with an offset on firmware below 42 runs on when its watchdog trips: never driven, and said."""
     bus = _core.EmulatedBus([(1, number, 57_600, 500.0)], [[]])
     setting(bus, operating_mode=mode, homing_offset=1000)
-    (found,) = commission.scan(bus.path, 57_600)
+    (found,) = setup.scan(bus.path, 57_600)
     found, said = replace(found, firmware=firmware), []
-    with commission.opened(bus.path, 57_600) as port:
-        complaints = commission.complaints(found, commission.registers(port, 1))
+    with opened(bus.path, 57_600) as port:
+        complaints = setup.complaints(found, setup.registers(port, 1))
     wrong = [line for line in complaints if line.startswith("homing offset is 1000")]
     assert len(wrong) == 1 and wrong[0].endswith("needed is 0; `softmap servo setup`")
     assert (f"firmware {firmware} lets the motor run on when its watchdog trips in mode 4" in wrong[0]) == runs_on
-    done = commission.set_up(found, tell=said.append)
-    with commission.opened(bus.path, 57_600) as port:
-        now = commission.registers(port, 1)
-        assert commission.complaints(done, now) == []
+    done = setup.set_up(found, tell=said.append)
+    with opened(bus.path, 57_600) as port:
+        now = setup.registers(port, 1)
+        assert setup.complaints(done, now) == []
     assert (now["operating_mode"], now["homing_offset"], now["present_position"]) == (counts, 0, 500)
     mended = [line for line in said if line.startswith("homing offset is 1000")]
     assert len(mended) == 1 and mended[0].endswith("it becomes 0") and ("lets the motor run on" in mended[0]) == runs_on
     assert any(line.startswith("operating mode is ") for line in said) == (mode != counts)
     again = []
-    commission.set_up(found, tell=again.append)
+    setup.set_up(found, tell=again.append)
     assert again == [], "what is well is not written"
     bus.unplug()
 
 
 def test_firmware_without_a_watchdog_is_refused_and_nothing_is_written(fresh):
-    (found,) = commission.scan(fresh.path, 57_600)
-    with commission.opened(fresh.path, 57_600) as port:
-        before = commission.registers(port, 1)
+    (found,) = setup.scan(fresh.path, 57_600)
+    with opened(fresh.path, 57_600) as port:
+        before = setup.registers(port, 1)
     line = "it is left as it is, its firmware 37 has no bus watchdog; update it to 45 with Dynamixel Wizard"
     with pytest.raises(ServoError, match=line):
-        commission.set_up(replace(found, firmware=37), 2, 1_000_000)
-    with commission.opened(fresh.path, 57_600) as port:
-        after = commission.registers(port, 1)
+        setup.set_up(replace(found, firmware=37), 2, 1_000_000)
+    with opened(fresh.path, 57_600) as port:
+        after = setup.registers(port, 1)
     moving = ("realtime_tick", "present_position", "present_current", "present_temperature", "present_voltage")
     assert {k: v for k, v in before.items() if k not in moving} == {k: v for k, v in after.items() if k not in moving}
 
@@ -154,10 +155,10 @@ def test_one_servo_at_a_time_is_set_up(capsys, tmp_path):
 
 def test_a_servo_without_current_is_driven_in_extended_position():
     bus = _core.EmulatedBus([(1, XL430, 57_600, 0.0)], [[]])
-    (found,) = commission.scan(bus.path, 57_600)
-    done = commission.set_up(found)
-    with commission.opened(done.port, done.baud) as port:
-        assert commission.registers(port, 1)["operating_mode"] == 4
+    (found,) = setup.scan(bus.path, 57_600)
+    done = setup.set_up(found)
+    with opened(done.port, done.baud) as port:
+        assert setup.registers(port, 1)["operating_mode"] == 4
     bus.unplug()
 
 
@@ -191,7 +192,7 @@ def test_ports_are_listed_once_by_their_lasting_name(tmp_path):
     (tmp_path / "ttyUSB0").touch()
     (tmp_path / "ttyACM1").touch()
     (tmp_path / "serial/by-id/usb-FTDI").symlink_to(tmp_path / "ttyUSB0")
-    assert commission.ports(tmp_path) == [str(tmp_path / "serial/by-id/usb-FTDI"), str(tmp_path / "ttyACM1")]
+    assert ports(tmp_path) == [str(tmp_path / "serial/by-id/usb-FTDI"), str(tmp_path / "ttyACM1")]
 
 
 def test_an_emulated_bench_takes_faults_from_standard_input(tmp_path):
@@ -202,18 +203,18 @@ def test_an_emulated_bench_takes_faults_from_standard_input(tmp_path):
     ) as process:
         port = json.loads(process.stdout.readline())["port"]
         assert read_rig(rig).port == port
-        with commission.opened(port, 1_000_000) as bus:
+        with opened(port, 1_000_000) as bus:
             assert bus.ping(2) == (XL330, 46)
             process.stdin.write("mute 1\nfly 3\nheat 0 60\n")
             process.stdin.flush()
             assert "no such fault; faults, one a line" in process.stderr.readline()
             begin = time.monotonic()
-            while commission.registers(bus, 1)["present_temperature"] < 55:
+            while setup.registers(bus, 1)["present_temperature"] < 55:
                 assert time.monotonic() - begin < 5.0
             assert bus.ping(2) is None
             process.stdin.write("mend 1\nburden 0 2\njammed 0\nlose_turn 0\nswap 0 1\n")
             process.stdin.flush()
-            while (there := bus.ping(2) and commission.registers(bus, 2)["present_position"]) != HOME - 4096:
+            while (there := bus.ping(2) and setup.registers(bus, 2)["present_position"]) != HOME - 4096:
                 assert time.monotonic() - begin < 10.0, there
         _, _ = process.communicate()
         assert process.returncode == 0
@@ -245,7 +246,7 @@ def test_a_servo_of_another_rate_than_its_bench_is_left_as_it_is(tmp_path, capsy
         argv = ["servo", "setup", "--port", bus.path, "--baud", "1000000", "--id", "2", "--rig", str(rig)]
         assert main([*argv, "--new-baud", "57600"]) == 2
         assert "the bench runs at 1000000 baud, servo 2 at 57600; give --new-baud 1000000" in capsys.readouterr().err
-        assert [one.id for one in commission.scan(bus.path, 1_000_000)] == [1, 2] and rig.read_text() == before
+        assert [one.id for one in setup.scan(bus.path, 1_000_000)] == [1, 2] and rig.read_text() == before
 
 
 def test_a_rate_that_no_port_has_is_refused(fresh, capsys):

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from loops import STATES
 
+from softmap_edge.commissioning.jog import Jog
 from softmap_edge.servo import words
-from softmap_edge.servo.jog import Jog
 
 
 def test_every_state_and_cause_of_the_guard_has_its_words():

@@ -19,12 +19,12 @@ from softmap_edge.commands.experiment import record_arguments
 from softmap_edge.commands.servo_emulate import emulate_arguments, streaming
 from softmap_edge.commands.teleop import teleop_arguments
 from softmap_edge.commands.track import track_arguments
+from softmap_edge.emulated.finger import ANSWER, emulated_bench, hidden_laws
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.motion.response import fit_response
 from softmap_edge.motion.track import _Feedback, course, track
 from softmap_edge.protocol import standard_protocol
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.finger import ANSWER, emulated_bench, hidden_laws
 from softmap_edge.servo.limits import ACCELERATION, SLEW
 from softmap_edge.servo.recording import read_recording
 

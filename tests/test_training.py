@@ -4,6 +4,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -129,7 +130,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(quick):
 
 KILLED = """
 import os, signal, sys, torch
-sys.path.insert(0, "tests"); import test_training as here
+sys.path.insert(0, sys.argv[2]); import test_training as here
 from softmap_training.prior import train_prior
 from pathlib import Path
 def die(share, line):
@@ -141,7 +142,8 @@ train_prior(here.GRID, here.POINTS, here.PARTS, "modes", None, here.QUICK.with_(
 def test_a_killed_training_goes_on_and_ends_as_if_it_had_not_been_killed(tmp_path):
     recipe = QUICK.with_(epochs=10)
     whole = train_prior(GRID, POINTS, PARTS, "modes", None, recipe, tmp_path / "whole")
-    done = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "killed")], capture_output=True)
+    argv = [sys.executable, "-c", KILLED, str(tmp_path / "killed"), str(Path(__file__).parent)]
+    done = subprocess.run(argv, capture_output=True)
     assert done.returncode == -9, done.stderr.decode()
     assert len((tmp_path / "killed/log.csv").read_text().splitlines()) == 1 + 6
     epochs = []

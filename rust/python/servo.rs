@@ -7,9 +7,12 @@ use softmap_servo::bus::{Bus, Fault, SLACK};
 use softmap_servo::decoder::Decoder;
 use softmap_servo::packet::{LONGEST, packet};
 use softmap_servo::registers::MODELS;
-use softmap_servo::serial::Serial;
+use softmap_servo::serial::{OpenFault, Serial};
 use std::sync::{Mutex, PoisonError};
 
+import_exception!(softmap_edge.errors, NoAnswer);
+import_exception!(softmap_edge.errors, NoSuchRate);
+import_exception!(softmap_edge.errors, PortLost);
 import_exception!(softmap_edge.errors, ServoError);
 
 pub fn trouble(fault: impl ToString) -> PyErr {
@@ -107,8 +110,12 @@ impl PyServoBus {
             let mut bus = self.bus.lock().unwrap_or_else(PoisonError::into_inner);
             bus.as_mut().map(what)
         });
-        done.ok_or_else(|| trouble("the port is closed; open it again"))?
-            .map_err(trouble)
+        done.ok_or_else(|| PortLost::new_err("the port is closed; open it again"))?
+            .map_err(|fault| match fault {
+                Fault::Silent => NoAnswer::new_err(fault.to_string()),
+                Fault::Port(_) => PortLost::new_err(fault.to_string()),
+                other => trouble(other),
+            })
     }
 }
 
@@ -123,7 +130,10 @@ impl PyServoBus {
                 "slack is {slack} s; allowed is 0.0005 to 1 s"
             )));
         }
-        let serial = Serial::open(port, baud).map_err(trouble)?;
+        let serial = Serial::open(port, baud).map_err(|fault| match fault {
+            OpenFault::Baud(..) => NoSuchRate::new_err(fault.to_string()),
+            other => trouble(other),
+        })?;
         let bus = Bus::new(serial, baud, ((slack * 1e9) as u64).max(SLACK / 4));
         Ok(PyServoBus {
             bus: Mutex::new(Some(bus)),

@@ -20,7 +20,7 @@ def home_arguments(parser: argparse.ArgumentParser) -> None:
 
 def home(args: argparse.Namespace) -> int:
     """Prove home after a power-up; 0 when it is proved."""
-    from softmap_edge.servo.home import prove, relax
+    from softmap_edge.commissioning.home import prove, relax
 
     check_file("--rig", args.rig, ".toml")
     rig = read_rig(args.rig)

@@ -16,12 +16,12 @@ from softmap_edge.commands.commissioning import confirm
 from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import bench_of, emulated
+from softmap_edge.commissioning.jog import EVERY, Deadman, Held, Jog, most_travel
+from softmap_edge.commissioning.keys import Keys
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
-from softmap_edge.servo.jog import EVERY, Deadman, Held, Jog, most_travel
-from softmap_edge.servo.keys import Keys
 from softmap_edge.servo.limits import JOG_TRAVEL
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.terminal_keys import EMERGENCY, terminal

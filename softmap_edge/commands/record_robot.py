@@ -21,6 +21,7 @@ from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import Bench, emulated, plain_map, read_bench
 from softmap_edge.commands.seeing import late, receiver
+from softmap_edge.emulated.finger import LATE
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.command_file import read_commands
 from softmap_edge.experiment.kept import Keeper, read_kept
@@ -31,7 +32,6 @@ from softmap_edge.protocol import Protocol
 from softmap_edge.run import Run
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
-from softmap_edge.servo.finger import LATE
 from softmap_edge.servo.recording import read_recording
 
 INTERRUPTED = 130

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from softmap_edge.commands.output import check_file, to_stderr
+from softmap_edge.emulated.finger import EmulatedFinger, emulated_bench, hidden_laws
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.servo.combined import calibration_of, combined
-from softmap_edge.servo.finger import EmulatedFinger, emulated_bench, hidden_laws
 from softmap_edge.servo.limits import RATE
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.ticks import Calibration
@@ -61,8 +61,9 @@ def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
     )
     parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out, to compare")
     parser.add_argument(
-        "--hidden",
         "--hide",
+        "--hidden",
+        dest="hidden",
         default="",
         metavar="NAMES",
         help="--sim: laws that the finger hides: backlash,creep",
@@ -75,7 +76,7 @@ def check_driven(args: argparse.Namespace) -> None:
     """Raise SoftmapError where those arguments cannot be."""
     check_file("--record", args.record, ".mcap", new=True)
     if args.hidden and not args.sim:
-        raise SoftmapError("--hidden: only an emulated finger can hide something; give --sim with it")
+        raise SoftmapError("--hide: only an emulated finger can hide something; give --sim with it")
 
 
 def driven_model(args: argparse.Namespace, model: Model) -> Model:
@@ -94,7 +95,7 @@ def emulated(model: Model, hidden: str = "", seed: int = 0) -> Iterator[Bench]:
 
 @contextlib.contextmanager
 def bench_of(args: argparse.Namespace, model: Model) -> Iterator[Bench]:
-    """Give the bench of `--rig`, or an emulated one with what `--hidden` and `--seed` say, where the verb has them."""
+    """Give the bench of `--rig`, or an emulated one with what `--hide` and `--seed` say, where the verb has them."""
     if args.rig:
         yield read_bench(args.rig, model)
         return

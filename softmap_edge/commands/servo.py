@@ -16,8 +16,9 @@ from softmap_edge.commands.servo_emulate import emulate, emulate_arguments
 from softmap_edge.commands.servo_heartbeat import heartbeat, heartbeat_arguments
 from softmap_edge.commands.servo_limits import limits, limits_arguments
 from softmap_edge.commands.servo_pull import pull_arguments, pull_test
+from softmap_edge.commissioning import setup
 from softmap_edge.errors import ServoError
-from softmap_edge.servo import commission
+from softmap_edge.servo.bus import opened, ports, release
 from softmap_edge.servo.ending import kept_words
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
@@ -90,7 +91,7 @@ def _ports(args: argparse.Namespace) -> list[str]:
     """
     if args.baud is not None and not SLOWEST <= args.baud <= FASTEST:
         raise ServoError(f"--baud {args.baud}; {SLOWEST} to {FASTEST} is allowed")
-    found = [args.port] if args.port else commission.ports()
+    found = [args.port] if args.port else ports()
     if not found:
         raise ServoError("no serial port on this machine; connect the adapter, or give --port")
     return found
@@ -99,7 +100,7 @@ def _ports(args: argparse.Namespace) -> list[str]:
 def _scan(args: argparse.Namespace) -> int:
     found = []
     for port in _ports(args):
-        for servo in commission.scan(port, args.baud):
+        for servo in setup.scan(port, args.baud):
             found.append(servo)
             if not args.json:
                 print(servo)
@@ -110,16 +111,16 @@ def _scan(args: argparse.Namespace) -> int:
     return 0 if found else OTHERWISE
 
 
-def _told(servo: commission.Found) -> dict[str, Any]:
+def _told(servo: setup.Found) -> dict[str, Any]:
     name = servo.model["name"] if servo.model else None
     return dict(
         port=servo.port, baud=servo.baud, id=servo.id, model=name, model_number=servo.number, firmware=servo.firmware
     )
 
 
-def _find(args: argparse.Namespace) -> list[commission.Found]:
+def _find(args: argparse.Namespace) -> list[setup.Found]:
     """Return the servos that are meant."""
-    found = [servo for port in _ports(args) for servo in commission.scan(port, args.baud)]
+    found = [servo for port in _ports(args) for servo in setup.scan(port, args.baud)]
     if args.id is not None:
         found = [servo for servo in found if servo.id == args.id]
     if not found:
@@ -131,9 +132,9 @@ def _find(args: argparse.Namespace) -> list[commission.Found]:
 def _read(args: argparse.Namespace) -> int:
     documents, well = [], True
     for servo in _find(args):
-        with commission.opened(servo.port, servo.baud) as bus:
-            values = commission.registers(bus, servo.id)
-        said = commission.complaints(servo, values)
+        with opened(servo.port, servo.baud) as bus:
+            values = setup.registers(bus, servo.id)
+        said = setup.complaints(servo, values)
         well &= not said
         documents.append(_told(servo) | {"registers": values, "complaints": said})
         if not args.json:
@@ -155,7 +156,7 @@ def _setup(args: argparse.Namespace) -> int:
     if old is not None:
         _check_rate(old, found[0].id, args.new_baud or found[0].baud)  # before anything is changed
     mended: list[str] = []
-    done = commission.set_up(found[0], args.new_id, args.new_baud, mended.append)
+    done = setup.set_up(found[0], args.new_id, args.new_baud, mended.append)
     if args.rig:
         bench = _noted(done, old)
         (bench.write if old is None else bench.note)(args.rig)
@@ -172,7 +173,7 @@ def _check_rate(bench: Rig, id: int, baud: int) -> None:
         raise ServoError(f"the bench runs at {bench.baud} baud, servo {id} at {baud}; give --new-baud {bench.baud}")
 
 
-def _noted(done: commission.Found, old: Rig | None) -> Rig:
+def _noted(done: setup.Found, old: Rig | None) -> Rig:
     """Return the bench with the servo that was set up; it keeps its place if it is there."""
     assert done.model is not None
     new = RigServo(done.id, done.model["name"])  # another mode may count turns anew: no home, no ceiling
@@ -193,7 +194,7 @@ def _off(args: argparse.Namespace) -> int:
     args.port = port
     ports, released, kept = _ports(args), [], []
     for name in ports:
-        there, left = commission.release(name, baud, ids)
+        there, left = release(name, baud, ids)
         released += there
         kept += left
         if not args.json:

@@ -11,10 +11,10 @@ from softmap_edge.commands.commissioning import confirm
 from softmap_edge.commands.move import deadman, hold_argument, tell
 from softmap_edge.commands.output import bundle_arguments, check_bundle
 from softmap_edge.commands.own import open_model
+from softmap_edge.commissioning.first_calibration import COUPLING, bench_calibration, bends, document, radius
+from softmap_edge.commissioning.jog import Jog
 from softmap_edge.errors import CalibrationError, ServoError
 from softmap_edge.model import Model
-from softmap_edge.servo.bench_map import COUPLING, bench_calibration, bends, document, radius
-from softmap_edge.servo.jog import Jog
 from softmap_edge.servo.rig import Rig, read_rig
 
 JOGGED = 200.0  # ticks: seen, and within what a jog may do

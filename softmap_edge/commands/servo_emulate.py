@@ -19,9 +19,7 @@ from softmap_edge.camera.points_udp import PointSender
 from softmap_edge.commands.output import check_bundle, check_file
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import plain_map
-from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.model import Model
-from softmap_edge.servo.finger import (
+from softmap_edge.emulated.finger import (
     BAUD,
     FRAMES,
     LATE,
@@ -30,6 +28,8 @@ from softmap_edge.servo.finger import (
     emulated_bench,
     hidden_laws,
 )
+from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.model import Model
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig import MOST_SERVOS, Rig, RigServo, read_rig
 from softmap_edge.signed_udp import read_key, udp_address
@@ -47,7 +47,7 @@ BROKEN = ("mute", "stuck", "torn", "reversed", "jammed", "uncapped")
 def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo emulate`."""
     parser.add_argument("--bundle", metavar="DIR", help="whose finger it is (default: the built-in one)")
-    parser.add_argument("--hidden", "--hide", default="", metavar="NAMES", help="laws that it hides: backlash,creep")
+    parser.add_argument("--hide", "--hidden", dest="hidden", default="", metavar="NAMES", help="laws that it hides: backlash,creep")
     parser.add_argument("--strength", type=float, default=1.0, metavar="X", help="how strong they are (1)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn by chance (0)")
     parser.add_argument("--model", default=SERVO, metavar="NAME", help=f"of the servos ({SERVO})")

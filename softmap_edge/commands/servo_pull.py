@@ -9,8 +9,8 @@ from softmap_edge.commands.move import deadman, hold_argument, tell
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import tell_edited
+from softmap_edge.commissioning.pull import MARGIN, noted, pull
 from softmap_edge.servo.combined import IDLE, combined
-from softmap_edge.servo.pull import MARGIN, noted, pull
 from softmap_edge.servo.rig import read_rig
 
 

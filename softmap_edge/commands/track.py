@@ -16,9 +16,11 @@ import numpy as np
 from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_file, to_stderr
 from softmap_edge.commands.own import open_model
+from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import Bench, bench_of, check_driven, driven_arguments, driven_model, plain_map
 from softmap_edge.commands.seeing import camera_arguments, late, receiver
 from softmap_edge.commands.track_table import table, workspace
+from softmap_edge.emulated.finger import SERVO
 from softmap_edge.errors import SoftmapError
 from softmap_edge.motion.curves import FIGURES
 from softmap_edge.motion.kinematics import METHODS, Kinematics
@@ -26,7 +28,6 @@ from softmap_edge.motion.track import Course, Tracked, course
 from softmap_edge.motion.track import track as follow
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
-from softmap_edge.servo.finger import SERVO
 from softmap_edge.servo.limits import servo_limits
 from softmap_edge.whole_file import write_whole
 
@@ -94,8 +95,8 @@ def track(args: argparse.Namespace) -> int:
         if bench is not None:
             record = Path(args.record or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "track.mcap")
             robot = Controller(bench.rig, calibration, bench.limits, kinematics=kinematics, record=record)
-            with EmergencyKey(robot, to_stderr), robot:
-                tracked = follow(robot, kinematics, planned, seen, observe=args.observe, late=behind)
+            with EmergencyKey(robot, to_stderr), robot, Bar(args.json) as bar:
+                tracked = follow(robot, kinematics, planned, seen, observe=args.observe, late=behind, progress=bar)
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)
     document = _document(args, kinematics, planned, tracked)
@@ -177,7 +178,7 @@ def _text(told: dict[str, Any]) -> str:
         lines.append(f"the camera saw it off by {numbers('seen_mm')}")
         if told["hidden"] == [] and told["effects"]:
             lines.append(
-                f"the emulated finger hides nothing, so undoing {', '.join(told['effects'])} leads it astray; --hidden "
+                f"the emulated finger hides nothing, so undoing {', '.join(told['effects'])} leads it astray; --hide "
                 "NAMES lets it hide something, --no-effects undoes nothing"
             )
         if told["unseen_s"]:

@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from softmap_edge import _core
+from softmap_edge.commissioning import setup
 from softmap_edge.doctor.line import FAULT, OK, WARNING, Line, faulty
 from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.servo import commission
+from softmap_edge.servo.bus import opened
 from softmap_edge.servo.combined import combined
 from softmap_edge.servo.emergency import Emergency
 from softmap_edge.servo.models import servo_model
@@ -91,7 +92,7 @@ def rig(file: str | Path) -> Iterator[Line]:
         yield Line("ceiling", WARNING, f"servo {_listed(uncapped)} has no measured current", do)
     yield from _stops(bench)
     try:
-        with commission.opened(bench.port, bench.baud) as bus:
+        with opened(bench.port, bench.baud) as bus:
             yield from _servos(bus, bench)
     except ServoError as fault:
         yield faulty("bus", fault, SCAN)
@@ -120,7 +121,7 @@ def _stops(bench: Rig) -> Iterator[Line]:
 
 
 def _servos(bus: _core.ServoBus, bench: Rig) -> Iterator[Line]:
-    for servo, found, said in commission.examined(bus, bench):
+    for servo, found, said in setup.examined(bus, bench):
         name = f"servo {servo.id}"
         for complaint in said:
             yield faulty(name, complaint, SCAN)

@@ -107,7 +107,7 @@ def _user() -> str:
 
 def ports(dev: Path = DEV) -> Iterator[Line]:
     """The serial ports, and whether this user may open them; none is opened."""
-    from softmap_edge.servo.commission import ports as listed
+    from softmap_edge.servo.bus import ports as listed
 
     found = listed(dev)
     if not found:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,11 +136,12 @@ def track(
     *,
     observe: bool = False,
     late: float = 0.0,
+    progress: Callable[[str, float], None] | None = None,
 ) -> Tracked:
     """Drive a course on an entered `robot` that records, and judge it by what `seen` tells.
 
     A tip that is not seen for `GONE` s is no longer fed back: what was known of it fades, and nothing else changes.
-    `late` s is what the quickest frame takes.
+    `late` s is what the quickest frame takes; `progress` is told what goes on and to what share it is done.
 
     Raises:
         SoftmapError: the robot records nothing, feedback without a camera, or the guard stopped.
@@ -148,8 +150,9 @@ def track(
         raise SoftmapError("tracking needs a robot that records, and a camera where what it sees is fed back")
     home = np.zeros(kinematics.model.channels)
     robot.engage(home)
+    say = progress or (lambda what, share: None)
     _play(robot, lambda t: home, SETTLED)
-    _play(robot, lambda t: _probe(t, len(home)), PROBE[1] + SETTLED)
+    _play(robot, lambda t: _probe(t, len(home)), PROBE[1] + SETTLED, partial(say, "measuring servos"))
     told = response_of(read_recording(robot.recording).periods)
     delay, lag = (0.0, 0.0) if told is None else told
     plan = course.plan
@@ -163,17 +166,23 @@ def track(
             u = u + feedback(u, t, begun, seen())
         return u
 
-    _play(robot, command, float(plan.t[-1]) + 1.0 / SENT)
+    _play(robot, command, float(plan.t[-1]) + 1.0 / SENT, partial(say, "tracking"))
     frames = [] if seen is None else _kept(seen, begun + plan.t[-1])
     _play(robot, lambda t: asked[-1], SETTLED)
     return _judged(kinematics, course, frames, begun, (delay, lag), late)
 
 
-def _play(robot: Controller, command: Callable[[float], Floats], seconds: float) -> None:
-    """Send what `command` says at each time since now, `SENT` times a second."""
+def _play(
+    robot: Controller, command: Callable[[float], Floats], seconds: float, say: Callable[[float], None] | None = None
+) -> None:
+    """Send what `command` says at each time since now, `SENT` times a second; `say` the share done."""
     begun = due = time.monotonic()
+    said = -1.0
     while (now := time.monotonic()) - begun < seconds:
         robot.target(command(now - begun))
+        if say is not None and now - said >= 0.1:
+            said = now
+            say((now - begun) / seconds)
         due = max(due + 1.0 / SENT, now)
         time.sleep(max(0.0, due - time.monotonic()))
 

@@ -224,7 +224,8 @@ class Controller(Watched):
         """
         state = self.state
         if state not in ("engaged", "hold", "commissioning"):
-            raise ServoError(f"the robot is {words.where(self._last)}; engage it first")
+            first = "mend and acknowledge that" if state == "fault" else "engage it"
+            raise ServoError(f"the robot is {words.where(self._last)}; {first} first")
         return self._target(u)
 
     def release(self) -> None:

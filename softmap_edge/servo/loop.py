@@ -15,7 +15,7 @@ import sys
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.servo.commission import opened
+from softmap_edge.servo.bus import opened
 from softmap_edge.servo.proof import TRIES, check_proved, set_mark
 from softmap_edge.signed_udp import read_key
 

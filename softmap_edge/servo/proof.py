@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import ParamSpec, TypeVar
 
 from softmap_edge import _core
-from softmap_edge.errors import ServoError
+from softmap_edge.errors import NoAnswer, ServoError
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -47,11 +48,8 @@ def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
 def patiently(ask: Callable[P, T], *args: P.args, **named: P.kwargs) -> T:
     """Ask again where there is no answer: one glitch is no absence."""
     for _ in range(TRIES - 1):
-        try:
+        with suppress(NoAnswer):
             return ask(*args, **named)
-        except ServoError as fault:
-            if "no answer" not in str(fault):
-                raise
     return ask(*args, **named)
 
 

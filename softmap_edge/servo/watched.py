@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.commission import kept_torque, opened
+from softmap_edge.servo.bus import kept_torque, opened
 from softmap_edge.servo.ending import kept_words
 from softmap_edge.servo.rig import Rig
 

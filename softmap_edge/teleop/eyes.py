@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,7 +62,7 @@ class Finder(Protocol):
         ...
 
 
-class Eyes:
+class Eyes(ABC):
     """The slot that a thread of its own fills; a context manager. `gone` says in a line why nothing comes any more,
     `over` that a file came to its end. `.taken` and `.hands` count pictures and those with the driving hand."""
 
@@ -108,11 +109,11 @@ class Eyes:
         except Exception as fault:  # a driver's or mediapipe's own: the hand is gone, the loop goes on
             self.gone = f"{self.name}: failed ({type(fault).__name__}: {brief(fault)}); begin again"
 
+    @abstractmethod
     def _watch(self) -> None:
         """Fill the slot until there is nothing more to see."""
-        raise NotImplementedError
 
-    def _close(self) -> None:
+    def _close(self) -> None:  # noqa: B027
         """End what the thread may wait for."""
 
 

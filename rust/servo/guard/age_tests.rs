@@ -100,3 +100,19 @@ fn a_clock_may_be_slow_by_its_drift_and_no_more() {
         assert_eq!(held, holds, "{every}");
     }
 }
+
+#[test]
+fn late_periods_that_are_made_up_for_age_nothing() {
+    // The loop runs late by up to 0.7 of a period and makes up for it in the next; the servos' clocks are right.
+    let mut robot = Robot::within(State::Engaged);
+    let (mut due, clock) = (robot.now, robot.said.clock);
+    let start = due;
+    for tick in 0..30_000_u64 {
+        due += 10_000_000;
+        robot.now = due + tick * 37 % 8 * 1_000_000 - 10_000_000;
+        robot.said.clock = ((u64::from(clock) + (robot.now + 10_000_000 - start) / 1_000_000 - 10)
+            % 0x8000) as u16;
+        let output = robot.tick(None);
+        assert_eq!(output.state, State::Engaged, "{tick} {:?}", output.cause);
+    }
+}

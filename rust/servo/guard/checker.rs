@@ -21,8 +21,10 @@ pub struct Said {
 struct Known {
     position: Option<i32>,
     clock: u16,
-    /// ms by which its clock fell behind, and the time (s, by clock and by periods) when it was last believed.
-    behind: f64,
+    /// The time (s, by clock and by periods) when its clock was last not behind, the ms that it went on since, and the
+    /// time when it was last believed.
+    level: (f64, u64),
+    ticked: f64,
     believed: (f64, u64),
     /// Periods since an answer, since its clock moved, and since it was near its goal.
     unheard: u64,
@@ -150,19 +152,23 @@ impl Checker {
             {
                 continue;
             }
-            let waited =
-                (time.0 - known.believed.0).max((time.1 - known.believed.1) as f64 * period);
-            if known.position.is_none() || waited > 1.0 {
-                known.behind = 0.0;
+            let since = |then: (f64, u64)| (time.0 - then.0).max((time.1 - then.1) as f64 * period);
+            if known.position.is_none() || since(known.believed) > 1.0 {
+                (known.level, known.ticked) = (time, 0.0);
             } else {
                 // A clock counts ms up to 32 768; half of that is taken for going back.
-                let mut ticked = i32::from(clock) - i32::from(known.clock);
-                ticked = (ticked + 0x4000).rem_euclid(0x8000) - 0x4000;
-                let behind = known.behind + 995.0 * waited - f64::from(ticked);
+                let ticked = i32::from(clock) - i32::from(known.clock);
+                let ticked =
+                    known.ticked + f64::from((ticked + 0x4000).rem_euclid(0x8000) - 0x4000);
+                let behind = 995.0 * since(known.level) - ticked;
                 if behind > 1000.0 * limits.late {
                     continue;
                 }
-                known.behind = behind.max(0.0);
+                (known.level, known.ticked) = if behind > 0.0 {
+                    (known.level, ticked)
+                } else {
+                    (time, 0.0)
+                };
             }
             known.believed = time;
             if known.position.is_none() || clock != known.clock {

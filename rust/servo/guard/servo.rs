@@ -31,8 +31,10 @@ pub(super) struct Servo {
     clock: u16,
     heard: Stamp,
     ticked: Stamp,
-    /// Seconds by which its answers have fallen behind: its clock went on by less than passed here.
-    behind: f64,
+    /// When its answers were last in time, and by how many s its clock went on since. How far it falls behind is told
+    /// from there and not from answer to answer: a late period and the next that makes up for it would count as two.
+    punctual: Stamp,
+    gone: f64,
     /// When position, current and voltage were last as they should be.
     followed: Stamp,
     light: Stamp,
@@ -56,7 +58,7 @@ impl Servo {
             }
             self.lost |= (position - before).abs() > axis.fastest * time.since(self.heard) + LOOSE;
         } else {
-            (self.clock, self.ticked) = (said.clock, time.now);
+            (self.clock, self.ticked, self.punctual) = (said.clock, time.now, time.now);
         }
         self.position = Some(position);
         self.temperature = if said.temperature.is_nan() {
@@ -82,10 +84,10 @@ impl Servo {
     fn old(&mut self, clock: u16, limits: &Limits, time: &Time) -> bool {
         let round = clock.wrapping_sub(self.clock) % ROUND;
         let passed = f64::from(round) - f64::from(ROUND) * f64::from(u8::from(round >= ROUND / 2));
-        let waited = time.since(self.heard);
-        let behind = self.behind + (1.0 - DRIFT) * waited - 1e-3 * passed;
+        let gone = self.gone + 1e-3 * passed;
+        let behind = (1.0 - DRIFT) * time.since(self.punctual) - gone;
         // Who has said nothing of use for so long may have started anew; whoever needed it has reacted.
-        let anew = waited > ANEW;
+        let anew = time.since(self.heard) > ANEW;
         let stands = clock == self.clock && time.since(self.ticked) > CLOCK_STANDS;
         if stands || behind > limits.late && !anew {
             return true;
@@ -93,7 +95,11 @@ impl Servo {
         if clock != self.clock {
             (self.clock, self.ticked) = (clock, time.now);
         }
-        self.behind = if anew { 0.0 } else { behind.max(0.0) };
+        (self.punctual, self.gone) = if anew || behind <= 0.0 {
+            (time.now, 0.0)
+        } else {
+            (self.punctual, gone)
+        };
         false
     }
 

@@ -6,22 +6,20 @@ makes a watchdog dangerous there on old firmware, a return delay costs bus time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 
 from softmap_edge import _core
-from softmap_edge.errors import ServoError
+from softmap_edge.errors import NoAnswer, NoSuchRate, ServoError
+from softmap_edge.servo.bus import opened, rates
 from softmap_edge.servo.models import Model, numbered
 from softmap_edge.servo.proof import TRIES, patiently, set_mark
 from softmap_edge.servo.rig import Rig, RigServo
 
-PATTERNS = ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*")
 CLEAR = 42  # firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
 OLD = 38  # firmware below which there is no bus watchdog
 NO_SHADOW = 255
-ASKED = 10  # times that a servo is asked whether its torque is off
 ALWAYS = 2  # status return level: every question is answered
 MODES = {
     0: "current", 1: "velocity", 3: "position", 4: "extended position", 5: "current-based position", 16: "PWM",
@@ -50,32 +48,6 @@ class Found:
         return f"{self.port} at {self.baud} baud: id {self.id}, {name}, firmware {self.firmware}"
 
 
-def ports(root: Path = Path("/dev")) -> list[str]:
-    """Return the serial ports of this machine, each once, by their lasting names where they have one."""
-    seen: dict[Path, str] = {}
-    for pattern in PATTERNS:
-        for file in sorted(root.glob(pattern)):
-            seen.setdefault(file.resolve(), str(file))
-    return list(seen.values())
-
-
-@contextmanager
-def opened(port: str, baud: int) -> Iterator[_core.ServoBus]:
-    """Open a bus and close it again."""
-    bus = _core.ServoBus(port, baud)
-    try:
-        yield bus
-    finally:
-        bus.close()
-
-
-def rates() -> list[int]:
-    """Return every baud rate that some servo knows, the usual ones first."""
-    every = sorted({rate for model in _core.servo_models() for rate in model["baud_rates"]})
-    usual = [57_600, 1_000_000]
-    return usual + [rate for rate in every if rate not in usual]
-
-
 def scan(port: str, baud: int | None = None) -> Iterator[Found]:
     """Give every servo that answers at `port`, at one rate or at all of them.
 
@@ -87,8 +59,8 @@ def scan(port: str, baud: int | None = None) -> Iterator[Found]:
             with opened(port, rate) as bus:
                 for id, number, firmware in bus.scan():
                     yield Found(port, rate, id, number, firmware)
-        except ServoError as fault:
-            if baud is not None or "baud" not in str(fault):
+        except NoSuchRate:
+            if baud is not None:
                 raise
 
 
@@ -233,11 +205,8 @@ def set_up(
             write(bus, found.id, "id", id)
         if baud != found.baud:
             # Its answer may come at the new rate already: what counts is that it is found there.
-            try:
+            with suppress(NoAnswer):
                 write(bus, id, "baud_rate", model["baud_rates"].index(baud))
-            except ServoError as fault:
-                if "no answer" not in str(fault):
-                    raise
     now = Found(found.port, baud, id, found.number, found.firmware)
     with opened(now.port, baud) as bus:
         if bus.ping(id) is None:
@@ -246,52 +215,3 @@ def set_up(
     if left:
         raise ServoError(f"{now}: {'; '.join(left)}")
     return now
-
-
-def kept_torque(bus: _core.ServoBus, ids: Iterable[int]) -> list[int]:
-    """Switch the torque of every servo off; returns those of `ids` that have not confirmed it, several times asked."""
-    address, size, _ = _core.servo_registers()["torque_enable"]
-    left = list(ids)
-    for _ in range(ASKED):
-        bus.release()
-        still = []
-        for id in left:
-            try:
-                if any(bus.read(id, address, size)):
-                    still.append(id)
-            except ServoError as fault:
-                if "port" in str(fault):
-                    raise
-                still.append(id)
-        left = still
-        if not left:
-            break
-    return left
-
-
-def release(port: str, baud: int | None = None, ids: Iterable[int] = ()) -> tuple[list[int], list[int]]:
-    """Switch the torque of every servo at `port` off, at one rate or at all of them.
-
-    Args:
-        ids: servos that must be there.
-
-    Returns:
-        The ids of those that confirmed it, and of those that did not.
-
-    Raises:
-        ServoError: the port cannot be opened.
-    """
-    there: set[int] = set()
-    kept: set[int] = set()
-    missing = set(ids)
-    for rate in rates() if baud is None else [baud]:
-        try:
-            with opened(port, rate) as bus:
-                kept_torque(bus, ())
-                found = {id for _ in range(3) for id, _, _ in bus.scan()} | (set(ids) if baud is not None else set())
-                left = set(kept_torque(bus, sorted(found)))
-                there, kept, missing = there | (found - left), kept | left, missing - found
-        except ServoError as fault:
-            if baud is not None or "baud" not in str(fault):
-                raise
-    return sorted(there), sorted(kept | missing)

@@ -20,14 +20,15 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.camera.frames import Frame
+from softmap_edge.commissioning.setup import Found, set_up
+from softmap_edge.emulated.tendon_load import tendon_loads
 from softmap_edge.errors import ServoError
 from softmap_edge.model import Model
-from softmap_edge.servo.commission import Found, opened, set_up
+from softmap_edge.servo.bus import opened
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
-from softmap_edge.servo.tendon_load import tendon_loads
 from softmap_edge.ticks import Calibration
 from softmap_edge.truth import check_hidden
 from softmap_edge.truth_laws import LAWS, Law

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import words
+from softmap_edge.servo.bus import opened
 from softmap_edge.servo.combined import of_bench
-from softmap_edge.servo.commission import opened
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import PRESSED
 from softmap_edge.servo.limits import JOG_SLEW, JOG_TRAVEL, Table, loop_limits, servo_limits, strongest

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.commissioning import setup
 from softmap_edge.errors import ServoError
-from softmap_edge.servo import commission
+from softmap_edge.servo.bus import opened
 from softmap_edge.servo.proof import marked, patiently, set_mark
 from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
 from softmap_edge.ticks import TURN
@@ -58,10 +59,10 @@ def relax(rig: Rig) -> list[int]:
     Raises:
         ServoError: one does not answer, is another model, is not set up, or reports an error.
     """
-    with commission.opened(rig.port, rig.baud) as bus:
+    with opened(rig.port, rig.baud) as bus:
         for _ in range(3):
             bus.release()
-        seen = commission.examined(bus, rig)
+        seen = setup.examined(bus, rig)
     for servo, _, said in seen:
         if said:
             raise ServoError(f"servo {servo.id}: {'; '.join(said)}")
@@ -79,7 +80,7 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
         ServoError: the finger moves, or stands too far from the stored home; nothing is marked then.
     """
     firmware = relax(rig)
-    with commission.opened(rig.port, rig.baud) as bus:
+    with opened(rig.port, rig.baud) as bus:
         positions = watched(bus, rig)
         known = [marked(bus, servo.id, servo.home) for servo in rig.servos]
         homes, away, turns = [], [], []

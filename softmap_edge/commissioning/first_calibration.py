@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.commissioning.home import NEAR
 from softmap_edge.errors import CalibrationError, ServoError
 from softmap_edge.model import Model
-from softmap_edge.servo.home import NEAR
 from softmap_edge.servo.rig import Rig
 from softmap_edge.ticks import TURN, Calibration
 

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.commissioning.jog import EVERY, Deadman, Jog
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import words
+from softmap_edge.servo.bus import opened
 from softmap_edge.servo.combined import IDLE, Combined
-from softmap_edge.servo.commission import opened
-from softmap_edge.servo.jog import EVERY, Deadman, Jog
 from softmap_edge.servo.limits import JOG_SLEW
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import check_proved

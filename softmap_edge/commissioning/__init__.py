@@ -1,0 +1,1 @@
+"""A bench made ready: servos set up, home proved, small moves, the pull test, a first calibration."""

@@ -1,0 +1,1 @@
+"""A finger behind emulated servos, in place of hardware."""
