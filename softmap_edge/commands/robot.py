@@ -63,7 +63,6 @@ def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
     parser.add_argument(
         "--hide",
         "--hidden",
-        dest="hidden",
         default="",
         metavar="NAMES",
         help="--sim: laws that the finger hides: backlash,creep",
@@ -75,7 +74,7 @@ def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
 def check_driven(args: argparse.Namespace) -> None:
     """Raise SoftmapError where those arguments cannot be."""
     check_file("--record", args.record, ".mcap", new=True)
-    if args.hidden and not args.sim:
+    if args.hide and not args.sim:
         raise SoftmapError("--hide: only an emulated finger can hide something; give --sim with it")
 
 
@@ -99,7 +98,7 @@ def bench_of(args: argparse.Namespace, model: Model) -> Iterator[Bench]:
     if args.rig:
         yield read_bench(args.rig, model)
         return
-    with emulated(model, getattr(args, "hidden", ""), getattr(args, "seed", None) or 0) as bench:
+    with emulated(model, getattr(args, "hide", ""), getattr(args, "seed", None) or 0) as bench:
         yield bench
 
 

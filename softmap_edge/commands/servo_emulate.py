@@ -47,7 +47,7 @@ BROKEN = ("mute", "stuck", "torn", "reversed", "jammed", "uncapped")
 def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo emulate`."""
     parser.add_argument("--bundle", metavar="DIR", help="whose finger it is (default: the built-in one)")
-    parser.add_argument("--hide", "--hidden", dest="hidden", default="", metavar="NAMES", help="laws that it hides: backlash,creep")
+    parser.add_argument("--hide", "--hidden", default="", metavar="NAMES", help="laws that it hides: backlash,creep")
     parser.add_argument("--strength", type=float, default=1.0, metavar="X", help="how strong they are (1)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn by chance (0)")
     parser.add_argument("--model", default=SERVO, metavar="NAME", help=f"of the servos ({SERVO})")
@@ -81,7 +81,7 @@ def emulate(args: argparse.Namespace) -> int:
     whole = open_model(args.bundle)
     calibration = whole.calibration or plain_map(whole)
     calibration = replace(calibration, window=calibration.window or calibration.holding(whole.command_range))
-    names = [name for name in args.hidden.split(",") if name]
+    names = [name for name in args.hide.split(",") if name]
     laws = hidden_laws(names, whole.channels, args.seed, args.strength)
     senders = _senders(args)
     robot = emulated_bench(
@@ -189,7 +189,7 @@ def _bare(args: argparse.Namespace) -> int:
     number = servo_model(args.model)["number"]
     if not 1 <= args.servos <= MOST_SERVOS:
         raise ServoError(f"{args.servos} servos; allowed are 1 to {MOST_SERVOS}")
-    given = [f"--{name}" for name in ("bundle", "hidden", "stream", "calibrated", "key") if getattr(args, name)]
+    given = [f"--{name}" for name in ("bundle", "hide", "stream", "calibrated", "key") if getattr(args, name)]
     if given:
         raise ServoError(f"{given[0]} needs a finger; leave --servos out")
     pull = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]

@@ -138,7 +138,7 @@ def _document(
         "axes": kinematics.axes,
         "method": args.method or "exact",
         "effects": list(kinematics.model.chain_names),
-        "hidden": [name for name in args.hidden.split(",") if name] if args.sim else None,
+        "hidden": [name for name in args.hide.split(",") if name] if args.sim else None,
         "waypoints": int(counts.sum()),
         "seconds": float(plan.t[-1] - plan.t[counts][0]),
         "quickest_s": planned.quickest,
