@@ -28,11 +28,12 @@ STEP_MM = 0.01  # of differences: single precision knows no smaller ones
 CLOSE = 1e-8  # relative, of commands and of squared distances: SciPy's own usual value
 
 
-def rows() -> list[dict[str, object]]:
-    """Return the time of a waypoint beside SciPy's, and by how much distances are above those of the paper's way."""
+def rows(waypoints: int = WAYPOINTS) -> list[dict[str, object]]:
+    """Return the time of a waypoint, of so many a letter, beside SciPy's, and by how much distances are above those of
+    the paper's way."""
     made = paper_sized()
     kinematics = Kinematics(made.model, axes="xy")
-    targets, rows = letters(kinematics), []
+    targets, rows = letters(kinematics, waypoints), []
     index = made.model.tip_indices
 
     def tips(rows: Floats) -> Floats:
