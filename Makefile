@@ -15,7 +15,7 @@ demo: $(VENV)/.core
 # The package and the command `softmap` in .venv, compiled anew if a Rust file changed.
 build: $(VENV)/.core
 
-# What compiles and what installs go side by side; then one worker a core.
+# What compiles and what installs go side by side; then come the tests of Python.
 test:
 	$(MAKE) -j2 test-rust $(VENV)/.test
 	$(MAKE) test-python
@@ -23,9 +23,9 @@ test:
 test-rust:
 	cargo test --workspace --locked --quiet
 
-# One worker a core, each with one thread.
+# One worker more than cores, each with one thread: tests of the control loop wait more than they compute.
 test-python: $(VENV)/.test
-	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not prove" -n auto --dist loadfile --no-loadscope-reorder --durations 12
+	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not prove" -n $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder --durations 12
 
 # rustfmt by file: `cargo fmt` does not see the modules that a macro declares (rust/effects/mod.rs).
 lint: $(VENV)/.lint
