@@ -152,6 +152,18 @@ def test_what_a_recording_lacks_is_told(recorded, tmp_path, capsys):
     assert read_recording(file).short == "its loop did not close it: cut short"
 
 
+def test_periods_that_vanish_before_a_clean_end_are_told(recorded, tmp_path, capsys):
+    """The summary that closes a recording counts its messages."""
+    whole, file = recorded.read_bytes(), tmp_path / "less.mcap"
+    messages = [message for _, _, message in _core.read_recording(str(recorded))]
+    *_, third, second, last = (whole.rindex(message) + len(message) for message in messages)
+    periods = len(messages) - 1
+    for start, end, left in ((second, last, periods - 1), (third, last, periods - 2)):
+        file.write_bytes(whole[:start] + whole[end:])
+        assert main(["replay", str(file)]) == 1
+        assert f"damaged ({left} of {periods} messages of channel" in capsys.readouterr().err
+
+
 def test_damaged_recordings_end_with_a_line(recorded, tmp_path):
     file = tmp_path / "bad.mcap"
     whole = bytearray(recorded.read_bytes())

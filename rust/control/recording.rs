@@ -119,7 +119,8 @@ pub struct Reading {
     file: File,
     records: LinearReader,
     topics: HashMap<u16, String>,
-    counts: HashMap<u16, u32>,
+    /// Of each channel the number of its last message, and how many there were.
+    counts: HashMap<u16, (u32, u64)>,
     ended: bool,
 }
 
@@ -182,17 +183,30 @@ impl Reading {
                     Ok(Record::Message { header, data }) => {
                         if let Some(topic) = self.topics.get(&header.channel_id) {
                             let number = header.sequence;
-                            let before = self.counts.insert(header.channel_id, number);
-                            if before.is_some_and(|last| last.wrapping_add(1) != number) {
-                                let last = before.unwrap_or(0);
+                            let before = self.counts.get(&header.channel_id).copied();
+                            if let Some((last, _)) = before
+                                && last.wrapping_add(1) != number
+                            {
                                 break format!(
                                     "damaged (after message {last} of {topic} comes {number}); record again"
                                 );
                             }
+                            let count = before.map_or(1, |(_, count)| count + 1);
+                            self.counts.insert(header.channel_id, (number, count));
                             found.push((topic.clone(), header.log_time, data.into_owned()));
                         }
                     }
-                    Ok(record) => self.ended |= matches!(record, Record::DataEnd(_)),
+                    Ok(Record::Statistics(told)) => {
+                        let count = |channel: &u16| self.counts.get(channel).map_or(0, |c| c.1);
+                        let mut told = told.channel_message_counts.into_iter();
+                        if let Some((channel, wrote)) = told.find(|(c, wrote)| count(c) != *wrote) {
+                            break format!(
+                                "damaged ({} of {wrote} messages of channel {channel} are there); record again",
+                                count(&channel)
+                            );
+                        }
+                    }
+                    Ok(record) => self.ended |= matches!(record, Record::Footer(_)),
                 },
             }
         };
