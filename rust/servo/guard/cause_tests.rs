@@ -135,6 +135,7 @@ fn every_cause_in_every_state_at_its_period() {
                     (6, State::Hold, Cause::Late)
                 );
                 assert_eq!(robot.run(5).state, State::Fault);
+                assert!(robot.guard.forgot_home(), "{said}");
                 continue;
             }
             let (count, output) = robot.until_change();
@@ -142,8 +143,11 @@ fn every_cause_in_every_state_at_its_period() {
             assert_eq!((output.cause, output.servo), (cause, servo), "{said}");
             assert_eq!(count, periods, "{said}");
             assert_eq!(output.torque, expected == State::SafeStop, "{said}");
+            let keeps = reaction != Reaction::Release || cause == Cause::Emergency;
+            // Who falls silent without torque is unplugged or without power: nothing turned, and the mark tells power.
+            let took = !keeps && known && (active || cause != Cause::Silent);
+            assert_eq!(robot.guard.forgot_home(), took, "{said}");
             if expected == State::Fault {
-                let keeps = reaction != Reaction::Release || cause == Cause::Emergency;
                 assert_eq!(robot.knows_home(), keeps && known, "{said}");
             }
         }
@@ -163,6 +167,7 @@ fn home_is_forgotten_in_fault_where_the_cause_says_so() {
         robot.run(periods);
         let keeps = reaction != Reaction::Release || cause == Cause::Emergency;
         assert_eq!(robot.knows_home(), keeps, "{cause:?}");
+        assert_eq!(robot.guard.forgot_home(), !keeps, "{cause:?}");
         let denied = robot.ask(Request::Acknowledge).denied;
         assert!(denied.is_some() || cause == Cause::Lost, "{cause:?}");
     }
