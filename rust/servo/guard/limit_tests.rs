@@ -166,6 +166,48 @@ fn ticks_lie_about_home_within_what_the_servos_count() {
 }
 
 #[test]
+fn what_other_limits_leave_of_a_range() {
+    type Set = fn(&mut Axis);
+    // What is just allowed, what is not, and what is said then.
+    let table: [(Set, Set, &str); 5] = [
+        (
+            |axis| (axis.warm, axis.hot) = (60.0, 60.0),
+            |axis| (axis.warm, axis.hot) = (60.5, 60.0),
+            "servo 2: warm is 60.5 °C; allowed is 20 to 60 °C",
+        ),
+        (
+            |axis| axis.voltage = (7.0, 7.0),
+            |axis| axis.voltage = (7.5, 7.0),
+            "servo 2: voltage (lowest) is 7.5 V; allowed is 3 to 7 V",
+        ),
+        (
+            |axis| (axis.slew, axis.fastest) = (9.0, 9.0),
+            |axis| (axis.slew, axis.fastest) = (9.0, 8.5),
+            "servo 2: fastest is 8.5 ticks/s; allowed is 9 to 50000 ticks/s",
+        ),
+        (
+            |axis| (axis.home, axis.low, axis.high) = (1000, 0, FARTHEST),
+            |axis| (axis.home, axis.low, axis.high) = (1000, 0, FARTHEST + 1),
+            "servo 2: high is 1047576 ticks; allowed is 1 to 1047575 ticks",
+        ),
+        (
+            |axis| (axis.home, axis.low, axis.high) = (-1000, -FARTHEST, 0),
+            |axis| (axis.home, axis.low, axis.high) = (-1000, -FARTHEST - 1, 0),
+            "servo 2: low is -1047576 ticks; allowed is -1047575 to -1 ticks",
+        ),
+    ];
+    for (fine, beyond, said) in table {
+        let with = |set: Set| {
+            let mut limits = widest();
+            set(&mut limits.axes[1]);
+            limits.checked()
+        };
+        assert!(with(fine).is_ok(), "{said}");
+        assert_eq!(with(beyond).unwrap_err().to_string(), said);
+    }
+}
+
+#[test]
 fn a_robot_has_one_to_sixteen_servos() {
     for (count, fine) in [(0, false), (1, true), (16, true), (17, false)] {
         let axis = widest().axes[0];
