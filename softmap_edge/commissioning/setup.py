@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, NoSuchRate, ServoError
 from softmap_edge.servo.bus import opened, rates
-from softmap_edge.servo.models import Model, numbered
+from softmap_edge.servo.models import Entry, numbered
 from softmap_edge.servo.proof import TRIES, patiently, set_mark
 from softmap_edge.servo.rig import Rig, RigServo
 
@@ -39,7 +39,7 @@ class Found:
     firmware: int
 
     @property
-    def model(self) -> Model | None:
+    def model(self) -> Entry | None:
         """What is known of its model."""
         return numbered(self.number)
 
@@ -79,7 +79,7 @@ def registers(bus: _core.ServoBus, id: int) -> dict[str, int]:
     }
 
 
-def wanted(model: Model) -> dict[str, int]:
+def wanted(model: Entry) -> dict[str, int]:
     """Return what a servo's registers must hold to be driven."""
     return {
         "operating_mode": model["operating_mode"],

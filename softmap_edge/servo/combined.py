@@ -25,8 +25,7 @@ from softmap_edge.model import Model
 from softmap_edge.safety import Safety, derived, held_to
 from softmap_edge.servo.ceiling import AT_LEAST, RANGES
 from softmap_edge.servo.limits import COOL, RATE, Table, following, loop_limits, servo_limits, slowed, strongest
-from softmap_edge.servo.models import Model as Entry
-from softmap_edge.servo.models import servo_model
+from softmap_edge.servo.models import Entry, servo_model
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import TURN, Calibration
 
@@ -301,7 +300,7 @@ def shown(limit: Limit, entry: Entry) -> Limit:
     return Limit("pwm" if limit.name == "current" else "jog_pwm", share, "%", limit.by, why)
 
 
-def _current(safety: Safety, entry: dict[str, Any], calibration: Calibration, k: int) -> tuple[float, str, str]:
+def _current(safety: Safety, entry: Entry, calibration: Calibration, k: int) -> tuple[float, str, str]:
     """Return the current (mA) at which servo `k` may pull its tendon as hard as the finger allows."""
     assert safety.tension is not None
     if safety.unit != "mm":
