@@ -207,10 +207,6 @@ def _tips(kinematics: Kinematics, frames: Sequence[Frame]) -> Floats:
     return np.array([np.asarray(frame.points, float)[index].mean(axis=0) for frame in frames]).reshape(-1, 3)
 
 
-def _counted(kinematics: Kinematics) -> NDArray[np.bool_]:
-    return np.array([axis in kinematics.axes for axis in AXES])
-
-
 def _judged(
     kinematics: Kinematics,
     course: Course,
@@ -225,7 +221,7 @@ def _judged(
     during = (t >= first) & (t <= last) & np.isfinite(tip).all(axis=1)
     t, tip = t[during], tip[during]
     target = np.stack([np.interp(t, plan.t, column) for column in plan.targets.T], axis=1)
-    error = np.linalg.norm((tip - target)[:, _counted(kinematics)], axis=1)
+    error = np.linalg.norm((tip - target)[:, kinematics.counted], axis=1)
     gaps = np.diff(np.concatenate([[first], t, [last]]))
     return Tracked(t, target, tip, error, response, float(gaps[gaps > GONE].sum()))
 
@@ -244,7 +240,7 @@ class _Feedback:
         self._clock = HostClock(late)
         self._off, self._last = np.zeros(3), -np.inf
         self._seen, self._asked_at = -np.inf, -np.inf  # s of the plan
-        self._counts = _counted(kinematics)
+        self._counts = kinematics.counted
         self._asked: list[tuple[float, Floats]] = [(-np.inf, np.zeros(3))]
 
     def __call__(self, u: Floats, t: float, begun: float, frames: Sequence[Frame]) -> Floats:
