@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,6 +171,11 @@ def track(
     frames = [] if seen is None else _kept(seen, begun + plan.t[-1])
     _play(robot, lambda t: asked[-1], SETTLED)
     return _judged(kinematics, course, frames, begun, (delay, lag), late)
+
+
+def spread(error: Floats) -> dict[str, Any]:
+    """Return mean, standard deviation, largest and number of errors, as documents have them."""
+    return {"mean": float(error.mean()), "sd": float(error.std()), "max": float(error.max()), "n": len(error)}
 
 
 def _play(
