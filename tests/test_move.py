@@ -158,6 +158,8 @@ def test_to_a_command_and_back(capsys):
     assert "1 numbers for 2 servos" in capsys.readouterr().err
     assert main(["move", "a,b", "--sim"]) == 2
     assert "is no command" in capsys.readouterr().err
+    assert main(["move", "1,1", "--sim"]) == 2
+    assert "no terminal to ask at; --hold says it instead" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -9,11 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.commissioning import home, home_arguments
 from softmap_edge.commands.output import check_file, check_no_run, to_stderr
 from softmap_edge.commands.servo_calibrate import calibrate_bench, calibrate_bench_arguments
 from softmap_edge.commands.servo_emulate import emulate, emulate_arguments
 from softmap_edge.commands.servo_heartbeat import heartbeat, heartbeat_arguments
+from softmap_edge.commands.servo_home import home, home_arguments
 from softmap_edge.commands.servo_limits import limits, limits_arguments
 from softmap_edge.commands.servo_pull import pull_arguments, pull_test
 from softmap_edge.commissioning import setup
