@@ -1,4 +1,4 @@
-"""`softmap servo emulate`: a whole emulated robot at a pseudo-terminal, or bare servos; faults on standard input."""
+"""`softmap servo emulate`: an emulated robot at a pseudo-terminal, faults on standard input. Hooked into servo.py."""
 
 from __future__ import annotations
 
@@ -62,8 +62,6 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
         help="send what its camera sees there (docs/camera.md); may be given again",
     )  # fmt: skip
     parser.add_argument("--key", metavar="FILE", help="sign what is sent with this shared key")
-    # The verb has it too; what stands before the sub-verb is not to be overruled by a default behind it.
-    parser.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
 
 
 def emulate(args: argparse.Namespace) -> int:
