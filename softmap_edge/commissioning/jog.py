@@ -205,9 +205,9 @@ class Jog:
         return float("nan") if self._target is None else float(self._target[servo])
 
 
-def most_travel(rig: Rig) -> float:
-    """Return how far one jog may go, ticks: as the bench says, or softmap."""
-    return float((of_bench(rig)("jog_travel") or (JOG_TRAVEL,))[0])
+def most_travel(rig: Rig, otherwise: float = JOG_TRAVEL) -> float:
+    """Return how far one jog may go, ticks: as the bench says, or `otherwise`."""
+    return float((of_bench(rig)("jog_travel") or (otherwise,))[0])
 
 
 def _limits(rig: Rig, asked: dict[str, float | None]) -> Table:

@@ -3,7 +3,7 @@
 ORDERS and REPORTS are descriptors of pipes; the setup is a JSON document on standard input (`Controller`). What cannot
 be started is told as a report `{"error": …}`. That home is proved is asked here, as late as can be: a servo that loses
 its turns afterwards is seen by the guard. Where a fault made home unknown, its proof is taken from the servos at the
-end.
+end. Pinned by tests/test_controller.py and tests/test_bad_input.py.
 """
 
 from __future__ import annotations
