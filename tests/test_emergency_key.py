@@ -9,10 +9,10 @@ import termios
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from command import SOFTMAP
 from rigs import torque
 
 from softmap_edge import builtin_model, save_bundle
@@ -26,7 +26,6 @@ from softmap_edge.protocol import Limits
 from softmap_edge.servo.emergency_key import HELP, PRESSED
 from softmap_edge.servo.recording import read_recording
 
-SOFTMAP = str(Path(sys.executable).with_name("softmap"))
 AWAY = 120.0  # ticks from home: it is driven
 PATIENCE = 60.0  # s, on a busy machine
 CAMERA = 5991

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from driving import Camera, Finder, Fingers, hand
 from hand_model import hand_model
-from test_teleop_drive import Camera, Finder, Fingers, hand
 from waiting import until
 
 from benches.data import find

@@ -25,8 +25,8 @@ HOME = 2048.0
 
 @dataclass(frozen=True)
 class Bench:
-    """A robot that can be driven: its `rig`, the `limits` of its loop, its `calibration`, and the `model`, on a real bench
-    with that calibration as its own; of an emulated one the `finger`."""
+    """A robot that can be driven: its `rig`, the `limits` of its loop, its `calibration`, and the `model`, which on a
+    real bench has that calibration as its own; of an emulated one the `finger`."""
 
     rig: Rig
     limits: dict[str, Any]

@@ -3,9 +3,9 @@
     with Jog(rig) as jog:
         jog.by(0, 100, Held())     # as long as it is held: who lets go stops it
 
-Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; it brakes when nobody holds,
-and torque goes off after the limit `hold`. What the bench allows (`[ceiling]` and each `[[servo]]`) binds a jog as it
-binds a drive, its ticks where home is proved. Pinned by tests/test_move.py.
+Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; it brakes when nobody
+holds, and torque goes off after the limit `hold`. What the bench allows (`[ceiling]` and each `[[servo]]`) binds a jog
+as it binds a drive, its ticks where home is proved. Pinned by tests/test_move.py.
 """
 
 from __future__ import annotations

@@ -70,8 +70,8 @@ class EmulatedFinger:
     """A finger on the horns of `bus`, seen by a camera, from entering to leaving.
 
     Args:
-        bus: emulated servos, in the order of the commands. model: whose prior gives the shape. calibration: the true map
-            of ticks. laws: what hides between horn and body (`hidden_laws`). seed: of noise and clock.
+        bus: emulated servos, in the order of the commands. model: whose prior gives the shape. calibration: the true
+            map of ticks. laws: what hides between horn and body (`hidden_laws`). seed: of noise and clock.
     """
 
     def __init__(

@@ -27,9 +27,7 @@ OWN = 0.6  # of the largest change of tension: a tendon that changes as much is 
 POINTS = 41  # of a table
 
 
-def tendon_loads(
-    model: Model, calibration: Calibration, window: tuple[float, float], servo: Entry
-) -> list[Load]:
+def tendon_loads(model: Model, calibration: Calibration, window: tuple[float, float], servo: Entry) -> list[Load]:
     """Return what each servo's tendons ask, (ticks, mA) ascending over `window` about home.
 
     Args:
