@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.commissioning import setup
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.bus import opened
-from softmap_edge.servo.proof import marked, patiently, set_mark
+from softmap_edge.servo.bus import opened, patiently
+from softmap_edge.servo.proof import marked, set_mark
 from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
 from softmap_edge.ticks import TURN
 
