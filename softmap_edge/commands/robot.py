@@ -103,7 +103,7 @@ def bench_of(args: argparse.Namespace, model: Model) -> Iterator[Bench]:
 
 
 def own_map(model: Model) -> Calibration:
-    """Return the true map of an emulated robot: its bundle's, or a plain one, with a window that holds its range."""
+    """Return the true map of an emulated robot: its bundle's, or a plain one; a window it has always."""
     known = model.calibration or plain_map(model)
     return replace(known, window=known.window or known.holding(model.command_range))
 
