@@ -2,9 +2,9 @@
 
 import json
 import subprocess
-import sys
 from contextlib import contextmanager
-from pathlib import Path
+
+from command import SOFTMAP
 
 from softmap_edge.camera.points_udp import PointReceiver
 
@@ -15,7 +15,7 @@ def emulated(folder, *more):
     rig, bundle = folder / "rig.toml", folder / "bundle"
     with PointReceiver("", 0) as camera:
         argv = [
-            *(str(Path(sys.executable).with_name("softmap")), "servo", "emulate", "--rig", str(rig)),
+            *(SOFTMAP, "servo", "emulate", "--rig", str(rig)),
             *("--calibrated", str(bundle), "--stream", f"udp://127.0.0.1:{camera.port}", *more, "--json"),
         ]
         with subprocess.Popen(

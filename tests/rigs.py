@@ -5,8 +5,9 @@ from contextlib import contextmanager
 import numpy as np
 
 from softmap_edge import _core
+from softmap_edge.servo.bus import patiently
 from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.proof import patiently, set_mark
+from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import Calibration
 

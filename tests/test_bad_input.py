@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bad_inputs import TABLE
+from driving import PICTURE, Session, hand
+from ordinary_user import as_ordinary_user
 from rigs import HOME, NUMBER, TICKS_PER_MM, angles, bench, calibration, torque
-from test_ordinary_user import as_ordinary_user
-from test_teleop_drive import PICTURE, Session, hand
 
 from softmap_edge import _core, builtin_model, save_bundle
 from softmap_edge.cli import main
@@ -24,26 +25,7 @@ from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import RigServo
 from softmap_edge.teleop.frames import CameraFrames
 
-PAGE = Path(__file__).parents[1] / "docs" / "safety.md"
 PATIENCE = 10.0  # s, on a busy machine
-DIFFERS = {"PORT": r"/dev/\S+", "N": r"[\d.]+"}
-
-
-def table():
-    """Return the page's table: input → (pattern of its line, states)."""
-    section = PAGE.read_text(encoding="utf-8").split("## Bad input")[1].split("\n## ")[0]
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:1] == "|"]
-    assert rows[0] == ["bad input", "the line", "guard"]
-    return {name: (pattern(line), guard.lower().split(" → ")) for name, line, guard in rows[2:]}
-
-
-def pattern(line):
-    """Return what a line of the table matches."""
-    words = re.split(r"\b(PORT|N)\b", line)
-    return "".join(DIFFERS.get(word, re.escape(word)) for word in words)
-
-
-TABLE = table()
 
 
 def starts(rig, limits):

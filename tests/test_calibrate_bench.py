@@ -91,7 +91,7 @@ def test_signs_are_jogged_and_asked_for(tmp_path, capsys, monkeypatch):
     with bench() as (bus, there, _):
         there.write(tmp_path / "rig.toml")
 
-        def answer(question):
+        def answer(question, _):
             asked.append(question)
             moved.append(not torque(bus))
             return next(answers)
@@ -106,7 +106,7 @@ def test_signs_are_jogged_and_asked_for(tmp_path, capsys, monkeypatch):
 
 
 def test_a_servo_that_bends_neither_way_is_told(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(servo_calibrate, "confirm", lambda _: False)
+    monkeypatch.setattr(servo_calibrate, "confirm", lambda *_: False)
     with bench() as (bus, there, _):
         there.write(tmp_path / "rig.toml")
         assert main(words(tmp_path, "--hold")) == 2

@@ -9,15 +9,15 @@ import termios
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from command import SOFTMAP
 from rigs import torque
 
 from softmap_edge import builtin_model, save_bundle
 from softmap_edge.camera.points_udp import PointSender
-from softmap_edge.commands.robot import plain_map
+from softmap_edge.commands.robot import own_map
 from softmap_edge.commands.servo_emulate import streaming
 from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.experiment.blocks import chosen, plan
@@ -26,7 +26,6 @@ from softmap_edge.protocol import Limits
 from softmap_edge.servo.emergency_key import HELP, PRESSED
 from softmap_edge.servo.recording import read_recording
 
-SOFTMAP = str(Path(sys.executable).with_name("softmap"))
 AWAY = 120.0  # ticks from home: it is driven
 PATIENCE = 60.0  # s, on a busy machine
 CAMERA = 5991
@@ -36,8 +35,7 @@ CAMERA = 5991
 def robot(tmp_path_factory):
     """Give an emulated bus and the folder with its rig, bundle and commands; its camera sends to CAMERA."""
     folder, model = tmp_path_factory.mktemp("robot"), builtin_model()
-    known = plain_map(model)
-    model = replace(model, calibration=replace(known, window=known.holding(model.command_range)))
+    model = replace(model, calibration=own_map(model))
     save_bundle(model, folder / "finger")
     write_commands(folder / "commands.csv", plan(chosen(["circle"]), Limits.even(2, 3.0)), model.robot)
     with (

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from emulated_robot import emulated, say
 from rigs import HOME, bench, calibration
-from waiting import until
+from waiting import hold_for, until
 
 from softmap_edge import SoftmapError, _core, builtin_model, load_bundle
 from softmap_edge.camera.frames import on_host
@@ -46,14 +46,6 @@ def test_what_moves_no_tendon_cannot_hide():
             hidden_laws([name], 2, 0)
 
 
-def moved(robot, u, seconds):
-    """Send a command for some seconds."""
-    until = time.monotonic() + seconds
-    while time.monotonic() < until:
-        robot.target(u)
-        time.sleep(0.02)
-
-
 def test_a_camera_sees_the_finger_that_packets_drive(model):
     laws = hidden_laws(["backlash"], 2, 1)
     with (
@@ -62,7 +54,7 @@ def test_a_camera_sees_the_finger_that_packets_drive(model):
         Controller(rig, calibration(), limits) as robot,
     ):
         robot.engage()
-        moved(robot, [1.8, -1.2], 2.5)
+        hold_for(robot, [1.8, -1.2], 2.5)
         frames, (_, acting) = finger.seen(), finger.acting()
     stamps = np.array([frame.stamp for frame in frames])
     host = on_host(frames)
@@ -82,7 +74,7 @@ def test_a_reversed_and_a_broken_tendon_show(model):
         bus.damage(1, torn=True)
         with Controller(rig, calibration(), limits) as robot:
             robot.engage()
-            moved(robot, [1.5, 1.5], 2.0)
+            hold_for(robot, [1.5, 1.5], 2.0)
             _, acting = finger.acting()
     np.testing.assert_allclose(acting[-1], [-1.5, 0.0], atol=0.02)
 
@@ -93,7 +85,7 @@ def test_a_second_fault_leaves_the_first_and_mending_ends_both(model):
         def driven():
             with Controller(rig, calibration(), limits) as robot:
                 robot.engage()
-                moved(robot, [1.5, 1.5], 2.0)
+                hold_for(robot, [1.5, 1.5], 2.0)
                 return finger.acting()[1][-1], robot.report["current_mA"]
 
         bus.damage(0, torn=True)
@@ -150,12 +142,12 @@ def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
         servos = [servo_limits(servo.model, servo.home, made.calibration.window) for servo in rig.servos]
         with Controller(rig, made.calibration, loop_limits(servos, 100.0)) as robot:
             robot.engage()
-            moved(robot, [3.0, 0.0], 2.5)
+            hold_for(robot, [3.0, 0.0], 2.5)
             tip = camera.seen()[-1].points[model.tip_indices].mean(axis=0)
             assert np.linalg.norm(tip - model.tip(np.array([[3.0, 0.0]]))[0]) < 5.0
             assert np.linalg.norm(tip - model.tip(np.zeros((1, 2)))[0]) > 5.0
             say(process, "reversed 0")
-            moved(robot, [3.0, 0.0], 0.5)
+            hold_for(robot, [3.0, 0.0], 0.5)
             away = camera.seen()[-1].points[model.tip_indices].mean(axis=0) - model.tip(np.zeros((1, 2)))[0]
             assert away @ (tip - model.tip(np.zeros((1, 2)))[0]) < 0
         say(process, "blind 1")

@@ -5,7 +5,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from test_hand import hand, turned
+from hands import hand, turned
 
 from softmap_edge.errors import TeleopError
 from softmap_edge.teleop.gesture import CLOSED, DWELL, GAP, OPEN, Deadman, Rule, openness

@@ -2,12 +2,11 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 
 import numpy as np
 import pytest
+from command import interruptible
 
 from softmap_edge import Run, builtin_model
 from softmap_edge.own_effect import template
@@ -16,17 +15,6 @@ from softmap_edge.protocol import standard_protocol
 STOPPED = 2.0  # s after the signal, on a busy machine; the work itself takes minutes
 STARTED = 1.5  # s of solving before the signal: within the first column of the sweep
 REACHED = 4.0  # s until a diagnosis calls its laws
-
-
-def softmap(*argv):
-    # A shell starts what it puts in the background with SIGINT ignored, and children inherit that.
-    code = (
-        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
-        "from softmap_edge.cli import main; print('up', flush=True); sys.exit(main())"
-    )
-    return subprocess.Popen(
-        [sys.executable, "-c", code, *argv], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
 
 
 def stop(process, after):
@@ -47,7 +35,7 @@ def stop(process, after):
 
 @pytest.mark.parametrize("verb", ["build", "sweep"])
 def test_ctrl_c_stops_the_first_column_at_once(verb, tmp_path):
-    with softmap(verb, "--steps", "201", "--out", str(tmp_path / "out.npz")) as process:
+    with interruptible(verb, "--steps", "201", "--out", str(tmp_path / "out.npz")) as process:
         assert stop(process, STARTED) == f"softmap {verb}: interrupted\n"
     assert not list(tmp_path.iterdir())
 
@@ -64,6 +52,6 @@ def test_a_law_of_a_user_that_never_ends_can_be_stopped(tmp_path):
     run = Run(t=made.t, command=made.command, t_seen=made.t_seen, gravity=made.gravity, vertices=rest)
     run.save(tmp_path / "run.npz")
     argv = ("diagnose", str(tmp_path / "run.npz"), "--effects", str(tmp_path / "endless.py"))
-    with softmap(*argv, "--out", str(tmp_path / "d.json")) as process:
+    with interruptible(*argv, "--out", str(tmp_path / "d.json")) as process:
         assert stop(process, REACHED).endswith("softmap diagnose: interrupted\n")
     assert not (tmp_path / "d.json").exists()

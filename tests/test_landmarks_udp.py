@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from test_hand import hand
+from hands import hand
 
 from softmap_edge import signed_udp
 from softmap_edge.errors import LinkError

@@ -8,9 +8,9 @@ import time
 
 import numpy as np
 import pytest
+from command import interruptible
 from emulated_robot import emulated
 from rigs import bench, calibration
-from test_interrupt import softmap
 from waiting import until
 
 from softmap_edge import builtin_model, load_bundle
@@ -218,7 +218,7 @@ def test_the_error_of_a_robot_in_another_process_is_told_while_it_moves(tmp_path
         limits = loop_limits([servo_limits(one.model, one.home, made.window) for one in rig.servos], 100.0)
         driver = threading.Thread(target=drive, args=(rig, limits, made, file, 8.0))
         on = ["--bundle", str(robot / "bundle"), "--camera", f"udp://:{receiver.port}", "--late", "0.02"]
-        with softmap("compare", str(file), "--live", *on, "--json") as live:
+        with interruptible("compare", str(file), "--live", *on, "--json") as live:
             assert live.stdout.readline() == "up\n"
             driver.start()
             told = ""

@@ -6,13 +6,12 @@ import os
 import pty
 import select
 import subprocess
-import sys
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+from command import SOFTMAP
 from emulated_robot import emulated
 from rigs import HOME, TICKS_PER_MM, angles, bench, torque
 from waiting import until
@@ -26,8 +25,6 @@ from softmap_edge.errors import ServoError
 from softmap_edge.servo.bus import opened
 from softmap_edge.servo.ceiling import Ceiling
 from softmap_edge.terminal_keys import named
-
-SOFTMAP = str(Path(sys.executable).with_name("softmap"))
 
 
 def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
@@ -158,6 +155,8 @@ def test_to_a_command_and_back(capsys):
     assert "1 numbers for 2 servos" in capsys.readouterr().err
     assert main(["move", "a,b", "--sim"]) == 2
     assert "is no command" in capsys.readouterr().err
+    assert main(["move", "1,1", "--sim"]) == 2
+    assert "no terminal to ask at; --hold says it instead" in capsys.readouterr().err
 
 
 @pytest.fixture

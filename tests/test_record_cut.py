@@ -6,12 +6,11 @@ import resource
 import shlex
 import signal
 import subprocess
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+from command import SOFTMAP
 from waiting import until
 
 from softmap_edge import Run, builtin_model
@@ -25,7 +24,6 @@ from softmap_edge.experiment.play import Played
 from softmap_edge.protocol import Limits
 
 MOST = 200_000  # bytes of a file
-SOFTMAP = str(Path(sys.executable).with_name("softmap"))
 
 
 @pytest.fixture

@@ -5,17 +5,15 @@ import json
 import re
 import signal
 import subprocess
-import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from bad_inputs import TABLE
+from command import SOFTMAP, interruptible
 from emulated_robot import emulated
 from rigs import calibration, torque
-from test_bad_input import TABLE
-from test_interrupt import softmap
 from waiting import until
 
 from softmap_edge import Run, SoftmapError, builtin_model, compare, diagnose, load_bundle
@@ -33,7 +31,6 @@ from softmap_edge.servo.recording import read_recording
 
 MODEL = builtin_model()
 SERVOS = [servo_limits("XL330-M288", 2000, (-900.0, 900.0))] * 2
-SOFTMAP = str(Path(sys.executable).with_name("softmap"))
 WATCHDOG = 0.08  # s: without a word for 0.1 s a servo stops by itself, and looks are 0.01 s apart
 TRIALS = 3
 TELLING = ["small loops at two offsets", "triangles of growing size", "diagonals"]
@@ -302,7 +299,7 @@ def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, c
 def test_interrupted_is_kept(tmp_path, commands):
     out = tmp_path / "run.npz"
     more = ["--emulated", "--out", str(out), "--record", str(tmp_path / "loop.mcap")]
-    with softmap("record", str(commands), *more) as process:
+    with interruptible("record", str(commands), *more) as process:
         until(lambda: (tmp_path / "loop.mcap").exists(), 60.0)
         time.sleep(9.0)
         process.send_signal(signal.SIGINT)

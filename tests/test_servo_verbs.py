@@ -4,12 +4,11 @@ import io
 import json
 import os
 import subprocess
-import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+from command import SOFTMAP
 from rigs import bench, calibration, torque
 
 from softmap_edge import _core
@@ -197,7 +196,7 @@ def test_ports_are_listed_once_by_their_lasting_name(tmp_path):
 
 def test_an_emulated_bench_takes_faults_from_standard_input(tmp_path):
     rig = tmp_path / "rig.toml"
-    argv = [str(Path(sys.executable).with_name("softmap")), "servo", "emulate", "--rig", str(rig), "--json"]
+    argv = [SOFTMAP, "servo", "emulate", "--rig", str(rig), "--json"]
     with subprocess.Popen(
         argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from driving import Camera, Finder, Fingers, hand
 from hand_model import hand_model
-from test_teleop_drive import Camera, Finder, Fingers, hand
 from waiting import until
 
 from benches.data import find
@@ -174,5 +174,6 @@ def test_the_commands_of_the_page_that_need_no_device_run(tmp_path, monkeypatch,
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told["camera"] == "the other computer" and told["ended"] == "after 0.5 s, as asked"
     fetch = next(words for words in ours if "--fetch-model" in words)
-    model = hand_model(tmp_path / "wheels") if (tmp_path / "wheels").mkdir() is None else None
+    (tmp_path / "wheels").mkdir()
+    model = hand_model(tmp_path / "wheels")
     assert main([*fetch[:2], str(model), "--model", "hand_landmarker.task"]) == 0

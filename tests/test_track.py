@@ -4,12 +4,10 @@ import argparse
 import json
 import threading
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from page import blocks, lines
-from rigs import calibration
+from rigs import calibration, torque
 
 from softmap_edge import Run, SoftmapError, _core, builtin_model, diagnose, save_bundle
 from softmap_edge.camera.frames import Frame
@@ -138,20 +136,6 @@ def test_the_verb_plans_without_a_robot_and_says_what_is_out_of_reach(capsys):
     assert "out of reach" in said and "no camera" not in said
 
 
-def test_the_commands_of_the_page_are_some_and_those_without_a_robot_run(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    page = (Path(__file__).parents[1] / "docs/track.md").read_text(encoding="utf-8")
-    ours = [words for _, text in blocks(page) for words in lines(text) if words[:2] == ["softmap", "track"]]
-    assert len(ours) == 5
-    for words in ours:
-        parser = argparse.ArgumentParser()
-        track_arguments(parser)
-        told = parser.parse_args(words[2:])
-        if told.plan or told.workspace:
-            assert main(words[1:]) == 0, words
-    assert (tmp_path / "reach.svg").exists() and (tmp_path / "s.svg").exists()
-
-
 @pytest.mark.parametrize("word", ["--hidden", "--hide"])
 def test_what_a_finger_hides_is_named_by_one_word_in_every_verb(word):
     for arguments, others in (
@@ -231,7 +215,7 @@ def test_a_camera_that_goes_and_comes_while_a_figure_is_tracked(model, tmp_path,
         for timer in timers:
             timer.start()
         assert main(argv) == 0
-        assert not any(on for _, on, *_ in bus.state()[1])
+        assert not torque(bus)
     told = json.loads(capsys.readouterr().out)
     assert 1.0 < told["unseen_s"] < 10.0 and told["seen_mm"]["n"] > 30
     assert told["seen_mm"]["mean"] < 1.0

@@ -3,7 +3,7 @@
 //!   x₀ = u,   x_{k+1} = a_k(W_k x_k + b_k),   out = W x + b
 //!
 //! with Relu, Gelu (Hendrycks & Gimpel 2016, arXiv:1606.08415) or a normalised layer (Ba et al. 2016, arXiv:1607.06450) as a_k. Constants
-//! before and after a linear layer are folded into it in double precision when the file is read (`onnx.rs`); the layers then run in single
+//! before and after a linear layer are folded into it in double precision when the file is read (`onnx.rs`, `fold.rs`); the layers then run in single
 //! precision, several commands side by side, or one command with its slopes (a tangent for each channel) in the same pass (`layers.rs`),
 //! with the widest vectors that this processor has, which is asked when the file is read. A pass reads the weights once and takes little
 //! longer than that. It allocates nothing: each thread keeps the room that passes work in, made when a network is read there, or in

@@ -21,30 +21,26 @@ use std::sync::{Mutex, PoisonError};
 
 import_exception!(softmap_edge.errors, LimitError);
 
+fn value<'py>(from: &Bound<'py, PyDict>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+    from.get_item(name)?
+        .ok_or_else(|| trouble(format!("the limit '{name}' is missing")))
+}
+
 fn number(from: &Bound<'_, PyDict>, name: &str) -> PyResult<f64> {
-    let value = from
-        .get_item(name)?
-        .ok_or_else(|| trouble(format!("the limit '{name}' is missing")))?;
-    value
+    value(from, name)?
         .extract()
         .map_err(|_| trouble(format!("the limit '{name}' is no number")))
 }
 
 fn pair(from: &Bound<'_, PyDict>, name: &str) -> PyResult<(f64, f64)> {
-    let value = from
-        .get_item(name)?
-        .ok_or_else(|| trouble(format!("the limit '{name}' is missing")))?;
-    let [low, high] = value
+    let [low, high] = value(from, name)?
         .extract()
         .map_err(|_| trouble(format!("the limit '{name}' is no pair of numbers")))?;
     Ok((low, high))
 }
 
 fn whole(from: &Bound<'_, PyDict>, name: &str) -> PyResult<i32> {
-    let value = from
-        .get_item(name)?
-        .ok_or_else(|| trouble(format!("the limit '{name}' is missing")))?;
-    value
+    value(from, name)?
         .extract()
         .map_err(|_| trouble(format!("the limit '{name}' is no whole number")))
 }

@@ -82,13 +82,12 @@ pub fn emulator() -> Emulator {
 /// What drives them once they are set up.
 pub fn drive<P: Port>(mut bus: Bus<P>) -> Drive<P> {
     for id in IDS {
-        bus.write(
-            id,
-            X_SERIES.operating_mode.address,
-            &[mode::CURRENT_BASED_POSITION],
-        )
-        .unwrap();
-        bus.write(id, X_SERIES.return_delay.address, &[0]).unwrap();
+        let driven = (X_SERIES.operating_mode, mode::CURRENT_BASED_POSITION);
+        for (register, value) in [driven, (X_SERIES.return_delay, 0)] {
+            // At a pseudo-terminal of a busy computer an answer may come late.
+            let heard = (0..20).any(|_| bus.write(id, register.address, &[value]).is_ok());
+            assert!(heard, "servo {id} does not answer");
+        }
     }
     let model = model(1200).unwrap();
     Drive::new(bus, &IDS.map(|id| Member { id, model }), true, 100.0)

@@ -82,16 +82,14 @@ impl<P: Port> Drive<P> {
 
     /// Whether each servo has said, when it was examined last, that it has no torque.
     pub fn released(&self) -> bool {
-        let said = |health: &Option<Health>| health.is_some_and(|health| !health.torque);
-        self.health.iter().all(said)
+        self.health.iter().all(without_torque)
     }
 
     /// The ids of those that have not.
     pub fn unreleased(&self) -> Vec<u8> {
-        let said = |health: &Option<Health>| health.is_some_and(|health| !health.torque);
         let servos = self.ids.iter().zip(&self.health);
         servos
-            .filter(|(_, health)| !said(health))
+            .filter(|(_, health)| !without_torque(health))
             .map(|(id, _)| *id)
             .collect()
     }
@@ -228,6 +226,11 @@ impl<P: Port> Drive<P> {
         self.bus
             .sync_read(&self.ids, address, size, data, &mut self.heard, self.fast)
     }
+}
+
+/// Whether a servo has said that it has no torque.
+fn without_torque(health: &Option<Health>) -> bool {
+    health.is_some_and(|health| !health.torque)
 }
 
 /// Whether what a servo has lacked at so many looks is to be written again.

@@ -1,48 +1,51 @@
-"""What `softmap servo home` does: a bench commissioned with its user, or by options where there is none."""
+"""What the verbs of commissioning share: what has to be held while anything moves, and questions at the terminal.
+
+Pinned by tests/test_move.py, tests/test_home.py and tests/test_calibrate_bench.py.
+"""
 
 from __future__ import annotations
 
 import argparse
-import json
+import contextlib
 import sys
+from collections.abc import Iterator
 
-from softmap_edge.commands.output import check_file
+from softmap_edge.commissioning.jog import Deadman, Held
+from softmap_edge.commissioning.keys import Keys
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.rig import read_rig
+from softmap_edge.terminal_keys import terminal
 
 
-def home_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `servo home`."""
-    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench; its homes are written into it")
-    parser.add_argument("--yes", action="store_true", help="the finger is straight: ask nothing")
-    parser.add_argument("--new", action="store_true", help="this is home, whatever was stored before")
+def hold_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare `--hold`, the same wherever a deadman is."""
+    parser.add_argument(
+        "--hold", action="store_true", help="no key needs to be held: the program holds while it runs, Ctrl-C lets go"
+    )
 
 
-def home(args: argparse.Namespace) -> int:
-    """Prove home after a power-up; 0 when it is proved."""
-    from softmap_edge.commissioning.home import prove, relax
-
-    check_file("--rig", args.rig, ".toml")
-    rig = read_rig(args.rig)
-    relax(rig)
-    confirmed = "by --yes"
-    if not args.yes:
-        if not confirm("Torque is off. Let the finger hang straight and still. Is it straight?"):
-            raise ServoError("home is not proved: nobody said that the finger is straight")
-        confirmed = "by the user at the terminal"
-    homed = prove(rig, confirmed, new=args.new)
-    homed.rig.note(args.rig)
-    print(json.dumps(homed.to_dict() | {"rig": args.rig}) if args.json else f"{homed}\n{args.rig}: home is proved")
-    return 0
+@contextlib.contextmanager
+def deadman(held: bool) -> Iterator[Deadman]:
+    """Give what has to be held: the program itself, stopped by keys where there is a terminal, or a key of it."""
+    if held and terminal() is None:
+        yield Held()
+    else:
+        with Keys(always=held) as keys:
+            yield keys
 
 
-def confirm(question: str) -> bool:
-    """Ask a question on the terminal; yes or no.
+def tell(args: argparse.Namespace, what: str, hand: Deadman) -> None:
+    """Say what will move, and how it is stopped."""
+    if not args.json:
+        print(f"{what}; {hand.how}", file=sys.stderr)
+
+
+def confirm(question: str, instead: str) -> bool:
+    """Ask a question on the terminal; yes or no. `instead` is the option that says it where there is none.
 
     Raises:
         ServoError: there is no terminal.
     """
     if not sys.stdin.isatty():
-        raise ServoError("no terminal to ask at; --yes says it instead")
+        raise ServoError(f"no terminal to ask at; {instead} says it instead")
     print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -12,19 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.commands.commissioning import confirm
+from softmap_edge.commands.commissioning import confirm, deadman, hold_argument, tell
 from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import bench_of, emulated
-from softmap_edge.commissioning.jog import EVERY, Deadman, Held, Jog, most_travel
-from softmap_edge.commissioning.keys import Keys
+from softmap_edge.commissioning.jog import EVERY, Jog, most_travel
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.limits import JOG_TRAVEL
 from softmap_edge.servo.rig import Rig, read_rig
-from softmap_edge.terminal_keys import EMERGENCY, terminal
+from softmap_edge.terminal_keys import EMERGENCY
 
 ARROWS = {"right": (0, 1), "left": (0, -1), "up": (1, 1), "down": (1, -1)}
 SIGNS = {"+": 1, "=": 1, "-": -1}
@@ -49,13 +48,6 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     hold_argument(parser)
 
 
-def hold_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare `--hold`, the same wherever a deadman is."""
-    parser.add_argument(
-        "--hold", action="store_true", help="no key needs to be held: the program holds while it runs, Ctrl-C lets go"
-    )
-
-
 def move(args: argparse.Namespace) -> int:
     """Jog, or go to one command; 0 when that was done."""
     if (args.servo is None) != (args.by is None) or (args.command and args.by is not None):
@@ -63,7 +55,7 @@ def move(args: argparse.Namespace) -> int:
     _check_by(args.by, JOG_TRAVEL)
     if args.command:
         return _go(args)
-    with bench(args) as rig:
+    with _bench(args) as rig:
         if args.by is not None:
             _numbered(rig, args.servo)
             _check_by(args.by, most_travel(rig))
@@ -92,7 +84,7 @@ def _check_by(by: float | None, most: float) -> None:
 
 
 @contextlib.contextmanager
-def bench(args: argparse.Namespace) -> Iterator[Rig]:
+def _bench(args: argparse.Namespace) -> Iterator[Rig]:
     """Give the rig of `--rig`, or an emulated one."""
     if args.rig:
         yield read_rig(args.rig)
@@ -100,22 +92,6 @@ def bench(args: argparse.Namespace) -> Iterator[Rig]:
     model = open_model(args.bundle)
     with emulated(model) as robot:
         yield robot.rig
-
-
-@contextlib.contextmanager
-def deadman(held: bool) -> Iterator[Deadman]:
-    """Give what has to be held: the program itself, stopped by keys where there is a terminal, or a key of it."""
-    if held and terminal() is None:
-        yield Held()
-    else:
-        with Keys(always=held) as keys:
-            yield keys
-
-
-def tell(args: argparse.Namespace, what: str, hand: Deadman) -> None:
-    """Say what will move, and how it is stopped."""
-    if not args.json:
-        print(f"{what}; {hand.how}", file=sys.stderr)
 
 
 def _numbered(rig: Rig, id: int) -> int:
@@ -159,7 +135,7 @@ def _go(args: argparse.Namespace) -> int:
     with bench_of(args, model) as there:
         if len(u) != len(there.rig.servos):
             raise SoftmapError(f"{len(u)} numbers for {len(there.rig.servos)} servos; give mm, one a servo")
-        if not args.hold and not confirm(f"The finger goes to {args.command} mm and comes back. Is it free?"):
+        if not args.hold and not confirm(f"The finger goes to {args.command} mm and comes back. Is it free?", "--hold"):
             raise ServoError("nothing moved: nobody said that the finger is free")
         robot = Controller(there.rig, there.calibration, there.limits)
         with EmergencyKey(robot, to_stderr), robot:

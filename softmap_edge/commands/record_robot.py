@@ -19,7 +19,7 @@ from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_bundle, check_file, check_no_run, to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
-from softmap_edge.commands.robot import Bench, emulated, plain_map, read_bench
+from softmap_edge.commands.robot import Bench, emulated, own_map, read_bench
 from softmap_edge.commands.seeing import late, receiver
 from softmap_edge.emulated.finger import LATE
 from softmap_edge.errors import SoftmapError
@@ -47,8 +47,7 @@ def record_on_robot(args: argparse.Namespace) -> int:
     _checked(args)
     model = open_model(args.bundle)
     if args.emulated:
-        known = model.calibration or plain_map(model)
-        model = replace(model, calibration=replace(known, window=known.window or known.holding(model.command_range)))
+        model = replace(model, calibration=own_map(model))
     made = _commands(args, model)
     behind = late(args, LATE[0] if args.emulated else 0.0)
     file, seen_file = _left(args)

@@ -25,8 +25,8 @@ HOME = 2048.0
 
 @dataclass(frozen=True)
 class Bench:
-    """A robot that can be driven: its `rig`, the `limits` of its loop, its `calibration`, and the `model`, whose own
-    calibration is that of this bench; of an emulated one the `finger`."""
+    """A robot that can be driven: its `rig`, the `limits` of its loop, its `calibration`, and the `model`, which on a
+    real bench has that calibration as its own; of an emulated one the `finger`."""
 
     rig: Rig
     limits: dict[str, Any]
@@ -100,6 +100,12 @@ def bench_of(args: argparse.Namespace, model: Model) -> Iterator[Bench]:
         return
     with emulated(model, getattr(args, "hide", ""), getattr(args, "seed", None) or 0) as bench:
         yield bench
+
+
+def own_map(model: Model) -> Calibration:
+    """Return the true map of an emulated robot: its bundle's, or a plain one; a window it has always."""
+    known = model.calibration or plain_map(model)
+    return replace(known, window=known.window or known.holding(model.command_range))
 
 
 def plain_map(model: Model) -> Calibration:

@@ -9,11 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.commissioning import home, home_arguments
 from softmap_edge.commands.output import check_file, check_no_run, to_stderr
 from softmap_edge.commands.servo_calibrate import calibrate_bench, calibrate_bench_arguments
 from softmap_edge.commands.servo_emulate import emulate, emulate_arguments
 from softmap_edge.commands.servo_heartbeat import heartbeat, heartbeat_arguments
+from softmap_edge.commands.servo_home import home, home_arguments
 from softmap_edge.commands.servo_limits import limits, limits_arguments
 from softmap_edge.commands.servo_pull import pull_arguments, pull_test
 from softmap_edge.commissioning import setup
@@ -25,62 +25,8 @@ from softmap_edge.servo.rig import Rig, RigServo, read_rig
 
 Declare = Callable[[argparse.ArgumentParser], None]
 Do = Callable[[argparse.Namespace], int]
-STEPS: dict[str, tuple[str, Declare, Do]] = {  # of commissioning, in their order
-    "home": ("prove where the finger is straight, after each power-up", home_arguments, home),
-    "calibrate": (
-        "a first calibration without a camera: pulley, jogged signs, a ruler",
-        calibrate_bench_arguments,
-        calibrate_bench,
-    ),
-    "pull": ("measure the current at the stroke; it becomes the ceiling", pull_arguments, pull_test),
-}
 SLOWEST, FASTEST = 9_600, 4_500_000  # baud
 OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise
-
-
-def servo_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `servo` and of what it does."""
-    steps = "|".join(STEPS)
-    metavar = f"scan|read|setup|{steps}|limits|off|heartbeat|emulate"
-    what = parser.add_subparsers(dest="what", required=True, metavar=metavar)
-    _bus(what.add_parser("scan", help="find ports, baud rates and servos"))
-    _bus(one := what.add_parser("read", help="what a servo is, and what keeps it from being driven"))
-    one.add_argument("--id", type=int, metavar="ID", help="one servo; all that answer without it")
-    _bus(one := what.add_parser("setup", help="make one servo ready, and note it in a rig.toml"))
-    one.add_argument("--id", type=int, metavar="ID", help="its id now, where several servos are connected")
-    one.add_argument("--new-id", type=int, metavar="ID", help="the id it gets")
-    one.add_argument("--new-baud", type=int, metavar="BAUD", help="the baud rate it gets")
-    one.add_argument("--rig", metavar="rig.toml", help="add it to this bench")
-    for name, (text, declare, _) in STEPS.items():
-        declare(one := what.add_parser(name, help=text))
-        _json(one)
-    _bus(one := what.add_parser("off", help="switch the torque of every servo off"))
-    one.add_argument("--rig", metavar="rig.toml", help="the bench whose port it is")
-    limits_arguments(one := what.add_parser("limits", help="every limit in force on a bench, and who set it"))
-    _json(one)
-    heartbeat_arguments(one := what.add_parser("heartbeat", help="be the emergency stop of a robot elsewhere"))
-    _json(one)
-    emulate_arguments(
-        what.add_parser("emulate", help="an emulated robot: servos, a finger, a camera, faults on command")
-    )
-
-
-def _bus(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--port", metavar="PORT", help="a serial port; every one of this machine without it")
-    parser.add_argument("--baud", type=int, metavar="BAUD", help="one rate; every known one without it")
-    _json(parser)
-
-
-def _json(parser: argparse.ArgumentParser) -> None:
-    # The verb has it too; what stands before the sub-verb is not to be overruled by a default behind it.
-    parser.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
-
-
-def servo(args: argparse.Namespace) -> int:
-    """Do what was asked for with servos; 0 when all is well."""
-    own = {"scan": _scan, "read": _read, "setup": _setup, "off": _off, "emulate": emulate}
-    own |= {"limits": limits, "heartbeat": heartbeat}
-    return own[args.what](args) if args.what in own else STEPS[args.what][2](args)
 
 
 def _ports(args: argparse.Namespace) -> list[str]:
@@ -206,6 +152,62 @@ def _off(args: argparse.Namespace) -> int:
         document = {"schema": "softmap.servos/1", "released": ports, "confirmed": released, "not_confirmed": kept}
         print(json.dumps(document))
     return 0 if released and not kept else OTHERWISE
+
+
+def _bus_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--port", metavar="PORT", help="a serial port; every one of this machine without it")
+    parser.add_argument("--baud", type=int, metavar="BAUD", help="one rate; every known one without it")
+
+
+def _read_arguments(parser: argparse.ArgumentParser) -> None:
+    _bus_arguments(parser)
+    parser.add_argument("--id", type=int, metavar="ID", help="one servo; all that answer without it")
+
+
+def _setup_arguments(parser: argparse.ArgumentParser) -> None:
+    _bus_arguments(parser)
+    parser.add_argument("--id", type=int, metavar="ID", help="its id now, where several servos are connected")
+    parser.add_argument("--new-id", type=int, metavar="ID", help="the id it gets")
+    parser.add_argument("--new-baud", type=int, metavar="BAUD", help="the baud rate it gets")
+    parser.add_argument("--rig", metavar="rig.toml", help="add it to this bench")
+
+
+def _off_arguments(parser: argparse.ArgumentParser) -> None:
+    _bus_arguments(parser)
+    parser.add_argument("--rig", metavar="rig.toml", help="the bench whose port it is")
+
+
+ACTIONS: dict[str, tuple[str, Declare, Do]] = {
+    "scan": ("find ports, baud rates and servos", _bus_arguments, _scan),
+    "read": ("what a servo is, and what keeps it from being driven", _read_arguments, _read),
+    "setup": ("make one servo ready, and note it in a rig.toml", _setup_arguments, _setup),
+    "home": ("prove where the finger is straight, after each power-up", home_arguments, home),
+    "calibrate": (
+        "a first calibration without a camera: pulley, jogged signs, a ruler",
+        calibrate_bench_arguments,
+        calibrate_bench,
+    ),
+    "pull": ("measure the current at the stroke; it becomes the ceiling", pull_arguments, pull_test),
+    "limits": ("every limit in force on a bench, and who set it", limits_arguments, limits),
+    "off": ("switch the torque of every servo off", _off_arguments, _off),
+    "heartbeat": ("be the emergency stop of a robot elsewhere", heartbeat_arguments, heartbeat),
+    "emulate": ("an emulated robot: servos, a finger, a camera, faults on command", emulate_arguments, emulate),
+}
+
+
+def servo_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `servo` and of what it does."""
+    what = parser.add_subparsers(dest="what", required=True, metavar="|".join(ACTIONS))
+    for name, (text, declare, _) in ACTIONS.items():
+        one = what.add_parser(name, help=text)
+        declare(one)
+        # The verb has it too; what stands before the sub-verb is not to be overruled by a default behind it.
+        one.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
+
+
+def servo(args: argparse.Namespace) -> int:
+    """Do what was asked for with servos; 0 when all is well."""
+    return ACTIONS[args.what][2](args)
 
 
 def replay_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""`softmap servo calibrate`: pulley, jogged signs and a ruler become a first calibration. A step of STEPS."""
+"""`softmap servo calibrate`: pulley, jogged signs and a ruler become a first calibration. Hooked into servo.py."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import json
 from dataclasses import replace
 
 from softmap_edge.bundle import save_bundle
-from softmap_edge.commands.commissioning import confirm
-from softmap_edge.commands.move import deadman, hold_argument, tell
+from softmap_edge.commands.commissioning import confirm, deadman, hold_argument, tell
 from softmap_edge.commands.output import bundle_arguments, check_bundle
 from softmap_edge.commands.own import open_model
 from softmap_edge.commissioning.first_calibration import COUPLING, bench_calibration, bends, document, radius
@@ -93,9 +92,9 @@ def _jogged(args: argparse.Namespace, rig: Rig, model: Model) -> list[int]:
             jog.stop()
         if hand.stopped or abs(came) < MOVES * JOGGED:
             raise ServoError(f"servo {servo.id} came {came:+.0f} of {JOGGED:+.0f} ticks; nothing is known of its sign")
-        if confirm(f"Did servo {servo.id} bend the tip towards {way} of the base first?"):
+        if confirm(f"Did servo {servo.id} bend the tip towards {way} of the base first?", "--signs"):
             signs.append(1)
-        elif confirm("Did it bend the tip the other way?"):
+        elif confirm("Did it bend the tip the other way?", "--signs"):
             signs.append(-1)
         else:
             raise ServoError(

@@ -1,4 +1,4 @@
-"""`softmap servo emulate`: a whole emulated robot at a pseudo-terminal, or bare servos; faults on standard input."""
+"""`softmap servo emulate`: an emulated robot at a pseudo-terminal, faults on standard input. Hooked into servo.py."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from softmap_edge.bundle import save_bundle
 from softmap_edge.camera.points_udp import PointSender
 from softmap_edge.commands.output import check_bundle, check_file
 from softmap_edge.commands.own import open_model
-from softmap_edge.commands.robot import plain_map
+from softmap_edge.commands.robot import own_map
 from softmap_edge.emulated.finger import (
     BAUD,
     FRAMES,
@@ -62,8 +62,6 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
         help="send what its camera sees there (docs/camera.md); may be given again",
     )  # fmt: skip
     parser.add_argument("--key", metavar="FILE", help="sign what is sent with this shared key")
-    # The verb has it too; what stands before the sub-verb is not to be overruled by a default behind it.
-    parser.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
 
 
 def emulate(args: argparse.Namespace) -> int:
@@ -79,8 +77,7 @@ def emulate(args: argparse.Namespace) -> int:
     if not 0.0 < args.strength <= 10.0:
         raise ServoError(f"--strength {args.strength:g}; more than 0 and up to 10 times is allowed")
     whole = open_model(args.bundle)
-    calibration = whole.calibration or plain_map(whole)
-    calibration = replace(calibration, window=calibration.window or calibration.holding(whole.command_range))
+    calibration = own_map(whole)
     names = [name for name in args.hide.split(",") if name]
     laws = hidden_laws(names, whole.channels, args.seed, args.strength)
     senders = _senders(args)

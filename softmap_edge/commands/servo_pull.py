@@ -1,11 +1,11 @@
-"""`softmap servo pull`: the current at the finger's stroke, and with it the ceiling in rig.toml. A step of STEPS."""
+"""`softmap servo pull`: the current at the stroke becomes the ceiling in rig.toml. Hooked into servo.py."""
 
 from __future__ import annotations
 
 import argparse
 import json
 
-from softmap_edge.commands.move import deadman, hold_argument, tell
+from softmap_edge.commands.commissioning import deadman, hold_argument, tell
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import tell_edited

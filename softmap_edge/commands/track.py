@@ -11,8 +11,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_file, to_stderr
 from softmap_edge.commands.own import open_model
@@ -24,7 +22,7 @@ from softmap_edge.emulated.finger import SERVO
 from softmap_edge.errors import SoftmapError
 from softmap_edge.motion.curves import FIGURES
 from softmap_edge.motion.kinematics import METHODS, Kinematics
-from softmap_edge.motion.track import Course, Tracked, course
+from softmap_edge.motion.track import Course, Tracked, course, spread
 from softmap_edge.motion.track import track as follow
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
@@ -143,18 +141,14 @@ def _document(
         "seconds": float(plan.t[-1] - plan.t[counts][0]),
         "quickest_s": planned.quickest,
         "unreachable_mm": float(plan.unreachable[counts].max()),
-        "expected_mm": _numbers(plan.distance[counts]),
-        "seen_mm": _numbers(tracked.error) if seen and tracked is not None else None,
+        "expected_mm": spread(plan.distance[counts]),
+        "seen_mm": spread(tracked.error) if seen and tracked is not None else None,
         "servos_s": None if tracked is None else dict(zip(("delay", "lag"), tracked.response)),
         "observed": args.observe,
         "unseen_s": None if tracked is None else tracked.unseen,
         "record": args.record,
         "picture": args.picture,
     }
-
-
-def _numbers(error: Any) -> dict[str, float]:
-    return {"mean": float(np.mean(error)), "sd": float(np.std(error)), "max": float(np.max(error)), "n": len(error)}
 
 
 def _text(told: dict[str, Any]) -> str:

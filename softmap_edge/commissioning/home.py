@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.commissioning import setup
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.bus import opened
-from softmap_edge.servo.proof import marked, patiently, set_mark
+from softmap_edge.servo.bus import opened, patiently
+from softmap_edge.servo.proof import marked, set_mark
 from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
 from softmap_edge.ticks import TURN
 
@@ -81,7 +81,7 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
     """
     firmware = relax(rig)
     with opened(rig.port, rig.baud) as bus:
-        positions = watched(bus, rig)
+        positions = _watched(bus, rig)
         known = [marked(bus, servo.id, servo.home) for servo in rig.servos]
         homes, away, turns = [], [], []
         for servo, position, proved in zip(rig.servos, positions, known):
@@ -125,7 +125,7 @@ def _check_near(servo: RigServo, position: int, home: int, turned: int) -> None:
         raise ServoError(f"servo {servo.id}: home at {home} ticks; allowed is ±{FARTHEST}: make this home with --new")
 
 
-def watched(bus: _core.ServoBus, rig: Rig, seconds: float = WATCHED) -> list[int]:
+def _watched(bus: _core.ServoBus, rig: Rig) -> list[int]:
     """Return where servos without torque stand, ticks, having watched that they do not move.
 
     Raises:
@@ -141,12 +141,12 @@ def watched(bus: _core.ServoBus, rig: Rig, seconds: float = WATCHED) -> list[int
     seen = []
     for _ in range(LOOKS):
         seen.append(positions())
-        time.sleep(seconds / LOOKS)
+        time.sleep(WATCHED / LOOKS)
     looked: NDArray[np.int64] = np.array(seen, np.int64)
     for servo, moved in zip(rig.servos, np.ptp(looked, axis=0)):
         if moved > STEADY:
             raise ServoError(
-                f"the finger moves: servo {servo.id} turned by {moved} ticks in {seconds:g} s, allowed are {STEADY}; "
+                f"the finger moves: servo {servo.id} turned by {moved} ticks in {WATCHED:g} s, allowed are {STEADY}; "
                 "let it come to rest and home it again"
             )
         if patiently(bus.read, servo.id, enable, 1) != b"\x00":

@@ -3,9 +3,9 @@
     with Jog(rig) as jog:
         jog.by(0, 100, Held())     # as long as it is held: who lets go stops it
 
-Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; torque goes off when nobody
-holds. What the bench allows (`[ceiling]` and each `[[servo]]`) binds a jog as it binds a drive, its ticks where home is
-proved. Pinned by tests/test_move.py.
+Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; it brakes when nobody
+holds, and torque goes off after the limit `hold`. What the bench allows (`[ceiling]` and each `[[servo]]`) binds a jog
+as it binds a drive, its ticks where home is proved. Pinned by tests/test_move.py.
 """
 
 from __future__ import annotations
@@ -93,13 +93,9 @@ class Jog:
         self.robot = Controller(rig, ticks, limits, commissioning=True)
         self._began: Ticks | None = None
         self._target: Ticks | None = None
-        self._stood: Ticks = np.full(count, np.nan)
 
     def __enter__(self) -> Self:
         self.robot.__enter__()
-        until = time.monotonic() + WAITS
-        while np.isnan(self.position).any() and time.monotonic() < until:
-            time.sleep(EVERY)
         return self
 
     def __exit__(
@@ -110,9 +106,7 @@ class Jog:
     @property
     def position(self) -> Ticks:
         """Where the servos stand (C,), ticks, by the last period that heard each: one lost answer is no place."""
-        said = self._said("position")
-        self._stood = np.where(np.isnan(said), self._stood, said)
-        return self._stood.copy()
+        return self.robot.position
 
     @property
     def goal(self) -> Ticks:
@@ -123,10 +117,7 @@ class Jog:
     @property
     def current(self) -> Ticks:
         """What they draw (C,), mA; NaN of those that do not measure it."""
-        return self._said("current_mA")
-
-    def _said(self, name: str) -> Ticks:
-        return np.array([np.nan if one is None else one for one in self.robot.report[name]], float)
+        return np.array([np.nan if one is None else one for one in self.robot.report["current_mA"]], float)
 
     def press(self, servo: int, ticks: float) -> None:
         """Aim servo number `servo` (from 0) at `ticks`, the others at where they are; counts as a pressed deadman.
@@ -214,9 +205,9 @@ class Jog:
         return float("nan") if self._target is None else float(self._target[servo])
 
 
-def most_travel(rig: Rig) -> float:
-    """Return how far one jog may go, ticks: as the bench says, or softmap."""
-    return float((of_bench(rig)("jog_travel") or (JOG_TRAVEL,))[0])
+def most_travel(rig: Rig, otherwise: float = JOG_TRAVEL) -> float:
+    """Return how far one jog may go, ticks: as the bench says, or `otherwise`."""
+    return float((of_bench(rig)("jog_travel") or (otherwise,))[0])
 
 
 def _limits(rig: Rig, asked: dict[str, float | None]) -> Table:

@@ -19,12 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.commissioning.jog import EVERY, Deadman, Jog
+from softmap_edge.commissioning.jog import EVERY, Deadman, Jog, most_travel
 from softmap_edge.errors import ServoError
 from softmap_edge.servo import words
 from softmap_edge.servo.bus import opened
 from softmap_edge.servo.combined import IDLE, Combined
-from softmap_edge.servo.limits import JOG_SLEW
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import check_proved
 from softmap_edge.servo.rig import Rig, RigServo
@@ -57,9 +56,10 @@ class Leg:
 
 @dataclass(frozen=True)
 class Pulled:
-    """What one servo's pull found: both sides, and the ceiling that follows."""
+    """What one servo's pull found, at `slew` ticks/s: both sides, and the ceiling that follows."""
 
     servo: RigServo
+    slew: float
     legs: tuple[Leg, Leg]
     ceiling_mA: float
 
@@ -75,10 +75,10 @@ class Pulled:
         low, high = self.legs
         return f"servo {self.servo.id}: {_told(low)}, {_told(high)}; its ceiling is {self.ceiling_mA:g} mA"
 
-    def provenance(self, when: str, slew: float) -> str:
+    def provenance(self, when: str) -> str:
         """Return in words how its ceiling was found."""
         low, high = self.legs
-        return f"{when}: {_told(low)}, {_told(high)}, at {slew:g} ticks/s; times {MARGIN:g}, and {IDLE:g} of stall"
+        return f"{when}: {_told(low)}, {_told(high)}, at {self.slew:g} ticks/s; times {MARGIN:g}, and {IDLE:g} of stall"
 
 
 def _told(leg: Leg) -> str:
@@ -109,7 +109,7 @@ def pull(found: Combined, hand: Deadman, ids: Sequence[int] = ()) -> list[Pulled
     for k in numbers:
         _check_measures(rig.servos[k])
     ends = strokes(found)
-    allowed = _ceiling(rig, "jog_travel", FARTHEST_LEG)
+    allowed = most_travel(rig, FARTHEST_LEG)
     for k in numbers:
         _check_reach(rig.servos[k], ends[k], allowed)
     with opened(rig.port, rig.baud) as bus:
@@ -122,7 +122,7 @@ def pull(found: Combined, hand: Deadman, ids: Sequence[int] = ()) -> list[Pulled
             legs = (_leg(jog, k, ends[k][0], most, hand), _leg(jog, k, ends[k][1], most, hand))
             _go(jog, k, 0.0, hand, [])
             jog.stop()
-        done.append(Pulled(rig.servos[k], legs, _allowed(rig.servos[k], legs)))
+        done.append(Pulled(rig.servos[k], jog.slew, legs, _allowed(rig.servos[k], legs)))
     return done
 
 
@@ -132,8 +132,7 @@ def noted(rig: Rig, done: Sequence[Pulled]) -> Rig:
     servos = tuple(
         replace(servo, current_mA=by_id[servo.id].ceiling_mA) if servo.id in by_id else servo for servo in rig.servos
     )
-    slew = _ceiling(rig, "jog_slew", JOG_SLEW)
-    said = {f"servo_{id}": one.provenance(when, slew) for id, one in by_id.items()}
+    said = {f"servo_{id}": one.provenance(when) for id, one in by_id.items()}
     return replace(rig, servos=servos, made={**rig.made, "pulled": {**rig.made.get("pulled", {}), **said}})
 
 
@@ -153,11 +152,6 @@ def _check_reach(servo: RigServo, ends: tuple[float, float], allowed: float) -> 
             "move of commissioning may do; narrow low and high of this servo in rig.toml, or raise jog_travel in its "
             f"[ceiling], to {FARTHEST_LEG:.0f} at most"
         )
-
-
-def _ceiling(rig: Rig, name: str, otherwise: float) -> float:
-    value = rig.ceiling.get(name)
-    return otherwise if value is None or isinstance(value, tuple) else float(value)
 
 
 def _leg(jog: Jog, k: int, stroke: float, most: float, hand: Deadman) -> Leg:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, NoSuchRate, ServoError
-from softmap_edge.servo.bus import opened, rates
-from softmap_edge.servo.models import Model, numbered
-from softmap_edge.servo.proof import TRIES, patiently, set_mark
+from softmap_edge.servo.bus import opened, patiently, pinged, rates
+from softmap_edge.servo.models import Entry, numbered
+from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
 
 CLEAR = 42  # firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
@@ -39,7 +39,7 @@ class Found:
     firmware: int
 
     @property
-    def model(self) -> Model | None:
+    def model(self) -> Entry | None:
         """What is known of its model."""
         return numbered(self.number)
 
@@ -79,7 +79,7 @@ def registers(bus: _core.ServoBus, id: int) -> dict[str, int]:
     }
 
 
-def wanted(model: Model) -> dict[str, int]:
+def wanted(model: Entry) -> dict[str, int]:
     """Return what a servo's registers must hold to be driven."""
     return {
         "operating_mode": model["operating_mode"],
@@ -134,8 +134,7 @@ def examined(bus: _core.ServoBus, rig: Rig) -> list[tuple[RigServo, Found | None
     """
     seen: list[tuple[RigServo, Found | None, list[str]]] = []
     for servo, (id, number) in zip(rig.servos, rig.numbers):
-        told = next((told for _ in range(TRIES) if (told := bus.ping(id)) is not None), None)
-        if told is None:
+        if (told := pinged(bus, id)) is None:
             said = [
                 f"no answer at {rig.port}, {rig.baud} baud; check power, wiring and baud rate, `softmap servo scan` "
                 "lists who answers"

@@ -55,7 +55,7 @@ def _version(name: str) -> str | None:
 
 
 def processor(machine: str | None = None, proc: Path = PROC) -> Iterator[Line]:
-    """Whether the network pass finds its instructions here, and on ARM whether mediapipe runs."""
+    """Whether the network pass finds its instructions here; what mediapipe needs is asked by `teleoperation`."""
     machine = platform.machine() if machine is None else machine
     key, wanted = SIMD.get(machine, ("", ()))
     if not key:

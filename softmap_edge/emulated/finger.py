@@ -71,8 +71,7 @@ class EmulatedFinger:
 
     Args:
         bus: emulated servos, in the order of the commands. model: whose prior gives the shape. calibration: the true
-        map
-            of ticks. laws: what hides between horn and body (`hidden_laws`). seed: of noise and clock.
+            map of ticks. laws: what hides between horn and body (`hidden_laws`). seed: of noise and clock.
     """
 
     def __init__(
@@ -82,7 +81,6 @@ class EmulatedFinger:
         calibration: Calibration,
         laws: Sequence[Law] = (),
         *,
-        noise_mm: float = NOISE,
         seed: int = 0,
     ) -> None:
         channels = len(calibration.b)
@@ -92,7 +90,7 @@ class EmulatedFinger:
                 "must agree"
             )
         self._bus, self._model, self._map = bus, model, calibration
-        self._step, self._noise = streamed(laws), noise_mm
+        self._step = streamed(laws)
         self._rng = np.random.default_rng(seed)
         self._zero = time.monotonic() - float(self._rng.uniform(5.0, 500.0))  # where the camera's clock began
         self._drift = DRIFT * float(self._rng.uniform(-1.0, 1.0))
@@ -145,7 +143,7 @@ class EmulatedFinger:
     def _take(self, now: float, acting: Floats) -> None:
         self._taken = now
         points = np.asarray(self._model.prior.evaluate(acting[None])).reshape(-1, 3)
-        seen = points + self._noise * self._rng.normal(size=points.shape)
+        seen = points + NOISE * self._rng.normal(size=points.shape)
         late = LATE[0] + LATE[1] * float(self._rng.exponential())
         self._frames.append(Frame((now - self._zero) * (1.0 + self._drift), now + late, seen))
 

@@ -10,12 +10,11 @@ servos; a real ceiling is measured. Pinned by tests/test_emulated_finger.py.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.model import Model
+from softmap_edge.servo.models import Entry
 from softmap_edge.shape_arrays import plain_table
 from softmap_edge.ticks import TURN, Calibration
 
@@ -28,9 +27,7 @@ OWN = 0.6  # of the largest change of tension: a tendon that changes as much is 
 POINTS = 41  # of a table
 
 
-def tendon_loads(
-    model: Model, calibration: Calibration, window: tuple[float, float], servo: dict[str, Any]
-) -> list[Load]:
+def tendon_loads(model: Model, calibration: Calibration, window: tuple[float, float], servo: Entry) -> list[Load]:
     """Return what each servo's tendons ask, (ticks, mA) ascending over `window` about home.
 
     Args:

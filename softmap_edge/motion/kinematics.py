@@ -61,7 +61,7 @@ class Plan:
 
 
 class Kinematics:
-    """Inverse kinematics of a model's tip in a world that stays as it is.
+    """Inverse kinematics of a model's tip in a world that stays as it is; `counted` (3,) are the axes that count.
 
     Args:
         model: with its effects. gravity: (3,) unit vector, by default as the model hangs. load: g at the tip.
@@ -69,8 +69,7 @@ class Kinematics:
 
     Raises:
         SoftmapError: no such axes, a model without commands, an effect that cannot be inverted (a user's own), a
-        field that
-            an effect needs and the model lacks.
+            field that an effect needs and the model lacks.
     """
 
     def __init__(
@@ -87,6 +86,7 @@ class Kinematics:
         if model.channels == 0:
             raise SoftmapError(f"the model of '{model.robot}' takes no commands: nothing moves its tip")
         self.model, self.axes = model, axes
+        self.counted: NDArray[np.bool_] = np.array([axis in axes for axis in AXES])
         self._world = (model.gravity_reference if gravity is None else np.asarray(gravity, float), load, temperature)
         self.tip = model.tip_shape if gravity is None and not load else tip(model, *self._world)
         reach = np.asarray(model.command_range, float)
@@ -131,15 +131,14 @@ class Kinematics:
     def reach(self) -> _core.Reach:
         """What the tip can reach."""
         low, high = self.acting_bounds.T
-        return _core.Reach(self.tip, low.tolist(), high.tolist(), [axis in self.axes for axis in AXES])
+        return _core.Reach(self.tip, low.tolist(), high.tolist(), self.counted.tolist())
 
     def solve(self, targets: ArrayLike, start: ArrayLike | None = None, method: str = "exact") -> Solved:
         """Return what must act for each of `targets` (T, 3) mm, one after the other.
 
         Args:
-            start: (C,) mm, where the first search begins; by default all over the range. method: `exact`, or
-            `paper`: the
-                paper's grid, Nelder-Mead and Adam, to compare with.
+            start: (C,) mm, where the first search begins; by default all over the range. method: `exact`, or `paper`:
+                the paper's grid, Nelder-Mead and Adam, to compare with.
 
         Raises:
             SoftmapError: targets of another shape or not finite, no such method.
@@ -181,8 +180,7 @@ class Kinematics:
 
     def _apart(self, places: Floats, targets: Floats) -> Floats:
         """Return the distances (T,) mm along the axes that count."""
-        counts = [axis in self.axes for axis in AXES]
-        return np.asarray(np.linalg.norm((places - targets)[:, counts], axis=1))
+        return np.asarray(np.linalg.norm((places - targets)[:, self.counted], axis=1))
 
     @property
     def delays(self) -> tuple[float, float]:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.motion.kinematics import AXES, Kinematics
-from softmap_edge.motion.track import Course, course
+from softmap_edge.motion.track import Course, course, spread
 from softmap_edge.protocol import HANGING, Protocol
 from softmap_edge.servo.limits import ACCELERATION, SLEW
 from softmap_edge.servo_ticks import PUBLISHED
@@ -69,7 +69,7 @@ class Row:
     def to_dict(self) -> dict[str, Any]:
         """Return means, standard deviations and the largest, with the paper's beside them."""
         found: dict[str, Any] = {"figure": self.figure, "model": self.model, "unreachable_mm": self.unreachable}
-        found |= {f"{name}_mm": _numbers(getattr(self, name)) for name in ("expected", *WHERE)}
+        found |= {f"{name}_mm": spread(getattr(self, name)) for name in ("expected", *WHERE)}
         published = PUBLISHED_ERRORS.get((self.figure, self.model))
         if published is None:
             return found | {"paper": None}
@@ -178,10 +178,6 @@ def _off(planned: Course, tip: Floats, seen: NDArray[np.int64]) -> Floats:
     wanted = planned.plan.targets[seen] - planned.plan.targets[0]
     counts = [axis in PLANE for axis in AXES]
     return np.asarray(np.linalg.norm(((tip - tip[0]) - wanted)[1:, counts], axis=1))
-
-
-def _numbers(error: Floats) -> dict[str, float]:
-    return {"mean": float(error.mean()), "sd": float(error.std()), "max": float(error.max()), "n": len(error)}
 
 
 def text_of(document: dict[str, Any]) -> str:

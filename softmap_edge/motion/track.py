@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,6 +173,11 @@ def track(
     return _judged(kinematics, course, frames, begun, (delay, lag), late)
 
 
+def spread(error: Floats) -> dict[str, Any]:
+    """Return mean, standard deviation, largest and number of errors, as documents have them."""
+    return {"mean": float(error.mean()), "sd": float(error.std()), "max": float(error.max()), "n": len(error)}
+
+
 def _play(
     robot: Controller, command: Callable[[float], Floats], seconds: float, say: Callable[[float], None] | None = None
 ) -> None:
@@ -207,10 +213,6 @@ def _tips(kinematics: Kinematics, frames: Sequence[Frame]) -> Floats:
     return np.array([np.asarray(frame.points, float)[index].mean(axis=0) for frame in frames]).reshape(-1, 3)
 
 
-def _counted(kinematics: Kinematics) -> NDArray[np.bool_]:
-    return np.array([axis in kinematics.axes for axis in AXES])
-
-
 def _judged(
     kinematics: Kinematics,
     course: Course,
@@ -225,7 +227,7 @@ def _judged(
     during = (t >= first) & (t <= last) & np.isfinite(tip).all(axis=1)
     t, tip = t[during], tip[during]
     target = np.stack([np.interp(t, plan.t, column) for column in plan.targets.T], axis=1)
-    error = np.linalg.norm((tip - target)[:, _counted(kinematics)], axis=1)
+    error = np.linalg.norm((tip - target)[:, kinematics.counted], axis=1)
     gaps = np.diff(np.concatenate([[first], t, [last]]))
     return Tracked(t, target, tip, error, response, float(gaps[gaps > GONE].sum()))
 
@@ -244,7 +246,7 @@ class _Feedback:
         self._clock = HostClock(late)
         self._off, self._last = np.zeros(3), -np.inf
         self._seen, self._asked_at = -np.inf, -np.inf  # s of the plan
-        self._counts = _counted(kinematics)
+        self._counts = kinematics.counted
         self._asked: list[tuple[float, Floats]] = [(-np.inf, np.zeros(3))]
 
     def __call__(self, u: Floats, t: float, begun: float, frames: Sequence[Frame]) -> Floats:

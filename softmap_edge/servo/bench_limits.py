@@ -9,11 +9,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.ceiling import RANGES
+from softmap_edge.servo.ceiling import AT_LEAST, RANGES
 from softmap_edge.servo.rig import Rig
 
 SERVO = ("low", "high", "slew", "acceleration", "current_mA", "following", "warm", "hot")
-AT_LEAST = ("low", "ramp", "band")  # the larger is the stricter
 
 
 def check_bench(rig: Rig, limits: Mapping[str, Any]) -> None:

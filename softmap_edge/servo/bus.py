@@ -1,18 +1,23 @@
-"""A bus of servos, opened and released from Python: while no loop drives, and when one has died.
+"""A bus of servos, opened, asked and released from Python: while no loop drives, and when one has died.
 
 Pinned by tests/test_servo_verbs.py and tests/test_nobody_watches.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import ParamSpec, TypeVar
 
 from softmap_edge import _core
-from softmap_edge.errors import NoSuchRate, PortLost, ServoError
+from softmap_edge.errors import NoAnswer, NoSuchRate, PortLost, ServoError
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 PATTERNS = ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*")
+TRIES = 10  # of a question, before a servo is said not to answer
 ASKED = 10  # times that a servo is asked whether its torque is off
 
 
@@ -33,6 +38,19 @@ def opened(port: str, baud: int) -> Iterator[_core.ServoBus]:
         yield bus
     finally:
         bus.close()
+
+
+def patiently(ask: Callable[P, T], *args: P.args, **named: P.kwargs) -> T:
+    """Ask again where there is no answer: one glitch is no absence."""
+    for _ in range(TRIES - 1):
+        with suppress(NoAnswer):
+            return ask(*args, **named)
+    return ask(*args, **named)
+
+
+def pinged(bus: _core.ServoBus, id: int) -> tuple[int, int] | None:
+    """Return model number and firmware of a servo; None if it does not answer, several times asked."""
+    return next((told for _ in range(TRIES) if (told := bus.ping(id)) is not None), None)
 
 
 def rates() -> list[int]:

@@ -17,6 +17,7 @@ Value = float | tuple[float, float]
 
 # What a bench does not set: its rate, what was counted or proved, and a servo's own data.
 OTHERS = ("servos", "period", "home", "fastest", "voltage")
+AT_LEAST = ("low", "ramp", "band")  # of these the larger is the stricter
 # Name: lowest and highest value, as the compiled guard has them; it checks them again, together.
 RANGES: Mapping[str, tuple[float, float]] = {
     "current_mA" if name == "current" else name: (low, high)

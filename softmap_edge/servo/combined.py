@@ -23,10 +23,9 @@ from softmap_edge import _core
 from softmap_edge.errors import LimitError, ServoError
 from softmap_edge.model import Model
 from softmap_edge.safety import Safety, derived, held_to
-from softmap_edge.servo.ceiling import RANGES
+from softmap_edge.servo.ceiling import AT_LEAST, RANGES
 from softmap_edge.servo.limits import COOL, RATE, Table, following, loop_limits, servo_limits, slowed, strongest
-from softmap_edge.servo.models import Model as Entry
-from softmap_edge.servo.models import servo_model
+from softmap_edge.servo.models import Entry, servo_model
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import TURN, Calibration
 
@@ -36,8 +35,6 @@ IDLE = 0.05  # of a servo's stall current: what motor and gears take without a l
 ASTRAY = 0.03  # of the window: how far home of the bench may lie from the calibration's, but for whole turns
 FINGER, CEILING, DATA, OWN = "safety.toml", "rig.toml", "the servo's data", "softmap"
 UNITS = {name: unit for name, (_, _, unit) in _core.limit_ranges().items()}  # none: the commands'
-SERVO_NAMES = ("low", "high", "slew", "acceleration", "current", "fastest", "following", "warm", "hot", "voltage")
-LEAST = ("ramp", "band")  # the larger is the stricter
 
 
 @dataclass(frozen=True)
@@ -260,7 +257,7 @@ def _servo(
             most.append((float(calibration.window[side]) + off, "the calibration", "its window"))
         if (end := allowed(name)) is not None:
             most.append(end)
-        value, by, why = (max if name == "low" else min)(most, key=lambda one: one[0])
+        value, by, why = (max if name in AT_LEAST else min)(most, key=lambda one: one[0])
         limits.append(Limit(name, int(np.trunc(value)), UNITS[name], by, why))
 
     def least(name: str, *others: tuple[float, str, str], of: str | None = None) -> None:
@@ -303,7 +300,7 @@ def shown(limit: Limit, entry: Entry) -> Limit:
     return Limit("pwm" if limit.name == "current" else "jog_pwm", share, "%", limit.by, why)
 
 
-def _current(safety: Safety, entry: dict[str, Any], calibration: Calibration, k: int) -> tuple[float, str, str]:
+def _current(safety: Safety, entry: Entry, calibration: Calibration, k: int) -> tuple[float, str, str]:
     """Return the current (mA) at which servo `k` may pull its tendon as hard as the finger allows."""
     assert safety.tension is not None
     if safety.unit != "mm":
@@ -336,7 +333,7 @@ def _robot(
         found = [allowed(name) or (usual[name], OWN, "")]
         if hasattr(safety, name):
             found.append((getattr(safety, name), FINGER, ""))
-        value, by, why = (max if name in LEAST else min)(found, key=lambda one: float(one[0]))
+        value, by, why = (max if name in AT_LEAST else min)(found, key=lambda one: float(one[0]))
         limits.append(Limit(name, value, UNITS[name] or safety.unit, by, why))
     return tuple(limits)
 
@@ -359,7 +356,7 @@ def of_bench(rig: Rig, servo: RigServo | None = None) -> Callable[[str], tuple[A
         if name == "warm" and not there and isinstance(hot, float):
             by = COOL[0] - COOL[1]
             there = [(max(hot - by, RANGES["warm"][0]), CEILING, f"{by:g} °C below hot of its [ceiling]")]
-        return min(there, key=lambda one: -one[0] if name == "low" else one[0]) if there else None
+        return (max if name in AT_LEAST else min)(there, key=lambda one: one[0]) if there else None
 
     return look
 

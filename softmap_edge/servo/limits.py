@@ -12,7 +12,7 @@ from typing import Any
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.safety import BURST, HOLD, JUMP, RAMP, SLACKEN, STALE, TURNS_A_SECOND
-from softmap_edge.servo.models import Model, servo_model
+from softmap_edge.servo.models import Entry, servo_model
 
 Table = dict[str, Any]
 
@@ -54,12 +54,12 @@ def servo_limits(model: str, home: int, window: tuple[float, float]) -> Table:
     }
 
 
-def strongest(entry: Model) -> float:
+def strongest(entry: Entry) -> float:
     """Return the current (mA) at which a servo gives the most that it may: its limit, or its stall if it has none."""
     return float(entry["current_limit_mA"] or entry["stall_current_mA"])
 
 
-def slowed(entry: Model, current: float) -> float:
+def slowed(entry: Entry, current: float) -> float:
     """Return the fastest turn, ticks/s, of a servo under a cap of `current` mA: less PWM is less speed too."""
     real = float(entry["fastest_ticks_per_s"])
     return real if entry["current_limit_mA"] is not None else real * min(1.0, current / entry["stall_current_mA"])

@@ -3,7 +3,7 @@
 ORDERS and REPORTS are descriptors of pipes; the setup is a JSON document on standard input (`Controller`). What cannot
 be started is told as a report `{"error": …}`. That home is proved is asked here, as late as can be: a servo that loses
 its turns afterwards is seen by the guard. Where a fault made home unknown, its proof is taken from the servos at the
-end.
+end. Pinned by tests/test_controller.py and tests/test_bad_input.py.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import sys
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.servo.bus import opened
-from softmap_edge.servo.proof import TRIES, check_proved, set_mark
+from softmap_edge.servo.bus import opened, pinged
+from softmap_edge.servo.proof import check_proved, set_mark
 from softmap_edge.signed_udp import read_key
 
 
@@ -44,7 +44,7 @@ def main() -> int:
 
 def _check_home(port: str, baud: int, servos: list[list[int]], homes: list[int | None]) -> None:
     with opened(port, baud) as bus:
-        answering = [(id, home) for (id, _), home in zip(servos, homes) if _answers(bus, id)]
+        answering = [(id, home) for (id, _), home in zip(servos, homes) if pinged(bus, id) is not None]
         check_proved(bus, answering)  # of one that is silent the loop itself says why nothing begins
 
 
@@ -54,10 +54,6 @@ def _forget_home(port: str, baud: int, servos: list[list[int]]) -> None:
         for id, _ in servos:
             with contextlib.suppress(ServoError):  # one that does not hear; those of the others are gone
                 set_mark(bus, id, None)
-
-
-def _answers(bus: _core.ServoBus, id: int) -> bool:
-    return any(bus.ping(id) is not None for _ in range(TRIES))
 
 
 if __name__ == "__main__":

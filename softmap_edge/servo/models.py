@@ -11,10 +11,10 @@ from typing import Any
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 
-Model = dict[str, Any]
+Entry = dict[str, Any]
 
 
-def servo_model(name: str) -> Model:
+def servo_model(name: str) -> Entry:
     """Return what is known of the model of this name.
 
     Raises:
@@ -26,6 +26,6 @@ def servo_model(name: str) -> Model:
     return known[name]
 
 
-def numbered(number: int) -> Model | None:
+def numbered(number: int) -> Entry | None:
     """Return what is known of the model that tells this number, None of a stranger."""
     return next((model for model in _core.servo_models() if model["number"] == number), None)

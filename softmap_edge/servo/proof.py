@@ -11,19 +11,14 @@ configuration, register 60) is refused: its mark would prove nothing. Pinned by 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from typing import ParamSpec, TypeVar
+from collections.abc import Sequence
 
 from softmap_edge import _core
-from softmap_edge.errors import NoAnswer, ServoError
-
-P = ParamSpec("P")
-T = TypeVar("T")
+from softmap_edge.errors import ServoError
+from softmap_edge.servo.bus import patiently
 
 MARK, MAPPABLE, DIGITS = 168, 120, 8  # first register; lowest address that it may hold; registers of four bits
 SIZE = 2 * DIGITS  # bytes
-TRIES = 10  # of a question, before a servo is said not to answer
 AGAIN = "prove it with `softmap servo home --rig FILE`"
 
 
@@ -43,14 +38,6 @@ def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
     patiently(bus.write, id, MARK, wanted)
     if patiently(bus.read, id, MARK, SIZE) != wanted:
         raise ServoError(f"servo {id} does not keep the mark of its home (registers {MARK} on); nothing can prove it")
-
-
-def patiently(ask: Callable[P, T], *args: P.args, **named: P.kwargs) -> T:
-    """Ask again where there is no answer: one glitch is no absence."""
-    for _ in range(TRIES - 1):
-        with suppress(NoAnswer):
-            return ask(*args, **named)
-    return ask(*args, **named)
 
 
 def marked(bus: _core.ServoBus, id: int, home: int | None) -> bool:

@@ -23,7 +23,7 @@ from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
 from softmap_edge.teleop.aim import Aim
 from softmap_edge.teleop.clutch import Clutch
-from softmap_edge.teleop.eyes import Eyes, Sight
+from softmap_edge.teleop.eyes import SEEN, Eyes, Sight
 from softmap_edge.teleop.gesture import Deadman, Rule
 from softmap_edge.teleop.hand import HandMap
 from softmap_edge.teleop.keys import Controls, Input
@@ -32,7 +32,6 @@ from softmap_edge.teleop.one_euro import OneEuro, OneEuroState
 Floats = NDArray[np.float64]
 
 SENT = 100.0  # targets a second, at least, while driving
-SEEN = 0.15  # s after which a hand that is not seen any more is gone: four pictures; one that is missed is none
 DRIVABLE = ("engaged", "hold")
 BEGINS = ("ready", *DRIVABLE)
 GONE = ("gone", "error", "rescued")  # of a report: the control loop is no more
@@ -94,8 +93,8 @@ class Drive:
         robot: as entered. kinematics: of the model that the robot's commands are meant for. aim: the plane. eyes:
             entered. inputs: whose keys count, the first that is held. reach: as `HandMap`. flip: axes of the hand that
             change their sign. rule: the gesture beside the key. stays: go on without the camera once it is gone, for
-            the knob to drive. sent: called with each new target's picture time and
-            command. show: called with each moment, and must not wait. say: called with each new line.
+            the knob to drive. sent: called with the time of each picture that is driven from, and its command. show:
+            called with each moment, and must not wait. say: called with each new line.
     """
 
     def __init__(
@@ -150,7 +149,7 @@ class Drive:
     def _once(self, now: float) -> None:
         state = self._robot.state
         report = self._robot.report
-        sight = self._take(now)
+        sight = self._take()
         who, controls = self._holding(now)
         lacking = self._lacking(now, state, controls, bool(who))
         before = self._clutch
@@ -163,7 +162,7 @@ class Drive:
             try:
                 if before.stage != "driving":
                     self._press(state, report, controls)
-                self._target(now, controls)
+                self._target(controls)
             except ServoError as fault:
                 self._clutch = self._clutch.lose(str(fault))
         if before.stage == "driving" and self._clutch.stage != "driving":
@@ -182,7 +181,7 @@ class Drive:
             led = self._led if self._clutch.stage == "driving" else None
             self._show(Moment(now, report, self._clutch, controls, sight, seen, here, led, age, lacking))
 
-    def _take(self, now: float) -> Sight | None:
+    def _take(self) -> Sight | None:
         """Take the newest sight, once, into the filter."""
         sight = self._eyes.newest()
         if sight is None or sight.number == self._last_sight:
@@ -232,7 +231,7 @@ class Drive:
         assert self._smooth is not None  # `_lacking` has seen to it
         return self._smooth.x
 
-    def _target(self, now: float, controls: Controls) -> None:
+    def _target(self, controls: Controls) -> None:
         """Send the newest target."""
         pointed, (begin, at) = self._pointed(controls), self._start
         low, high = self._aim.box.T

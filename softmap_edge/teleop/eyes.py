@@ -26,6 +26,7 @@ from softmap_edge.teleop.landmarker import Landmarker
 from softmap_edge.teleop.landmarks_udp import Receiver
 
 LOOK = 0.005  # s between two looks at what came over UDP
+SEEN = 0.15  # s after which a hand that is not seen any more is gone: four pictures; one that is missed is none
 FRESH = 0.5  # s for which an old message is still news: beyond, the sender was away
 
 

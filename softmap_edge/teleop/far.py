@@ -10,12 +10,11 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from softmap_edge.teleop.eyes import Eyes
+from softmap_edge.teleop.eyes import SEEN, Eyes
 from softmap_edge.teleop.keys import Input
 from softmap_edge.teleop.landmarks_udp import Message, Sender
 
 EVERY = 0.05  # s between two messages, at least while no picture comes: the key's heartbeat
-OLD = 0.15  # s after which a hand that is not seen any more is not sent
 
 
 @dataclass
@@ -41,7 +40,7 @@ def send(eyes: Eyes, sender: Sender, key: Input | None, seconds: float | None, s
             sight = eyes.newest()
             number = -1 if sight is None else sight.number
             held = key is not None and key.controls(now).held
-            hand = sight.hand if sight is not None and now - sight.t <= OLD else None
+            hand = sight.hand if sight is not None and now - sight.t <= SEEN else None
             done.sent += sender.send(Message(hand, held))
             said = ("sending" if sender.heard else "nobody answers there yet") + ("" if hand else ", no hand is seen")
             if said != line:

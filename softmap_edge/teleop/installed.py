@@ -11,10 +11,11 @@ from __future__ import annotations
 import ctypes
 import platform
 from collections.abc import Iterable
+from dataclasses import replace
 from importlib.metadata import Distribution, distributions
 from pathlib import Path
 
-from softmap_edge.doctor import FAULT, OK, WARNING, Line
+from softmap_edge.doctor.line import FAULT, OK, WARNING, Line, faulty
 from softmap_edge.errors import TeleopError
 from softmap_edge.teleop.model_file import check_model, default_path
 
@@ -101,8 +102,9 @@ def processor(machine: str | None = None, cpu: Path = CPU) -> Line:
 
 def hand_model(path: str | Path | None = None) -> Line:
     """Find the model of hands."""
+    file = default_path() if path is None else Path(path)
     try:
-        return Line("hand model", OK, str(check_model(default_path() if path is None else path)))
+        return Line("hand model", OK, str(check_model(file)))
     except TeleopError as fault:
-        found, _, mend = str(fault).partition("; ")
-        return Line("hand model", WARNING if "no model" in found else FAULT, found, mend)
+        line = faulty("hand model", fault, "fetch it again: softmap teleop --fetch-model FROM")
+        return line if file.exists() else replace(line, state=WARNING)

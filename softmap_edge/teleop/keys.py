@@ -10,30 +10,32 @@ import threading
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+from softmap_edge.safety import STALE
+
 Source = Literal["hand", "knob"]
 
-LAPSE = 0.25  # s without a word, after which a key counts as let go: the guard's own limit for commands
+LAPSE = STALE  # s without a word, after which a key counts as let go: the guard's own limit for commands
 
 
 class HeldKey:
     """A key whose state is told again and again (`say`), by another thread perhaps."""
 
-    def __init__(self, lapse: float = LAPSE) -> None:
-        self._lapse, self._last, self._down = lapse, float("-inf"), False
+    def __init__(self) -> None:
+        self._last, self._down = float("-inf"), False
         self._must_let_go = True  # who comes with the key down has not pressed it for us
         self._lock = threading.Lock()
 
     def say(self, down: bool, now: float) -> None:
         """Tell whether it is down at `now` s, a steady clock."""
         with self._lock:
-            silent = now - self._last > self._lapse
+            silent = now - self._last > LAPSE
             self._must_let_go = down and (self._must_let_go or silent)
             self._down, self._last = down, max(self._last, now)
 
     def held(self, now: float) -> bool:
         """Return whether it is held at `now` s."""
         with self._lock:
-            return self._down and not self._must_let_go and now - self._last <= self._lapse
+            return self._down and not self._must_let_go and now - self._last <= LAPSE
 
 
 @dataclass(frozen=True)

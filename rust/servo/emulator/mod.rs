@@ -354,7 +354,7 @@ fn single(servo: &mut Servo, asked: u8, parameters: &[u8]) -> Result<Vec<u8>, u8
             Ok(vec![])
         }
         instruction::CLEAR if parameters == CLEAR_TURNS => servo.clear().map(|()| vec![]),
-        _ => Err(2),
+        _ => Err(refusal::INSTRUCTION),
     }
 }
 

@@ -9,7 +9,7 @@ pub use super::motor::{Broken, Motion};
 use super::motor::{Caps, Motor, STEP};
 use super::table::{Table, refusal};
 use crate::packet::instruction;
-use crate::registers::{ALERT, Model, TICKS_PER_TURN, VELOCITY_STEP, mode};
+use crate::registers::{ALERT, FULL_PWM, Model, TICKS_PER_TURN, VELOCITY_STEP, mode};
 
 /// s that a reset takes.
 pub const RESET: f64 = 0.3;
@@ -71,7 +71,7 @@ impl Servo {
             (layout.temperature_limit, i32::from(model.temperature_limit)),
             (layout.max_voltage, (model.voltage.1 * 10.0) as i32),
             (layout.min_voltage, (model.voltage.0 * 10.0) as i32),
-            (layout.pwm_limit, 885),
+            (layout.pwm_limit, i32::from(FULL_PWM)),
             (layout.current_limit, i32::from(model.current_limit)),
             (layout.velocity_limit, i32::from(model.velocity_limit)),
             (layout.max_position, TICKS_PER_TURN - 1),
@@ -331,10 +331,11 @@ impl Servo {
         if self.strained > PATIENCE {
             self.fail(OVERLOAD);
         }
+        // One that measures no current tells its load in its place, in thousandths of what it stalls at.
         let unit = if self.model.has_current() {
             self.model.current_unit
         } else {
-            1.5
+            1e-3 * self.model.stall.1
         };
         self.table
             .set(layout.present_current, (current / unit) as i32);

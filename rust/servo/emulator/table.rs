@@ -7,6 +7,7 @@ const SIZE: usize = 256;
 
 /// Errors of a status.
 pub mod refusal {
+    pub const INSTRUCTION: u8 = 2;
     pub const RANGE: u8 = 4;
     pub const LENGTH: u8 = 5;
     pub const LIMIT: u8 = 6;

@@ -1,0 +1,35 @@
+"""`softmap servo home`: home proved with its user, or by options where there is none. Hooked into servo.py."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from softmap_edge.commands.commissioning import confirm
+from softmap_edge.commands.output import check_file
+from softmap_edge.commissioning.home import prove, relax
+from softmap_edge.errors import ServoError
+from softmap_edge.servo.rig import read_rig
+
+
+def home_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `servo home`."""
+    parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench; its homes are written into it")
+    parser.add_argument("--yes", action="store_true", help="the finger is straight: ask nothing")
+    parser.add_argument("--new", action="store_true", help="this is home, whatever was stored before")
+
+
+def home(args: argparse.Namespace) -> int:
+    """Prove home after a power-up; 0 when it is proved."""
+    check_file("--rig", args.rig, ".toml")
+    rig = read_rig(args.rig)
+    relax(rig)
+    confirmed = "by --yes"
+    if not args.yes:
+        if not confirm("Torque is off. Let the finger hang straight and still. Is it straight?", "--yes"):
+            raise ServoError("home is not proved: nobody said that the finger is straight")
+        confirmed = "by the user at the terminal"
+    homed = prove(rig, confirmed, new=args.new)
+    homed.rig.note(args.rig)
+    print(json.dumps(homed.to_dict() | {"rig": args.rig}) if args.json else f"{homed}\n{args.rig}: home is proved")
+    return 0
