@@ -97,7 +97,7 @@ pub enum Request {
     Stop,
     /// FAULT → HOMED or CONNECTED, once its cause is gone.
     Acknowledge,
-    /// Back to OFF from any state without torque.
+    /// Back to OFF from a state without torque; not from FAULT, which is acknowledged first.
     Disconnect,
     /// CONNECTED or HOMED → COMMISSIONING.
     Commission,

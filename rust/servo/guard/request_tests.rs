@@ -126,6 +126,47 @@ fn conditions_of_requests() {
 }
 
 #[test]
+fn who_was_disconnected_tells_its_torque_anew() {
+    let off: [Break; 2] = [
+        |robot| assert_eq!(robot.ask(Request::Disconnect).state, State::Off),
+        |robot| {
+            robot.mute = true;
+            while robot.tick(None).state != State::Off {}
+            robot.mute = false;
+        },
+    ];
+    for ends in off {
+        let mut robot = Robot::within(State::Homed);
+        ends(&mut robot);
+        robot.wrong = |said| said.health = None;
+        robot.run(5);
+        assert_eq!(robot.ask(Request::Connect).denied, Some(Denied::Torque));
+        robot.wrong = |_| {};
+        robot.tick(None);
+        assert_eq!(robot.ask(Request::Connect).denied, None);
+    }
+}
+
+#[test]
+fn only_homing_ends_that_home_was_forgotten() {
+    let again = [Request::Acknowledge, Request::Disconnect, Request::Connect];
+    for (requests, forgot) in [
+        (&again[..], true),
+        (&[Request::Acknowledge, Request::Home], false),
+    ] {
+        let mut robot = Robot::within(State::Homed);
+        robot.wrong = |said| said.position += 300;
+        while robot.tick(None).state != State::Fault {}
+        assert!(robot.guard.forgot_home());
+        for request in requests {
+            robot.run(5);
+            assert_eq!(robot.ask(*request).denied, None, "{request:?}");
+        }
+        assert_eq!(robot.guard.forgot_home(), forgot);
+    }
+}
+
+#[test]
 fn silence_of_the_user_holds_then_slackens_then_ends() {
     for (deadman, cause, count) in [
         (Some(false), Cause::Deadman, 1),
