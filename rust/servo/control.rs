@@ -46,7 +46,7 @@ pub trait Mailbox {
 /// All of one period: what the guard was told and what it said. A recording of it replays bit for bit.
 #[derive(Debug, Clone, Copy)]
 pub struct Entry {
-    /// ns.
+    /// ns, when the servos had answered: the guard's time.
     pub now: u64,
     pub orders: Orders,
     /// Whether a command was ever heard, and its ticks now.
@@ -141,6 +141,9 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
             Ok(heard) => feedback[..heard.len()].copy_from_slice(heard),
             Err(failed) => fault = Some(failed),
         }
+        // No answer is younger than that: were it stamped before it was asked for, whatever stands between would make
+        // all that follow look old.
+        let now = self.drive.bus().port().now();
         self.since_examined += period;
         let due = self.since_examined >= EXAMINE || self.drive.alert();
         // Two waits for answers that do not come would not fit into a period.
@@ -155,7 +158,7 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
         self.aim(period);
         let goal = self.wanted.is_some().then_some(&self.targets[..]);
         let output = self.guard.tick(&Input {
-            now: begun,
+            now,
             feedback: &feedback[..self.targets.len()],
             message: orders.heard.then_some(Message {
                 deadman: orders.deadman,
@@ -180,7 +183,7 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
         };
         self.plan.passed(passed, period);
         let mut entry = Entry {
-            now: begun,
+            now,
             orders,
             aimed: self.wanted.is_some(),
             targets: [f64::NAN; MOST_SERVOS],

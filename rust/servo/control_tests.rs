@@ -40,6 +40,7 @@ fn bench() -> Bench {
     let port = Virtual {
         emulator: bench::emulator(),
         now: 1,
+        stall: 0,
     };
     Control::new(
         bench::drive(Bus::new(port, bench::BAUD, 1_000_000)),
@@ -387,5 +388,17 @@ fn a_recording_replays_bit_for_bit() {
         });
         assert_eq!(output, entry.output);
         assert_eq!(guard.goals(), &entry.goals[..2]);
+    }
+}
+
+#[test]
+fn a_computer_that_stands_still_before_it_asks_ages_no_answer() {
+    for ms in [20, 49, 52, 60, 80, 95] {
+        let mut bench = engaged();
+        for _ in 0..20 {
+            bench.drive.bus().port().stall = ms * 1_000_000;
+            bench.run(0.1);
+            assert_eq!(bench.guard.state(), State::Engaged, "{ms} ms");
+        }
     }
 }

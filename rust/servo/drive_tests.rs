@@ -12,6 +12,7 @@ fn a_servo_that_caps_no_current_gets_its_share_of_pwm_and_loses_no_cap() {
         Virtual {
             emulator: bench::emulator(),
             now: 1,
+            stall: 0,
         },
         bench::BAUD,
         1_000_000,

@@ -9,6 +9,8 @@ use crate::registers::{X_SERIES, mode, model};
 pub struct Virtual {
     pub emulator: Emulator,
     pub now: u64,
+    /// ns for which the computer stands still when it is about to ask next.
+    pub stall: u64,
 }
 
 impl Virtual {
@@ -51,6 +53,7 @@ impl Port for Virtual {
     }
 
     fn discard(&mut self) -> Result<(), PortFault> {
+        self.now += std::mem::take(&mut self.stall);
         while self.emulator.speak(self.seconds()).is_some() {}
         Ok(())
     }
@@ -71,7 +74,7 @@ pub fn servos(ids: &[u8]) -> Vec<Servo> {
 
 pub fn bus(ids: &[u8]) -> Bus<Virtual> {
     let emulator = Emulator::new(servos(ids), 1_000_000, 1);
-    Bus::new(Virtual { emulator, now: 0 }, 1_000_000, SLACK)
+    Bus::new(Virtual { emulator, now: 0, stall: 0 }, 1_000_000, SLACK)
 }
 
 pub const FINE: Heard = Ok(Answer { alert: false });
