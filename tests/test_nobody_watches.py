@@ -29,6 +29,33 @@ def test_a_program_that_sleeps_releases_the_servos_of_a_loop_that_dies_or_freeze
             robot.target([0.0, 0.0])
 
 
+def test_a_program_that_was_frozen_itself_does_not_end_a_loop_that_is_well():
+    """Its reports lie in the pipe: who wakes reads them before it says that there were none."""
+    text = """
+import os, signal, subprocess, sys, time
+sys.path.insert(0, {tests!r})
+from rigs import calibration, WINDOW, MODEL, HOME, BAUD
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.rig import Rig, RigServo
+rig = Rig({path!r}, BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))
+with Controller(rig, calibration(), loop_limits([servo_limits(MODEL, HOME, WINDOW)] * 2, 200.0, hold=5.0)) as robot:
+    robot.engage()
+    for _ in range(6):
+        end = time.monotonic() + 0.3
+        while time.monotonic() < end:
+            robot.target([1.0, -1.0])
+            time.sleep(0.002)
+        subprocess.Popen(["sh", "-c", f"sleep 0.9; kill -CONT {{os.getpid()}}"])
+        os.kill(os.getpid(), signal.SIGSTOP)
+    print(robot.state, robot.report.get("rescued"))
+"""
+    with bench() as (bus, _, _):
+        text = text.format(tests=str(Path(__file__).parent), path=bus.path)
+        done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0 and done.stdout.split()[1] == "None", done
+
+
 def test_a_rescue_says_which_servo_kept_its_torque():
     with bench(late=0.5, silent=1.0, stale=0.5) as (bus, rig, limits):
         said = pytest.raises(ServoError, match="servo 1 did not confirm that its torque is off; cut its supply")

@@ -103,7 +103,7 @@ class Controller(Watched):
         self._done = self.calibration.b
         self._command: Floats | None = None
         self._pressed = False
-        self._reported = 0.0
+        self._silent = 0
 
     def __enter__(self) -> Self:
         self._start()
@@ -319,7 +319,7 @@ class Controller(Watched):
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(setup).encode())
         self._process.stdin.close()
-        self._reported = time.monotonic()
+        self._silent = 0
         running.add(self)
         self._reader = threading.Thread(target=self._watch, args=(mine, self._process), daemon=True)
         self._reader.start()

@@ -10,7 +10,6 @@ import os
 import select
 import subprocess
 import threading
-import time
 from typing import Any
 
 import numpy as np
@@ -35,21 +34,21 @@ class Watched:
     _rescuing: threading.Lock
     _process: subprocess.Popen[bytes] | None
     _reader: threading.Thread
-    _reported: float
+    _silent: int  # looks of the reader, one after the other, that found no report
     _ending: bool
     _drove: bool
     _stood: NDArray[np.float64]
 
     def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
         """Take the loop's reports until it ends; release its servos if it dies or freezes under torque."""
-        some, silent = b"", 0
+        some = b""
         while True:
             if not select.select([pipe], [], [], FROZEN / LOOKS)[0]:
-                silent += 1
-                if silent >= LOOKS and self._last.get("torque") and not self._ending:
+                self._silent += 1
+                if self._frozen() and self._last.get("torque") and not self._ending:
                     self._rescue(process)
                 continue
-            silent, more = 0, os.read(pipe, 65536)
+            self._silent, more = 0, os.read(pipe, 65536)
             *lines, some = (some + more).split(b"\n")
             for line in lines:
                 self._hear(json.loads(line))
@@ -64,7 +63,6 @@ class Watched:
 
     def _hear(self, document: dict[str, Any]) -> None:
         with self._heard:
-            self._reported = time.monotonic()
             self._drove |= bool(document.get("torque"))
             if "ended" in document:
                 self._end = document
@@ -78,7 +76,7 @@ class Watched:
             self._heard.notify_all()
 
     def _frozen(self) -> bool:
-        return time.monotonic() - self._reported > FROZEN
+        return self._silent >= LOOKS
 
     def _rescue_if_needed(self) -> None:
         process = self._process
