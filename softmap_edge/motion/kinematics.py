@@ -173,9 +173,10 @@ class Kinematics:
             acting, unreachable = solved.acting, solved.distance
         else:
             unreachable = self._apart(np.asarray(self.tip.evaluate(acting)), points)
-        self._chain.settle(np.zeros(self.model.channels) if start is None else np.asarray(start, float))
-        commands, acts = self._chain.path(early(acting, t, *self.delays), t)
-        expected = np.asarray(self.tip.evaluate(self.late(acts, t)))
+        rested = np.zeros(self.model.channels) if start is None else np.asarray(start, float)
+        self._chain.settle(rested)
+        commands, _ = self._chain.path(early(acting, t, *self.delays), t)
+        expected = np.asarray(self.tip.evaluate(self.acts(commands, t, rested)))
         return Plan(t, points, acting, commands, expected, self._apart(expected, points), unreachable)
 
     def _apart(self, places: Floats, targets: Floats) -> Floats:
@@ -188,14 +189,23 @@ class Kinematics:
         told = [self.model.params.get(f"{name}.{number}", 0.0) for name, number in PREVIEWED.items()]
         return float(told[0]), float(told[1])
 
-    def late(self, asked: Floats, t: Floats) -> Floats:
-        """Return what delay and lag make (T, C) of what is `asked` at `t`: the model's own effects of those names."""
-        names = [name for name in PREVIEWED if name in self.model.chain_names]
-        if not names:
-            return asked
-        chain = _core.Chain(names, self.model.channels)
-        params = np.array([self.model.params[label] for label in chain.labels])
-        return np.asarray(chain.rollout(params[None], asked, t)[0])
+    def acts(self, commands: Floats, t: Floats, rested: Floats) -> Floats:
+        """Return what acts (T, C) mm where `commands` are sent at `t` after long at `rested` (C,): the model's own
+        chain run forwards, whatever of it could be inverted."""
+        if not self.model.chain_names:
+            return commands
+        count = len(t) + 1
+        times = np.concatenate([[t[0] - (t[1] - t[0] if len(t) > 1 else 1.0)], t])
+        gravity, load, temperature = self._world
+        acts = self.model.chain.rollout(
+            np.asarray(self.model.chain_params)[None],
+            np.concatenate([rested[None], commands]),
+            times,
+            np.tile(gravity, (count, 1)),
+            np.full(count, load),
+            None if np.isnan(temperature) else np.full(count, temperature),
+        )
+        return np.asarray(acts)[0, 1:]
 
     def reaches(self, targets: ArrayLike) -> NDArray[np.bool_]:
         """Return which of `targets` (T, 3) mm the tip can reach, to `REACHED` mm along the axes that count."""
