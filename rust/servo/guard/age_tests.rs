@@ -77,7 +77,7 @@ fn answers_that_fall_behind_are_no_answers() {
     robot.said.clock += 500;
     assert_eq!(robot.run(20).state, State::Connected, "ahead is not behind");
     // After a second without an answer of use nothing is known of its clock.
-    for (ticks, denied) in [(99, Some(Denied::Trouble(Cause::Silent))), (102, None)] {
+    for (ticks, denied) in [(99, Some(Denied::Trouble(Cause::Silent))), (100, None)] {
         let mut robot = Robot::within(State::Fault);
         robot.said.clock = 12_000;
         robot.run(2);
@@ -115,4 +115,18 @@ fn late_periods_that_are_made_up_for_age_nothing() {
         let output = robot.tick(None);
         assert_eq!(output.state, State::Engaged, "{tick} {:?}", output.cause);
     }
+}
+
+#[test]
+fn an_answer_as_old_as_it_may_be_counts() {
+    let mut robot = Robot::engaged(Limits {
+        late: (1.0 - 0.005) * 0.05,
+        ..limits()
+    });
+    let holds = (1..20).find(|_| {
+        robot.said.clock -= 10;
+        robot.tick(None).state == State::Hold
+    });
+    // Its clock stands: the fifth answer is just as old as `late` and the last one that counts.
+    assert_eq!(holds, Some(5 + 5));
 }

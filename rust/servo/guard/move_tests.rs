@@ -180,12 +180,33 @@ fn commissioning_moves_little_slowly_and_only_while_the_deadman_is_pressed() {
     robot.deadman = Some(false);
     robot.run(5);
     let stood = robot.guard.goals()[0];
+    robot.run(15);
+    assert_eq!(robot.guard.goals()[0], stood, "nobody presses it");
     let (took, output) = robot.until_change();
     assert_eq!(
         (took, output.state, output.cause),
-        (21, State::Homed, Cause::Deadman)
+        (6, State::Homed, Cause::Deadman)
     );
     assert!((60..140).contains(&stood));
+}
+
+#[test]
+fn a_jog_stands_while_something_is_wrong() {
+    let mut robot = Robot::within(State::Homed);
+    robot.ask(Request::Commission);
+    robot.target = Some([400.0, 90.0]);
+    robot.run(5);
+    // Servo 2 is not heard: it is late before it is silent.
+    robot.mute = true;
+    robot.run(7);
+    let stood = robot.guard.goals()[0];
+    assert_eq!(
+        (robot.run(3).state, robot.guard.goals()[0]),
+        (State::Commissioning, stood)
+    );
+    robot.mute = false;
+    robot.run(5);
+    assert!(robot.guard.goals()[0] > stood);
 }
 
 #[test]
