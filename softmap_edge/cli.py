@@ -56,7 +56,8 @@ def _run(verb: Verb, argv: list[str]) -> int:
         return int(stop.code or 0)
     try:
         code = int(getattr(module, function)(args))
-        sys.stdout.flush()  # a closed pipe is told here, not when the interpreter ends
+        if sys.stdout is not None:  # closed by whoever started it
+            sys.stdout.flush()  # a closed pipe is told here, not when the interpreter ends
         return code
     except BrokenPipeError:  # the reader, `head` perhaps, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,12 +1,13 @@
-"""Ctrl-C during long work: the command stops within a second or so, says so in one line, and leaves no half file."""
+"""Ctrl-C during long work: the command stops within a second or so, in one line, and leaves no half file."""
 
 import os
 import signal
+import subprocess
 import time
 
 import numpy as np
 import pytest
-from command import interruptible
+from command import SOFTMAP, interruptible
 
 from softmap_edge import Run, builtin_model
 from softmap_edge.own_effect import template
@@ -55,3 +56,8 @@ def test_a_law_of_a_user_that_never_ends_can_be_stopped(tmp_path):
     with interruptible(*argv, "--out", str(tmp_path / "d.json")) as process:
         assert stop(process, REACHED).endswith("softmap diagnose: interrupted\n")
     assert not (tmp_path / "d.json").exists()
+
+
+def test_an_output_that_was_closed_ends_no_verb_with_a_traceback():
+    done = subprocess.run(f"{SOFTMAP} --version >&- ; {SOFTMAP} doctor --json >&-", shell=True, capture_output=True)
+    assert b"Traceback" not in done.stderr, done.stderr

@@ -117,6 +117,24 @@ def test_a_delay_and_a_lag_are_previewed(model):
     assert plan.distance[60:].mean() < 0.1
 
 
+@pytest.mark.parametrize(
+    "names, params, least",
+    [
+        (["rate_limit"], {"rate_limit.speed": 2.0}, 1.0),
+        (["lag", "backlash"], {"lag.tau": 0.3, "backlash.gap": 0.6}, 0.1),
+    ],
+)
+def test_what_cannot_be_undone_is_expected_of_the_plan(model, names, params, least):
+    """A limited speed has no inverse, and a lag before a play is previewed as if the play came first."""
+    slow = model.with_effects(names, params)
+    targets = circle(model)
+    plan = Kinematics(slow, axes="xy").plan(targets, T)
+    found = executed(slow, plan.commands)  # as if it had rested at the first command: forgotten after seconds
+    off = np.linalg.norm((found - targets)[200:, :2], axis=1)
+    np.testing.assert_allclose(plan.distance[200:], off, atol=1e-3)
+    assert off.max() > least
+
+
 def test_commands_stay_within_sweep_and_window(model):
     small = model.with_effects(["gain"], {"gain.factor[0]": 0.5, "gain.factor[1]": 1.0})
     kinematics = Kinematics(small, axes="xy")
@@ -135,6 +153,9 @@ def test_commands_stay_within_sweep_and_window(model):
         (lambda m: Kinematics(m).solve([[1.0, np.nan, 2.0]]), "target 0"),
         (lambda m: Kinematics(m).solve([[1.0, 2.0, 3.0]], method="guess"), "no method 'guess'"),
         (lambda m: Kinematics(m).plan([[0, 0, 90.0]] * 2, [1.0, 1.0]), "let them rise"),
+        (lambda m: Kinematics(m, load=np.nan), "load nan g"),
+        (lambda m: Kinematics(m, load=1e9), "0 to 10000 g"),
+        (lambda m: Kinematics(m, gravity=[0, 0, 0]), "a unit vector (3,)"),
         (lambda m: Kinematics(m).solve([[0, 0, 90.0]], start=[0.0] * 3), "a start of 3 numbers"),
     ],
 )

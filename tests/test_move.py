@@ -151,6 +151,10 @@ def test_to_a_command_and_back(capsys):
     document = json.loads(capsys.readouterr().out)
     assert document["done_mm"] == pytest.approx([2.0, -1.0])
     assert document["at_mm"] == pytest.approx([2.0, -1.0], abs=5 / TICKS_PER_MM)
+    assert main(["move", "40,1", "--sim", "--hold", "--seconds", "0"]) == 0
+    assert "sent to 16.00, 1.00 mm (nearest to 40.00, 1.00 within its window)" in capsys.readouterr().out
+    assert main(["move", "1e308,1", "--sim", "--hold"]) == 2
+    assert "1e308,1 for 3 s; commands of up to 10000 mm" in capsys.readouterr().err
     assert main(["move", "2", "--sim", "--hold"]) == 2
     assert "1 numbers for 2 servos" in capsys.readouterr().err
     assert main(["move", "a,b", "--sim"]) == 2

@@ -44,6 +44,7 @@ def test_everything_is_served_from_the_package_under_a_strict_policy():
             assert not re.search(rb"(src|href|from|import|url\()\W*https?:", body), "nothing comes from elsewhere"
             assert page.url.partition("#")[2].encode() not in body, "the token is in the link alone"
         assert get(page, "/../page.py")[0].status == 404 and get(page, "/page.js?x")[0].status == 404
+        assert get(page, "//[x")[0].status == 404
 
 
 def test_a_name_bent_to_this_computer_is_refused():

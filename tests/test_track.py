@@ -2,11 +2,16 @@
 
 import argparse
 import json
+import os
+import resource
+import signal
+import subprocess
 import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from command import SOFTMAP
 from rigs import calibration, torque
 
 from softmap_edge import Run, SoftmapError, _core, builtin_model, diagnose, save_bundle
@@ -165,6 +170,36 @@ def test_what_a_finger_hides_is_named_by_one_word_in_every_verb(word):
 def test_what_cannot_be_tracked_is_refused(options, said, capsys):
     assert main(["track", *options]) != 0
     assert said in capsys.readouterr().err
+
+
+def test_a_recording_that_breaks_off_measures_nothing(model, tmp_path, monkeypatch, capsys):
+    """What was not measured is not previewed as 0 s, and no figure is led on it."""
+    monkeypatch.chdir(tmp_path)
+    argv = [SOFTMAP, "track", "circle", "--sim", "--duration", "6", "--record", "t.mcap"]
+
+    def little():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    done = subprocess.run(argv, capture_output=True, text=True, preexec_fn=little)
+    assert done.returncode == 2 and "the recording broke off" in done.stderr, done
+    assert "previewed" not in done.stdout and "written" not in done.stdout
+
+
+@pytest.mark.parametrize("option", [["--record", "x.mcap"], ["--seed", "3"], ["--key", "f"], ["--late", "0.1"]])
+def test_a_plan_that_drives_nothing_takes_no_option_of_what_is_driven(option, capsys):
+    assert main(["track", "S", "--plan", *option]) == 2
+    assert f"{option[0]} is of what is driven" in capsys.readouterr().err
+
+
+def test_a_figure_that_is_no_file_is_refused_at_once(tmp_path, capsys):
+    os.mkfifo(tmp_path / "f.csv")
+    assert main(["track", str(tmp_path / "f.csv"), "--plan"]) == 2
+    assert "f.csv: no file" in capsys.readouterr().err
+    assert main(["track", "S", "--plan", "--amplitude", "1e308"]) == 2
+    assert "up to 10000" in capsys.readouterr().err
+    assert main(["track", "--workspace", "--reach", "1e308", "0", "0"]) == 2
+    assert "--reach [1e+308, 0.0, 0.0]" in capsys.readouterr().err
 
 
 def test_feedback_without_a_camera_and_tracking_without_a_record_are_refused(model, tmp_path):

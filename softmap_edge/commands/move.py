@@ -18,6 +18,7 @@ from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import bench_of, emulated
 from softmap_edge.commissioning.jog import EVERY, Jog, most_travel
 from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.motion.curves import WIDEST
 from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
@@ -129,8 +130,10 @@ def _go(args: argparse.Namespace) -> int:
         u = np.array([float(word) for word in args.command.split(",")])
     except ValueError:
         raise SoftmapError(f"'{args.command:.40}' is no command; expected mm, one a servo: 2.5,-1") from None
-    if not np.isfinite(u).all() or not 0.0 <= args.seconds <= 600.0:
-        raise SoftmapError("commands are finite numbers, --seconds is 0 to 600")
+    if not (np.abs(u) <= WIDEST).all() or not 0.0 <= args.seconds <= 600.0:
+        raise SoftmapError(
+            f"{args.command:.40} for {args.seconds:g} s; commands of up to {WIDEST:g} mm and 0 to 600 s are allowed"
+        )
     model = open_model(args.bundle)
     with bench_of(args, model) as there:
         if len(u) != len(there.rig.servos):
@@ -145,7 +148,8 @@ def _go(args: argparse.Namespace) -> int:
                 time.sleep(EVERY)
             at = there.calibration.commands(robot.position)
     document = {"schema": "softmap.move/1", "command_mm": u.tolist(), "done_mm": done.tolist(), "at_mm": at.tolist()}
-    said = f"sent to {_mm(done)} mm, came to {_mm(at)} mm by the servos; slack again, torque is off"
+    cut = "" if np.allclose(done, u, atol=0.01) else f" (nearest to {_mm(u)} within its window)"
+    said = f"sent to {_mm(done)} mm{cut}, came to {_mm(at)} mm by the servos; slack again, torque is off"
     print(json.dumps(document) if args.json else said)
     return 0
 

@@ -66,6 +66,9 @@ def track(args: argparse.Namespace) -> int:
         raise SoftmapError("name a figure, or give --table or --workspace without one")
     if (args.rival and not args.table) or (args.reach and not args.workspace):
         raise SoftmapError("--rival goes with --table, --reach with --workspace; give that too")
+    idle = [f"--{name}" for name in ("record", "seed", "key", "like", "late") if getattr(args, name) is not None]
+    if args.plan and idle:
+        raise SoftmapError(f"{idle[0]} is of what is driven, and --plan drives nothing; leave one of them out")
     behind = late(args)
     whole = open_model(args.bundle)
     if args.table:
@@ -98,6 +101,8 @@ def track(args: argparse.Namespace) -> int:
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)
     document = _document(args, kinematics, planned, tracked)
+    if bench is not None and robot.unrecorded is not None:
+        document["record"] = None
     print(json.dumps(document) if args.json else _text(document))
     if bench is not None:
         robot.check_recorded()
@@ -143,7 +148,8 @@ def _document(
         "unreachable_mm": float(plan.unreachable[counts].max()),
         "expected_mm": spread(plan.distance[counts]),
         "seen_mm": spread(tracked.error) if seen and tracked is not None else None,
-        "servos_s": None if tracked is None else dict(zip(("delay", "lag"), tracked.response)),
+        "driven": tracked is not None,
+        "servos_s": None if not (tracked and tracked.response) else dict(zip(("delay", "lag"), tracked.response)),
         "observed": args.observe,
         "unseen_s": None if tracked is None else tracked.unseen,
         "record": args.record,
@@ -168,6 +174,8 @@ def _text(told: dict[str, Any]) -> str:
         lines.append(
             "servos answer {delay:.3f} s late, with a lag of {lag:.3f} s: previewed".format(**told["servos_s"])
         )
+    elif told["driven"]:
+        lines.append("how late the servos answer could not be measured: nothing of it was previewed")
     if told["seen_mm"]:
         lines.append(f"the camera saw it off by {numbers('seen_mm')}")
         if told["hidden"] == [] and told["effects"]:
@@ -178,7 +186,7 @@ def _text(told: dict[str, Any]) -> str:
         if told["unseen_s"]:
             fed = ", and nothing was fed back then" if told["observed"] else ""
             lines.append(f"the tip was not seen for {told['unseen_s']:.1f} s of it{fed}")
-    elif told["servos_s"]:
+    elif told["driven"]:
         lines.append("no camera: how far off it really was is not known")
     lines += [f"{told[name]}: written" for name in ("record", "picture") if told[name]]
     return "\n".join(lines)

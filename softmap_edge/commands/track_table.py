@@ -13,6 +13,7 @@ from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
+from softmap_edge.motion.curves import WIDEST
 from softmap_edge.motion.kinematics import AXES, Kinematics
 from softmap_edge.motion.table_two import table_two, text_of
 from softmap_edge.whole_file import write_whole
@@ -48,6 +49,8 @@ def workspace(args: argparse.Namespace, kinematics: Kinematics) -> int:
     """Say what the tip can reach, whether a point is in it, and draw it."""
     target = None if args.reach is None else np.asarray(args.reach, float)
     rest = np.asarray(kinematics.tip.evaluate(np.zeros((1, kinematics.model.channels))))[0]
+    if target is not None and not (np.abs(target) <= WIDEST).all():
+        raise SoftmapError(f"--reach {target.tolist()}; numbers of up to {WIDEST:g} mm are wanted")
     places = kinematics.reach.samples[0]
     solved = None if target is None else kinematics.solve(target[None])
     document: dict[str, Any] = {

@@ -22,6 +22,7 @@ from softmap_edge.whole_file import MOST_TEXT
 Floats = NDArray[np.float64]
 
 MOST_POINTS = 20_000
+WIDEST = 1e4  # mm: a larger one is a slip
 FARTHEST = 1e6  # units of a file from its origin: beyond, differences of points lose their digits
 _ROUND = np.linspace(0.0, 2 * np.pi, 181)
 _FLATTENED = 24  # pieces of one Bézier curve
@@ -58,8 +59,8 @@ def figure(name: str, amplitude: float) -> Floats:
     Raises:
         SoftmapError: no such figure, an amplitude that is none, or a file that holds no polyline.
     """
-    if not (math.isfinite(amplitude) and amplitude > 0):
-        raise SoftmapError(f"an amplitude of {amplitude:g} mm; give one above 0")
+    if not 0 < amplitude <= WIDEST:
+        raise SoftmapError(f"an amplitude of {amplitude:g} mm; give one above 0, up to {WIDEST:g}")
     suffix = Path(name).suffix.lower()
     if name in FIGURES:
         points = FIGURES[name]
@@ -85,6 +86,8 @@ def even(points: Floats, count: int) -> Floats:
 
 def _points_of(file: Path, suffix: str) -> Floats:
     try:
+        if file.exists() and not file.is_file():
+            raise SoftmapError(f"{file}: no file; give a .csv or .svg")
         if file.stat().st_size > MOST_TEXT:
             raise SoftmapError(
                 f"{file}: {file.stat().st_size >> 10} KB, figures of up to {MOST_TEXT >> 10} KB are read"

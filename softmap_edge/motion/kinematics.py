@@ -27,6 +27,7 @@ Floats = NDArray[np.float64]
 
 AXES = "xyz"
 METHODS = ("exact", "paper")
+HEAVIEST = 1e4  # g at the tip
 REACHED = 0.01  # mm: below this a target counts as reached; folds of an interpolated sweep hide some micrometres
 PREVIEWED = {"latency": "delay", "lag": "tau"}  # effects of the path, not of a sample, and what tells how late they are
 
@@ -68,8 +69,8 @@ class Kinematics:
         temperature: °C. axes: which of a target's coordinates count, as "xy".
 
     Raises:
-        SoftmapError: no such axes, a model without commands, an effect that cannot be inverted (a user's own), a
-            field that an effect needs and the model lacks.
+        SoftmapError: no such axes, gravity or load, a model without commands, an effect that cannot be inverted (a
+            user's own), a field that an effect needs and the model lacks.
     """
 
     def __init__(
@@ -85,9 +86,15 @@ class Kinematics:
             raise SoftmapError(f"axes '{axes}'; name some of x, y and z, each once")
         if model.channels == 0:
             raise SoftmapError(f"the model of '{model.robot}' takes no commands: nothing moves its tip")
+        hangs = np.asarray(model.gravity_reference if gravity is None else gravity, float)
+        unit = gravity is None or (hangs.shape == (3,) and abs(np.linalg.norm(hangs) - 1.0) < 1e-3)
+        if not unit or not 0.0 <= load <= HEAVIEST:
+            raise SoftmapError(
+                f"gravity {hangs.tolist()}, load {load:g} g; a unit vector (3,) and 0 to {HEAVIEST:g} g are wanted"
+            )
         self.model, self.axes = model, axes
         self.counted: NDArray[np.bool_] = np.array([axis in axes for axis in AXES])
-        self._world = (model.gravity_reference if gravity is None else np.asarray(gravity, float), load, temperature)
+        self._world = hangs, load, temperature
         self.tip = model.tip_shape if gravity is None and not load else tip(model, *self._world)
         reach = np.asarray(model.command_range, float)
         self.bounds = reach if model.calibration is None else model.calibration.usable(reach)

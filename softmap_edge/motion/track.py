@@ -119,13 +119,13 @@ def course(
 class Tracked:
     """What happened: where the tip was seen `tip` (K, 3) mm at `t` (K,) s of the plan, where it should have been then
     `target` (K, 3), and how far off `error` (K,) mm along the axes that count; `response` (delay, lag) s of the
-    servos, `unseen` s of the figure in which the camera was gone."""
+    servos, None where it was not to be measured, `unseen` s of the figure in which the camera was gone."""
 
     t: Floats
     target: Floats
     tip: Floats
     error: Floats
-    response: tuple[float, float]
+    response: tuple[float, float] | None
     unseen: float = 0.0
 
 
@@ -155,7 +155,8 @@ def track(
     _play(robot, lambda t: home, SETTLED)
     _play(robot, lambda t: _probe(t, len(home)), PROBE[1] + SETTLED, partial(say, "measuring servos"))
     told = response_of(read_recording(robot.recording).periods)
-    delay, lag = (0.0, 0.0) if told is None else told
+    robot.check_recorded()  # what broke off measured nothing
+    delay, lag = told or (0.0, 0.0)
     plan = course.plan
     asked = early(plan.acting, plan.t, delay + kinematics.delays[0], lag + kinematics.delays[1])
     feedback = _Feedback(kinematics, plan, sum((delay, lag, *kinematics.delays)), late) if observe else None
@@ -170,7 +171,7 @@ def track(
     _play(robot, command, float(plan.t[-1]) + 1.0 / SENT, partial(say, "tracking"))
     frames = [] if seen is None else _kept(seen, begun + plan.t[-1])
     _play(robot, lambda t: asked[-1], SETTLED)
-    return _judged(kinematics, course, frames, begun, (delay, lag), late)
+    return _judged(kinematics, course, frames, begun, told, late)
 
 
 def spread(error: Floats) -> dict[str, Any]:
@@ -218,7 +219,7 @@ def _judged(
     course: Course,
     frames: Sequence[Frame],
     begun: float,
-    response: tuple[float, float],
+    response: tuple[float, float] | None,
     late: float,
 ) -> Tracked:
     t, tip = on_host(frames, late) - begun, _tips(kinematics, frames)

@@ -150,18 +150,29 @@ def read_recording(path: str | Path) -> Recording:
         raise RunError(f"{file}: no such file; give what a loop recorded, as of `softmap track --record FILE.mcap`")
     try:
         messages = _core.read_recording(str(file))
-        documents = [(topic, json.loads(message)) for topic, _, message in messages]
+        documents, short = _documents(messages)
         setup = next((document for topic, document in documents if topic == SETUP), None)
         periods = [document for topic, document in documents if topic == LOOP]
         if setup is None or not isinstance(setup.get("limits"), dict) or not periods:
             raise RunError(f"{file}: holds no periods of a control loop; give what `softmap` recorded")
-        return Recording(file, setup, periods, _short(file))
+        return Recording(file, setup, periods, short or _short(file))
     except RunError:
         raise
     except SoftmapError as fault:
         raise RunError(str(fault)) from None
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as fault:
         raise RunError(f"{file}: damaged ({type(fault).__name__} {fault!s:.60}); record again") from None
+
+
+def _documents(messages: list[tuple[str, int, bytes]]) -> tuple[list[tuple[str, Any]], str | None]:
+    """Return topic and document of each message before the first that is no JSON, and what is said of that one."""
+    found = []
+    for topic, _, message in messages:
+        try:
+            found.append((topic, json.loads(message)))
+        except (ValueError, RecursionError) as fault:
+            return found, f"damaged (message {len(found)} is no JSON: {fault!s:.40}); record again"
+    return found, None
 
 
 def _short(file: Path) -> str | None:

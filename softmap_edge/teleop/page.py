@@ -152,7 +152,10 @@ class Page:
         host = request.headers.get_all("Host")
         if len(host) != 1 or not _ours(host[0], self.port):
             return _answer(connection, 421, b"this page is served under an address or localhost, not under this name\n")
-        path = urlsplit(request.path)
+        try:
+            path = urlsplit(request.path)
+        except ValueError:
+            return _answer(connection, 404, b"there is no such page\n")
         if path.path != "/drive":
             if path.path not in SERVED or path.query:
                 return _answer(connection, 404, b"there is no such page\n")
