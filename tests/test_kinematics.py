@@ -128,7 +128,9 @@ def test_what_cannot_be_undone_is_expected_of_the_plan(model, names, params, lea
     """A limited speed has no inverse, and a lag before a play is previewed as if the play came first."""
     slow = model.with_effects(names, params)
     targets = circle(model)
-    plan = Kinematics(slow, axes="xy").plan(targets, T)
+    kinematics = Kinematics(slow, axes="xy")
+    assert kinematics.undone == [name for name in names if name != "rate_limit"]
+    plan = kinematics.plan(targets, T)
     found = executed(slow, plan.commands)  # as if it had rested at the first command: forgotten after seconds
     off = np.linalg.norm((found - targets)[200:, :2], axis=1)
     np.testing.assert_allclose(plan.distance[200:], off, atol=1e-3)

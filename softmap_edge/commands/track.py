@@ -140,7 +140,8 @@ def _document(
         "amplitude_mm": args.amplitude,
         "axes": kinematics.axes,
         "method": args.method or "exact",
-        "effects": list(kinematics.model.chain_names),
+        "effects": kinematics.undone,
+        "left": [name for name in kinematics.model.chain_names if name not in kinematics.undone],
         "hidden": [name for name in args.hide.split(",") if name] if args.sim else None,
         "waypoints": int(counts.sum()),
         "seconds": float(plan.t[-1] - plan.t[counts][0]),
@@ -164,6 +165,7 @@ def _text(told: dict[str, Any]) -> str:
     lines = [
         f"{told['figure']}: {told['waypoints']} waypoints in {told['seconds']:.1f} s, {told['quickest_s']:.1f} s at "
         f"least; effects undone: {', '.join(told['effects']) or 'none'}"
+        + (f"; not undone: {', '.join(told['left'])}" if told["left"] else "")
     ]
     if told["unreachable_mm"] > 0.01:
         lines.append(

@@ -30,6 +30,7 @@ METHODS = ("exact", "paper")
 HEAVIEST = 1e4  # g at the tip
 REACHED = 0.01  # mm: below this a target counts as reached; folds of an interpolated sweep hide some micrometres
 PREVIEWED = {"latency": "delay", "lag": "tau"}  # effects of the path, not of a sample, and what tells how late they are
+LEFT = ("clock_shift", "rate_limit")  # effects of time that have no inverse and no preview
 
 
 @dataclass(frozen=True)
@@ -185,6 +186,11 @@ class Kinematics:
         commands, _ = self._chain.path(early(acting, t, *self.delays), t)
         expected = np.asarray(self.tip.evaluate(self.acts(commands, t, rested)))
         return Plan(t, points, acting, commands, expected, self._apart(expected, points), unreachable)
+
+    @property
+    def undone(self) -> list[str]:
+        """The model's effects that commands undo; of the others a plan expects what they leave."""
+        return [name for name in self.model.chain_names if name not in LEFT]
 
     def _apart(self, places: Floats, targets: Floats) -> Floats:
         """Return the distances (T,) mm along the axes that count."""
