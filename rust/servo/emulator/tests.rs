@@ -116,7 +116,15 @@ fn every_model_is_heard_at_the_rate_it_has() {
             57_600,
             k as u64,
         );
-        let mut bus = Bus::new(Virtual { emulator, now: 0, stall: 0 }, 57_600, SLACK);
+        let mut bus = Bus::new(
+            Virtual {
+                emulator,
+                now: 0,
+                stall: 0,
+            },
+            57_600,
+            SLACK,
+        );
         assert_eq!(bus.ping(7), Ok((model.number, 46)));
         assert_eq!(bus.ping(8), Err(Fault::Silent));
         bus.port().emulator.set_baud(1_000_000);

@@ -74,7 +74,15 @@ pub fn servos(ids: &[u8]) -> Vec<Servo> {
 
 pub fn bus(ids: &[u8]) -> Bus<Virtual> {
     let emulator = Emulator::new(servos(ids), 1_000_000, 1);
-    Bus::new(Virtual { emulator, now: 0, stall: 0 }, 1_000_000, SLACK)
+    Bus::new(
+        Virtual {
+            emulator,
+            now: 0,
+            stall: 0,
+        },
+        1_000_000,
+        SLACK,
+    )
 }
 
 pub const FINE: Heard = Ok(Answer { alert: false });
