@@ -16,6 +16,23 @@ from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.controller import Controller
 
+PROGRAM = """
+import os, sys, time
+sys.path.insert(0, {tests!r})
+from rigs import calibration, WINDOW, MODEL, HOME, BAUD
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.servo.rig import Rig, RigServo
+rig = Rig({path!r}, BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))
+with Controller(rig, calibration(), loop_limits([servo_limits(MODEL, HOME, WINDOW)] * 2, 200.0, hold={hold})) as robot:
+    robot.engage()
+"""
+
+
+def program(bus, text, hold):
+    """Return the command line of a user's program that has engaged the robot at `bus` and then does `text`."""
+    return [sys.executable, "-c", PROGRAM.format(tests=str(Path(__file__).parent), path=bus.path, hold=hold) + text]
+
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_program_that_sleeps_releases_the_servos_of_a_loop_that_dies_or_freezes(how):
@@ -32,27 +49,19 @@ def test_a_program_that_sleeps_releases_the_servos_of_a_loop_that_dies_or_freeze
 def test_a_program_that_was_frozen_itself_does_not_end_a_loop_that_is_well():
     """Its reports lie in the pipe: who wakes reads them before it says that there were none."""
     text = """
-import os, signal, subprocess, sys, time
-sys.path.insert(0, {tests!r})
-from rigs import calibration, WINDOW, MODEL, HOME, BAUD
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.rig import Rig, RigServo
-rig = Rig({path!r}, BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))
-with Controller(rig, calibration(), loop_limits([servo_limits(MODEL, HOME, WINDOW)] * 2, 200.0, hold=5.0)) as robot:
-    robot.engage()
+    import signal, subprocess
     for _ in range(6):
         end = time.monotonic() + 0.3
         while time.monotonic() < end:
             robot.target([1.0, -1.0])
             time.sleep(0.002)
-        subprocess.Popen(["sh", "-c", f"sleep 0.9; kill -CONT {{os.getpid()}}"])
+        subprocess.Popen(["sh", "-c", f"sleep 0.9; kill -CONT {os.getpid()}"])
         os.kill(os.getpid(), signal.SIGSTOP)
     print(robot.state, robot.report.get("rescued"))
 """
     with bench() as (bus, _, _):
-        text = text.format(tests=str(Path(__file__).parent), path=bus.path)
-        done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=60)
+        argv = program(bus, text, hold=5.0)
+        done = subprocess.run(argv, capture_output=True, text=True, timeout=60)
         assert done.returncode == 0 and done.stdout.split()[1] == "None", done
 
 
@@ -88,15 +97,6 @@ def test_a_servo_that_does_not_hear_at_the_end_is_named(tmp_path, capsys):
 
 def test_a_child_of_the_program_does_not_hold_the_port():
     text = """
-import os, sys, time
-sys.path.insert(0, {tests!r})
-from rigs import calibration, WINDOW, MODEL, HOME, BAUD
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.rig import Rig, RigServo
-rig = Rig({path!r}, BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))
-with Controller(rig, calibration(), loop_limits([servo_limits(MODEL, HOME, WINDOW)] * 2, 200.0, hold=0.4)) as robot:
-    robot.engage()
     child = os.fork()
     if child == 0:
         time.sleep(60)
@@ -107,8 +107,7 @@ with Controller(rig, calibration(), loop_limits([servo_limits(MODEL, HOME, WINDO
         time.sleep(0.02)
 """
     with bench() as (bus, rig, limits):
-        text = text.format(tests=str(Path(__file__).parent), path=bus.path)
-        user = subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE)
+        user = subprocess.Popen(program(bus, text, hold=0.4), stdout=subprocess.PIPE)
         try:
             child = int(user.stdout.readline())
             until(lambda: torque(bus))

@@ -239,3 +239,6 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
 #[cfg(test)]
 #[path = "control_tests.rs"]
 mod tests;
+#[cfg(test)]
+#[path = "virtual_bench.rs"]
+mod virtual_bench;

@@ -100,9 +100,8 @@ def track(args: argparse.Namespace) -> int:
                 tracked = follow(robot, kinematics, planned, seen, observe=args.observe, late=behind, progress=bar)
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)
-    document = _document(args, kinematics, planned, tracked)
-    if bench is not None and robot.unrecorded is not None:
-        document["record"] = None
+    kept = bench is not None and robot.unrecorded is None
+    document = _document(args, kinematics, planned, tracked) | {"record": args.record if kept else None}
     print(json.dumps(document) if args.json else _text(document))
     if bench is not None:
         robot.check_recorded()
@@ -153,7 +152,6 @@ def _document(
         "servos_s": None if not (tracked and tracked.response) else dict(zip(("delay", "lag"), tracked.response)),
         "observed": args.observe,
         "unseen_s": None if tracked is None else tracked.unseen,
-        "record": args.record,
         "picture": args.picture,
     }
 

@@ -30,7 +30,6 @@ METHODS = ("exact", "paper")
 HEAVIEST = 1e4  # g at the tip
 REACHED = 0.01  # mm: below this a target counts as reached; folds of an interpolated sweep hide some micrometres
 PREVIEWED = {"latency": "delay", "lag": "tau"}  # effects of the path, not of a sample, and what tells how late they are
-LEFT = ("clock_shift", "rate_limit")  # effects of time that have no inverse and no preview
 
 
 @dataclass(frozen=True)
@@ -189,8 +188,10 @@ class Kinematics:
 
     @property
     def undone(self) -> list[str]:
-        """The model's effects that commands undo; of the others a plan expects what they leave."""
-        return [name for name in self.model.chain_names if name not in LEFT]
+        """The model's effects that commands undo; of the others, delays without a preview, a plan expects what they
+        leave."""
+        delays = {entry["name"] for entry in _core.effects() if entry["family"] == "delay"}
+        return [name for name in self.model.chain_names if name in PREVIEWED or name not in delays]
 
     def _apart(self, places: Floats, targets: Floats) -> Floats:
         """Return the distances (T,) mm along the axes that count."""

@@ -2,7 +2,8 @@
 //!
 //! Times are counted in periods, which the guard never counts as fewer, so that what is judged here holds for any clock.
 
-use super::{Axis, Cause, Denied, Feedback, Input, Limits, Output, Request, State};
+use super::examined::Known;
+use super::{Axis, Cause, Denied, Input, Limits, Output, Request, State};
 
 /// Round-off that is forgiven, in ticks.
 const ROUND: f64 = 1e-6;
@@ -15,24 +16,6 @@ pub struct Said {
     /// Before rounding.
     pub paths: Vec<f64>,
     pub currents: Vec<Option<f64>>,
-}
-
-#[derive(Debug, Clone, Copy, Default)]
-struct Known {
-    position: Option<i32>,
-    clock: u16,
-    /// The time (s, by clock and by periods) when its clock was last not behind, the ms that it went on since, and the
-    /// time when it was last believed.
-    level: (f64, u64),
-    ticked: f64,
-    believed: (f64, u64),
-    /// Periods since an answer, since its clock moved, and since it was near its goal.
-    unheard: u64,
-    frozen: u64,
-    apart: u64,
-    hardware: u8,
-    temperature: f64,
-    torque: Option<bool>,
 }
 
 pub struct Checker {
@@ -134,63 +117,11 @@ impl Checker {
         self.time = (self.time.0 + passed, self.time.1 + 1);
         let time = self.time;
         for (k, known) in self.servos.iter_mut().enumerate() {
-            known.unheard += 1;
-            known.frozen += 1;
-            let Some(Feedback {
-                position,
-                clock,
-                temperature,
-                health,
-                ..
-            }) = input.feedback[k]
-            else {
-                continue;
-            };
-            if known.position.is_some()
-                && clock == known.clock
-                && known.frozen as f64 * period > 0.1
-            {
-                continue;
-            }
-            let since = |then: (f64, u64)| (time.0 - then.0).max((time.1 - then.1) as f64 * period);
-            if known.position.is_none() || since(known.believed) > 1.0 {
-                (known.level, known.ticked) = (time, 0.0);
-            } else {
-                // A clock counts ms up to 32 768; half of that is taken for going back.
-                let ticked = i32::from(clock) - i32::from(known.clock);
-                let ticked =
-                    known.ticked + f64::from((ticked + 0x4000).rem_euclid(0x8000) - 0x4000);
-                let behind = 995.0 * since(known.level) - ticked;
-                if behind > 1000.0 * limits.late {
-                    continue;
-                }
-                (known.level, known.ticked) = if behind > 0.0 {
-                    (known.level, ticked)
-                } else {
-                    (time, 0.0)
-                };
-            }
-            known.believed = time;
-            if known.position.is_none() || clock != known.clock {
-                (known.clock, known.frozen) = (clock, 0);
-            }
-            (known.position, known.unheard) = (Some(position), 0);
-            known.temperature = if temperature.is_nan() {
-                f64::INFINITY
-            } else {
-                temperature
-            };
-            if let Some(health) = health {
-                (known.hardware, known.torque) = (health.hardware, Some(health.torque));
-            }
-            let near = self.before.as_ref().is_none_or(|before| {
-                (f64::from(position) - before.paths[k]).abs() <= limits.axes[k].following
+            let sent = self.before.as_ref().map(|before| before.paths[k]);
+            known.hear(input.feedback[k], time, limits, |position| {
+                let away = sent.map_or(0.0, |path| (f64::from(position) - path).abs());
+                away <= limits.axes[k].following || !from.active()
             });
-            known.apart = if near || !from.active() {
-                0
-            } else {
-                known.apart + 1
-            };
         }
     }
 

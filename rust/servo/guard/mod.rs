@@ -15,6 +15,8 @@ mod cause_tests;
 #[cfg(test)]
 mod checker;
 #[cfg(test)]
+mod examined;
+#[cfg(test)]
 mod fuzz;
 pub mod limits;
 mod machine;
