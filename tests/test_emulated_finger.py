@@ -1,10 +1,12 @@
 """A finger behind emulated servos: its laws as they stream, its camera, its faults."""
 
+import subprocess
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from command import SOFTMAP
 from emulated_robot import emulated, say
 from rigs import HOME, bench, calibration
 from waiting import hold_for, until
@@ -184,3 +186,10 @@ def test_what_an_emulated_robot_cannot_be_is_told(capsys, tmp_path):
     ):
         assert main(["servo", "emulate", *more]) == 2
         assert line in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("servos", [[], ["--servos", "1"]])
+def test_an_emulated_robot_whose_input_ends_says_why_it_is_gone(servos):
+    argv = [SOFTMAP, "servo", "emulate", *servos]
+    done = subprocess.run(argv, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and "standard input has ended" in done.stderr, done

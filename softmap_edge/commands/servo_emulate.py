@@ -16,7 +16,7 @@ from typing import Any
 from softmap_edge import _core
 from softmap_edge.bundle import save_bundle
 from softmap_edge.camera.points_udp import PointSender
-from softmap_edge.commands.output import check_bundle, check_file
+from softmap_edge.commands.output import check_bundle, check_file, to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import own_map
 from softmap_edge.emulated.finger import (
@@ -41,6 +41,7 @@ FAULTS = (
 )
 FINGER_FAULTS = "blind 0|1"
 EMULATED = "emulated"  # in [made] of the bench that it writes
+KEPT_OPEN = "sleep infinity | softmap servo emulate …"
 BROKEN = ("mute", "stuck", "torn", "reversed", "jammed", "uncapped")
 
 
@@ -214,6 +215,7 @@ def _obey(bus: _core.EmulatedBus, finger: EmulatedFinger | None) -> None:
                     _break(bus, finger, fault)
                 except (ServoError, ValueError, OverflowError) as said:
                     print(f"{line.strip()}: {said}; {known}", file=sys.stderr)
+        to_stderr(f"standard input has ended, and {bus.path} with it; in the background keep it open: {KEPT_OPEN}")
 
 
 def _break(bus: _core.EmulatedBus, finger: EmulatedFinger | None, fault: list[str]) -> None:
