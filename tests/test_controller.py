@@ -230,9 +230,10 @@ def test_an_interrupt_ends_the_program_in_order(program):
     until(lambda: not alive(loop), 3.0)
 
 
-def test_sigterm_of_the_loop_slackens(program):
+@pytest.mark.parametrize("ends", [signal.SIGTERM, signal.SIGINT])
+def test_a_loop_asked_to_end_slackens(program, ends):
     bus, _, loop = program
-    os.kill(loop, signal.SIGTERM)
+    os.kill(loop, ends)
     until(lambda: not torque(bus), 4.0)
     assert np.abs(angles(bus) - HOME).max() < 80
 
