@@ -21,7 +21,7 @@ import secrets
 import socket
 import stat
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -217,6 +217,12 @@ class Listener(_Link):
             self._socket.sendto(signed(self._key, self._mark + self._offered[0]), address)
         except OSError:
             return  # it asks again with its next datagram
+
+
+def dropped_words(refused: Mapping[str, int]) -> str:
+    """Return how many datagrams were not taken, and why, in a line; empty if all were."""
+    counts = ", ".join(f"{count} for {why}" for why, count in sorted(refused.items()))
+    return f"datagrams dropped: {counts}" if counts else ""
 
 
 def udp_address(text: str) -> tuple[str, int]:

@@ -132,6 +132,23 @@ def test_landmarks_and_key_reach_the_other_computer():
     assert any("sending" in line for line in lines) and any("no hand" in line for line in lines)
 
 
+def test_who_has_another_key_is_told_on_both_sides(tmp_path, capsys):
+    for name in ("ours", "another"):
+        main(["teleop", "--new-key", str(tmp_path / name)])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    lines, far = [], ("127.0.0.1", port, read_key(tmp_path / "another"))
+    with CameraEyes("camera 0", Camera(), Finder(), View()) as near, Sender(*far) as sender:
+        thread = threading.Thread(target=send, args=(near, sender, None, 3.0, lines.append))
+        thread.start()
+        words = ["teleop", "--sim", "--camera", f"udp://127.0.0.1:{port}", "--key", str(tmp_path / "ours"), "--page"]
+        assert main([*words, "none", "--seconds", "3"]) == 0
+        thread.join(PATIENT)
+    assert re.search(r"datagrams dropped: \d+ for signature", capsys.readouterr().out)
+    assert lines and all("with the same key" in line for line in lines)
+
+
 def test_a_port_that_is_taken_is_told(capsys, tmp_path):
     main(["teleop", "--new-key", str(tmp_path / "k")])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:

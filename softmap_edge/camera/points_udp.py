@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.camera.frames import Frame
 from softmap_edge.errors import LinkError
-from softmap_edge.signed_udp import TAG, Listener, Sender, body_of, signed
+from softmap_edge.signed_udp import TAG, Listener, Sender, body_of, dropped_words, signed
 
 MARK, OFFER_MARK = b"SMP1", b"SMQ1"
 _HEAD = struct.Struct("<4sHH16sQd")
@@ -151,9 +151,9 @@ class PointReceiver(Listener):
 
     def said(self) -> str:
         """Return what came, in a line."""
-        dropped = ", ".join(f"{count} for {why}" for why, count in sorted(self.refused.items()))
         lost = f", {self.lost} lost on the way" if self.lost else ""
-        return f"{self.taken} frames came{lost}" + (f"; datagrams dropped: {dropped}" if dropped else "")
+        dropped = dropped_words(self.refused)
+        return f"{self.taken} frames came{lost}" + (f"; {dropped}" if dropped else "")
 
     def _listen(self) -> None:
         while not self._done.is_set():

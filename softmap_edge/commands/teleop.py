@@ -14,7 +14,7 @@ from softmap_edge.commands.robot import bench_of, check_driven, driven_arguments
 from softmap_edge.errors import TeleopError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo.controller import Controller
-from softmap_edge.signed_udp import new_key, read_key
+from softmap_edge.signed_udp import dropped_words, new_key, read_key
 from softmap_edge.teleop.aim import Aim, Direct, Tip
 from softmap_edge.teleop.drive import Drive
 from softmap_edge.teleop.eyes import CameraEyes, Eyes, FarEyes, NoEyes, camera_eyes
@@ -122,6 +122,7 @@ def _drive(args: argparse.Namespace) -> int:
         "effects": list(model.chain_names),
         "pictures": eyes.taken,
         "hands": eyes.hands,
+        "refused": eyes.refused if isinstance(eyes, FarEyes) else {},
         **account.to_dict(),
         "command_age_us": robot.ended.get("command_age_us"),
         "record": args.record,
@@ -202,6 +203,8 @@ def _text(told: dict[str, Any]) -> str:
         lines.append(f"{told['pictures']} pictures, {told['hands']} with a hand" + (
             ", {median:.0f} ms from picture to command (median; 95 %: {p95:.0f})".format(**late) if late else ""
         ))  # fmt: skip
+    if told["refused"]:
+        lines.append(dropped_words(told["refused"]))
     lines += [f"driving ended {count} times: {why}" for why, count in told["lost"].items()]
     lines.append("states: " + ", ".join(f"{state} {seconds:.1f} s" for state, seconds in told["states_s"].items()))
     if told["record"]:

@@ -185,6 +185,11 @@ class FarEyes(Eyes):
     def rest(self, knob: tuple[float, float]) -> None:
         """Hear nothing: there is no knob."""
 
+    @property
+    def refused(self) -> dict[str, int]:
+        """How many datagrams were not taken, by why (`landmarks_udp.Receiver`)."""
+        return dict(self._receiver.refused)
+
 
 def camera_eyes(what: int | Path, model: str | Path | None, view: View) -> CameraEyes:
     """Open a camera by its number, or a video file played at its own rate, with mediapipe's hands.

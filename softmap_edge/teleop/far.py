@@ -14,6 +14,7 @@ from softmap_edge.teleop.eyes import SEEN, Eyes
 from softmap_edge.teleop.keys import Input
 from softmap_edge.teleop.landmarks_udp import Message, Sender
 
+UNHEARD = "nobody answers there yet: `softmap teleop --camera udp://:PORT` must run there, with the same key"
 EVERY = 0.05  # s between two messages, at least while no picture comes: the key's heartbeat
 
 
@@ -42,7 +43,7 @@ def send(eyes: Eyes, sender: Sender, key: Input | None, seconds: float | None, s
             held = key is not None and key.controls(now).held
             hand = sight.hand if sight is not None and now - sight.t <= SEEN else None
             done.sent += sender.send(Message(hand, held))
-            said = ("sending" if sender.heard else "nobody answers there yet") + ("" if hand else ", no hand is seen")
+            said = ("sending" if sender.heard else UNHEARD) + ("" if hand else "; no hand is seen")
             if said != line:
                 line = said
                 say(said)
