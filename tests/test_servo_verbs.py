@@ -273,6 +273,19 @@ def test_an_emulator_replaces_no_bench_but_its_own(tmp_path, monkeypatch, capsys
     assert main([*argv, "--force"]) == 0 and read_rig(rig).port != "/dev/ttyUSB0"
 
 
+def test_an_emulator_replaces_a_bundle_only_where_it_is_asked_to(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    argv = ["servo", "emulate", "--calibrated", str(tmp_path / "robot")]
+    assert main(argv) == 0
+    before = (tmp_path / "robot" / "manifest.json").stat().st_mtime_ns
+    capsys.readouterr()
+    assert main(argv) == 2
+    assert f"--calibrated {tmp_path / 'robot'}: a bundle stands there already" in capsys.readouterr().err
+    assert (tmp_path / "robot" / "manifest.json").stat().st_mtime_ns == before
+    assert main([*argv, "--force"]) == 0
+    assert (tmp_path / "robot" / "manifest.json").stat().st_mtime_ns > before
+
+
 def test_a_rig_that_is_no_file_is_refused(tmp_path):
     os.mkfifo(tmp_path / "rig.toml")
     with pytest.raises(ServoError, match="rig.toml: no file; give a rig.toml"):

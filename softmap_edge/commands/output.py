@@ -58,12 +58,16 @@ def bundle_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="replace the bundle that stands there")
 
 
-def check_bundle(path: str, force: bool = False) -> None:
-    """Raise BundleError when no bundle can be written at `path`: something else, or a bundle and no `force`."""
+def check_bundle(path: str, force: bool | None, option: str = "--out") -> None:
+    """Raise BundleError when no bundle can be written at `path`: something else, or a bundle and no `force`.
+
+    `force` is that of the verb, None where it has none.
+    """
     folder = Path(path)
     check_folder(folder)
     if not force and (folder / "manifest.json").exists():
-        raise BundleError(f"--out {path}: a bundle stands there already; give another name, or --force to replace it")
+        way = "remove it" if force is None else "--force to replace it"
+        raise BundleError(f"{option} {path}: a bundle stands there already; give another name, or {way}")
 
 
 def to_stderr(line: str) -> None:

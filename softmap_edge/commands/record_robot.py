@@ -211,7 +211,7 @@ def _checked(args: argparse.Namespace) -> None:
     check_no_run("--out", args.out)
     check_file("--record", args.record, ".mcap", new=True)
     if args.calibrated:
-        check_bundle(args.calibrated)
+        check_bundle(args.calibrated, None, "--calibrated")
 
 
 @contextlib.contextmanager

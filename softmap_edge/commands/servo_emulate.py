@@ -56,7 +56,7 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fresh", action="store_true", help="servos as delivered: not set up, home not known")
     parser.add_argument("--servos", type=int, metavar="N", help="N bare servos, as delivered, without a finger")
     parser.add_argument("--rig", metavar="FILE.toml", help="write the bench that it is")
-    parser.add_argument("--force", action="store_true", help="replace the bench that stands there, a real one too")
+    parser.add_argument("--force", action="store_true", help="replace bench and bundle that stand there, real ones too")
     parser.add_argument("--calibrated", metavar="DIR", help="write its bundle, with the true map of the servos")
     parser.add_argument(
         "--stream", action="append", default=[], metavar="udp://HOST:PORT",
@@ -74,7 +74,7 @@ def emulate(args: argparse.Namespace) -> int:
     if args.servos is not None:
         return _bare(args)
     if args.calibrated is not None:
-        check_bundle(args.calibrated)
+        check_bundle(args.calibrated, args.force, "--calibrated")
     if not 0.0 < args.strength <= 10.0:
         raise ServoError(f"--strength {args.strength:g}; more than 0 and up to 10 times is allowed")
     whole = open_model(args.bundle)
