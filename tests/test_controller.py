@@ -62,6 +62,19 @@ def test_servos_of_older_firmware_are_driven_as_well(old):
             np.testing.assert_allclose(angles(bus), HOME + TICKS_PER_MM, atol=5)
 
 
+def test_who_sent_nothing_for_too_long_is_told_so_and_who_let_go_that_he_did():
+    with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
+        robot.engage()
+        until(lambda: robot.state == "ready", 10.0)
+        with pytest.raises(ServoError, match=r"in state ready \(this program sent no target for [2-9]\.\d s\); engage"):
+            robot.target([0.0, 0.0])
+        robot.engage()
+        robot.release()
+        until(lambda: robot.state == "ready", 10.0)
+        with pytest.raises(ServoError, match=r"in state ready \(the key was let go\); engage it first"):
+            robot.target([0.0, 0.0])
+
+
 def test_a_request_that_is_denied_says_why():
     with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
         with pytest.raises(ServoError, match="'arm' is denied in state ready: not allowed in state ready"):

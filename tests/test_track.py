@@ -7,12 +7,14 @@ import resource
 import signal
 import subprocess
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from command import SOFTMAP
+from command import SOFTMAP, interruptible
 from rigs import calibration, torque
+from waiting import until
 
 from softmap_edge import Run, SoftmapError, _core, builtin_model, diagnose, save_bundle
 from softmap_edge.camera.frames import Frame
@@ -24,7 +26,7 @@ from softmap_edge.commands.teleop import teleop_arguments
 from softmap_edge.commands.track import track_arguments
 from softmap_edge.emulated.finger import ANSWER, emulated_bench, hidden_laws
 from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.motion.response import fit_response
+from softmap_edge.motion.response import fit_response, response_of
 from softmap_edge.motion.track import _Feedback, course, track
 from softmap_edge.protocol import standard_protocol
 from softmap_edge.servo.controller import Controller
@@ -34,6 +36,7 @@ from softmap_edge.servo.recording import read_recording
 MAP = replace(calibration(), window=None)
 LIMITS = {"slew": [SLEW] * 2, "acceleration": [ACCELERATION] * 2, "calibration": MAP}
 HIDDEN = ["backlash", "creep"]
+PATIENT = 30.0  # s
 
 
 @pytest.fixture(scope="module")
@@ -170,6 +173,37 @@ def test_what_a_finger_hides_is_named_by_one_word_in_every_verb(word):
 def test_what_cannot_be_tracked_is_refused(options, said, capsys):
     assert main(["track", *options]) != 0
     assert said in capsys.readouterr().err
+
+
+def test_a_computer_that_takes_long_to_work_out_the_answer_of_the_servos_drives_on(model, tmp_path, monkeypatch):
+    """Nothing that is computed while torque is on keeps the program from sending."""
+
+    def slowly(periods):
+        time.sleep(3.0)
+        return response_of(periods)
+
+    monkeypatch.setattr("softmap_edge.motion.track.response_of", slowly)
+    kinematics = Kinematics(model, axes="xy")
+    made = course(kinematics, "O", amplitude=3.0, duration=2.0, rate=20.0, **LIMITS)
+    with (
+        emulated_bench(model, MAP, rate=100.0) as (_, rig, limits, finger),
+        Controller(rig, MAP, limits, kinematics=kinematics, record=tmp_path / "r.mcap") as robot,
+    ):
+        told = track(robot, kinematics, made, finger.seen)
+        held = [p for p in read_recording(tmp_path / "r.mcap").periods if p["state"] == "hold"]
+    np.testing.assert_allclose(told.response, ANSWER, atol=0.015)
+    assert told.t[-1] > made.plan.t[-1] - 0.1, "all of the figure was seen"
+    assert len(held) < 100, "a busy machine may hold it for a moment"
+
+
+def test_ctrl_c_says_that_torque_is_off_and_what_was_kept(tmp_path):
+    record = tmp_path / "r.mcap"
+    process = interruptible("track", "O", "--sim", "--record", str(record), "--duration", "60")
+    until(lambda: process.poll() is not None or (record.exists() and record.stat().st_size > 50_000))
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=PATIENT)[1]
+    assert process.returncode == 130 and f"torque is off; {record} keeps what was driven" in said, said
+    assert read_recording(record).replay() == []
 
 
 def test_a_recording_that_breaks_off_measures_nothing(model, tmp_path, monkeypatch, capsys):

@@ -13,15 +13,13 @@ from typing import Any
 import numpy as np
 
 from softmap_edge.commands.commissioning import confirm, deadman, hold_argument, tell
-from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import open_model
-from softmap_edge.commands.robot import bench_of, emulated
+from softmap_edge.commands.robot import bench_of, driving, emulated
 from softmap_edge.commissioning.jog import EVERY, Jog, most_travel
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.motion.curves import WIDEST
 from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.limits import JOG_TRAVEL
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.terminal_keys import EMERGENCY
@@ -141,7 +139,7 @@ def _go(args: argparse.Namespace) -> int:
         if not args.hold and not confirm(f"The finger goes to {args.command} mm and comes back. Is it free?", "--hold"):
             raise ServoError("nothing moved: nobody said that the finger is free")
         robot = Controller(there.rig, there.calibration, there.limits)
-        with EmergencyKey(robot, to_stderr), robot:
+        with driving(robot):
             done, begun = robot.engage(u), time.monotonic()
             while time.monotonic() - begun < args.seconds:
                 done = robot.target(u)

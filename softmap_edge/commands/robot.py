@@ -15,6 +15,8 @@ from softmap_edge.emulated.finger import EmulatedFinger, emulated_bench, hidden_
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.servo.combined import calibration_of, combined
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.limits import RATE
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.ticks import Calibration
@@ -113,3 +115,14 @@ def plain_map(model: Model) -> Calibration:
     zero = np.zeros(model.channels)
     scale = np.eye(model.channels) / TICKS_PER_MM
     return Calibration.stated(scale, zero, zero + HOME, "an emulated robot's own map")
+
+
+@contextlib.contextmanager
+def driving(robot: Controller, record: str | None = None) -> Iterator[None]:
+    """Enter `robot`, with the key of a terminal as its emergency stop; once Ctrl-C has ended it, say what is left."""
+    try:
+        with EmergencyKey(robot, to_stderr), robot:
+            yield
+    except KeyboardInterrupt:
+        to_stderr("torque is off" + (f"; {record} keeps what was driven" if record else ""))
+        raise

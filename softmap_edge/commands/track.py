@@ -12,10 +12,18 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.camera.frames import Seen
-from softmap_edge.commands.output import check_file, to_stderr
+from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
-from softmap_edge.commands.robot import Bench, bench_of, check_driven, driven_arguments, driven_model, plain_map
+from softmap_edge.commands.robot import (
+    Bench,
+    bench_of,
+    check_driven,
+    driven_arguments,
+    driven_model,
+    driving,
+    plain_map,
+)
 from softmap_edge.commands.seeing import camera_arguments, late, receiver
 from softmap_edge.commands.track_table import table, workspace
 from softmap_edge.emulated.finger import SERVO
@@ -25,7 +33,6 @@ from softmap_edge.motion.kinematics import METHODS, Kinematics
 from softmap_edge.motion.track import Course, Tracked, course, spread
 from softmap_edge.motion.track import track as follow
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.limits import servo_limits
 from softmap_edge.whole_file import write_whole
 
@@ -96,7 +103,7 @@ def track(args: argparse.Namespace) -> int:
         if bench is not None:
             record = Path(args.record or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "track.mcap")
             robot = Controller(bench.rig, calibration, bench.limits, kinematics=kinematics, record=record)
-            with EmergencyKey(robot, to_stderr), robot, Bar(args.json) as bar:
+            with driving(robot, args.record), Bar(args.json) as bar:
                 tracked = follow(robot, kinematics, planned, seen, observe=args.observe, late=behind, progress=bar)
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +29,13 @@ from softmap_edge.servo.recording import read_recording
 from softmap_edge.ticks import Calibration
 
 Floats = NDArray[np.float64]
+T = TypeVar("T")
 
 PATH_POINTS = 600  # of a figure at which it is timed
 LEAD = 2.0  # s of the way from rest to the figure, at least
 SENT = 100.0  # commands a second
 SETTLED = 1.5  # s after engaging and after the figure
+ARRIVED = 0.3  # s after the figure until all that was seen of it has arrived
 PROBE = (0.5, 3.0)  # mm and s of the move that measures the servos
 AVERAGED = 0.2  # s over which what is seen to be off is averaged before it is fed back
 MOST_BACK = 5.0  # mm that feedback may add
@@ -154,7 +158,7 @@ def track(
     say = progress or (lambda what, share: None)
     _play(robot, lambda t: home, SETTLED)
     _play(robot, lambda t: _probe(t, len(home)), PROBE[1] + SETTLED, partial(say, "measuring servos"))
-    told = response_of(read_recording(robot.recording).periods)
+    told = _meanwhile(robot, home, partial(_response, robot.recording))
     robot.check_recorded()  # what broke off measured nothing
     delay, lag = told or (0.0, 0.0)
     plan = course.plan
@@ -169,8 +173,9 @@ def track(
         return u
 
     _play(robot, command, float(plan.t[-1]) + 1.0 / SENT, partial(say, "tracking"))
-    frames = [] if seen is None else _kept(seen, begun + plan.t[-1])
-    _play(robot, lambda t: asked[-1], SETTLED)
+    _play(robot, lambda t: asked[-1], ARRIVED)
+    frames = [] if seen is None else seen()
+    _play(robot, lambda t: asked[-1], SETTLED - ARRIVED)
     return _judged(kinematics, course, frames, begun, told, late)
 
 
@@ -194,18 +199,25 @@ def _play(
         time.sleep(max(0.0, due - time.monotonic()))
 
 
+def _meanwhile(robot: Controller, command: Floats, work: Callable[[], T]) -> T:
+    """Send `command` while a thread does `work`: the guard goes on hearing of this program, however slow a computer."""
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(work)
+        while not done.done():
+            robot.target(command)
+            time.sleep(1.0 / SENT)
+        return done.result()
+
+
+def _response(recording: Path) -> tuple[float, float] | None:
+    return response_of(read_recording(recording).periods)
+
+
 def _probe(t: float, channels: int) -> Floats:
     if t > PROBE[1]:
         return np.zeros(channels)
     rise = np.sin(np.pi * t / PROBE[1]) ** 2
     return np.array([PROBE[0] * rise * np.sin(2 * np.pi * (1.0 + 0.3 * (c % 3)) * t) for c in range(channels)])
-
-
-def _kept(seen: Seen, until: float) -> list[Frame]:
-    """Return all frames once those of `until` have arrived, or 0.3 s later."""
-    while time.monotonic() < until + 0.3:
-        time.sleep(0.02)
-    return seen()
 
 
 def _tips(kinematics: Kinematics, frames: Sequence[Frame]) -> Floats:

@@ -102,6 +102,7 @@ class Controller(Watched):
         self._stood: Floats = np.full(count, np.nan)
         self._done = self.calibration.b
         self._command: Floats | None = None
+        self._drove_at: float | None = None  # s of the last target, None once it was let go of
         self._pressed = False
         self._silent = 0
 
@@ -225,11 +226,12 @@ class Controller(Watched):
         state = self.state
         if state not in ("engaged", "hold", "commissioning"):
             first = "mend and acknowledge that" if state == "fault" else "engage it"
-            raise ServoError(f"the robot is {words.where(self._last)}; {first} first")
+            raise ServoError(f"the robot is {self._silence() or words.where(self._last)}; {first} first")
         return self._target(u)
 
     def release(self) -> None:
         """Let go of the deadman: the guard holds, then slackens."""
+        self._drove_at = None
         self._send(deadman=False)
 
     def emergency(self, pressed: bool = True) -> None:
@@ -377,11 +379,18 @@ class Controller(Watched):
         if u is None or u.shape != shape:
             found = f"'{command!s:.40}'" if u is None else f"of shape {u.shape}"
             raise ServoError(f"a command {found}, expected shape {shape}: {shape[0]} real numbers, one a servo")
-        self._command = u
+        self._command, self._drove_at = u, time.monotonic()
         self._send(u, deadman=True)
         if np.isfinite(u).all():
             self._done = self._nearest(u)
         return self._done.copy()
+
+    def _silence(self) -> str | None:
+        """Return state and cause where the guard let go because this program sent no target: that counts as the key."""
+        silent = 0.0 if self._drove_at is None else time.monotonic() - self._drove_at
+        if self._last.get("cause") not in ("deadman", "stale") or silent <= float(self.limits["stale"]):
+            return None
+        return f"in state {words.state(self._last)} (this program sent no target for {silent:.1f} s)"
 
     def _nearest(self, u: Floats) -> Floats:
         if self.kinematics is not None and self.kinematics.model.chain_names:
