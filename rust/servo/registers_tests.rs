@@ -74,6 +74,20 @@ fn the_families_of_the_series_are_known_as_the_manual_has_them() {
 }
 
 #[test]
+fn a_cap_is_whole_steps_of_its_servo_and_never_above_what_was_asked() {
+    for (number, most, register, steps) in [
+        (1200, 300.5, X_SERIES.goal_current, 300),
+        (1030, 300.0, X_SERIES.goal_current, 111),
+        (1030, 2.6, X_SERIES.goal_current, 0),
+        (1060, 700.0, X_SERIES.goal_pwm, 442),
+        (1060, 9000.0, X_SERIES.goal_pwm, 885),
+    ] {
+        let cap = model(number).unwrap().cap(most);
+        assert_eq!(cap, (register, steps), "{most} mA of {number}");
+    }
+}
+
+#[test]
 fn every_model_is_found_by_its_number_alone() {
     for expected in &MODELS {
         assert_eq!(model(expected.number), Some(expected));
