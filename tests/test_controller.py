@@ -14,6 +14,7 @@ from rigs import HOME, TICKS_PER_MM, WINDOW, angles, bench, calibration, set_up,
 from waiting import hold_for, until
 
 from softmap_edge import _core
+from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import loop_limits, servo_limits
@@ -274,6 +275,12 @@ def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so
     limits = loop_limits([servo_limits("XL330-M288", HOME, (-900, 900))] * 2)
     with pytest.raises(ServoError, match="servo 1 has torque already: another program drives it, or one died"):
         Controller(rig, calibration(), limits).__enter__()
+    assert main(["servo", "off", "--port", bus.path, "--baud", "1000000"]) == 0
+    assert all(tripped for _, _, tripped, _ in bus.state()[1]), "torque off alone clears no watchdog"
+    with Controller(rig, calibration(), limits) as robot:
+        robot.engage()
+        hold_for(robot, [0.5, 0.5], 1.0)
+        assert robot.state == "engaged" and not any(tripped for _, _, tripped, _ in bus.state()[1])
 
 
 def test_a_frozen_computer_leaves_the_servos_standing_and_releases_them_when_it_goes_on(program):

@@ -152,10 +152,13 @@ impl<P: Port> Drive<P> {
             self.alert |= again(self.lacks[k]);
             // A cap below what was written is the servo's own limit: it may stay.
             let beyond = bare || most.is_some_and(|most| cap > most);
+            let torque = bytes[at(X_SERIES.torque_enable)] == 1;
+            // One without torque is left over from a loop that died; what switches torque off clears it.
+            let stopped = torque && watchdog == TRIPPED;
             self.health[k] = Some(Health {
                 hardware: bytes[at(X_SERIES.hardware_error)],
-                torque: bytes[at(X_SERIES.torque_enable)] == 1,
-                tripped: watchdog == TRIPPED || beyond && self.lacks[k] >= LACKS,
+                torque,
+                tripped: stopped || beyond && self.lacks[k] >= LACKS,
             });
         }
         Ok(())

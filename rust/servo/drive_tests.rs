@@ -6,8 +6,8 @@ use crate::emulator::servo::{Motion, Servo};
 use crate::emulator::virtual_port::Virtual;
 use crate::registers::{X_SERIES, model};
 
-#[test]
-fn a_servo_that_caps_no_current_gets_its_share_of_pwm_and_loses_no_cap() {
+/// One servo of that model number, with id 1, without a finger.
+fn alone(number: u16) -> Drive<Virtual> {
     let mut bus = Bus::new(
         Virtual {
             emulator: bench::emulator(),
@@ -17,8 +17,8 @@ fn a_servo_that_caps_no_current_gets_its_share_of_pwm_and_loses_no_cap() {
         bench::BAUD,
         1_000_000,
     );
-    let kind = model(1060).unwrap();
-    let weak = Servo::new(
+    let kind = model(number).unwrap();
+    let servo = Servo::new(
         kind,
         1,
         3,
@@ -29,9 +29,14 @@ fn a_servo_that_caps_no_current_gets_its_share_of_pwm_and_loses_no_cap() {
             load: vec![],
         },
     );
-    bus.port().emulator.servos = vec![weak];
+    bus.port().emulator.servos = vec![servo];
     let member = Member { id: 1, model: kind };
-    let mut drive = Drive::new(bus, &[member], true, 100.0);
+    Drive::new(bus, &[member], true, 100.0)
+}
+
+#[test]
+fn a_servo_that_caps_no_current_gets_its_share_of_pwm_and_loses_no_cap() {
+    let mut drive = alone(1060);
     let pwm = |drive: &mut Drive<Virtual>| {
         let bytes = drive.bus().port().emulator.servos[0].read(100, 2).unwrap();
         i16::from_le_bytes([bytes[0], bytes[1]])
@@ -51,4 +56,23 @@ fn a_servo_that_caps_no_current_gets_its_share_of_pwm_and_loses_no_cap() {
     assert!(drive.alert());
     drive.command(true, &[2000], &[Some(280.0)]).unwrap();
     assert_eq!(pwm(&mut drive), 177);
+}
+
+#[test]
+fn a_watchdog_that_tripped_under_a_loop_that_died_is_told_while_it_holds_and_then_cleared() {
+    let mut drive = alone(1200);
+    let tripped = |drive: &mut Drive<Virtual>| {
+        drive.examine().unwrap();
+        let told = drive.sense().unwrap()[0].unwrap().health.unwrap().tripped;
+        (told, drive.bus().port().emulator.servos[0].tripped())
+    };
+    drive.command(true, &[2000], &[Some(100.0)]).unwrap();
+    drive.bus().port().pass(0.3);
+    assert_eq!(tripped(&mut drive), (true, true));
+    let off = X_SERIES.torque_enable.address;
+    let servo = &mut drive.bus().port().emulator.servos[0];
+    servo.write(off, &[0]).unwrap();
+    assert_eq!(tripped(&mut drive), (false, true), "it has no torque");
+    drive.command(false, &[2000], &[Some(100.0)]).unwrap();
+    assert_eq!(tripped(&mut drive), (false, false));
 }

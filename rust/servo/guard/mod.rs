@@ -239,7 +239,7 @@ pub struct Health {
     /// Bits of its hardware error status.
     pub hardware: u8,
     pub torque: bool,
-    /// Its bus watchdog tripped.
+    /// Its bus watchdog tripped and it holds under torque.
     pub tripped: bool,
 }
 
