@@ -113,6 +113,12 @@ class Calibration:
         away = np.linalg.solve(self.A, (np.asarray(commands, float) - self.b).T).T
         return np.rint(self.home + away).astype(np.int64)
 
+    def within(self, command: ArrayLike, low: ArrayLike, high: ArrayLike) -> Floats:
+        """Return what `command` (C,) becomes once each servo is held within `low` and `high` (C,) ticks."""
+        away = np.linalg.solve(self.A, np.asarray(command, float) - self.b)
+        ticks = np.clip(self.home + away, low, high)
+        return np.asarray(self.A @ (ticks - self.home) + self.b)
+
     def turned(self, home: ArrayLike) -> Calibration:
         """Return the map with its home moved by whole turns of the servos, to within half a turn of `home` (C,) ticks:
         after their power was off, servos count turns anew."""

@@ -40,6 +40,15 @@ def test_ticks_and_commands_are_each_others_inverse_and_the_window_holds_what_is
     np.testing.assert_array_equal(published().usable(reach), reach)
 
 
+def test_a_command_beyond_the_window_becomes_what_its_held_servos_do():
+    made = Calibration.stated([[0.01, 0.002], [0.0, 0.01]], [1.0, 0.0], [2000.0, 2000.0], "told")
+    low, high = [1500, 1500], [2500, 2600]
+    for ticks in ([2500, 1500], [1900, 2600], [2000, 2000]):
+        np.testing.assert_allclose(made.within(made.commands(ticks), low, high), made.commands(ticks), atol=1e-12)
+    np.testing.assert_allclose(made.within(made.commands([9000, 2100]), low, high), made.commands([2500, 2100]))
+    np.testing.assert_allclose(made.within(made.commands([9000, -9000]), low, high), made.commands([2500, 1500]))
+
+
 def test_a_window_holds_a_range_and_not_a_tick_less():
     told, reach = published(), [[-1.0, 2.0], [-3.0, 1.0]]
     low, high = told.holding(reach)

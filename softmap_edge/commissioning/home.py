@@ -119,8 +119,8 @@ def _check_near(servo: RigServo, position: int, home: int, turned: int) -> None:
     if abs(position - home) > NEAR:
         raise ServoError(
             f"servo {servo.id} stands at {position}, {position - home:+d} ticks from the stored home within a turn; "
-            f"allowed are {NEAR}: straighten the finger (`softmap move` turns a servo), look for a slipped tendon, or make "
-            "this home with --new"
+            f"allowed are {NEAR}: straighten the finger (`softmap move` turns a servo), look for a slipped tendon, or "
+            "make this home with --new"
         )
     if abs(home) > FARTHEST:
         raise ServoError(f"servo {servo.id}: home at {home} ticks; allowed is ±{FARTHEST}: make this home with --new")

@@ -109,7 +109,7 @@ class Controller(Watched):
     def __enter__(self) -> Self:
         self._start()
         try:
-            self._wait(self._heard_all, STARTS, "the servos say nothing")
+            self._wait(lambda: None not in (self._last.get("position") or [None]), STARTS, "the servos say nothing")
             self._wait_for_release()
             for request in ("connect",) if self._commissioning else ("connect", "home", "arm"):
                 self._reach(request)
@@ -338,10 +338,6 @@ class Controller(Watched):
                     raise
             time.sleep(0.05)
 
-    def _heard_all(self) -> bool:
-        position = self._last.get("position")
-        return position is not None and None not in position
-
     def _wait_for_release(self) -> None:
         """Wait while an emergency stop of the bench is pressed: a heartbeat needs a moment to be heard."""
         with self._heard:
@@ -386,7 +382,7 @@ class Controller(Watched):
         return self._done.copy()
 
     def _silence(self) -> str | None:
-        """Return state and cause where the guard let go because this program sent no target: that counts as the key."""
+        """Return state and cause where the guard let go because this program sent no target: that is the key."""
         silent = 0.0 if self._drove_at is None else time.monotonic() - self._drove_at
         if self._last.get("cause") not in ("deadman", "stale") or silent <= float(self.limits["stale"]):
             return None
@@ -395,10 +391,7 @@ class Controller(Watched):
     def _nearest(self, u: Floats) -> Floats:
         if self.kinematics is not None and self.kinematics.model.chain_names:
             return np.clip(u, *self.kinematics.acting_bounds.T)
-        low, high = (np.array([one[side] for one in self.limits["servos"]], float) for side in ("low", "high"))
-        away = np.linalg.solve(self.calibration.A, u - self.calibration.b)
-        ticks = np.clip(self.calibration.home + away, low, high)
-        return np.asarray(self.calibration.A @ (ticks - self.calibration.home) + self.calibration.b)
+        return self.calibration.within(u, *([one[end] for one in self.limits["servos"]] for end in ("low", "high")))
 
     def _let_go(self) -> None:
         """In a child that a program forks: close its copy of the orders' pipe, which would outlive the program."""
