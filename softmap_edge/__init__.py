@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from softmap_edge.rod.learn import learn_model
     from softmap_edge.rod.robot import Robot
     from softmap_edge.run import Run
+    from softmap_edge.servo.bench import open_robot
     from softmap_edge.solid.build import build_model
     from softmap_edge.solid.finger import Finger
     from softmap_edge.solid.simulator import Simulator
@@ -59,6 +60,7 @@ __all__ = [
     "load_bundle",
     "load_effect",
     "next_experiment",
+    "open_robot",
     "read_mapping",
     "refit",
     "save_bundle",
@@ -88,6 +90,7 @@ _HOMES = {
     "rod.robot": ["Robot"],
     "rod.learn": ["learn_model"],
     "run": ["Run"],
+    "servo.bench": ["open_robot"],
     "solid.simulator": ["Simulator"],
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}

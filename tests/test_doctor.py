@@ -11,7 +11,7 @@ from rigs import HOME, MODEL, bench, calibration, torque
 
 from softmap_edge import _core, builtin_model, doctor, load_bundle, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.commands.robot import read_bench
+from softmap_edge.commands.robot import tell_edited
 from softmap_edge.doctor import FAULT, OK, WARNING, host
 from softmap_edge.servo import emergency
 from softmap_edge.servo.combined import combined
@@ -150,9 +150,7 @@ def test_an_edited_safety_toml_is_told(tmp_path, capsys):
     (folder / "safety.toml").write_text(text.replace("slew = 8.0", "slew = 7.0"))
     line = named(doctor.examine(bundle=folder).lines, "safety.toml")
     assert line.state == "warning" and line.found == "edited since the bundle was written" and line.do
-    with bench() as (_, rig, _):
-        rig.write(tmp_path / "r.toml")
-        read_bench(str(tmp_path / "r.toml"), load_bundle(folder))
+    tell_edited(load_bundle(folder))
     said = capsys.readouterr().err
     assert said == "safety.toml of the bundle was edited since that was written; `softmap servo limits` prints it\n"
 

@@ -19,7 +19,7 @@ from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_bundle, check_file, check_no_run, to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
-from softmap_edge.commands.robot import Bench, emulated, own_map, read_bench
+from softmap_edge.commands.robot import emulated, own_map, tell_edited
 from softmap_edge.commands.seeing import late, receiver
 from softmap_edge.emulated.finger import LATE
 from softmap_edge.errors import SoftmapError
@@ -30,6 +30,7 @@ from softmap_edge.experiment.play import Player, merged
 from softmap_edge.model import Model
 from softmap_edge.protocol import Protocol
 from softmap_edge.run import Run
+from softmap_edge.servo.bench import Bench, read_bench
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.recording import read_recording
@@ -223,6 +224,7 @@ def _robot(args: argparse.Namespace, model: Model) -> Iterator[tuple[Bench, Seen
             assert bench.finger is not None
             yield bench, bench.finger.seen
         return
+    tell_edited(model)
     bench = read_bench(args.rig, model)
     with receiver(args, len(model.rest)) as camera:
         try:

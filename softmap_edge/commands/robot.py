@@ -5,49 +5,22 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from softmap_edge.commands.output import check_file, to_stderr
-from softmap_edge.emulated.finger import EmulatedFinger, emulated_bench, hidden_laws
+from softmap_edge.emulated.finger import emulated_bench, hidden_laws
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
-from softmap_edge.servo.combined import calibration_of, combined
+from softmap_edge.servo.bench import Bench, read_bench
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.limits import RATE
-from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.ticks import Calibration
 
 TICKS_PER_MM = 280.0  # of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
 HOME = 2048.0
-
-
-@dataclass(frozen=True)
-class Bench:
-    """A robot that can be driven: its `rig`, the `limits` of its loop, its `calibration`, and the `model`, which on a
-    real bench has that calibration as its own; of an emulated one the `finger`."""
-
-    rig: Rig
-    limits: dict[str, Any]
-    calibration: Calibration
-    model: Model
-    finger: EmulatedFinger | None = None
-
-
-def read_bench(path: str, model: Model) -> Bench:
-    """Return the bench of a rig file, ready to be driven with the finger of `model`.
-
-    Raises:
-        ServoError: something is not known that driving needs; the line says what.
-    """
-    known = calibration_of(model)  # asked first: the bundle is what a user mends first
-    rig = read_rig(path)
-    tell_edited(model)
-    found = combined(rig, model, known, RATE)
-    return Bench(rig, found.table(), found.calibration, replace(model, calibration=found.calibration))
 
 
 def tell_edited(model: Model) -> None:
@@ -98,6 +71,7 @@ def emulated(model: Model, hidden: str = "", seed: int = 0) -> Iterator[Bench]:
 def bench_of(args: argparse.Namespace, model: Model) -> Iterator[Bench]:
     """Give the bench of `--rig`, or an emulated one with what `--hide` and `--seed` say, where the verb has them."""
     if args.rig:
+        tell_edited(model)
         yield read_bench(args.rig, model)
         return
     with emulated(model, getattr(args, "hide", ""), getattr(args, "seed", None) or 0) as bench:

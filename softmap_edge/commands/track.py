@@ -16,7 +16,6 @@ from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import (
-    Bench,
     bench_of,
     check_driven,
     driven_arguments,
@@ -32,6 +31,7 @@ from softmap_edge.motion.curves import FIGURES
 from softmap_edge.motion.kinematics import METHODS, Kinematics
 from softmap_edge.motion.track import Course, Tracked, course, spread
 from softmap_edge.motion.track import track as follow
+from softmap_edge.servo.bench import Bench
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import servo_limits
 from softmap_edge.whole_file import write_whole
