@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -227,12 +228,13 @@ def commands(tmp_path_factory):
     return file
 
 
-def recorded(folder, argv):
-    """Record by the verb; anew only where the recording proves that the computer stood still."""
+def recorded(folder, robot):
+    """Record by the verb; anew, on another robot, only where the recording proves that the computer stood still."""
     for trial in range(TRIALS):
         out, loop = folder / f"run{trial}.npz", folder / f"loop{trial}.mcap"
         more = ["--out", str(out), "--record", str(loop), "--json"]
-        done = subprocess.run([SOFTMAP, "record", *argv(trial), *more], capture_output=True, text=True, timeout=300)
+        with robot(trial) as argv:
+            done = subprocess.run([SOFTMAP, "record", *argv, *more], capture_output=True, text=True, timeout=300)
         if done.returncode == 0:
             told = json.loads(done.stdout)
             assert told["schema"] == "softmap.record/1" and told["whole"] and told["frames"] >= told["wanted"] - 1
@@ -257,10 +259,11 @@ def test_only_a_line_that_stood_excuses_a_recording(tmp_path, monkeypatch):
 
 
 def test_nothing_hidden_is_diagnosed_as_nothing(tmp_path, commands):
-    def argv(trial):
-        return [str(commands), "--emulated", "--calibrated", str(tmp_path / f"b{trial}"), "--seed", "1"]
+    @contextmanager
+    def robot(trial):
+        yield [str(commands), "--emulated", "--calibrated", str(tmp_path / f"b{trial}"), "--seed", "1"]
 
-    run = recorded(tmp_path, argv)
+    run = recorded(tmp_path, robot)
     model = load_bundle(next(tmp_path.glob("b*")))
     assert run.ticks is not None and run.present_ticks is not None and run.current is not None
     assert {label.split("[")[0] for label in run.block} > {"home"}
@@ -271,27 +274,25 @@ def test_nothing_hidden_is_diagnosed_as_nothing(tmp_path, commands):
 
 def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, commands):
     """Another process is the robot: its bus is a terminal, its camera sends datagrams."""
-    robot = tmp_path / "robot"
-    robot.mkdir()
-    told = []
 
-    def argv(trial):
-        told.append(trial)
-        on = ["--bundle", str(robot / "bundle"), "--rig", str(robot / "rig.toml")]
-        return [str(commands), *on, "--camera", f"udp://:{camera}", "--late", "0.02", "--yes"]
+    @contextmanager
+    def robot(trial):
+        there = folder / f"robot{trial}"
+        there.mkdir()
+        with emulated(there, "--hidden", "backlash", "--seed", "1") as (_, told, receiver):
+            until(lambda: receiver.taken > 0)
+            receiver.close()  # its port is for the one who records
+            on = ["--bundle", told["bundle"], "--rig", told["rig"]]
+            yield [str(commands), *on, "--camera", f"udp://:{receiver.port}", "--late", "0.02", "--yes"]
 
-    with emulated(robot, "--hidden", "backlash", "--seed", "1") as (_, _, receiver):
-        camera = receiver.port
-        until(lambda: receiver.taken > 0)
-        receiver.close()  # its port is for the one who records
-        model = load_bundle(robot / "bundle")
-        for trial in range(TRIALS):  # anew only where the computer stood still meanwhile: then the finger did, too
-            folder = tmp_path / f"{trial}"
-            folder.mkdir()
-            run = recorded(folder, argv)
-            answer = diagnose(model, run)
-            if answer.verdict == "identified" or max(map(halted, folder.glob("*.mcap"))) < WATCHDOG:
-                break
+    for trial in range(TRIALS):  # anew only where the computer stood still meanwhile: then the finger did, too
+        folder = tmp_path / f"{trial}"
+        folder.mkdir()
+        run = recorded(folder, robot)
+        model = load_bundle(next(folder.glob("robot*")) / "bundle")
+        answer = diagnose(model, run)
+        if answer.verdict == "identified" or max(map(halted, folder.glob("*.mcap"))) < WATCHDOG:
+            break
     assert [effect["name"] for effect in answer.effects] == ["backlash"] and answer.verdict == "identified"
     assert compare(model, run).error["rms_mm"] > 4 * compare(answer.added(model, ["backlash"]), run).error["rms_mm"]
 
