@@ -12,6 +12,7 @@ import os
 import select
 import sys
 import termios
+import time
 import tty
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -110,6 +111,16 @@ def _read(file: int) -> bytes:
         return os.read(file, 256)
     except OSError:
         return b""
+
+
+def wait_for_release(file: int) -> None:
+    """Wait until no key of the terminal `file` has come for `REPEAT` s: one that is held would be part of an answer."""
+    with Typed(file) as typed:
+        since = time.monotonic()
+        while not typed.gone and time.monotonic() - since < REPEAT:
+            if typed.read():
+                since = time.monotonic()
+            time.sleep(0.02)
 
 
 def named(read: bytes) -> list[str]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rigs import BAUD, HOME, MODEL, angles, bench, torque
+from typist import typist
 
 from softmap_edge.bundle import builtin_model, load_bundle
 from softmap_edge.cli import main
@@ -103,6 +104,32 @@ def test_signs_are_jogged_and_asked_for(tmp_path, capsys, monkeypatch):
     found = load_bundle(tmp_path / "finger").calibration
     assert list(np.sign(np.diag(found.A))) == [1, -1]
     assert "servo 1 bend the tip towards " + bends(FINGER, 0) in asked[0] and len(asked) == 3
+
+
+def test_a_key_that_is_held_beyond_the_move_answers_no_question(tmp_path):
+    """Who holds a key notices late that the servo is back; an answer that is none is asked for again."""
+    with bench() as (bus, there, _):
+        there.write(tmp_path / "rig.toml")
+        with typist(tmp_path, *words(tmp_path)) as user:
+
+            def moves(servo):
+                user.until(lambda: f"servo {servo} turns by" in user.said)
+                user.holds("h", lambda: torque(bus), lambda: not torque(bus), late=1.5)
+
+            def answers(question, text):
+                user.until(lambda: user.said.count("[y/N]") >= question)
+                user.types(text)
+
+            moves(1)
+            answers(1, "maybe\n")
+            answers(2, "y\n")
+            moves(2)
+            answers(3, "n\n")
+            answers(4, "y\n")
+            assert user.ends() == 0, user.said
+            assert user.said.count("[y/N]") == 4
+    found = load_bundle(tmp_path / "finger").calibration
+    assert list(np.sign(np.diag(found.A))) == [1, -1]
 
 
 def test_a_servo_that_bends_neither_way_is_told(tmp_path, capsys, monkeypatch):

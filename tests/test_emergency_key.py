@@ -1,19 +1,18 @@
 """The key that is the emergency stop of `track`, `record` and `move`, typed at a terminal beside an emulated robot."""
 
-import contextlib
 import os
 import pty
 import subprocess
 import sys
 import termios
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from command import SOFTMAP
 from rigs import torque
+from typist import PATIENCE, typist
 
 from softmap_edge import builtin_model, save_bundle
 from softmap_edge.camera.points_udp import PointSender
@@ -27,7 +26,6 @@ from softmap_edge.servo.emergency_key import HELP, PRESSED
 from softmap_edge.servo.recording import read_recording
 
 AWAY = 120.0  # ticks from home: it is driven
-PATIENCE = 60.0  # s, on a busy machine
 CAMERA = 5991
 
 
@@ -45,61 +43,6 @@ def robot(tmp_path_factory):
     ):
         rig.write(folder / "rig.toml")
         yield bus, rig, folder
-
-
-class Typist:
-    """A program at a terminal of its own, and what it has said so far."""
-
-    def __init__(self, folder, *words):
-        self.ours, self.theirs = pty.openpty()
-        self.before = termios.tcgetattr(self.theirs)
-        self.process = subprocess.Popen(
-            [SOFTMAP, *words], cwd=folder, stdin=self.theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-        )
-        self._said = b""
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def _read(self):
-        while more := self.process.stderr.read1(400):
-            self._said += more
-
-    @property
-    def said(self):
-        """What it has said on standard error."""
-        return self._said.decode()
-
-    def types(self, text):
-        """Type a text."""
-        os.write(self.ours, text.encode())
-
-    def until(self, what):
-        """Wait until `what()`."""
-        end = time.monotonic() + PATIENCE
-        while not what():
-            assert time.monotonic() < end and self.process.poll() is None, self.said
-            time.sleep(0.01)
-
-    def ends(self):
-        """Wait for its end; its exit code."""
-        code = self.process.wait(PATIENCE)
-        self._reader.join(PATIENCE)
-        return code
-
-
-@contextlib.contextmanager
-def typist(folder, *words):
-    one = Typist(folder, *words)
-    try:
-        yield one
-    finally:
-        one.process.kill()
-        one.process.wait()
-        one.process.stdout.close()
-        one._reader.join()
-        one.process.stderr.close()
-        os.close(one.ours)
-        os.close(one.theirs)
 
 
 def driven(bus, rig):

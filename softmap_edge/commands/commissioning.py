@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from softmap_edge.commissioning.jog import Deadman, Held
 from softmap_edge.commissioning.keys import Keys
 from softmap_edge.errors import ServoError
-from softmap_edge.terminal_keys import terminal
+from softmap_edge.terminal_keys import terminal, wait_for_release
 
 
 def hold_argument(parser: argparse.ArgumentParser) -> None:
@@ -40,12 +40,20 @@ def tell(args: argparse.Namespace, what: str, hand: Deadman) -> None:
 
 
 def confirm(question: str, instead: str) -> bool:
-    """Ask a question on the terminal; yes or no. `instead` is the option that says it where there is none.
+    """Ask a question on the terminal, until it is answered by yes or no, or not at all, which is no.
+
+    A key that is still held is no answer: it is waited for. `instead` is the option that says it where there is no
+    terminal.
 
     Raises:
         ServoError: there is no terminal.
     """
     if not sys.stdin.isatty():
         raise ServoError(f"no terminal to ask at; {instead} says it instead")
-    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
+    if (file := terminal()) is not None:
+        wait_for_release(file)
+    while True:
+        print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+        answer = sys.stdin.readline().strip().lower()
+        if answer in ("y", "yes", "n", "no", ""):
+            return answer.startswith("y")
