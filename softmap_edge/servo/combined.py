@@ -186,7 +186,10 @@ def calibration_of(model: Model) -> Calibration:
         ServoError: it has none.
     """
     if model.calibration is None:
-        raise ServoError("the bundle holds no calibration of the servos; make one with `softmap calibrate`")
+        raise ServoError(
+            "the bundle holds no calibration of the servos; make one with `softmap servo calibrate`, or from a run by "
+            "`softmap calibrate`"
+        )
     return model.calibration
 
 
