@@ -117,7 +117,7 @@ def _stops(bench: Rig) -> Iterator[Line]:
             wrong.append(Line("emergency stop", FAULT, said, "gpiodetect lists the chips; mend [emergency] of the rig"))
     yield from wrong
     if not wrong and stops != Emergency():
-        yield Line("emergency stop", OK, str(stops))
+        yield Line("emergency stop", OK, f"stops at {stops}")
 
 
 def _servos(bus: _core.ServoBus, bench: Rig) -> Iterator[Line]:
