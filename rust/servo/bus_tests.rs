@@ -3,10 +3,12 @@
 use super::*;
 use crate::emulator::pty::Terminal;
 use crate::emulator::servo::{RESET, Servo};
-use crate::emulator::virtual_port::{FINE, bus, engaged, servos};
+use crate::emulator::virtual_port::{FINE, bus, engaged, goals, servos};
 use crate::emulator::{Emulator, Faults};
-use crate::registers::{FAST_FIRMWARE, X_SERIES};
+use crate::registers::{FAST_FIRMWARE, X_SERIES, mode};
 use crate::serial::{OpenFault, Serial};
+use std::thread::sleep;
+use std::time::Duration;
 
 #[test]
 fn a_silent_servo_does_not_take_the_other_s_answer_with_it() {
@@ -191,6 +193,38 @@ fn a_pseudo_terminal_is_a_serial_port() {
         Serial::open("/tmp", 57_600).err(),
         Some(OpenFault::NoTerminal("/tmp".into()))
     );
+}
+
+#[test]
+fn a_terminal_that_slept_takes_it_for_no_silence_of_the_master() {
+    let terminal = Terminal::open(Emulator::new(servos(&[1]), 1_000_000, 3)).unwrap();
+    let serial = Serial::open(terminal.path(), 1_000_000).unwrap();
+    let mut bus = Bus::new(serial, 1_000_000, 2_000_000_000);
+    for (register, value) in [
+        (X_SERIES.operating_mode, mode::CURRENT_BASED_POSITION),
+        (X_SERIES.torque_enable, 1),
+        (X_SERIES.bus_watchdog, 15),
+    ] {
+        assert_eq!(bus.write(1, register.address, &[value]), FINE);
+    }
+    let step = Duration::from_millis(20);
+    let held = terminal.emulator();
+    for _ in 0..30 {
+        goals(&mut bus, &[1], &[2000]);
+        sleep(step);
+    }
+    drop(held);
+    let mut watchdog = [0];
+    let mut ask = |bus: &mut Bus<Serial>| {
+        assert_eq!(
+            bus.read(1, X_SERIES.bus_watchdog.address, &mut watchdog),
+            FINE
+        );
+        watchdog[0]
+    };
+    assert_eq!(ask(&mut bus), 15, "it was spoken to in time");
+    sleep(30 * step);
+    assert_eq!(ask(&mut bus), 255, "it was not");
 }
 
 /// A port that keeps what is sent and gives one answer.

@@ -145,6 +145,12 @@ impl Emulator {
         }
     }
 
+    /// Whoever lets time go on slept for `time` s: what the master said meanwhile is yet to be heard, and its silence is
+    /// not what it was.
+    pub fn excuse(&mut self, time: f64) {
+        self.servos.iter_mut().for_each(|servo| servo.excuse(time));
+    }
+
     fn obey(&mut self, id: u8, asked: u8, parameters: &[u8]) {
         let baud = self.baud;
         let hears = |servo: &Servo| servo.awake() && BAUD_RATES[servo.baud()] == baud;

@@ -21,6 +21,8 @@ use crate::urgent::urgent;
 const PRIORITY: i32 = 40;
 /// ns for which the thread sleeps at most: servos move while nobody speaks.
 const NAP: i64 = 2_000_000;
+/// s after which a turn of the thread comes late: the computer had no time for it, or somebody held the emulator.
+const LATE: f64 = 0.01;
 
 /// An emulator that runs at a pseudo-terminal until it is dropped.
 pub struct Terminal {
@@ -89,12 +91,19 @@ fn serve(emulator: &Mutex<Emulator>, stop: &AtomicBool, master: &OwnedFd, slave:
     // Servos do not wait for the computer that drives them; where this is not granted, they answer late while it is busy.
     urgent(PRIORITY);
     let begin = Instant::now();
+    let mut last = 0.0;
+    let mut turn = |emulator: &mut Emulator| {
+        let now = begin.elapsed().as_secs_f64();
+        emulator.excuse((now - last - LATE).max(0.0));
+        last = now;
+        now
+    };
     let mut bytes = [0; 1024];
     while !stop.load(Ordering::Relaxed) {
         let mut ready = [PollFd::new(master, PollFlags::IN)];
         let due = {
             let mut emulator = emulator.lock().unwrap_or_else(PoisonError::into_inner);
-            let now = begin.elapsed().as_secs_f64();
+            let now = turn(&mut emulator);
             while let Some(answer) = emulator.speak(now) {
                 // A master that does not read loses what it was told, as on a wire.
                 let _ = write(master, &answer);
@@ -119,7 +128,8 @@ fn serve(emulator: &Mutex<Emulator>, stop: &AtomicBool, master: &OwnedFd, slave:
             if let Ok(settings) = tcgetattr(slave) {
                 emulator.set_baud(settings.output_speed());
             }
-            emulator.hear(&bytes[..count], begin.elapsed().as_secs_f64());
+            let now = turn(&mut emulator);
+            emulator.hear(&bytes[..count], now);
         }
     }
 }

@@ -110,7 +110,7 @@ pub fn engaged(ids: &[u8]) -> Bus<Virtual> {
     bus
 }
 
-pub fn goals(bus: &mut Bus<Virtual>, ids: &[u8], goals: &[i32]) {
+pub fn goals(bus: &mut Bus<impl Port>, ids: &[u8], goals: &[i32]) {
     let data: Vec<u8> = goals.iter().flat_map(|goal| goal.to_le_bytes()).collect();
     bus.sync_write(ids, X_SERIES.goal_position.address, 4, &data)
         .unwrap();
