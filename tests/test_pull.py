@@ -10,6 +10,7 @@ from rigs import BAUD, HOME, MODEL, bench, calibration, torque
 
 from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.commands.progress import Bar
 from softmap_edge.commissioning.jog import Held, Jog
 from softmap_edge.commissioning.pull import MARGIN, pull
 from softmap_edge.errors import ServoError
@@ -66,12 +67,15 @@ def test_what_the_bench_allows_a_servo_binds_its_pull(folder, brief, capsys):
     assert "under 30 mA" in said and "raise jog_current in [ceiling], or its current_mA" in said
 
 
-def test_one_servo_keeps_what_was_found_of_the_other(folder, brief, capsys):
+def test_one_servo_keeps_what_was_found_of_the_other(folder, brief, capsys, monkeypatch):
+    shown = []
+    monkeypatch.setattr(Bar, "__call__", lambda bar, what, share: shown.append((what, share)))
     _, file, bundle = folder
     rig = read_rig(file)
     replace(rig, servos=(replace(rig.servos[0], current_mA=99.0), rig.servos[1])).write(file)
     assert main(words(file, bundle, "--servo", "2")) == 0
     assert "servo 2:" in capsys.readouterr().out
+    assert shown == [("servo 2, low end", 0.0), ("servo 2, high end", 0.4), ("servo 2, home", 0.8)]
     rig = read_rig(file)
     assert (
         rig.servos[0].current_mA == 99.0 and rig.servos[1].current_mA > 150 and list(rig.made["pulled"]) == ["servo_2"]

@@ -8,6 +8,7 @@ import json
 from softmap_edge.commands.commissioning import deadman, hold_argument, tell
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
+from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import tell_edited
 from softmap_edge.commissioning.pull import MARGIN, noted, pull
 from softmap_edge.servo.combined import IDLE, combined
@@ -31,7 +32,8 @@ def pull_test(args: argparse.Namespace) -> int:
     found = combined(rig, model)
     with deadman(args.hold) as hand:
         tell(args, "each servo goes slowly to both ends of its window and back", hand)
-        done = pull(found, hand, () if args.servo is None else (args.servo,))
+        with Bar(args.json) as bar:
+            done = pull(found, hand, () if args.servo is None else (args.servo,), bar)
     noted(rig, done).note(args.rig)
     if args.json:
         document = {"schema": "softmap.pull/1", "servos": [one.to_dict() for one in done]}

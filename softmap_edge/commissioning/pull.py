@@ -10,7 +10,7 @@ is reached by a straight line, a stroke much longer is refused. Pinned by tests/
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -92,11 +92,17 @@ def strokes(found: Combined) -> list[tuple[float, float]]:
     return [(float(one["low"]), float(one["high"])) for one in sides]
 
 
-def pull(found: Combined, hand: Deadman, ids: Sequence[int] = ()) -> list[Pulled]:
+def pull(
+    found: Combined,
+    hand: Deadman,
+    ids: Sequence[int] = (),
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> list[Pulled]:
     """Pull each servo of the bench (or those of `ids`) to both ends of its window while `hand` holds.
 
     Args:
         found: the limits in force; `[ceiling]` of the rig may bound `jog_slew`, `jog_current` and `jog_travel`.
+        progress: told what moves, and the share of the whole test that is done.
 
     Raises:
         ServoError: a servo reports no current, home is not proved, the finger does not come to its stroke, its current
@@ -116,13 +122,18 @@ def pull(found: Combined, hand: Deadman, ids: Sequence[int] = ()) -> list[Pulled
         check_proved(bus, [(servo.id, servo.home) for servo in rig.servos])
     inside = tuple(replace(one, low=round(low), high=round(high)) for one, (low, high) in zip(rig.servos, ends))
     most = min(allowed, max(abs(end) for k in numbers for end in ends[k]) + LEAST_SHORT)
-    done = []
+    done: list[Pulled] = []
     for k in numbers:
+        name, share = f"servo {rig.servos[k].id}", len(done) / len(numbers)
         with Jog(replace(rig, servos=inside), travel=most) as jog:
-            legs = (_leg(jog, k, ends[k][0], most, hand), _leg(jog, k, ends[k][1], most, hand))
+            progress(f"{name}, low end", share)
+            low = _leg(jog, k, ends[k][0], most, hand)
+            progress(f"{name}, high end", share + 0.4 / len(numbers))
+            high = _leg(jog, k, ends[k][1], most, hand)
+            progress(f"{name}, home", share + 0.8 / len(numbers))
             _go(jog, k, 0.0, hand, [])
             jog.stop()
-        done.append(Pulled(rig.servos[k], jog.slew, legs, _allowed(rig.servos[k], legs)))
+        done.append(Pulled(rig.servos[k], jog.slew, (low, high), _allowed(rig.servos[k], (low, high))))
     return done
 
 
