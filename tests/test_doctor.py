@@ -40,7 +40,7 @@ def test_a_bench_that_is_well(tmp_path, capsys, any_computer):
         lines = doctor.examine(rig=tmp_path / "rig.toml").lines
         assert named(lines, "rig").state == OK and named(lines, "servo 1").state == OK
         assert named(lines, "home of servo 2").found == "proved since power-up, at 2000"
-        assert named(lines, "ceiling").state == WARNING and "current_mA" in named(lines, "ceiling").do
+        assert named(lines, "ceiling").state == WARNING and "softmap servo pull" in named(lines, "ceiling").do
         assert bus.state()[1] == before, "nothing moved, no torque"
         told = ["doctor", "--rig", str(tmp_path / "rig.toml"), "--json"]
         assert main(told) == 0, "a warning is no fault"
@@ -240,8 +240,10 @@ def test_an_ordinary_user_is_told_what_rights_are_missing(tmp_path):
 
 def test_a_right_that_is_there_is_well(tmp_path):
     (tmp_path / "self").mkdir()
-    (tmp_path / "self/status").write_text("Name: x\nCapEff:\t0000000000800000\n")
-    assert next(iter(host.real_time(tmp_path))).state == OK
+    (tmp_path / "self/status").write_text("Name: x\nCapEff:\t0000000000804000\n")
+    assert [(line.state, line.found) for line in host.real_time(tmp_path)] == [
+        (OK, "CAP_SYS_NICE"), (OK, "CAP_IPC_LOCK"),
+    ]  # fmt: skip
     (tmp_path / "self/status").write_text("Name: x\nCapEff:\t0\n")
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     expected = OK if limit < 0 or limit >= 50 else WARNING

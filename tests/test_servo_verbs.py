@@ -69,7 +69,7 @@ def test_a_new_servo_is_found_at_its_rate_and_made_ready(fresh, capsys, tmp_path
     code, document = said(capsys, "servo", "read", "--port", fresh.path, "--id", "2", "--baud", "1000000")
     assert code == 0 and document["servos"][0]["complaints"] == []
     assert main(["servo", "read", "--port", fresh.path, "--baud", "1000000"]) == 0
-    assert "ready to be driven" in capsys.readouterr().out
+    assert "  set up\n" in capsys.readouterr().out
 
 
 def setting(bus, **changed):
@@ -133,7 +133,9 @@ def test_what_setup_mends_is_told(fresh, capsys):
         "secondary id is 7: it becomes 255",
     ]
     assert main(argv) == 0
-    assert capsys.readouterr().out.count("\n") == 1, "the second time there is nothing to mend"
+    told = capsys.readouterr().out.splitlines()
+    assert len(told) == 2, "the second time there is nothing to mend"
+    assert told[0].endswith(": set up") and told[1] == "  next, once all are: softmap servo home --rig FILE"
 
 
 def test_one_servo_at_a_time_is_set_up(capsys, tmp_path):

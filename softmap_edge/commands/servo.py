@@ -86,7 +86,7 @@ def _read(args: argparse.Namespace) -> int:
         if not args.json:
             print(servo)
             print("\n".join(f"  {name.replace('_', ' '):<24} {value}" for name, value in values.items()))
-            print("\n".join(f"  ! {line}" for line in said) or "  ready to be driven")
+            print("\n".join(f"  ! {line}" for line in said) or "  set up")
     if args.json:
         print(json.dumps({"schema": "softmap.servos/1", "servos": documents}))
     return 0 if well else OTHERWISE
@@ -104,13 +104,18 @@ def _setup(args: argparse.Namespace) -> int:
     mended: list[str] = []
     done = setup.set_up(found[0], args.new_id, args.new_baud, mended.append)
     if args.rig:
+        if old is not None and any(
+            one.id == done.id and (one.home, one.current_mA) != (None, None) for one in old.servos
+        ):
+            mended.append(f"{args.rig} held its home or measured current: they are taken out, find them anew")
         bench = _noted(done, old)
         (bench.write if old is None else bench.note)(args.rig)
     if args.json:
         print(json.dumps({"schema": "softmap.servos/1", "servos": [_told(done)], "rig": args.rig, "mended": mended}))
     else:
         print("".join(f"  {line}\n" for line in mended), end="")
-        print(f"{done}: ready to be driven" + (f", noted in {args.rig}" if args.rig else ""))
+        print(f"{done}: set up" + (f", noted in {args.rig}" if args.rig else ""))
+        print(f"  next, once all are: softmap servo home --rig {args.rig or 'FILE'}")
     return 0
 
 

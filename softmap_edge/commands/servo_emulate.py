@@ -133,8 +133,11 @@ def _said(args: argparse.Namespace, port: str, model: Model, names: list[str]) -
     lines += [f"{len(model.rest)} points a frame, {FRAMES:g} frames a second, to {to}" for to in args.stream]
     lines += [f"{path}: written" for path in (args.rig, args.calibrated) if path]
     if args.fresh:
-        rig = f" --rig {shlex.quote(args.rig)}" if args.rig else ""
-        lines += ["next, in another terminal, for each servo:", f"  softmap servo setup --port {port} --id 1{rig}"]
+        rig = shlex.quote(args.rig or "rig.toml")
+        lines += [
+            "next, in another terminal, for each servo:",
+            f"  softmap servo setup --port {port} --id 1 --rig {rig}",
+        ]
     elif args.rig and args.calibrated:
         on = f"--bundle {shlex.quote(args.calibrated)} --rig {shlex.quote(args.rig)}"
         seen = f" --camera {args.stream[0].replace('//127.0.0.1:', '//:')}" if args.stream else ""

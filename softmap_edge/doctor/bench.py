@@ -88,8 +88,8 @@ def rig(file: str | Path) -> Iterator[Line]:
         if servo.current_mA is None and servo_model(servo.model)["current_limit_mA"] is not None
     ]
     if uncapped:
-        do = f"write current_mA (at the stroke) to it in {file}; until then a share of the servo's own limit is taken"
-        yield Line("ceiling", WARNING, f"servo {_listed(uncapped)} has no measured current", do)
+        do = "run softmap servo pull; until then a share of the servo's own limit is taken"
+        yield Line("ceiling", WARNING, f"no current was measured for servo {_listed(uncapped)}", do)
     yield from _stops(bench)
     try:
         with opened(bench.port, bench.baud) as bus:

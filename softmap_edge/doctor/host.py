@@ -23,8 +23,8 @@ from softmap_edge.doctor.line import FAULT, OK, WARNING, Line, faulty
 PROC, DEV, SYS = Path("/proc"), Path("/dev"), Path("/sys")
 PYTHON = (3, 11)
 NEEDED = ("numpy", "onnxruntime")
-EXTRAS = {"mediapipe": "teleop", "dynamixel-sdk": "servo", "matplotlib": "report"}
-CAP_SYS_NICE = 23  # its bit in a set of capabilities
+EXTRAS = {"dynamixel-sdk": "servo", "matplotlib": "report"}  # those of driving by hand: `teleoperation`
+CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # their bits in a set of capabilities
 PRIORITY = 50  # what the loop asks for
 LOCKED = 64 << 20  # bytes that it wants to keep in memory
 SIMD = {"x86_64": ("flags", ("avx2", "fma")), "aarch64": ("Features", ("asimd",))}
@@ -78,17 +78,19 @@ def processor(machine: str | None = None, proc: Path = PROC) -> Iterator[Line]:
 
 def real_time(proc: Path = PROC) -> Iterator[Line]:
     """Whether the loop may have priority and keep its memory."""
-    rights = _capabilities(proc) >> CAP_SYS_NICE & 1
+    rights = _capabilities(proc)
     most = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     name, file = _user(), "/etc/security/limits.d/softmap.conf"
     do = f"the loop runs without; to mend it, write '{name} - rtprio {PRIORITY}' into {file} and log in again"
-    allowed = bool(rights) or most < 0 or most >= PRIORITY
-    told = "CAP_SYS_NICE" if rights else f"rtprio limit {'unlimited' if most < 0 else most}, {PRIORITY} wanted"
+    may = bool(rights >> CAP_SYS_NICE & 1)
+    allowed = may or most < 0 or most >= PRIORITY
+    told = "CAP_SYS_NICE" if may else f"rtprio limit {'unlimited' if most < 0 else most}, {PRIORITY} wanted"
     yield Line("real-time priority", OK if allowed else WARNING, told, "" if allowed else do)
     locked = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     do = f"the loop runs without; to mend it, write '{name} - memlock unlimited' into {file} and log in again"
-    enough = locked < 0 or locked >= LOCKED or os.geteuid() == 0
-    told = "unlimited" if locked < 0 else f"limit {locked >> 10} KiB, {LOCKED >> 10} wanted"
+    may = bool(rights >> CAP_IPC_LOCK & 1)
+    enough = may or locked < 0 or locked >= LOCKED
+    told = "CAP_IPC_LOCK" if may else "unlimited" if locked < 0 else f"limit {locked >> 10} KiB, {LOCKED >> 10} wanted"
     yield Line("locked memory", OK if enough else WARNING, told, "" if enough else do)
 
 
