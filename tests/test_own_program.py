@@ -8,6 +8,8 @@ import pytest
 from emulated_robot import emulated
 
 from softmap_edge import SoftmapError, builtin_model, open_robot, save_bundle
+from softmap_edge.camera.points_udp import PointReceiver
+from softmap_edge.cli import main
 from softmap_edge.servo.recording import read_recording
 
 PAGE = (Path(__file__).parents[1] / "docs/own_program.md").read_text(encoding="utf-8")
@@ -15,20 +17,27 @@ PAGE = (Path(__file__).parents[1] / "docs/own_program.md").read_text(encoding="u
 
 def test_the_programs_of_the_page_run_one_after_another(tmp_path, monkeypatch, capsys):
     (command,) = re.findall(r"```text\n(.*?)\n```", PAGE, re.S)
-    hides = command.split()[3:5]
-    assert command.split() == ["softmap", "servo", "emulate", *hides, "--rig", "rig.toml", "--calibrated", "finger"]
+    hides, stream = command.split()[3:5], command.split()[9:]
+    assert command.split()[:9] == ["softmap", "servo", "emulate", *hides, "--rig", "rig.toml", "--calibrated", "finger"]
+    assert stream == ["--stream", "udp://127.0.0.1:9870"]
     programs = re.findall(r"```python\n(.*?)```", PAGE, re.S)
-    assert len(programs) == 3
+    assert len(programs) == 4
     monkeypatch.chdir(tmp_path)
-    names = {}
-    with emulated(tmp_path, *hides) as (_, told, _):
+    with PointReceiver("127.0.0.1", 0) as any_port:
+        port = str(any_port.port)
+    names, sent = {}, []
+    with emulated(tmp_path, *hides, "--stream", f"udp://127.0.0.1:{port}") as (_, told, _):
         Path(told["bundle"]).rename("finger")
         for program in programs:
-            exec(compile(program, "docs/own_program.md", "exec"), names)
+            exec(compile(program.replace("9870", port), "docs/own_program.md", "exec"), names)
+            sent.append((names["t"], names["done"]))
     _, second, *_ = capsys.readouterr().out.splitlines()
-    np.testing.assert_allclose(names["done"], [4.0 * np.sin(2.0 * names["t"]), -1.0], atol=0.5)
+    t, done = sent[0]
+    np.testing.assert_allclose(done, [4.0 * np.sin(2.0 * t), -1.0], atol=0.5)
     assert second.startswith("engaged [")
     assert read_recording("drive.mcap").replay() == []
+    assert main(["diagnose", "seen.mcap", "--bundle", "finger"]) == 0
+    assert "The model lacks backlash" in capsys.readouterr().out
     assert names["found"].distance.max() < 0.01
     at = names["robot"].calibration.commands(names["robot"].position)
     assert np.abs(at).max() < 0.3, "slack at the end"

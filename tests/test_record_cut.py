@@ -19,8 +19,7 @@ from softmap_edge.cli import main
 from softmap_edge.errors import RunError
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.experiment.command_file import write_commands
-from softmap_edge.experiment.kept import Keeper, read_kept
-from softmap_edge.experiment.play import Played
+from softmap_edge.experiment.kept import Keeper, Played, read_kept
 from softmap_edge.protocol import Limits
 
 MOST = 200_000  # bytes of a file
@@ -52,7 +51,7 @@ def frames(file):
 def kept(tmp_path, shape=(5, 3)):
     """Return what was played, and what its file gives back."""
     rng, played = np.random.default_rng(0), Played(camera=HostClock(0.01))
-    with Keeper(tmp_path / "a.seen", 0.01) as keeper:
+    with Keeper(tmp_path / "a.seen", 0.01, builtin_model()) as keeper:
         for k in range(8):
             frame = Frame(k / 30, 5.0 + k / 30 + 0.01 * rng.random(), rng.normal(size=shape).astype(np.float32))
             played.clock.append((5.0 + k / 30, k / 30))
@@ -66,6 +65,7 @@ def kept(tmp_path, shape=(5, 3)):
 def test_what_was_kept_is_read_back_and_to_its_last_whole_line(tmp_path):
     played, file = kept(tmp_path)
     again = read_kept(file)
+    assert (again.robot, again.vertices) == (builtin_model().robot, len(builtin_model().rest))
     assert again.clock == played.clock and [look for look, _ in again.taken] == [1, 3, 5, 7]
     for (_, one), (_, other) in zip(played.taken, again.taken, strict=True):
         np.testing.assert_array_equal(one.points, other.points)
@@ -73,7 +73,14 @@ def test_what_was_kept_is_read_back_and_to_its_last_whole_line(tmp_path):
     np.testing.assert_array_equal(played.camera.times(stamps), again.camera.times(stamps))
     file.write_bytes(file.read_bytes()[:-9])
     assert [look for look, _ in read_kept(file).taken] == [1, 3, 5], "the last line was cut"
-    for bad in (b"", b"{}\n", b"[1]\n", b'{"schema": "softmap.seen/1", "late": "x"}\n', b"\xff\n"):
+    for bad in (
+        b"",
+        b"{}\n",
+        b"[1]\n",
+        b'{"schema": "softmap.seen/1", "late": "x"}\n',
+        b"\xff\n",
+        b'{"schema": "softmap.seen/1", "late": 0, "robot": 7}\n',
+    ):
         file.write_bytes(bad)
         with pytest.raises(RunError, match="a.seen: damaged, or not what"):
             read_kept(file)

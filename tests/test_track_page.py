@@ -31,8 +31,8 @@ def page(tmp_path_factory):
         patch.setattr("builtins.print", lambda *a, **k: printed.setdefault(said, []).append(" ".join(map(str, a))))
         for language, text in blocks(PAGE):
             for words in lines(text) if language == "" else ():
-                assert words[:2] == ["softmap", "track"]
-                said = " ".join(words[2:])
+                assert words[0] == "softmap"
+                said = " ".join(words[1:])
                 assert main(words[1:] + (SHORT if "--sim" in words else [])) == 0, printed[said]
     return there, {said: "\n".join(parts) for said, parts in printed.items()}
 
@@ -46,12 +46,16 @@ def curves(file):
 
 def test_each_command_says_and_writes_what_the_page_says(page):
     there, printed = page
-    reach, point, plan, sim = printed.values()
-    assert list(printed)[1] == "--workspace --reach 60 0 60"
+    reach, point, plan, sim, found, added, through = printed.values()
+    assert list(printed)[1] == "track --workspace --reach 60 0 60"
     assert "the tip rests at" in reach and "60.00 mm, along xyz: out of reach by" not in reach
     assert "out of reach by" in point and "nearest is" in point
     assert "the model expects the tip off by 0.0" in plan and "camera" not in plan
-    assert "the camera saw it off by" in sim and "s.mcap: written" in sim
+    assert "the camera saw it off by" in sim and "s.mcap: written\ns.seen: written" in sim
+    assert sim.endswith("next: softmap diagnose s.mcap")
+    assert "The model lacks backlash" in found and "backlash.gap" in added
+    before, after = (float(re.search(r"saw it off by (\S+) ±", said)[1]) for said in (sim, through))
+    assert before > 2.0 and after < 0.3 * before
     assert curves(there / "reach.svg")
     assert curves(there / "s.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]  # wanted, and expected over it
     assert curves(there / "seen.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]  # wanted, and seen over it

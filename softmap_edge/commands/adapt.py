@@ -8,8 +8,8 @@ import json
 from softmap_edge.adaptation import adapt as learn
 from softmap_edge.bundle import save_bundle
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
-from softmap_edge.commands.own import effects_argument, load_own, open_model
-from softmap_edge.commands.understand import open_run, teller, warn_outside, write_page
+from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
+from softmap_edge.commands.understand import teller, warn_outside, write_page
 
 WORSE = 1  # exit code
 
@@ -34,8 +34,9 @@ def adapt(args: argparse.Namespace) -> int:
     check_bundle(args.out, args.force)
     check_file("--html", args.html, ".html")
     load_own(args)
-    model, runs = open_model(args.bundle), [open_run(path) for path in args.runs]
-    held_out = None if args.held_out is None else open_run(args.held_out)
+    model = open_model(args.bundle)
+    runs = [open_run(path, model) for path in args.runs]
+    held_out = None if args.held_out is None else open_run(args.held_out, model)
     found = learn(model, runs, held_out, not args.residual_only, teller(args))
     for run in found.runs:
         warn_outside("adapt", found.before, run)

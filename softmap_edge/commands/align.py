@@ -14,7 +14,7 @@ from softmap_edge.alignment.clouds import align_clouds
 from softmap_edge.alignment.result import Alignment, base_markers, in_frame
 from softmap_edge.alignment.rigid import Pose
 from softmap_edge.commands.output import check_file, check_no_run
-from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
 from softmap_edge.errors import AlignError
 from softmap_edge.run import Run
 
@@ -48,7 +48,7 @@ def align(args: argparse.Namespace) -> int:
     """Find the transform from the frame of the measurement to the base, and write the run in the base frame."""
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)
-    run = Run.load(args.run)
+    run = open_run(args.run)
     if args.like:
         return _like(args, run)
     if (args.follow_base or args.drop_base) and not args.base:

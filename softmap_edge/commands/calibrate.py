@@ -9,9 +9,8 @@ from softmap_edge.alignment.calibrated import Calibrated
 from softmap_edge.alignment.calibration import calibrate as find
 from softmap_edge.bundle import save_bundle
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
-from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
 from softmap_edge.errors import CalibrationError, ReportError
-from softmap_edge.run import Run
 from softmap_edge.whole_file import write_whole
 
 NOT_AFFINE = 1  # exit code
@@ -46,7 +45,7 @@ def calibrate(args: argparse.Namespace) -> int:
         )
     load_own(args)
     window = None if args.window is None else (args.window[0], args.window[1])
-    found = find(open_model(args.bundle), Run.load(args.run), args.home, window, not args.grid)
+    found = find(open_model(args.bundle), open_run(args.run), args.home, window, not args.grid)
     if args.plot:
         _plot(found, args.plot)
     folder = save_bundle(found.model, args.out)

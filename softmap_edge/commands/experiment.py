@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.output import check_file, check_no_run
-from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
-from softmap_edge.commands.understand import open_run
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.npz import write_npz
 from softmap_edge.own_effect import check_hashes
@@ -139,8 +138,8 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     diagnosis, before = Diagnosis.load(args.diagnosis), args.since and Diagnosis.load(args.since).to_dict()
     asked = {name for e in [*diagnosis.effects, *diagnosis.rivals] for name in e.get("effects", [e.get("name")])}
     check_hashes([*asked], diagnosis.made_from.get("python_effects"))
-    runs, limits = [open_run(path) for path in args.run], _limits(args, model)
-    references = [open_run(path) for path in args.reference]
+    runs, limits = [open_run(path, model) for path in args.run], _limits(args, model)
+    references = [open_run(path, model) for path in args.reference]
     with Bar(args.json) as bar:
         found = next_experiment(
             model, diagnosis, runs, limits, None, lambda share: bar("simulating", share), references

@@ -12,7 +12,7 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.commands.output import check_file, check_no_run
-from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
 from softmap_edge.errors import SoftmapError, no_effect
 from softmap_edge.model import Model
 from softmap_edge.npz import write_npz
@@ -36,7 +36,7 @@ def predict(args: argparse.Namespace) -> int:
     check_no_run("--out", args.out)
     load_own(args)
     model = open_model(args.bundle)
-    run = Run.load(args.input) if Path(args.input).suffix == ".npz" else _held(args.input, model)
+    run = open_run(args.input, model) if Path(args.input).suffix in (".npz", ".mcap") else _held(args.input, model)
     for note in beyond(model, run):
         print(f"softmap predict: {note}", file=sys.stderr)
     points = model.predict(run)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.bundle import save_bundle
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_no_run
+from softmap_edge.commands.own import open_run
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.solid.finger import Finger
@@ -90,12 +91,11 @@ def learn(args: argparse.Namespace) -> int:
     from softmap_edge.rod.learn import learn as fit
     from softmap_edge.rod.learn import learned_model
     from softmap_edge.rod.robot import Robot
-    from softmap_edge.run import Run
 
     check_bundle(args.out, args.force)
     held_out = [_interval(text) for text in args.hold_out]
     robot = None if args.robot is None else Robot.load(args.robot)
-    run = Run.load(args.run)
+    run = open_run(args.run)
     for text, (low, high) in zip(args.hold_out, held_out):
         if not np.any((run.t_seen >= low) & (run.t_seen < high)):
             raise SoftmapError(f"--hold-out {text}: no frame is seen then; the run is seen {_span(run.t_seen)}")

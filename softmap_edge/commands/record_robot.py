@@ -24,7 +24,7 @@ from softmap_edge.commands.seeing import late, receiver
 from softmap_edge.emulated.finger import LATE
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.command_file import read_commands
-from softmap_edge.experiment.kept import Keeper, read_kept
+from softmap_edge.experiment.kept import SEEN, Keeper, read_kept
 from softmap_edge.experiment.pace import Pace, pace
 from softmap_edge.experiment.play import Player, merged
 from softmap_edge.model import Model
@@ -36,7 +36,7 @@ from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.recording import read_recording
 
 INTERRUPTED = 130
-LOOP, SEEN = ".loop.mcap", ".seen"  # of the files beside the run, until that is written
+LOOP = ".loop.mcap"  # ends the name of the loop's recording beside the run, until that is written
 SIMULATED = ("virtual", "truth", "finger", "truth_from")
 
 
@@ -61,7 +61,7 @@ def record_on_robot(args: argparse.Namespace) -> int:
                 print(_ahead(args, paced), file=sys.stderr)
             if args.calibrated:
                 save_bundle(model, args.calibrated)
-            with Bar(args.json) as bar, Keeper(seen_file, behind) as keeper:
+            with Bar(args.json) as bar, Keeper(seen_file, behind, model) as keeper:
                 robot = Controller(bench.rig, bench.calibration, bench.limits, record=file)
                 key = EmergencyKey(robot, to_stderr)
                 player = Player(

@@ -12,6 +12,7 @@ import numpy as np
 from softmap_edge.commands.output import check_file, to_stderr
 from softmap_edge.emulated.finger import emulated_bench, hidden_laws
 from softmap_edge.errors import SoftmapError
+from softmap_edge.experiment.kept import seen_file
 from softmap_edge.model import Model
 from softmap_edge.servo.bench import Bench, read_bench
 from softmap_edge.servo.controller import Controller
@@ -49,6 +50,8 @@ def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
 def check_driven(args: argparse.Namespace) -> None:
     """Raise SoftmapError where those arguments cannot be."""
     check_file("--record", args.record, ".mcap", new=True)
+    if args.record and (seen := seen_file(args.record)).exists():
+        raise SoftmapError(f"--record {args.record}: {seen} exists, where what is seen goes; give another name")
     if args.hide and not args.sim:
         raise SoftmapError("--hide: only an emulated finger can hide something; give --sim with it")
 

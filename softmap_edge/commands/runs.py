@@ -12,7 +12,7 @@ import numpy as np
 
 from softmap_edge.bundle import load_chain
 from softmap_edge.commands.output import check_file, check_kept, check_no_run
-from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
 from softmap_edge.elsewhere.summary import read_summary
 from softmap_edge.elsewhere.summary import sentences as sweep_sentences
 from softmap_edge.elsewhere.sweep_file import LIMIT, is_shape_sweep
@@ -141,7 +141,7 @@ def show(args: argparse.Namespace) -> int:
         print(json.dumps(document, ensure_ascii=False) if args.json else "\n".join(_bundle_lines(document)))
         return DONE
     sweep = is_shape_sweep(path)
-    run = None if sweep else Run.load(path)
+    run = None if sweep else open_run(path)
     arrays = read_npz(path, SweepError, LIMIT) if run is None else run.arrays()
     fields = [_field(name, array) for name, array in arrays.items()]
     if args.json:
@@ -164,8 +164,8 @@ def _existing(path: str) -> Path:
 
 
 def _run(path: Path, bundle: str | None) -> dict[str, Any]:
-    run = Run.load(path)
     model = None if bundle is None else open_model(bundle)
+    run = open_run(path, model)
     document = summary(run, model)
     if model is not None:
         from softmap_edge.diagnosis.diagnose import showing

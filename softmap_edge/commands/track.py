@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import shlex
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.camera.frames import Seen
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_file, to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import (
@@ -27,6 +28,7 @@ from softmap_edge.commands.seeing import camera_arguments, late, receiver
 from softmap_edge.commands.track_table import table, workspace
 from softmap_edge.emulated.finger import SERVO
 from softmap_edge.errors import SoftmapError
+from softmap_edge.experiment.kept import keeping, seen_file
 from softmap_edge.motion.curves import FIGURES
 from softmap_edge.motion.kinematics import METHODS, Kinematics
 from softmap_edge.motion.track import Course, Tracked, course, spread
@@ -103,12 +105,13 @@ def track(args: argparse.Namespace) -> int:
         if bench is not None:
             record = Path(args.record or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "track.mcap")
             robot = Controller(bench.rig, calibration, bench.limits, kinematics=kinematics, record=record)
-            with driving(robot, args.record), Bar(args.json) as bar:
+            with _kept(args, seen, behind, bench), driving(robot, args.record), Bar(args.json) as bar:
                 tracked = follow(robot, kinematics, planned, seen, observe=args.observe, late=behind, progress=bar)
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)
     kept = bench is not None and robot.unrecorded is None
     document = _document(args, kinematics, planned, tracked) | {"record": args.record if kept else None}
+    document["seen"] = str(seen_file(args.record)) if kept and args.record and seen is not None else None
     print(json.dumps(document) if args.json else _text(document))
     if bench is not None:
         robot.check_recorded()
@@ -125,6 +128,18 @@ def _eyes(args: argparse.Namespace, bench: Bench) -> Iterator[Seen | None]:
         yield camera.seen
         if not camera.taken:
             print(f"no frame came at {args.camera}; {camera.said()}", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _kept(args: argparse.Namespace, seen: Seen | None, behind: float, bench: Bench) -> Iterator[None]:
+    """Keep what is seen beside the recording, where there is one."""
+    if seen is None or args.record is None:
+        yield
+        return
+    with keeping(args.record, seen, bench.model, behind) as keeper:
+        yield
+    if keeper.fault is not None:
+        to_stderr(f"{seen_file(args.record)}: what was seen is not kept whole ({keeper.fault})")
 
 
 def _draw(path: str, kinematics: Kinematics, planned: Course, tracked: Tracked | None) -> None:
@@ -160,6 +175,7 @@ def _document(
         "observed": args.observe,
         "unseen_s": None if tracked is None else tracked.unseen,
         "picture": args.picture,
+        "bundle": args.bundle,
     }
 
 
@@ -195,5 +211,8 @@ def _text(told: dict[str, Any]) -> str:
             lines.append(f"the tip was not seen for {told['unseen_s']:.1f} s of it{fed}")
     elif told["driven"]:
         lines.append("no camera: how far off it really was is not known")
-    lines += [f"{told[name]}: written" for name in ("record", "picture") if told[name]]
+    lines += [f"{told[name]}: written" for name in ("record", "seen", "picture") if told[name]]
+    if told["seen"]:
+        bundle = f" --bundle {shlex.quote(told['bundle'])}" if told["bundle"] else ""
+        lines.append(f"next: softmap diagnose {shlex.quote(told['record'])}{bundle}")
     return "\n".join(lines)

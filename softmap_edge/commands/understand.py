@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_kept
-from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.errors import SoftmapError
@@ -27,7 +27,7 @@ NUMBERS = {
 
 def compare_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap compare`."""
-    parser.add_argument("run", help="the measured run, .npz; with --live what a loop is recording, .mcap")
+    parser.add_argument("run", help="the measured run, .npz, or a recording, .mcap; with --live while it grows")
     parser.add_argument("--live", action="store_true", help="while a robot runs, seen by --camera")
     camera_arguments(parser)
     parser.add_argument("--seconds", type=float, metavar="S", help="--live: end after so long (without: Ctrl-C)")
@@ -54,7 +54,8 @@ def compare(args: argparse.Namespace) -> int:
 
     check_file("--html", args.html, ".html")
     load_own(args)
-    run, models = open_run(args.run), [open_model(path) for path in args.bundle or [None]]
+    models = [open_model(path) for path in args.bundle or [None]]
+    run = open_run(args.run, models[0])
     warn_outside("compare", models[0], run)
     found = [measure(model, run) for model in models]
     _doubt("compare", models[0], run)
@@ -72,7 +73,9 @@ def compare(args: argparse.Namespace) -> int:
 
 def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap diagnose`."""
-    parser.add_argument("runs", nargs="+", metavar="run", help="the measured run, .npz; several share their effects")
+    parser.add_argument(
+        "runs", nargs="+", metavar="run", help="the measured run, .npz or .mcap; several share their effects"
+    )
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
     parser.add_argument("--held-out", metavar="RUN", help="an independent run that is never fitted")
     parser.add_argument(
@@ -101,8 +104,9 @@ def diagnose(args: argparse.Namespace) -> int:
     args.effects = [path for path in args.effects if path.endswith(".py")]
     own = load_own(args)
     wanted = [*dict.fromkeys([*names, *own])] if names else None
-    model, runs = open_model(args.bundle), [open_run(path) for path in args.runs]
-    held_out, references = args.held_out and open_run(args.held_out), [open_run(path) for path in args.reference or []]
+    model = open_model(args.bundle)
+    runs, references = ([open_run(path, model) for path in paths] for paths in (args.runs, args.reference or []))
+    held_out = args.held_out and open_run(args.held_out, model)
     for run in [*runs, *references]:
         warn_outside("diagnose", model, run)
     found = find(model, runs, held_out, wanted, args.seed, teller(args), reference=references or None)
@@ -173,7 +177,9 @@ def remove(args: argparse.Namespace) -> int:
 
 def refit_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap refit`."""
-    parser.add_argument("runs", nargs="+", metavar="run", help="the measured run, .npz; several share their effects")
+    parser.add_argument(
+        "runs", nargs="+", metavar="run", help="the measured run, .npz or .mcap; several share their effects"
+    )
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--bundle", metavar="DIR", help="a model with effects: fit the effects again")
     what.add_argument("--finger", metavar="TOML", help="a finger.toml: fit the finger's own numbers ([fit] says which)")
@@ -190,7 +196,7 @@ def refit(args: argparse.Namespace) -> int:
     check_bundle(args.out, args.force)
     load_own(args)
     before = open_model(args.bundle)
-    model, report = fit_again(before, [open_run(path) for path in args.runs])
+    model, report = fit_again(before, [open_run(path, before) for path in args.runs])
     _write(args, model, report | _dropped(before))
     return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
 
@@ -215,12 +221,6 @@ def _refit_finger(args: argparse.Namespace) -> int:
 
 
 # --- what the verbs share -----------------------------------------------------------------------
-
-
-def open_run(path: str) -> Any:
-    from softmap_edge.run import Run
-
-    return Run.load(path)
 
 
 def warn_outside(verb: str, model: Any, run: Any) -> None:

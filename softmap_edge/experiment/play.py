@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.camera.frames import Frame, HostClock, Seen
-from softmap_edge.errors import RunError, ServoError, SoftmapError
+from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.experiment.kept import Played, vertices_of
 from softmap_edge.experiment.pace import PATIENCE, SPAN, Pace, condition, servos_still, view_still
+from softmap_edge.experiment.recorded import with_seen
 from softmap_edge.model import Model
 from softmap_edge.run import Run
 from softmap_edge.servo import words
@@ -33,18 +35,6 @@ WAIT = 0.5  # s after a look until the frames about it have arrived
 GONE, LOST = 0.5, 15.0  # s without a frame after which the file's clock stands, and after which it is over
 BACK = 15.0  # s within which a finger that was told to stop has torque off
 BEGIN = 8.0  # s until the robot is where the file begins
-
-
-@dataclass
-class Played:
-    """What happened: `clock` pairs of (host s, s of the pace), the frames that were taken, how the playing ended."""
-
-    clock: list[tuple[float, float]] = field(default_factory=list)
-    taken: list[tuple[int, Frame]] = field(default_factory=list)  # the look, its frame
-    camera: HostClock = field(default_factory=HostClock)
-    waited: float = 0.0  # s in which it waited for the robot to settle
-    unsettled: int = 0  # rests that went on before all was still
-    whole: bool = False
 
 
 class Player:
@@ -215,34 +205,17 @@ def merged(recording: Path, model: Model, pace: Pace, played: Played) -> Run:
         RunError: torque was never on, or the frames do not fit the model.
     """
     told = read_recording(recording)
-    run = told.run()
-    first = next(period["now"] for period in told.periods if period["torque"])
-    host = run.t + first * 1e-9
+    looks, frames = [look for look, _ in played.taken], [frame for _, frame in played.taken]
+    run, inside = with_seen(told, frames, played.camera, vertices_of(model))
+    host = run.t + told.begun
     clock = np.array(played.clock or [(host[0], 0.0)])
     at = np.interp(host, clock[:, 0], clock[:, 1])
     rows = np.clip(np.searchsorted(pace.t, at, side="right") - 1, 0, len(pace.t) - 1)
     made = pace.made
-    counts = {len(frame.points) for _, frame in played.taken}
-    if len(counts) > 1:
-        raise RunError(f"frames of {sorted(counts)} points; a camera's program sends one number of them throughout")
-    looks, frames = [look for look, _ in played.taken], [frame for _, frame in played.taken]
-    taken = played.camera.times(frames)
-    inside = (taken > host[0]) & (taken < host[-1])
-    points = np.array([frame.points for frame in frames], float).reshape(len(frames), -1, 3)[inside]
-    visible = np.isfinite(points).all(axis=2)
-    vertices = not model.markers and points.shape[1] == len(model.rest)
-    return Run(
-        t=run.t,
-        ticks=run.ticks,
-        present_ticks=run.present_ticks,
-        current=run.current,
-        temperature=run.temperature,
+    return replace(
+        run,
         gravity=made.gravity[rows],
         load=None if made.load is None else made.load[rows],
-        t_seen=taken[inside] - host[0],
-        vertices=points if len(points) and vertices else None,
-        markers=points if len(points) and not vertices else None,
-        visible=visible if len(points) else None,
-        block=np.array([str(made.block[look]) for look in looks])[inside] if len(points) else None,
+        block=np.array([str(made.block[look]) for look in looks])[inside] if run.frames else None,
         robot=model.robot,
     )

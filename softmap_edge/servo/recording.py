@@ -8,6 +8,7 @@ tests/test_recording.py.
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,11 @@ class Recording:
     def limits(self) -> Document:
         """The limits that the guard kept to."""
         return dict(self.setup["limits"])
+
+    @property
+    def begun(self) -> float:
+        """When torque first came on, s of the host's monotonic clock: time 0 of the run; NaN where it never did."""
+        return next((period["now"] * 1e-9 for period in self.periods if period["torque"]), math.nan)
 
     def replay(self) -> list[int]:
         """Let the same guard decide every period again; returns the periods in which it decides otherwise.
