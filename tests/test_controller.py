@@ -72,7 +72,7 @@ def test_who_sent_nothing_for_too_long_is_told_so_and_who_let_go_that_he_did():
         robot.engage()
         robot.release()
         until(lambda: robot.state == "ready", 10.0)
-        with pytest.raises(ServoError, match=r"in state ready \(the key was let go\); engage it first"):
+        with pytest.raises(ServoError, match=r"in state ready \(the deadman was released\); engage it first"):
             robot.target([0.0, 0.0])
 
 

@@ -97,6 +97,10 @@ def test_a_program_presses_and_releases():
         assert robot.state == "fault" and not torque(bus), "released is not acknowledged"
         again(robot)
         assert torque(bus)
+        robot.emergency()
+        robot.emergency(False)
+        robot.request("acknowledge")  # it waits until the servos have said that they have no torque
+        assert robot.state == "homed"
 
 
 def test_it_stops_from_another_thread_while_targets_are_sent():

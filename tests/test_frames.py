@@ -145,7 +145,7 @@ def test_a_camera_that_freezes_is_told_in_time():
 
 def test_cameras_that_cannot_be_opened(monkeypatch, tmp_path):
     monkeypatch.setattr(frames, "DEVICES", tmp_path)
-    with pytest.raises(TeleopError, match=r"there is no .*video7; there are none at all"):
+    with pytest.raises(TeleopError, match=r"there is no .*video7; connect one, or give a video file"):
         CameraFrames(7)
     (tmp_path / "video2").write_text("")
     with pytest.raises(TeleopError, match="there are .*video2"):

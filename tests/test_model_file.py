@@ -50,7 +50,7 @@ def test_a_wheel_becomes_a_task_file_and_a_task_file_is_copied(tmp_path):
 def test_what_is_there_is_kept_unless_forced(tmp_path):
     task = fetch_model(wheel(tmp_path / "a.whl"), tmp_path / "hand.task")
     other = wheel(tmp_path / "b.whl", **{DETECTOR: b"\x1c\0\0\0TFL3other"})
-    with pytest.raises(TeleopError, match="is there already; force replaces it"):
+    with pytest.raises(TeleopError, match="is there already; --force replaces it"):
         fetch_model(other, task.path)
     assert check_model(task.path) == task
     assert fetch_model(other, task.path, force=True).sha256 != task.sha256

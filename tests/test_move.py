@@ -42,6 +42,7 @@ def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
             until(lambda: angles(bus)[1] <= HOME - jog.travel + 6)
             time.sleep(0.3)
             assert angles(bus)[1] == pytest.approx(HOME - jog.travel, abs=6), "no farther than its travel"
+            assert not jog.push(1, -1) and jog.push(1, 1), "and it is told"
         assert not torque(bus)
 
 
@@ -147,7 +148,7 @@ def test_one_jog_by_options(tmp_path, capsys):
 
 
 def test_to_a_command_and_back(capsys):
-    assert main(["move", "2,-1", "--sim", "--hold", "--seconds", "4", "--json"]) == 0
+    assert main(["move", "2,-1", "--sim", "--hold", "--seconds", "0.6", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["done_mm"] == pytest.approx([2.0, -1.0])
     assert document["at_mm"] == pytest.approx([2.0, -1.0], abs=5 / TICKS_PER_MM)

@@ -2,7 +2,9 @@
 
 import json
 import re
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commissioning.jog import Held, Jog
-from softmap_edge.commissioning.pull import MARGIN, pull
+from softmap_edge.commissioning.pull import LEAST_READ, MARGIN, _stand, pull
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.ceiling import Ceiling
 from softmap_edge.servo.combined import IDLE, combined
@@ -137,3 +139,48 @@ def test_no_terminal_and_no_hold_moves_nothing(folder, capsys):
     bus, file, bundle = folder
     assert main(words(file, bundle)[:-1]) == 2
     assert "no terminal whose keys" in capsys.readouterr().err and not torque(bus)
+
+
+class Jogged:
+    """A jog whose servo is on its way for `late` s, 100 ticks/s, then stands."""
+
+    def __init__(self, late, says=True):
+        self.rig, self.late, self.says = Rig("/dev/none", BAUD, (RigServo(1, MODEL, HOME),)), late, says
+        self.robot = SimpleNamespace(state="commissioning", report={})
+        self.begun, self.current = time.monotonic(), np.array([30.0])
+
+    def obey(self, hand):
+        pass
+
+    def keep(self):
+        pass
+
+    @property
+    def position(self):
+        way = 100.0 * min(time.monotonic() - self.begun, self.late)
+        return np.array([HOME + way if self.says else np.nan])
+
+
+def test_a_servo_that_is_on_its_way_yet_is_waited_for():
+    stood = _stand(Jogged(0.8), 0, Held())
+    assert all(away == pytest.approx(80.0, abs=3.0) and mA == 30.0 for away, mA in stood)
+
+
+def test_one_that_never_stands_is_read_as_it_is(brief, monkeypatch):
+    monkeypatch.setattr("softmap_edge.commissioning.pull.SILENT", 0.5)
+    jog = Jogged(60.0)
+    assert len(_stand(jog, 0, Held())) >= LEAST_READ and time.monotonic() - jog.begun < 3.0
+
+
+def test_time_goes_on_only_while_it_is_held(brief, monkeypatch):
+    """Who lets go for longer than a silence is waited for is told nothing of the wiring."""
+    monkeypatch.setattr("softmap_edge.commissioning.pull.SILENT", 0.2)
+
+    class Pauses(Held):
+        def held(self):
+            return time.monotonic() - jog.begun > 1.0
+
+    jog = Jogged(0.0)
+    assert len(_stand(jog, 0, Pauses())) >= LEAST_READ
+    with pytest.raises(ServoError, match="servo 1 says nothing of its current"):
+        _stand(Jogged(0.0, says=False), 0, Held())

@@ -57,3 +57,4 @@ def confirm(question: str, instead: str) -> bool:
         answer = sys.stdin.readline().strip().lower()
         if answer in ("y", "yes", "n", "no", ""):
             return answer.startswith("y")
+        print("y for yes, n or Enter for no", file=sys.stderr)

@@ -15,7 +15,7 @@ import numpy as np
 from softmap_edge.commands.commissioning import confirm, deadman, hold_argument, tell
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.robot import bench_of, driving, emulated
-from softmap_edge.commissioning.jog import EVERY, Jog, most_travel
+from softmap_edge.commissioning.jog import ARRIVED, EVERY, Jog, most_travel
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.motion.curves import WIDEST
 from softmap_edge.servo import words
@@ -43,7 +43,9 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bundle", metavar="DIR", help="whose calibration maps mm to ticks (default: built-in finger)")
     parser.add_argument("--servo", type=int, metavar="ID", help="jog this servo, by --by")
     parser.add_argument("--by", type=float, metavar="TICKS", help=f"how far, at most {JOG_TRAVEL:.0f} either way")
-    parser.add_argument("--seconds", type=float, default=3.0, metavar="S", help="stay at U1,U2 so long (3)")
+    parser.add_argument(
+        "--seconds", type=float, default=3.0, metavar="S", help="stay so long where U1,U2 is reached (3)"
+    )
     hold_argument(parser)
 
 
@@ -102,7 +104,7 @@ def _numbered(rig: Rig, id: int) -> int:
 
 def _by_keys(jog: Jog, hand: Any) -> None:
     """Let keys jog until one stops: a step at a press, kept under torque while it may yet be held, then on."""
-    chosen, count, presses, step = 0, len(jog.rig.servos), 0, 0.0
+    chosen, count, presses, step, ended = 0, len(jog.rig.servos), 0, 0.0, False
     while not hand.stopped:
         key = hand.key()
         if key.isdigit() and 0 < int(key) <= count:
@@ -110,13 +112,15 @@ def _by_keys(jog: Jog, hand: Any) -> None:
         servo, way = ARROWS.get(key, (chosen, SIGNS.get(key, 0)))
         if way and servo < count:
             if hand.held():
-                jog.push(servo, way)
+                ended = not jog.push(servo, way)
             else:
                 if hand.presses != presses:
                     presses, step = hand.presses, float(jog.goal[servo]) + way * STEP
-                jog.press(servo, step)
+                ended = not jog.press(servo, step)
         at = "  ".join(f"{one.id}: {tick:.0f}" for one, tick in zip(jog.rig.servos, jog.position))
-        print(f"\r{at}  ({words.state(jog.robot.report)}) ", end="", file=sys.stderr, flush=True)
+        ended = ended and jog.robot.state == "commissioning"
+        end = ": as far as one jog goes; let go, and on once torque is off" if ended else ""
+        print(f"\r{at}  ({words.state(jog.robot.report)}{end})\x1b[K", end="", file=sys.stderr, flush=True)
         time.sleep(EVERY)
     print(file=sys.stderr)
     jog.obey(hand)
@@ -140,9 +144,11 @@ def _go(args: argparse.Namespace) -> int:
             raise ServoError("nothing moved: nobody said that the finger is free")
         robot = Controller(there.rig, there.calibration, there.limits)
         with driving(robot):
-            done, begun = robot.engage(u), time.monotonic()
-            while time.monotonic() - begun < args.seconds:
+            done, arrived = robot.engage(u), None
+            while arrived is None or time.monotonic() - arrived < args.seconds:
                 done = robot.target(u)
+                if arrived is None and _sent_there(robot, done):
+                    arrived = time.monotonic()
                 time.sleep(EVERY)
             at = there.calibration.commands(robot.position)
     document = {"schema": "softmap.move/1", "command_mm": u.tolist(), "done_mm": done.tolist(), "at_mm": at.tolist()}
@@ -150,6 +156,12 @@ def _go(args: argparse.Namespace) -> int:
     said = f"sent to {_mm(done)} mm{cut}, came to {_mm(at)} mm by the servos; slack again, torque is off"
     print(json.dumps(document) if args.json else said)
     return 0
+
+
+def _sent_there(robot: Controller, command: Any) -> bool:
+    """Return whether the goals that are sent have come to a command."""
+    goals = robot.report.get("goal") or [None]
+    return None not in goals and bool(np.abs(np.array(goals) - robot.calibration.ticks(command)).max() < ARRIVED)
 
 
 def _mm(numbers: Any) -> str:

@@ -91,7 +91,10 @@ def _jogged(args: argparse.Namespace, rig: Rig, model: Model) -> list[int]:
                     jog.by(k, -came, hand)
             jog.stop()
         if hand.stopped or abs(came) < MOVES * JOGGED:
-            raise ServoError(f"servo {servo.id} came {came:+.0f} of {JOGGED:+.0f} ticks; nothing is known of its sign")
+            why = "a key that stops was pressed" if hand.stopped else "look what holds it"
+            raise ServoError(
+                f"servo {servo.id} came {came:+.0f} of {JOGGED:+.0f} ticks, so nothing is known of its sign: {why}"
+            )
         if confirm(f"Did servo {servo.id} bend the tip towards {way} of the base first?", "--signs"):
             signs.append(1)
         elif confirm("Did it bend the tip the other way?", "--signs"):

@@ -119,10 +119,10 @@ class Jog:
         """What they draw (C,), mA; NaN of those that do not measure it."""
         return np.array([np.nan if one is None else one for one in self.robot.report["current_mA"]], float)
 
-    def press(self, servo: int, ticks: float) -> None:
+    def press(self, servo: int, ticks: float) -> bool:
         """Aim servo number `servo` (from 0) at `ticks`, the others at where they are; counts as a pressed deadman.
 
-        Torque comes on with the first. Ticks beyond the travel of the jog are cut off.
+        Torque comes on with the first. Ticks beyond the travel of the jog are cut off; returns whether none were.
 
         Raises:
             ServoError: the guard denies it, or a fault ended the jog.
@@ -141,10 +141,12 @@ class Jog:
         target[servo] = min(max(ticks, low), high)
         self._target = target
         self.robot.target(target)
+        return bool(low <= ticks <= high)
 
-    def push(self, servo: int, direction: int) -> None:
-        """Let servo number `servo` go on in a direction, ±1, as long as this is called again and again."""
-        self.press(servo, self.goal[servo] + direction * self.slew * AHEAD)
+    def push(self, servo: int, direction: int) -> bool:
+        """Let servo number `servo` go on in a direction, ±1, as long as this is called again and again; returns whether
+        it may go so far."""
+        return self.press(servo, self.goal[servo] + direction * self.slew * AHEAD)
 
     def keep(self) -> None:
         """Keep everything where it is, deadman pressed."""

@@ -10,6 +10,7 @@ is reached by a straight line, a stroke much longer is refused. Pinned by tests/
 from __future__ import annotations
 
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -36,7 +37,8 @@ BEYOND = 1.25  # times what was reached: a stroke up to there is told by a strai
 SHORT = 0.05  # of a leg by which a servo may stay behind its goal, but never less than LEAST_SHORT
 LEAST_SHORT = 25.0  # ticks
 LEAST_READ = 5  # readings of the current at an end
-SILENT = 3.0  # s more in which they have to come
+SILENT = 3.0  # s more in which they have to come, and in which a servo comes to rest
+STILL = 3.0  # ticks by which a servo at rest may move
 STANDS = 0.6  # s at an end over which the current is taken
 OUTER = 0.9  # of a leg from which on the current of the move counts
 RISES = 2.0  # steps of its current reading by which a servo draws more at the stroke than at home, standing
@@ -195,21 +197,29 @@ def _most_current(jog: Jog, k: int) -> float:
 
 
 def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
-    """Stand for STANDS, and return what a servo says meanwhile."""
+    """Stand until a servo is still, SILENT more at most, and return what it said over the last STANDS."""
     servo = jog.rig.servos[k]
     stood: list[tuple[float, float]] = []
-    until = time.monotonic() + STANDS
-    while time.monotonic() < until or len(stood) < LEAST_READ:
-        if time.monotonic() > until + SILENT and hand.held():
-            raise ServoError(f"servo {servo.id} says nothing of its current; look at the wiring of the bus")
+    times: list[float] = []
+    held, last = 0.0, time.monotonic()  # only while it is held does its time go on
+    while True:
         jog.obey(hand)
         if hand.stopped or jog.robot.state != "commissioning":
             raise ServoError(_ended(jog, servo))
+        now = time.monotonic()
         if hand.held():
+            held += now - last
             jog.keep()
-            stood += _now(jog, k)
+            new = _now(jog, k)
+            stood, times = stood + new, times + [held] * len(new)
+        last = now
+        lately = stood[min(bisect_right(times, held - STANDS), max(len(stood) - LEAST_READ, 0)) :]
+        whole = held >= STANDS and len(lately) >= LEAST_READ
+        if whole and (np.ptp([away for away, _ in lately]) <= STILL or held >= STANDS + SILENT):
+            return lately
+        if held >= STANDS + SILENT:
+            raise ServoError(f"servo {servo.id} says nothing of its current; look at the wiring of the bus")
         time.sleep(EVERY)
-    return stood
 
 
 def _at(stroke: float, reached: float, mA: float, side: Floats) -> float:

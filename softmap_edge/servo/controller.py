@@ -180,7 +180,10 @@ class Controller(Watched):
             )
         if name not in REQUESTS:
             raise ServoError(f"no request '{name}'; there are {', '.join(one for one in REQUESTS if one != 'home')}")
-        self._ask(name, seconds)
+        if name in ("connect", "acknowledge"):
+            self._reach(name, seconds)
+        else:
+            self._ask(name, seconds)
 
     def _ask(self, name: str, seconds: float = 3.0) -> None:
         reached = {"connect": "connected", "home": "homed", "arm": "ready", "disconnect": "off"}.get(name)
@@ -326,13 +329,13 @@ class Controller(Watched):
         self._reader = threading.Thread(target=self._watch, args=(mine, self._process), daemon=True)
         self._reader.start()
 
-    def _reach(self, request: str) -> None:
+    def _reach(self, request: str, seconds: float = 3.0) -> None:
         """Ask until it is granted: whether a servo has torque is heard five times a second, and one late answer is no
         trouble that lasts."""
         until = time.monotonic() + SAID
         while True:
             try:
-                return self._ask(request)
+                return self._ask(request, seconds)
             except ServoError:
                 if not str(self._last.get("denied")).startswith(PASSING) or time.monotonic() > until:
                     raise

@@ -20,7 +20,7 @@ LEVELS: dict[str, Level] = {
 CAUSES = {
     "none": "",
     "asked": "somebody asked for it",
-    "deadman": "the key was let go",
+    "deadman": "the deadman was released",
     "stale": "no target came in time",
     "refused": "targets were refused: not finite, or a jump too far",
     "late": "a servo did not answer in time",

@@ -205,8 +205,9 @@ def _opened(index: int) -> Any:
     cv2 = _cv2()
     file = DEVICES / f"video{index}"
     if not file.exists():
-        there = ", ".join(sorted(str(device) for device in DEVICES.glob("video*"))) or "none at all"
-        raise TeleopError(f"camera {index}: there is no {file}; there are {there}")
+        there = ", ".join(sorted(str(device) for device in DEVICES.glob("video*")))
+        mend = f"there are {there}" if there else "connect one, or give a video file or udp://:PORT"
+        raise TeleopError(f"camera {index}: there is no {file}; {mend}")
     if not os.access(file, os.R_OK | os.W_OK):
         raise TeleopError(f"camera {index}: no permission for {file}; run sudo usermod -aG video $USER and log in anew")
     device = cv2.VideoCapture(index, cv2.CAP_V4L2)

@@ -65,7 +65,7 @@ def fetch_model(source: str | Path, to: str | Path | None = None, *, force: bool
     target = default_path() if to is None else Path(to)
     networks, is_task = _networks(Path(source))
     if target.exists() and not force:
-        raise TeleopError(f"{target}: is there already; force replaces it, or give another name")
+        raise TeleopError(f"{target}: is there already; --force replaces it, --model names another")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with beside(target) as partial:
