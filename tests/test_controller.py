@@ -97,7 +97,7 @@ def test_a_request_that_is_denied_says_why():
     ],
 )
 def test_a_fault_ends_without_torque(name, breaks):
-    silent = pytest.raises(ServoError, match="did not confirm that its torque is off")
+    silent = pytest.raises(ServoError, match="did not confirm that (its|their) torque is off")
     with bench() as (bus, rig, limits):
         with silent if name == "silent" else contextlib.nullcontext(), Controller(rig, calibration(), limits) as robot:
             robot.engage()
@@ -162,6 +162,25 @@ def test_a_fault_after_which_home_must_be_proved_is_kept_over_a_restart(how):
             assert robot.state == "ready", "an emergency stop loses no home"
 
 
+def test_a_finger_that_does_not_come_home_at_the_end_is_told():
+    with bench() as (bus, rig, limits):
+        limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
+        told = pytest.raises(ServoError, match=r"in state fault \(servo 1 does not follow.*prove home anew")
+        with told, Controller(rig, calibration(), limits) as robot:
+            robot.engage()
+            hold_for(robot, [2.5, 0.0], 1.5)
+            bus.damage(0, jammed=True)  # seen only on the way back
+        assert not torque(bus)
+
+
+def test_a_fault_that_its_program_has_seen_is_not_told_again():
+    with bench() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
+        robot.engage()
+        hold_for(robot, [1.0, 0.0], 0.5)
+        bus.heat(0, 69.0)
+        until(lambda: robot.state == "fault", 5.0)
+
+
 def acknowledged(robot):
     """Return whether the fault could be acknowledged; it cannot before every servo has said that it has no torque."""
     with contextlib.suppress(ServoError):
@@ -170,7 +189,7 @@ def acknowledged(robot):
 
 
 def test_an_unplugged_port_ends_the_loop_with_a_reason():
-    unsure = pytest.raises(ServoError, match="servo 1, 2 did not confirm that its torque is off")
+    unsure = pytest.raises(ServoError, match="servos 1, 2 did not confirm that their torque is off; cut their supply")
     with bench() as (bus, rig, limits), unsure, Controller(rig, calibration(), limits) as robot:
         robot.engage()
         bus.unplug()
@@ -258,7 +277,7 @@ def test_a_loop_that_dies_or_freezes_is_released_from_here(program, how):
     os.kill(loop, how)
     until(lambda: not torque(bus), 2.0)
     user.wait(10)
-    assert b"mend and acknowledge that first" in user.stderr.read()
+    assert b"mend that, then prove home anew" in user.stderr.read()
 
 
 def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so(program):

@@ -3,9 +3,12 @@
 import io
 import json
 import os
+import re
 import subprocess
 import time
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from command import SOFTMAP
@@ -13,6 +16,7 @@ from rigs import bench, calibration, torque
 
 from softmap_edge import _core
 from softmap_edge.cli import main
+from softmap_edge.commands import servo_emulate
 from softmap_edge.commands.robot import HOME
 from softmap_edge.commissioning import setup
 from softmap_edge.errors import ServoError
@@ -206,9 +210,10 @@ def test_an_emulated_bench_takes_faults_from_standard_input(tmp_path):
         assert read_rig(rig).port == port
         with opened(port, 1_000_000) as bus:
             assert bus.ping(2) == (XL330, 46)
-            process.stdin.write("mute 1\nfly 3\nheat 0 60\n")
+            process.stdin.write("mute 1\nfly 3\nheat 0 abc\nheat 0 60\n")
             process.stdin.flush()
             assert "no such fault; faults, one a line" in process.stderr.readline()
+            assert "heat 0 abc: not all of it are numbers of that kind" in process.stderr.readline()
             begin = time.monotonic()
             while setup.registers(bus, 1)["present_temperature"] < 55:
                 assert time.monotonic() - begin < 5.0
@@ -292,3 +297,18 @@ def test_a_rig_that_is_no_file_is_refused(tmp_path):
     os.mkfifo(tmp_path / "rig.toml")
     with pytest.raises(ServoError, match="rig.toml: no file; give a rig.toml"):
         read_rig(tmp_path / "rig.toml")
+
+
+def test_each_line_of_faults_on_the_page_is_understood():
+    page = (Path(__file__).parents[1] / "docs/safety.md").read_text(encoding="utf-8")
+    rows = page.split("| what is typed | what breaks |")[1].split("\n\n")[0].splitlines()[2:]
+    typed = [line for row in rows for line in re.findall(r"`([^`]+)`", row.split("|")[1])]
+    named = {line.split()[0] for line in typed}
+    known = set(re.findall(r"[a-z_]+", servo_emulate.FAULTS.split("faults, one a line: ")[1].split("(")[0]))
+    assert named == known | {"blind"}, "all that there are"
+    finger = SimpleNamespace(blind=lambda is_so: None)
+    bus = _core.EmulatedBus([(id, XL330, 57_600, 500.0) for id in (1, 2)], [[], []], seed=1)
+    for line in typed:
+        if line != "unplug":
+            servo_emulate._break(bus, finger, line.split())
+    servo_emulate._break(bus, finger, ["unplug"])

@@ -44,6 +44,17 @@ def test_what_is_denied_is_told_in_words(said, line):
     assert words.denied(said) == line
 
 
+def test_what_leads_on_fits_the_state_and_home_is_lost_where_the_guard_loses_it():
+    assert "softmap servo home" in words.onward({"state": "fault", "cause": "hardware"})
+    assert words.onward({"state": "fault", "cause": "hot"}) == "mend that, then acknowledge it or begin anew"
+    assert "once it is slack" in words.onward({"state": "safe_stop", "cause": "hot"})
+    assert words.onward({"state": "ready"}) == "engage it first"
+    page = (Path(__file__).parents[1] / "docs/safety.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| ")]
+    lost = {row[0] for row in rows if len(row) == 4 and "home must be proved" in row[3]}
+    assert lost | {"loop"} == set(words.LOSES_HOME)
+
+
 def test_no_word_of_the_guards_own_is_shown():
     report = {"state": "safe_stop", "cause": "stale"}
     assert words.where(report) == "in state slackening (no target came in time)"

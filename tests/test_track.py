@@ -122,9 +122,12 @@ def test_the_verb_tracks_on_an_emulated_robot_and_draws(tmp_path, capsys):
     assert (tmp_path / "o.svg").stat().st_size < 500_000
 
 
-def test_a_plan_is_drawn_with_its_commands_and_a_workspace_from_its_rest(tmp_path):
+def test_a_plan_is_drawn_with_its_commands_and_a_workspace_from_its_rest(tmp_path, capsys):
     plan, reach = tmp_path / "plan.svg", tmp_path / "reach.svg"
     assert main(["track", "O", "--plan", "--amplitude", "5", "--rate", "20", "--picture", str(plan)]) == 0
+    assert "were asked for" not in capsys.readouterr().out
+    assert main(["track", "O", "--plan", "--amplitude", "5", "--rate", "20", "--duration", "0.2"]) == 0
+    assert "0.2 s were asked for: slew and acceleration" in capsys.readouterr().out
     assert "command, mm" in plan.read_text() and "edge of reach" not in plan.read_text()
     assert main(["track", "--workspace", "--reach", "60", "0", "60", "--picture", str(reach)]) == 0
     assert "edge of reach" in reach.read_text() and "tip off by" not in plan.read_text()

@@ -224,10 +224,12 @@ impl<P: Port> Drive<P> {
             .sync_write(&self.ids, register.address, size, &self.data[..all])
     }
 
+    /// Read of each servo; one answer for all breaks off at a servo that is silent, so that then each gives its own.
     fn read(&mut self, (address, size): (u16, usize)) -> Result<(), Fault> {
+        let fast = self.fast && self.heard.iter().all(Result::is_ok);
         let data = &mut self.data[..self.ids.len() * size];
         self.bus
-            .sync_read(&self.ids, address, size, data, &mut self.heard, self.fast)
+            .sync_read(&self.ids, address, size, data, &mut self.heard, fast)
     }
 }
 

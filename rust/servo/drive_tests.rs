@@ -76,3 +76,36 @@ fn a_watchdog_that_tripped_under_a_loop_that_died_is_told_while_it_holds_and_the
     drive.command(false, &[2000], &[Some(100.0)]).unwrap();
     assert_eq!(tripped(&mut drive), (false, false));
 }
+
+#[test]
+fn a_silent_servo_takes_the_others_answers_with_it_once_only() {
+    let mut drive = alone(1200);
+    let mut other = drive.bus().port().emulator.servos[0].clone();
+    other.write(X_SERIES.id.address, &[2]).unwrap();
+    drive.bus().port().emulator.servos.push(other);
+    let members = [1, 2].map(|id| Member {
+        id,
+        model: model(1200).unwrap(),
+    });
+    let mut drive = Drive::new(drive.bus, &members, true, 100.0);
+    let heard = |drive: &mut Drive<Virtual>| {
+        drive.examine().unwrap();
+        let said = drive.sense().unwrap();
+        [said[0].is_some(), said[1].is_some()]
+    };
+    let mute = |drive: &mut Drive<Virtual>, is: bool| {
+        drive.bus().port().emulator.servos[0].broken.mute = is;
+    };
+    assert_eq!(heard(&mut drive), [true, true]);
+    mute(&mut drive, true);
+    assert!(drive.sense().unwrap().iter().all(Option::is_none));
+    for _ in 0..3 {
+        assert_eq!(heard(&mut drive), [false, true]);
+    }
+    drive.command(false, &[2000; 2], &[None; 2]).unwrap();
+    drive.ask_anew();
+    drive.examine().unwrap();
+    assert_eq!(drive.unreleased(), [1], "the other has said it");
+    mute(&mut drive, false);
+    assert_eq!(heard(&mut drive), [true, true]);
+}

@@ -16,10 +16,12 @@ from softmap_edge.errors import ServoError
 from softmap_edge.terminal_keys import terminal, wait_for_release
 
 
-def hold_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare `--hold`, the same wherever a deadman is."""
+def hold_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """Declare `--hold`, the same wherever a deadman is; `more` says what else it does."""
     parser.add_argument(
-        "--hold", action="store_true", help="no key needs to be held: the program holds while it runs, Ctrl-C lets go"
+        "--hold",
+        action="store_true",
+        help=f"no key needs to be held: the program holds while it runs, Ctrl-C lets go{more}",
     )
 
 

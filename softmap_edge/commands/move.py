@@ -46,7 +46,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=float, default=3.0, metavar="S", help="stay so long where U1,U2 is reached (3)"
     )
-    hold_argument(parser)
+    hold_argument(parser, " (U1,U2 is held by the program, and asks first without it)")
 
 
 def move(args: argparse.Namespace) -> int:

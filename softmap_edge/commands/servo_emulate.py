@@ -208,6 +208,10 @@ def _bare(args: argparse.Namespace) -> int:
     return 0
 
 
+class NoSuchFault(Exception):
+    """A line that names none."""
+
+
 def _obey(bus: _core.EmulatedBus, finger: EmulatedFinger | None) -> None:
     """Do the faults that come on standard input."""
     known = FAULTS if finger is None else f"{FAULTS} · {FINGER_FAULTS}"
@@ -216,8 +220,10 @@ def _obey(bus: _core.EmulatedBus, finger: EmulatedFinger | None) -> None:
             if fault := line.split():
                 try:
                     _break(bus, finger, fault)
-                except (ServoError, ValueError, OverflowError) as said:
+                except (ServoError, NoSuchFault) as said:
                     print(f"{line.strip()}: {said}; {known}", file=sys.stderr)
+                except (ValueError, OverflowError):
+                    print(f"{line.strip()}: not all of it are numbers of that kind; {known}", file=sys.stderr)
         to_stderr(f"standard input has ended, and {bus.path} with it; in the background keep it open: {KEPT_OPEN}")
 
 
@@ -247,4 +253,4 @@ def _break(bus: _core.EmulatedBus, finger: EmulatedFinger | None, fault: list[st
     elif name == "blind" and numbers in (["0"], ["1"]) and finger is not None:
         finger.blind(numbers == ["1"])
     else:
-        raise ValueError("no such fault")
+        raise NoSuchFault("no such fault")

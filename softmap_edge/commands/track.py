@@ -165,6 +165,7 @@ def _document(
         "left": [name for name in kinematics.model.chain_names if name not in kinematics.undone],
         "hidden": [name for name in args.hide.split(",") if name] if args.sim else None,
         "waypoints": int(counts.sum()),
+        "asked_s": args.duration,
         "seconds": float(plan.t[-1] - plan.t[counts][0]),
         "quickest_s": planned.quickest,
         "unreachable_mm": float(plan.unreachable[counts].max()),
@@ -188,6 +189,8 @@ def _text(told: dict[str, Any]) -> str:
         f"least; effects undone: {', '.join(told['effects']) or 'none'}"
         + (f"; not undone: {', '.join(told['left'])}" if told["left"] else "")
     ]
+    if told["quickest_s"] > told["asked_s"]:
+        lines.append(f"{told['asked_s']:g} s were asked for: slew and acceleration of the servos take longer")
     if told["unreachable_mm"] > 0.01:
         lines.append(
             f"part of it is out of reach, by up to {told['unreachable_mm']:.2f} mm: the nearest points are taken"

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from softmap_edge.commissioning.home import NEAR
 from softmap_edge.errors import CalibrationError, ServoError
 from softmap_edge.model import Model
+from softmap_edge.servo.proof import AGAIN
 from softmap_edge.servo.rig import Rig
 from softmap_edge.ticks import TURN, Calibration
 
@@ -102,7 +103,7 @@ def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[in
     homes = [servo.home for servo in rig.servos]
     if None in homes:
         id = rig.servos[homes.index(None)].id
-        raise ServoError(f"servo {id} has no home; let the finger hang straight and `softmap servo home --rig FILE`")
+        raise ServoError(f"servo {id} has no home; {AGAIN}")
     slope = 2.0 * np.pi / TURN * pulley.mm
     share = pulley.sigma / pulley.mm
     doubt = np.where(np.eye(count) > 0, share, COUPLING) * slope

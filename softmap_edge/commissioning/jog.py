@@ -129,7 +129,8 @@ class Jog:
         """
         state = self.robot.state
         if state not in ("commissioning", "connected"):
-            raise ServoError(f"the guard ended the jog: the robot is {words.where(self.robot.report)}")
+            report = self.robot.report
+            raise ServoError(f"the guard ended the jog: the robot is {words.where(report)}; {words.onward(report)}")
         if state == "connected":
             self.robot.request("commission")
             self._began, self._target = self.goal, None

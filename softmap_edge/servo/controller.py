@@ -104,6 +104,7 @@ class Controller(Watched):
         self._command: Floats | None = None
         self._drove_at: float | None = None  # s of the last target, None once it was let go of
         self._pressed = False
+        self._known = False  # a fault was told to whoever asked
         self._silent = 0
 
     def __enter__(self) -> Self:
@@ -132,7 +133,9 @@ class Controller(Watched):
     def state(self) -> str:
         """Where the guard stands: `off`, `connected`, `homed`, `ready`, `engaged`, `hold`, `safe_stop`, `fault`, …"""
         self._rescue_if_needed()
-        return str(self._last.get("state", "off"))
+        state = str(self._last.get("state", "off"))
+        self._known = state == "fault"
+        return state
 
     @property
     def position(self) -> Floats:
@@ -228,8 +231,7 @@ class Controller(Watched):
         """
         state = self.state
         if state not in ("engaged", "hold", "commissioning"):
-            first = "mend and acknowledge that" if state == "fault" else "engage it"
-            raise ServoError(f"the robot is {self._silence() or words.where(self._last)}; {first} first")
+            raise ServoError(f"the robot is {self._silence() or words.where(self._last)}; {words.onward(self._last)}")
         return self._target(u)
 
     def release(self) -> None:
@@ -253,17 +255,20 @@ class Controller(Watched):
         process = self._process  # another thread may be closing it
         if not off and process is not None:
             self._rescue(process)
+            self._known = True
             raise ServoError(str(self._last["rescued"]))
 
     def close(self) -> None:
         """Slacken, switch torque off, end the loop; whatever fails, torque off is sent.
 
         Raises:
-            ServoError: a servo has not said that it has no torque.
+            ServoError: a servo has not said that it has no torque, or a fault that nobody was told of kept the finger
+                from going home.
         """
         process = self._process
         if process is None:
             return
+        faults = []
         try:
             if self._last.get("state") in ACTIVE:
                 self._send(request=REQUESTS.index("stop") + 1)
@@ -272,6 +277,9 @@ class Controller(Watched):
                         lambda: self._last.get("state") not in ACTIVE or self._frozen(),
                         float(self.limits["slacken"]) + 2.0,
                     )
+            pressed = self._pressed and self._last.get("cause") == "emergency"
+            if self._last.get("state") == "fault" and not self._known and not pressed:
+                faults = [f"the robot is {words.where(self._last)}; {words.onward(self._last)}"]
         finally:
             with self._ordering:
                 self._ending, self._process = True, None
@@ -285,9 +293,11 @@ class Controller(Watched):
             if process.returncode != 0 and "error" not in self._last:
                 self._rescue(process)
         if kept := self._last.get("kept"):
-            raise ServoError(str(kept))
-        if self._drove and (kept := self._end.get("kept_torque")):
-            raise ServoError(kept_words(kept))
+            faults.append(str(kept))
+        elif self._drove and (kept := self._end.get("kept_torque")):
+            faults.append(kept_words(kept))
+        if faults:
+            raise ServoError("; ".join(faults))
 
     # --- the loop's process -------------------------------------------------------------
 

@@ -61,8 +61,8 @@ def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) 
             )
         if not marked(bus, id, home):
             raise ServoError(
-                f"servo {id}: home is not proved since power-up (turns are lost without power, or it was set up anew, "
-                f"or the rig's home was changed); let the finger hang straight and {AGAIN}"
+                f"servo {id}: home is not proved since power-up (turns are lost without power; a fault, setting up and "
+                f"another home in the rig need a new proof too); let the finger hang straight and {AGAIN}"
             )
 
 

@@ -65,6 +65,7 @@ STATES = {
     "commissioning": "Commissioning",
     "fault": "Fault, torque is off",
 }
+LOSES_HOME = ("silent", "hardware", "following", "lost", "dropped", "tripped", "loop")  # causes, under torque
 QUIET = ("engaged", "ready")  # states in which the cause is that of what was before
 
 
@@ -92,6 +93,17 @@ def where(report: dict[str, Any]) -> str:
     """Return state and cause as part of a sentence: `in state slackening (no target came in time)`."""
     why = cause(report)
     return f"in state {state(report)}" + (f" ({why})" if why else "")
+
+
+def onward(report: dict[str, Any]) -> str:
+    """Return what leads on from a state that follows no commands."""
+    state, loses = report.get("state"), report.get("cause") in LOSES_HOME
+    if state == "fault" and loses:
+        return "mend that, then prove home anew (`softmap servo home`)"
+    if state == "fault":
+        mend = "release it and see that all is well" if report.get("cause") == "emergency" else "mend that"
+        return f"{mend}, then acknowledge it or begin anew"
+    return "once it is slack, see to that and begin anew" if state == "safe_stop" else "engage it first"
 
 
 def denied(said: str) -> str:
