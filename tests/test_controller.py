@@ -173,12 +173,30 @@ def test_a_finger_that_does_not_come_home_at_the_end_is_told():
         assert not torque(bus)
 
 
+def test_what_ends_a_program_goes_on_as_what_it_is_with_what_the_finger_did():
+    with bench() as (bus, rig, limits):
+        limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
+        with pytest.raises(LookupError) as ended, Controller(rig, calibration(), limits) as robot:
+            robot.engage()
+            hold_for(robot, [2.5, 0.0], 1.5)
+            bus.damage(0, jammed=True)
+            raise LookupError("of its own")
+        assert "prove home anew" in ended.value.__notes__[0] and not torque(bus)
+
+
 def test_a_fault_that_its_program_has_seen_is_not_told_again():
-    with bench() as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
-        robot.engage()
-        hold_for(robot, [1.0, 0.0], 0.5)
-        bus.heat(0, 69.0)
-        until(lambda: robot.state == "fault", 5.0)
+    with bench() as (bus, rig, limits):
+        with Controller(rig, calibration(), limits) as robot:
+            robot.engage()
+            hold_for(robot, [1.0, 0.0], 0.5)
+            bus.heat(0, 69.0)
+            until(lambda: robot.report["state"] == "fault", 5.0)
+        with pytest.raises(ServoError, match=r"servo 1 is too hot\); mend that, .*\banew$"):
+            bus.heat(0, 30.0)
+            with Controller(rig, calibration(), limits) as robot:
+                robot.engage()
+                bus.heat(0, 69.0)
+                hold_for(robot, [1.0, 0.0], 9.0)
 
 
 def acknowledged(robot):
@@ -277,7 +295,7 @@ def test_a_loop_that_dies_or_freezes_is_released_from_here(program, how):
     os.kill(loop, how)
     until(lambda: not torque(bus), 2.0)
     user.wait(10)
-    assert b"mend that, then prove home anew" in user.stderr.read()
+    assert b"in state fault (the control loop died or froze); begin anew" in user.stderr.read()
 
 
 def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so(program):

@@ -247,7 +247,7 @@ def test_the_verb_prints_every_limit_and_who_set_it(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "servo 1, XL330-M288, home 2000 ticks" in said and "emergency stops: none" in said and "0.25 MPa" in said
     Rig("/dev/none", BAUD, (RigServo(1, MODEL), RigServo(2, MODEL))).write(tmp_path / "rig.toml")
-    assert main(argv) == 1 and "nothing is driven: servo 1 has no home" in capsys.readouterr().out
+    assert main(argv) == 1 and "nothing is driven: servos 1, 2 have no home" in capsys.readouterr().out
 
 
 def test_a_servo_that_caps_no_current_gets_a_cap_of_its_pwm_by_the_same_limit():

@@ -42,7 +42,7 @@ def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
             until(lambda: angles(bus)[1] <= HOME - jog.travel + 6)
             time.sleep(0.3)
             assert angles(bus)[1] == pytest.approx(HOME - jog.travel, abs=6), "no farther than its travel"
-            assert not jog.push(1, -1) and jog.push(1, 1), "and it is told"
+            assert jog.push(1, -1) == "travel" and jog.push(1, 1) == "", "and it is told"
         assert not torque(bus)
 
 

@@ -167,14 +167,14 @@ def test_a_servo_that_is_on_its_way_yet_is_waited_for():
 
 
 def test_one_that_never_stands_is_read_as_it_is(brief, monkeypatch):
-    monkeypatch.setattr("softmap_edge.commissioning.pull.SILENT", 0.5)
+    monkeypatch.setattr("softmap_edge.commissioning.pull.PATIENCE", 0.5)
     jog = Jogged(60.0)
     assert len(_stand(jog, 0, Held())) >= LEAST_READ and time.monotonic() - jog.begun < 3.0
 
 
 def test_time_goes_on_only_while_it_is_held(brief, monkeypatch):
     """Who lets go for longer than a silence is waited for is told nothing of the wiring."""
-    monkeypatch.setattr("softmap_edge.commissioning.pull.SILENT", 0.2)
+    monkeypatch.setattr("softmap_edge.commissioning.pull.PATIENCE", 0.2)
 
     class Pauses(Held):
         def held(self):

@@ -19,7 +19,7 @@ from softmap_edge.cli import main
 from softmap_edge.errors import RunError
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.experiment.command_file import write_commands
-from softmap_edge.experiment.kept import Keeper, Played, read_kept
+from softmap_edge.experiment.kept import Keeper, Kept, read_kept
 from softmap_edge.protocol import Limits
 
 MOST = 200_000  # bytes of a file
@@ -50,14 +50,14 @@ def frames(file):
 
 def kept(tmp_path, shape=(5, 3)):
     """Return what was played, and what its file gives back."""
-    rng, played = np.random.default_rng(0), Played(camera=HostClock(0.01))
+    rng, played = np.random.default_rng(0), Kept(camera=HostClock(0.01))
     with Keeper(tmp_path / "a.seen", 0.01, builtin_model()) as keeper:
         for k in range(8):
             frame = Frame(k / 30, 5.0 + k / 30 + 0.01 * rng.random(), rng.normal(size=shape).astype(np.float32))
             played.clock.append((5.0 + k / 30, k / 30))
-            if k % 2:
-                played.taken.append((k, frame))
-            keeper.add(played, played.camera.add([frame]))
+            taken = [(k, frame)] if k % 2 else []
+            played.taken += taken
+            keeper.add(played.clock[-1:], taken, played.camera.add([frame]))
     assert keeper.fault is None
     return played, tmp_path / "a.seen"
 

@@ -45,14 +45,21 @@ def test_what_is_denied_is_told_in_words(said, line):
 
 
 def test_what_leads_on_fits_the_state_and_home_is_lost_where_the_guard_loses_it():
-    assert "softmap servo home" in words.onward({"state": "fault", "cause": "hardware"})
-    assert words.onward({"state": "fault", "cause": "hot"}) == "mend that, then acknowledge it or begin anew"
-    assert "once it is slack" in words.onward({"state": "safe_stop", "cause": "hot"})
+    for cause in words.LOSES_HOME:
+        assert "softmap servo home" in words.onward({"state": "fault", "cause": cause})
+        assert "softmap servo home" in words.lost({"state": "fault", "cause": cause}, "")
+    for cause, line in {"hot": "mend that, then", "emergency": "release it,", "loop": "begin anew"}.items():
+        assert words.onward({"state": "fault", "cause": cause}).startswith(line)
+        assert "softmap servo home" not in words.lost({"state": "fault", "cause": cause}, "")
+    for state in ("connected", "off"):
+        assert "softmap servo home" in words.onward({"state": state, "cause": "silent"})
+    assert "once it is ready" in words.onward({"state": "safe_stop", "cause": "hot"})
+    assert words.onward({"state": "homed"}) == "arm and engage it first"
     assert words.onward({"state": "ready"}) == "engage it first"
     page = (Path(__file__).parents[1] / "docs/safety.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| ")]
     lost = {row[0] for row in rows if len(row) == 4 and "home must be proved" in row[3]}
-    assert lost | {"loop"} == set(words.LOSES_HOME)
+    assert lost == set(words.LOSES_HOME)
 
 
 def test_no_word_of_the_guards_own_is_shown():
@@ -72,7 +79,9 @@ def test_no_word_of_the_guards_own_is_shown():
 
 def test_why_driving_ended_is_said_once_and_with_what_leads_on():
     tripped = {"state": "fault", "cause": "tripped", "servo": 0}
-    assert words.lost(tripped, words.sentence(tripped)) == "let go of the key, then reset the fault"
+    assert words.lost(tripped, words.sentence(tripped)) == "end this, and prove home anew (softmap servo home)"
+    hot = {"state": "fault", "cause": "hot", "servo": 0}
+    assert words.lost(hot, words.sentence(hot)) == "let go of the key, then reset the fault"
     held = {"state": "hold", "cause": "deadman"}
     assert words.lost(held, "no hand") == "driving ended: no hand; let go of the key and press it anew"
     unproved = {"state": "connected", "cause": "tripped"}

@@ -224,7 +224,7 @@ impl<P: Port> Drive<P> {
             .sync_write(&self.ids, register.address, size, &self.data[..all])
     }
 
-    /// Read of each servo; one answer for all breaks off at a servo that is silent, so that then each gives its own.
+    /// Read of each servo. One answer for all breaks off at a silent servo: after a silence each answers for itself.
     fn read(&mut self, (address, size): (u16, usize)) -> Result<(), Fault> {
         let fast = self.fast && self.heard.iter().all(Result::is_ok);
         let data = &mut self.data[..self.ids.len() * size];

@@ -8,8 +8,9 @@ import json
 from softmap_edge.adaptation import adapt as learn
 from softmap_edge.bundle import save_bundle
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
-from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.understand import teller, warn_outside, write_page
+from softmap_edge.experiment.recorded import open_run
 
 WORSE = 1  # exit code
 
@@ -17,7 +18,10 @@ WORSE = 1  # exit code
 def adapt_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap adapt`."""
     parser.add_argument(
-        "runs", nargs="+", metavar="run", help="the recording, .npz, of points or clouds; several teach together"
+        "runs",
+        nargs="+",
+        metavar="run",
+        help="a run (.npz or .mcap) of points or clouds; several teach together",
     )
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
     parser.add_argument("--held-out", metavar="RUN", help="a recording that teaches nothing and judges all")

@@ -14,8 +14,9 @@ from softmap_edge.alignment.clouds import align_clouds
 from softmap_edge.alignment.result import Alignment, base_markers, in_frame
 from softmap_edge.alignment.rigid import Pose
 from softmap_edge.commands.output import check_file, check_no_run
-from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import AlignError
+from softmap_edge.experiment.recorded import open_run
 from softmap_edge.run import Run
 
 _HOW = (
@@ -26,7 +27,7 @@ _HOW = (
 
 def align_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `align`."""
-    parser.add_argument("run", help="a run (.npz) in the frame of the camera or mocap")
+    parser.add_argument("run", help="a run (.npz or .mcap) in the frame of the camera or mocap")
     parser.add_argument("--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it")
     effects_argument(parser)
     parser.add_argument("--out", required=True, metavar="RUN", help="the run in the base frame (.npz)")
@@ -87,7 +88,7 @@ def _like(args: argparse.Namespace, run: Run) -> int:
     """Apply the transform of another run: cameras and base stood as they were."""
     if args.base or args.follow_base or args.drop_base:
         raise AlignError("--like takes a transform that is known; it goes with no --base")
-    other = Run.load(args.like)
+    other = open_run(args.like)
     if other.frame is None or other.frame_sigma is None:
         raise AlignError(f"{args.like}: was not aligned; `softmap align` it first and give its output")
     if run.frame is not None:

@@ -9,8 +9,9 @@ from softmap_edge.alignment.calibrated import Calibrated
 from softmap_edge.alignment.calibration import calibrate as find
 from softmap_edge.bundle import save_bundle
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
-from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import CalibrationError, ReportError
+from softmap_edge.experiment.recorded import open_run
 from softmap_edge.whole_file import write_whole
 
 NOT_AFFINE = 1  # exit code
@@ -18,7 +19,7 @@ NOT_AFFINE = 1  # exit code
 
 def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `calibrate`."""
-    parser.add_argument("run", help="a run (.npz) with ticks and vertices, markers or clouds, in the base frame")
+    parser.add_argument("run", help="a run (.npz or .mcap) with ticks and what was seen, in the base frame")
     parser.add_argument("--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it")
     effects_argument(parser)
     bundle_arguments(parser)

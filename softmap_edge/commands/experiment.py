@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.output import check_file, check_no_run
-from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.experiment.recorded import open_run
 from softmap_edge.npz import write_npz
 from softmap_edge.own_effect import check_hashes
 from softmap_edge.whole_file import read_document

@@ -12,8 +12,9 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.commands.output import check_file, check_no_run
-from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import SoftmapError, no_effect
+from softmap_edge.experiment.recorded import RECORDING, open_run
 from softmap_edge.model import Model
 from softmap_edge.npz import write_npz
 from softmap_edge.outside import beyond
@@ -24,7 +25,7 @@ from softmap_edge.run import Run
 
 def predict_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `predict`."""
-    parser.add_argument("input", help="a run (.npz), or one command as comma-separated mm: 8,-3")
+    parser.add_argument("input", help="a run (.npz or .mcap), or one command as comma-separated mm: 8,-3")
     parser.add_argument("--bundle", help="bundle folder (default: the built-in finger)")
     effects_argument(parser)
     parser.add_argument("--out", help="write the predicted points (K, N, 3) mm to this .npz")
@@ -36,7 +37,11 @@ def predict(args: argparse.Namespace) -> int:
     check_no_run("--out", args.out)
     load_own(args)
     model = open_model(args.bundle)
-    run = open_run(args.input, model) if Path(args.input).suffix in (".npz", ".mcap") else _held(args.input, model)
+    run = (
+        open_run(args.input, model)
+        if Path(args.input).suffix.lower() in (".npz", RECORDING)
+        else _held(args.input, model)
+    )
     for note in beyond(model, run):
         print(f"softmap predict: {note}", file=sys.stderr)
     points = model.predict(run)
@@ -119,7 +124,7 @@ def _held(text: str, model: Model) -> Run:
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
-        raise SoftmapError(f"'{text}' is neither a run (.npz) nor a command such as 8,-3") from None
+        raise SoftmapError(f"'{text}' is neither a run (.npz, .mcap) nor a command such as 8,-3") from None
     if len(numbers) != model.channels or not np.all(np.isfinite(numbers)):
         raise SoftmapError(f"'{text}': {len(numbers)} numbers, this model takes {model.channels} finite commands in mm")
     return Run(t=np.zeros(1), command=np.array([numbers]), t_seen=np.zeros(1), command_unit=model.command_unit)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from softmap_edge.bundle import save_bundle
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_no_run
-from softmap_edge.commands.own import open_run
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
+from softmap_edge.experiment.recorded import open_run
 from softmap_edge.solid.finger import Finger
 
 TRAINING = "pip install softmap-training"  # whose module is imported when it is asked for
@@ -75,7 +75,7 @@ def build(args: argparse.Namespace) -> int:
 
 def learn_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `learn`."""
-    parser.add_argument("run", help="reference run (.npz)")
+    parser.add_argument("run", help="reference run (.npz or .mcap)")
     bundle_arguments(parser)
     parser.add_argument("--robot", metavar="FILE", help="robot.toml: its tendons, for a rod that knows them")
     parser.add_argument(

@@ -8,7 +8,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,6 +26,11 @@ from softmap_edge.terminal_keys import EMERGENCY
 
 ARROWS = {"right": (0, 1), "left": (0, -1), "up": (1, 1), "down": (1, -1)}
 SIGNS = {"+": 1, "=": 1, "-": -1}
+ENDS = {
+    "": "",
+    "window": ": the end of its window",
+    "travel": ": as far as one jog goes; let go, and on once torque is off",
+}
 STEP = 10.0  # ticks that a tap turns: more only once the key repeats
 HELP = (
     "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a tap is one step of "
@@ -46,7 +51,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=float, default=3.0, metavar="S", help="stay so long where U1,U2 is reached (3)"
     )
-    hold_argument(parser, " (U1,U2 is held by the program, and asks first without it)")
+    hold_argument(parser, "; with U1,U2 nothing is asked first")
 
 
 def move(args: argparse.Namespace) -> int:
@@ -104,7 +109,8 @@ def _numbered(rig: Rig, id: int) -> int:
 
 def _by_keys(jog: Jog, hand: Any) -> None:
     """Let keys jog until one stops: a step at a press, kept under torque while it may yet be held, then on."""
-    chosen, count, presses, step, ended = 0, len(jog.rig.servos), 0, 0.0, False
+    chosen, count, presses, step = 0, len(jog.rig.servos), 0, 0.0
+    ended: Literal["", "window", "travel"] = ""
     while not hand.stopped:
         key = hand.key()
         if key.isdigit() and 0 < int(key) <= count:
@@ -112,14 +118,13 @@ def _by_keys(jog: Jog, hand: Any) -> None:
         servo, way = ARROWS.get(key, (chosen, SIGNS.get(key, 0)))
         if way and servo < count:
             if hand.held():
-                ended = not jog.push(servo, way)
+                ended = jog.push(servo, way)
             else:
                 if hand.presses != presses:
                     presses, step = hand.presses, float(jog.goal[servo]) + way * STEP
-                ended = not jog.press(servo, step)
+                ended = jog.press(servo, step)
         at = "  ".join(f"{one.id}: {tick:.0f}" for one, tick in zip(jog.rig.servos, jog.position))
-        ended = ended and jog.robot.state == "commissioning"
-        end = ": as far as one jog goes; let go, and on once torque is off" if ended else ""
+        end = ENDS[ended] if jog.robot.state == "commissioning" else ""
         print(f"\r{at}  ({words.state(jog.robot.report)}{end})\x1b[K", end="", file=sys.stderr, flush=True)
         time.sleep(EVERY)
     print(file=sys.stderr)

@@ -1,7 +1,4 @@
-"""What verbs open: models, runs, and a user's own effects.
-
-`--effects FILE.py` runs a file; a terminal is asked about a bundle's code.
-"""
+"""A user's own effects in the verbs: `--effects FILE.py` runs a file; a terminal is asked about a bundle's code."""
 
 from __future__ import annotations
 
@@ -13,7 +10,6 @@ from softmap_edge.bundle import builtin_model, load_bundle
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.own_effect import load_effect
-from softmap_edge.run import Run
 
 
 def effects_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
@@ -38,18 +34,6 @@ def load_own(args: argparse.Namespace) -> list[str]:
 def open_model(path: str | None) -> Model:
     """Return the model of a bundle, the built-in finger without one; its own code runs if the user says so."""
     return builtin_model() if path is None else load_bundle(path, ask)
-
-
-def open_run(path: str | Path, model: Model | None = None) -> Run:
-    """Return the run of a file: .npz, or what a control loop recorded (.mcap) with what was seen beside it.
-
-    `model` is what it is for (`open_recording`).
-    """
-    if Path(path).suffix.lower() != ".mcap":
-        return Run.load(path)
-    from softmap_edge.experiment.recorded import open_recording
-
-    return open_recording(path, model)
 
 
 def ask(file: Path, sha256: str) -> bool:

@@ -51,7 +51,9 @@ def check_driven(args: argparse.Namespace) -> None:
     """Raise SoftmapError where those arguments cannot be."""
     check_file("--record", args.record, ".mcap", new=True)
     if args.record and (seen := seen_file(args.record)).exists():
-        raise SoftmapError(f"--record {args.record}: {seen} exists, where what is seen goes; give another name")
+        raise SoftmapError(
+            f"--record {args.record}: {seen} exists, and would be taken for what it saw; give another name"
+        )
     if args.hide and not args.sim:
         raise SoftmapError("--hide: only an emulated finger can hide something; give --sim with it")
 

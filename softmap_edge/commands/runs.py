@@ -12,11 +12,12 @@ import numpy as np
 
 from softmap_edge.bundle import load_chain
 from softmap_edge.commands.output import check_file, check_kept, check_no_run
-from softmap_edge.commands.own import effects_argument, load_own, open_model, open_run
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.elsewhere.summary import read_summary
 from softmap_edge.elsewhere.summary import sentences as sweep_sentences
 from softmap_edge.elsewhere.sweep_file import LIMIT, is_shape_sweep
 from softmap_edge.errors import RunError, SoftmapError, SweepError
+from softmap_edge.experiment.recorded import open_run
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.manifest import load_manifest
 from softmap_edge.npz import read_npz
@@ -98,7 +99,7 @@ def _guess(args: argparse.Namespace) -> int:
 
 def check_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `check`."""
-    parser.add_argument("path", help="a run (.npz), a sweep (.npz) or a bundle folder")
+    parser.add_argument("path", help="a run (.npz or .mcap), a sweep (.npz) or a bundle folder")
     parser.add_argument("--bundle", metavar="DIR", help="of a run: say which effects would show against this model's")
     effects_argument(parser)
 
@@ -128,7 +129,7 @@ def check(args: argparse.Namespace) -> int:
 
 def show_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `show`."""
-    parser.add_argument("path", help="a run (.npz), a sweep (.npz) or a bundle folder")
+    parser.add_argument("path", help="a run (.npz or .mcap), a sweep (.npz) or a bundle folder")
     effects_argument(parser)
 
 

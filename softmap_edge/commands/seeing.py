@@ -7,7 +7,7 @@ from typing import Any
 
 from softmap_edge.camera.points_udp import PointReceiver
 from softmap_edge.errors import SoftmapError
-from softmap_edge.run import Run
+from softmap_edge.experiment.recorded import open_run
 from softmap_edge.signed_udp import read_key, udp_address
 
 
@@ -35,7 +35,7 @@ def receiver(args: argparse.Namespace, count: int | None = None) -> PointReceive
     """
     frame: Any = None
     if args.like is not None:
-        frame = Run.load(args.like).frame
+        frame = open_run(args.like).frame
         if frame is None:
             raise SoftmapError(f"--like {args.like}: it was not aligned; `softmap align` brings it to the base")
     key = None if args.key is None else read_key(args.key)

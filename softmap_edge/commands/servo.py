@@ -18,6 +18,7 @@ from softmap_edge.commands.servo_limits import limits, limits_arguments
 from softmap_edge.commands.servo_pull import pull_arguments, pull_test
 from softmap_edge.commissioning import setup
 from softmap_edge.errors import ServoError
+from softmap_edge.experiment.recorded import open_run
 from softmap_edge.servo.bus import opened, ports, release
 from softmap_edge.servo.ending import kept_words
 from softmap_edge.servo.recording import read_recording
@@ -104,10 +105,10 @@ def _setup(args: argparse.Namespace) -> int:
     mended: list[str] = []
     done = setup.set_up(found[0], args.new_id, args.new_baud, mended.append)
     if args.rig:
-        if old is not None and any(
-            one.id == done.id and (one.home, one.current_mA) != (None, None) for one in old.servos
-        ):
-            mended.append(f"{args.rig} held its home or measured current: they are taken out, find them anew")
+        for one in old.servos if old is not None else ():
+            held = {"home": one.home, "measured current": one.current_mA} if one.id == done.id else {}
+            if names := [name for name, value in held.items() if value is not None]:
+                mended.append(f"{args.rig} held its {' and '.join(names)}: taken out, to be found anew")
         bench = _noted(done, old)
         (bench.write if old is None else bench.note)(args.rig)
     if args.json:
@@ -218,7 +219,7 @@ def servo(args: argparse.Namespace) -> int:
 def replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `replay`."""
     parser.add_argument("recording", help="what the control loop recorded (.mcap)")
-    parser.add_argument("--run", metavar="FILE.npz", help="write it as a run as well")
+    parser.add_argument("--run", metavar="FILE.npz", help="write it as a run as well, with what was seen")
     parser.add_argument("--force", action="store_true", help="replace the run that stands there")
 
 
@@ -229,7 +230,7 @@ def replay(args: argparse.Namespace) -> int:
     recording = read_recording(args.recording)
     differ = recording.replay()
     if args.run:
-        recording.run().save(args.run)
+        open_run(args.recording).save(args.run)
     first, last = recording.periods[0], recording.periods[-1]
     seconds = (last["now"] - first["now"]) * 1e-9
     if args.json:

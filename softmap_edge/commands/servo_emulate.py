@@ -208,10 +208,6 @@ def _bare(args: argparse.Namespace) -> int:
     return 0
 
 
-class NoSuchFault(Exception):
-    """A line that names none."""
-
-
 def _obey(bus: _core.EmulatedBus, finger: EmulatedFinger | None) -> None:
     """Do the faults that come on standard input."""
     known = FAULTS if finger is None else f"{FAULTS} · {FINGER_FAULTS}"
@@ -220,7 +216,7 @@ def _obey(bus: _core.EmulatedBus, finger: EmulatedFinger | None) -> None:
             if fault := line.split():
                 try:
                     _break(bus, finger, fault)
-                except (ServoError, NoSuchFault) as said:
+                except ServoError as said:
                     print(f"{line.strip()}: {said}; {known}", file=sys.stderr)
                 except (ValueError, OverflowError):
                     print(f"{line.strip()}: not all of it are numbers of that kind; {known}", file=sys.stderr)
@@ -253,4 +249,4 @@ def _break(bus: _core.EmulatedBus, finger: EmulatedFinger | None, fault: list[st
     elif name == "blind" and numbers in (["0"], ["1"]) and finger is not None:
         finger.blind(numbers == ["1"])
     else:
-        raise NoSuchFault("no such fault")
+        raise ServoError("no such fault")

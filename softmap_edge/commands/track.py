@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.camera.frames import Seen
-from softmap_edge.commands.output import check_file, to_stderr
+from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import (
@@ -26,9 +26,9 @@ from softmap_edge.commands.robot import (
 )
 from softmap_edge.commands.seeing import camera_arguments, late, receiver
 from softmap_edge.commands.track_table import table, workspace
-from softmap_edge.emulated.finger import SERVO
+from softmap_edge.emulated.finger import LATE, SERVO
 from softmap_edge.errors import SoftmapError
-from softmap_edge.experiment.kept import keeping, seen_file
+from softmap_edge.experiment.kept import Keeper, keeping, seen_file
 from softmap_edge.motion.curves import FIGURES
 from softmap_edge.motion.kinematics import METHODS, Kinematics
 from softmap_edge.motion.track import Course, Tracked, course, spread
@@ -78,13 +78,13 @@ def track(args: argparse.Namespace) -> int:
     idle = [f"--{name}" for name in ("record", "seed", "key", "like", "late") if getattr(args, name) is not None]
     if args.plan and idle:
         raise SoftmapError(f"{idle[0]} is of what is driven, and --plan drives nothing; leave one of them out")
-    behind = late(args)
+    behind = late(args, LATE[0] if args.sim else 0.0)
     whole = open_model(args.bundle)
     if args.table:
         return table(args, whole)
     if args.workspace:
         return workspace(args, Kinematics(driven_model(args, whole), axes=args.axes or "xyz"))
-    tracked = None
+    tracked = kept = None
     with contextlib.ExitStack() as stack:
         bench = None if args.plan else stack.enter_context(bench_of(args, whole))
         seen = None if bench is None else stack.enter_context(_eyes(args, bench))
@@ -105,16 +105,18 @@ def track(args: argparse.Namespace) -> int:
         if bench is not None:
             record = Path(args.record or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "track.mcap")
             robot = Controller(bench.rig, calibration, bench.limits, kinematics=kinematics, record=record)
-            with _kept(args, seen, behind, bench), driving(robot, args.record), Bar(args.json) as bar:
+            with driving(robot, args.record), _kept(args, seen, behind, bench) as kept, Bar(args.json) as bar:
                 tracked = follow(robot, kinematics, planned, seen, observe=args.observe, late=behind, progress=bar)
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)
-    kept = bench is not None and robot.unrecorded is None
-    document = _document(args, kinematics, planned, tracked) | {"record": args.record if kept else None}
-    document["seen"] = str(seen_file(args.record)) if kept and args.record and seen is not None else None
+    sound = bench is not None and robot.unrecorded is None
+    document = _document(args, kinematics, planned, tracked) | {"record": args.record if sound else None}
+    document["seen"] = str(seen_file(args.record)) if sound and kept is not None and kept.fault is None else None
     print(json.dumps(document) if args.json else _text(document))
     if bench is not None:
         robot.check_recorded()
+    if kept is not None and kept.fault is not None:
+        raise SoftmapError(f"{seen_file(args.record)}: what was seen is kept no more ({kept.fault}); see to that")
     return 0
 
 
@@ -131,15 +133,13 @@ def _eyes(args: argparse.Namespace, bench: Bench) -> Iterator[Seen | None]:
 
 
 @contextlib.contextmanager
-def _kept(args: argparse.Namespace, seen: Seen | None, behind: float, bench: Bench) -> Iterator[None]:
+def _kept(args: argparse.Namespace, seen: Seen | None, behind: float, bench: Bench) -> Iterator[Keeper | None]:
     """Keep what is seen beside the recording, where there is one."""
     if seen is None or args.record is None:
-        yield
+        yield None
         return
     with keeping(args.record, seen, bench.model, behind) as keeper:
-        yield
-    if keeper.fault is not None:
-        to_stderr(f"{seen_file(args.record)}: what was seen is not kept whole ({keeper.fault})")
+        yield keeper
 
 
 def _draw(path: str, kinematics: Kinematics, planned: Course, tracked: Tracked | None) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from softmap_edge.commissioning.home import NEAR
 from softmap_edge.errors import CalibrationError, ServoError
 from softmap_edge.model import Model
-from softmap_edge.servo.proof import AGAIN
+from softmap_edge.servo.proof import no_home
 from softmap_edge.servo.rig import Rig
 from softmap_edge.ticks import TURN, Calibration
 
@@ -101,9 +101,8 @@ def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[in
     if model.command_unit != "mm":
         raise CalibrationError(f"the model's commands are {model.command_unit}; a radius tells only mm of tendon")
     homes = [servo.home for servo in rig.servos]
-    if None in homes:
-        id = rig.servos[homes.index(None)].id
-        raise ServoError(f"servo {id} has no home; {AGAIN}")
+    if missing := [servo.id for servo in rig.servos if servo.home is None]:
+        raise ServoError(no_home(missing))
     slope = 2.0 * np.pi / TURN * pulley.mm
     share = pulley.sigma / pulley.mm
     doubt = np.where(np.eye(count) > 0, share, COUPLING) * slope

@@ -13,7 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,10 +119,11 @@ class Jog:
         """What they draw (C,), mA; NaN of those that do not measure it."""
         return np.array([np.nan if one is None else one for one in self.robot.report["current_mA"]], float)
 
-    def press(self, servo: int, ticks: float) -> bool:
+    def press(self, servo: int, ticks: float) -> Literal["", "window", "travel"]:
         """Aim servo number `servo` (from 0) at `ticks`, the others at where they are; counts as a pressed deadman.
 
-        Torque comes on with the first. Ticks beyond the travel of the jog are cut off; returns whether none were.
+        Torque comes on with the first. Ticks beyond the servo's window or the travel of the jog are cut off; returns
+        which of the two it has come to the end of.
 
         Raises:
             ServoError: the guard denies it, or a fault ended the jog.
@@ -130,7 +131,7 @@ class Jog:
         state = self.robot.state
         if state not in ("commissioning", "connected"):
             report = self.robot.report
-            raise ServoError(f"the guard ended the jog: the robot is {words.where(report)}; {words.onward(report)}")
+            raise ServoError(f"the guard ended the jog: the robot is {words.where(report)}; mend that and begin anew")
         if state == "connected":
             self.robot.request("commission")
             self._began, self._target = self.goal, None
@@ -142,11 +143,12 @@ class Jog:
         target[servo] = min(max(ticks, low), high)
         self._target = target
         self.robot.target(target)
-        return bool(low <= ticks <= high)
+        if low <= ticks <= high or abs(float(self.goal[servo]) - target[servo]) >= ARRIVED:
+            return ""
+        return "travel" if abs(target[servo] - at) >= self.travel - ARRIVED else "window"
 
-    def push(self, servo: int, direction: int) -> bool:
-        """Let servo number `servo` go on in a direction, ±1, as long as this is called again and again; returns whether
-        it may go so far."""
+    def push(self, servo: int, direction: int) -> Literal["", "window", "travel"]:
+        """Let servo number `servo` go on in a direction, ±1, as long as this is called again and again; as `press`."""
         return self.press(servo, self.goal[servo] + direction * self.slew * AHEAD)
 
     def keep(self) -> None:

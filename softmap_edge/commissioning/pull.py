@@ -37,7 +37,7 @@ BEYOND = 1.25  # times what was reached: a stroke up to there is told by a strai
 SHORT = 0.05  # of a leg by which a servo may stay behind its goal, but never less than LEAST_SHORT
 LEAST_SHORT = 25.0  # ticks
 LEAST_READ = 5  # readings of the current at an end
-SILENT = 3.0  # s more in which they have to come, and in which a servo comes to rest
+PATIENCE = 3.0  # s more in which they have to come, and in which a servo comes to rest
 STILL = 3.0  # ticks by which a servo at rest may move
 STANDS = 0.6  # s at an end over which the current is taken
 OUTER = 0.9  # of a leg from which on the current of the move counts
@@ -197,7 +197,7 @@ def _most_current(jog: Jog, k: int) -> float:
 
 
 def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
-    """Stand until a servo is still, SILENT more at most, and return what it said over the last STANDS."""
+    """Stand until a servo is still, PATIENCE more at most, and return what it said over the last STANDS."""
     servo = jog.rig.servos[k]
     stood: list[tuple[float, float]] = []
     times: list[float] = []
@@ -215,9 +215,9 @@ def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
         last = now
         lately = stood[min(bisect_right(times, held - STANDS), max(len(stood) - LEAST_READ, 0)) :]
         whole = held >= STANDS and len(lately) >= LEAST_READ
-        if whole and (np.ptp([away for away, _ in lately]) <= STILL or held >= STANDS + SILENT):
+        if whole and (np.ptp([away for away, _ in lately]) <= STILL or held >= STANDS + PATIENCE):
             return lately
-        if held >= STANDS + SILENT:
+        if held >= STANDS + PATIENCE:
             raise ServoError(f"servo {servo.id} says nothing of its current; look at the wiring of the bus")
         time.sleep(EVERY)
 

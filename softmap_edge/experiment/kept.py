@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import math
 import os
 import queue
 import threading
@@ -33,19 +34,24 @@ LONGEST = 1 << 24  # characters of a line
 NONE = np.zeros((0, 3))  # the points of a frame that only its time is kept of
 LOOK = 0.2  # s between two looks at what came
 LATELY = 200  # frames, the newest, that are looked through
+LATEST = 2.0  # s that a frame may take to arrive
+NAME = 200  # characters of a robot's name
+
+Pair = tuple[float, float]
 
 
 @dataclass
-class Played:
-    """What happened: `clock` pairs of (host s, s of the pace), the frames that were taken, how the playing ended; of
-    what was kept also whose `robot` it is and how many `vertices` it has, None where it is seen by markers."""
+class Kept:
+    """What was seen: the `camera`'s clock, the frames that were `taken`, each with the look of a command file that it
+    answers (else their number), and that file's `clock`, pairs of (host s, s of the file), empty without one.
 
-    clock: list[tuple[float, float]] = field(default_factory=list)
-    taken: list[tuple[int, Frame]] = field(default_factory=list)  # the look, its frame
+    `robot` and `vertices`, how many points a frame of its whole body has, are told by a file: None where it does not,
+    or where the robot is seen by markers.
+    """
+
+    clock: list[Pair] = field(default_factory=list)
+    taken: list[tuple[int, Frame]] = field(default_factory=list)
     camera: HostClock = field(default_factory=HostClock)
-    waited: float = 0.0  # s in which it waited for the robot to settle
-    unsettled: int = 0  # rests that went on before all was still
-    whole: bool = False
     robot: str | None = None
     vertices: int | None = None
 
@@ -65,15 +71,19 @@ class Keeper:
     early, if it did. `late` s is what the quickest frame takes.
 
     Raises:
-        FileExistsError: the file is there already.
+        RunError: the file is there already, or cannot be written.
     """
 
     def __init__(self, file: Path, late: float, model: Model) -> None:
         self.fault: str | None = None
         self._lines: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         self._lines.put({"schema": SCHEMA, "late": late, "robot": model.robot, "vertices": vertices_of(model)})
-        self._clock = self._taken = 0
-        self._stream = open(file, "x", encoding="utf-8")  # noqa: SIM115 - closed by its thread
+        try:
+            self._stream = open(file, "x", encoding="utf-8")  # noqa: SIM115 - closed by its thread
+        except FileExistsError:
+            raise RunError(f"{file} exists; give another name to record to") from None
+        except OSError as fault:
+            raise RunError(f"{file}: {(fault.strerror or str(fault)).lower()}; see to the folder") from None
         self._thread = threading.Thread(target=self._write, daemon=True)
 
     def __enter__(self) -> Self:
@@ -86,24 +96,24 @@ class Keeper:
         self._lines.put(None)
         self._thread.join()
 
-    def add(self, played: Played, came: Sequence[Frame]) -> None:
-        """Keep what is new of `played`, and the frames that came; never waits for the disk."""
-        taken = [[look, frame.stamp, frame.arrived, _text(frame.points)] for look, frame in played.taken[self._taken :]]
-        line = {"clock": played.clock[self._clock :], "came": [[one.stamp, one.arrived] for one in came]}
-        self._clock, self._taken = len(played.clock), len(played.taken)
-        self._lines.put(line | {"taken": taken})
+    def add(self, clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: Sequence[Frame]) -> None:
+        """Keep what is new (`Kept`), and when the frames that came did; never waits for the disk."""
+        if self.fault is not None:
+            return
+        texts = [[look, frame.stamp, frame.arrived, _text(frame.points)] for look, frame in taken]
+        times = [[one.stamp, one.arrived] for one in came]
+        self._lines.put({"clock": [*clock], "came": times, "taken": texts})
 
     def _write(self) -> None:
         saved = time.monotonic()
         with contextlib.suppress(OSError), self._stream as stream:
             try:
                 while (line := self._lines.get()) is not None:
-                    if self.fault is None:
-                        stream.write(json.dumps(line) + "\n")
-                        if time.monotonic() - saved > SAFE:
-                            stream.flush()
-                            os.fsync(stream.fileno())
-                            saved = time.monotonic()
+                    stream.write(json.dumps(line) + "\n")
+                    if time.monotonic() - saved > SAFE:
+                        stream.flush()
+                        os.fsync(stream.fileno())
+                        saved = time.monotonic()
                 stream.flush()
                 os.fsync(stream.fileno())
             except OSError as fault:
@@ -118,19 +128,24 @@ def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) 
         seen: gives the frames that have arrived, oldest first. late: s that the quickest frame takes.
 
     Raises:
-        FileExistsError: something is kept there already.
+        RunError: something is kept there already, or cannot be.
     """
-    played, end = Played(camera=HostClock(late)), threading.Event()
+    camera, end = HostClock(late), threading.Event()
+    number = 0
 
     def look() -> None:
-        came = played.camera.add(seen()[-LATELY:])
-        played.taken += enumerate(came, len(played.taken))
-        keeper.add(played, came)
+        nonlocal number
+        for frame in camera.add(seen()[-LATELY:]):
+            keeper.add([], [(number, frame)], [frame])
+            number += 1
 
     def watch() -> None:
-        while not end.wait(LOOK):
+        try:
+            while not end.wait(LOOK):
+                look()
             look()
-        look()
+        except Exception as fault:  # whatever `seen` raises: the robot goes on, and it is told
+            keeper.fault = f"{type(fault).__name__}: {fault!s:.80}"
 
     with Keeper(seen_file(recording), late, model) as keeper:
         watching = threading.Thread(target=watch, daemon=True)
@@ -142,33 +157,66 @@ def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) 
             watching.join()
 
 
-def read_kept(file: Path) -> Played:
+def read_kept(file: Path) -> Kept:
     """Return what was kept, to the last whole line.
 
     Raises:
         RunError: it is no such file, or damaged.
     """
     try:
+        if file.exists() and not file.is_file():
+            raise ValueError("no file of bytes")
         with open(file, encoding="utf-8") as lines:
-            head = json.loads(lines.readline(LONGEST))
-            if head["schema"] != SCHEMA:
-                raise ValueError(f"schema {head['schema']!s:.20}")
-            robot, vertices = head.get("robot"), head.get("vertices")
-            if not isinstance(robot, str | None) or not isinstance(vertices, int | None):
-                raise ValueError("whose robot it is")
-            played = Played(camera=HostClock(float(head["late"])), robot=robot, vertices=vertices)
+            kept = _head(json.loads(lines.readline(LONGEST)))
             while (line := lines.readline(LONGEST)).endswith("\n"):
                 one = json.loads(line)
-                played.camera.add([Frame(float(stamp), float(arrived), NONE) for stamp, arrived in one["came"]])
-                played.clock += [(float(host), float(at)) for host, at in one["clock"]]
-                played.taken += [
-                    (int(look), Frame(float(a), float(b), _points(text))) for look, a, b, text in one["taken"]
+                kept.camera.add([_frame(stamp, arrived, NONE) for stamp, arrived in _list(one["came"])])
+                kept.clock += [(_number(host), _number(at)) for host, at in _list(one["clock"])]
+                kept.taken += [
+                    (int(_number(look)), _frame(stamp, arrived, _points(text)))
+                    for look, stamp, arrived, text in _list(one["taken"])
                 ]
+            if len(line) >= LONGEST:
+                raise ValueError(f"a line of more than {LONGEST} characters")
     except OSError as fault:
         raise RunError(f"{file}: {(fault.strerror or '').lower()}; give what was kept beside a recording") from None
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as fault:
-        raise RunError(f"{file}: damaged, or not what is kept beside a recording ({fault!s:.60})") from None
-    return played
+        said = "".join(c if c.isprintable() else "?" for c in f"{fault!s:.60}")
+        raise RunError(
+            f"{file}: damaged, or not what is kept beside a recording ({said}); without it the recording is one of "
+            "which nothing was seen"
+        ) from None
+    return kept
+
+
+def _head(head: Any) -> Kept:
+    """Return what the first line says, of which nothing is kept yet."""
+    late, robot, vertices = _number(head["late"]), head.get("robot"), head.get("vertices")
+    if head["schema"] != SCHEMA:
+        raise ValueError(f"schema {head['schema']!s:.20}")
+    if not 0.0 <= late <= LATEST:
+        raise ValueError(f"frames {late:g} s late")
+    if robot is not None and not (isinstance(robot, str) and len(robot) <= NAME and robot.isprintable()):
+        raise ValueError("the name of the robot")
+    if vertices is not None and not (type(vertices) is int and vertices >= 1):
+        raise ValueError("the number of vertices")
+    return Kept(camera=HostClock(late), robot=robot, vertices=vertices)
+
+
+def _list(found: Any) -> list[Any]:
+    if not isinstance(found, list):
+        raise TypeError(f"a list is {type(found).__name__}")
+    return found
+
+
+def _number(found: Any) -> float:
+    if type(found) not in (int, float) or not math.isfinite(found):
+        raise ValueError(f"'{found!s:.20}' is no finite number")
+    return float(found)
+
+
+def _frame(stamp: Any, arrived: Any, points: Any) -> Frame:
+    return Frame(_number(stamp), _number(arrived), points)
 
 
 def _text(points: Any) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.camera.frames import Frame, HostClock, Seen
 from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.experiment.kept import Played, vertices_of
+from softmap_edge.experiment.kept import LATELY, Kept, Pair, vertices_of
 from softmap_edge.experiment.pace import PATIENCE, SPAN, Pace, condition, servos_still, view_still
 from softmap_edge.experiment.recorded import with_seen
 from softmap_edge.model import Model
@@ -37,12 +37,21 @@ BACK = 15.0  # s within which a finger that was told to stop has torque off
 BEGIN = 8.0  # s until the robot is where the file begins
 
 
+@dataclass
+class Played(Kept):
+    """What happened: what was seen, how long it waited for the robot to settle, and whether all was played."""
+
+    waited: float = 0.0  # s
+    unsettled: int = 0  # rests that went on before all was still
+    whole: bool = False
+
+
 class Player:
     """Plays a pace on an entered `robot` that records, seen by `seen`.
 
     Args:
         ask: called with what is to be done by hand; returns when it is done. tell: called with the share that is done.
-        late: s that the quickest frame takes. keep: called with what was played and the frames that came, all the time.
+        late: s that the quickest frame takes. keep: called all the time with what is new (`Keeper.add`).
     """
 
     def __init__(
@@ -54,14 +63,14 @@ class Player:
         ask: Callable[[str], None],
         tell: Callable[[float], None] = lambda share: None,
         late: float = 0.0,
-        keep: Callable[[Played, list[Frame]], None] = lambda played, came: None,
+        keep: Callable[[list[Pair], list[tuple[int, Frame]], list[Frame]], None] = lambda clock, taken, came: None,
     ) -> None:
         self._robot, self._pace, self._seen = robot, pace, seen
         self._ask, self._tell, self._keep = ask, tell, keep
         self.played = Played(camera=HostClock(late))
         self._looks: list[tuple[float, int]] = []  # host s, of which look
         self._history: list[tuple[float, list[float]]] = []
-        self._newest, self._looked = -np.inf, 0
+        self._newest, self._looked, self._kept = -np.inf, 0, 0
 
     def play(self) -> Played:
         """Play it to its end.
@@ -184,8 +193,9 @@ class Player:
 
     def _gather(self, now: float) -> None:
         """Note what has arrived, and take the frames of looks that are long enough ago."""
-        frames = self._seen()[-200:]
+        frames = self._seen()[-LATELY:]
         came = self.played.camera.add(frames)
+        before = len(self.played.taken)
         if frames:
             self._newest = frames[-1].arrived
         while frames and self._looks and self._looks[0][0] < now - WAIT:
@@ -195,10 +205,11 @@ class Player:
             earlier = self.played.taken[-1][1].stamp if self.played.taken else -np.inf
             if abs(taken[k] - when) <= NEAR and frames[k].stamp > earlier:
                 self.played.taken.append((look, frames[k]))
-        self._keep(self.played, came)
+        self._keep(self.played.clock[self._kept :], self.played.taken[before:], came)
+        self._kept = len(self.played.clock)
 
 
-def merged(recording: Path, model: Model, pace: Pace, played: Played) -> Run:
+def merged(recording: Path, model: Model, pace: Pace, played: Kept) -> Run:
     """Return the run of what a robot's loop recorded and what was seen meanwhile.
 
     Raises:

@@ -20,27 +20,25 @@ from softmap_edge.model import Model
 from softmap_edge.run import Run
 from softmap_edge.servo.recording import Recording, read_recording
 
+RECORDING = ".mcap"
 
-def open_recording(path: str | Path, model: Model | None = None) -> Run:
-    """Return a recording as a run, with what was seen where that was kept beside it.
+
+def open_run(path: str | Path, model: Model | None = None) -> Run:
+    """Return the run of a file: .npz, or what a control loop recorded (.mcap) with what was seen, if kept beside it.
 
     Args:
         model: what the run is for. One without a calibration cannot read ticks: it gets mm, by the map that was driven
             with.
 
     Raises:
-        RunError: no recording, damaged, torque was never on, or frames of several numbers of points.
+        RunError: neither, damaged, torque was never on, nothing that was seen belongs to it, or it was made by
+            `softmap record`, which alone knows what was declared.
     """
     file = Path(path)
-    told = read_recording(file)
-    kept = seen_file(file)
-    if kept.exists():
-        played = read_kept(kept)
-        frames = [frame for _, frame in played.taken]
-        run, _ = with_seen(told, frames, played.camera, played.vertices)
-        run = replace(run, robot=played.robot)
-    else:
-        run = told.run()
+    if file.suffix.lower() != RECORDING:
+        return Run.load(file)
+    told, beside = read_recording(file), seen_file(file)
+    run = _seen(told, beside) if beside.exists() else told.run()
     if model is None or model.calibration is not None or run.ticks is None:
         return run
     known, present = told.calibration, run.present_ticks
@@ -52,6 +50,23 @@ def open_recording(path: str | Path, model: Model | None = None) -> Run:
         ticks=None,
         present_ticks=None,
     )
+
+
+def _seen(told: Recording, beside: Path) -> Run:
+    """Return a recording with what was kept of what was seen."""
+    kept = read_kept(beside)
+    if kept.clock:
+        raise RunError(
+            f"{told.file}: of a command file that was cut; `softmap record COMMANDS --recover {beside} --record "
+            f"{told.file} --out RUN.npz` makes its run"
+        )
+    run, inside = with_seen(told, [frame for _, frame in kept.taken], kept.camera, kept.vertices)
+    if len(inside) and not inside.any():
+        raise RunError(
+            f"{beside}: none of its {len(inside)} frames was seen while {told.file.name} was driven; is it that of "
+            "another recording? Move it away, and the run is one of which nothing was seen"
+        )
+    return replace(run, robot=kept.robot)
 
 
 def with_seen(
@@ -67,17 +82,21 @@ def with_seen(
         RunError: as `Recording.run`, or frames of several numbers of points.
     """
     run = told.run()
-    counts = {len(frame.points) for frame in frames}
+    counts = sorted({len(frame.points) for frame in frames})
     if len(counts) > 1:
-        raise RunError(f"frames of {sorted(counts)} points; a camera's program sends one number of them throughout")
+        raise RunError(
+            f"{told.file}: frames of {counts} points; a camera's program sends one number of them throughout"
+        )
     taken = camera.times(frames) - told.begun
     inside = (taken > run.t[0]) & (taken < run.t[-1])
-    points = np.array([frame.points for frame in frames], float).reshape(len(frames), -1, 3)[inside]
-    whole = vertices is not None and points.shape[1] == vertices
+    if not inside.any():
+        return run, inside
+    points = np.array([frame.points for frame in frames], float)[inside]
+    whole = counts == [vertices]
     return replace(
         run,
         t_seen=taken[inside],
-        vertices=points if len(points) and whole else None,
-        markers=points if len(points) and not whole else None,
-        visible=np.isfinite(points).all(axis=2) if len(points) else None,
+        vertices=points if whole else None,
+        markers=None if whole else points,
+        visible=np.isfinite(points).all(axis=2),
     ), inside

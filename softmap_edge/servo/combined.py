@@ -26,7 +26,7 @@ from softmap_edge.safety import Safety, derived, held_to
 from softmap_edge.servo.ceiling import AT_LEAST, RANGES
 from softmap_edge.servo.limits import COOL, RATE, Table, following, loop_limits, servo_limits, slowed, strongest
 from softmap_edge.servo.models import Entry, servo_model
-from softmap_edge.servo.proof import AGAIN
+from softmap_edge.servo.proof import no_home
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.ticks import TURN, Calibration
 
@@ -77,7 +77,7 @@ class Combined:
         """
         missing = [servo.id for servo in self.rig.servos if servo.home is None]
         if missing:
-            raise ServoError(f"servo {missing[0]} has no home; {AGAIN}")
+            raise ServoError(no_home(missing))
         servos = []
         for servo, limits in zip(self.rig.servos, self.servos):
             assert servo.home is not None

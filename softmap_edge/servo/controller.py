@@ -104,7 +104,6 @@ class Controller(Watched):
         self._command: Floats | None = None
         self._drove_at: float | None = None  # s of the last target, None once it was let go of
         self._pressed = False
-        self._known = False  # a fault was told to whoever asked
         self._silent = 0
 
     def __enter__(self) -> Self:
@@ -122,20 +121,20 @@ class Controller(Watched):
     def __exit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            self.close()
-        except ServoError as kept:
-            if isinstance(fault, SoftmapError):
-                raise ServoError(f"{fault}; {kept}") from fault
-            raise
+        ended, kept = self._close()
+        said = "; ".join(filter(None, (ended, kept)))
+        if said and isinstance(fault, SoftmapError):
+            raise ServoError(f"{fault}; {said}") from fault
+        if said and fault is not None and not kept:
+            fault.add_note(said)  # it goes on as what it is: no servo has torque
+        elif said:
+            raise ServoError(said)
 
     @property
     def state(self) -> str:
         """Where the guard stands: `off`, `connected`, `homed`, `ready`, `engaged`, `hold`, `safe_stop`, `fault`, …"""
         self._rescue_if_needed()
-        state = str(self._last.get("state", "off"))
-        self._known = state == "fault"
-        return state
+        return str(self._last.get("state", "off"))
 
     @property
     def position(self) -> Floats:
@@ -255,31 +254,34 @@ class Controller(Watched):
         process = self._process  # another thread may be closing it
         if not off and process is not None:
             self._rescue(process)
-            self._known = True
             raise ServoError(str(self._last["rescued"]))
 
     def close(self) -> None:
         """Slacken, switch torque off, end the loop; whatever fails, torque off is sent.
 
         Raises:
-            ServoError: a servo has not said that it has no torque, or a fault that nobody was told of kept the finger
-                from going home.
+            ServoError: a servo has not said that it has no torque, or a fault kept the finger from going home. One that
+                came before is told by whatever was called then.
         """
+        if said := "; ".join(filter(None, self._close())):
+            raise ServoError(said)
+
+    def _close(self) -> tuple[str, str]:
+        """Return what kept the finger from going home, and what is to be said of servos that may have torque."""
         process = self._process
         if process is None:
-            return
-        faults = []
+            return "", ""
+        ended = ""
         try:
-            if self._last.get("state") in ACTIVE:
+            if active := self._last.get("state") in ACTIVE:
                 self._send(request=REQUESTS.index("stop") + 1)
                 with self._heard:
                     self._heard.wait_for(
                         lambda: self._last.get("state") not in ACTIVE or self._frozen(),
                         float(self.limits["slacken"]) + 2.0,
                     )
-            pressed = self._pressed and self._last.get("cause") == "emergency"
-            if self._last.get("state") == "fault" and not self._known and not pressed:
-                faults = [f"the robot is {words.where(self._last)}; {words.onward(self._last)}"]
+            if active and self._last.get("state") == "fault" and not self._pressed:
+                ended = f"the robot is {words.where(self._last)}; {words.onward(self._last)}"
         finally:
             with self._ordering:
                 self._ending, self._process = True, None
@@ -292,12 +294,8 @@ class Controller(Watched):
             self._reader.join(3.0)
             if process.returncode != 0 and "error" not in self._last:
                 self._rescue(process)
-        if kept := self._last.get("kept"):
-            faults.append(str(kept))
-        elif self._drove and (kept := self._end.get("kept_torque")):
-            faults.append(kept_words(kept))
-        if faults:
-            raise ServoError("; ".join(faults))
+        left = self._end.get("kept_torque") if self._drove else None
+        return ended, str(self._last.get("kept") or (kept_words(left) if left else ""))
 
     # --- the loop's process -------------------------------------------------------------
 

@@ -45,6 +45,12 @@ def marked(bus: _core.ServoBus, id: int, home: int | None) -> bool:
     return home is not None and patiently(bus.read, id, MARK, SIZE) == mark(id, home)
 
 
+def no_home(ids: Sequence[int]) -> str:
+    """Return what is to be said of servos without a home."""
+    which = f"servo {ids[0]} has" if len(ids) == 1 else f"servos {', '.join(map(str, ids))} have"
+    return f"{which} no home; {AGAIN}"
+
+
 def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) -> None:
     """Refuse servos (id, home) whose home is not known, or has not been proved since they got power.
 
@@ -53,7 +59,7 @@ def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) 
     """
     for id, home in servos:
         if home is None:
-            raise ServoError(f"servo {id} has no home; {AGAIN}")
+            raise ServoError(no_home([id]))
         if restores(bus, id):
             raise ServoError(
                 f"servo {id} restores its memory at power-up (startup configuration), so that no proof of its home can "

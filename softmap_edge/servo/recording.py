@@ -8,7 +8,6 @@ tests/test_recording.py.
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.errors import CalibrationError, RunError, SoftmapError
 from softmap_edge.run import Run
 from softmap_edge.ticks import Calibration
 
@@ -45,8 +44,19 @@ class Recording:
 
     @property
     def begun(self) -> float:
-        """When torque first came on, s of the host's monotonic clock: time 0 of the run; NaN where it never did."""
-        return next((period["now"] * 1e-9 for period in self.periods if period["torque"]), math.nan)
+        """Time 0 of the run, when torque first came on: s of the host's monotonic clock.
+
+        Raises:
+            RunError: it never did.
+        """
+        return float(self.periods[self._first]["now"]) * 1e-9
+
+    @property
+    def _first(self) -> int:
+        first = next((k for k, period in enumerate(self.periods) if period["torque"]), None)
+        if first is None:
+            raise RunError(f"{self.file}: torque was never on, so nothing was driven; record while the finger moves")
+        return first
 
     def replay(self) -> list[int]:
         """Let the same guard decide every period again; returns the periods in which it decides otherwise.
@@ -74,9 +84,7 @@ class Recording:
             RunError: torque was never on, or a servo was not heard before it was.
         """
         self._told()
-        first = next((k for k, period in enumerate(self.periods) if period["torque"]), None)
-        if first is None:
-            raise RunError(f"{self.file}: torque was never on, so nothing was driven; record while the finger moves")
+        first = self._first
         kept = self.periods[first:]
         try:
             columns = {
@@ -105,8 +113,15 @@ class Recording:
 
     @property
     def calibration(self) -> Calibration:
-        """The map between ticks and mm that was driven with."""
-        return Calibration.from_dict(self.setup["calibration"])
+        """The map between ticks and mm that was driven with.
+
+        Raises:
+            RunError: the file does not hold it.
+        """
+        try:
+            return Calibration.from_dict(self.setup.get("calibration"))
+        except CalibrationError as fault:
+            raise RunError(f"{self.file}: damaged ({fault}); record again") from None
 
     def _told(self) -> list[tuple[Any, ...]]:
         """Return what the guard was told in each period, as `_core.replay` takes it.
@@ -118,7 +133,8 @@ class Recording:
         for k, period in enumerate(self.periods):
             try:
                 told.append(_told(period))
-                if [str, str, bool, list] != [type(period[key]) for key in ("state", "cause", "torque", "goal")]:
+                forms = [type(period[key]) for key in ("state", "cause", "torque", "goal", "now")]
+                if forms != [str, str, bool, list, int]:
                     raise TypeError("state")
                 if len(period["goal"]) != len(self.periods[0]["goal"]):
                     raise ValueError("goal")

@@ -65,7 +65,7 @@ STATES = {
     "commissioning": "Commissioning",
     "fault": "Fault, torque is off",
 }
-LOSES_HOME = ("silent", "hardware", "following", "lost", "dropped", "tripped", "loop")  # causes, under torque
+LOSES_HOME = ("silent", "hardware", "following", "lost", "dropped", "tripped")  # causes, under torque
 QUIET = ("engaged", "ready")  # states in which the cause is that of what was before
 
 
@@ -96,14 +96,19 @@ def where(report: dict[str, Any]) -> str:
 
 
 def onward(report: dict[str, Any]) -> str:
-    """Return what leads on from a state that follows no commands."""
-    state, loses = report.get("state"), report.get("cause") in LOSES_HOME
-    if state == "fault" and loses:
+    """Return what leads a program on from a state that follows no commands."""
+    state, why = report.get("state", "off"), report.get("cause")
+    if state == "fault" and why == "emergency":
+        return "release it, see that all is well, then acknowledge it or begin anew"
+    if state == "fault" and why == "loop":
+        return "begin anew"
+    if state == "fault" and why not in LOSES_HOME:
+        return "mend that, then acknowledge it or begin anew"
+    if state in ("fault", "off", "connected"):
         return "mend that, then prove home anew (`softmap servo home`)"
-    if state == "fault":
-        mend = "release it and see that all is well" if report.get("cause") == "emergency" else "mend that"
-        return f"{mend}, then acknowledge it or begin anew"
-    return "once it is slack, see to that and begin anew" if state == "safe_stop" else "engage it first"
+    if state == "safe_stop":
+        return "it slackens; once it is ready, or that is mended and acknowledged, engage it"
+    return "arm and engage it first" if state == "homed" else "engage it first"
 
 
 def denied(said: str) -> str:
@@ -138,8 +143,8 @@ def lost(report: dict[str, Any], why: str) -> str:
     """Return why driving ended, where the guard's report does not say so, and what leads on."""
     state = str(report.get("state", "off"))
     again = "let go of the key and press it anew"
-    if state in ("fault", "homed"):
-        again = "let go of the key, then reset the fault"
-    elif state in ("off", "connected"):
+    if state in ("off", "connected") or (state == "fault" and report.get("cause") in LOSES_HOME):
         again = "end this, and prove home anew (softmap servo home)"
+    elif state in ("fault", "homed"):
+        again = "let go of the key, then reset the fault"
     return again if why == sentence(report) else f"driving ended: {why}; {again}"

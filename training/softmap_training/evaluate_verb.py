@@ -16,6 +16,7 @@ from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
+from softmap_edge.experiment.recorded import open_run
 from softmap_edge.npz import read_npz
 from softmap_edge.outside import beyond, unlike
 from softmap_edge.run import Run
@@ -93,8 +94,8 @@ def evaluate(args: argparse.Namespace) -> int:
             shapes = _on_set(args, models, asked, bar, warnings)
             made_from["set"] = args.set
         if args.run is not None:
-            run = Run.load(args.run)
-            taught = [Run.load(path) for path in args.train]
+            first = next(iter(models.values()))
+            run, taught = open_run(args.run, first), [open_run(path, first) for path in args.train]
             seen, curve = _on_run(args, models, run, taught, bar, warnings)
             made_from |= {"run": run.hash(), "train": [one.hash() for one in taught]}
     warnings = list(dict.fromkeys(warnings))

@@ -10,6 +10,7 @@ from typing import Any, get_args
 from softmap_edge.commands.output import bundle_arguments, check_bundle
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
+from softmap_edge.experiment.recorded import open_run
 from softmap_training.baselines import NAMES as BASELINES
 from softmap_training.choices import PriorKind, ResidualKind
 from softmap_training.errors import TrainingError
@@ -121,12 +122,11 @@ def _prior(args: argparse.Namespace, base: Any, work: Path | None, bar: Bar) -> 
 
 
 def _residual(args: argparse.Namespace, base: Any, work: Path | None, bar: Bar) -> tuple[Any, dict[str, Any]]:
-    from softmap_edge.run import Run
     from softmap_training import choices
     from softmap_training.residual import train_residual
 
     recipe = choices.residual_recipe(args.model)
-    runs = [Run.load(path) for path in args.runs]
+    runs = [open_run(path, base) for path in args.runs]
     return train_residual(
         base, runs, args.model, recipe.with_(epochs=args.epochs, seed=args.seed), work,
         lambda share, line: bar("training", share), args.device, args.tensorboard,
