@@ -1,5 +1,6 @@
 """The blocks of docs/own_program.md, in order, on the emulated robot that it names; and what opening one refuses."""
 
+import json
 import re
 from pathlib import Path
 
@@ -36,8 +37,11 @@ def test_the_programs_of_the_page_run_one_after_another(tmp_path, monkeypatch, c
     np.testing.assert_allclose(done, [4.0 * np.sin(2.0 * t), -1.0], atol=0.5)
     assert second.startswith("engaged [")
     assert read_recording("drive.mcap").replay() == []
+    assert main(["compare", "seen.mcap", "--bundle", "finger", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["error"]["rms_mm"] > 0.5, "it hides something"
     assert main(["diagnose", "seen.mcap", "--bundle", "finger"]) == 0
-    assert "The model lacks backlash" in capsys.readouterr().out
+    assert "backlash" in capsys.readouterr().out
     assert names["found"].distance.max() < 0.01
     at = names["robot"].calibration.commands(names["robot"].position)
     assert np.abs(at).max() < 0.3, "slack at the end"

@@ -46,16 +46,15 @@ def curves(file):
 
 def test_each_command_says_and_writes_what_the_page_says(page):
     there, printed = page
-    reach, point, plan, sim, found, added, through = printed.values()
+    reach, point, plan, sim, off = printed.values()
     assert list(printed)[1] == "track --workspace --reach 60 0 60"
     assert "the tip rests at" in reach and "60.00 mm, along xyz: out of reach by" not in reach
     assert "out of reach by" in point and "nearest is" in point
     assert "the model expects the tip off by 0.0" in plan and "camera" not in plan
     assert "the camera saw it off by" in sim and "s.mcap: written\ns.seen: written" in sim
     assert sim.endswith("next: softmap diagnose s.mcap")
-    assert "The model lacks backlash" in found and "backlash.gap" in added
-    before, after = (float(re.search(r"saw it off by (\S+) ±", said)[1]) for said in (sim, through))
-    assert before > 2.0 and after < 0.3 * before
+    assert 2.0 < float(re.search(r"saw it off by (\S+) ±", sim)[1]) < 4.0
+    assert "a run of 'moe-finger'" in off and 1.0 < float(re.search(r"  tip rms +(\S+)", off)[1]) < 4.0
     assert curves(there / "reach.svg")
     assert curves(there / "s.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]  # wanted, and expected over it
     assert curves(there / "seen.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]  # wanted, and seen over it
@@ -91,9 +90,20 @@ def test_table_ii_stands_whole_with_the_papers_own_figures_as_other_data():
     assert "The paper's columns are of **other data**" in PAGE
 
 
+def test_the_commands_that_lead_from_a_recording_to_the_figure_are_commands(capsys):
+    """They move for two minutes: what they do is tested in tests/test_record_robot.py."""
+    text, _ = (text for language, text in blocks(PAGE) if language == "text")
+    words = list(lines(text))
+    assert [line[1] for line in words] == ["next", "record", "diagnose", "add", "track"]
+    for line in words:
+        assert main([line[1], "--help"]) == 0
+        told = capsys.readouterr().out
+        assert all(word in told for word in line[2:] if word.startswith("--")), line
+
+
 def test_the_commands_of_table_ii_are_commands():
     """Training takes minutes: the lines belong together, and the table itself runs in tests/test_table_two.py."""
-    (text,) = (text for language, text in blocks(PAGE) if language == "text")
+    _, text = (text for language, text in blocks(PAGE) if language == "text")
     words = list(lines(text))
     assert [line[1] for line in words] == ["train", "train", "adapt", "track"]
     parser = argparse.ArgumentParser()
