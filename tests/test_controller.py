@@ -162,43 +162,6 @@ def test_a_fault_after_which_home_must_be_proved_is_kept_over_a_restart(how):
             assert robot.state == "ready", "an emergency stop loses no home"
 
 
-def test_a_finger_that_does_not_come_home_at_the_end_is_told():
-    with bench() as (bus, rig, limits):
-        limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
-        told = pytest.raises(ServoError, match=r"in state fault \(servo 1 does not follow.*prove home anew")
-        with told, Controller(rig, calibration(), limits) as robot:
-            robot.engage()
-            hold_for(robot, [2.5, 0.0], 1.5)
-            bus.damage(0, jammed=True)  # seen only on the way back
-        assert not torque(bus)
-
-
-def test_what_ends_a_program_goes_on_as_what_it_is_with_what_the_finger_did():
-    with bench() as (bus, rig, limits):
-        limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
-        with pytest.raises(LookupError) as ended, Controller(rig, calibration(), limits) as robot:
-            robot.engage()
-            hold_for(robot, [2.5, 0.0], 1.5)
-            bus.damage(0, jammed=True)
-            raise LookupError("of its own")
-        assert "prove home anew" in ended.value.__notes__[0] and not torque(bus)
-
-
-def test_a_fault_that_its_program_has_seen_is_not_told_again():
-    with bench() as (bus, rig, limits):
-        with Controller(rig, calibration(), limits) as robot:
-            robot.engage()
-            hold_for(robot, [1.0, 0.0], 0.5)
-            bus.heat(0, 69.0)
-            until(lambda: robot.report["state"] == "fault", 5.0)
-        with pytest.raises(ServoError, match=r"servo 1 is too hot\); mend that, .*\banew$"):
-            bus.heat(0, 30.0)
-            with Controller(rig, calibration(), limits) as robot:
-                robot.engage()
-                bus.heat(0, 69.0)
-                hold_for(robot, [1.0, 0.0], 9.0)
-
-
 def acknowledged(robot):
     """Return whether the fault could be acknowledged; it cannot before every servo has said that it has no torque."""
     with contextlib.suppress(ServoError):

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import pty
+import re
 import select
 import subprocess
 import threading
@@ -153,7 +154,12 @@ def test_to_a_command_and_back(capsys):
     assert document["done_mm"] == pytest.approx([2.0, -1.0])
     assert document["at_mm"] == pytest.approx([2.0, -1.0], abs=5 / TICKS_PER_MM)
     assert main(["move", "40,1", "--sim", "--hold", "--seconds", "0"]) == 0
-    assert "sent to 16.00, 1.00 mm (nearest to 40.00, 1.00 within its window)" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "sent to 16.00, 1.00 mm (nearest to 40.00, 1.00 within its window)" in told
+    came = re.search(r"came to (\S+), (\S+) mm", told)
+    assert [float(one) for one in came.groups()] == pytest.approx([16.0, 1.0], abs=0.15), (
+        "it is there before it turns back"
+    )
     assert main(["move", "1e308,1", "--sim", "--hold"]) == 2
     assert "1e308,1 for 3 s; commands of up to 10000 mm" in capsys.readouterr().err
     assert main(["move", "2", "--sim", "--hold"]) == 2

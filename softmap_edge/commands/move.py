@@ -31,6 +31,8 @@ ENDS = {
     "window": ": the end of its window",
     "travel": ": as far as one jog goes; let go, and on once torque is off",
 }
+NEAR = 25.0  # ticks from a command at which a servo is there
+LAGS = 1.0  # s after its goal came there, when it is as near as it gets
 STEP = 10.0  # ticks that a tap turns: more only once the key repeats
 HELP = (
     "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a tap is one step of "
@@ -149,11 +151,13 @@ def _go(args: argparse.Namespace) -> int:
             raise ServoError("nothing moved: nobody said that the finger is free")
         robot = Controller(there.rig, there.calibration, there.limits)
         with driving(robot):
-            done, arrived = robot.engage(u), None
+            done, sent, arrived = robot.engage(u), None, None
             while arrived is None or time.monotonic() - arrived < args.seconds:
-                done = robot.target(u)
-                if arrived is None and _sent_there(robot, done):
-                    arrived = time.monotonic()
+                done, now = robot.target(u), time.monotonic()
+                off = _off(robot, done, "goal")
+                sent = now if sent is None and off < ARRIVED else sent
+                if arrived is None and sent is not None and (_off(robot, done, "position") < NEAR or now - sent > LAGS):
+                    arrived = now
                 time.sleep(EVERY)
             at = there.calibration.commands(robot.position)
     document = {"schema": "softmap.move/1", "command_mm": u.tolist(), "done_mm": done.tolist(), "at_mm": at.tolist()}
@@ -163,10 +167,10 @@ def _go(args: argparse.Namespace) -> int:
     return 0
 
 
-def _sent_there(robot: Controller, command: Any) -> bool:
-    """Return whether the goals that are sent have come to a command."""
-    goals = robot.report.get("goal") or [None]
-    return None not in goals and bool(np.abs(np.array(goals) - robot.calibration.ticks(command)).max() < ARRIVED)
+def _off(robot: Controller, command: Any, what: str) -> float:
+    """Return how far (ticks) the `goal` or `position` of the newest report is from a command; ∞ where it says none."""
+    ticks = robot.report.get(what) or [None]
+    return np.inf if None in ticks else float(np.abs(np.array(ticks) - robot.calibration.ticks(command)).max())
 
 
 def _mm(numbers: Any) -> str:

@@ -10,7 +10,7 @@ Python sends commands, never ticks; the loop guards them (docs/safety.md) and ne
 stops calling `target` is held, then slackened; one that ends or is killed likewise. Should the loop's own process die
 or freeze, the servos stop by their watchdogs and a thread of this side switches their torque off, whatever the program
 does meanwhile. A servo that has not said that it has no torque at the end is an error.
-Pinned by tests/test_controller.py.
+Pinned by tests/test_controller.py and tests/test_leaving.py.
 """
 
 from __future__ import annotations
@@ -131,17 +131,6 @@ class Controller(Watched):
             raise ServoError(said)
 
     @property
-    def state(self) -> str:
-        """Where the guard stands: `off`, `connected`, `homed`, `ready`, `engaged`, `hold`, `safe_stop`, `fault`, …"""
-        self._rescue_if_needed()
-        return str(self._last.get("state", "off"))
-
-    @property
-    def position(self) -> Floats:
-        """Where the servos stand (C,), ticks, by the last report that heard each: one lost answer is no place."""
-        return self._stood.copy()
-
-    @property
     def recording(self) -> Path | None:
         """The file that is recorded to; it can be read while it grows."""
         return self._record
@@ -156,16 +145,6 @@ class Controller(Watched):
         """Raise ServoError where a recording ended before the loop did."""
         if self.unrecorded is not None:
             raise ServoError(self.unrecorded)
-
-    @property
-    def report(self) -> Report:
-        """The newest report of the loop (softmap.loop/1)."""
-        return dict(self._last)
-
-    @property
-    def ended(self) -> Report:
-        """The last report: why the loop ended and how it kept its time; empty while it runs."""
-        return dict(self._end)
 
     def request(self, name: str, seconds: float = 3.0) -> None:
         """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.

@@ -39,6 +39,27 @@ class Watched:
     _drove: bool
     _stood: NDArray[np.float64]
 
+    @property
+    def state(self) -> str:
+        """Where the guard stands: `off`, `connected`, `homed`, `ready`, `engaged`, `hold`, `safe_stop`, `fault`, …"""
+        self._rescue_if_needed()
+        return str(self._last.get("state", "off"))
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Where the servos stand (C,), ticks, by the last report that heard each: one lost answer is no place."""
+        return self._stood.copy()
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The newest report of the loop (softmap.loop/1)."""
+        return dict(self._last)
+
+    @property
+    def ended(self) -> dict[str, Any]:
+        """The last report: why the loop ended and how it kept its time; empty while it runs."""
+        return dict(self._end)
+
     def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
         """Take the loop's reports until it ends; release its servos if it dies or freezes under torque."""
         some = b""
