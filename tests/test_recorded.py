@@ -222,5 +222,8 @@ def test_what_cannot_be_seen_any_more_is_a_fault_and_no_traceback(tmp_path, capf
         pass
     assert keeper.fault == "OSError: the camera is gone" and "Traceback" not in capfd.readouterr().err
     keeper.add([], [], [])
+    with pytest.raises(RunError, match="5 s late, 0 to 2 s is allowed"):
+        Keeper(tmp_path / "y.seen", 5.0, MODEL)
+    assert not (tmp_path / "y.seen").exists()
     with pytest.raises(RunError, match="nowhere"):
         Keeper(tmp_path / "nowhere" / "x.seen", 0.0, MODEL)

@@ -7,6 +7,7 @@ from typing import Any
 
 from softmap_edge.camera.points_udp import PointReceiver
 from softmap_edge.errors import SoftmapError
+from softmap_edge.experiment.kept import LATEST
 from softmap_edge.experiment.recorded import open_run
 from softmap_edge.signed_udp import read_key, udp_address
 
@@ -49,6 +50,6 @@ def late(args: argparse.Namespace, otherwise: float = 0.0) -> float:
         SoftmapError: it is no such time.
     """
     seconds = otherwise if args.late is None else float(args.late)
-    if not 0.0 <= seconds <= 2.0:
-        raise SoftmapError(f"--late {seconds:g}: 0 to 2 s is allowed")
+    if not 0.0 <= seconds <= LATEST:
+        raise SoftmapError(f"--late {seconds:g}: 0 to {LATEST:g} s is allowed")
     return seconds

@@ -71,13 +71,18 @@ class Keeper:
     early, if it did. `late` s is what the quickest frame takes.
 
     Raises:
-        RunError: the file is there already, or cannot be written.
+        RunError: the file is there already, cannot be written, or could not be read again.
     """
 
     def __init__(self, file: Path, late: float, model: Model) -> None:
         self.fault: str | None = None
         self._lines: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
-        self._lines.put({"schema": SCHEMA, "late": late, "robot": model.robot, "vertices": vertices_of(model)})
+        head = {"schema": SCHEMA, "late": late, "robot": model.robot, "vertices": vertices_of(model)}
+        self._lines.put(head)
+        try:
+            _head(head)
+        except ValueError as fault:
+            raise RunError(f"{file}: {fault!s:.60}, which nothing could read again; give another") from None
         try:
             self._stream = open(file, "x", encoding="utf-8")  # noqa: SIM115 - closed by its thread
         except FileExistsError:
@@ -195,7 +200,7 @@ def _head(head: Any) -> Kept:
     if head["schema"] != SCHEMA:
         raise ValueError(f"schema {head['schema']!s:.20}")
     if not 0.0 <= late <= LATEST:
-        raise ValueError(f"frames {late:g} s late")
+        raise ValueError(f"frames {late:g} s late, 0 to {LATEST:g} s is allowed")
     if robot is not None and not (isinstance(robot, str) and len(robot) <= NAME and robot.isprintable()):
         raise ValueError("the name of the robot")
     if vertices is not None and not (type(vertices) is int and vertices >= 1):
