@@ -36,15 +36,9 @@ def numbers(command: ArrayLike) -> Floats | None:
 
 def kept_words(ids: Sequence[int]) -> str:
     """Return what is to be said of servos that have not confirmed that their torque is off."""
-    which = ", ".join(map(str, ids))
-    if len(ids) > 1:
-        return (
-            f"servos {which} did not confirm that their torque is off; cut their supply, or `softmap servo off` once "
-            "they answer"
-        )
-    return (
-        f"servo {which} did not confirm that its torque is off; cut its supply, or `softmap servo off` once it answers"
-    )
+    which, several = ", ".join(map(str, ids)), len(ids) > 1
+    who, its, it = ("servos", "their", "they answer") if several else ("servo", "its", "it answers")
+    return f"{who} {which} did not confirm that {its} torque is off; cut {its} supply, or `softmap servo off` once {it}"
 
 
 def _forked() -> None:
