@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from benches import diagnosis_time, geometry, inverse, loop, network, teleop
+from benches import diagnosis_time, geometry, inverse, level, loop, network, teleop
 from benches.peer_elastic import markers as peer_markers
 from benches.peer_newton import NumpySolid
 from benches.peer_rollout import NUMBERS as PEER_NUMBERS
@@ -44,7 +44,7 @@ def main() -> int:
     args = parser.parse_args()
     rows = [newton_step(), rollouts(), elastic_rod(), equilibrium(), imports(), table_against_simulator()]
     rows += [elastic_fit(), *geometry.rows(args.quick), *loop.rows(args.quick)]
-    rows += [*network.rows(), *inverse.rows(), *teleop.rows()]
+    rows += [*network.rows(), *inverse.rows(), *level.rows(), *teleop.rows()]
     if not args.quick:
         rows += [full_sweep(), million_rows(), *diagnosis_time.rows()]
     document = {"schema": "softmap.bench/1", "machine": machine(), "rows": rows}

@@ -13,6 +13,7 @@ mod cubic;
 mod dense;
 pub mod effects;
 pub mod error;
+pub mod families;
 pub mod fem;
 pub mod fields;
 pub mod geometry;

@@ -12,6 +12,7 @@ from softmap_edge.errors import CoreError as CoreError
 _Floats = NDArray[np.float64]
 
 __all__ = [
+    "Bank",
     "Cables",
     "Chain",
     "CoreError",
@@ -24,6 +25,7 @@ __all__ = [
     "Inputs",
     "Inverse",
     "LOADS",
+    "Level",
     "MODULI",
     "Mesh",
     "Network",
@@ -37,6 +39,7 @@ __all__ = [
     "STATIONS",
     "Scattered",
     "Second",
+    "Series",
     "ServoBus",
     "Shape",
     "Solid",
@@ -47,6 +50,7 @@ __all__ = [
     "check_limits",
     "control_loop",
     "effects",
+    "families",
     "forget",
     "limit_ranges",
     "monomial_degrees",
@@ -228,6 +232,55 @@ FAST_FIRMWARE: int
 HARDWARE_ERRORS: list[tuple[int, str]]
 
 def effects() -> list[dict[str, Any]]: ...
+def families() -> list[dict[str, Any]]: ...
+
+@final
+class Series:
+    def __new__(
+        cls,
+        v: _Floats,
+        t: _Floats,
+        middle: _Floats,
+        half: _Floats,
+        temperature: _Floats | None = None,
+        orientation: NDArray[np.int64] | None = None,
+    ) -> Self: ...
+    @property
+    def samples(self) -> int: ...
+    @property
+    def channels(self) -> int: ...
+
+@final
+class Bank:
+    def __new__(cls, name: str, channels: int) -> Self: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def channels(self) -> int: ...
+    def columns(self, series: Series, at: _Floats) -> tuple[NDArray[np.int64], _Floats]: ...
+    def applied(self, series: Series, theta: _Floats) -> _Floats: ...
+    def modulation(self, series: Series, at: _Floats) -> _Floats: ...
+    def signals(self, series: Series, at: _Floats, wide: bool) -> tuple[NDArray[np.int64], _Floats]: ...
+
+@final
+class Level:
+    def __new__(
+        cls,
+        form: _Floats,
+        kernel: tuple[_Floats, _Floats],
+        folds: Sequence[tuple[NDArray[np.int64], NDArray[np.int64], _Floats, _Floats, _Floats, _Floats]],
+    ) -> Self: ...
+    @property
+    def names(self) -> list[str]: ...
+    def add(self, name: str, base: _Floats, which: NDArray[np.int64], weight: _Floats) -> None: ...
+    def clear(self) -> None: ...
+    def close(self, residual: _Floats) -> None: ...
+    def losses(self, names: Sequence[str], ridges: Sequence[float]) -> _Floats: ...
+    def theta(self, names: Sequence[str], ridges: Sequence[float]) -> list[_Floats]: ...
+    def freedom(self, names: Sequence[str], ridges: Sequence[float], name: str) -> float: ...
+    def fitted(self, name: str, theta: _Floats) -> _Floats: ...
+    def losses_of(self, modes: _Floats) -> _Floats: ...
+
 def register(declaration: Mapping[str, Any], rollout: Callable[..., _Floats]) -> None: ...
 def forget(name: str) -> None: ...
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benches import geometry, inverse, network
+from benches import geometry, inverse, level, network
 from benches.__main__ import nine_tendons
 from benches.peer_elastic import markers
 from benches.peer_newton import NumpySolid
@@ -84,3 +84,20 @@ def test_a_peer_that_did_other_work_is_not_timed():
         geometry.same("steps", np.zeros(3), np.array([0.0, 0.5, 0.0]), 0.1)
     with pytest.raises(RuntimeError):
         geometry.same("steps", np.zeros(3), np.array([0.0, np.nan, 0.0]), 0.1)
+
+
+def test_the_numpy_level_has_the_same_normal_equations(monkeypatch):
+    monkeypatch.setattr("benches.row.REPEATS", 1)
+    made = level.made(frames=80, modes=4, fields=3)
+    ours, names = made.level(), list(made.columns)
+    ours.close(made.residual)
+    losses = []
+    for train, test in made.grams():
+        n = len(train) - 1
+        ridge = level.RIDGE + 1e-9 * np.trace(train[:n, :n]) / n
+        theta = np.linalg.solve(train[:n, :n] + ridge * np.eye(n), train[:n, n])
+        losses.append(test[n, n] - 2 * theta @ test[:n, n] + theta @ test[:n, :n] @ theta)
+    # The core leaves out what forgives less than 1e-4 (rust/families/gram.rs).
+    np.testing.assert_allclose(ours.losses(names, [level.RIDGE] * len(names)), losses, rtol=1e-3)
+    (row,) = level.rows(made)
+    assert row["value"] > 0 and row["peer"] > 0 and f"{made.count} columns" in row["name"]

@@ -7,7 +7,7 @@ use crate::modes::wide;
 
 /// Weights (x, u_before, u) that advance a first-order low pass by `dt` under a linear command.
 #[inline]
-pub(super) fn low_pass(tau: f64, dt: f64) -> [f64; 3] {
+pub(crate) fn low_pass(tau: f64, dt: f64) -> [f64; 3] {
     if dt <= 0.0 {
         return [1.0, 0.0, 0.0];
     }

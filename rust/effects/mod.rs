@@ -13,6 +13,7 @@ mod pair;
 pub use chain::Chain;
 pub use conditions::{Camera, Conditions, Context, bracket};
 pub use declaration::*;
+pub(crate) use low_pass::low_pass;
 pub use own::{forget, register, registry};
 
 macro_rules! registry {

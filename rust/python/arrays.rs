@@ -1,7 +1,7 @@
 //! Numbers from Python: anything NumPy reads as float64, checked for shape and finiteness, with one-line errors.
 
 use crate::Error;
-use numpy::{AllowTypeChange, PyArrayLikeDyn, PyUntypedArrayMethods};
+use numpy::{AllowTypeChange, PyArrayLike1, PyArrayLikeDyn, PyUntypedArrayMethods, TypeMustMatch};
 use pyo3::prelude::*;
 
 /// Numbers that are looked at together.
@@ -62,6 +62,17 @@ pub fn floats(
         data[bad]
     ))
     .into())
+}
+
+/// Read `value` as a row of whole numbers; floats are none, however round.
+pub fn integers(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<i64>> {
+    let array: PyArrayLike1<'_, i64, TypeMustMatch> = value.extract().map_err(|_| {
+        Error::Invalid(format!(
+            "{name} must be a row of whole numbers (int64), got {}",
+            kind(value)
+        ))
+    })?;
+    Ok(array.as_array().iter().copied().collect())
 }
 
 fn kind(value: &Bound<'_, PyAny>) -> String {

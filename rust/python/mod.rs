@@ -6,6 +6,7 @@ mod control;
 mod effects;
 mod elastic;
 mod emulated;
+mod families;
 mod fem;
 mod geometry;
 mod inverse;
@@ -70,6 +71,8 @@ mod _core {
     use super::elastic::{PyElasticField, PyElasticRod};
     #[pymodule_export]
     use super::emulated::PyEmulatedBus;
+    #[pymodule_export]
+    use super::families::{PyBank, PyLevel, PySeries, families};
     #[pymodule_export]
     use super::fem::Solid;
     #[pymodule_export]

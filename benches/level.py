@@ -1,0 +1,94 @@
+"""Rows of level 1: the normal equations of all families on eight folds, beside NumPy on columns that are written out.
+
+The peer is the definition in the fewest calls: columns (n, K, M) by one product, whitened by `Whitener.shrink`, one
+matrix product a set of frames. The core never writes them out (rust/families/gram.rs). Both give the same losses, pinned by
+tests/test_benches.py; a ratio of different work would say nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benches.row import ratio, side_by_side
+from softmap_edge import _core
+from softmap_edge.diagnosis.noise import Kernel, Whitener, command_kernel
+from softmap_edge.folds import Folds, run_folds
+
+Floats = NDArray[np.float64]
+
+FRAMES, MODES, CHANNELS, FIELDS = 374, 20, 2, 30
+FAMILIES = ("static map", "coupling", "memory", "delay", "rate", "creep", "softening", "time", "step")
+PRODUCTS = 4  # rows that multiply each field
+RIDGE = 10.0
+
+
+@dataclass(frozen=True)
+class Made:
+    """What level 1 is asked: bases and weights by name, a residual, folds and their kernels."""
+
+    columns: dict[str, tuple[Floats, NDArray[np.int64], Floats]]
+    residual: Floats
+    whitener: Whitener
+    folds: Folds
+    kernels: list[tuple[Kernel, Kernel]]
+
+    @property
+    def count(self) -> int:
+        """Number of columns."""
+        return sum(len(which) for _, which, _ in self.columns.values())
+
+    def level(self) -> _core.Level:
+        """Return the core's level with all columns added, and not closed."""
+        kernel = self.whitener.kernel
+        folds = [
+            (*fold, train.basis, train.strength, test.basis, test.strength)
+            for fold, (train, test) in zip(self.folds, self.kernels)
+        ]
+        level = _core.Level(self.whitener.form, (kernel.basis, kernel.strength), folds)
+        for name, (base, which, weight) in self.columns.items():
+            level.add(name, base, which, weight)
+        return level
+
+    def grams(self) -> list[tuple[Floats, Floats]]:
+        """Return the Grams (n + 1, n + 1) of each fold's training and test frames by NumPy, the residual last."""
+        parts = [base[which] * weight[:, :, None] for base, which, weight in self.columns.values()]
+        x = np.concatenate([*parts, self.residual[None]])
+
+        def gram(frames: NDArray[np.intp], kernel: Kernel) -> Floats:
+            white = self.whitener.shrink(x[:, frames], kernel).reshape(len(x), -1)
+            return np.asarray(white @ white.T)
+
+        gram(np.arange(x.shape[1]), self.whitener.kernel)
+        pairs = zip(self.folds, self.kernels)
+        return [(gram(train, before), gram(test, after)) for (train, test), (before, after) in pairs]
+
+
+def made(frames: int = FRAMES, modes: int = MODES, channels: int = CHANNELS, fields: int = FIELDS) -> Made:
+    """Return all families of a run of slow moves, with random slopes and fields."""
+    rng = np.random.default_rng(0)
+    t = np.arange(2 * frames) * 0.5
+    waves = 2 * np.pi * t[:, None, None] * rng.uniform(0.01, 0.05, (channels, 3))
+    v = 8.0 * np.sin(waves + rng.uniform(0, 6, (channels, 3))).mean(axis=2)
+    half, seen = 0.5 * np.ptp(v, axis=0), t[::2]
+    series = _core.Series(v, t, 0.5 * (v.max(0) + v.min(0)), half)
+    slopes, field = rng.normal(size=(channels, frames, modes)), rng.normal(size=(fields, frames, modes))
+    columns = {name: (slopes, *_core.Bank(name, channels).columns(series, seen)) for name in FAMILIES}
+    rows = rng.normal(size=(fields * PRODUCTS, frames))
+    columns["fields"] = (field, np.repeat(np.arange(fields), PRODUCTS), rows)
+    command, folds = v[::2], run_folds(seen)
+    kernels = [(command_kernel(command[a], half), command_kernel(command[b], half)) for a, b in folds]
+    whitener = Whitener(np.eye(modes), np.geomspace(30.0, 0.03, modes), command_kernel(command, half))
+    return Made(columns, rng.normal(size=(frames, modes)), whitener, folds, kernels)
+
+
+def rows(made_of: Made | None = None) -> list[dict[str, object]]:
+    """Return the time of all Grams beside NumPy's."""
+    made_of = made_of or made()
+    level = made_of.level()
+    ours, theirs = side_by_side(lambda: level.close(made_of.residual), made_of.grams)
+    frames, modes = made_of.residual.shape
+    name = f"level 1, {made_of.count} columns, {frames} × {modes}, {len(made_of.folds)} folds"
+    return [ratio(name, ours, theirs, "NumPy", "wanted ≤ 200 ms on one core")]

@@ -1,0 +1,32 @@
+//! Frame drift: the sensor moves slowly against the robot's base while it records.
+
+use super::declaration::*;
+use super::operators::Spline;
+use super::series::Seen;
+
+pub static FAMILY: Family = Family {
+    name: "frame drift",
+    kind: Kind::Time,
+    doc: "The clamped base seems to move slowly through the run: camera or mount drift.",
+    mimics: &["time"],
+    members: &["camera_drift"],
+    fields: &["mount"],
+    modulation: splines,
+    ..NOTHING
+};
+
+const INTERVALS: usize = 3;
+
+/// Cubic B-splines of time.
+fn splines(seen: &Seen, emit: Emit) {
+    let spline = Spline {
+        low: 0.0,
+        high: 1.0,
+        intervals: INTERVALS,
+    };
+    let mut out = vec![0.0; seen.share.len()];
+    for j in 0..spline.count() {
+        spline.fill(j, &seen.share, &mut out);
+        emit(&out);
+    }
+}

@@ -1,0 +1,272 @@
+//! Gram matrices of whitened columns over a set of frames, without the columns ever being whitened or written out.
+//!
+//! A column is X_j = base_j ∘ w_j: a change of M modes at K frames (K, M), times a weight for each frame (K,). With the
+//! kernel Q diag(λ) Qᵀ of the model's own error over the frames and the form variance s_m of each mode, the whitened
+//! column is X + Q (diag(1/√(1 + λ s)) − 1) Qᵀ X (softmap_edge/diagnosis/noise.py), and as QᵀQ = 1 the whitened Gram is
+//!
+//!     G_ab = Σ_k w_ak w_bk P_ab(k) − Σ_rm D_rm Y_a,rm Y_b,rm,   P_ab(k) = Σ_m base_a,km base_b,km,
+//!     Y = Qᵀ X,   D = λs/(1 + λs).
+//!
+//! Few bases serve many columns, so the first term is a few products of weights. Pairs (r, m) with D < 1e-4 are left out:
+//! that counts at most 1e-4 of what lies along them too much. Pinned by tests/test_level.py.
+
+use crate::error::{Result, invalid};
+use crate::modes::wide;
+use faer::linalg::matmul::matmul;
+use faer::linalg::matmul::triangular::{self, BlockStructure};
+use faer::{Accum, Mat, MatRef, Par};
+
+/// D below which a pair of a kernel vector and a mode is not worth its time.
+const NEGLIGIBLE: f64 = 1e-4;
+/// How far QᵀQ may be from one: round-off of a singular value decomposition, and no more.
+const ORTHONORMAL: f64 = 1e-8;
+/// Columns that are written out together, so that they stay in the cache.
+const TOGETHER: usize = 128;
+
+/// A set of frames, and the kernel over their commands.
+pub(super) struct Frames {
+    pub(super) index: Vec<usize>,
+    /// Q (frames, r), one vector after another, the strongest first.
+    basis: Vec<f64>,
+    /// λ (r,).
+    strength: Vec<f64>,
+}
+
+impl Frames {
+    /// Take frames of `total`, with the kernel's basis (frames, r) by rows and strength (r,). `name` is for errors.
+    pub(super) fn new(
+        name: &str,
+        index: Vec<usize>,
+        basis: &[f64],
+        strength: &[f64],
+        total: usize,
+    ) -> Result<Frames> {
+        let (count, rank) = (index.len(), strength.len());
+        if let Some(frame) = index.iter().find(|frame| **frame >= total) {
+            return Err(invalid(format!(
+                "{name} holds frame {frame}, there are {total}"
+            )));
+        }
+        if basis.len() != count * rank {
+            return Err(invalid(format!(
+                "the kernel of {name} has a basis of {} numbers, wanted ({count}, {rank})",
+                basis.len()
+            )));
+        }
+        if let Some(bad) = strength.iter().find(|s| s.is_nan() || **s < 0.0) {
+            return Err(invalid(format!(
+                "the kernel of {name} has a strength of {bad}; none may be negative"
+            )));
+        }
+        let mut order: Vec<usize> = (0..rank).collect();
+        order.sort_by(|a, b| strength[*b].total_cmp(&strength[*a]));
+        let vector = |r: usize| basis.iter().skip(r).step_by(rank).copied();
+        let frames = Frames {
+            index,
+            basis: order.iter().flat_map(|r| vector(*r)).collect(),
+            strength: order.iter().map(|r| strength[*r]).collect(),
+        };
+        let q = frames.vectors(rank);
+        let mut inner: Mat<f64> = Mat::zeros(rank, rank);
+        matmul(
+            inner.as_mut(),
+            Accum::Replace,
+            q.transpose(),
+            q,
+            1.0,
+            Par::Seq,
+        );
+        for i in 0..rank {
+            for j in 0..rank {
+                let off = (inner[(i, j)] - f64::from(i == j)).abs();
+                if off.is_nan() || off > ORTHONORMAL {
+                    return Err(invalid(format!(
+                        "the kernel of {name}: vectors {i} and {j} of its basis are not orthonormal (off by {off:.2e})"
+                    )));
+                }
+            }
+        }
+        Ok(frames)
+    }
+
+    /// The first `rank` vectors (frames, rank).
+    fn vectors(&self, rank: usize) -> MatRef<'_, f64> {
+        let count = self.index.len();
+        MatRef::from_column_major_slice(&self.basis[..count * rank], count, rank)
+    }
+
+    /// D of the vectors that count for a mode of form variance `form`: a leading part, as the strongest come first.
+    fn forgiven(&self, form: f64) -> impl Iterator<Item = f64> + '_ {
+        let share = move |strength: &f64| strength * form / (1.0 + strength * form);
+        let shares = self.strength.iter().map(share);
+        shares.take_while(|share| *share >= NEGLIGIBLE)
+    }
+}
+
+/// Columns X_j = bases[base[j]] ∘ weight[j], sorted by their base; each base (M, K) by modes, each weight (K,).
+pub(super) struct Columns<'a> {
+    pub(super) bases: &'a [&'a [f64]],
+    pub(super) base: Vec<usize>,
+    pub(super) weight: Vec<&'a [f64]>,
+    /// Form variance s (M,).
+    pub(super) form: &'a [f64],
+    /// Number of frames K.
+    pub(super) total: usize,
+}
+
+impl Columns<'_> {
+    /// The whitened Gram of the columns over a set of frames.
+    pub(super) fn gram(&self, frames: &Frames) -> Packed {
+        let (count, n) = (frames.index.len(), self.base.len());
+        let gathered = |row: &[f64], out: &mut Vec<f64>| {
+            out.extend(frames.index.iter().map(|k| row[*k]));
+        };
+        let mut weight = Vec::with_capacity(n * count); // (n, frames)
+        for row in &self.weight {
+            gathered(row, &mut weight);
+        }
+        let mut bases = Vec::with_capacity(self.bases.len() * self.form.len() * count); // (B, M, frames)
+        for base in self.bases {
+            for row in base.chunks_exact(self.total) {
+                gathered(row, &mut bases);
+            }
+        }
+        let mut out: Mat<f64> = Mat::zeros(n, n);
+        self.plain(&bases, &weight, count, &mut out);
+        self.forgive(frames, &bases, &weight, &mut out);
+        Packed::new(&out)
+    }
+
+    /// Add the Gram before whitening to the lower triangle of `out`, base by base.
+    fn plain(&self, bases: &[f64], weight: &[f64], count: usize, out: &mut Mat<f64>) {
+        let (n, size) = (self.base.len(), self.form.len() * count);
+        let mut scaled = vec![0.0; n * count];
+        let mut products = vec![0.0; count];
+        let mut first = 0;
+        while first < n {
+            let mine = &bases[self.base[first] * size..][..size];
+            let width = self.base[first..].partition_point(|b| *b == self.base[first]);
+            let (mut known, rest) = (usize::MAX, n - first);
+            for j in first..n {
+                if self.base[j] != known {
+                    known = self.base[j];
+                    products_of(mine, &bases[known * size..][..size], &mut products);
+                }
+                let row = &weight[j * count..][..count];
+                multiply(row, &products, &mut scaled[(j - first) * count..][..count]);
+            }
+            matmul(
+                out.as_mut().submatrix_mut(first, first, rest, width),
+                Accum::Replace,
+                MatRef::from_row_major_slice(&scaled[..rest * count], rest, count),
+                MatRef::from_column_major_slice(
+                    &weight[first * count..][..width * count],
+                    count,
+                    width,
+                ),
+                1.0,
+                Par::Seq,
+            );
+            first += width;
+        }
+    }
+
+    /// Take what the form error may explain off the lower triangle of `out`.
+    fn forgive(&self, frames: &Frames, bases: &[f64], weight: &[f64], out: &mut Mat<f64>) {
+        let (count, n, modes) = (frames.index.len(), self.base.len(), self.form.len());
+        let ranks: Vec<usize> = self
+            .form
+            .iter()
+            .map(|s| frames.forgiven(*s).count())
+            .collect();
+        let mut along: Mat<f64> = Mat::zeros(ranks.iter().sum(), n); // √D Y
+        let mut written = vec![0.0; TOGETHER.min(n) * count];
+        let mut top = 0;
+        for (m, rank) in ranks.into_iter().enumerate().filter(|(_, rank)| *rank > 0) {
+            for first in (0..n).step_by(TOGETHER) {
+                let width = TOGETHER.min(n - first);
+                for (j, column) in (first..).zip(written[..width * count].chunks_exact_mut(count)) {
+                    let base = &bases[(self.base[j] * modes + m) * count..][..count];
+                    multiply(base, &weight[j * count..][..count], column);
+                }
+                matmul(
+                    along.as_mut().submatrix_mut(top, first, rank, width),
+                    Accum::Replace,
+                    frames.vectors(rank).transpose(),
+                    MatRef::from_column_major_slice(&written[..width * count], count, width),
+                    1.0,
+                    Par::Seq,
+                );
+            }
+            let roots: Vec<f64> = frames.forgiven(self.form[m]).map(f64::sqrt).collect();
+            for j in 0..n {
+                let column = &mut along.col_as_slice_mut(j)[top..top + rank];
+                column
+                    .iter_mut()
+                    .zip(&roots)
+                    .for_each(|(y, root)| *y *= root);
+            }
+            top += rank;
+        }
+        triangular::matmul(
+            out.as_mut(),
+            BlockStructure::TriangularLower,
+            Accum::Add,
+            along.transpose(),
+            BlockStructure::Rectangular,
+            along.as_ref(),
+            BlockStructure::Rectangular,
+            -1.0,
+            Par::Seq,
+        );
+    }
+}
+
+/// `Σ_m a_m b_m` at each frame, of two bases (M, frames).
+fn products_of(a: &[f64], b: &[f64], out: &mut [f64]) {
+    let count = out.len().max(1);
+    out.fill(0.0);
+    wide(
+        #[inline(always)]
+        || {
+            for (a, b) in a.chunks_exact(count).zip(b.chunks_exact(count)) {
+                for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
+                    *out += a * b;
+                }
+            }
+        },
+    );
+}
+
+fn multiply(a: &[f64], b: &[f64], out: &mut [f64]) {
+    wide(
+        #[inline(always)]
+        || {
+            for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
+                *out = a * b;
+            }
+        },
+    );
+}
+
+/// The lower triangle of a symmetric matrix, row by row.
+pub(super) struct Packed(Vec<f64>);
+
+impl Packed {
+    fn new(full: &Mat<f64>) -> Packed {
+        let n = full.nrows();
+        let mut lower = vec![0.0; n * (n + 1) / 2];
+        for j in 0..n {
+            for (i, value) in full.col_as_slice(j).iter().enumerate().skip(j) {
+                lower[i * (i + 1) / 2 + j] = *value;
+            }
+        }
+        Packed(lower)
+    }
+
+    /// The entry of two columns in either order.
+    pub(super) fn at(&self, a: usize, b: usize) -> f64 {
+        let (row, column) = (a.max(b), a.min(b));
+        self.0[row * (row + 1) / 2 + column]
+    }
+}

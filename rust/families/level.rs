@@ -1,0 +1,408 @@
+//! Level 1: which family of effects explains a residual, by ridge regression on folds that were held out.
+//!
+//! Columns are added by name, a base of M modes at K frames times a weight for each frame (`gram.rs`). `close` takes the
+//! residual and builds all Gram matrices once: of every fold's training frames, of its test frames, and of all frames. Every
+//! question afterwards is a small solve: θ = (G + Λ)⁻¹ b on the training frames, and |y − Xθ|² of the test frames from their
+//! own Gram. Λ holds the ridge of each name, and 1e-9 of the mean diagonal, which settles columns that are alike.
+//! Pinned by tests/test_level.py.
+
+use super::gram::{Columns, Frames, Packed};
+use crate::error::{Result, invalid};
+use faer::linalg::solvers::{Llt, Solve};
+use faer::{Mat, Side};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Of the mean diagonal: settles columns that are alike.
+const SETTLING: f64 = 1e-9;
+
+/// A set of frames as it is given: frames, and their kernel's basis (frames, r) and strength (r,).
+pub struct Given {
+    pub index: Vec<usize>,
+    pub basis: Vec<f64>,
+    pub strength: Vec<f64>,
+}
+
+/// Columns of one name, at their places among all.
+struct Block {
+    name: String,
+    columns: Range<usize>,
+}
+
+/// The columns of all families, and what is known of them once the residual is given.
+pub struct Level {
+    form: Vec<f64>,
+    frames: usize,
+    all: Frames,
+    /// Of each fold, the frames that train and those that test.
+    folds: Vec<(Frames, Frames)>,
+    /// Different bases (M, K), by modes.
+    bases: Vec<Vec<f64>>,
+    blocks: Vec<Block>,
+    /// Of each column, its base and its weight (K,).
+    base: Vec<usize>,
+    weight: Vec<Vec<f64>>,
+    grams: Option<Grams>,
+}
+
+/// Grams of all columns and, last, the residual, in the order of their bases.
+struct Grams {
+    /// Where each column stands.
+    place: Vec<usize>,
+    all: Packed,
+    folds: Vec<(Packed, Packed)>,
+}
+
+impl Level {
+    /// Take the form variance (M,) of each mode, all frames, and (train, test) of each fold.
+    pub fn new(form: Vec<f64>, all: Given, folds: Vec<(Given, Given)>) -> Result<Level> {
+        if form.is_empty() || form.iter().any(|s| s.is_nan() || *s < 0.0) {
+            return Err(invalid(format!(
+                "form is {form:?}; give one or more variances, none of them negative"
+            )));
+        }
+        let frames = all.index.len();
+        if frames == 0 || folds.is_empty() {
+            return Err(invalid(format!(
+                "{frames} frames and {} folds; level 1 needs one of each or more",
+                folds.len()
+            )));
+        }
+        let set = |name: String, given: Given| {
+            Frames::new(&name, given.index, &given.basis, &given.strength, frames)
+        };
+        let pair = |(f, (train, test)): (usize, (Given, Given))| {
+            Ok((
+                set(format!("fold {f}, train"), train)?,
+                set(format!("fold {f}, test"), test)?,
+            ))
+        };
+        Ok(Level {
+            all: set("all frames".into(), all)?,
+            folds: folds
+                .into_iter()
+                .enumerate()
+                .map(pair)
+                .collect::<Result<_>>()?,
+            form,
+            frames,
+            bases: vec![],
+            blocks: vec![],
+            base: vec![],
+            weight: vec![],
+            grams: None,
+        })
+    }
+
+    /// Number of modes M.
+    pub fn modes(&self) -> usize {
+        self.form.len()
+    }
+
+    /// Number of frames K.
+    pub fn frames(&self) -> usize {
+        self.frames
+    }
+
+    /// Names of the columns, in the order in which they were added.
+    pub fn names(&self) -> Vec<&str> {
+        self.blocks.iter().map(|block| &*block.name).collect()
+    }
+
+    /// Add the columns X_j = base[which_j] ∘ weight_j of a name: `base` (s, K, M), `which` (n,), `weight` (n, K).
+    pub fn add(&mut self, name: &str, base: &[f64], which: &[usize], weight: &[f64]) -> Result<()> {
+        if self.blocks.iter().any(|block| block.name == name) {
+            return Err(invalid(format!(
+                "the columns {name:?} are there already; give them another name"
+            )));
+        }
+        let size = self.frames * self.modes();
+        if !base.len().is_multiple_of(size) || weight.len() != which.len() * self.frames {
+            return Err(invalid(format!(
+                "{name}: base has {} numbers and weight {}, wanted (s, {}, {}) and ({}, {2})",
+                base.len(),
+                weight.len(),
+                self.frames,
+                self.modes(),
+                which.len(),
+            )));
+        }
+        let count = base.len() / size;
+        if let Some(bad) = which.iter().find(|which| **which >= count) {
+            return Err(invalid(format!(
+                "{name}: which holds {bad}, there are {count} bases"
+            )));
+        }
+        let known: Vec<usize> = base
+            .chunks_exact(size)
+            .map(|base| self.keep(base))
+            .collect();
+        let first = self.base.len();
+        self.base.extend(which.iter().map(|which| known[*which]));
+        let rows = weight.chunks_exact(self.frames);
+        self.weight.extend(rows.map(<[f64]>::to_vec));
+        self.blocks.push(Block {
+            name: name.into(),
+            columns: first..self.base.len(),
+        });
+        self.grams = None;
+        Ok(())
+    }
+
+    /// Forget all columns; the folds stay.
+    pub fn clear(&mut self) {
+        self.bases.clear();
+        self.blocks.clear();
+        self.base.clear();
+        self.weight.clear();
+        self.grams = None;
+    }
+
+    /// The number of a base (K, M); one that is there already, as the slopes of each family are, is not kept again.
+    fn keep(&mut self, base: &[f64]) -> usize {
+        let by_modes = turned(base, self.frames, self.modes());
+        let known = self.bases.iter().position(|base| *base == by_modes);
+        known.unwrap_or_else(|| {
+            self.bases.push(by_modes);
+            self.bases.len() - 1
+        })
+    }
+
+    /// Build the Grams of all columns with the residual (K, M), in modes in units of noise.
+    pub fn close(&mut self, residual: &[f64]) -> Result<()> {
+        self.modes_of("residual", residual)?;
+        let residual = turned(residual, self.frames, self.modes());
+        let ones = vec![1.0; self.frames];
+        let mut order: Vec<usize> = (0..self.base.len()).collect();
+        order.sort_by_key(|j| self.base[*j]);
+        let mut place = vec![0; order.len()];
+        for (at, j) in order.iter().enumerate() {
+            place[*j] = at;
+        }
+        let bases: Vec<&[f64]> = self
+            .bases
+            .iter()
+            .chain([&residual])
+            .map(|base| &**base)
+            .collect();
+        let columns = Columns {
+            base: order
+                .iter()
+                .map(|j| self.base[*j])
+                .chain([self.bases.len()])
+                .collect(),
+            weight: order
+                .iter()
+                .map(|j| &*self.weight[*j])
+                .chain([&*ones])
+                .collect(),
+            bases: &bases,
+            form: &self.form,
+            total: self.frames,
+        };
+        let folds = || {
+            let both = |(train, test): &(Frames, Frames)| (columns.gram(train), columns.gram(test));
+            self.folds.par_iter().map(both).collect()
+        };
+        let (all, folds) = rayon::join(|| columns.gram(&self.all), folds);
+        self.grams = Some(Grams { place, all, folds });
+        Ok(())
+    }
+
+    /// Held-out loss (F,) of each fold with the columns of `names`, each with its ridge; of nothing, that of the residual.
+    pub fn losses(&self, names: &[String], ridges: &[f64]) -> Result<Vec<f64>> {
+        let (grams, chosen) = (self.closed()?, self.chosen(names, ridges)?);
+        let y = grams.place.len();
+        let loss = |(train, test): &(Packed, Packed)| {
+            let theta = chosen.solve(grams, train)?;
+            let at: Vec<usize> = chosen.places(grams).collect();
+            let mut loss = test.at(y, y);
+            for (i, (theta_i, at_i)) in theta.iter().zip(&at).enumerate() {
+                let others = theta[..i].iter().zip(&at);
+                let beside: f64 = others.map(|(theta, at)| theta * test.at(*at_i, *at)).sum();
+                let own = 0.5 * theta_i * test.at(*at_i, *at_i) + beside - test.at(y, *at_i);
+                loss += 2.0 * theta_i * own;
+            }
+            Ok(loss)
+        };
+        grams.folds.par_iter().map(loss).collect()
+    }
+
+    /// Weights of the columns of each of `names`, from all frames.
+    pub fn theta(&self, names: &[String], ridges: &[f64]) -> Result<Vec<Vec<f64>>> {
+        let (grams, chosen) = (self.closed()?, self.chosen(names, ridges)?);
+        let theta = chosen.solve(grams, &grams.all)?;
+        let mut rest = theta.as_slice();
+        let parts = names.iter().map(|name| {
+            let (mine, others) = rest.split_at(self.block(name)?.columns.len());
+            rest = others;
+            Ok(mine.to_vec())
+        });
+        parts.collect()
+    }
+
+    /// Effective degrees of freedom of one of `names` beside the others: the trace of its block of (G + Λ)⁻¹G.
+    pub fn freedom(&self, names: &[String], ridges: &[f64], name: &str) -> Result<f64> {
+        let (grams, chosen) = (self.closed()?, self.chosen(names, ridges)?);
+        let mut first = 0;
+        for other in names.iter().take_while(|other| *other != name) {
+            first += self.block(other)?.columns.len();
+        }
+        if !names.iter().any(|other| other == name) {
+            return Err(invalid(format!(
+                "{name:?} is not among the chosen {names:?}"
+            )));
+        }
+        let count = self.block(name)?.columns.len();
+        let (factor, added) = chosen.factor(grams, &grams.all)?;
+        let mut inverse: Mat<f64> = Mat::zeros(chosen.columns.len(), count);
+        for j in 0..count {
+            inverse[(first + j, j)] = 1.0;
+        }
+        factor.solve_in_place(inverse.as_mut());
+        let held = (0..count).map(|j| added[first + j] * inverse[(first + j, j)]);
+        Ok(count as f64 - held.sum::<f64>())
+    }
+
+    /// The modes (K, M) that the columns of a name draw with weights `theta` (n,).
+    pub fn fitted(&self, name: &str, theta: &[f64]) -> Result<Vec<f64>> {
+        let columns = self.block(name)?.columns.clone();
+        if theta.len() != columns.len() {
+            return Err(invalid(format!(
+                "theta has {} weights, {name:?} has {} columns",
+                theta.len(),
+                columns.len()
+            )));
+        }
+        let mut by_modes = vec![0.0; self.frames * self.modes()];
+        for (j, theta) in columns.zip(theta) {
+            let rows = by_modes.chunks_exact_mut(self.frames);
+            for (out, base) in rows.zip(self.bases[self.base[j]].chunks_exact(self.frames)) {
+                for ((out, base), weight) in out.iter_mut().zip(base).zip(&self.weight[j]) {
+                    *out += theta * base * weight;
+                }
+            }
+        }
+        Ok(turned(&by_modes, self.modes(), self.frames))
+    }
+
+    /// The loss (F,) of modes (K, M) that nothing is fitted to, on the test frames of each fold.
+    pub fn losses_of(&self, modes: &[f64]) -> Result<Vec<f64>> {
+        self.modes_of("modes", modes)?;
+        let modes = turned(modes, self.frames, self.modes());
+        let ones = vec![1.0; self.frames];
+        let columns = Columns {
+            base: vec![0],
+            weight: vec![&ones],
+            bases: &[&modes],
+            form: &self.form,
+            total: self.frames,
+        };
+        let loss = |(_, test): &(Frames, Frames)| columns.gram(test).at(0, 0);
+        Ok(self.folds.iter().map(loss).collect())
+    }
+
+    fn modes_of(&self, name: &str, modes: &[f64]) -> Result<()> {
+        if modes.len() == self.frames * self.modes() {
+            return Ok(());
+        }
+        Err(invalid(format!(
+            "{name} has {} numbers, wanted ({}, {})",
+            modes.len(),
+            self.frames,
+            self.modes()
+        )))
+    }
+
+    fn closed(&self) -> Result<&Grams> {
+        self.grams.as_ref().ok_or_else(|| {
+            invalid("the columns changed since the residual was given; call close(residual) first")
+        })
+    }
+
+    fn block(&self, name: &str) -> Result<&Block> {
+        let found = self.blocks.iter().find(|block| block.name == name);
+        found.ok_or_else(|| {
+            invalid(format!(
+                "there are no columns {name:?}; there are {}",
+                self.names().join(", ")
+            ))
+        })
+    }
+
+    fn chosen(&self, names: &[String], ridges: &[f64]) -> Result<Chosen> {
+        if names.len() != ridges.len() {
+            return Err(invalid(format!(
+                "{} names and {} ridges; give one ridge for each name",
+                names.len(),
+                ridges.len()
+            )));
+        }
+        let mut chosen = Chosen {
+            columns: vec![],
+            ridges: vec![],
+        };
+        for (i, (name, ridge)) in names.iter().zip(ridges).enumerate() {
+            if !ridge.is_finite() || *ridge < 0.0 || names[..i].contains(name) {
+                return Err(invalid(format!(
+                    "{name:?} with a ridge of {ridge}: a ridge is finite and not negative, and each name is given once"
+                )));
+            }
+            chosen.columns.extend(self.block(name)?.columns.clone());
+            chosen.ridges.resize(chosen.columns.len(), *ridge);
+        }
+        Ok(chosen)
+    }
+}
+
+/// Columns that are fitted together, and the ridge of each.
+struct Chosen {
+    columns: Vec<usize>,
+    ridges: Vec<f64>,
+}
+
+impl Chosen {
+    fn places<'a>(&'a self, grams: &'a Grams) -> impl Iterator<Item = usize> + 'a {
+        self.columns.iter().map(|j| grams.place[*j])
+    }
+
+    /// The factor of G + Λ, and the diagonal of Λ.
+    fn factor(&self, grams: &Grams, gram: &Packed) -> Result<(Llt<f64>, Vec<f64>)> {
+        let at: Vec<usize> = self.places(grams).collect();
+        let trace: f64 = at.iter().map(|at| gram.at(*at, *at)).sum();
+        let settling = (SETTLING * trace / at.len().max(1) as f64).max(f64::MIN_POSITIVE);
+        let added: Vec<f64> = self.ridges.iter().map(|ridge| ridge + settling).collect();
+        let mut system: Mat<f64> = Mat::zeros(at.len(), at.len());
+        for j in 0..at.len() {
+            let column = &mut system.col_as_slice_mut(j)[j..];
+            for (value, at_i) in column.iter_mut().zip(&at[j..]) {
+                *value = gram.at(*at_i, at[j]);
+            }
+            column[0] += added[j];
+        }
+        let factor = system.llt(Side::Lower).map_err(|_| {
+            invalid(format!(
+                "the normal equations of {} columns are not positive definite (trace {trace:.3e}); raise the ridges",
+                at.len()
+            ))
+        })?;
+        Ok((factor, added))
+    }
+
+    /// θ from the training Gram of a fold, or from that of all frames.
+    fn solve(&self, grams: &Grams, gram: &Packed) -> Result<Vec<f64>> {
+        let y = grams.place.len();
+        let mut theta: Mat<f64> = Mat::zeros(self.columns.len(), 1);
+        for (i, at) in self.places(grams).enumerate() {
+            theta[(i, 0)] = gram.at(y, at);
+        }
+        self.factor(grams, gram)?.0.solve_in_place(theta.as_mut());
+        Ok(theta.col_as_slice(0).to_vec())
+    }
+}
+
+/// A base (K, M) as (M, K).
+fn turned(base: &[f64], frames: usize, modes: usize) -> Vec<f64> {
+    let column = |m: usize| (0..frames).map(move |k| base[k * modes + m]);
+    (0..modes).flat_map(column).collect()
+}

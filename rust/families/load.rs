@@ -1,0 +1,46 @@
+//! Load: what hangs on the robot, its own weight included, pulls another way in another orientation.
+
+use super::declaration::*;
+use super::series::Series;
+use super::time::PLAUSIBLE;
+
+pub static FAMILY: Family = Family {
+    name: "load",
+    kind: Kind::Static,
+    doc: "A weight, its own or at the tip, bends the robot: the error follows the orientation of the base.",
+    needs: &["gravity"],
+    mimics: &["time", "step"],
+    members: &["gravity", "payload"],
+    columns: Some(columns),
+    fields: &["gravity", "payload"],
+    modulation: by_command,
+    ..NOTHING
+};
+
+/// Orientations beyond which the base moves all the time, and an indicator of each says nothing.
+const MOST: usize = 6;
+
+/// In every orientation but the first 1, x and x², mm.
+fn columns(series: &Series, channel: usize, emit: Emit) {
+    let Some(orientation) = &series.orientation else {
+        return;
+    };
+    let mut codes = orientation.clone();
+    codes.sort_unstable();
+    codes.dedup();
+    if !(2..=MOST).contains(&codes.len()) {
+        return;
+    }
+    let most = PLAUSIBLE * series.half[channel];
+    let mut out = vec![0.0; series.samples()];
+    let terms: [fn(f64) -> f64; 3] = [|_| 1.0, |x| x, |x| x * x];
+    for term in terms {
+        for code in &codes[1..] {
+            let samples = out.iter_mut().zip(orientation).zip(&series.x[channel]);
+            for ((out, now), x) in samples {
+                *out = if now == code { most * term(*x) } else { 0.0 };
+            }
+            emit(&out);
+        }
+    }
+}

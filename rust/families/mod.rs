@@ -1,0 +1,86 @@
+//! Families of effects: each declared once, in a file of its own; this list is the registry.
+//!
+//! To add one, write `NAME.rs` beside the others with `pub static FAMILY: Family` and put its name in the list below.
+//! Level 1 of a diagnosis, the tests and the pages loop over the list.
+
+mod bank;
+mod declaration;
+mod gram;
+mod level;
+mod operators;
+mod series;
+
+pub use bank::Bank;
+pub use declaration::{Family, Kind};
+pub use level::{Given, Level};
+pub use series::Series;
+
+macro_rules! registry {
+    ($($name:ident)*) => {
+        $(mod $name;)*
+
+        /// Every family.
+        pub static REGISTRY: &[&Family] = &[$(&$name::FAMILY),*];
+    };
+}
+
+registry! {
+    static_map
+    coupling
+    memory
+    delay
+    rate
+    creep
+    softening
+    time
+    step
+    temperature
+    load
+    frame
+    frame_drift
+    body
+    static_shape
+}
+
+/// The family of that name.
+pub fn find(name: &str) -> Option<&'static Family> {
+    REGISTRY.iter().copied().find(|family| family.name == name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects;
+
+    /// A gross fault: it is found before any family is asked.
+    const OF_ITS_OWN: [&str; 1] = ["servo_swap"];
+
+    #[test]
+    fn declarations_are_complete_and_name_each_other() {
+        for family in REGISTRY {
+            let name = family.name;
+            assert_eq!(find(name).map(|found| found.name), Some(name));
+            assert!(family.doc.ends_with('.'), "{name}: one sentence for users");
+            assert!(family.columns.is_some() || family.has_fields(), "{name}");
+            for other in family.mimics {
+                let back = find(other).map(|other| other.mimics.contains(&name));
+                assert_eq!(back, Some(true), "{name} mimics {other}");
+            }
+            for effect in family.members.iter().chain(family.fields) {
+                assert!(
+                    effects::find(effect).is_some(),
+                    "{name}: no effect {effect}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn each_effect_of_the_library_may_stand_for_a_family() {
+        for effect in effects::REGISTRY {
+            let name = effect.declaration.name;
+            let member = REGISTRY.iter().any(|family| family.members.contains(&name));
+            assert_eq!(member, !OF_ITS_OWN.contains(&name), "{name}");
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! The record that families are computed on: what acts on each channel at full rate, and the world around it.
+//!
+//! x = (v − middle)/half is the command in half ranges: about ±1 over the run. Units: mm, s, °C.
+
+use crate::effects::bracket;
+use crate::error::{Result, invalid};
+
+/// Added to the length of a record, s, so that a share of it is below 1 and one of no length has shares too.
+const LONGER: f64 = 1e-9;
+
+/// What acts on C channels at T times.
+#[derive(Debug, Clone)]
+pub struct Series {
+    pub(super) t: Vec<f64>,
+    /// Since the sample before, s; 0 at the first.
+    pub(super) dt: Vec<f64>,
+    /// By channel: the effective command, mm, and in half ranges.
+    pub(super) v: Vec<Vec<f64>>,
+    pub(super) x: Vec<Vec<f64>>,
+    pub(super) half: Vec<f64>,
+    /// Since the first sample, as a share of the whole, below 1.
+    pub(super) share: Vec<f64>,
+    pub(super) temperature: Option<Vec<f64>>,
+    pub(super) orientation: Option<Vec<i64>>,
+}
+
+impl Series {
+    /// Take `v` (T, C) mm at `t` (T,) s with `middle` (C,) and `half` (C,) range in mm; `temperature` (T,) °C and codes of
+    /// the `orientation` (T,) where they are declared.
+    pub fn new(
+        v: &[f64],
+        t: Vec<f64>,
+        middle: &[f64],
+        half: Vec<f64>,
+        temperature: Option<Vec<f64>>,
+        orientation: Option<Vec<i64>>,
+    ) -> Result<Series> {
+        let (samples, channels) = (t.len(), half.len());
+        if samples < 2 || channels == 0 || v.len() != samples * channels {
+            return Err(invalid(format!(
+                "v has {} numbers for t of {samples} samples and {channels} channels; give (T, C) with T ≥ 2 and C ≥ 1",
+                v.len()
+            )));
+        }
+        for (name, length, wanted) in [
+            ("middle", middle.len(), channels),
+            (
+                "temperature",
+                temperature.as_ref().map_or(samples, Vec::len),
+                samples,
+            ),
+            (
+                "orientation",
+                orientation.as_ref().map_or(samples, Vec::len),
+                samples,
+            ),
+        ] {
+            if length != wanted {
+                return Err(invalid(format!(
+                    "{name} has {length} numbers, wanted {wanted}"
+                )));
+            }
+        }
+        if let Some(k) = (1..samples).find(|&k| t[k] < t[k - 1]) {
+            return Err(invalid(format!(
+                "t falls from {} to {} s at sample {k}; times must not run backwards, so sort the record",
+                t[k - 1],
+                t[k]
+            )));
+        }
+        if let Some(c) = (0..channels).find(|&c| half[c].is_nan() || half[c] <= 0.0) {
+            return Err(invalid(format!(
+                "half is {} mm for channel {c}; half the range of a channel must be positive",
+                half[c]
+            )));
+        }
+        let channel =
+            |c: usize| -> Vec<f64> { v.iter().skip(c).step_by(channels).copied().collect() };
+        let v: Vec<Vec<f64>> = (0..channels).map(channel).collect();
+        let scaled = |c: usize| v[c].iter().map(|v| (v - middle[c]) / half[c]).collect();
+        let x = (0..channels).map(scaled).collect();
+        let mut dt: Vec<f64> = t.windows(2).map(|w| w[1] - w[0]).collect();
+        dt.insert(0, 0.0);
+        let whole = t[samples - 1] - t[0] + LONGER;
+        let share = t.iter().map(|t_k| (t_k - t[0]) / whole).collect();
+        Ok(Series {
+            t,
+            dt,
+            v,
+            x,
+            half,
+            share,
+            temperature,
+            orientation,
+        })
+    }
+
+    /// Number of samples T.
+    pub fn samples(&self) -> usize {
+        self.t.len()
+    }
+
+    /// Number of channels C.
+    pub fn channels(&self) -> usize {
+        self.half.len()
+    }
+
+    /// Where the times `at` (K,) lie among the samples.
+    pub(super) fn sampler(&self, at: &[f64]) -> Sampler {
+        Sampler(at.iter().map(|t| bracket(&self.t, *t)).collect())
+    }
+
+    /// The commands at the times `at` (K,).
+    pub(super) fn seen(&self, at: &[f64]) -> Seen {
+        let sampler = self.sampler(at);
+        let sample = |column: &Vec<f64>| {
+            let mut out = Vec::with_capacity(at.len());
+            sampler.sample(column, &mut out);
+            out
+        };
+        Seen {
+            x: self.x.iter().map(sample).collect(),
+            share: sample(&self.share),
+        }
+    }
+}
+
+/// The commands at K seen times.
+#[derive(Debug, Clone)]
+pub struct Seen {
+    /// By channel, in half ranges.
+    pub x: Vec<Vec<f64>>,
+    /// The time since the record began, as a share of the whole.
+    pub share: Vec<f64>,
+}
+
+/// Times among the samples of a record: the sample before, and the share of the way to the next.
+pub(super) struct Sampler(Vec<(usize, f64)>);
+
+impl Sampler {
+    /// Append a column (T,), linear between samples and held beyond the ends, to `out`.
+    pub(super) fn sample(&self, column: &[f64], out: &mut Vec<f64>) {
+        out.extend(self.0.iter().map(|&(k, share)| {
+            if share == 0.0 {
+                column[k]
+            } else {
+                column[k] + share * (column[k + 1] - column[k])
+            }
+        }));
+    }
+}

@@ -1,0 +1,56 @@
+//! Static map: the command acts by another curve than the model's, the same every time.
+
+use super::declaration::*;
+use super::operators::Spline;
+use super::series::Series;
+
+pub static FAMILY: Family = Family {
+    name: "static map",
+    kind: Kind::Static,
+    doc: "The same command always gives the same wrong shape, each channel by itself: gain, offset, a dead zone, a curved map.",
+    mimics: &["coupling", "body", "static shape"],
+    members: &[
+        "gain",
+        "offset",
+        "asymmetry",
+        "dead_zone",
+        "saturation",
+        "tendon_stretch",
+        "eccentric_pulley",
+        "slack",
+    ],
+    columns: Some(columns),
+    signals: Some(signals),
+    ..NOTHING
+};
+
+const INTERVALS: usize = 9;
+/// In half ranges, a little beyond what is commanded, so that the ends are inside the first and last interval.
+const REACH: f64 = 1.02;
+/// The same for signals, which another run of a little larger range is predicted with.
+const SIGNAL_REACH: f64 = 1.05;
+
+/// Cubic B-splines of the command, in mm.
+fn columns(series: &Series, channel: usize, emit: Emit) {
+    let half = series.half[channel];
+    splines(series, channel, REACH, &mut |spline| {
+        emit(&spline.iter().map(|b| half * b).collect::<Vec<f64>>());
+    });
+}
+
+fn signals(series: &Series, channel: usize, _wide: bool, emit: Emit) {
+    splines(series, channel, SIGNAL_REACH, emit);
+}
+
+fn splines(series: &Series, channel: usize, reach: f64, emit: Emit) {
+    let spline = Spline {
+        low: -reach,
+        high: reach,
+        intervals: INTERVALS,
+    };
+    let mut out = vec![0.0; series.samples()];
+    for j in 0..spline.count() {
+        spline.fill(j, &series.x[channel], &mut out);
+        emit(&out);
+    }
+}

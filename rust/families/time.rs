@@ -1,0 +1,58 @@
+//! Time: something changes slowly through the run, whatever is commanded.
+
+use super::declaration::*;
+use super::operators::Spline;
+use super::series::Series;
+
+pub static FAMILY: Family = Family {
+    name: "time",
+    kind: Kind::Time,
+    doc: "The same command gives another shape later in the run: a slow change of offset or gain with time.",
+    mimics: &[
+        "creep",
+        "softening",
+        "temperature",
+        "step",
+        "load",
+        "frame drift",
+    ],
+    members: &["tendon_creep"],
+    columns: Some(columns),
+    signals: Some(signals),
+    ..NOTHING
+};
+
+/// Of the run: what changes faster than a fifth of it is no slow change.
+const INTERVALS: usize = 5;
+/// Where the static map is learned too.
+const SIGNAL_INTERVALS: usize = 4;
+/// Of the half range: how much of a motion a change with time plausibly makes. Steps and orientations take the same.
+pub(super) const PLAUSIBLE: f64 = 0.3;
+
+/// Cubic B-splines of time, and they times x, mm.
+fn columns(series: &Series, channel: usize, emit: Emit) {
+    let most = PLAUSIBLE * series.half[channel];
+    splines(series, channel, INTERVALS, most, emit);
+}
+
+fn signals(series: &Series, channel: usize, _wide: bool, emit: Emit) {
+    splines(series, channel, SIGNAL_INTERVALS, 1.0, emit);
+}
+
+fn splines(series: &Series, channel: usize, intervals: usize, most: f64, emit: Emit) {
+    let spline = Spline {
+        low: 0.0,
+        high: 1.0,
+        intervals,
+    };
+    let ones = vec![1.0; series.samples()];
+    let mut out = ones.clone();
+    for factor in [&ones, &series.x[channel]] {
+        for j in 0..spline.count() {
+            spline.fill(j, &series.share, &mut out);
+            let pairs = out.iter_mut().zip(factor);
+            pairs.for_each(|(out, factor)| *out *= most * factor);
+            emit(&out);
+        }
+    }
+}

@@ -1,0 +1,236 @@
+"""Level 1 beside plain NumPy: columns written out, whitened by `Whitener.shrink`, normal equations solved."""
+
+import numpy as np
+import pytest
+
+from softmap_edge import _core
+from softmap_edge.diagnosis.noise import Kernel, Whitener, command_kernel
+from softmap_edge.errors import CoreError
+from softmap_edge.folds import run_folds
+
+FORM = np.array([30.0, 4.0, 0.5, 0.0])  # variances of the model's own error in four modes, one of which has none
+SETTLING = 1e-9  # of the mean diagonal, as in rust/families/level.rs
+
+
+class Plain:
+    """The same as `_core.Level`, by the definition."""
+
+    def __init__(self, whitener, folds, kernels):
+        self.whitener, self.folds, self.kernels, self.columns = whitener, folds, kernels, {}
+
+    def white(self, x, frames, kernel):
+        return self.whitener.shrink(x[:, frames], kernel).reshape(len(x), -1)
+
+    def joined(self, names):
+        return np.concatenate([self.columns[name] for name in names]) if names else np.zeros((0, *self.y.shape))
+
+    def solve(self, a, y, names, ridges):
+        ridge = np.concatenate([np.full(len(self.columns[n]), r) for n, r in zip(names, ridges)])
+        gram = a @ a.T
+        system = gram + np.diag(ridge + SETTLING * np.trace(gram) / len(gram))
+        return np.linalg.solve(system, a @ y[0]), np.linalg.solve(system, gram)
+
+    def losses(self, names, ridges):
+        x, y, found = self.joined(names), self.y[None], []
+        for (train, test), (before, after) in zip(self.folds, self.kernels):
+            left = self.white(y, test, after)[0]
+            if names:
+                theta, _ = self.solve(self.white(x, train, before), self.white(y, train, before), names, ridges)
+                left = left - theta @ self.white(x, test, after)
+            found.append(left @ left)
+        return np.array(found)
+
+    def whole(self, names, ridges):
+        every = slice(None)
+        kernel = self.whitener.kernel
+        a, y = self.white(self.joined(names), every, kernel), self.white(self.y[None], every, kernel)
+        return self.solve(a, y, names, ridges)
+
+
+def kernel_of(command, rank, strongest=50.0):
+    """A kernel with no vector between nothing and 1e-4 of what is forgiven: those are left out."""
+    found = command_kernel(command, np.ptp(command, axis=0))
+    rank = min(rank, len(found.strength))
+    return Kernel(found.basis[:, :rank], np.geomspace(strongest, 0.1, rank))
+
+
+def both(frames=90, channels=2, modes=4, rank=9, seed=0, labels=None):
+    """The core's level and the plain one on the same random columns of two families and one of a base of its own."""
+    rng = np.random.default_rng(seed)
+    t, command = np.sort(rng.uniform(0, 40, frames)), rng.normal(size=(frames, channels))
+    folds = run_folds(t, labels)
+    kernel, form = kernel_of(command, rank), FORM[:modes]
+    kernels = [(kernel_of(command[train], rank), kernel_of(command[test], rank)) for train, test in folds]
+    plain = Plain(Whitener(np.eye(modes), form, kernel), folds, kernels)
+    level = _core.Level(
+        form,
+        (kernel.basis, kernel.strength),
+        [(*fold, a.basis, a.strength, b.basis, b.strength) for fold, (a, b) in zip(folds, kernels)],
+    )
+    slopes = rng.normal(size=(channels, frames, modes))
+    for name, count in (("map", 5), ("memory", 7)):
+        which = np.repeat(np.arange(channels), count)
+        weight = rng.normal(size=(len(which), frames))
+        level.add(name, slopes, which, weight)
+        plain.columns[name] = slopes[which] * weight[:, :, None]
+    field = rng.normal(size=(2, frames, modes))
+    which = np.array([1, 0, 1])
+    weight = rng.normal(size=(3, frames))
+    level.add("body", field, which, weight)
+    plain.columns["body"] = field[which] * weight[:, :, None]
+    truth = rng.normal(size=len(plain.columns["memory"]))
+    plain.y = np.einsum("n,nkm->km", truth, plain.columns["memory"]) + 0.3 * rng.normal(size=(frames, modes))
+    level.close(plain.y)
+    return level, plain, truth
+
+
+CASES = [dict(), dict(channels=1, seed=1), dict(channels=6, rank=20, seed=2), dict(modes=1, seed=3), dict(rank=0, seed=4)]
+CHOICES = [([], []), (["memory"], [0.3]), (["body", "map"], [10.0, 1e3]), (["memory", "body", "map"], [0.0, 1.0, 3.0])]
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(("names", "ridges"), CHOICES)
+def test_the_level_is_what_numpy_makes_of_written_out_columns(case, names, ridges):
+    level, plain, _ = both(**case)
+    wanted = plain.losses(names, ridges)
+    # Round-off of sums of 360 products, of a system whose condition is at most 1e9.
+    np.testing.assert_allclose(level.losses(names, ridges), wanted, rtol=1e-7)
+    if not names:
+        return
+    theta, hat = plain.whole(names, ridges)
+    found = level.theta(names, ridges)
+    assert [len(part) for part in found] == [len(plain.columns[name]) for name in names]
+    np.testing.assert_allclose(np.concatenate(found), theta, rtol=1e-6, atol=1e-9)
+    first = 0
+    for name, part in zip(names, found):
+        df = np.trace(hat[first : first + len(part), first : first + len(part)])
+        first += len(part)
+        assert level.freedom(names, ridges, name) == pytest.approx(df, abs=1e-6)
+        drawn = np.einsum("n,nkm->km", part, plain.columns[name])
+        np.testing.assert_allclose(level.fitted(name, part), drawn, atol=1e-12 * np.abs(drawn).max())
+
+
+def test_what_is_hidden_is_recovered_and_another_family_does_not_stand_in():
+    level, plain, truth = both()
+    (theta,) = level.theta(["memory"], [1e-6])
+    # 0.3 of noise on 360 numbers for 14 weights of size 1; without the columns nothing is explained.
+    assert np.abs(theta - truth).max() < 0.2 and np.abs(truth).max() > 1
+    alone, memory, other = (level.losses(names, [0.3] * len(names)).sum() for names in ([], ["memory"], ["map"]))
+    assert memory < 0.1 * alone and other > 0.5 * alone
+
+
+def test_folds_by_label_leave_gaps_that_neither_train_nor_test():
+    labels = np.repeat(np.arange(18), 5)
+    level, plain, _ = both(labels=labels)
+    assert any(len(train) + len(test) < 90 for train, test in plain.folds)
+    np.testing.assert_allclose(level.losses(["map"], [1.0]), plain.losses(["map"], [1.0]), rtol=1e-7)
+
+
+def test_pairs_that_forgive_next_to_nothing_are_left_out_and_that_is_all_it_costs():
+    frames, form = 60, np.array([2.0, 1e-3])
+    rng = np.random.default_rng(5)
+    command = rng.normal(size=(frames, 2))
+    kernel = command_kernel(command, np.ptp(command, axis=0))
+    train, test = np.arange(30), np.arange(30, 60)
+    half = command_kernel(command[train], np.ptp(command, axis=0))
+    shares = kernel.strength[:, None] * form / (1 + kernel.strength[:, None] * form)
+    assert np.any((shares > 0) & (shares < 1e-4)) and np.any(shares > 0.5)
+    level = _core.Level(
+        form,
+        (kernel.basis, kernel.strength),
+        [(train, test, half.basis, half.strength, half.basis, half.strength)],
+    )
+    modes = rng.normal(size=(frames, 2))
+    wanted = float(np.sum(Whitener(np.eye(2), form, half).shrink(modes[test], half) ** 2))
+    assert level.losses_of(modes)[0] == pytest.approx(wanted, abs=1e-4 * float(np.sum(modes[test] ** 2)))
+    assert not np.isclose(wanted, np.sum(modes[test] ** 2), rtol=0.05)  # else nothing was forgiven at all
+
+
+def test_the_order_in_which_columns_are_added_and_the_threads_change_no_answer():
+    level, plain, _ = both()
+    again, _, _ = both()
+    assert np.array_equal(level.losses(["map", "body"], [1.0, 2.0]), again.losses(["map", "body"], [1.0, 2.0]))
+    level.clear()
+    assert level.names == []
+    for name in ("body", "memory", "map"):
+        x = plain.columns[name]
+        level.add(name, x, np.arange(len(x)), np.ones(x.shape[:2]))
+    level.close(plain.y)
+    assert level.names == ["body", "memory", "map"]
+    np.testing.assert_allclose(level.losses(["map"], [1.0]), plain.losses(["map"], [1.0]), rtol=1e-7)
+
+
+def test_columns_that_are_alike_or_nothing_are_settled():
+    level, plain, _ = both()
+    same = plain.columns["memory"][:1]
+    level.add("twice", np.concatenate([same, same]), np.array([0, 1]), np.ones((2, 90)))
+    level.add("nothing", np.zeros((1, 90, 4)), np.array([0]), np.ones((1, 90)))
+    level.close(plain.y)
+    one, two = level.theta(["twice"], [0.0])[0]
+    assert one == pytest.approx(two, rel=1e-3)  # round-off over the settling, 1e-16 / 1e-9, with room
+    assert np.all(level.theta(["nothing"], [0.0])[0] == 0.0)
+    np.testing.assert_array_equal(level.losses(["nothing"], [0.0]), level.losses([], []))
+
+
+def refused(match):
+    return pytest.raises(CoreError, match=match)
+
+
+def test_wrong_shapes_and_names_are_refused_with_what_is_allowed():
+    level, _, _ = both()
+    ones = np.ones((1, 90))
+    with refused(r"there already"):
+        level.add("map", np.zeros((1, 90, 4)), np.array([0]), ones)
+    with refused(r"base has shape \[1, 89, 4\]"):
+        level.add("new", np.zeros((1, 89, 4)), np.array([0]), ones)
+    with refused(r"weight has shape \[1, 89\], wanted \(n = 1, K = 90\)"):
+        level.add("new", np.zeros((1, 90, 4)), np.array([0]), np.ones((1, 89)))
+    with refused("which holds 1, there are 1 bases"):
+        level.add("new", np.zeros((1, 90, 4)), np.array([1]), ones)
+    with refused("which holds a negative number"):
+        level.add("new", np.zeros((1, 90, 4)), np.array([-1]), ones)
+    with refused("which must be a row of whole numbers"):
+        level.add("new", np.zeros((1, 90, 4)), np.array([0.5]), ones)
+    with refused("no columns 'creep'|no columns \"creep\"; there are map, memory, body"):
+        level.losses(["creep"], [1.0])
+    with refused("a ridge is finite and not negative"):
+        level.losses(["map"], [-1.0])
+    with refused("each name is given once"):
+        level.losses(["map", "map"], [1.0, 1.0])
+    with refused("1 names and 2 ridges"):
+        level.theta(["map"], [1.0, 1.0])
+    with refused("not among the chosen"):
+        level.freedom(["map"], [1.0], "body")
+    with refused("theta has 2 weights"):
+        level.fitted("map", np.zeros(2))
+    with refused(r"residual has shape \[90, 3\]"):
+        level.close(np.zeros((90, 3)))
+    level.add("new", np.zeros((1, 90, 4)), np.array([0]), ones)
+    with refused(r"call close\(residual\) first"):
+        level.losses(["map"], [1.0])
+
+
+def test_kernels_that_are_none_are_refused():
+    basis = np.linalg.qr(np.random.default_rng(0).normal(size=(20, 3)))[0]
+    half = np.linalg.qr(np.random.default_rng(1).normal(size=(10, 3)))[0]
+    train, test, strength = np.arange(10), np.arange(10, 20), np.ones(3)
+    fold = (train, test, half, strength, half, strength)
+
+    def level(form=np.ones(2), kernel=(basis, strength), folds=(fold,)):
+        return _core.Level(form, kernel, list(folds))
+
+    level()
+    with refused("not orthonormal"):
+        level(kernel=(2 * basis, strength))
+    with refused("fold 0, test.*not orthonormal"):
+        level(folds=[(train, test, half, strength, half + 1.0, strength)])
+    with refused("strength of -1"):
+        level(kernel=(basis, -strength))
+    with refused(r"basis has shape \[10, 3\], wanted \(frames = 9"):
+        level(folds=[(train[:9], test, half, strength, half, strength)])
+    with refused("fold 0, test holds frame 20, there are 20"):
+        level(folds=[(train, test + 1, half, strength, half, strength)])
+    with refused("form is"):
+        level(form=np.array([-1.0]))
+    with refused("0 folds"):
+        level(folds=[])
