@@ -42,7 +42,7 @@ SOUND = (
         "sentence": "The model lacks backlash.",
         "effects": [{"name": "backlash", "params": {"backlash.gap": {"value": 0.4, "sigma": 0.1, "unit": "mm"}}}],
     }
-    | {name: [] for name in ("faults", "rivals", "not_testable", "next")}
+    | {name: [] for name in ("faults", "alternatives", "not_testable", "next")}
     | {name: {} for name in ("where", "error", "unexplained", "made_from")}
 )
 
@@ -52,7 +52,7 @@ def diagnosed(hidden, model=None, **settings):
 
 
 def named(diagnosis):
-    return {e["name"] for e in [*diagnosis.effects, *diagnosis.faults]}
+    return {e.name for e in [*diagnosis.effects, *diagnosis.faults]}
 
 
 @pytest.mark.parametrize("name", HIDDEN)
@@ -81,7 +81,7 @@ def test_pair_and_triple_are_found_whole():
     pair = HIDDEN["backlash"] | HIDDEN["creep"]
     found = diagnosed(pair, seed=7)
     assert named(found) == {"backlash", "creep"}
-    assert found.effects[0]["name"] == "backlash"  # the more important one first
+    assert found.effects[0].name == "backlash"  # the more important one first
     values = [found.error["model"]] + [step["value"] for step in found.error["ladder"]]
     assert all(after < before for before, after in zip(values, values[1:]))
     assert named(diagnosed(pair | HIDDEN["payload"], seed=7)) == {"backlash", "creep", "payload"}
@@ -130,7 +130,7 @@ def test_independent_run_decides():
     assert named(found) == {"backlash"}
     assert found.error["held_out_on"] == "an independent run"
     assert found.error["ladder"][-1]["value"] < 0.6 * found.error["model"]
-    assert found.effects[0]["displacement_mm"]["held_out"] > 0.3
+    assert found.effects[0].displacement_mm.held_out > 0.3
     clean = record_run({}, seed=8, other=True)  # another kind of run on which the play is gone
     demoted = diagnose(Arm(), run, clean, library=LIBRARY)
     assert not named(demoted) and "backlash" in demoted.made_from["demoted"]
@@ -268,8 +268,8 @@ def test_what_looks_alike_is_a_rival_where_it_can_do_it():
     runs = [finger_run(acting=lambda u, f=f: u * f) for f in ([0.85, 0.85], [1.19, 0.81])]
     less, either = (diagnose(builtin_model(), run) for run in runs)
     assert named(less) == named(either) == {"gain"}
-    assert [r["effects"] for r in less.rivals] == [["tendon_stretch"]] and less.verdict == "ambiguous"
-    assert either.rivals == [] and either.verdict == "identified"
+    assert [list(r.effects) for r in less.alternatives] == [["tendon_stretch"]] and less.verdict == "ambiguous"
+    assert either.alternatives == () and either.verdict == "identified"
 
 
 @pytest.mark.parametrize(
@@ -283,14 +283,14 @@ def test_what_looks_alike_is_a_rival_where_it_can_do_it():
 def test_wrong_wiring_is_named_before_any_physics(acting, case, said):
     """Swapped servos move the finger ten times as far off as the play behind them, and hide it not."""
     found = diagnose(builtin_model(), finger_run(acting=acting))
-    assert found.verdict == "measurement_fault" and found.effects == []
-    assert found.faults[0]["params"]["servo_swap.case"]["value"] == case
+    assert found.verdict == "measurement_fault" and found.effects == ()
+    assert found.faults[0].params["servo_swap.case"].value == case
     assert "measurement is at fault" in found.sentence and f"servo_swap: {said}" in found.sentence
     assert f"{case}: {said}" in str(found) and said in found.next[0]["block"]
     behind = diagnose(builtin_model(), finger_run(["backlash"], {"backlash.gap": 1.0}, acting=acting))
-    assert [f["name"] for f in behind.faults] == ["servo_swap"] and [e["name"] for e in behind.effects] == ["backlash"]
+    assert [f.name for f in behind.faults] == ["servo_swap"] and [e.name for e in behind.effects] == ["backlash"]
     assert behind.error["ladder"][-1]["value"] < 0.1 * behind.error["ladder"][0]["value"]
-    assert behind.effects[0]["params"]["backlash.gap"]["value"] == pytest.approx(1.0, abs=0.02)
+    assert behind.effects[0].params["backlash.gap"].value == pytest.approx(1.0, abs=0.02)
 
 
 def test_tiny_effect_is_no_larger_lie():
@@ -317,7 +317,7 @@ def test_finger_that_is_partly_seen():
     found = diagnose(model, replace(run, visible=late))
     assert named(found) == {"backlash"} and found.made_from["run"] == replace(run, visible=late).hash()
     blind = diagnose(model, replace(run, visible=base))
-    hidden = {row["name"] for row in blind.not_testable}
+    hidden = {row.name for row in blind.not_testable}
     physics = {e["name"] for e in _core.effects() if e["kind"] == "effect"}
     assert blind.verdict == "cannot_tell" and hidden >= physics & set(blind.made_from["candidates"])
     for document in (found, blind, compare(model, replace(run, visible=base))):
@@ -339,7 +339,7 @@ def test_what_a_model_has_already_may_be_wrong_in_its_numbers():
     run = finger_run(["backlash"], {"backlash.gap": 1.5})
     wrong, right = (builtin_model().with_effects(["backlash"], {"backlash.gap": gap}) for gap in (1.0, 1.5))
     found = diagnose(wrong, run)
-    assert found.verdict == "ambiguous" and found.rivals[0]["effects"] == ["backlash"]
+    assert found.verdict == "ambiguous" and list(found.alternatives[0].effects) == ["backlash"]
     assert "`softmap refit` alone takes" in found.sentence and "softmap refit" in found.next[0]["block"]
     found = diagnose(right, run)
     assert found.verdict == "nothing" and "refit" not in found.sentence
@@ -362,8 +362,8 @@ def test_what_is_less_likely_than_not_is_not_identified():
     run = finger_run(["gain"], {"gain.factor[0]": 1.15, "gain.factor[1]": 1.1})
     few = run.at(np.sort(np.random.default_rng(0).choice(run.frames, 12, replace=False)))
     found = diagnose(builtin_model(), few)
-    assert found.effects[0]["name"] == "gain" and found.effects[0]["probability"] < 0.5
-    assert found.verdict == "ambiguous" and ("less likely than not" in found.sentence or found.rivals)
+    assert found.effects[0].name == "gain" and found.effects[0].probability < 0.5
+    assert found.verdict == "ambiguous" and ("less likely than not" in found.sentence or found.alternatives)
 
 
 def test_a_load_that_does_little_stays_a_rival_in_one_orientation_and_says_how_little():
@@ -371,20 +371,20 @@ def test_a_load_that_does_little_stays_a_rival_in_one_orientation_and_says_how_l
     run = finger_run(["gravity"], {"gravity.density": 0.5, "gravity.tilt_x": 40.0})
     upright = run.gravity[np.searchsorted(run.t, run.t_seen)][:, 2] > 0.99
     found = diagnose(builtin_model(), replace(run.at(upright), gravity=np.array([0.0, 0.0, 1.0])))
-    assert found.verdict == "ambiguous" and [r["effects"] for r in found.rivals] == [["payload"]]
-    assert re.search(r"fitted here it does \d+ % of it", found.rivals[0]["why"])
+    assert found.verdict == "ambiguous" and [list(r.effects) for r in found.alternatives] == [["payload"]]
+    assert re.search(r"fitted here it does \d+ % of it", found.alternatives[0].why)
 
 
 def test_what_nobody_asked_for_is_no_rival():
     run = finger_run(["gain"], {"gain.factor[0]": 1.15, "gain.factor[1]": 1.1})
-    assert diagnose(builtin_model(), run, effects=["gain", "backlash"]).rivals == []
+    assert diagnose(builtin_model(), run, effects=["gain", "backlash"]).alternatives == ()
 
 
 def test_what_lies_beyond_a_bound_is_never_identified():
     """A second of delay, twice what the library allows: a late clock stands in for the rest, and the bound says so."""
     late = lambda u: np.concatenate([np.tile(u[:1], (50, 1)), u])[: len(u)]  # noqa: E731
     found = diagnose(builtin_model(), finger_run(acting=late))
-    assert found.verdict == "ambiguous" and found.effects[-1]["params"]["latency.delay"]["at_bound"]
+    assert found.verdict == "ambiguous" and found.effects[-1].params["latency.delay"].at_bound
     assert "latency.delay is at its bound of 0.5 s" in found.sentence
     assert all(e["probability"] <= 1 / (1 + BEYOND_BOUND) for e in found.effects)  # what acts is not among the sets
 

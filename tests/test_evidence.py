@@ -173,8 +173,8 @@ def test_a_name_is_as_sure_as_what_could_stand_in_its_place():
     """A delay of the command and a late camera are one answer to one question, whichever fits better."""
     late = lambda u: np.concatenate([np.tile(u[:1], (8, 1)), u])[: len(u)]  # noqa: E731
     found = diagnose(builtin_model(), searched(late)[1], effects=FEW)
-    assert [e["name"] for e in found.effects] == ["latency"] and found.rivals[0]["effects"] == ["clock_shift"]
-    assert found.effects[0]["probability"] == pytest.approx(1 / (1 + RIVAL), abs=0.02)
+    assert [e.name for e in found.effects] == ["latency"] and list(found.alternatives[0].effects) == ["clock_shift"]
+    assert found.effects[0].probability == pytest.approx(1 / (1 + RIVAL), abs=0.02)
     assert found.made_from["temperature"] == TEMPERATURE
 
 
@@ -182,7 +182,7 @@ def test_what_is_alike_by_form_is_no_rival_where_it_leaves_twice_as_much():
     """Coupled channels and turned tendons are declared alike; shear in one direction only is no turn."""
     sheared = lambda u: u + 0.2 * np.stack([u[:, 1], 0.0 * u[:, 0]], axis=1)  # noqa: E731
     found = diagnose(builtin_model(), searched(sheared)[1], effects=["coupling", "routing", "gain", "mount"])
-    assert [e["name"] for e in found.effects] == ["coupling"] and found.verdict == "identified" and not found.rivals
+    assert [e.name for e in found.effects] == ["coupling"] and found.verdict == "identified" and not found.alternatives
 
 
 def test_an_orientation_that_no_frame_shows_is_none():

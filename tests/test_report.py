@@ -31,7 +31,7 @@ DIAGNOSIS = {
         }
     ],
     "faults": [],
-    "rivals": [{"effects": ["friction"], "why": "within two standard errors"}],
+    "alternatives": [{"effects": ["friction"], "why": "within two standard errors"}],
     "not_testable": [{"name": "thermal_softening", "why": "no temperature", "experiment": "a warm-up"}],
     "where": {
         "before": {"speed": [{"label": "still", "low": None, "high": None, "n": 9, "rms_mm": 1.0}] * 2},
@@ -148,7 +148,7 @@ def test_what_is_not_known_is_not_printed():
 def test_numbers_that_ran_away_stay_short(tmp_path):
     """A rival whose held-out error is astronomic must not fill the screen with its digits."""
     document = copy.deepcopy(DIAGNOSIS)
-    document["rivals"][0]["why"] = f"explains 93 % of it, {4.2e299:+.1f} % in mm, {10**400} more"
+    document["alternatives"][0]["why"] = f"explains 93 % of it, {4.2e299:+.1f} % in mm, {10**400} more"
     document["sentence"] = f"The error falls from {3e200:.2f} to 0.93 mm."
     document["error"]["model"] = document["unexplained"]["rms_mm"] = 3.1e250
     document["effects"][0]["share"] = document["unexplained"]["blocked_r2"] = -1e200
@@ -188,7 +188,7 @@ def page(path):
         {"error": [3]},
         {"error": {"ladder": [3]}},
         {"where": {"before": {"speed": [{"label": "x"}]}}},
-        {"rivals": {"a": 1}},
+        {"alternatives": {"a": 1}},
     ],
 )
 def test_damaged_diagnoses_are_refused(damage, tmp_path):

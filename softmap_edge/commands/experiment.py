@@ -137,7 +137,7 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
         name = "--standard" if args.standard else "--protocol"
         raise SoftmapError(f"{name} takes no diagnosis; leave one of the two out")
     diagnosis, before = Diagnosis.load(args.diagnosis), args.since and Diagnosis.load(args.since).to_dict()
-    asked = {name for e in [*diagnosis.effects, *diagnosis.rivals] for name in e.get("effects", [e.get("name")])}
+    asked = {e.name for e in diagnosis.effects} | {name for a in diagnosis.alternatives for name in a.effects}
     check_hashes([*asked], diagnosis.made_from.get("python_effects"))
     runs, limits = [open_run(path, model) for path in args.run], _limits(args, model)
     references = [open_run(path, model) for path in args.reference]

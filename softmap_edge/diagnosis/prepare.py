@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.conditions import orientations
-from softmap_edge.diagnosis.evidence import Untestable, experiment
+from softmap_edge.diagnosis.evidence import experiment
+from softmap_edge.diagnosis.findings import Untestable
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.noise import Noise, command_kernel, estimate_noise, form_covariance, rod_noise, whitener
 from softmap_edge.diagnosis.record import Record

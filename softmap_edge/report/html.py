@@ -15,6 +15,7 @@ from typing import Any
 
 from softmap_edge.diagnosis.comparison import Comparison
 from softmap_edge.diagnosis.series import Series
+from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
 from softmap_edge.errors import ReportError
 from softmap_edge.report.comparison_text import check_pair
 from softmap_edge.report.html_open import open_questions
@@ -23,9 +24,7 @@ from softmap_edge.report.style import PAGE, TONES, cards, escaped, picture, sect
 from softmap_edge.report.text import (
     LADDER_NOTE,
     STATIC_ADDED,
-    VERDICTS,
     again,
-    check_diagnosis,
     ladder_steps,
     parameter,
 )
@@ -80,7 +79,7 @@ def write_html(
         check_pair(*given)
     if diagnosis is not None:
         diagnosis = diagnosis.to_dict() if hasattr(diagnosis, "to_dict") else diagnosis
-        check_diagnosis(diagnosis)
+        diagnosis = Diagnosis.from_dict(diagnosis).to_dict()
     story = Story(
         given[0] if given else None, given[1] if len(given) > 1 else None, diagnosis, series, floor, *(ways or ())
     )

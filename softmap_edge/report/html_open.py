@@ -1,4 +1,4 @@
-"""What a diagnosis leaves open, as HTML: servos, rivals, what these data cannot tell, what to record, what is left."""
+"""What a diagnosis leaves open, as HTML: servos, alternatives, what these data cannot tell, what to record, what is left."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ from typing import Any
 
 from softmap_edge.report.numbers import mm, number, tamed
 from softmap_edge.report.style import escaped
-from softmap_edge.report.text import servo_row, untestable_rows
+from softmap_edge.report.text import alternative_name, family_text, servo_row, untestable_rows
 
 
 def open_questions(found: Mapping[str, Any]) -> str:
     """Return the part of a page on what a diagnosis document leaves open; nothing where there is none."""
-    sets = found.get("rivals") or []
-    rivals = [(" + ".join(map(str, row.get("effects") or ["?"])), tamed(row.get("why", ""))) for row in sets]
+    sets = found.get("alternatives") or []
+    alternatives = [(alternative_name(row), tamed(row.get("why", ""))) for row in sets]
+    families = [(row["name"], family_text(row).split(": ", 1)[1]) for row in found.get("families") or []]
     rows = untestable_rows(found)
     untestable = [(names, f"{why} — {experiment}" if experiment else why) for names, why, experiment in rows]
     steps = [(f"{row.get('block', '?')}", _settles(row)) for row in found.get("next") or []]
     parts = [
         _definitions("Servos: between command and encoder", [servo_row(row) for row in found.get("servo") or []]),
-        _definitions("Rivals: what explains these data as well", rivals),
+        _definitions("Families of effects that were detected", families),
+        _definitions("Alternatives: what explains these data as well", alternatives),
         _definitions("Not testable with these data", untestable),
         _definitions("Next experiment", steps),
         _remarks(found.get("remarks") or []),

@@ -10,25 +10,14 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from softmap_edge.errors import ReportError
+from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
 from softmap_edge.report.numbers import LARGEST, bar, folded, mm, number, percent, tamed
 
-SCHEMA = "softmap.diagnosis/1"
-VERDICTS = {
-    "identified": "identified",
-    "ambiguous": "ambiguous: more than one effect fits",
-    "partly_explained": "partly explained: something unknown is left",
-    "nothing": "nothing above the floor",
-    "cannot_tell": "these data cannot tell",
-    "measurement_fault": "measurement fault",
-}
-
-
 def diagnosis_text(document: Mapping[str, Any]) -> str:
-    """Return the report of a diagnosis document softmap.diagnosis/1.
+    """Return the report of a diagnosis document.
 
     Args:
-        document: what `Diagnosis.to_dict()` gave.
+        document: what `Diagnosis.to_dict()` gave, of this schema or the one before.
 
     Returns:
         str: lines of at most 100 columns.
@@ -36,7 +25,7 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
     Raises:
         ReportError: it is not such a document.
     """
-    check_diagnosis(document)
+    document = Diagnosis.from_dict(document).to_dict()
     lines = [f"Verdict: {VERDICTS.get(document['verdict'], document['verdict'])}"]
     lines += folded(tamed(document.get("sentence", "")), 2)
     for title, key in (
@@ -48,62 +37,16 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
             lines += ["", title]
         for row in rows:
             lines += _effect_lines(row)
+    lines += _list_lines("Families of effects that were detected", document["families"], family_text)
     lines += _ladder_lines(document.get("error") or {})
     servos = [servo_row(row) for row in document.get("servo") or []]
     lines += _list_lines("Servos: between command and encoder", servos, ": ".join)
-    lines += _list_lines("Rivals: what explains these data as well", document.get("rivals"), _rival)
+    lines += _list_lines("Alternatives: what explains these data as well", document["alternatives"], _alternative)
     lines += _list_lines("Not testable with these data", untestable_rows(document), _untestable)
     lines += _list_lines("About the run", document.get("remarks"), tamed)
     lines += _unexplained_lines(document.get("unexplained") or {})
     lines += _list_lines("Next experiment", document.get("next"), _next)
     return "\n".join(line.rstrip() for line in lines)
-
-
-def check_diagnosis(document: Any) -> None:
-    """Raise ReportError unless `document` has the schema softmap.diagnosis/1 and its entries have its shape."""
-    schema = document.get("schema") if isinstance(document, Mapping) else None
-    if schema != SCHEMA or not isinstance(document.get("verdict"), str):
-        raise ReportError(f"this is no diagnosis: schema {schema!r}, expected '{SCHEMA}' with a verdict")
-    for key in ("where", "error", "unexplained", "made_from"):
-        _demand(document.get(key) or {}, Mapping, key)
-    for key in ("effects", "faults", "servo", "rivals", "not_testable", "next"):
-        for row in _demand(document.get(key) or [], list, key):
-            _demand(row, Mapping, f"an entry of {key}")
-    for text in _demand(document.get("remarks") or [], list, "remarks"):
-        _demand(text, str, "a remark")
-    named = [*(document.get("effects") or []), *(document.get("faults") or [])]
-    names = [row.get("name") for row in named]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise ReportError(f"damaged diagnosis: it names '{twice}' twice; make it again")
-    for row in document.get("servo") or []:
-        _demand(row.get("error") or {}, Mapping, "error of a servo")
-        named += _demand(row.get("effects") or [], list, "effects of a servo")
-    for row in named:
-        _demand(_demand(row, Mapping, "an effect").get("displacement_mm") or {}, Mapping, "displacement_mm")
-        _demand(row.get("name"), str, "the name of an effect")
-        again = _demand(row.get("refitted") or {"params": {}}, Mapping, "refitted")
-        params = _demand(row.get("params"), Mapping, "params"), _demand(again.get("params"), Mapping, "refitted params")
-        for label, value in (item for group in params for item in group.items()):
-            if number(_demand(value, Mapping, "an entry of params").get("value")) is None:
-                raise ReportError(f"damaged diagnosis: {label} has no finite value; make it again")
-    for row in document.get("rivals") or []:
-        _demand(row.get("effects") or [], list, "effects of a rival")
-    for row in _demand((document.get("error") or {}).get("ladder") or [], list, "ladder"):
-        _demand(row, Mapping, "a step of the ladder")
-    for moment in ("before", "after"):
-        maps = _demand((document.get("where") or {}).get(moment) or {}, Mapping, f"where.{moment}")
-        for name, rows in maps.items():
-            for row in _demand(rows, list, f"where.{moment}.{name}"):
-                if number(_demand(row, Mapping, f"a bin of {name}").get("rms_mm")) is None or "label" not in row:
-                    raise ReportError(f"damaged diagnosis: a bin of {name} has no label or rms_mm; make it again")
-
-
-def _demand(value: Any, kind: Any, name: str) -> Any:
-    if not isinstance(value, kind):
-        raise ReportError(
-            f"damaged diagnosis: {name} is {type(value).__name__}, expected {kind.__name__}; make it again"
-        )
-    return value
 
 
 PARAMETERS = "fitted, ± 1 σ of the scatter alone; ratios have no unit"
@@ -213,8 +156,26 @@ def _list_lines(title: str, rows: Any, text: Any) -> list[str]:
     return lines
 
 
-def _rival(row: Mapping[str, Any]) -> str:
-    return f"{' + '.join(map(str, row.get('effects') or ['?']))}: {tamed(row.get('why', ''))}"
+def alternative_name(row: Mapping[str, Any]) -> str:
+    """Return what an alternative is called: its effects, or the family of which no law is known."""
+    return " + ".join(map(str, row.get("effects") or [])) or str(row.get("family") or "?")
+
+
+def _alternative(row: Mapping[str, Any]) -> str:
+    return f"{alternative_name(row)}: {tamed(row.get('why', ''))}"
+
+
+def family_text(row: Mapping[str, Any]) -> str:
+    """Return what is known of a detected family: its share, its law, other families that look alike."""
+    effects, generic = (list(map(str, row.get(key) or [])) for key in ("effects", "generic"))
+    law = {
+        "resolved": ", ".join(effects),
+        "open": f"law open ({', '.join([*effects, *generic]) or 'no candidate'})",
+        "unknown": "no known law" + (f"; the nearest explains {percent(row['law_share'])} of it"
+                                     if row.get("law_share") is not None else ""),
+    }.get(str(row.get("law")), "?")  # fmt: skip
+    beside = f"; cannot be distinguished from {', '.join(map(str, row['alternatives']))}" if row["alternatives"] else ""
+    return f"{row['name']}: {law}; {percent(row['share'])} of the explained loss, {mm(row['moved_mm'])} mm RMS{beside}"
 
 
 def untestable_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:

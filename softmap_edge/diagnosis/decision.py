@@ -1,0 +1,67 @@
+"""Every constant of the decision between families and between laws, and the comparisons that use them.
+
+A family or a law is judged by its loss on held-out folds, paired fold by fold. What each constant is for stands beside
+it; `tests/test_decision.py` pins each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+FORM = 0.025  # of the explained loss: what the form of a law may be off (0.16 of its amplitude, squared)
+FALL = 0.03  # least relative fall of the held-out loss for a family
+FALL_FIRST, FALL_NEXT = 0.2, 0.3  # of the loss above the noise: least fall of the first family and of later ones
+FOLDS = 0.6  # of the folds that show a family: in so many its loss must fall
+FOLD_FALLS, FOLD_RISES = 0.01, 0.05  # of a fold's loss: what counts as a fall or a rise, between them it shows nothing
+AGREE = 0.85  # of the folds: so many agree that a difference within one standard error is one
+ABOVE_NOISE = 1.3  # times the number of whitened numbers: noise alone rarely leaves more
+VISIBLE_MM = 0.12  # least displacement of the centreline
+ORDINARY = 0.02  # of the motion (RMS): what imperfections of an ordinary robot amount to at most
+DOMINATES = 2.0  # times the other imperfections that a static effect must move the body
+MIMIC = 0.9  # R² from which what one family does is what others can do
+CONFOUNDED = 0.95  # R² from which a condition cannot be told from time
+LEFT = 0.1  # share of the loss, or of the mean square, above which something unknown is left
+UNKNOWN_TIMES = 2.5  # times the model's own error, or the noise, that must be left for an unaccepted family to count
+MISWIRED = 0.2  # of the motion: servos are exchanged only where the model is off by so much
+STANDS_FOR = 0.6  # of what a member explains: an effect of the same form that explains less is no alternative
+MOST = 4  # families
+# Odds against a name: always, for each alternative, for a number at its bound, beside something unknown, for open laws.
+ODDS_BASE, ODDS_ALTERNATIVE, ODDS_BOUND, ODDS_UNKNOWN, ODDS_OPEN = 0.03, 0.5, 0.5, 0.5, 1.0
+RIDGES = (0.3, 10.0, 300.0, 1e4)  # strengths of the ridge that cross-validation chooses from
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far the held-out loss falls from one hypothesis to another: sum, standard error, share of the folds."""
+
+    fall: float
+    error: float
+    share: float
+
+
+def difference(before: Floats, after: Floats) -> Difference:
+    """Return how far the loss falls from `before` (folds,) to `after` (folds,)."""
+    fall = before - after
+    falls = int(np.sum(after < (1.0 - FOLD_FALLS) * before))
+    rises = int(np.sum(after >= (1.0 + FOLD_RISES) * before))
+    error = float(fall.std(ddof=1) * np.sqrt(len(fall))) if len(fall) > 1 else np.inf
+    return Difference(float(fall.sum()), error, falls / max(2, falls + rises))
+
+
+def near(loss: Floats, best: Floats, null: Floats) -> bool:
+    """Whether a hypothesis cannot be told from the best one, given what the best explains of `null`."""
+    behind = float(loss.sum() - best.sum())
+    if behind <= FORM * float(null.sum() - best.sum()):
+        return True
+    agree = len(loss) >= 5 and float(np.mean(loss > best)) >= AGREE
+    return behind <= difference(loss, best).error and not agree
+
+
+def reaches(loss: Floats, best: Floats, explained: float) -> bool:
+    """Whether a law leaves no more than the best of its family, up to one standard error or its form's tolerance."""
+    return float(loss.sum() - best.sum()) <= max(difference(loss, best).error, FORM * explained)
