@@ -129,7 +129,7 @@ def _left(outcome: Outcome, standing: Sequence[Step]) -> bool:
     if standing:
         return outcome.left > rule.LEFT
     record = outcome.body.record
-    own = max(record.form_mm, outcome.body.problem.noise.rms_mm(record.positions))
+    own = max(float(np.hypot(record.form_mm, outcome.ordinary_mm)), outcome.body.problem.noise.rms_mm(record.positions))
     off = record.rms_mm(outcome.state.residual)
     return outcome.hint is not None and off > rule.UNKNOWN_TIMES * own
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 FORM = 0.025  # of the explained loss: what the form of a law may be off (0.16 of its amplitude, squared)
+FORM_MOST = 0.15  # the same where ordinary imperfections stand beside a static law
 FALL = 0.03  # least relative fall of the held-out loss for a family
 FALL_FIRST, FALL_NEXT = 0.2, 0.3  # of the loss above the noise: least fall of the first family and of later ones
 FOLDS = 0.6  # of the folds that show a family: in so many its loss must fall
@@ -21,7 +22,7 @@ FOLD_FALLS, FOLD_RISES = 0.01, 0.05  # of a fold's loss: what counts as a fall o
 AGREE = 0.85  # of the folds: so many agree that a difference within one standard error is one
 ABOVE_NOISE = 1.3  # times the number of whitened numbers: noise alone rarely leaves more
 VISIBLE_MM = 0.12  # least displacement of the centreline
-ORDINARY = 0.02  # of the motion (RMS): what imperfections of an ordinary robot amount to at most
+ORDINARY = 0.04  # of the motion (RMS): what imperfections of an ordinary robot amount to at most
 DOMINATES = 2.0  # times the other imperfections that a static effect must move the body
 MIMIC = 0.9  # R² from which what one family does is what others can do
 CONFOUNDED = 0.95  # R² from which a condition cannot be told from time
@@ -62,6 +63,11 @@ def near(loss: Floats, best: Floats, null: Floats) -> bool:
     return behind <= difference(loss, best).error and not agree
 
 
-def reaches(loss: Floats, best: Floats, explained: float) -> bool:
+def reaches(loss: Floats, best: Floats, explained: float, form: float = FORM) -> bool:
     """Whether a law leaves no more than the best of its family, up to one standard error or its form's tolerance."""
-    return float(loss.sum() - best.sum()) <= max(difference(loss, best).error, FORM * explained)
+    return float(loss.sum() - best.sum()) <= max(difference(loss, best).error, form * explained)
+
+
+def form_of(static: bool, moved_mm: float, ordinary_mm: float) -> float:
+    """Return the share of the explained loss that a law may miss: a static one need not explain imperfections."""
+    return max(FORM, min(FORM_MOST, (ordinary_mm / max(moved_mm, 1e-9)) ** 2)) if static else FORM

@@ -30,6 +30,7 @@ REACH = 0.15  # of the range of a parameter, at which the signature of a field i
 PLACES = (0.2, 0.5, 0.8)  # of the range of a parameter that says where: signatures are taken there
 MODES = 8  # leading spatial modes of a free static shape
 FREE_MM = 0.9  # mm RMS of the body that one such column moves it by
+BACKGROUND_RIDGE = 10.0  # of families that explain ordinary imperfections
 LINEARISED = 2  # times that a representative is linearised about itself
 
 
@@ -99,6 +100,7 @@ class Body:
         self.middle, self.half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-6)
         self.step = np.maximum(SLOPE * self.record.spread, 1e-3)
         self.weights = np.ascontiguousarray(problem.gain * problem.whitener.project.T)
+        self.ordinary_mm = 0.0  # static imperfections of the robot, RMS
         self._signatures: dict[str, Floats] = {}
 
     # --- commands and features ------------------------------------------------------------------
@@ -137,26 +139,25 @@ class Body:
     def series(self, commands: Commands) -> list[_core.Series]:
         """Return effective commands with the conditions of their runs, as banks take them."""
         out = []
-        for part, v in zip(self.parts, commands):
+        for part, v, orientation in zip(self.parts, commands, self._orientations):
             t = np.asarray(part.run.t, float)
             warm = _numbers(part.run.temperature, len(t))
             warm = None if warm is None or np.ptp(warm) < WARMED else warm
-            out.append(_core.Series(v, t, self.middle, self.half, warm, self._orientation(part)))
+            out.append(_core.Series(v, t, self.middle, self.half, warm, orientation))
         return out
 
-    def _orientation(self, part: Record) -> NDArray[np.int64] | None:
-        """Return which of the orientations of the runs each sample (T,) is in, None where there is one."""
-        rows = _directions(part)
-        if rows is None or len(self._orientations) < 2:
-            return None
-        return np.array([self._orientations[tuple(row)] for row in rows], np.int64)
-
     @cached_property
-    def _orientations(self) -> dict[tuple[float, ...], int]:
-        rows = [found for part in self.parts if (found := _directions(part)) is not None]
-        if len(rows) < len(self.parts):
-            return {}
-        return {tuple(row): i for i, row in enumerate(np.unique(np.concatenate(rows), axis=0))}
+    def _orientations(self) -> list[NDArray[np.int64] | None]:
+        """Which of the orientations of the runs each sample (T,) of a run is in; None where there is one."""
+        rows = [_vectors(part.run.gravity, len(part.run.t)) for part in self.parts]
+        known = [np.round(row, TURNED) for row in rows if row is not None]
+        if len(known) < len(rows):
+            return [None] * len(rows)
+        every, codes = np.unique(np.concatenate(known), axis=0, return_inverse=True)
+        if len(every) < 2:
+            return [None] * len(rows)
+        ends = np.cumsum([len(row) for row in known])
+        return list(np.split(codes.reshape(-1).astype(np.int64), ends[:-1]))
 
     def columns(self, family: Family, commands: Commands, slopes: Floats) -> Columns | None:
         """Return the columns of a family about effective commands with their `slopes` (C, K, F), None if it has none."""
@@ -179,11 +180,22 @@ class Body:
     def _fields(self, family: Family) -> Floats:
         """Return the fields (s, K, F) mm of a family: signatures of its effects, or free shapes."""
         if family.name not in self._signatures:
-            rows = [s for name in family.fields if name in self.candidates for s in self._signature(name)]
+            names = [name for name in family.fields if name in self.candidates]
+            rows = [s for name in names if (own := self.single(name)) is not None for s in own.base]
             if family.name == "static shape":
                 rows = self._free_shapes()
             self._signatures[family.name] = np.stack(rows) if rows else np.zeros((0, *self.record.seen.shape))
         return self._signatures[family.name]
+
+    def single(self, effect: str) -> Columns | None:
+        """Return what the numbers of one effect do, each by itself, as columns; None if they do nothing here."""
+        if effect not in self._signatures:
+            rows = self._signature(effect)
+            self._signatures[effect] = np.stack(rows) if rows else np.zeros((0, *self.record.seen.shape))
+        rows = self._signatures[effect]
+        if not len(rows):
+            return None
+        return Columns(rows, np.arange(len(rows)), np.ones((len(rows), len(self.record))), 0)
 
     def _free_shapes(self) -> list[Floats]:
         """Return the leading spatial modes of what candidates do, as shapes that do not change."""
@@ -249,8 +261,15 @@ class Body:
 class State:
     """What is known at a step of the search: a joint fit, representatives that stand beside it, and what both predict."""
 
-    def __init__(self, body: Body, fit: Fit, beside: Sequence[Representative] = ()) -> None:
-        self.body, self.fit, self.beside = body, fit, tuple(beside)
+    def __init__(
+        self,
+        body: Body,
+        fit: Fit,
+        beside: Sequence[Representative] = (),
+        background: Sequence[Family] = (),
+    ) -> None:
+        """Say what is known; families in `background` explain ordinary imperfections, which nobody names."""
+        self.body, self.fit, self.beside, self.background = body, fit, tuple(beside), tuple(background)
         start = body.effective(fit)
         commands, shift = start, np.zeros_like(body.record.seen)
         for one in self.beside:
@@ -286,7 +305,29 @@ class State:
             if columns is not None:
                 self.body.add(level, f"*{one.family.name}", columns)
                 names, ridges = [*names, f"*{one.family.name}"], [*ridges, one.ridge]
+        for family, columns in self._background.items():
+            self.body.add(level, f"~{family.name}", columns)
+            names, ridges = [*names, f"~{family.name}"], [*ridges, BACKGROUND_RIDGE]
         return names, ridges
+
+    @cached_property
+    def _background(self) -> dict[Family, Columns]:
+        """The columns of the families that explain ordinary imperfections."""
+        found = {f: self.body.columns(f, self.commands, self.slopes) for f in self.background}
+        return {family: columns for family, columns in found.items() if columns is not None}
+
+    @cached_property
+    def ordinary(self) -> Floats:
+        """What ordinary imperfections explain of the residual, (K, F) mm."""
+        out = np.zeros_like(self.body.record.seen)
+        if self._background:
+            level = self.body.level()
+            names, ridges = self.blocks(level)
+            level.close(np.ascontiguousarray(self.body.modes(self.residual)))
+            theta = level.theta(names, ridges)
+            for columns, own in zip(self._background.values(), theta[-len(self._background) :]):
+                out += columns.shift(np.asarray(own))
+        return out
 
 
 def applied(body: Body, one: Representative, commands: Commands) -> tuple[Commands, Floats]:
@@ -415,12 +456,6 @@ def seen_commands(part: Record, commands: Floats) -> Floats:
     t = np.asarray(part.run.t, float)
     rows = [np.interp(part.t_seen, t, column) for column in commands.T]
     return np.ascontiguousarray(np.reshape(rows, (commands.shape[1], part.frames)).T)
-
-
-def _directions(part: Record) -> Floats | None:
-    """Return the direction of gravity of each sample (T, 3), rounded so that near ones are one orientation."""
-    rows = _vectors(part.run.gravity, len(part.run.t))
-    return None if rows is None else np.round(rows, TURNED)
 
 
 def _numbers(values: object, count: int) -> Floats | None:

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.decision import FORM, difference, reaches
+from softmap_edge.diagnosis.decision import difference, form_of, reaches
 from softmap_edge.diagnosis.evidence import at_bound
 from softmap_edge.diagnosis.families import (
     Body,
@@ -119,6 +119,8 @@ class _Asked:
     def __init__(self, state: State, fits: Fits, representative: Representative, before: Floats) -> None:
         self.state, self.fits, self.representative, self.before = state, fits, representative, before
         self.body: Body = state.body
+        static = representative.family.kind == "static"
+        self.form = form_of(static, representative.moved_mm, self.body.ordinary_mm)
 
     def members(self) -> list[Law]:
         """Fit each member of the family on top of what was found."""
@@ -168,21 +170,21 @@ class _Asked:
     def any_reaches(self, laws: list[Law]) -> bool:
         """Whether one of the laws does what the family can do."""
         explained = float(self.before.sum() - self.representative.loss.sum())
-        return any(reaches(law.loss, self.representative.loss, explained) for law in laws)
+        return any(reaches(law.loss, self.representative.loss, explained, self.form) for law in laws)
 
     def judged(self, laws: list[Law]) -> Answer:
         """Say which law it is, given all that were tried."""
         losses = [self.representative.loss, *(law.loss for law in laws)]
         best = min(losses, key=lambda loss: float(loss.sum()))
         explained = float(self.before.sum() - best.sum())
-        able = sorted((law for law in laws if reaches(law.loss, best, explained)), key=_simplest)
+        able = sorted((law for law in laws if reaches(law.loss, best, explained, self.form)), key=_simplest)
         unseen = [law for law in able if "eccentric_pulley" in law.effects and not self._turn_seen(law)]
         named = [law for law in able if law.effects and law not in unseen]
         generic = [law for law in able if not law.effects]
         is_open = bool(unseen) and not named or any(law.numbers <= named[0].numbers for law in generic if named)
         is_open |= bool(generic) and not named
         candidates = [*named, *unseen] if is_open else named
-        same = self._equal(candidates, 0.5 * FORM * explained)
+        same = self._equal(candidates, 0.5 * self.form * explained)
         tried = tuple(sorted(laws, key=lambda one: float(one.loss.sum())))
         return Answer(
             self.representative.family, self.representative, self.before, same[0] if same else None, tuple(same[1:]),

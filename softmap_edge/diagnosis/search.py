@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ from softmap_edge.diagnosis.laws import Answer, answered, law_of
 
 Floats = NDArray[np.float64]
 
+BACKGROUND = ("static map", "static shape", "frame", "load")  # what ordinary imperfections look like
+WINDING = "eccentric_pulley"  # with five numbers it is many smooth maps, and no single small law
 SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken
 
 
@@ -59,6 +61,7 @@ class Outcome:
     state: State
     null: Floats  # (folds,) held-out loss of the model alone
     loss: Floats  # (folds,) held-out loss of what was found
+    ordinary_mm: float  # ordinary static imperfections of the robot, RMS
     steps: list[Step] = field(default_factory=list)
     hint: Representative | None = None  # the best family, if it was not accepted but falls
 
@@ -73,9 +76,9 @@ class Outcome:
         problem, record = self.body.problem, self.body.record
         noise = rule.ABOVE_NOISE * problem.numbers
         in_loss = (self.loss.sum() - noise) / max(float(self.null.sum()) - noise, 0.25 * noise)
-        own = max(record.form_mm, problem.noise.rms_mm(record.positions)) ** 2
+        own = max(record.form_mm**2 + self.ordinary_mm**2, problem.noise.rms_mm(record.positions) ** 2)
         start = record.rms_mm(record.seen - self.fits.null.predicted) ** 2
-        now = record.rms_mm(self.state.residual) ** 2
+        now = record.rms_mm(self.state.residual - self.state.ordinary) ** 2
         return float(max(0.0, in_loss, (now - own) / max(start - own, own)))
 
 
@@ -92,16 +95,20 @@ def search(
         progress: hears a line per family.
         visible: least RMS displacement that counts, mm or the unit of what is seen.
     """
-    body, every = Body(problem, candidates), families()
-    tell = progress or (lambda _: None)
-    fits = Fits(problem, candidates)
+    every, tell = families(), progress or (lambda _: None)
+    body, fits = Body(problem, candidates), Fits(problem, candidates)
     state = State(body, fits.null)
     outcome: Outcome | None = None
     while outcome is None or len(outcome.steps) < rule.MOST:
         taken = [step.family for step in outcome.steps] if outcome else []
         ranking = ranked(state, every, taken)
         if outcome is None:
-            outcome = Outcome(body, fits, fits, state, ranking.found, ranking.found)
+            if problem.record.model.kind != "rod":  # a rod's own error is its noise
+                body.ordinary_mm = ordinary(state, ranking, every)
+            outcome = Outcome(body, fits, fits, state, ranking.found, ranking.found, body.ordinary_mm)
+        if _is_ordinary(ranking, state):
+            state = State(body, state.fit, state.beside, [f for f in every if f.name in BACKGROUND])
+            ranking = ranked(state, [f for f in every if f.kind != "static"], taken)
         outcome.loss = ranking.found
         step = None if outcome.steps else _miswired(ranking, state, fits)
         step = step or _next(ranking, state, fits, outcome, visible)
@@ -111,6 +118,7 @@ def search(
         outcome.steps.append(step)
         state, fits = _taken(state, fits, step.answer)
         outcome.state, outcome.fits = state, fits
+    outcome.state = state
     outcome.loss = ranked(state, [], []).found
     return outcome
 
@@ -118,11 +126,11 @@ def search(
 def _taken(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
     """Return state and fits with a family taken: its law joins the fit, else its representative stands beside it."""
     if answer.law is not None and answer.law.fit is not None:
-        return State(state.body, answer.law.fit, state.beside), fits
+        return State(state.body, answer.law.fit, state.beside, state.background), fits
     beside = (*state.beside, answer.representative)
     there = State(state.body, state.fit, beside)
     shifted = Fits(_shifted(state.body.problem, there.shift), fits.candidates)
-    return State(state.body, shifted.get(state.fit.effects), beside), shifted
+    return State(state.body, shifted.get(state.fit.effects), beside, state.background), shifted
 
 
 def _shifted(problem: Problem, shift: Floats) -> Problem:
@@ -153,6 +161,13 @@ def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
     return Step(Answer(family, stand_in, ranking.found, law, (), False, (law,), (law,)), ())
 
 
+def _is_ordinary(ranking: Ranking, state: State) -> bool:
+    """Whether the best family is static and moves the body by no more than ordinary imperfections may."""
+    if not ranking.rows or ranking.rows[0].family.kind != "static" or state.body.ordinary_mm <= 0.0:
+        return False
+    return ranking.rows[0].moved_mm < rule.DOMINATES * state.body.ordinary_mm
+
+
 def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible: float) -> Step | None:
     """Return the next family to take, or None; the outcome keeps a hint where the best was not accepted."""
     if not ranking.rows:
@@ -164,7 +179,11 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     if not able or (able[0] is not best and float(able[0].loss.sum() - best.loss.sum()) > 0.1 * gain):
         outcome.hint = best if gain > 0.1 * float(ranking.before.sum()) else None
         return None
-    tied = [row for row in able if near(row.loss, able[0].loss, ranking.before)]
+    tied = [
+        row
+        for row in able
+        if near(row.loss, able[0].loss, ranking.before) or _ordinary_apart(row, able[0], state)
+    ]
     answers = [answered(state, fits, row, ranking.found) for row in tied]
     above = max(0.0, float(ranking.found.sum()) - rule.ABOVE_NOISE * state.body.problem.numbers)
     least = max(rule.FALL_FIRST * above, rule.FALL * float(ranking.found.sum()))
@@ -176,11 +195,22 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     return Step(first, tuple(a for a in rest if _stands_beside(a, first, ranking, state)))
 
 
+def _ordinary_apart(one: Representative, other: Representative, state: State) -> bool:
+    """Whether two static families do the same but for ordinary imperfections."""
+    if {one.family.kind, other.family.kind} != {"static"}:
+        return False
+    record = state.body.record
+    apart = one.columns.shift(one.theta) - other.columns.shift(other.theta)
+    return record.rms_mm(np.where(np.isfinite(record.seen), apart, np.nan)) <= state.body.ordinary_mm
+
+
 def _order(family: Family) -> int:
     return 0 if family.name == "static map" else SIMPLER[family.kind]
 
 
-def _accepted(row: Representative, ranking: Ranking, state: State, later: bool, visible: float) -> bool:
+def _accepted(
+    row: Representative, ranking: Ranking, state: State, later: bool, visible: float
+) -> bool:
     """Whether a family is seen: its loss falls far enough, in enough folds, and it moves the body far enough."""
     problem, before = state.body.problem, float(ranking.before.sum())
     fall = difference(ranking.before, row.loss)
@@ -190,21 +220,35 @@ def _accepted(row: Representative, ranking: Ranking, state: State, later: bool, 
     if fall.fall < (rule.FALL_NEXT if later else rule.FALL_FIRST) * above:
         return False
     noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0) if problem.noise.replicates else 0.0
-    return row.moved_mm >= max(visible, float(noise), _imperfections_mm(row, ranking, state))
+    static = row.family.kind == "static"
+    own = max(state.body.record.form_mm, rule.DOMINATES * state.body.ordinary_mm) if static else 0.0
+    return row.moved_mm >= max(visible, float(noise), own)
 
 
-def _imperfections_mm(row: Representative, ranking: Ranking, state: State) -> float:
-    """Return what a static family must exceed: the model's own error, and twice the other imperfections of the robot.
+def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
+    """Return the level of the robot's ordinary static imperfections, mm RMS.
 
-    Other static misfit counts as imperfections as far as these are ordinary; beyond, it is another effect.
+    Where one effect dominates the static misfit it is what that effect leaves, else all of it: many small things. What
+    is more than ordinary is another effect.
     """
-    if row.family.kind != "static":
-        return 0.0
-    record = state.body.record
-    seen = np.isfinite(record.seen)
-    others = record.rms_mm(np.where(seen, ranking.static - row.columns.shift(row.theta), np.nan))
+    body, record = state.body, state.body.record
+    seen, level = np.isfinite(record.seen), state.body.level()
+    static = [f for f in every if f.kind == "static"]
+    names = dict.fromkeys(e for f in static for e in f.members if e in body.candidates and e != WINDING)
+    singles = {name: own for name in names if (own := body.single(name)) is not None}
+    for name, own in singles.items():
+        body.add(level, name, own)
+    level.close(np.ascontiguousarray(body.modes(state.residual)))
+
+    def size(shift: Floats) -> float:
+        return record.rms_mm(np.where(seen, shift, np.nan))
+
+    total = size(ranking.static)
+    shifts = [own.shift(np.asarray(level.theta([n], [rule.RIDGES[0]])[0])) for n, own in singles.items()]
+    pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
+    left, moved = min(pairs, default=(total, 0.0))
     motion = record.rms_mm(record.seen - np.nanmean(record.seen, axis=0))
-    return max(record.form_mm, rule.DOMINATES * min(others, rule.ORDINARY * motion))
+    return float(min(left if moved >= rule.DOMINATES * left else total, rule.ORDINARY * motion))
 
 
 def _stands_beside(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
