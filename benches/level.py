@@ -1,8 +1,8 @@
-"""Rows of level 1: the normal equations of all families on eight folds, beside NumPy on columns that are written out.
+"""Benchmark of level 1: normal equations of all families on eight folds, next to NumPy on explicit columns.
 
-The peer is the definition in the fewest calls: columns (n, K, M) by one product, whitened by `Whitener.shrink`, one
-matrix product a set of frames. The core never writes them out (rust/families/gram.rs). Both give the same losses, pinned by
-tests/test_benches.py; a ratio of different work would say nothing.
+The peer uses the fewest NumPy calls: explicit columns (n, K, M), whitened by `Whitener.shrink`, one matrix product per
+set of frames. The core never forms the columns (rust/families/gram.rs). tests/test_benches.py checks that both give the
+same losses.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ RIDGE = 10.0
 
 @dataclass(frozen=True)
 class Made:
-    """What level 1 is asked: bases and weights by name, a residual, folds and their kernels."""
+    """Input of level 1: bases and weights by name, a residual, folds and their kernels."""
 
     columns: dict[str, tuple[Floats, NDArray[np.int64], Floats]]
     residual: Floats
@@ -41,7 +41,7 @@ class Made:
         return sum(len(which) for _, which, _ in self.columns.values())
 
     def level(self) -> _core.Level:
-        """Return the core's level with all columns added, and not closed."""
+        """Return the core's level with all columns added, not yet closed."""
         kernel = self.whitener.kernel
         folds = [
             (*fold, train.basis, train.strength, test.basis, test.strength)
@@ -53,7 +53,7 @@ class Made:
         return level
 
     def grams(self) -> list[tuple[Floats, Floats]]:
-        """Return the Grams (n + 1, n + 1) of each fold's training and test frames by NumPy, the residual last."""
+        """Return the Gram matrices (n + 1, n + 1) of the training and test frames of each fold, the residual last."""
         parts = [base[which] * weight[:, :, None] for base, which, weight in self.columns.values()]
         x = np.concatenate([*parts, self.residual[None]])
 
@@ -67,7 +67,7 @@ class Made:
 
 
 def made(frames: int = FRAMES, modes: int = MODES, channels: int = CHANNELS, fields: int = FIELDS) -> Made:
-    """Return all families of a run of slow moves, with random slopes and fields."""
+    """Return the columns of all families for slow moves, with random slopes and fields."""
     rng = np.random.default_rng(0)
     t = np.arange(2 * frames) * 0.5
     waves = 2 * np.pi * t[:, None, None] * rng.uniform(0.01, 0.05, (channels, 3))
@@ -85,7 +85,7 @@ def made(frames: int = FRAMES, modes: int = MODES, channels: int = CHANNELS, fie
 
 
 def rows(made_of: Made | None = None) -> list[dict[str, object]]:
-    """Return the time of all Grams beside NumPy's."""
+    """Return the time of all normal equations next to NumPy."""
     made_of = made_of or made()
     level = made_of.level()
     ours, theirs = side_by_side(lambda: level.close(made_of.residual), made_of.grams)

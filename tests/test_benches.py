@@ -86,7 +86,7 @@ def test_a_peer_that_did_other_work_is_not_timed():
         geometry.same("steps", np.zeros(3), np.array([0.0, np.nan, 0.0]), 0.1)
 
 
-def test_the_numpy_level_has_the_same_normal_equations(monkeypatch):
+def test_the_numpy_level_gives_the_same_losses(monkeypatch):
     monkeypatch.setattr("benches.row.REPEATS", 1)
     made = level.made(frames=80, modes=4, fields=3)
     ours, names = made.level(), list(made.columns)
@@ -97,7 +97,7 @@ def test_the_numpy_level_has_the_same_normal_equations(monkeypatch):
         ridge = level.RIDGE + 1e-9 * np.trace(train[:n, :n]) / n
         theta = np.linalg.solve(train[:n, :n] + ridge * np.eye(n), train[:n, n])
         losses.append(test[n, n] - 2 * theta @ test[:n, n] + theta @ test[:n, :n] @ theta)
-    # The core leaves out what forgives less than 1e-4 (rust/families/gram.rs).
+    # The core skips pairs below 1e-4 (rust/families/gram.rs).
     np.testing.assert_allclose(ours.losses(names, [level.RIDGE] * len(names)), losses, rtol=1e-3)
     (row,) = level.rows(made)
     assert row["value"] > 0 and row["peer"] > 0 and f"{made.count} columns" in row["name"]

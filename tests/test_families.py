@@ -1,4 +1,4 @@
-"""Families of effects: the registry, and every bank of columns beside plain NumPy."""
+"""Effect families: the registry, and every column bank against an independent NumPy version."""
 
 from itertools import combinations_with_replacement
 
@@ -9,13 +9,13 @@ from softmap_edge import _core
 from softmap_edge.errors import CoreError
 
 REGISTRY = {family["name"]: family for family in _core.families()}
-FAULTS_OF_THEIR_OWN = {"servo_swap"}  # gross: found before any family is asked
+GROSS_FAULTS = {"servo_swap"}  # checked before level 1
 WITH_COLUMNS = [name for name, family in REGISTRY.items() if family["columns"]]
 WITH_SIGNALS = [name for name, family in REGISTRY.items() if family["signals"]]
 
 
 class Plain:
-    """A random record of C channels at uneven times, with a warm-up and three orientations, and its banks by NumPy."""
+    """A random record of C channels at irregular times, with a warm-up and three orientations."""
 
     def __init__(self, channels, samples=400, seed=0):
         rng = np.random.default_rng(seed)
@@ -29,11 +29,11 @@ class Plain:
         self.orientation = np.repeat([4, -1, 7], [150, 150, samples - 300])
         self.x = (self.v - self.middle) / self.half
         self.share = (self.t - self.t[0]) / (self.t[-1] - self.t[0] + 1e-9)
-        self.at = rng.uniform(self.t[0] - 0.5, self.t[-1] + 0.5, 77)  # in any order, and beyond the ends
+        self.at = rng.uniform(self.t[0] - 0.5, self.t[-1] + 0.5, 77)  # unsorted, and beyond both ends
         self.series = _core.Series(self.v, self.t, self.middle, self.half, self.temperature, self.orientation)
 
     def seen(self, columns):
-        """(T, n) at the seen times (n, K)."""
+        """Interpolate columns (T, n) at the capture times: (n, K)."""
         return np.stack([np.interp(self.at, self.t, column) for column in columns.T])
 
 
@@ -164,9 +164,9 @@ def modulation(p, name):
     return np.stack([np.prod(x[list(k)], axis=0) for k in terms])
 
 
-def test_each_effect_may_stand_for_a_family_and_each_family_knows_the_others():
+def test_every_effect_is_a_member_of_a_family_and_mimics_are_mutual():
     effects = {effect["name"] for effect in _core.effects()}
-    assert {m for family in REGISTRY.values() for m in family["members"]} == effects - FAULTS_OF_THEIR_OWN
+    assert {m for family in REGISTRY.values() for m in family["members"]} == effects - GROSS_FAULTS
     for name, family in REGISTRY.items():
         assert family["doc"].endswith(".") and family["kind"] in ("static", "memory", "condition", "time")
         assert set(family["fields"]) <= effects
@@ -177,7 +177,7 @@ def test_each_effect_may_stand_for_a_family_and_each_family_knows_the_others():
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 6])
 @pytest.mark.parametrize("name", WITH_COLUMNS)
-def test_columns_are_those_of_numpy_at_the_seen_times_and_add_up_at_full_rate(name, channels):
+def test_columns_match_numpy_at_capture_times_and_at_full_rate(name, channels):
     p, bank = Plain(channels), _core.Bank(name, channels)
     wanted = [columns(p, name, c) for c in range(channels)]
     which, found = bank.columns(p.series, p.at)
@@ -197,7 +197,7 @@ def test_columns_are_those_of_numpy_at_the_seen_times_and_add_up_at_full_rate(na
 @pytest.mark.parametrize("channels", [1, 2])
 @pytest.mark.parametrize("wide", [False, True])
 @pytest.mark.parametrize("name", WITH_SIGNALS)
-def test_signals_are_those_of_numpy(name, wide, channels):
+def test_signals_match_numpy(name, wide, channels):
     p = Plain(channels, seed=2)
     which, found = _core.Bank(name, channels).signals(p.series, p.at, wide)
     wanted = [signals(p, name, c, wide) for c in range(channels)]
@@ -207,7 +207,7 @@ def test_signals_are_those_of_numpy(name, wide, channels):
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 6])
 @pytest.mark.parametrize("name", REGISTRY)
-def test_fields_are_multiplied_by_functions_of_command_and_time(name, channels):
+def test_modulations_match_numpy(name, channels):
     p, family = Plain(channels, seed=3), REGISTRY[name]
     found = _core.Bank(name, channels).modulation(p.series, p.at)
     if not family["fields"] and not family["modes"]:
@@ -215,12 +215,12 @@ def test_fields_are_multiplied_by_functions_of_command_and_time(name, channels):
         return
     wanted = modulation(p, name)
     assert found.shape == wanted.shape
-    # Products may stand in another order: what counts is that each is there once.
+    # The order of the products does not matter, only that each occurs once.
     order = lambda rows: rows[np.lexsort(np.round(rows[:, :3], 9).T)]  # noqa: E731
     np.testing.assert_allclose(order(found), order(wanted), atol=1e-13)
 
 
-def test_a_pole_over_straight_pieces_does_not_depend_on_how_they_are_cut():
+def test_piecewise_linear_commands_give_the_same_columns_at_any_sampling():
     coarse = np.array([0.0, 0.7, 1.9, 2.0, 3.1])
     u = np.array([0.0, 3.0, -2.0, 1.0, 1.0])[:, None]
     fine = np.sort(np.concatenate([coarse, np.linspace(0, 3.1, 500)]))
@@ -229,13 +229,13 @@ def test_a_pole_over_straight_pieces_does_not_depend_on_how_they_are_cut():
         found = []
         for t in (coarse, fine):
             series = _core.Series(np.interp(t, coarse, u[:, 0])[:, None], t, middle, half)
-            # Only at the knots: between them columns are taken as linear, which a coarse record cannot do better.
+            # Compared at the knots only: between samples, columns are interpolated linearly.
             found.append(_core.Bank(name, 1).columns(series, coarse)[1])
         rows = slice(9, None) if name == "delay" else slice(None, 12)
         np.testing.assert_allclose(found[0][rows], found[1][rows], atol=1e-12)
 
 
-def test_at_rest_nothing_that_remembers_acts():
+def test_memory_families_vanish_at_rest():
     t = np.linspace(0, 5, 60)
     v = np.tile([2.0, -3.0], (60, 1))
     series = _core.Series(v, t, np.zeros(2), np.full(2, 4.0))
@@ -243,7 +243,7 @@ def test_at_rest_nothing_that_remembers_acts():
         assert np.abs(_core.Bank(name, 2).columns(series, t)[1]).max() < 1e-14
 
 
-def test_first_loading_is_virgin():
+def test_softening_vanishes_on_first_loading():
     t = np.linspace(0, 5, 60)
     out = np.linspace(0, 8, 60)[:, None]
     series = _core.Series(out, t, np.full(1, 4.0), np.full(1, 4.0))
@@ -252,31 +252,32 @@ def test_first_loading_is_virgin():
     assert np.abs(_core.Bank("softening", 1).columns(back, t)[1]).max() > 1.0
 
 
-def test_what_a_run_does_not_vary_has_no_columns():
+def test_conditions_that_do_not_vary_give_no_columns():
     p = Plain(2)
     bare = _core.Series(p.v, p.t, p.middle, p.half)
     still = _core.Series(p.v, p.t, p.middle, p.half, 22 + 0.001 * p.temperature, np.zeros(len(p.t), int))
     always = _core.Series(p.v, p.t, p.middle, p.half, orientation=np.arange(len(p.t)) // 20)
-    for name, series in [("temperature", bare), ("load", bare), ("temperature", still), ("load", still), ("load", always)]:
+    cases = [("temperature", bare), ("load", bare), ("temperature", still), ("load", still), ("load", always)]
+    for name, series in cases:
         which, found = _core.Bank(name, 2).columns(series, p.at)
         assert which.shape == (0,) and found.shape == (0, len(p.at))
         assert np.array_equal(_core.Bank(name, 2).applied(series, np.zeros(0)), p.v)
 
 
-def test_wrong_shapes_and_names_are_refused_with_what_is_allowed():
+def test_invalid_input_is_rejected():
     p = Plain(2)
     refused = lambda match: pytest.raises(CoreError, match=match)  # noqa: E731
-    with refused("no family \"slope\"; there are static map, coupling"):
+    with refused('unknown family "slope"; available: static map, coupling'):
         _core.Bank("slope", 2)
-    with refused("one channel or more"):
+    with refused("at least one channel"):
         _core.Bank("memory", 0)
-    with refused("the series has 2 channels, the bank 3"):
+    with refused("the series has 2 channels, but the bank has 3"):
         _core.Bank("memory", 3).columns(p.series, p.at)
-    with refused("theta has 3 weights, the family \"memory\" has 32 columns"):
+    with refused('theta has 3 weights, but family "memory" has 32 columns'):
         _core.Bank("memory", 2).applied(p.series, np.zeros(3))
-    with refused("has no signals; those that have are static map"):
+    with refused('family "frame" has no signals; families with signals: static map'):
         _core.Bank("frame", 2).signals(p.series, p.at, True)
-    with refused("at holds nan"):
+    with refused("at holds NaN at position 0"):
         _core.Bank("memory", 2).columns(p.series, np.array([np.nan]))
     with refused("half is 0 mm for channel 1"):
         _core.Series(p.v, p.t, p.middle, p.half * [1.0, 0.0])

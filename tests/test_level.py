@@ -1,4 +1,4 @@
-"""Level 1 beside plain NumPy: columns written out, whitened by `Whitener.shrink`, normal equations solved."""
+"""Level 1 against plain NumPy: explicit columns, whitened by `Whitener.shrink`, normal equations solved directly."""
 
 import numpy as np
 import pytest
@@ -8,12 +8,12 @@ from softmap_edge.diagnosis.noise import Kernel, Whitener, command_kernel
 from softmap_edge.errors import CoreError
 from softmap_edge.folds import run_folds
 
-FORM = np.array([30.0, 4.0, 0.5, 0.0])  # variances of the model's own error in four modes, one of which has none
-SETTLING = 1e-9  # of the mean diagonal, as in rust/families/level.rs
+FORM = np.array([30.0, 4.0, 0.5, 0.0])  # model-error variance of four modes, one without any
+JITTER = 1e-9  # share of the mean diagonal, as in rust/families/level.rs
 
 
 class Plain:
-    """The same as `_core.Level`, by the definition."""
+    """Reference for `_core.Level`."""
 
     def __init__(self, whitener, folds, kernels):
         self.whitener, self.folds, self.kernels, self.columns = whitener, folds, kernels, {}
@@ -27,7 +27,7 @@ class Plain:
     def solve(self, a, y, names, ridges):
         ridge = np.concatenate([np.full(len(self.columns[n]), r) for n, r in zip(names, ridges)])
         gram = a @ a.T
-        system = gram + np.diag(ridge + SETTLING * np.trace(gram) / len(gram))
+        system = gram + np.diag(ridge + JITTER * np.trace(gram) / len(gram))
         return np.linalg.solve(system, a @ y[0]), np.linalg.solve(system, gram)
 
     def losses(self, names, ridges):
@@ -48,14 +48,14 @@ class Plain:
 
 
 def kernel_of(command, rank, strongest=50.0):
-    """A kernel with no vector between nothing and 1e-4 of what is forgiven: those are left out."""
+    """Return a kernel none of whose pairs falls below the threshold of 1e-4 at which the core skips them."""
     found = command_kernel(command, np.ptp(command, axis=0))
     rank = min(rank, len(found.strength))
     return Kernel(found.basis[:, :rank], np.geomspace(strongest, 0.1, rank))
 
 
 def both(frames=90, channels=2, modes=4, rank=9, seed=0, labels=None):
-    """The core's level and the plain one on the same random columns of two families and one of a base of its own."""
+    """Return the core's level and the reference on the same random columns; two of three names share bases."""
     rng = np.random.default_rng(seed)
     t, command = np.sort(rng.uniform(0, 40, frames)), rng.normal(size=(frames, channels))
     folds = run_folds(t, labels)
@@ -84,16 +84,22 @@ def both(frames=90, channels=2, modes=4, rank=9, seed=0, labels=None):
     return level, plain, truth
 
 
-CASES = [dict(), dict(channels=1, seed=1), dict(channels=6, rank=20, seed=2), dict(modes=1, seed=3), dict(rank=0, seed=4)]
+CASES = [
+    dict(),
+    dict(channels=1, seed=1),
+    dict(channels=6, rank=20, seed=2),
+    dict(modes=1, seed=3),
+    dict(rank=0, seed=4),
+]
 CHOICES = [([], []), (["memory"], [0.3]), (["body", "map"], [10.0, 1e3]), (["memory", "body", "map"], [0.0, 1.0, 3.0])]
 
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize(("names", "ridges"), CHOICES)
-def test_the_level_is_what_numpy_makes_of_written_out_columns(case, names, ridges):
+def test_losses_weights_and_freedom_match_numpy(case, names, ridges):
     level, plain, _ = both(**case)
     wanted = plain.losses(names, ridges)
-    # Round-off of sums of 360 products, of a system whose condition is at most 1e9.
+    # Round-off of sums of 360 products, in a system of condition up to 1e9.
     np.testing.assert_allclose(level.losses(names, ridges), wanted, rtol=1e-7)
     if not names:
         return
@@ -110,23 +116,23 @@ def test_the_level_is_what_numpy_makes_of_written_out_columns(case, names, ridge
         np.testing.assert_allclose(level.fitted(name, part), drawn, atol=1e-12 * np.abs(drawn).max())
 
 
-def test_what_is_hidden_is_recovered_and_another_family_does_not_stand_in():
+def test_injected_weights_are_recovered_and_another_family_does_not_explain_them():
     level, plain, truth = both()
     (theta,) = level.theta(["memory"], [1e-6])
-    # 0.3 of noise on 360 numbers for 14 weights of size 1; without the columns nothing is explained.
+    # Noise of 0.3 on 360 numbers, 14 weights of size 1.
     assert np.abs(theta - truth).max() < 0.2 and np.abs(truth).max() > 1
     alone, memory, other = (level.losses(names, [0.3] * len(names)).sum() for names in ([], ["memory"], ["map"]))
     assert memory < 0.1 * alone and other > 0.5 * alone
 
 
-def test_folds_by_label_leave_gaps_that_neither_train_nor_test():
+def test_frames_in_the_gap_neither_train_nor_test():
     labels = np.repeat(np.arange(18), 5)
     level, plain, _ = both(labels=labels)
     assert any(len(train) + len(test) < 90 for train, test in plain.folds)
     np.testing.assert_allclose(level.losses(["map"], [1.0]), plain.losses(["map"], [1.0]), rtol=1e-7)
 
 
-def test_pairs_that_forgive_next_to_nothing_are_left_out_and_that_is_all_it_costs():
+def test_skipped_pairs_change_a_loss_by_at_most_1e_4():
     frames, form = 60, np.array([2.0, 1e-3])
     rng = np.random.default_rng(5)
     command = rng.normal(size=(frames, 2))
@@ -143,10 +149,10 @@ def test_pairs_that_forgive_next_to_nothing_are_left_out_and_that_is_all_it_cost
     modes = rng.normal(size=(frames, 2))
     wanted = float(np.sum(Whitener(np.eye(2), form, half).shrink(modes[test], half) ** 2))
     assert level.losses_of(modes)[0] == pytest.approx(wanted, abs=1e-4 * float(np.sum(modes[test] ** 2)))
-    assert not np.isclose(wanted, np.sum(modes[test] ** 2), rtol=0.05)  # else nothing was forgiven at all
+    assert not np.isclose(wanted, np.sum(modes[test] ** 2), rtol=0.05)  # the kernel has an effect
 
 
-def test_the_order_in_which_columns_are_added_and_the_threads_change_no_answer():
+def test_results_are_reproducible_and_do_not_depend_on_the_order_of_columns():
     level, plain, _ = both()
     again, _, _ = both()
     assert np.array_equal(level.losses(["map", "body"], [1.0, 2.0]), again.losses(["map", "body"], [1.0, 2.0]))
@@ -160,46 +166,56 @@ def test_the_order_in_which_columns_are_added_and_the_threads_change_no_answer()
     np.testing.assert_allclose(level.losses(["map"], [1.0]), plain.losses(["map"], [1.0]), rtol=1e-7)
 
 
-def test_columns_that_are_alike_or_nothing_are_settled():
+def test_collinear_and_zero_columns_are_solvable():
     level, plain, _ = both()
     same = plain.columns["memory"][:1]
     level.add("twice", np.concatenate([same, same]), np.array([0, 1]), np.ones((2, 90)))
     level.add("nothing", np.zeros((1, 90, 4)), np.array([0]), np.ones((1, 90)))
     level.close(plain.y)
     one, two = level.theta(["twice"], [0.0])[0]
-    assert one == pytest.approx(two, rel=1e-3)  # round-off over the settling, 1e-16 / 1e-9, with room
+    assert one == pytest.approx(two, rel=1e-3)  # round-off 1e-16 over jitter 1e-9, with a margin
     assert np.all(level.theta(["nothing"], [0.0])[0] == 0.0)
     np.testing.assert_array_equal(level.losses(["nothing"], [0.0]), level.losses([], []))
+
+
+def test_a_fold_without_training_frames_keeps_the_loss_of_the_residual():
+    y, nobody = np.random.default_rng(0).normal(size=(5, 2)), np.arange(0)
+    none, each = np.zeros((5, 0)), np.zeros(0)
+    level = _core.Level(np.ones(2), (none, each), [(nobody, np.arange(5), none[:0], each, none, each)])
+    level.add("one", np.ones((1, 5, 2)), np.array([0]), np.ones((1, 5)))
+    level.close(y)
+    assert level.losses(["one"], [0.0])[0] == pytest.approx(np.sum(y**2), rel=1e-15)
+    assert level.theta(["one"], [0.0])[0][0] == pytest.approx(y.mean(), rel=1e-8)  # jitter 1e-9
 
 
 def refused(match):
     return pytest.raises(CoreError, match=match)
 
 
-def test_wrong_shapes_and_names_are_refused_with_what_is_allowed():
+def test_invalid_columns_and_names_are_rejected():
     level, _, _ = both()
     ones = np.ones((1, 90))
-    with refused(r"there already"):
+    with refused("already exist"):
         level.add("map", np.zeros((1, 90, 4)), np.array([0]), ones)
     with refused(r"base has shape \[1, 89, 4\]"):
         level.add("new", np.zeros((1, 89, 4)), np.array([0]), ones)
     with refused(r"weight has shape \[1, 89\], wanted \(n = 1, K = 90\)"):
         level.add("new", np.zeros((1, 90, 4)), np.array([0]), np.ones((1, 89)))
-    with refused("which holds 1, there are 1 bases"):
+    with refused("which contains 1, but there are only 1 bases"):
         level.add("new", np.zeros((1, 90, 4)), np.array([1]), ones)
-    with refused("which holds a negative number"):
+    with refused("which contains a negative number"):
         level.add("new", np.zeros((1, 90, 4)), np.array([-1]), ones)
-    with refused("which must be a row of whole numbers"):
+    with refused("which must be a one-dimensional array of integers"):
         level.add("new", np.zeros((1, 90, 4)), np.array([0.5]), ones)
-    with refused("no columns 'creep'|no columns \"creep\"; there are map, memory, body"):
+    with refused('unknown columns "creep"; available: map, memory, body'):
         level.losses(["creep"], [1.0])
-    with refused("a ridge is finite and not negative"):
+    with refused("a ridge must be finite and not negative"):
         level.losses(["map"], [-1.0])
-    with refused("each name is given once"):
+    with refused("a name may appear only once"):
         level.losses(["map", "map"], [1.0, 1.0])
     with refused("1 names and 2 ridges"):
         level.theta(["map"], [1.0, 1.0])
-    with refused("not among the chosen"):
+    with refused("not one of the fitted names"):
         level.freedom(["map"], [1.0], "body")
     with refused("theta has 2 weights"):
         level.fitted("map", np.zeros(2))
@@ -210,13 +226,15 @@ def test_wrong_shapes_and_names_are_refused_with_what_is_allowed():
         level.losses(["map"], [1.0])
 
 
-def test_kernels_that_are_none_are_refused():
+def test_invalid_kernels_and_folds_are_rejected():
     basis = np.linalg.qr(np.random.default_rng(0).normal(size=(20, 3)))[0]
     half = np.linalg.qr(np.random.default_rng(1).normal(size=(10, 3)))[0]
     train, test, strength = np.arange(10), np.arange(10, 20), np.ones(3)
     fold = (train, test, half, strength, half, strength)
 
-    def level(form=np.ones(2), kernel=(basis, strength), folds=(fold,)):
+    two = np.ones(2)
+
+    def level(form=two, kernel=(basis, strength), folds=(fold,)):
         return _core.Level(form, kernel, list(folds))
 
     level()
@@ -224,11 +242,11 @@ def test_kernels_that_are_none_are_refused():
         level(kernel=(2 * basis, strength))
     with refused("fold 0, test.*not orthonormal"):
         level(folds=[(train, test, half, strength, half + 1.0, strength)])
-    with refused("strength of -1"):
+    with refused("strength -1; strengths must not be negative"):
         level(kernel=(basis, -strength))
     with refused(r"basis has shape \[10, 3\], wanted \(frames = 9"):
         level(folds=[(train[:9], test, half, strength, half, strength)])
-    with refused("fold 0, test holds frame 20, there are 20"):
+    with refused("fold 0, test contains frame 20, but there are only 20 frames"):
         level(folds=[(train, test + 1, half, strength, half, strength)])
     with refused("form is"):
         level(form=np.array([-1.0]))

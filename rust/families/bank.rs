@@ -1,14 +1,14 @@
-//! The columns of one family on a series: sampled at the seen times, or added up at full rate.
+//! Column bank of one family: columns sampled at capture times, or applied to the command at full rate.
 
 use super::declaration::{Emit, Family};
 use super::series::Series;
 use super::{REGISTRY, find};
 use crate::error::{Result, invalid};
 
-/// Columns by channel: on which channel each of n acts, and n rows of K samples one after the other.
+/// Channel of each column (n,), and their samples (n, K) row by row.
 pub type Sampled = (Vec<usize>, Vec<f64>);
 
-/// A family for robots of C channels.
+/// Column bank of a family for C channels.
 #[derive(Debug, Clone, Copy)]
 pub struct Bank {
     family: &'static Family,
@@ -16,22 +16,22 @@ pub struct Bank {
 }
 
 impl Bank {
-    /// The bank of the family of that name.
+    /// Create the bank of a family.
     pub fn new(name: &str, channels: usize) -> Result<Bank> {
         let family = find(name).ok_or_else(|| {
             let names: Vec<&str> = REGISTRY.iter().map(|family| family.name).collect();
             invalid(format!(
-                "there is no family {name:?}; there are {}",
+                "unknown family {name:?}; available: {}",
                 names.join(", ")
             ))
         })?;
         if channels == 0 {
-            return Err(invalid("a bank needs one channel or more"));
+            return Err(invalid("a bank needs at least one channel"));
         }
         Ok(Bank { family, channels })
     }
 
-    /// What the family declares.
+    /// The declaration of the family.
     pub fn family(&self) -> &'static Family {
         self.family
     }
@@ -41,8 +41,8 @@ impl Bank {
         self.channels
     }
 
-    /// The columns (n, K) mm at the times `at` (K,), linear between samples, and the channel of each. None where the series
-    /// does not vary in what the family needs.
+    /// Sample the columns at the times `at` (K,), linear between samples. Returns the channel (n,) and the samples (n, K) mm.
+    /// There are none if the series lacks, or does not vary, what the family needs.
     pub fn columns(&self, series: &Series, at: &[f64]) -> Result<Sampled> {
         self.check(series)?;
         let Some(columns) = self.family.columns else {
@@ -51,7 +51,7 @@ impl Bank {
         Ok(sampled(series, at, columns))
     }
 
-    /// What acts (T, C) mm with the weights `theta` (n,) of the columns.
+    /// Compute the effective command (T, C) mm with column weights `theta` (n,).
     pub fn applied(&self, series: &Series, theta: &[f64]) -> Result<Vec<f64>> {
         self.check(series)?;
         let mut acting = series.v.clone();
@@ -69,7 +69,7 @@ impl Bank {
         }
         if count != theta.len() {
             return Err(invalid(format!(
-                "theta has {} weights, the family {:?} has {count} columns on this series",
+                "theta has {} weights, but family {:?} has {count} columns on this series",
                 theta.len(),
                 self.family.name
             )));
@@ -80,7 +80,7 @@ impl Bank {
             .collect())
     }
 
-    /// The rows (m, K) that multiply each field at the times `at` (K,); none for a family without fields.
+    /// Compute the rows (m, K) that multiply each field at the times `at` (K,). There are none for a family without fields.
     pub fn modulation(&self, series: &Series, at: &[f64]) -> Result<Vec<f64>> {
         self.check(series)?;
         let mut rows = vec![];
@@ -90,8 +90,8 @@ impl Bank {
         Ok(rows)
     }
 
-    /// The signals (n, K) in half ranges at the times `at` (K,), and the channel of each; `wide` where the static map is
-    /// learned with them.
+    /// Sample the signals in half ranges at the times `at` (K,). Returns the channel (n,) and the samples (n, K).
+    /// `wide` selects the spacing for models whose static map is learned together with the memory.
     pub fn signals(&self, series: &Series, at: &[f64], wide: bool) -> Result<Sampled> {
         self.check(series)?;
         let Some(signals) = self.family.signals else {
@@ -101,7 +101,7 @@ impl Bank {
                 .map(|family| family.name)
                 .collect();
             return Err(invalid(format!(
-                "the family {:?} has no signals; those that have are {}",
+                "family {:?} has no signals; families with signals: {}",
                 self.family.name,
                 with.join(", ")
             )));
@@ -116,14 +116,14 @@ impl Bank {
             return Ok(());
         }
         Err(invalid(format!(
-            "the series has {} channels, the bank {}",
+            "the series has {} channels, but the bank has {}",
             series.channels(),
             self.channels
         )))
     }
 }
 
-/// Sample what each channel gives at the times `at`.
+/// Sample the columns that `give` emits for each channel.
 fn sampled(series: &Series, at: &[f64], give: impl Fn(&Series, usize, Emit)) -> Sampled {
     let sampler = series.sampler(at);
     let (mut which, mut weight) = (vec![], vec![]);

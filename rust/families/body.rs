@@ -1,11 +1,11 @@
-//! Body: the robot's own design differs from the model's (stiffness along and across it, rest shape, routing of tendons).
+//! Body: the robot's design differs from the model (stiffness along and across, rest shape, tendon routing).
 
 use super::declaration::*;
 
 pub static FAMILY: Family = Family {
     name: "body",
     kind: Kind::Static,
-    doc: "The body is softer, stiffer or bent otherwise than the model's at some place, so the shape is wrong along it.",
+    doc: "Stiffness, rest shape or tendon routing differ from the model, so the shape along the body is wrong.",
     mimics: &["static map", "coupling", "static shape"],
     members: &[
         "stiffness_gradient",

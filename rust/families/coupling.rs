@@ -1,4 +1,4 @@
-//! Coupling: what a channel does depends on the commands of the others.
+//! Coupling: the effective command of a channel depends on the commands of the other channels.
 
 use super::declaration::*;
 use super::series::Series;
@@ -6,17 +6,17 @@ use super::series::Series;
 pub static FAMILY: Family = Family {
     name: "coupling",
     kind: Kind::Static,
-    doc: "One channel moves what belongs to another: the error is static and appears off the axis that is commanded.",
+    doc: "One channel also moves the others: the error is static and appears off the commanded axis.",
     mimics: &["static map", "body", "static shape"],
     members: &["coupling", "routing"],
     columns: Some(columns),
     ..NOTHING
 };
 
-/// Up to so many channels powers and products count; beyond, their number grows faster than what a run can tell.
+/// Most channels for which powers and products are used: beyond, a run cannot identify so many columns.
 const PRODUCTS: usize = 3;
 
-/// Of every other channel y: y, y², y³, xy, x²y, xy², mm; above [`PRODUCTS`] channels y alone.
+/// y, y², y³, xy, x²y and xy² for every other channel y, mm; only y above [`PRODUCTS`] channels.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let (x, half) = (&series.x[channel], series.half[channel]);
     let terms: &[fn(f64, f64) -> f64] = &[

@@ -1,4 +1,4 @@
-//! Creep: under a held command the robot goes on moving, over seconds to minutes.
+//! Creep: the robot keeps moving under a constant command, over seconds to minutes.
 
 use super::declaration::*;
 use super::operators::{pole, with};
@@ -7,7 +7,7 @@ use super::series::Series;
 pub static FAMILY: Family = Family {
     name: "creep",
     kind: Kind::Memory,
-    doc: "While a command is held the shape drifts, and after it the drift comes back slowly.",
+    doc: "The shape drifts while a command is held, and recovers slowly afterwards.",
     mimics: &["memory", "delay", "rate", "softening", "time"],
     members: &["creep", "tendon_creep"],
     columns: Some(columns),
@@ -15,12 +15,12 @@ pub static FAMILY: Family = Family {
     ..NOTHING
 };
 
-/// s: any Prony series between is near a sum of these.
+/// Time constants, s: close enough together to represent any Prony series in their range.
 const POLES: [f64; 6] = [2.0, 5.0, 12.0, 30.0, 80.0, 200.0];
-/// Of them, those that a run of minutes tells from a change of the static map that is learned with them.
+/// Number of time constants used as signals: a run of minutes cannot distinguish the slowest from the static map.
 const SIGNALS: usize = 5;
 
-/// What has not followed yet, mm.
+/// Low-passed command minus command, mm.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let v = &series.v[channel];
     let mut out = vec![0.0; series.samples()];

@@ -1,21 +1,21 @@
-//! What a family of effects declares about itself: what it depends on, what it acts on, and what can draw the same.
+//! Declaration of an effect family: its inputs, its linear representative, its members, and the families it can mimic.
 //!
-//! A *family* is everything that depends on the same things (the command now, its history, time, …) without saying by which
-//! law. Its representative is linear: *columns* that are added to a channel's command at full rate, and *fields*, changes of
-//! the shape, multiplied by *modulations*. Effects of the library that may stand for a family are its members.
+//! A *family* groups all effects that depend on the same inputs (present command, command history, time, …), whatever their
+//! law. Its representative is linear: *columns* are added to the command of a channel at full rate; *fields* are changes of
+//! shape, multiplied by *modulations*. The *members* are the effects of the library that belong to the family.
 
 use super::series::{Seen, Series};
 
-/// What a family's error depends on.
+/// Input that the error of a family depends on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// On what is commanded now.
+    /// The present command.
     Static,
-    /// On what was commanded before.
+    /// The history of the command.
     Memory,
-    /// On a declared condition.
+    /// A declared condition, such as temperature.
     Condition,
-    /// On the time since the run began.
+    /// The time since the start of the run.
     Time,
 }
 
@@ -30,41 +30,42 @@ impl Kind {
     }
 }
 
-/// Takes one column after another; each is gone when the next is computed, so a long record is never held for all of them.
+/// Consumer of columns. It receives one column at a time, so memory does not grow with their number at full rate.
 pub type Emit<'a> = &'a mut dyn FnMut(&[f64]);
 
-/// Gives the columns (T,) mm that act on the command of one channel of a series.
+/// Emit the columns (T,) mm that are added to the command of one channel.
 pub type Columns = fn(&Series, usize, Emit);
 
-/// Gives the signals (T,) of one channel in half ranges; widely spaced where the static map is learned with them.
+/// Emit the signals (T,) of one channel in half ranges. The flag selects wide spacing, for models whose static map is learned
+/// together with the memory.
 pub type Signals = fn(&Series, usize, bool, Emit);
 
-/// Gives the rows (K,) by which a field is multiplied at the seen times.
+/// Emit the rows (K,) that multiply each field at the capture times.
 pub type Modulation = fn(&Seen, Emit);
 
-/// A declared family.
+/// A family as declared.
 #[derive(Debug)]
 pub struct Family {
     pub name: &'static str,
     pub kind: Kind,
-    /// One sentence for users.
+    /// One sentence for users: what the error looks like.
     pub doc: &'static str,
-    /// Fields of a run that must be declared and vary within it.
+    /// Fields of a run that must be declared and must vary.
     pub needs: &'static [&'static str],
-    /// Families that can draw the same where a run does not tell them apart.
+    /// Families that can produce the same error where the run cannot distinguish them.
     pub mimics: &'static [&'static str],
-    /// Effects of the library that may stand for it.
+    /// Effects of the library that belong to the family.
     pub members: &'static [&'static str],
     pub columns: Option<Columns>,
     pub signals: Option<Signals>,
-    /// Effects whose signatures are its fields.
+    /// Effects whose signatures serve as fields.
     pub fields: &'static [&'static str],
-    /// Leading spatial modes that are its fields too.
+    /// Number of leading spatial modes that serve as fields.
     pub modes: usize,
     pub modulation: Modulation,
 }
 
-/// A family without anything: what a declaration leaves out.
+/// Defaults of a declaration: no columns, no fields.
 pub const NOTHING: Family = Family {
     name: "",
     kind: Kind::Static,
@@ -76,24 +77,24 @@ pub const NOTHING: Family = Family {
     signals: None,
     fields: &[],
     modes: 0,
-    modulation: alone,
+    modulation: constant,
 };
 
 impl Family {
-    /// Whether it changes the shape by fields.
+    /// Whether the family has fields.
     pub fn has_fields(&self) -> bool {
         self.modes > 0 || !self.fields.is_empty()
     }
 }
 
-/// A field as it is.
-pub fn alone(seen: &Seen, emit: Emit) {
+/// Use each field once, unchanged.
+pub fn constant(seen: &Seen, emit: Emit) {
     emit(&vec![1.0; seen.share.len()]);
 }
 
-/// A field, and it times x and x² of every channel.
+/// Use each field unchanged, and times x and x² of every channel.
 pub fn by_command(seen: &Seen, emit: Emit) {
-    alone(seen, emit);
+    constant(seen, emit);
     for x in &seen.x {
         emit(x);
         emit(&x.iter().map(|x| x * x).collect::<Vec<f64>>());

@@ -1,4 +1,4 @@
-//! Delay: the robot follows the command late, by a dead time or rounded by a lag of up to a second.
+//! Delay: the robot follows its command late, by a dead time or by a first-order lag of up to one second.
 
 use super::declaration::*;
 use super::operators::{pole, shifted, with};
@@ -7,7 +7,7 @@ use super::series::Series;
 pub static FAMILY: Family = Family {
     name: "delay",
     kind: Kind::Memory,
-    doc: "The robot follows its command late, so the error grows with speed and vanishes at rest.",
+    doc: "The robot follows its command late: the error grows with speed and vanishes at rest.",
     mimics: &["memory", "rate", "creep"],
     members: &["latency", "lag", "rate_limit", "clock_shift"],
     columns: Some(columns),
@@ -15,14 +15,14 @@ pub static FAMILY: Family = Family {
     ..NOTHING
 };
 
-/// s; negative where the clocks differ and the frames are stamped late.
+/// s. Negative shifts cover frames with late time stamps.
 const SHIFTS: [f64; 9] = [-0.2, -0.1, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6];
 const POLES: [f64; 4] = [0.08, 0.2, 0.5, 1.0];
-/// The same where the static map is learned too: an earlier command is then no question of clocks.
+/// The same for signals.
 const SIGNAL_SHIFTS: [f64; 5] = [0.05, 0.1, 0.2, 0.35, 0.6];
 const SIGNAL_POLES: [f64; 5] = [0.08, 0.2, 0.5, 1.0, 2.0];
 
-/// Late commands minus the command, mm.
+/// Delayed command minus command, mm.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let v = &series.v[channel];
     late(series, v, &SHIFTS, &POLES, &mut |late| {

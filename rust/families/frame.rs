@@ -1,11 +1,11 @@
-//! Frame: the sensor sees the robot from elsewhere than the model believes (turned, shifted, scaled).
+//! Frame: the sensor frame is rotated, shifted or scaled relative to the model.
 
 use super::declaration::*;
 
 pub static FAMILY: Family = Family {
     name: "frame",
     kind: Kind::Static,
-    doc: "All that is seen is turned, shifted or scaled, the clamped base too: the measurement is off, not the robot.",
+    doc: "Everything measured is rotated, shifted or scaled, the clamped base included: a measurement fault.",
     mimics: &["static shape"],
     members: &["mount", "scale", "lens"],
     fields: &["mount", "scale"],

@@ -1,4 +1,4 @@
-//! Frame drift: the sensor moves slowly against the robot's base while it records.
+//! Frame drift: the sensor moves slowly relative to the robot's base during the run.
 
 use super::declaration::*;
 use super::operators::Spline;
@@ -7,7 +7,7 @@ use super::series::Seen;
 pub static FAMILY: Family = Family {
     name: "frame drift",
     kind: Kind::Time,
-    doc: "The clamped base seems to move slowly through the run: camera or mount drift.",
+    doc: "The clamped base appears to move slowly during the run: camera or mount drift.",
     mimics: &["time"],
     members: &["camera_drift"],
     fields: &["mount"],

@@ -1,14 +1,14 @@
-//! Gram matrices of whitened columns over a set of frames, without the columns ever being whitened or written out.
+//! Gram matrices of whitened columns over a set of frames, without forming the whitened columns.
 //!
-//! A column is X_j = base_j ∘ w_j: a change of M modes at K frames (K, M), times a weight for each frame (K,). With the
-//! kernel Q diag(λ) Qᵀ of the model's own error over the frames and the form variance s_m of each mode, the whitened
-//! column is X + Q (diag(1/√(1 + λ s)) − 1) Qᵀ X (softmap_edge/diagnosis/noise.py), and as QᵀQ = 1 the whitened Gram is
+//! A column is X_j = base_j ∘ w_j: a base (K, M) over K frames and M modes, times one weight per frame (K,). The model error
+//! has the kernel Q diag(λ) Qᵀ over frames and the variance s_m in mode m. The whitened column is
+//! X + Q (diag(1/√(1 + λ s)) − 1) Qᵀ X (softmap_edge/diagnosis/noise.py). With QᵀQ = 1, the whitened Gram is
 //!
 //!     G_ab = Σ_k w_ak w_bk P_ab(k) − Σ_rm D_rm Y_a,rm Y_b,rm,   P_ab(k) = Σ_m base_a,km base_b,km,
 //!     Y = Qᵀ X,   D = λs/(1 + λs).
 //!
-//! Few bases serve many columns, so the first term is a few products of weights. Pairs (r, m) with D < 1e-4 are left out:
-//! that counts at most 1e-4 of what lies along them too much. Pinned by tests/test_level.py.
+//! Many columns share few bases, so the first term costs a few products of weights. Pairs (r, m) with D < 1e-4 are skipped,
+//! which overstates the energy along them by at most 1e-4. Checked by tests/test_level.py.
 
 use crate::error::{Result, invalid};
 use crate::modes::wide;
@@ -16,24 +16,25 @@ use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, Mat, MatRef, Par};
 
-/// D below which a pair of a kernel vector and a mode is not worth its time.
+/// Value of D below which a pair of kernel vector and mode is skipped.
 const NEGLIGIBLE: f64 = 1e-4;
-/// How far QᵀQ may be from one: round-off of a singular value decomposition, and no more.
+/// Largest deviation of QᵀQ from the identity: round-off of a singular value decomposition.
 const ORTHONORMAL: f64 = 1e-8;
-/// Columns that are written out together, so that they stay in the cache.
+/// Columns formed at a time, so that they stay in the cache.
 const TOGETHER: usize = 128;
 
-/// A set of frames, and the kernel over their commands.
+/// A set of frames and the kernel over their commands.
 pub(super) struct Frames {
     pub(super) index: Vec<usize>,
-    /// Q (frames, r), one vector after another, the strongest first.
+    /// Q (frames, r), column by column, sorted by falling strength.
     basis: Vec<f64>,
     /// λ (r,).
     strength: Vec<f64>,
 }
 
 impl Frames {
-    /// Take frames of `total`, with the kernel's basis (frames, r) by rows and strength (r,). `name` is for errors.
+    /// Create a set of frames out of `total`, with kernel basis (frames, r) row by row and strength (r,). `name` appears in
+    /// error messages.
     pub(super) fn new(
         name: &str,
         index: Vec<usize>,
@@ -44,18 +45,18 @@ impl Frames {
         let (count, rank) = (index.len(), strength.len());
         if let Some(frame) = index.iter().find(|frame| **frame >= total) {
             return Err(invalid(format!(
-                "{name} holds frame {frame}, there are {total}"
+                "{name} contains frame {frame}, but there are only {total} frames"
             )));
         }
         if basis.len() != count * rank {
             return Err(invalid(format!(
-                "the kernel of {name} has a basis of {} numbers, wanted ({count}, {rank})",
+                "kernel basis of {name} has {} numbers, expected ({count}, {rank})",
                 basis.len()
             )));
         }
         if let Some(bad) = strength.iter().find(|s| s.is_nan() || **s < 0.0) {
             return Err(invalid(format!(
-                "the kernel of {name} has a strength of {bad}; none may be negative"
+                "kernel of {name} has strength {bad}; strengths must not be negative"
             )));
         }
         let mut order: Vec<usize> = (0..rank).collect();
@@ -66,7 +67,13 @@ impl Frames {
             basis: order.iter().flat_map(|r| vector(*r)).collect(),
             strength: order.iter().map(|r| strength[*r]).collect(),
         };
-        let q = frames.vectors(rank);
+        frames.check_orthonormal(name)?;
+        Ok(frames)
+    }
+
+    fn check_orthonormal(&self, name: &str) -> Result<()> {
+        let rank = self.strength.len();
+        let q = self.vectors(rank);
         let mut inner: Mat<f64> = Mat::zeros(rank, rank);
         matmul(
             inner.as_mut(),
@@ -76,48 +83,50 @@ impl Frames {
             1.0,
             Par::Seq,
         );
-        for i in 0..rank {
-            for j in 0..rank {
+        for j in 0..rank {
+            for i in 0..=j {
                 let off = (inner[(i, j)] - f64::from(i == j)).abs();
                 if off.is_nan() || off > ORTHONORMAL {
                     return Err(invalid(format!(
-                        "the kernel of {name}: vectors {i} and {j} of its basis are not orthonormal (off by {off:.2e})"
+                        "kernel of {name}: basis vectors {i} and {j} are not orthonormal (deviation {off:.2e})"
                     )));
                 }
             }
         }
-        Ok(frames)
+        Ok(())
     }
 
-    /// The first `rank` vectors (frames, rank).
+    /// The strongest `rank` vectors (frames, rank).
     fn vectors(&self, rank: usize) -> MatRef<'_, f64> {
         let count = self.index.len();
         MatRef::from_column_major_slice(&self.basis[..count * rank], count, rank)
     }
 
-    /// D of the vectors that count for a mode of form variance `form`: a leading part, as the strongest come first.
-    fn forgiven(&self, form: f64) -> impl Iterator<Item = f64> + '_ {
+    /// D of the vectors that matter for a mode with model-error variance `form`; these are the strongest ones.
+    fn explained(&self, form: f64) -> impl Iterator<Item = f64> + '_ {
         let share = move |strength: &f64| strength * form / (1.0 + strength * form);
         let shares = self.strength.iter().map(share);
         shares.take_while(|share| *share >= NEGLIGIBLE)
     }
 }
 
-/// Columns X_j = bases[base[j]] ∘ weight[j], sorted by their base; each base (M, K) by modes, each weight (K,).
+/// Columns X_j = bases[base[j]] ∘ weight[j], sorted by base. A base is (M, K), a weight (K,).
 pub(super) struct Columns<'a> {
     pub(super) bases: &'a [&'a [f64]],
     pub(super) base: Vec<usize>,
     pub(super) weight: Vec<&'a [f64]>,
-    /// Form variance s (M,).
+    /// Model-error variance s of each mode (M,).
     pub(super) form: &'a [f64],
     /// Number of frames K.
     pub(super) total: usize,
 }
 
 impl Columns<'_> {
-    /// The whitened Gram of the columns over a set of frames.
+    /// Compute the whitened Gram of the columns over a set of frames.
     pub(super) fn gram(&self, frames: &Frames) -> Packed {
         let (count, n) = (frames.index.len(), self.base.len());
+        // Allocated before the temporaries, so that freeing them leaves no hole in the heap.
+        let mut packed = Packed(vec![0.0; n * (n + 1) / 2]);
         let gathered = |row: &[f64], out: &mut Vec<f64>| {
             out.extend(frames.index.iter().map(|k| row[*k]));
         };
@@ -133,59 +142,69 @@ impl Columns<'_> {
         }
         let mut out: Mat<f64> = Mat::zeros(n, n);
         self.plain(&bases, &weight, count, &mut out);
-        self.forgive(frames, &bases, &weight, &mut out);
-        Packed::new(&out)
+        self.subtract_model_error(frames, &bases, &weight, &mut out);
+        packed.fill(&out);
+        packed
     }
 
-    /// Add the Gram before whitening to the lower triangle of `out`, base by base.
+    /// Write the Gram without whitening to the lower triangle of `out`, base by base.
     fn plain(&self, bases: &[f64], weight: &[f64], count: usize, out: &mut Mat<f64>) {
         let (n, size) = (self.base.len(), self.form.len() * count);
-        let mut scaled = vec![0.0; n * count];
+        let mut scaled = vec![0.0; TOGETHER.min(n) * count];
         let mut products = vec![0.0; count];
         let mut first = 0;
         while first < n {
-            let mine = &bases[self.base[first] * size..][..size];
-            let width = self.base[first..].partition_point(|b| *b == self.base[first]);
-            let (mut known, rest) = (usize::MAX, n - first);
-            for j in first..n {
-                if self.base[j] != known {
-                    known = self.base[j];
-                    products_of(mine, &bases[known * size..][..size], &mut products);
+            let base = self.base[first];
+            let mine = &bases[base * size..][..size];
+            let width = self.base[first..].partition_point(|b| *b == base);
+            let mut known = usize::MAX;
+            for below in (first..n).step_by(TOGETHER) {
+                let height = TOGETHER.min(n - below);
+                for j in below..below + height {
+                    if self.base[j] != known {
+                        known = self.base[j];
+                        products_of(mine, &bases[known * size..][..size], &mut products);
+                    }
+                    let row = &weight[j * count..][..count];
+                    let scaled = &mut scaled[(j - below) * count..][..count];
+                    multiply(row, &products, scaled);
                 }
-                let row = &weight[j * count..][..count];
-                multiply(row, &products, &mut scaled[(j - first) * count..][..count]);
+                let rows = &scaled[..height * count];
+                let columns = &weight[first * count..][..width * count];
+                matmul(
+                    out.as_mut().submatrix_mut(below, first, height, width),
+                    Accum::Replace,
+                    MatRef::from_row_major_slice(rows, height, count),
+                    MatRef::from_column_major_slice(columns, count, width),
+                    1.0,
+                    Par::Seq,
+                );
             }
-            matmul(
-                out.as_mut().submatrix_mut(first, first, rest, width),
-                Accum::Replace,
-                MatRef::from_row_major_slice(&scaled[..rest * count], rest, count),
-                MatRef::from_column_major_slice(
-                    &weight[first * count..][..width * count],
-                    count,
-                    width,
-                ),
-                1.0,
-                Par::Seq,
-            );
             first += width;
         }
     }
 
-    /// Take what the form error may explain off the lower triangle of `out`.
-    fn forgive(&self, frames: &Frames, bases: &[f64], weight: &[f64], out: &mut Mat<f64>) {
+    /// Subtract the part that model error can explain from the lower triangle of `out`.
+    fn subtract_model_error(
+        &self,
+        frames: &Frames,
+        bases: &[f64],
+        weight: &[f64],
+        out: &mut Mat<f64>,
+    ) {
         let (count, n, modes) = (frames.index.len(), self.base.len(), self.form.len());
         let ranks: Vec<usize> = self
             .form
             .iter()
-            .map(|s| frames.forgiven(*s).count())
+            .map(|s| frames.explained(*s).count())
             .collect();
         let mut along: Mat<f64> = Mat::zeros(ranks.iter().sum(), n); // √D Y
-        let mut written = vec![0.0; TOGETHER.min(n) * count];
+        let mut formed = vec![0.0; TOGETHER.min(n) * count];
         let mut top = 0;
         for (m, rank) in ranks.into_iter().enumerate().filter(|(_, rank)| *rank > 0) {
             for first in (0..n).step_by(TOGETHER) {
                 let width = TOGETHER.min(n - first);
-                for (j, column) in (first..).zip(written[..width * count].chunks_exact_mut(count)) {
+                for (j, column) in (first..).zip(formed[..width * count].chunks_exact_mut(count)) {
                     let base = &bases[(self.base[j] * modes + m) * count..][..count];
                     multiply(base, &weight[j * count..][..count], column);
                 }
@@ -193,12 +212,12 @@ impl Columns<'_> {
                     along.as_mut().submatrix_mut(top, first, rank, width),
                     Accum::Replace,
                     frames.vectors(rank).transpose(),
-                    MatRef::from_column_major_slice(&written[..width * count], count, width),
+                    MatRef::from_column_major_slice(&formed[..width * count], count, width),
                     1.0,
                     Par::Seq,
                 );
             }
-            let roots: Vec<f64> = frames.forgiven(self.form[m]).map(f64::sqrt).collect();
+            let roots: Vec<f64> = frames.explained(self.form[m]).map(f64::sqrt).collect();
             for j in 0..n {
                 let column = &mut along.col_as_slice_mut(j)[top..top + rank];
                 column
@@ -222,7 +241,7 @@ impl Columns<'_> {
     }
 }
 
-/// `Σ_m a_m b_m` at each frame, of two bases (M, frames).
+/// Sum over modes of the product of two bases (M, frames), at each frame.
 fn products_of(a: &[f64], b: &[f64], out: &mut [f64]) {
     let count = out.len().max(1);
     out.fill(0.0);
@@ -249,22 +268,20 @@ fn multiply(a: &[f64], b: &[f64], out: &mut [f64]) {
     );
 }
 
-/// The lower triangle of a symmetric matrix, row by row.
+/// Lower triangle of a symmetric matrix, row by row.
 pub(super) struct Packed(Vec<f64>);
 
 impl Packed {
-    fn new(full: &Mat<f64>) -> Packed {
-        let n = full.nrows();
-        let mut lower = vec![0.0; n * (n + 1) / 2];
-        for j in 0..n {
+    /// Copy the lower triangle of `full`.
+    fn fill(&mut self, full: &Mat<f64>) {
+        for j in 0..full.nrows() {
             for (i, value) in full.col_as_slice(j).iter().enumerate().skip(j) {
-                lower[i * (i + 1) / 2 + j] = *value;
+                self.0[i * (i + 1) / 2 + j] = *value;
             }
         }
-        Packed(lower)
     }
 
-    /// The entry of two columns in either order.
+    /// Entry of two columns, in either order.
     pub(super) fn at(&self, a: usize, b: usize) -> f64 {
         let (row, column) = (a.max(b), a.min(b));
         self.0[row * (row + 1) / 2 + column]

@@ -1,10 +1,9 @@
-//! Level 1: which family of effects explains a residual, by ridge regression on folds that were held out.
+//! Level 1 of the diagnosis: ridge regression of a residual on the columns of families, with blocked cross-validation.
 //!
-//! Columns are added by name, a base of M modes at K frames times a weight for each frame (`gram.rs`). `close` takes the
-//! residual and builds all Gram matrices once: of every fold's training frames, of its test frames, and of all frames. Every
-//! question afterwards is a small solve: θ = (G + Λ)⁻¹ b on the training frames, and |y − Xθ|² of the test frames from their
-//! own Gram. Λ holds the ridge of each name, and 1e-9 of the mean diagonal, which settles columns that are alike.
-//! Pinned by tests/test_level.py.
+//! Columns are added by name (`gram.rs`). `close` takes the residual and builds all Gram matrices once: for the training and
+//! test frames of each fold, and for all frames. Every fit after that is a small solve: θ = (G + Λ)⁻¹ b from the training
+//! frames, and the held-out loss |y − Xθ|² from the Gram of the test frames. Λ holds the ridge of each name plus 1e-9 of the
+//! mean diagonal, which makes collinear columns solvable. Checked by tests/test_level.py.
 
 use super::gram::{Columns, Frames, Packed};
 use crate::error::{Result, invalid};
@@ -13,65 +12,65 @@ use faer::{Mat, Side};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Of the mean diagonal: settles columns that are alike.
-const SETTLING: f64 = 1e-9;
+/// Share of the mean diagonal that is added to it: makes collinear columns solvable.
+const JITTER: f64 = 1e-9;
 
-/// A set of frames as it is given: frames, and their kernel's basis (frames, r) and strength (r,).
-pub struct Given {
+/// A set of frames with the basis (frames, r) and strength (r,) of its kernel, not yet checked.
+pub struct FrameSet {
     pub index: Vec<usize>,
     pub basis: Vec<f64>,
     pub strength: Vec<f64>,
 }
 
-/// Columns of one name, at their places among all.
+/// Range of the columns of one name.
 struct Block {
     name: String,
     columns: Range<usize>,
 }
 
-/// The columns of all families, and what is known of them once the residual is given.
+/// Columns by name, and their normal equations once the residual is known.
 pub struct Level {
     form: Vec<f64>,
     frames: usize,
     all: Frames,
-    /// Of each fold, the frames that train and those that test.
+    /// Training and test frames of each fold.
     folds: Vec<(Frames, Frames)>,
-    /// Different bases (M, K), by modes.
+    /// Distinct bases (M, K).
     bases: Vec<Vec<f64>>,
     blocks: Vec<Block>,
-    /// Of each column, its base and its weight (K,).
+    /// Base and weight (K,) of each column.
     base: Vec<usize>,
     weight: Vec<Vec<f64>>,
     grams: Option<Grams>,
 }
 
-/// Grams of all columns and, last, the residual, in the order of their bases.
+/// Gram matrices of all columns, sorted by base, with the residual last.
 struct Grams {
-    /// Where each column stands.
+    /// Position of each column in the Gram matrices.
     place: Vec<usize>,
     all: Packed,
     folds: Vec<(Packed, Packed)>,
 }
 
 impl Level {
-    /// Take the form variance (M,) of each mode, all frames, and (train, test) of each fold.
-    pub fn new(form: Vec<f64>, all: Given, folds: Vec<(Given, Given)>) -> Result<Level> {
+    /// Create a level from the model-error variance (M,) of each mode, the set of all frames, and (train, test) of each fold.
+    pub fn new(form: Vec<f64>, all: FrameSet, folds: Vec<(FrameSet, FrameSet)>) -> Result<Level> {
         if form.is_empty() || form.iter().any(|s| s.is_nan() || *s < 0.0) {
             return Err(invalid(format!(
-                "form is {form:?}; give one or more variances, none of them negative"
+                "form is {form:?}; it must hold at least one variance, and none may be negative"
             )));
         }
         let frames = all.index.len();
         if frames == 0 || folds.is_empty() {
             return Err(invalid(format!(
-                "{frames} frames and {} folds; level 1 needs one of each or more",
+                "{frames} frames and {} folds; level 1 needs at least one of each",
                 folds.len()
             )));
         }
-        let set = |name: String, given: Given| {
+        let set = |name: String, given: FrameSet| {
             Frames::new(&name, given.index, &given.basis, &given.strength, frames)
         };
-        let pair = |(f, (train, test)): (usize, (Given, Given))| {
+        let pair = |(f, (train, test)): (usize, (FrameSet, FrameSet))| {
             Ok((
                 set(format!("fold {f}, train"), train)?,
                 set(format!("fold {f}, test"), test)?,
@@ -104,22 +103,22 @@ impl Level {
         self.frames
     }
 
-    /// Names of the columns, in the order in which they were added.
+    /// Names in the order in which they were added.
     pub fn names(&self) -> Vec<&str> {
         self.blocks.iter().map(|block| &*block.name).collect()
     }
 
-    /// Add the columns X_j = base[which_j] ∘ weight_j of a name: `base` (s, K, M), `which` (n,), `weight` (n, K).
+    /// Add columns X_j = base[which_j] ∘ weight_j under a name: `base` (s, K, M), `which` (n,), `weight` (n, K).
     pub fn add(&mut self, name: &str, base: &[f64], which: &[usize], weight: &[f64]) -> Result<()> {
         if self.blocks.iter().any(|block| block.name == name) {
             return Err(invalid(format!(
-                "the columns {name:?} are there already; give them another name"
+                "columns {name:?} already exist; use another name"
             )));
         }
         let size = self.frames * self.modes();
         if !base.len().is_multiple_of(size) || weight.len() != which.len() * self.frames {
             return Err(invalid(format!(
-                "{name}: base has {} numbers and weight {}, wanted (s, {}, {}) and ({}, {2})",
+                "{name}: base has {} numbers and weight has {}, expected (s, {}, {}) and ({}, {2})",
                 base.len(),
                 weight.len(),
                 self.frames,
@@ -130,12 +129,12 @@ impl Level {
         let count = base.len() / size;
         if let Some(bad) = which.iter().find(|which| **which >= count) {
             return Err(invalid(format!(
-                "{name}: which holds {bad}, there are {count} bases"
+                "{name}: which contains {bad}, but there are only {count} bases"
             )));
         }
         let known: Vec<usize> = base
             .chunks_exact(size)
-            .map(|base| self.keep(base))
+            .map(|base| self.intern(base))
             .collect();
         let first = self.base.len();
         self.base.extend(which.iter().map(|which| known[*which]));
@@ -149,7 +148,7 @@ impl Level {
         Ok(())
     }
 
-    /// Forget all columns; the folds stay.
+    /// Remove all columns and keep the folds.
     pub fn clear(&mut self) {
         self.bases.clear();
         self.blocks.clear();
@@ -158,9 +157,9 @@ impl Level {
         self.grams = None;
     }
 
-    /// The number of a base (K, M); one that is there already, as the slopes of each family are, is not kept again.
-    fn keep(&mut self, base: &[f64]) -> usize {
-        let by_modes = turned(base, self.frames, self.modes());
+    /// Store a base (K, M) and return its number. Families share the slopes, so equal bases are stored once.
+    fn intern(&mut self, base: &[f64]) -> usize {
+        let by_modes = transposed(base, self.frames, self.modes());
         let known = self.bases.iter().position(|base| *base == by_modes);
         known.unwrap_or_else(|| {
             self.bases.push(by_modes);
@@ -168,10 +167,10 @@ impl Level {
         })
     }
 
-    /// Build the Grams of all columns with the residual (K, M), in modes in units of noise.
+    /// Build the Gram matrices of all columns and the residual (K, M), whose modes are in units of noise.
     pub fn close(&mut self, residual: &[f64]) -> Result<()> {
         self.modes_of("residual", residual)?;
-        let residual = turned(residual, self.frames, self.modes());
+        let residual = transposed(residual, self.frames, self.modes());
         let ones = vec![1.0; self.frames];
         let mut order: Vec<usize> = (0..self.base.len()).collect();
         order.sort_by_key(|j| self.base[*j]);
@@ -209,18 +208,18 @@ impl Level {
         Ok(())
     }
 
-    /// Held-out loss (F,) of each fold with the columns of `names`, each with its ridge; of nothing, that of the residual.
+    /// Held-out loss (F,) of each fold, fitting the columns of `names` with one ridge each. Without names: loss of the residual.
     pub fn losses(&self, names: &[String], ridges: &[f64]) -> Result<Vec<f64>> {
-        let (grams, chosen) = (self.closed()?, self.chosen(names, ridges)?);
+        let (grams, selection) = (self.closed()?, self.selection(names, ridges)?);
         let y = grams.place.len();
         let loss = |(train, test): &(Packed, Packed)| {
-            let theta = chosen.solve(grams, train)?;
-            let at: Vec<usize> = chosen.places(grams).collect();
+            let theta = selection.solve(grams, train)?;
+            let at: Vec<usize> = selection.places(grams).collect();
             let mut loss = test.at(y, y);
             for (i, (theta_i, at_i)) in theta.iter().zip(&at).enumerate() {
                 let others = theta[..i].iter().zip(&at);
-                let beside: f64 = others.map(|(theta, at)| theta * test.at(*at_i, *at)).sum();
-                let own = 0.5 * theta_i * test.at(*at_i, *at_i) + beside - test.at(y, *at_i);
+                let crossed: f64 = others.map(|(theta, at)| theta * test.at(*at_i, *at)).sum();
+                let own = 0.5 * theta_i * test.at(*at_i, *at_i) + crossed - test.at(y, *at_i);
                 loss += 2.0 * theta_i * own;
             }
             Ok(loss)
@@ -228,10 +227,10 @@ impl Level {
         grams.folds.par_iter().map(loss).collect()
     }
 
-    /// Weights of the columns of each of `names`, from all frames.
+    /// Fit all frames; return the column weights of each of `names`.
     pub fn theta(&self, names: &[String], ridges: &[f64]) -> Result<Vec<Vec<f64>>> {
-        let (grams, chosen) = (self.closed()?, self.chosen(names, ridges)?);
-        let theta = chosen.solve(grams, &grams.all)?;
+        let (grams, selection) = (self.closed()?, self.selection(names, ridges)?);
+        let theta = selection.solve(grams, &grams.all)?;
         let mut rest = theta.as_slice();
         let parts = names.iter().map(|name| {
             let (mine, others) = rest.split_at(self.block(name)?.columns.len());
@@ -241,21 +240,21 @@ impl Level {
         parts.collect()
     }
 
-    /// Effective degrees of freedom of one of `names` beside the others: the trace of its block of (G + Λ)⁻¹G.
+    /// Effective degrees of freedom of `name` in a fit of all `names`: the trace of its block of (G + Λ)⁻¹ G.
     pub fn freedom(&self, names: &[String], ridges: &[f64], name: &str) -> Result<f64> {
-        let (grams, chosen) = (self.closed()?, self.chosen(names, ridges)?);
+        let (grams, selection) = (self.closed()?, self.selection(names, ridges)?);
         let mut first = 0;
         for other in names.iter().take_while(|other| *other != name) {
             first += self.block(other)?.columns.len();
         }
         if !names.iter().any(|other| other == name) {
             return Err(invalid(format!(
-                "{name:?} is not among the chosen {names:?}"
+                "{name:?} is not one of the fitted names {names:?}"
             )));
         }
         let count = self.block(name)?.columns.len();
-        let (factor, added) = chosen.factor(grams, &grams.all)?;
-        let mut inverse: Mat<f64> = Mat::zeros(chosen.columns.len(), count);
+        let (factor, added) = selection.factor(grams, &grams.all)?;
+        let mut inverse: Mat<f64> = Mat::zeros(selection.columns.len(), count);
         for j in 0..count {
             inverse[(first + j, j)] = 1.0;
         }
@@ -264,12 +263,12 @@ impl Level {
         Ok(count as f64 - held.sum::<f64>())
     }
 
-    /// The modes (K, M) that the columns of a name draw with weights `theta` (n,).
+    /// Modes (K, M) of the columns of a name with weights `theta` (n,), not whitened.
     pub fn fitted(&self, name: &str, theta: &[f64]) -> Result<Vec<f64>> {
         let columns = self.block(name)?.columns.clone();
         if theta.len() != columns.len() {
             return Err(invalid(format!(
-                "theta has {} weights, {name:?} has {} columns",
+                "theta has {} weights, but {name:?} has {} columns",
                 theta.len(),
                 columns.len()
             )));
@@ -283,13 +282,13 @@ impl Level {
                 }
             }
         }
-        Ok(turned(&by_modes, self.modes(), self.frames))
+        Ok(transposed(&by_modes, self.modes(), self.frames))
     }
 
-    /// The loss (F,) of modes (K, M) that nothing is fitted to, on the test frames of each fold.
+    /// Loss (F,) of fixed modes (K, M) on the test frames of each fold, without any fit.
     pub fn losses_of(&self, modes: &[f64]) -> Result<Vec<f64>> {
         self.modes_of("modes", modes)?;
-        let modes = turned(modes, self.frames, self.modes());
+        let modes = transposed(modes, self.frames, self.modes());
         let ones = vec![1.0; self.frames];
         let columns = Columns {
             base: vec![0],
@@ -307,7 +306,7 @@ impl Level {
             return Ok(());
         }
         Err(invalid(format!(
-            "{name} has {} numbers, wanted ({}, {})",
+            "{name} has {} numbers, expected ({}, {})",
             modes.len(),
             self.frames,
             self.modes()
@@ -316,7 +315,9 @@ impl Level {
 
     fn closed(&self) -> Result<&Grams> {
         self.grams.as_ref().ok_or_else(|| {
-            invalid("the columns changed since the residual was given; call close(residual) first")
+            invalid(
+                "there are no normal equations for the present columns; call close(residual) first",
+            )
         })
     }
 
@@ -324,54 +325,54 @@ impl Level {
         let found = self.blocks.iter().find(|block| block.name == name);
         found.ok_or_else(|| {
             invalid(format!(
-                "there are no columns {name:?}; there are {}",
+                "unknown columns {name:?}; available: {}",
                 self.names().join(", ")
             ))
         })
     }
 
-    fn chosen(&self, names: &[String], ridges: &[f64]) -> Result<Chosen> {
+    fn selection(&self, names: &[String], ridges: &[f64]) -> Result<Selection> {
         if names.len() != ridges.len() {
             return Err(invalid(format!(
-                "{} names and {} ridges; give one ridge for each name",
+                "{} names and {} ridges; give one ridge per name",
                 names.len(),
                 ridges.len()
             )));
         }
-        let mut chosen = Chosen {
+        let mut selection = Selection {
             columns: vec![],
             ridges: vec![],
         };
         for (i, (name, ridge)) in names.iter().zip(ridges).enumerate() {
             if !ridge.is_finite() || *ridge < 0.0 || names[..i].contains(name) {
                 return Err(invalid(format!(
-                    "{name:?} with a ridge of {ridge}: a ridge is finite and not negative, and each name is given once"
+                    "{name:?} with ridge {ridge}: a ridge must be finite and not negative, and a name may appear only once"
                 )));
             }
-            chosen.columns.extend(self.block(name)?.columns.clone());
-            chosen.ridges.resize(chosen.columns.len(), *ridge);
+            selection.columns.extend(self.block(name)?.columns.clone());
+            selection.ridges.resize(selection.columns.len(), *ridge);
         }
-        Ok(chosen)
+        Ok(selection)
     }
 }
 
-/// Columns that are fitted together, and the ridge of each.
-struct Chosen {
+/// Columns fitted together, with the ridge of each.
+struct Selection {
     columns: Vec<usize>,
     ridges: Vec<f64>,
 }
 
-impl Chosen {
+impl Selection {
     fn places<'a>(&'a self, grams: &'a Grams) -> impl Iterator<Item = usize> + 'a {
         self.columns.iter().map(|j| grams.place[*j])
     }
 
-    /// The factor of G + Λ, and the diagonal of Λ.
+    /// Cholesky factor of G + Λ, and the diagonal of Λ.
     fn factor(&self, grams: &Grams, gram: &Packed) -> Result<(Llt<f64>, Vec<f64>)> {
         let at: Vec<usize> = self.places(grams).collect();
         let trace: f64 = at.iter().map(|at| gram.at(*at, *at)).sum();
-        let settling = (SETTLING * trace / at.len().max(1) as f64).max(f64::MIN_POSITIVE);
-        let added: Vec<f64> = self.ridges.iter().map(|ridge| ridge + settling).collect();
+        let jitter = (JITTER * trace / at.len().max(1) as f64).max(f64::MIN_POSITIVE);
+        let added: Vec<f64> = self.ridges.iter().map(|ridge| ridge + jitter).collect();
         let mut system: Mat<f64> = Mat::zeros(at.len(), at.len());
         for j in 0..at.len() {
             let column = &mut system.col_as_slice_mut(j)[j..];
@@ -389,7 +390,7 @@ impl Chosen {
         Ok((factor, added))
     }
 
-    /// θ from the training Gram of a fold, or from that of all frames.
+    /// Solve for θ with one of the Gram matrices.
     fn solve(&self, grams: &Grams, gram: &Packed) -> Result<Vec<f64>> {
         let y = grams.place.len();
         let mut theta: Mat<f64> = Mat::zeros(self.columns.len(), 1);
@@ -401,8 +402,8 @@ impl Chosen {
     }
 }
 
-/// A base (K, M) as (M, K).
-fn turned(base: &[f64], frames: usize, modes: usize) -> Vec<f64> {
+/// Transpose (K, M) to (M, K).
+fn transposed(base: &[f64], frames: usize, modes: usize) -> Vec<f64> {
     let column = |m: usize| (0..frames).map(move |k| base[k * modes + m]);
     (0..modes).flat_map(column).collect()
 }

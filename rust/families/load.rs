@@ -1,4 +1,4 @@
-//! Load: what hangs on the robot, its own weight included, pulls another way in another orientation.
+//! Load: dead loads, own weight included, which change direction with the orientation of the base.
 
 use super::declaration::*;
 use super::series::Series;
@@ -7,7 +7,7 @@ use super::time::PLAUSIBLE;
 pub static FAMILY: Family = Family {
     name: "load",
     kind: Kind::Static,
-    doc: "A weight, its own or at the tip, bends the robot: the error follows the orientation of the base.",
+    doc: "Own weight or a payload bends the robot: the error changes with the orientation of the base.",
     needs: &["gravity"],
     mimics: &["time", "step"],
     members: &["gravity", "payload"],
@@ -17,10 +17,10 @@ pub static FAMILY: Family = Family {
     ..NOTHING
 };
 
-/// Orientations beyond which the base moves all the time, and an indicator of each says nothing.
+/// Most orientations with an indicator each: beyond, the base moves continuously.
 const MOST: usize = 6;
 
-/// In every orientation but the first 1, x and x², mm.
+/// Indicator of each orientation except the first, alone and times x and x², mm.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let Some(orientation) = &series.orientation else {
         return;

@@ -1,7 +1,7 @@
-//! Families of effects: each declared once, in a file of its own; this list is the registry.
+//! Registry of effect families: one file per family, declared like the effects in `rust/effects/`.
 //!
-//! To add one, write `NAME.rs` beside the others with `pub static FAMILY: Family` and put its name in the list below.
-//! Level 1 of a diagnosis, the tests and the pages loop over the list.
+//! To add a family, write `NAME.rs` with `pub static FAMILY: Family` and add its name to the list below.
+//! Level 1 of the diagnosis, the tests and the documentation loop over this list.
 
 mod bank;
 mod declaration;
@@ -12,7 +12,7 @@ mod series;
 
 pub use bank::Bank;
 pub use declaration::{Family, Kind};
-pub use level::{Given, Level};
+pub use level::{FrameSet, Level};
 pub use series::Series;
 
 macro_rules! registry {
@@ -52,11 +52,11 @@ mod tests {
     use super::*;
     use crate::effects;
 
-    /// A gross fault: it is found before any family is asked.
-    const OF_ITS_OWN: [&str; 1] = ["servo_swap"];
+    /// Gross faults are checked before level 1, so they belong to no family.
+    const GROSS_FAULTS: [&str; 1] = ["servo_swap"];
 
     #[test]
-    fn declarations_are_complete_and_name_each_other() {
+    fn declarations_are_complete_and_mimics_are_mutual() {
         for family in REGISTRY {
             let name = family.name;
             assert_eq!(find(name).map(|found| found.name), Some(name));
@@ -76,11 +76,11 @@ mod tests {
     }
 
     #[test]
-    fn each_effect_of_the_library_may_stand_for_a_family() {
+    fn every_effect_of_the_library_is_a_member_of_a_family() {
         for effect in effects::REGISTRY {
             let name = effect.declaration.name;
             let member = REGISTRY.iter().any(|family| family.members.contains(&name));
-            assert_eq!(member, !OF_ITS_OWN.contains(&name), "{name}");
+            assert_eq!(member, !GROSS_FAULTS.contains(&name), "{name}");
         }
     }
 }

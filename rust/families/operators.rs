@@ -1,11 +1,11 @@
-//! What columns are made of: play, low pass, shift in time, mean velocity, B-splines and powers of one record.
+//! Operators on one record: play, low pass, time shift, mean velocity, running maximum, cubic B-splines.
 //!
-//! All are O(T), begin in equilibrium with the first sample, and are exact for commands that are linear between samples, at
-//! any spacing of the samples. Each is pinned by an oracle in tests/test_families.py.
+//! All are O(T) and start in equilibrium with the first sample. They are exact for commands that are linear between samples,
+//! at any sample spacing. tests/test_families.py checks each against an independent NumPy version.
 
 use crate::effects::low_pass;
 
-/// The play `y = clamp(y, x − w, x + w)` of half width w; it begins centred, y = x.
+/// Apply the play operator `y = clamp(y, x − w, x + w)` of half width w, starting centred at y = x.
 pub(super) fn play(x: &[f64], half_width: f64, out: &mut [f64]) {
     let mut y = x[0];
     for (x, out) in x.iter().zip(out) {
@@ -14,12 +14,12 @@ pub(super) fn play(x: &[f64], half_width: f64, out: &mut [f64]) {
     }
 }
 
-/// The low pass `tau·y' = x − y`; it begins at y = x.
+/// Apply the low pass `tau·y' = x − y`, starting at y = x.
 pub(super) fn pole(x: &[f64], dt: &[f64], tau: f64, out: &mut [f64]) {
     let (mut y, mut before) = (x[0], x[0]);
     let (mut last, mut weights) = (0.0, [1.0, 0.0, 0.0]);
     for ((x, dt), out) in x.iter().zip(dt).zip(out) {
-        // Records are mostly even: the exponential is needed where the period changes.
+        // Most records are sampled evenly: recompute the weights only when the period changes.
         if *dt != last {
             (last, weights) = (*dt, low_pass(tau, *dt));
         }
@@ -29,7 +29,7 @@ pub(super) fn pole(x: &[f64], dt: &[f64], tau: f64, out: &mut [f64]) {
     }
 }
 
-/// `x(t − late)`, linear between samples and held beyond the ends; `late` may be negative.
+/// Shift in time: `x(t − late)`, linear between samples and held beyond both ends. `late` may be negative.
 pub(super) fn shifted(x: &[f64], t: &[f64], late: f64, out: &mut [f64]) {
     let last = t.len() - 1;
     let mut k = 0;
@@ -46,7 +46,7 @@ pub(super) fn shifted(x: &[f64], t: &[f64], late: f64, out: &mut [f64]) {
     }
 }
 
-/// The mean velocity over `window` s about each sample; what lies beyond the ends is at rest.
+/// Mean velocity over a window of `window` s centred at each sample; the command rests beyond both ends.
 pub(super) fn velocity(x: &[f64], t: &[f64], window: f64) -> Vec<f64> {
     let (mut before, mut after) = (vec![0.0; x.len()], vec![0.0; x.len()]);
     shifted(x, t, 0.5 * window, &mut before);
@@ -57,7 +57,7 @@ pub(super) fn velocity(x: &[f64], t: &[f64], window: f64) -> Vec<f64> {
     after
 }
 
-/// The largest |x| so far.
+/// Running maximum of |x|.
 pub(super) fn largest_so_far(x: &[f64]) -> Vec<f64> {
     let mut most: f64 = 0.0;
     let so_far = x.iter().map(|x| {
@@ -67,23 +67,23 @@ pub(super) fn largest_so_far(x: &[f64]) -> Vec<f64> {
     so_far.collect()
 }
 
-/// Cubic B-splines on equal intervals from `low` to `high`; they add up to 1 there, and hold their values beyond.
+/// Cubic B-splines on equal intervals from `low` to `high`. They sum to 1, and are constant beyond both ends.
 pub(super) struct Spline {
     pub(super) low: f64,
     pub(super) high: f64,
     pub(super) intervals: usize,
 }
 
-/// How far inside the upper end, as a share of the whole, its value is taken: the last interval is half open.
+/// Offset from the upper end, as a share of the range: the last interval is half open.
 const INSIDE: f64 = 1e-9;
 
 impl Spline {
-    /// How many there are.
+    /// Number of splines.
     pub(super) fn count(&self) -> usize {
         self.intervals + 3
     }
 
-    /// The `j`th of them at `x`.
+    /// Evaluate spline `j` at `x`.
     pub(super) fn fill(&self, j: usize, x: &[f64], out: &mut [f64]) {
         let whole = self.high - self.low;
         let per = self.intervals as f64 / whole;
@@ -95,7 +95,7 @@ impl Spline {
     }
 }
 
-/// The cubic B-spline on the knots 0, 1, 2, 3, 4.
+/// Cubic B-spline with knots 0, 1, 2, 3, 4.
 fn cubic(s: f64) -> f64 {
     let side = |s: f64| s * s * s / 6.0;
     let inner = |s: f64| (1.0 + 3.0 * s * (1.0 + s * (1.0 - s))) / 6.0;
@@ -108,21 +108,21 @@ fn cubic(s: f64) -> f64 {
     }
 }
 
-/// Write `of(x)` of each sample to `out`.
+/// Write `of(x)` for each sample to `out`.
 pub(super) fn each(x: &[f64], out: &mut [f64], of: impl Fn(f64) -> f64) {
     for (x, out) in x.iter().zip(out) {
         *out = of(*x);
     }
 }
 
-/// Change `column` by the samples of another record: `column[k] = by(column[k], other[k])`.
+/// Combine `column` with another record in place: `column[k] = by(column[k], other[k])`.
 pub(super) fn with(column: &mut [f64], other: &[f64], by: impl Fn(f64, f64) -> f64) {
     for (column, other) in column.iter_mut().zip(other) {
         *column = by(*column, *other);
     }
 }
 
-/// So many numbers in equal ratios from `first` to `last`.
+/// N numbers from `first` to `last` in geometric progression.
 pub(super) fn geometric<const N: usize>(first: f64, last: f64) -> [f64; N] {
     let ratio = (last / first).ln() / (N - 1) as f64;
     std::array::from_fn(|i| first * (ratio * i as f64).exp())

@@ -1,4 +1,4 @@
-//! Rate: the error depends on how fast the command changes now (viscous, quadratic and cubic in the velocity).
+//! Rate: the error depends on the present velocity of the command (viscous, quadratic and cubic terms).
 
 use super::declaration::*;
 use super::operators::{each, velocity};
@@ -7,21 +7,21 @@ use super::series::Series;
 pub static FAMILY: Family = Family {
     name: "rate",
     kind: Kind::Memory,
-    doc: "The shape at a command depends on how fast the command passes, and on the sign of its motion.",
+    doc: "The shape at a command depends on the present speed and its sign, as in a viscous damper.",
     mimics: &["memory", "delay", "creep"],
     columns: Some(columns),
     signals: Some(signals),
     ..NOTHING
 };
 
-/// s over which the velocity is a mean: what a drive smooths anyway.
+/// Averaging window of the velocity, s: about the response time of a servo.
 const WINDOW: f64 = 0.1;
-/// Half ranges per second below which a channel stands still.
+/// Velocity below which a channel counts as still, half ranges per second.
 const STILL: f64 = 1e-9;
-/// Of the half range: how much of a motion a rate term plausibly makes at the highest velocity.
+/// Scale of the columns at the highest velocity, as a share of the half range: a plausible size of the effect.
 const PLAUSIBLE: f64 = 0.3;
 
-/// v, v|v|, v³ and v|x|, v the velocity over its largest, mm.
+/// v, v|v|, v³ and v|x|, with v the velocity divided by its maximum; mm.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let (x, most) = (&series.x[channel], PLAUSIBLE * series.half[channel]);
     let v = relative(series, channel);
@@ -59,7 +59,7 @@ fn product(v: &[f64], x: &[f64], out: &mut [f64], of: impl Fn(f64, f64) -> f64) 
     }
 }
 
-/// The velocity of a channel over its largest in the run.
+/// Velocity of a channel, divided by its maximum over the run.
 fn relative(series: &Series, channel: usize) -> Vec<f64> {
     let mut v = velocity(&series.x[channel], &series.t, WINDOW);
     let most = v.iter().fold(STILL, |most, v| v.abs().max(most));

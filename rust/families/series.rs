@@ -1,32 +1,32 @@
-//! The record that families are computed on: what acts on each channel at full rate, and the world around it.
+//! Input of the families: the effective command of each channel at full rate, with the declared conditions.
 //!
-//! x = (v − middle)/half is the command in half ranges: about ±1 over the run. Units: mm, s, °C.
+//! The scaled command is x = (v − middle)/half, about ±1 over the run. Units: mm, s, °C.
 
 use crate::effects::bracket;
 use crate::error::{Result, invalid};
 
-/// Added to the length of a record, s, so that a share of it is below 1 and one of no length has shares too.
+/// Added to the duration of a record, s: keeps the elapsed share below 1, and defined for a record of zero duration.
 const LONGER: f64 = 1e-9;
 
-/// What acts on C channels at T times.
+/// Effective commands of C channels at T times.
 #[derive(Debug, Clone)]
 pub struct Series {
     pub(super) t: Vec<f64>,
-    /// Since the sample before, s; 0 at the first.
+    /// Time since the previous sample, s; 0 at the first.
     pub(super) dt: Vec<f64>,
-    /// By channel: the effective command, mm, and in half ranges.
+    /// Effective command by channel, in mm (`v`) and in half ranges (`x`).
     pub(super) v: Vec<Vec<f64>>,
     pub(super) x: Vec<Vec<f64>>,
     pub(super) half: Vec<f64>,
-    /// Since the first sample, as a share of the whole, below 1.
+    /// Elapsed share of the duration, in [0, 1).
     pub(super) share: Vec<f64>,
     pub(super) temperature: Option<Vec<f64>>,
     pub(super) orientation: Option<Vec<i64>>,
 }
 
 impl Series {
-    /// Take `v` (T, C) mm at `t` (T,) s with `middle` (C,) and `half` (C,) range in mm; `temperature` (T,) °C and codes of
-    /// the `orientation` (T,) where they are declared.
+    /// Create a series from `v` (T, C) mm at `t` (T,) s, with `middle` and `half` range (C,) mm of each channel.
+    /// Optional conditions: `temperature` (T,) °C, and integer codes of the `orientation` (T,).
     pub fn new(
         v: &[f64],
         t: Vec<f64>,
@@ -105,12 +105,12 @@ impl Series {
         self.half.len()
     }
 
-    /// Where the times `at` (K,) lie among the samples.
+    /// Prepare interpolation at the times `at` (K,).
     pub(super) fn sampler(&self, at: &[f64]) -> Sampler {
         Sampler(at.iter().map(|t| bracket(&self.t, *t)).collect())
     }
 
-    /// The commands at the times `at` (K,).
+    /// Sample the commands at the times `at` (K,).
     pub(super) fn seen(&self, at: &[f64]) -> Seen {
         let sampler = self.sampler(at);
         let sample = |column: &Vec<f64>| {
@@ -125,20 +125,20 @@ impl Series {
     }
 }
 
-/// The commands at K seen times.
+/// Commands at K capture times.
 #[derive(Debug, Clone)]
 pub struct Seen {
-    /// By channel, in half ranges.
+    /// Scaled command by channel.
     pub x: Vec<Vec<f64>>,
-    /// The time since the record began, as a share of the whole.
+    /// Elapsed share of the duration.
     pub share: Vec<f64>,
 }
 
-/// Times among the samples of a record: the sample before, and the share of the way to the next.
+/// Linear interpolation at fixed times: for each, the previous sample and the fraction of the way to the next.
 pub(super) struct Sampler(Vec<(usize, f64)>);
 
 impl Sampler {
-    /// Append a column (T,), linear between samples and held beyond the ends, to `out`.
+    /// Append a column (T,), interpolated linearly and held beyond both ends, to `out`.
     pub(super) fn sample(&self, column: &[f64], out: &mut Vec<f64>) {
         out.extend(self.0.iter().map(|&(k, share)| {
             if share == 0.0 {

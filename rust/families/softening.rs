@@ -1,7 +1,7 @@
-//! Softening: below the largest command so far the robot bends further than on the first way out (Mullins).
+//! Softening: the robot bends further below the largest command so far than on first loading (Mullins effect).
 //!
-//! With M the largest |u| so far: u (1 − exp(−(M − |u|)/d)) and u (M − |u|). All vanish on first loading. Source: the form of
-//! Ogden and Roxburgh's damage, as in rust/effects/mullins.rs, of each channel by itself.
+//! With M the running maximum of |u|: u (1 − exp(−(M − |u|)/d)) and u (M − |u|). All columns vanish on first loading. Source:
+//! Ogden and Roxburgh's damage, as in rust/effects/mullins.rs, applied to each channel separately.
 
 use super::declaration::*;
 use super::operators::largest_so_far;
@@ -10,7 +10,7 @@ use super::series::Series;
 pub static FAMILY: Family = Family {
     name: "softening",
     kind: Kind::Memory,
-    doc: "After a large command all smaller ones bend the robot further than before it.",
+    doc: "After a large bend, smaller commands bend the robot further than before.",
     mimics: &["creep", "time"],
     members: &["mullins"],
     columns: Some(columns),
@@ -18,10 +18,10 @@ pub static FAMILY: Family = Family {
     ..NOTHING
 };
 
-/// d, in half ranges.
+/// Distances d, in half ranges.
 const REACHES: [f64; 2] = [0.15, 0.5];
 
-/// mm.
+/// Columns in mm.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     softer(&series.v[channel], series.half[channel], emit);
 }

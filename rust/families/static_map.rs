@@ -1,4 +1,4 @@
-//! Static map: the command acts by another curve than the model's, the same every time.
+//! Static map: a memoryless error in the map from command to effective command, each channel on its own.
 
 use super::declaration::*;
 use super::operators::Spline;
@@ -7,7 +7,7 @@ use super::series::Series;
 pub static FAMILY: Family = Family {
     name: "static map",
     kind: Kind::Static,
-    doc: "The same command always gives the same wrong shape, each channel by itself: gain, offset, a dead zone, a curved map.",
+    doc: "Each channel has a wrong but repeatable scale: gain, offset, dead zone or a non-linear map of the command.",
     mimics: &["coupling", "body", "static shape"],
     members: &[
         "gain",
@@ -25,12 +25,12 @@ pub static FAMILY: Family = Family {
 };
 
 const INTERVALS: usize = 9;
-/// In half ranges, a little beyond what is commanded, so that the ends are inside the first and last interval.
+/// In half ranges, slightly more than the commanded range.
 const REACH: f64 = 1.02;
-/// The same for signals, which another run of a little larger range is predicted with.
+/// The same for signals: a validation run may have a slightly larger range.
 const SIGNAL_REACH: f64 = 1.05;
 
-/// Cubic B-splines of the command, in mm.
+/// Cubic B-splines of x, mm.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let half = series.half[channel];
     splines(series, channel, REACH, &mut |spline| {

@@ -1,4 +1,4 @@
-//! Static shape: any shape that depends on the commands alone; what no other static family draws.
+//! Static shape: any error of shape that is a function of the present commands; the most general static family.
 
 use super::declaration::*;
 use super::series::Seen;
@@ -6,7 +6,7 @@ use super::series::Seen;
 pub static FAMILY: Family = Family {
     name: "static shape",
     kind: Kind::Static,
-    doc: "The shape is wrong in a way that depends on the commands alone, and that no command of this model could make.",
+    doc: "The shape error depends only on the present commands, but no command of this model produces that shape.",
     mimics: &["static map", "coupling", "body", "frame"],
     members: &["contact"],
     modes: MODES,
@@ -14,15 +14,15 @@ pub static FAMILY: Family = Family {
     ..NOTHING
 };
 
-/// Spatial modes, the strongest first.
+/// Leading spatial modes of the whitener.
 const MODES: usize = 8;
 const DEGREE: usize = 3;
-/// Up to so many channels products of the commands count; beyond, their number grows faster than what a run can tell.
+/// Most channels for which products of commands are used: beyond, a run cannot identify so many columns.
 const PRODUCTS: usize = 3;
 
-/// The monomials of the commands up to cubic; above [`PRODUCTS`] channels the powers of each alone.
+/// Monomials of the commands up to degree 3; only powers of each channel above [`PRODUCTS`] channels.
 fn monomials(seen: &Seen, emit: Emit) {
-    alone(seen, emit);
+    constant(seen, emit);
     let ones = vec![1.0; seen.share.len()];
     if seen.x.len() <= PRODUCTS {
         products(&seen.x, &ones, DEGREE, emit);
@@ -33,7 +33,7 @@ fn monomials(seen: &Seen, emit: Emit) {
     }
 }
 
-/// Every product of up to `degree` of the channels with what is `before` them.
+/// Emit all products of `before` with up to `degree` of the channels.
 fn products(channels: &[Vec<f64>], before: &[f64], degree: usize, emit: Emit) {
     for (c, x) in channels.iter().enumerate() {
         let product: Vec<f64> = before.iter().zip(x).map(|(a, b)| a * b).collect();

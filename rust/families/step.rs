@@ -1,4 +1,4 @@
-//! Step: something changed at one instant of the run and stayed so (an anchor that slipped, a tooth that was skipped).
+//! Step: a permanent change at one instant of the run, such as a slipped anchor or a skipped tooth.
 
 use super::declaration::*;
 use super::series::Series;
@@ -7,7 +7,7 @@ use super::time::PLAUSIBLE;
 pub static FAMILY: Family = Family {
     name: "step",
     kind: Kind::Time,
-    doc: "Before and after one instant the same command gives another shape.",
+    doc: "The same command gives another shape before and after one instant.",
     mimics: &["temperature", "time", "load"],
     members: &["anchor_slip"],
     columns: Some(columns),
@@ -15,10 +15,10 @@ pub static FAMILY: Family = Family {
 };
 
 const INSTANTS: usize = 16;
-/// Shares of the run that the first and last instant leave on either side: both must be seen.
+/// Share of the run before the first and after the last instant: both sides of a step must be visible.
 const EDGE: f64 = 0.06;
 
-/// After each instant 1, and x, mm.
+/// A step at each instant, alone and times x, mm.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let most = PLAUSIBLE * series.half[channel];
     let ones = vec![1.0; series.samples()];

@@ -1,4 +1,4 @@
-//! Temperature: what the robot does follows the temperature that the run declares.
+//! Temperature: the error follows the temperature declared in the run.
 
 use super::declaration::*;
 use super::series::Series;
@@ -6,7 +6,7 @@ use super::series::Series;
 pub static FAMILY: Family = Family {
     name: "temperature",
     kind: Kind::Condition,
-    doc: "The same command gives another shape when it is warmer: a softer body, a longer tendon.",
+    doc: "The same command gives another shape at another temperature: softer material or longer tendons.",
     needs: &["temperature"],
     mimics: &["time", "step"],
     members: &["thermal_softening", "gain"],
@@ -14,13 +14,12 @@ pub static FAMILY: Family = Family {
     ..NOTHING
 };
 
-/// °C that a run must span: less is the noise of a sensor.
+/// Smallest temperature range, °C: less is sensor noise.
 const LEAST: f64 = 0.5;
-/// Of the half range: the gain that a wrong reference temperature plausibly makes.
+/// Scale of the x column, as a share of the half range: gain error caused by the unknown reference temperature.
 const REFERENCE: f64 = 0.3;
 
-/// z, zx, z²x, zx|x|, z² and x itself (the reference temperature is not known), z the temperature about its mean over its
-/// range, mm.
+/// z, zx, z²x, zx|x|, z² and x, with z = (temperature − mean)/range; mm. The reference temperature is unknown, hence x.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let Some(temperature) = &series.temperature else {
         return;

@@ -1,4 +1,4 @@
-//! Time: something changes slowly through the run, whatever is commanded.
+//! Time: offset or gain changes slowly during the run, independent of the commands.
 
 use super::declaration::*;
 use super::operators::Spline;
@@ -7,7 +7,7 @@ use super::series::Series;
 pub static FAMILY: Family = Family {
     name: "time",
     kind: Kind::Time,
-    doc: "The same command gives another shape later in the run: a slow change of offset or gain with time.",
+    doc: "The same command gives another shape later in the run: a slow drift of offset or gain.",
     mimics: &[
         "creep",
         "softening",
@@ -22,14 +22,14 @@ pub static FAMILY: Family = Family {
     ..NOTHING
 };
 
-/// Of the run: what changes faster than a fifth of it is no slow change.
+/// Intervals over the run: faster changes do not count as slow drift.
 const INTERVALS: usize = 5;
-/// Where the static map is learned too.
+/// The same for signals.
 const SIGNAL_INTERVALS: usize = 4;
-/// Of the half range: how much of a motion a change with time plausibly makes. Steps and orientations take the same.
+/// Scale of the columns, as a share of the half range: a plausible size of the effect. Shared with steps and orientations.
 pub(super) const PLAUSIBLE: f64 = 0.3;
 
-/// Cubic B-splines of time, and they times x, mm.
+/// Cubic B-splines of time, alone and times x, mm.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let most = PLAUSIBLE * series.half[channel];
     splines(series, channel, INTERVALS, most, emit);

@@ -64,11 +64,11 @@ pub fn floats(
     .into())
 }
 
-/// Read `value` as a row of whole numbers; floats are none, however round.
+/// Read `value` as a one-dimensional array of int64. Floats are rejected, even if integral.
 pub fn integers(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<i64>> {
     let array: PyArrayLike1<'_, i64, TypeMustMatch> = value.extract().map_err(|_| {
         Error::Invalid(format!(
-            "{name} must be a row of whole numbers (int64), got {}",
+            "{name} must be a one-dimensional array of integers (int64), got {}",
             kind(value)
         ))
     })?;

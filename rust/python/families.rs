@@ -1,9 +1,9 @@
-//! Bindings of the families of effects, their banks, and level 1 of a diagnosis.
+//! Bindings of the effect families, their column banks, and level 1 of the diagnosis.
 
 use super::arrays::{floats, integers};
 use super::effects::{Maybe, Value};
 use crate::Error;
-use crate::families::{Bank, Given, Level, REGISTRY, Series};
+use crate::families::{Bank, FrameSet, Level, REGISTRY, Series};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -13,7 +13,7 @@ type Rows<'py> = Bound<'py, PyArray2<f64>>;
 type Which<'py> = Bound<'py, PyArray1<i64>>;
 /// Basis (K, r) and strength (r,) of a kernel over frames.
 type Kernel<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>);
-/// A fold: frames that train, frames that test, and basis and strength of the kernel over each.
+/// Training and test frames of a fold; basis and strength of the kernel over the training frames, then over the test frames.
 type Fold<'py> = (
     Bound<'py, PyAny>,
     Bound<'py, PyAny>,
@@ -23,7 +23,7 @@ type Fold<'py> = (
     Bound<'py, PyAny>,
 );
 
-/// The registry of families, one dictionary each.
+/// Return the registry of families, one dictionary each.
 #[pyfunction]
 pub fn families<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     let list = PyList::empty(py);
@@ -44,7 +44,7 @@ pub fn families<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     Ok(list)
 }
 
-/// What acts on the channels of a run at full rate, and its conditions.
+/// Effective commands of a run at full rate, with its conditions.
 #[pyclass(name = "Series", module = "softmap_edge._core", frozen)]
 pub struct PySeries {
     series: Series,
@@ -52,7 +52,7 @@ pub struct PySeries {
 
 #[pymethods]
 impl PySeries {
-    /// `v` (T, C) mm, `t` (T,) s, `middle` and `half` range (C,) mm, `temperature` (T,) °C, codes of `orientation` (T,).
+    /// `v` (T, C) mm, `t` (T,) s, `middle` and `half` range (C,) mm, `temperature` (T,) °C, integer codes of `orientation` (T,).
     #[new]
     #[pyo3(signature = (v, t, middle, half, temperature=None, orientation=None))]
     fn new(
@@ -94,7 +94,7 @@ impl PySeries {
     }
 }
 
-/// The columns of one family for robots of C channels.
+/// Column bank of one family for C channels.
 #[pyclass(name = "Bank", module = "softmap_edge._core", frozen)]
 pub struct PyBank {
     bank: Bank,
@@ -118,7 +118,7 @@ impl PyBank {
         self.bank.channels()
     }
 
-    /// Channel (n,) and samples (n, K) mm of the columns at the times `at` (K,) s.
+    /// Return the channel (n,) and the samples (n, K) mm of the columns at the times `at` (K,) s.
     fn columns<'py>(
         &self,
         py: Python<'py>,
@@ -130,7 +130,7 @@ impl PyBank {
         pair(py, sampled, at.len())
     }
 
-    /// What acts (T, C) mm with the weights `theta` (n,) of the columns.
+    /// Return the effective command (T, C) mm with column weights `theta` (n,).
     fn applied<'py>(
         &self,
         py: Python<'py>,
@@ -143,7 +143,7 @@ impl PyBank {
         acting.into_pyarray(py).reshape(shape)
     }
 
-    /// The rows (m, K) that multiply each field at the times `at` (K,) s.
+    /// Return the rows (m, K) that multiply each field at the times `at` (K,) s.
     fn modulation<'py>(
         &self,
         py: Python<'py>,
@@ -154,7 +154,7 @@ impl PyBank {
         rows(py, self.bank.modulation(&series.series, &at)?, at.len())
     }
 
-    /// Channel (n,) and samples (n, K) of the signals at the times `at` (K,) s.
+    /// Return the channel (n,) and the samples (n, K) of the signals at the times `at` (K,) s.
     fn signals<'py>(
         &self,
         py: Python<'py>,
@@ -172,7 +172,7 @@ impl PyBank {
     }
 }
 
-/// Columns by name, and what they explain of a residual on folds that were held out.
+/// Ridge regression of a residual on columns by name, with blocked cross-validation.
 #[pyclass(name = "Level", module = "softmap_edge._core")]
 pub struct PyLevel {
     level: Level,
@@ -180,33 +180,36 @@ pub struct PyLevel {
 
 #[pymethods]
 impl PyLevel {
-    /// `form` (M,) variance of each mode, `kernel` (basis (K, r), strength (r,)) over all frames, and `folds`:
-    /// (train, test, basis and strength over train, basis and strength over test) each.
+    /// `form` (M,): model-error variance of each mode. `kernel`: (basis (K, r), strength (r,)) over all frames. `folds`: one
+    /// (train, test, train basis, train strength, test basis, test strength) per fold.
     #[new]
     fn new(form: Value<'_, '_>, kernel: Kernel<'_>, folds: Vec<Fold<'_>>) -> PyResult<PyLevel> {
         let form = floats("form", form, &[("M", None)])?.data;
         let strength = floats("strength", &kernel.1, &[("r", None)])?.data;
         let axes = [("K", None), ("r", Some(strength.len()))];
         let basis = floats("basis", &kernel.0, &axes)?;
-        let all = Given {
+        let all = FrameSet {
             index: (0..basis.shape[0]).collect(),
             basis: basis.data,
             strength,
         };
         let pairs = folds.iter().map(|(train, test, tb, ts, sb, ss)| {
-            Ok((given("train", train, tb, ts)?, given("test", test, sb, ss)?))
+            Ok((
+                frame_set("train", train, tb, ts)?,
+                frame_set("test", test, sb, ss)?,
+            ))
         });
         let level = Level::new(form, all, pairs.collect::<PyResult<_>>()?)?;
         Ok(PyLevel { level })
     }
 
-    /// Names of the columns, in the order in which they were added.
+    /// Names in the order in which they were added.
     #[getter]
     fn names(&self) -> Vec<&str> {
         self.level.names()
     }
 
-    /// Add the columns base[which_j] ∘ weight_j of a name: `base` (s, K, M), `which` (n,), `weight` (n, K).
+    /// Add columns base[which_j] ∘ weight_j under a name: `base` (s, K, M), `which` (n,), `weight` (n, K).
     fn add(
         &mut self,
         name: &str,
@@ -217,23 +220,23 @@ impl PyLevel {
         let frames = Some(self.level.frames());
         let modes = Some(self.level.modes());
         let base = floats("base", base, &[("s", None), ("K", frames), ("M", modes)])?;
-        let which = places("which", which)?;
+        let which = indices("which", which)?;
         let weight = floats("weight", weight, &[("n", Some(which.len())), ("K", frames)])?;
         Ok(self.level.add(name, &base.data, &which, &weight.data)?)
     }
 
-    /// Forget all columns; the folds stay.
+    /// Remove all columns and keep the folds.
     fn clear(&mut self) {
         self.level.clear();
     }
 
-    /// Build the Grams of all columns with the residual (K, M), in modes in units of noise.
+    /// Build the normal equations with the residual (K, M), whose modes are in units of noise.
     fn close(&mut self, py: Python<'_>, residual: Value<'_, '_>) -> PyResult<()> {
         let residual = self.modes("residual", residual)?;
         Ok(py.detach(|| rayon::scope(|_| self.level.close(&residual)))?)
     }
 
-    /// Held-out loss (F,) of each fold with the columns of `names`, each with its ridge.
+    /// Return the held-out loss (F,) of each fold, fitting the columns of `names` with one ridge each.
     fn losses<'py>(
         &self,
         py: Python<'py>,
@@ -244,7 +247,7 @@ impl PyLevel {
         Ok(losses.into_pyarray(py))
     }
 
-    /// Weights (n,) of the columns of each of `names`, from all frames.
+    /// Fit all frames; return the column weights (n,) of each of `names`.
     fn theta<'py>(
         &self,
         py: Python<'py>,
@@ -258,7 +261,7 @@ impl PyLevel {
             .collect())
     }
 
-    /// Effective degrees of freedom of one of `names` beside the others.
+    /// Return the effective degrees of freedom of `name` in a fit of all `names`.
     fn freedom(
         &self,
         py: Python<'_>,
@@ -269,7 +272,7 @@ impl PyLevel {
         Ok(py.detach(|| self.level.freedom(&names, &ridges, name))?)
     }
 
-    /// The modes (K, M) that the columns of a name draw with weights `theta` (n,).
+    /// Return the modes (K, M) of the columns of a name with weights `theta` (n,), not whitened.
     fn fitted<'py>(
         &self,
         py: Python<'py>,
@@ -280,7 +283,7 @@ impl PyLevel {
         rows(py, self.level.fitted(name, &theta)?, self.level.modes())
     }
 
-    /// The loss (F,) of modes (K, M) that nothing is fitted to, on the test frames of each fold.
+    /// Return the loss (F,) of fixed modes (K, M) on the test frames of each fold, without any fit.
     fn losses_of<'py>(&self, py: Python<'py>, modes: Value<'_, 'py>) -> PyResult<Row<'py>> {
         let modes = self.modes("modes", modes)?;
         let losses = py.detach(|| self.level.losses_of(&modes))?;
@@ -307,36 +310,36 @@ impl PyLevel {
     }
 }
 
-/// A set of frames and the kernel over them.
-fn given(
+/// Read a set of frames and the kernel over them.
+fn frame_set(
     name: &str,
     index: Value<'_, '_>,
     basis: Value<'_, '_>,
     strength: Value<'_, '_>,
-) -> PyResult<Given> {
-    let index = places(name, index)?;
+) -> PyResult<FrameSet> {
+    let index = indices(name, index)?;
     let strength = floats("strength", strength, &[("r", None)])?.data;
     let axes = [("frames", Some(index.len())), ("r", Some(strength.len()))];
     let basis = floats("basis", basis, &axes)?.data;
-    Ok(Given {
+    Ok(FrameSet {
         index,
         basis,
         strength,
     })
 }
 
-/// Places in a list: whole numbers from 0 on.
-fn places(name: &str, value: Value<'_, '_>) -> PyResult<Vec<usize>> {
+/// Read non-negative integers.
+fn indices(name: &str, value: Value<'_, '_>) -> PyResult<Vec<usize>> {
     let place = |n: i64| usize::try_from(n);
     let found: std::result::Result<_, _> = integers(name, value)?.into_iter().map(place).collect();
-    Ok(found.map_err(|_| Error::Invalid(format!("{name} holds a negative number")))?)
+    Ok(found.map_err(|_| Error::Invalid(format!("{name} contains a negative number")))?)
 }
 
 fn times(at: Value<'_, '_>) -> PyResult<Vec<f64>> {
     Ok(floats("at", at, &[("K", None)])?.data)
 }
 
-/// Numbers by rows of `width`.
+/// Return numbers as rows of `width`.
 fn rows(py: Python<'_>, data: Vec<f64>, width: usize) -> PyResult<Rows<'_>> {
     let count = data.len() / width.max(1);
     data.into_pyarray(py).reshape([count, width])
