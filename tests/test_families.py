@@ -118,7 +118,9 @@ def columns(p, name, c):
         return by_x((p.share[:, None] > np.linspace(0.06, 0.94, 16)).astype(float))
     if name == "temperature":
         z = (p.temperature - p.temperature.mean()) / np.ptp(p.temperature)
-        return h * stack([z, z * x, z**2 * x, z * x * np.abs(x), z**2, 0.3 * x])
+        behind = [pole(z, t, tau) * x for tau in (30, 100)]
+        crept = [z * (pole(x, t, tau) - x) for tau in (5, 30)]
+        return h * stack([z, z * x, z**2 * x, z * x * np.abs(x), z**2, 0.3 * x, *behind, *crept])
     if name == "load":
         e = (p.orientation[:, None] == [4, 7]).astype(float)
         return 0.3 * h * np.concatenate([e, e * x[:, None], e * x[:, None] ** 2], axis=1)

@@ -27,6 +27,7 @@ Commands = list[Floats]  # effective commands (T, C) of each run
 TURNED = 2  # decimals of the direction of gravity: nearer ones are one orientation
 WARMED = 0.5  # K that a run must warm by
 REACH = 0.15  # of the range of a parameter, at which the signature of a field is taken
+FAR = 0.5  # the same of an effect on commands, whose form changes with its size
 PLACES = (0.2, 0.5, 0.8)  # of the range of a parameter that says where: signatures are taken there
 MODES = 8  # leading spatial modes of a free static shape
 FREE_MM = 0.9  # mm RMS of the body that one such column moves it by
@@ -122,7 +123,9 @@ class Body:
 
     def features(self, commands: Commands) -> Floats:
         """Return the features (K, F) mm of the prior at effective commands."""
-        rows = [p.model.features_at(seen_commands(p, v), p.run).reshape(p.frames, -1) for p, v in zip(self.parts, commands)]
+        rows = [
+            p.model.features_at(seen_commands(p, v), p.run).reshape(p.frames, -1) for p, v in zip(self.parts, commands)
+        ]
         return np.concatenate(rows)
 
     def slopes(self, commands: Commands) -> Floats:
@@ -213,18 +216,19 @@ class Body:
         mine = [i for i, label in enumerate(layout.labels) if label.split(".")[0] == name]
         base = record.predict(layout.names, null[None])[0]
 
-        def moved(i: int, at: Floats) -> Floats:
+        def moved(i: int, at: Floats, reach: float = REACH) -> Floats:
             row = at.copy()
             far = layout.high[i] if abs(layout.high[i] - null[i]) > 1e-12 else layout.low[i]
-            row[i] = null[i] + REACH * (far - null[i])
+            row[i] = null[i] + reach * (far - null[i])
             return np.asarray(record.predict(layout.names, row[None])[0] - base)
 
         alone = {i: moved(i, null) for i in mine}
+        channel = next(e["role"] for e in record.library.effects() if e["name"] == name) == "channel"
         amounts = [i for i in mine if np.abs(alone[i]).max() > 1e-9]
         places = [i for i in mine if i not in amounts]
         rows = []
         for i in amounts:
-            rows += [alone[i]] if not places else []
+            rows += [alone[i], *([moved(i, null, FAR)] if channel else [])] if not places else []
             for place in places[:1]:
                 for share in PLACES:
                     at = null.copy()
@@ -247,7 +251,9 @@ class Body:
         """Add columns to normal equations."""
         used = np.unique(columns.which)
         place = np.searchsorted(used, columns.which)
-        level.add(name, np.ascontiguousarray(self.modes(columns.base[used])), place, np.ascontiguousarray(columns.weight))
+        level.add(
+            name, np.ascontiguousarray(self.modes(columns.base[used])), place, np.ascontiguousarray(columns.weight)
+        )
 
     def add_fit(self, level: _core.Level, name: str, fit: Fit) -> bool:
         """Add the slopes of a fit to normal equations; whether it has any."""

@@ -263,5 +263,3 @@ def _typed(kind: Any, value: Any, where: str) -> Any:
     if wrong or not isinstance(value, kind):
         raise ReportError(f"damaged diagnosis: {where} is {type(value).__name__}; diagnose again")
     return value
-
-

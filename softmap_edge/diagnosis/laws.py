@@ -30,6 +30,7 @@ from softmap_edge.diagnosis.families import (
 )
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.fits import Fits
+from softmap_edge.folds import GAP
 
 Floats = NDArray[np.float64]
 Curve = Callable[[Floats], Floats]
@@ -102,15 +103,24 @@ def answered(state: State, fits: Fits, rough: Representative, before: Floats) ->
     return asked.judged(laws)
 
 
-def law_of(state: State, fits: Fits, effects: tuple[str, ...]) -> Law:
-    """Fit effects on top of what was found and judge them on held-out folds."""
+def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats) -> Law:
+    """Fit effects on top of what was found and judge them on held-out folds; `before` is the loss (folds,) without.
+
+    What happens once in a fold cannot be known from the others: there a law is as good as none.
+    """
     body, fit = state.body, fits.get(frozenset((*state.fit.effects, *effects)))
     level = body.level()
     names, ridges = state.blocks(level, fit)
     level.close(np.ascontiguousarray(fit.modes))
-    own = [label.split(".")[0] in effects for label in fit.space.free_labels]
+    own = np.array([label.split(".")[0] in effects for label in fit.space.free_labels], bool)
     bounds = [label for label, mine, bound in zip(fit.space.free_labels, own, at_bound(fit)) if mine and bound]
-    return Law(" + ".join(effects), effects, fit, np.asarray(level.losses(names, ridges)), sum(own), tuple(bounds))
+    loss = np.array(level.losses(names, ridges))
+    for instant in fit.space.values(fit.x)[own & fit.space.instant]:
+        for i, (_, test) in enumerate(body.problem.folds):
+            since = body.record.t_seen[test] - float(body.parts[0].run.t[0])
+            if np.min(np.abs(since - instant)) <= 2.0 * GAP:
+                loss[i] = min(loss[i], before[i])
+    return Law(" + ".join(effects), effects, fit, loss, int(own.sum()), tuple(bounds))
 
 
 class _Asked:
@@ -125,12 +135,12 @@ class _Asked:
     def members(self) -> list[Law]:
         """Fit each member of the family on top of what was found."""
         names = [n for n in self.representative.family.members if n in self.fits.candidates]
-        return [law_of(self.state, self.fits, (n,)) for n in names if n not in self.state.fit.effects]
+        return [law_of(self.state, self.fits, (n,), self.before) for n in names if n not in self.state.fit.effects]
 
     def pairs(self, members: list[Law]) -> list[Law]:
         """Fit the pairs of the best members."""
         best = sorted(members, key=lambda law: float(law.loss.sum()))[:PAIRED]
-        return [law_of(self.state, self.fits, (*a.effects, *b.effects)) for a, b in combinations(best, 2)]
+        return [law_of(self.state, self.fits, (*a.effects, *b.effects), self.before) for a, b in combinations(best, 2)]
 
     def generic(self) -> list[Law]:
         """Fit laws of a static map that are nobody's effect, with one set of numbers and with one for each channel."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.decision import difference, near
+from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
 from softmap_edge.diagnosis.families import (
     Body,
     Columns,
@@ -33,6 +33,7 @@ from softmap_edge.diagnosis.laws import Answer, answered, law_of
 
 Floats = NDArray[np.float64]
 
+CATCH_ALL = "static shape"  # can be any static law; taken where no other family is
 BACKGROUND = ("static map", "static shape", "frame", "load")  # what ordinary imperfections look like
 WINDING = "eccentric_pulley"  # with five numbers it is many smooth maps, and no single small law
 SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken
@@ -150,7 +151,7 @@ def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
     off, motion = record.rms_mm(state.residual), record.rms_mm(record.seen - np.nanmean(record.seen, axis=0))
     if "servo_swap" not in fits.candidates or off < rule.MISWIRED * motion or not ranking.rows:
         return None
-    law = law_of(state, fits, ("servo_swap",))
+    law = law_of(state, fits, ("servo_swap",), ranking.found)
     best = ranking.rows[0]
     if law.loss.sum() > best.loss.sum() + rule.FORM * (ranking.found.sum() - best.loss.sum()):
         return None
@@ -161,11 +162,31 @@ def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
     return Step(Answer(family, stand_in, ranking.found, law, (), False, (law,), (law,)), ())
 
 
+def _by_law(row: Representative, ranking: Ranking, state: State, fits: Fits) -> Representative:
+    """Return a family with its best single law in the place of its representative, where that leaves less."""
+    names = [n for n in row.family.members if n in fits.candidates and n not in state.fit.effects]
+    laws = [law_of(state, fits, (name,), ranking.found) for name in names]
+    best = min(laws, key=lambda law: float(law.loss.sum()), default=None)
+    if best is None or best.fit is None or best.loss.sum() >= row.loss.sum():
+        return row
+    moved = state.body.record.rms_mm(fits.displacement(best.fit, best.effects[0]))
+    return replace(row, loss=best.loss, numbers=best.numbers, moved_mm=moved)
+
+
 def _is_ordinary(ranking: Ranking, state: State) -> bool:
-    """Whether the best family is static and moves the body by no more than ordinary imperfections may."""
-    if not ranking.rows or ranking.rows[0].family.kind != "static" or state.body.ordinary_mm <= 0.0:
-        return False
-    return ranking.rows[0].moved_mm < rule.DOMINATES * state.body.ordinary_mm
+    """Whether the best family is static, and all static misfit no more than ordinary imperfections may be."""
+    best = ranking.rows[0].family.kind if ranking.rows else ""
+    return best == "static" and state.body.ordinary_mm > 0.0 and not _beyond_ordinary(ranking, state)
+
+
+def _beyond_ordinary(ranking: Ranking, state: State) -> bool:
+    """Whether the static misfit is more than ordinary imperfections of the robot."""
+    return _static_mm(ranking, state) >= rule.DOMINATES * state.body.ordinary_mm
+
+
+def _static_mm(ranking: Ranking, state: State) -> float:
+    record = state.body.record
+    return record.rms_mm(np.where(np.isfinite(record.seen), ranking.static, np.nan))
 
 
 def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible: float) -> Step | None:
@@ -173,17 +194,22 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     if not ranking.rows:
         return None
     later = bool(outcome.steps)
-    able = [row for row in ranking.rows if _accepted(row, ranking, state, later, visible)]
-    best = ranking.rows[0]
+    rows = sorted(ranking.rows, key=lambda row: (row.family.name == CATCH_ALL, float(row.loss.sum())))
+    gains = [float(ranking.before.sum() - row.loss.sum()) for row in rows]
+    if rows[-1].family.name == CATCH_ALL and gains[-1] > rule.CATCHES * gains[0]:
+        rows = [rows[-1], *rows[:-1]]
+    able = [row for row in rows if _accepted(row, ranking, state, later, visible)]
+    best = rows[0]
+    if best not in able:  # what happens once, or only far from any column, no representative may show
+        by_law = [_by_law(row, ranking, state, fits) for row in rows[: rule.ASKED]]
+        able = [row for row in by_law if _accepted(row, ranking, state, later, visible)]
+        best = min((best, *able), key=lambda row: float(row.loss.sum()))
+        able.sort(key=lambda row: float(row.loss.sum()))
     gain = float(ranking.before.sum() - best.loss.sum())
     if not able or (able[0] is not best and float(able[0].loss.sum() - best.loss.sum()) > 0.1 * gain):
         outcome.hint = best if gain > 0.1 * float(ranking.before.sum()) else None
         return None
-    tied = [
-        row
-        for row in able
-        if near(row.loss, able[0].loss, ranking.before) or _ordinary_apart(row, able[0], state)
-    ]
+    tied = [row for row in able if near(row.loss, able[0].loss, ranking.before) or _ordinary_apart(row, able[0], state)]
     answers = [answered(state, fits, row, ranking.found) for row in tied]
     above = max(0.0, float(ranking.found.sum()) - rule.ABOVE_NOISE * state.body.problem.numbers)
     least = max(rule.FALL_FIRST * above, rule.FALL * float(ranking.found.sum()))
@@ -208,21 +234,20 @@ def _order(family: Family) -> int:
     return 0 if family.name == "static map" else SIMPLER[family.kind]
 
 
-def _accepted(
-    row: Representative, ranking: Ranking, state: State, later: bool, visible: float
-) -> bool:
+def _accepted(row: Representative, ranking: Ranking, state: State, later: bool, visible: float) -> bool:
     """Whether a family is seen: its loss falls far enough, in enough folds, and it moves the body far enough."""
     problem, before = state.body.problem, float(ranking.before.sum())
     fall = difference(ranking.before, row.loss)
     above = max(0.0, before - rule.ABOVE_NOISE * problem.numbers)
-    if not (fall.fall > fall.error and fall.share >= rule.FOLDS and fall.fall >= rule.FALL * before):
+    if not (seen_to_fall(fall) and fall.fall >= rule.FALL * before):
         return False
     if fall.fall < (rule.FALL_NEXT if later else rule.FALL_FIRST) * above:
         return False
     noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0) if problem.noise.replicates else 0.0
     static = row.family.kind == "static"
-    own = max(state.body.record.form_mm, rule.DOMINATES * state.body.ordinary_mm) if static else 0.0
-    return row.moved_mm >= max(visible, float(noise), own)
+    if static and not _beyond_ordinary(ranking, state):
+        return False
+    return row.moved_mm >= max(visible, float(noise), state.body.record.form_mm if static else 0.0)
 
 
 def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
@@ -276,5 +301,3 @@ def _does_the_same(other: Answer, first: Answer, ranking: Ranking, state: State)
     gram.flat[:: len(gram) + 1] += rule.RIDGES[0]
     z = target.ravel()
     return bool(1.0 - np.sum((z - np.linalg.solve(gram, x @ z) @ x) ** 2) / max(float(z @ z), 1e-300) > rule.MIMIC)
-
-

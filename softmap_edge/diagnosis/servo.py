@@ -10,6 +10,7 @@ Pinned by tests/test_servo.py.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+
 import numpy as np
 from numpy.typing import NDArray
 

@@ -14,8 +14,8 @@ from types import ModuleType
 from typing import Any
 
 from softmap_edge.diagnosis.comparison import Comparison
-from softmap_edge.diagnosis.series import Series
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
+from softmap_edge.diagnosis.series import Series
 from softmap_edge.errors import ReportError
 from softmap_edge.report.comparison_text import check_pair
 from softmap_edge.report.html_open import open_questions

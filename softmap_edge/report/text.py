@@ -13,6 +13,7 @@ from typing import Any
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
 from softmap_edge.report.numbers import LARGEST, bar, folded, mm, number, percent, tamed
 
+
 def diagnosis_text(document: Mapping[str, Any]) -> str:
     """Return the report of a diagnosis document.
 
