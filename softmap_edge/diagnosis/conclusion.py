@@ -192,7 +192,7 @@ def _probability(
     alternatives: Sequence[Alternative],
     unknown: bool,
 ) -> float:
-    """Return how likely an effect, or an equivalent, is there: certain, divided by the odds of what speaks against it."""
+    """Return the probability that an effect, or an equivalent one, is present, from the odds against it."""
     odds = rule.ODDS_BASE + rule.ODDS_ALTERNATIVE * sum(a.member == name for a in alternatives)
     odds += rule.ODDS_BOUND * any(p.at_bound for p in numbers.values()) + rule.ODDS_UNKNOWN * unknown
     if step is not None and step.answer.open:
