@@ -58,7 +58,7 @@ def families() -> tuple[Family, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The columns of a family about a state: column j is base[which_j] · weight_j, the first `commanded` on commands."""
+    """The columns of a family about a state: column j is base[which_j] · weight_j; `commanded` of them on commands."""
 
     base: Floats  # (s, K, F) mm
     which: NDArray[np.intp]  # (n,)
@@ -163,7 +163,7 @@ class Body:
         return list(np.split(codes.reshape(-1).astype(np.int64), ends[:-1]))
 
     def columns(self, family: Family, commands: Commands, slopes: Floats) -> Columns | None:
-        """Return the columns of a family about effective commands with their `slopes` (C, K, F), None if it has none."""
+        """Return the columns of a family about effective commands with their `slopes` (C, K, F), if it has any."""
         bank = _core.Bank(family.name, len(self.half))
         series = self.series(commands)
         found = [bank.columns(one, np.asarray(part.t_seen, float)) for one, part in zip(series, self.parts)]
@@ -183,8 +183,8 @@ class Body:
     def _fields(self, family: Family) -> Floats:
         """Return the fields (s, K, F) mm of a family: signatures of its effects, or free shapes."""
         if family.name not in self._signatures:
-            names = [name for name in family.fields if name in self.candidates]
-            rows = [s for name in names if (own := self.single(name)) is not None for s in own.base]
+            singles = [self.single(name) for name in family.fields if name in self.candidates]
+            rows = [field for own in singles if own is not None for field in own.base]
             if family.name == "static shape":
                 rows = self._free_shapes()
             self._signatures[family.name] = np.stack(rows) if rows else np.zeros((0, *self.record.seen.shape))
@@ -193,8 +193,8 @@ class Body:
     def single(self, effect: str) -> Columns | None:
         """Return what the numbers of one effect do, each by itself, as columns; None if they do nothing here."""
         if effect not in self._signatures:
-            rows = self._signature(effect)
-            self._signatures[effect] = np.stack(rows) if rows else np.zeros((0, *self.record.seen.shape))
+            found = self._signature(effect)
+            self._signatures[effect] = np.stack(found) if found else np.zeros((0, *self.record.seen.shape))
         rows = self._signatures[effect]
         if not len(rows):
             return None
@@ -265,7 +265,7 @@ class Body:
 
 
 class State:
-    """What is known at a step of the search: a joint fit, representatives that stand beside it, and what both predict."""
+    """What is known at a step of the search: a joint fit, representatives alongside it, and what both predict."""
 
     def __init__(
         self,
@@ -302,7 +302,7 @@ class State:
         return np.asarray(self.body.record.seen - self.predicted)
 
     def blocks(self, level: _core.Level, fit: Fit | None = None) -> tuple[list[str], list[float]]:
-        """Add what was found, or another `fit` in its place, to normal equations; the names of the blocks, the ridges."""
+        """Add what was found, or another `fit` in its place, to normal equations; return names and ridges of the blocks."""
         names, ridges = [], []
         if self.body.add_fit(level, "fit", self.fit if fit is None else fit):
             names, ridges = ["fit"], [1.0]

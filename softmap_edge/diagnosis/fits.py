@@ -1,4 +1,4 @@
-"""Fits of sets of effects on one problem, each made once: their parameters, cross-validation, and what each member does.
+"""Fits of sets of effects on one problem, each made once: parameters, cross-validation, what each member does.
 
 A set is fitted from the best of a few starts of its newest member, with the others where a smaller set left them.
 Units: mm. Pinned by tests/test_fits.py.
@@ -92,8 +92,8 @@ class Fits:
 def starts(problem: Problem, effect: str) -> list[Floats]:
     """Return scaled starting points of one effect: as declared, with other signs, along log scales, in time.
 
-    Every combination of whole numbers is a start of its own. Tendons that fall slack put a kink at home, where the slope
-    on one side says nothing about the other.
+    Every combination of whole numbers is a start of its own. Tendons that fall slack put a kink at home, where the
+    slope on one side says nothing about the other.
     """
     space = problem.space((effect,), free=(effect,))
     if space.integer.any():

@@ -1,4 +1,4 @@
-"""What a diagnosis leaves open, as HTML: servos, alternatives, what these data cannot tell, what to record, what is left."""
+"""What a diagnosis leaves open, as HTML: families, servos, alternatives, what is not testable, what to record."""
 
 from __future__ import annotations
 
