@@ -30,9 +30,25 @@ REACH = 0.15  # of the range of a parameter, at which the signature of a field i
 FAR = 0.5  # the same of an effect on commands, whose form changes with its size
 PLACES = (0.2, 0.5, 0.8)  # of the range of a parameter that says where: signatures are taken there
 MODES = 8  # leading spatial modes of a free static shape
+AT_BOUND = 1e-6  # of the scale of a parameter
 FREE_MM = 0.9  # mm RMS of the body that one such column moves it by
 BACKGROUND_RIDGE = 10.0  # of families that explain ordinary imperfections
 LINEARISED = 2  # times that a representative is linearised about itself
+
+
+CURVES: dict[str, Callable[[Floats], Floats]] = {
+    "u²": np.square,
+    "|u|": np.abs,
+    "u|u|": lambda x: x * np.abs(x),
+    "u³": lambda x: x**3,
+}
+PRODUCTS: dict[str, Callable[[Floats, Floats], Floats]] = {  # of a channel and of another one
+    "v²": lambda x, y: y**2,
+    "uv": lambda x, y: x * y,
+    "v³": lambda x, y: y**3,
+    "u²v": lambda x, y: x**2 * y,
+    "uv²": lambda x, y: x * y**2,
+}
 
 
 @dataclass(frozen=True)
@@ -200,6 +216,19 @@ class Body:
             return None
         return Columns(rows, np.arange(len(rows)), np.ones((len(rows), len(self.record))), 0)
 
+    def curves(self, commands: Commands, slopes: Floats) -> dict[str, Columns]:
+        """Return smooth static maps of one form as columns: a curve of each channel, or what one does to another."""
+        seen = np.concatenate([seen_commands(p, v) for p, v in zip(self.parts, commands)])
+        x, channels = (seen - self.middle) / self.half, len(self.half)
+        found = {}
+        for name, curve in CURVES.items():
+            found[name] = Columns(slopes, np.arange(channels), (self.half * curve(x)).T.copy(), channels)
+        for name, product in PRODUCTS.items() if channels > 1 else ():
+            pairs = [(c, k) for c in range(channels) for k in range(channels) if k != c]
+            weight = np.stack([self.half[c] * product(x[:, c], x[:, k]) for c, k in pairs])
+            found[name] = Columns(slopes, np.array([c for c, _ in pairs]), weight, len(pairs))
+        return found
+
     def _free_shapes(self) -> list[Floats]:
         """Return the leading spatial modes of what candidates do, as shapes that do not change."""
         shapes = np.linalg.pinv(self.weights)[:MODES]
@@ -256,12 +285,12 @@ class Body:
         )
 
     def add_fit(self, level: _core.Level, name: str, fit: Fit) -> bool:
-        """Add the slopes of a fit to normal equations; whether it has any."""
-        if not len(fit.x):
-            return False
-        ones = np.ones((len(fit.x), len(self.record)))
-        level.add(name, np.ascontiguousarray(-fit.slopes), np.arange(len(fit.x)), ones)
-        return True
+        """Add the slopes of a fit to normal equations, of numbers that no bound holds; whether there are any."""
+        free = np.flatnonzero(np.minimum(fit.x - fit.space.low, fit.space.high - fit.x) > AT_BOUND)
+        if len(free):
+            ones = np.ones((len(free), len(self.record)))
+            level.add(name, np.ascontiguousarray(-fit.slopes[free]), np.arange(len(free)), ones)
+        return bool(len(free))
 
 
 class State:
@@ -302,7 +331,7 @@ class State:
         return np.asarray(self.body.record.seen - self.predicted)
 
     def blocks(self, level: _core.Level, fit: Fit | None = None) -> tuple[list[str], list[float]]:
-        """Add what was found, or another `fit` in its place, to normal equations; return names and ridges of the blocks."""
+        """Add what was found, or another `fit`, to normal equations; return names and ridges of the blocks."""
         names, ridges = [], []
         if self.body.add_fit(level, "fit", self.fit if fit is None else fit):
             names, ridges = ["fit"], [1.0]

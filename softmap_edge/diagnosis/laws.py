@@ -35,6 +35,7 @@ from softmap_edge.folds import GAP
 Floats = NDArray[np.float64]
 Curve = Callable[[Floats], Floats]
 
+WINDING = "eccentric_pulley"  # whose five numbers make it many smooth maps
 PAIRED = 3  # members of which pairs are tried
 GENERIC: dict[str, tuple[Curve, ...]] = {
     "u|u|": (lambda x: x * np.abs(x),),
@@ -188,7 +189,7 @@ class _Asked:
         best = min(losses, key=lambda loss: float(loss.sum()))
         explained = float(self.before.sum() - best.sum())
         able = sorted((law for law in laws if reaches(law.loss, best, explained, self.form)), key=_simplest)
-        unseen = [law for law in able if "eccentric_pulley" in law.effects and not self._turn_seen(law)]
+        unseen = [law for law in able if WINDING in law.effects and not self._winds(law)]
         named = [law for law in able if law.effects and law not in unseen]
         generic = [law for law in able if not law.effects]
         is_open = bool(unseen) and not named or any(law.numbers <= named[0].numbers for law in generic if named)
@@ -218,11 +219,11 @@ class _Asked:
     def _stage(self, law: Law) -> int:
         return max(self.fits.candidates.index(effect) for effect in law.effects)
 
-    def _turn_seen(self, law: Law) -> bool:
-        """Whether a full turn of an eccentric pulley is seen: less of a sine is any smooth map."""
+    def _winds(self, law: Law) -> bool:
+        """Whether an eccentric pulley is seen: alone and over a full turn. All else of a sine is any smooth map."""
         assert law.fit is not None
-        turn = 2.0 * np.pi * law.fit.params["eccentric_pulley.radius"]
-        return bool(turn <= 2.0 * float(np.median(self.body.half)))
+        turn = 2.0 * np.pi * law.fit.params[f"{WINDING}.radius"]
+        return law.effects == (WINDING,) and bool(turn <= 2.0 * float(np.median(self.body.half)))
 
 
 def _simplest(law: Law) -> tuple[int, float]:

@@ -29,13 +29,12 @@ from softmap_edge.diagnosis.families import (
 )
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
-from softmap_edge.diagnosis.laws import Answer, answered, law_of
+from softmap_edge.diagnosis.laws import WINDING, Answer, answered, law_of
 
 Floats = NDArray[np.float64]
 
 CATCH_ALL = "static shape"  # can be any static law; taken where no other family is
 BACKGROUND = ("static map", "static shape", "frame", "load")  # what ordinary imperfections look like
-WINDING = "eccentric_pulley"  # with five numbers it is many smooth maps, and no single small law
 SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken
 
 
@@ -261,6 +260,7 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
     static = [f for f in every if f.kind == "static"]
     names = dict.fromkeys(e for f in static for e in f.members if e in body.candidates and e != WINDING)
     singles = {name: own for name in names if (own := body.single(name)) is not None}
+    singles |= body.curves(state.commands, state.slopes)
     for name, own in singles.items():
         body.add(level, name, own)
     level.close(np.ascontiguousarray(body.modes(state.residual)))
@@ -269,7 +269,8 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
         return record.rms_mm(np.where(seen, shift, np.nan))
 
     total = size(ranking.static)
-    shifts = [own.shift(np.asarray(level.theta([n], [rule.RIDGES[0]])[0])) for n, own in singles.items()]
+    crossed = [row.columns.shift(row.theta) for row in ranking.rows if row.family.name == "coupling"]
+    shifts = crossed + [own.shift(np.asarray(level.theta([n], [rule.RIDGES[0]])[0])) for n, own in singles.items()]
     pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
     left, moved = min(pairs, default=(total, 0.0))
     motion = record.rms_mm(record.seen - np.nanmean(record.seen, axis=0))
