@@ -120,7 +120,7 @@ class Drive:
         share = (t_seen - t[self.after - 1]) / (t[self.after] - t[self.after - 1])
         self.share = np.clip(share, 0.0, 1.0)[:, None]
         self.chain = _core.Chain(["latency", "lag"], u.shape[1])
-        bounds = dict(zip(self.chain.labels, zip(self.chain.low, self.chain.high)))
+        bounds = dict(zip(self.chain.group_labels, zip(self.chain.low, self.chain.high)))
         self.low = {label: float(low) for label, (low, _) in bounds.items()}
         self.high = {label: float(high) for label, (_, high) in bounds.items()}
 
@@ -135,7 +135,7 @@ class Drive:
     def at(self, pairs: Sequence[tuple[float, float]]) -> Floats:
         """Return u_eff (B, n, C) for pairs of (delay, lag) in s."""
         values = {"latency.delay": [p[0] for p in pairs], "lag.tau": [p[1] for p in pairs]}
-        params = np.array([values[label] for label in self.chain.labels]).T.copy()
+        params = np.array([values[label] for label in self.chain.group_labels]).T.copy()
         rolled = self.chain.rollout(params, self.u, self.t)
         before = rolled[:, self.after - 1]
         return before + self.share * (rolled[:, self.after] - before)
