@@ -1,9 +1,12 @@
 """Noise and form error: what the estimators recover, and that whitened numbers are white."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from softmap_edge.diagnosis.advice import DWELL_FRAMES
+from softmap_edge.diagnosis.memoryless import Repeats
 from softmap_edge.diagnosis.noise import (
     Noise,
     Whitener,
@@ -143,13 +146,31 @@ def test_squares_are_those_of_the_shrunk_modes():
         np.testing.assert_allclose(found.squares(modes), np.sum(found.shrink(modes) ** 2, axis=(1, 2)), rtol=1e-12)
 
 
+def rods(residual, form, repeats=None):
+    t = np.arange(len(residual)) * 0.05
+    measured = estimate_noise(residual, t, np.full(len(residual), -1))
+    return rod_noise(residual, t, np.full((3, 3), form), measured, repeats)
+
+
 def test_rod_noise_counts_correlated_frames_once():
     rng = np.random.default_rng(6)
     slow = np.repeat(rng.normal(size=(60, 9)), 20, axis=0)
-    noise = rod_noise(slow, np.arange(1200) * 0.05, np.full((3, 3), 4.0))
+    noise = rods(slow, 4.0)
     assert noise.inflation > 15
-    assert rod_noise(rng.normal(size=(1200, 9)), np.arange(1200) * 0.05, np.full((3, 3), 4.0)).inflation < 5
-    assert noise.rms_mm(np.ones(3, bool)) == pytest.approx(4 * np.sqrt(3))
+    assert rods(rng.normal(size=(1200, 9)), 4.0).inflation < 5
+    assert noise.rms_mm(np.ones(3, bool)) == pytest.approx(4 * np.sqrt(3), rel=0.01)
+
+
+def test_what_does_not_repeat_is_no_error_of_a_rods_map():
+    """A residual that is all memory: the same command, two shapes. The map's own error cannot hide it."""
+    rng = np.random.default_rng(7)
+    branch = np.sign(np.sin(np.arange(1200) * 0.05))[:, None] * np.ones(9)
+    residual = 2.0 * branch + 0.1 * rng.normal(size=(1200, 9))
+    memory = Repeats(np.full(9, 4.0), poses=20, passages=60, frames=600)
+    hidden, seen = rods(residual, 2.0), rods(residual, 2.0, memory)
+    assert hidden.rms_mm(np.ones(3, bool)) > 3.4 and seen.rms_mm(np.ones(3, bool)) < 0.5
+    static = replace(memory, variance=np.full(9, 0.01))  # poses that repeat: then it is the map's own error
+    assert rods(residual, 2.0, static).rms_mm(np.ones(3, bool)) > 3.4
 
 
 def test_unseen_features_do_not_count():
