@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.collinear import tied_channels
+from softmap_edge.diagnosis.collinear import collinear_conditions, tied_channels
 from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions, last_direction, orientations
 from softmap_edge.diagnosis.floor import commanded, noise_of_points
 from softmap_edge.diagnosis.repeats import LONG_DWELL
@@ -250,11 +250,16 @@ def _direction(state: Conditions) -> Word:
 
 
 def _temperature(run: Run) -> Word:
-    remedy = "log a thermometer beside the silicone, and go on until it has warmed by 5 °C"
+    remedy = "log a thermometer beside the silicone; warm it up by 5 °C while it moves, and let it cool down again"
     if run.temperature is None:
         return Word("temperature", False, "softening by warmth from creep: no temperature is logged", remedy, 15.0)
     change = float(np.ptp(run.temperature))
     if change < WARMING:
         text = f"softening by warmth from creep: the temperature changes by {change:.1f} °C only"
         return Word("temperature", False, text, remedy, 15.0)
+    for confused in collinear_conditions(run):
+        if confused.condition == "temperature":
+            other = "drift over time" if confused.with_ == "time" else "effects of the commands"
+            text = f"softening by warmth from {other}: the temperature follows {confused.like}"
+            return Word("temperature", False, text, confused.remedy, 15.0)
     return Word("temperature", True, f"softening by warmth from creep: the temperature changes by {change:.1f} °C")
