@@ -139,3 +139,20 @@ def test_an_effect_along_the_jitter_is_found_where_it_is_larger():
     size = float(signature @ signature)
     assert float(signature @ residual) / size == pytest.approx(1.0, abs=0.3)
     assert 5.0 < np.sqrt(size) < 0.3 * 1.5 / WHITE * np.sqrt(len(seen) * 8)  # counted as independent it would be
+
+
+def test_markers_on_one_line_show_their_other_axes():
+    """No turn about the line is seen: it must not make the others unknown, nor be large itself."""
+    sizes, true = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        t, command, seen = visits(tour(rng), rng)
+        own = np.linspace(20.0, 100.0, 6)[:, None] * [0.0, 0.0, 1.0] + np.zeros((len(seen), 1, 1))
+        own = own + (shape(at(t, command, seen)) - shape(np.zeros((1, 2))))[:, 2:]
+        state = wander(seen, 8.0, rng, 6)
+        moved = shaken(own, np.radians(0.2) * state[:, :3], 0.3 * state[:, 3:])
+        points = (moved + WHITE * rng.normal(size=own.shape)).reshape(len(seen), -1)
+        jitter = found(points, own.reshape(len(seen), -1), conditions(record(t, command, seen), command))[0]
+        sizes.append(np.trace(jitter.of_features(points, np.ones(6, bool))) / 6)
+        true.append(np.mean(np.sum((moved - own) ** 2, axis=2)))
+    assert np.sqrt(np.mean(sizes)) == pytest.approx(np.sqrt(np.mean(true)), rel=0.3)

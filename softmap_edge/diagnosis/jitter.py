@@ -38,6 +38,9 @@ CLEAR = 12.0  # log-likelihood that jitter must gain: seven numbers are fitted (
 AXIS, KEPT = 3.3, 5.0  # that an axis of its own variance must gain (1 in 100), and a memory
 STRONG = 2.0  # variances of the white part that jitter without a memory must have in some axis
 COMMANDED, LEAST_MODE = 4, 0.005  # modes of what commands do at most, and the least against the first
+UNSEEN = 1e-9  # of the white variance: what a turn that the points do not show is given
+RIGIDLY, FARTHEST = 3.0, 300.0  # mm RMS that the frame, and commanded motion, may move the points: what they do not
+# show, as a turn of markers on one line, stays near zero and does not blow up
 SPARE = 2  # features that must be left to show the white part
 DEGREE, MANY = 3, 3  # of the smooth map, and the channels above which it has no products
 
@@ -138,7 +141,9 @@ def coordinates(values: Floats, seen: Floats, positions: Mask, modes: Floats, wh
     columns = np.concatenate([rigid(seen, positions), along], axis=2)  # (n, F, 6 + b)
     scale = np.maximum(np.sqrt(np.mean(columns**2, axis=(0, 1))), 1e-12)
     weighted = columns / scale / np.sqrt(white)[:, None]
-    inverse = np.linalg.pinv(weighted, rcond=1e-6)  # (n, 6 + b, F)
+    prior = np.r_[np.full(RIGID, RIGIDLY), np.full(len(modes), FARTHEST)] ** -2.0
+    gram = np.swapaxes(weighted, 1, 2) @ weighted + np.diag(prior)
+    inverse = np.linalg.solve(gram, np.swapaxes(weighted, 1, 2))  # (n, 6 + b, F)
     found = np.einsum("nmf,nf->nm", inverse, values / np.sqrt(white)) / scale
     covariance = inverse @ np.swapaxes(inverse, 1, 2) / np.outer(scale, scale)
     return Coordinates(found, covariance, columns)
@@ -184,8 +189,7 @@ def frame_jitter(
     rows, pose = _thinned(groups)
     apart, shapes = (_about(filled(every)[rows], pose) for every in (values, seen))
     found = coordinates(apart[0], shapes[1], positions, modes, white)
-    noise = found.white[:, :RIGID, :RIGID].mean(axis=0)
-    root = np.linalg.cholesky(noise)
+    root = _root(found.white[:, :RIGID, :RIGID].mean(axis=0), shapes[1])
     flat = np.linalg.solve(root, found.rigid.T).T  # white part of unit variance
     t, run = state.time[rows], dwell[rows] >> RUN
     free = _detrending(t, pose, run)  # (n, n - p), orthonormal: what is left of groups and trends
@@ -200,6 +204,14 @@ def frame_jitter(
         return None
     turn = root @ axes
     return Jitter((turn * sizes) @ turn.T, memory, revisits)
+
+
+def _root(noise: Floats, shapes: Floats) -> Floats:
+    """Return the Cholesky factor of the white covariance (6, 6), also where a turn is not seen: markers on one line."""
+    radius = float(np.sqrt(np.mean(shapes**2)))
+    scale = np.r_[np.full(3, radius), np.ones(3)]
+    alike = noise * np.outer(scale, scale)  # mm²
+    return np.asarray(np.linalg.cholesky(alike + UNSEEN * np.trace(alike) * np.eye(RIGID)) / scale[:, None])
 
 
 def _thinned(groups: Sequence[Sequence[NDArray[np.intp]]]) -> tuple[NDArray[np.intp], Ints]:

@@ -13,6 +13,7 @@ dwell is not motion at rest. Pinned by tests/test_motion_at_rest.py.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,6 +168,7 @@ def _line(scores: _Scores, t: Floats, modes: Floats, positions: Mask) -> tuple[f
     return (float(grid[best]), pattern) if size >= LEAST_MM else None
 
 
+@lru_cache(maxsize=256)
 def _level(frames: int) -> Floats:
     """Return the orthonormal line (n, 2) that each dwell is allowed: slow lines would be lost in a parabola."""
     return np.asarray(np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, frames), 2))[0])

@@ -11,6 +11,7 @@ is seen only between visits of one pose (`jitter.py`). Pinned by tests/test_nois
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,7 @@ def undrifted(dwell: Floats) -> tuple[Floats, int]:
     return np.asarray(dwell - basis @ (basis.T @ dwell)), basis.shape[1]
 
 
+@lru_cache(maxsize=256)
 def drift(frames: int) -> Floats:
     """Return the orthonormal drift (K, order) that a dwell of so many frames is allowed."""
     tau, order = np.linspace(-1.0, 1.0, frames), 3 if frames >= LONG_DWELL else 2
