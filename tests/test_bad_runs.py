@@ -198,7 +198,7 @@ TOLERATED = {
     "another robot's name": (lambda f: f | {"robot": np.array("trunk")}, "the run is one of 'trunk'"),
     "another unit's name": (lambda f: f | {"command_unit": np.array("deg")}, "commands are in deg, the model takes mm"),
     "a load in kg": (lambda f: f | {"load": np.array(0.02)}, "`load` is in grams, not kg"),
-    "an absurd sigma": (lambda f: f | {"sigma": np.array(500.0)}, "`sigma` says 8.7e+02 mm a point"),
+    "an absurd sigma": (lambda f: f | {"sigma": np.array(500.0)}, "`sigma` declares 8.7e+02 mm a point"),
     "no gravity": (
         lambda f: {k: v for k, v in some(f, slice(0, 140)).items() if k != "gravity"},
         "the orientation is not declared",

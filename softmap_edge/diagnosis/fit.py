@@ -182,7 +182,7 @@ class Problem:
         self.base = own if base is None else base
         self.gain = 1.0 / np.sqrt(noise.inflation)
         seen = np.isfinite(record.seen).mean(axis=1)  # a frame that shows a third of the body counts a third
-        self.numbers = float(seen.sum() * len(whitener.form)) / noise.inflation
+        self.numbers = float(seen.sum() * whitener.numbers) / noise.inflation
         self.folds = run_folds(record.t_seen, record.block)
         self._seen: tuple[Floats, Told | None] | None = None
         self._spaces: dict[tuple[tuple[str, ...], ...], Space] = {}

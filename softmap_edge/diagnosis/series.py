@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.comparison import aligned, mean_root, template, tips
 from softmap_edge.diagnosis.conditions import conditions
-from softmap_edge.diagnosis.floor import BOUND, noise_floor
+from softmap_edge.diagnosis.floor import BOUND, commanded, noise_floor
 from softmap_edge.errors import ComparisonError
 
 if TYPE_CHECKING:
@@ -89,7 +89,8 @@ def series(run: Run, before: Model, after: Model | None = None, kind: str = "hel
         tip_after = tips(after, predicted_after, seen, visible)[1]
     drawn, triangles = _drawn(before, seen, visible)
     state = conditions(run, before.commands(run))
-    floor, kind_of_floor = noise_floor(state, seen, visible, predicted, template(before, seen))
+    stands = conditions(run, commanded(run))
+    floor, kind_of_floor = noise_floor(stands, seen, visible, predicted, template(before, seen))
     return Series(
         kind=kind,
         t_seen=np.asarray(run.t_seen, float),
