@@ -18,7 +18,8 @@ MAP: Names = ("static map",)
 SHAPE: Names = ("body", "static shape")
 FAMILY: dict[str, Names] = {
     "offset": (*MAP, "static shape"), "gain": MAP, "cable_gain": MAP, "latency": ("delay",), "lag": ("delay",),
-    "rate_limit": ("delay", "rate"), "saturation": MAP, "eccentric_pulley": MAP, "servo_swap": ("coupling", "static map"),
+    "rate_limit": ("delay", "rate"), "saturation": MAP, "eccentric_pulley": MAP,
+    "servo_swap": ("coupling", "static map"),
     "backlash": ("memory",), "friction": ("memory",), "body_friction": ("memory",), "dead_zone": MAP,
     "tendon_stretch": MAP, "tendon_creep": ("creep",), "coupling": ("coupling", "static shape"),
     "anchor_slip": ("step", "time"), "hysteresis": ("memory",), "creep": ("creep",), "mullins": ("softening", "memory"),

@@ -1,12 +1,13 @@
 """Friction of the cables in their guides, all along the body: hysteretic in shape, not in the command.
 
-A cable that slides towards the base over guide i hands on less tension to the segment beyond, one that slides back more:
+A cable that slides towards the base over guide i hands on less tension to the segment beyond; one that slides back
+hands on more:
 
     T_{i+1} = T_i exp(−(μ θ_i + μ₀) z_i),     z' = x'/δ (1 − z sgn x'),     x_i = −Σ_{j≥i} ℓ_j
 
 θ_i is the angle by which the cable is bent there, μ₀ a hole that is tight, ℓ_j the lengths of its segments and x_i how
-far it has slid (Dahl: a little gives before it slides). While the finger is loaded the base gets more of the bend and
-the tip less; after a reversal the guides let go one after another from the base. The tension between ends obeys
+far it has slid (Dahl: a little gives before it slides). While the finger is loaded the base gets more of the bend, so
+that the tip is ahead; after a reversal the guides let go one after another from the base. The tension obeys
 k (Σ ℓ − Σ ℓ⁰ + d) = T₀ Σ ℓ_j T_j/T₀ / Σ ℓ, and the nodes are in balance with T_j: there is no energy to fall, so plain
 Newton steps from the frictionless rod. Limit: the slides are those of the finger without friction. With those of the
 finger with friction (`passes`) the order in which guides let go after a reversal is a little different: a quarter of

@@ -5,9 +5,9 @@
     winding     u + a sin(u/R + φ) + b sin(2u/R + ψ) + c u|u|/R: rope over rope on a drum that is not round
     rubber      modulus that wanders along the body and from side to side
 
-and a trace of memory that every drive has (play of 0.02 mm, a percent of creep). The static ones are drawn at sizes that
-move the finger alike and scaled together. Units: mm, degrees. Randomness only from the generator that is given. Pinned
-by tests/test_bank_shop.py.
+and a trace of memory that every drive has (play of 0.02 mm, half a percent of creep). The static ones are drawn at
+sizes that move the finger alike, and scaled together. Units: mm, degrees. Randomness only from the generator
+that is given. Pinned by tests/test_bank_shop.py.
 """
 
 from __future__ import annotations

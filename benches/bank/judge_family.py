@@ -43,6 +43,7 @@ def by_family(document: Mapping[str, Any], truth: Mapping[str, Any], like: Mappi
         right |= {e["name"] for e in named if matches(e["name"], answer["also"])}
     identified = document["verdict"] == "identified"
     wrong = [e["name"] for e in named if e["name"] not in right]
+    answered = document["verdict"] in truth["verdicts"] and not (identified and wrong)
     return {
         "families": said,
         "family_right": _family_right(said, truth["answers"]),
@@ -50,8 +51,19 @@ def by_family(document: Mapping[str, Any], truth: Mapping[str, Any], like: Mappi
         or any(_open_map(family, truth["background_mm"], bool(named)) for family in families),
         "identified": identified,
         "false_identified": identified and bool(wrong),
-        "answered": document["verdict"] in truth["verdicts"] and not (identified and wrong),
+        "answered": answered,
+        "beside": _beside([e["name"] for e in named], wrong, truth, like, answered),
     }
+
+
+def _beside(
+    named: list[str], wrong: list[str], truth: Mapping[str, Any], like: Mapping[str, set[str]], answered: bool
+) -> bool | None:
+    """Return whether the known law beside an unknown one is named and the rest left open; None without such a pair."""
+    known = [name for name, answer in zip(truth["hidden"], truth["answers"]) if answer["names"]]
+    if not known or len(known) == len(truth["hidden"]):
+        return None
+    return answered and not wrong and all(any(name in like[law] for name in named) for law in known)
 
 
 def _family_right(said: list[str], answers: list[dict[str, Any]]) -> bool | None:

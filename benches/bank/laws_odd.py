@@ -1,4 +1,4 @@
-"""What a diagnosis meets outside the textbook: laws that no library has, drifts, chance, wrong models, robots that stand.
+"""What a diagnosis meets outside the textbook: unknown laws, drifts, chance, wrong models, robots that stand.
 
 Laws with a family
     hum              A sin(2π f t) on one channel, 0.13 to 3 Hz
@@ -167,7 +167,9 @@ class Stribeck(Law):
 
     def drive(self, record: Record, u: Floats) -> Floats:
         v = speed(record, u)
-        return np.asarray(u - np.array(self.size_mm) * np.tanh(v / 0.5) * (1 + 2 * np.exp(-((v / self.at_mm_s) ** 2))) / 3)
+        return np.asarray(
+            u - np.array(self.size_mm) * np.tanh(v / 0.5) * (1 + 2 * np.exp(-((v / self.at_mm_s) ** 2))) / 3
+        )
 
 
 @dataclass(frozen=True)
@@ -510,7 +512,9 @@ class BendingNoise(Law):
 def profile(kind: str, t: Floats) -> Floats:
     """Return a course (T,) from 0 to 1 in time: a `ramp`, a `step` or an `exponential` approach."""
     share = (t - t[0]) / max(float(np.ptp(t)), 1e-9)
-    return np.asarray({"ramp": share, "step": (share > 0.55).astype(float), "exponential": -np.expm1(-4.0 * share)}[kind])
+    return np.asarray(
+        {"ramp": share, "step": (share > 0.55).astype(float), "exponential": -np.expm1(-4.0 * share)}[kind]
+    )
 
 
 @dataclass(frozen=True)

@@ -254,7 +254,7 @@ class OneWayDrag(Drag):
 
 
 SHOP: tuple[type[Law], ...] = (
-    WornGear, SheathFriction, UnevenSlack, Drums, GuideFriction, UnevenWen, UnevenLoop, CableDrums, UnevenProny, OneWayDrag,
-    UnevenStretch, CutLengths, UnevenStops, Packets, OgdenRoxburgh, UnevenCableCreep, LetsGo, WeakServo, Hung, Warm,
-    Curled, Askew, Drifting, Falling,
+    WornGear, SheathFriction, UnevenSlack, Drums, GuideFriction, UnevenWen, UnevenLoop, CableDrums, UnevenProny,
+    OneWayDrag, UnevenStretch, CutLengths, UnevenStops, Packets, OgdenRoxburgh, UnevenCableCreep, LetsGo, WeakServo,
+    Hung, Warm, Curled, Askew, Drifting, Falling,
 )  # fmt: skip

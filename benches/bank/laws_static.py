@@ -1,7 +1,7 @@
 """Smooth static maps of the command that no library has: 15 forms, each on both channels, on one, or with other signs.
 
-x = u/h, h = 12 mm; a is how much, b > 0 how sharp (h e with e the number in each form's comment), φ a phase. Each is
-zero at home. `bent` is the part that offsets and gains cannot do: it is what makes a map a map, and it is what is scaled.
+u + a h f(u/h; b, φ), h = 12 mm: a is how much, b > 0 how sharp, φ a phase. Each is zero at home. `bent` is the share
+that offsets and gains cannot do: it is what makes a map a map, and it is what is scaled.
 
 Units: mm. Randomness only from the generator that is given. Pinned by tests/test_bank_odd.py.
 """
@@ -141,7 +141,11 @@ class CrossTerm(Law):
         names = list(CROSSED)
         both = number // len(names) % 2
         size = np.ones(channels) if both else np.eye(channels)[number % channels]
-        return cls(names[number % len(names)], tuple(0.1 * size * rng.choice([-1.0, 1.0], channels)), float(rng.uniform(0.6, 2.2)))
+        return cls(
+            names[number % len(names)],
+            tuple(0.1 * size * rng.choice([-1.0, 1.0], channels)),
+            float(rng.uniform(0.6, 2.2)),
+        )
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:

@@ -10,31 +10,37 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from benches.bank.answers import Answer
+from benches.bank.answers import LAW_OPEN, Answer
 from benches.bank.case import Case, case, judge_protocol, protocol_of
 from benches.bank.clouds import registered, thinned
+from benches.bank.learned import learned_case, uncubed_mm
 from benches.bank.odd import odd_case
 from benches.bank.shop import shop_case
 from benches.bank.store import Kept, Task, keep
 from softmap_edge.run import Run
 
 SCORED = 2.0  # times its own background that a single has to move the finger to be scored
-CLEAN_MM = 0.1  # background below which no imperfection is seen
 
 
 def made(task: Task, root: Path) -> Kept:
     """Make a case and keep it under `root`."""
     seeds, slice_, level, kind, number = task
     started = time.process_time()
-    if slice_ == "shop":
-        mine = shop_case(seeds, level, kind, number)
-    elif slice_ == "odd":
-        mine = odd_case(seeds, level, kind, number)
+    if slice_ == "learned":
+        mine, runs = learned_case(seeds, level, kind, number)
     else:
-        mine = case(*task)
-    runs = _runs(mine, kind, number)
-    truth = truth_of(mine, mine.background_mm())
+        mine = _case(task)
+        runs = _runs(mine, kind, number)
+    truth = truth_of(mine, uncubed_mm(mine, number) if slice_ == "learned" else mine.background_mm())
     return keep(task, root, truth | {"truth_seconds": round(time.process_time() - started, 2)}, runs)
+
+
+def _case(task: Task) -> Case:
+    """Return a case of a slice whose model is known beforehand."""
+    seeds, slice_, level, kind, number = task
+    if slice_ == "shop":
+        return shop_case(seeds, level, kind, number)
+    return odd_case(seeds, level, kind, number) if slice_ == "odd" else case(*task)
 
 
 def _runs(mine: Case, kind: str, number: int) -> dict[str, Run]:
@@ -60,6 +66,7 @@ def truth_of(mine: Case, background_mm: float) -> dict[str, Any]:
     moved = [float(mm) for mm in mine.moved_mm]
     return {
         **mine.to_dict(),
+        "also": [*mine.to_dict()["also"], *(name for answer in mine.answers for name in answer.also)],
         "hidden": list(mine.hidden),
         "moved_mm": [round(mm, 4) for mm in moved],
         "background_mm": round(background_mm, 4),
@@ -80,5 +87,5 @@ def verdicts(kind: str, answers: tuple[Answer, ...]) -> tuple[str, ...]:
         return ("ambiguous", "cannot_tell", "nothing", "partly_explained")
     if len(answers) == 1:
         return answers[0].verdicts
-    unknown = [answer for answer in answers if not answer.names]
-    return ("partly_explained", "ambiguous") if unknown else ("identified", "ambiguous")
+    known = all(answer.names for answer in answers)
+    return ("identified", "ambiguous") if known else LAW_OPEN

@@ -20,7 +20,7 @@ import numpy as np
 
 from benches.bank.answers import OPEN_VERDICTS, Answer, answer_for
 from benches.bank.bodies import Body, body_of
-from benches.bank.case import Case, drawn, place_of, seen, strengthened, stream, temperature
+from benches.bank.case import Case, drawn, place_of, seen, stream, strengthened, temperature
 from benches.bank.law import Floats, Law, Record
 from benches.bank.laws_body import BODY
 from benches.bank.laws_drive import DRIVE, OffCentre
@@ -241,6 +241,7 @@ def _gross(law: Law, answer: Answer, body: Body) -> Hidden:
 
 
 TRAPS: tuple[Trap, ...] = (
-    _frame, _timely("ramp"), _bending, _still, _modulus, _timely("step"), _mixed, _stuck, _longer, _timely("exponential"),
+    _frame, _timely("ramp"), _bending, _still, _modulus, _timely("step"), _mixed, _stuck, _longer,
+    _timely("exponential"),
 )  # fmt: skip
 HEATED = (1, 5, 9)  # of the traps: those of which the temperature goes as the gain does

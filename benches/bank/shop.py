@@ -109,6 +109,7 @@ ODD_FAMILY: dict[str, tuple[str, ...]] = {
     "torn": ("step", "time"), "clutch": ("memory", "step", "time"), "mounted_gain": ("load",),
     "held": ("delay",), "frame_noise": ("frame drift", "frame", "time"), "bending_noise": ("time", "noise", "step"),
     "timely_gain": ("time", "temperature", "step"), "other_modulus": ("body", "static shape", "load"),
-    "longer_body": ("static map", "static shape", "body", "frame"), "mixed_channels": ("coupling", "frame", "static shape"),
+    "longer_body": ("static map", "static shape", "body", "frame"),
+    "mixed_channels": ("coupling", "frame", "static shape"),
     "still": (), "stuck": ("step", "time"),
 }  # fmt: skip

@@ -24,8 +24,8 @@ class Level:
     """How hard it is: σ of a point and of the frame, share of points hidden, background, how far a law moves.
 
     `clouds`: cameras see clouds of what is told here (`clouds.py`); their noise, outliers and holes come on top.
-    `memory_s` of the shivering frame; `tails`: degrees of freedom of Student's noise, 0 for a Gaussian; `lost`: share of
-    frames that are laid elsewhere by some 10 mm.
+    `memory_s` of the shivering frame; `tails`: degrees of freedom of Student's noise, 0 for a Gaussian; `lost`: share
+    of frames that are laid elsewhere by some 10 mm.
     """
 
     name: str
