@@ -18,7 +18,7 @@ from benches.bank.laws_odd import (
     played,
     profile,
 )
-from benches.bank.laws_static import CROSSED, FORMS, CrossTerm, SmoothMap, bent
+from benches.bank.laws_static import CROSSED, FORMS, CrossTerm, SmoothMap, bent, rises
 from benches.bank.odd import TRAPS, curved_share, odd_case
 from benches.bank.shop import ODD_FAMILY
 from benches.bank.watch import rms, sections
@@ -40,7 +40,7 @@ def test_there_are_at_least_forty_smooth_maps_and_each_is_another():
     rng, protocol = np.random.default_rng(0), standard_protocol(2)
     maps = [SmoothMap.of(number, rng, 2) for number in range(48)]
     assert len({(one.form, one.amount, one.cable) for one in maps}) >= 40 and len(FORMS) == 15
-    moves = np.array([one._added(protocol.command[::50]).ravel() for one in maps])
+    moves = np.array([one.added(protocol.command[::50]).ravel() for one in maps])
     moves /= np.linalg.norm(moves, axis=1, keepdims=True)
     alike = np.abs(moves @ moves.T) - np.eye(48)
     assert np.median(alike) < 0.5 and np.mean(alike.max(axis=1) < 0.999) > 0.8
@@ -129,6 +129,8 @@ def test_maps_bend_the_finger_by_what_offsets_and_gains_cannot_do():
     moved = rms(sections(seen(mine.body, mine.laws, protocol, False, every=8, rough=True) - plain, mine.body.place))
     assert moved == pytest.approx(mine.moved_mm[0], rel=0.25) and moved * curved_share(mine.laws[0]) > 0.35
     assert mine.answers[0].families == ("static map",) and mine.answers[0].names == ()
+    assert rises(mine.laws[0]) and not rises(SmoothMap("soft dead zone", (1.2, 0.1), 1.0, 0.0))
+    assert SmoothMap("soft dead zone", (0.6, 0.1), 1.0, 0.0).scaled(2.0).amount[0] == pytest.approx(0.85, abs=0.06)
 
 
 def test_cases_are_pure_and_pairs_hide_a_known_law_beside_an_unknown_one():

@@ -17,6 +17,7 @@ import numpy as np
 from benches.bank.law import Floats, Law, Numbers, Record
 
 H = 12.0  # mm
+LEAST_SLOPE = 0.1  # mm/mm
 Form = Callable[[Floats, float, float], Floats]  # x (T, C), sharpness, phase → added mm per mm of amount
 
 
@@ -85,6 +86,12 @@ def bent(plain: Floats, mapped: Floats) -> float:
     return float(np.sqrt(np.mean(left**2) / max(float(np.mean(more**2)), 1e-12)))
 
 
+def rises(law: SmoothMap) -> bool:
+    """Return whether a map rises with the command everywhere: a drive that runs backwards is no smooth map."""
+    u = np.linspace(-H, H, 241)[:, None] * np.ones((1, len(law.amount)))
+    return bool(np.min(np.diff(u + law.added(u), axis=0)) > LEAST_SLOPE * 2 * H / 240)
+
+
 @dataclass(frozen=True)
 class SmoothMap(Law):
     """u_c + a_c h f(u/h); on the cables of one side alone where `cable` is set."""
@@ -113,24 +120,32 @@ class SmoothMap(Law):
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
         return cls.of(int(rng.integers(60)), rng, channels)
 
-    def _added(self, u: Floats) -> Floats:
+    def scaled(self, s: float) -> Self:
+        """Return the same map, s times as strong, or as strong as it may be and still rise."""
+        law = super().scaled(s)
+        while not rises(law):
+            law = Law.scaled(law, 0.9)
+        return law
+
+    def added(self, u: Floats) -> Floats:
+        """Return what the map adds (T, C) mm to u."""
         return np.asarray(np.array(self.amount) * H * FORMS[self.form](u / H, self.sharp, self.phase))
 
     def drive(self, record: Record, u: Floats) -> Floats:
-        return u if self.cable else np.asarray(u + self._added(u))
+        return u if self.cable else np.asarray(u + self.added(u))
 
     def pull(self, record: Record, d: Floats) -> Floats:
         if not self.cable:
             return d
         half = d.shape[1] // 2
-        return np.concatenate([d[:, :half] + self._added(d[:, :half]), d[:, half:]], axis=1)
+        return np.concatenate([d[:, :half] + self.added(d[:, :half]), d[:, half:]], axis=1)
 
 
 @dataclass(frozen=True)
 class CrossTerm(Law):
     """u_c + a_c h f(u_c/h, u_d/h), d the next channel."""
 
-    NAME, STRONG, LIMIT = "cross_term", ("amount",), 20.0
+    NAME, STRONG, LIMIT = "cross_term", ("amount",), 6.0
     form: str
     amount: Numbers
     sharp: float

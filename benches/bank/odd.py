@@ -235,8 +235,8 @@ def _stuck(body: Body, rng: np.random.Generator) -> Hidden:
 
 def _gross(law: Law, answer: Answer, body: Body) -> Hidden:
     """Return a law as large as it is, and how far it moves the finger."""
-    protocol, rough = standard_protocol(2), not law.SHAPE
-    there, plain = (seen(body, laws, protocol, False, every=body.every, rough=rough) for laws in ((law,), ()))
+    plain = seen(body, (), standard_protocol(2), False, every=body.every, rough=not law.SHAPE)
+    there = seen(body, (law,), standard_protocol(2), False, every=body.every, rough=not law.SHAPE)
     return law, rms(sections(there - plain, body.place)), answer
 
 
