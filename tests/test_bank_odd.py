@@ -5,20 +5,10 @@ import pytest
 
 from benches.bank.case import case, seen
 from benches.bank.law import Record
-from benches.bank.laws_odd import (
-    UNKNOWN_LAWS,
-    BendingNoise,
-    Clutch,
-    Hum,
-    SpeedyPlay,
-    StickSlip,
-    TimelyGain,
-    Torn,
-    WarmCreep,
-    played,
-    profile,
-)
+from benches.bank.laws_motion import Hum, SpeedyPlay, StickSlip, played
+from benches.bank.laws_odd import UNKNOWN_LAWS, BendingNoise, TimelyGain, profile
 from benches.bank.laws_static import CROSSED, FORMS, CrossTerm, SmoothMap, bent, rises
+from benches.bank.laws_wear import Clutch, Torn, WarmCreep
 from benches.bank.odd import TRAPS, curved_share, odd_case
 from benches.bank.shop import ODD_FAMILY
 from benches.bank.watch import rms, sections

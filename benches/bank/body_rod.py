@@ -25,7 +25,7 @@ from benches.bank.section import finger
 
 NAME = "rod-finger"
 REACH = 16.0
-SOURCES = ("section.py", "rod.py", "rotations.py", "body_rod.py", "model_rod.py", "second_rod.py")
+SOURCES = ("section.py", "rod.py", "newton_step.py", "rotations.py", "body_rod.py", "model_rod.py", "second_rod.py")
 HANGING = np.array([0.0, 0.0, 1.0])
 RINGS, AROUND = 14, 12
 GRID = 9  # commands a channel from which Newton starts

@@ -22,7 +22,8 @@ from dataclasses import replace
 import numpy as np
 
 from benches.bank.law import Floats, Past
-from benches.bank.rod import TOLERANCE, Loads, Poses, balance, guides, newton_step, settle
+from benches.bank.newton_step import newton_step
+from benches.bank.rod import TOLERANCE, Loads, Poses, balance, guides, settle
 from benches.bank.rotations import turn
 from benches.bank.section import Design, finger
 
