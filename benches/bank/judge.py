@@ -143,9 +143,27 @@ def _is(*kinds: str, known: bool | None = True) -> Callable[[Row], bool]:
     return lambda row: row["kind"] in kinds and (known is None or row["in_library"] == known)
 
 
+def _scored(row: Row) -> bool:
+    return row["kind"] == "single" and bool(row["scored"])
+
+
+def _unknown(row: Row) -> bool:
+    return row["kind"] == "unknown" and row["family_right"] is not None
+
+
 SHARES: tuple[Measure, ...] = (
+    ("single, twice its background: right name first", "≥ 90 %", _scored, lambda r: r["first"]),
+    ("single, twice its background: right family", "≥ 97 %",
+     lambda r: _scored(r) and r["family_right"] is not None, lambda r: r["family_right"]),
+    ("'identified' that is false", "≤ 2 %", lambda r: r["identified"], lambda r: r["false_identified"]),
+    ("nothing hidden, a name or an open map claimed", "≤ 3 %", _is("null", known=None), lambda r: r["claimed"]),
+    ("unknown law: left open, or flagged", "≥ 97 %", _is("unknown", known=None), lambda r: r["answered"]),
+    ("unknown law: right family", "≥ 90 %", _unknown, lambda r: r["family_right"]),
+    ("known law beside an unknown one: named, the rest open", "≥ 80 %",
+     lambda r: r["beside"] is not None, lambda r: r["beside"]),
+    ("trap: answered rightly", "≥ 97 %", _is("trap", known=None), lambda r: r["answered"]),
     ("single effect, alone in first place", "≥ 98 % easy, ≥ 90 % real", _is("single"), lambda r: r["first"]),
-    ("exact set, pairs", "≥ 93 % real", _is("pair"), lambda r: r["exact"]),
+    ("exact set, pairs", "≥ 93 % A, B; ≥ 80 %", _is("pair"), lambda r: r["exact"]),
     ("truth inside the reported set", "≥ 97 %", _is("single", "pair"), lambda r: r["inside"]),
     ("nothing hidden, something claimed", "≤ 1 %", _is("null", known=None), lambda r: bool(r["named"])),
     ("false 'unknown' flags", "≤ 5 %", _is("null", "single", "pair"), lambda r: r["flagged"]),
@@ -153,7 +171,8 @@ SHARES: tuple[Measure, ...] = (
     ("true effect removed: flagged, or its equivalent named", "≥ 85 %",
      _is("removed", known=None), lambda r: r["flagged"] or r["equivalent"]),
     ("not in the library: flagged, or its equivalent named", "≥ 85 %",
-     _is("single", "pair", known=False), lambda r: r["flagged"] or r["equivalent"]),
+     lambda r: _is("single", "pair", known=False)(r) and r["beside"] is None,
+     lambda r: r["flagged"] or r["equivalent"]),
     ("not to be told: left open, with the right experiment", "≥ 98 %",
      _is("untestable", known=None), lambda r: r["cannot"]),
     ("rivals resolved after the suggested experiment", "≥ 97 %",
