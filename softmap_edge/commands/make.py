@@ -88,6 +88,7 @@ def learn_arguments(parser: argparse.ArgumentParser) -> None:
 
 def learn(args: argparse.Namespace) -> int:
     """Fit a rod to a reference run and write its bundle."""
+    from softmap_edge.report.in_unit import words_in_unit
     from softmap_edge.rod.learn import learn as fit
     from softmap_edge.rod.learn import learned_model
     from softmap_edge.rod.robot import Robot
@@ -109,18 +110,20 @@ def learn(args: argparse.Namespace) -> int:
         "channels": model.channels,
         "markers": len(model.rest),
         "held_out_error_mm": round(model.vertex_error_mm, 4),
+        **({} if run.output is None else {"output": run.output.to_dict()}),
         "params": model.params,
         "numbers": [number.to_dict() for number in learned.numbers],
         "notes": list(learned.notes),
     }
+    seen = f"{len(model.rest)} markers" if run.output is None else f"outputs {', '.join(run.output.names)}"
     lines = [
-        f"{args.out}: rod model of '{model.robot}', {model.channels} channels, {len(model.rest)} markers, "
+        f"{args.out}: rod model of '{model.robot}', {model.channels} channels, {seen}, "
         f"own blocked cross-validation error {model.vertex_error_mm:.2f} mm RMS (held out)"
     ]
     lines += [f"  {number}" for number in learned.numbers]
-    print(json.dumps(result) if args.json else "\n".join(lines))
+    print(json.dumps(result) if args.json else words_in_unit("\n".join(lines), run.output))
     for note in learned.notes:
-        print(f"softmap learn: {note}", file=sys.stderr)
+        print(f"softmap learn: {words_in_unit(note, run.output)}", file=sys.stderr)
     return 0
 
 

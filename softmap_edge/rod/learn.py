@@ -168,13 +168,13 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
         notes.append(f"command {c + 1} stays at {commands[0, c]:g} {unit}: the rod does not know what it does")
     if error > USELESS * stray:
         notes.append(
-            f"the held-out error of {error:.2f} mm is hardly below the {stray:.2f} mm of always answering the mean "
-            "pose: the commands do not explain these markers, or the run is too short"
+            f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of always answering the "
+            "mean pose: the commands do not explain these markers, or the run is too short"
         )
     elif error > POOR * stray:
         notes.append(
-            f"the held-out error of {error:.2f} mm is much of the {stray:.2f} mm of always answering the mean pose: "
-            "the mapping may miss a command or have a wrong rate, or the run is short"
+            f"the held-out error of {error:.2f} mm RMS is much of the {stray:.2f} mm RMS of always answering the mean "
+            "pose: the mapping may miss a command or have a wrong rate, or the run is short"
         )
     vague = [number.label for number in fitted.numbers if number.note]
     if vague:
@@ -216,6 +216,7 @@ def learned_model(run: Run, learned: LearnedRod) -> Model:
         robot=run.robot or str(learned.made_from.get("robot", "robot")),
         command_unit=run.command_unit,
         input=learned.input,
+        output=run.output,
         made_from=learned.made_from,
         arrays={"prior": learned.to_arrays(), "fields": {}},
         stiffness_known=False,

@@ -71,8 +71,8 @@ class Seen:
 
     @property
     def slow(self) -> bool:
-        """Whether the frames are too far apart to tell delay and lag."""
-        return len(self.frames) < 2 or float(np.median(np.diff(self.t))) > SLOW
+        """Whether nothing is known of delay and lag: the log has no time, or its frames are too far apart."""
+        return self.run.timeless or len(self.frames) < 2 or float(np.median(np.diff(self.t))) > SLOW
 
     @property
     def stray(self) -> float:
