@@ -222,11 +222,11 @@ def refitted(fits: Fits, fit: Fit, sigma: Floats, name: str) -> Refitted | None:
 
 def _shift_on(fit: Fit, other: Record, name: str) -> Floats:
     """Return what one effect does on another run (K, F) mm, the others in place."""
-    layout = other.layout(fit.space.names)
+    layout = other.layout(fit.space.names, fit.space.split)
     params = layout.values(fit.params)
     mine = np.array([label.split(".")[0] == name for label in layout.labels])
     both = np.stack([params, np.where(mine, layout.null, params)])
-    shift = other.predict(fit.space.names, both)
+    shift = other.predict(fit.space.names, layout.full(both))
     return np.asarray(shift[0] - shift[1])
 
 
@@ -308,8 +308,8 @@ def _twins(
         if twin in fit.effects or twin not in (*fits.candidates, *never):
             continue
         if twin in fits.candidates and by != "orientation":  # forms of loads are too far off to exclude one
-            other = fits.get(frozenset(fit.effects) - {member} | {twin})
-            rest = fits.get(frozenset(fit.effects) - {member})
+            other = fits.get({*fit.effects, twin} - {member}, fit.space.split)
+            rest = fits.without(fit, member)
             before, mine, theirs = (float(fits.losses(f)[0].sum()) for f in (rest, fit, other))
             if (before - theirs) < rule.STANDS_FOR * (before - mine):
                 continue
@@ -323,7 +323,9 @@ def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> Erro
     """Return the error ladder, with its floors."""
     problem, fits = outcome.body.problem, outcome.plain
     record = problem.record
-    model, static, rungs, both, per_fold = ladder(fits, order) if other is None else ladder_on(fits, other, order)
+    split = outcome.fit.space.split
+    found = ladder(fits, order, split) if other is None else ladder_on(fits, other, order, split)
+    model, static, rungs, both, per_fold = found
     noise, form = problem.noise.rms_mm(record.positions), record.form_mm
     measured = record.model.kind != "rod"
     replicates = measured and problem.noise.replicates

@@ -213,7 +213,7 @@ def _shared(fit: Fit) -> dict[str, float]:
 def _again(model: Model, runs: Sequence[Run], candidates: Sequence[str], library: Any) -> float:
     """Return the held-out error mm that a search leaves on other runs."""
     outcome = search(problem_of(record_of(model, runs, library), candidates), candidates)
-    return outcome.plain.held_out_mm(outcome.plain.get(outcome.fit.effects))
+    return outcome.plain.held_out_mm(outcome.plain.get(outcome.fit.effects, outcome.fit.space.split))
 
 
 def _validation(model: Model, held_out: Run, library: Any, reference: Run | Sequence[Run] | None) -> Record:
@@ -259,7 +259,7 @@ def _demote(fits: Fits, fit: Fit, error: Callable[[Fit], float], share: float) -
     """Drop members, or all at once, while the `error` (mm, on what was not fitted) is at most `share` without them."""
     demoted: list[str] = []
     while fit.effects:
-        rests = [fits.null, *(fits.get(frozenset(fit.effects) - {e}) for e in fit.effects)]
+        rests = [fits.null, *(fits.without(fit, e) for e in fit.effects)]
         best = min(rests, key=error)
         if error(best) > share * error(fit):
             break

@@ -10,7 +10,7 @@ tests/test_diagnosis.py and tests/test_evidence.py.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -193,10 +193,10 @@ def _blocked_r2(problem: Problem, columns: Floats, values: Floats) -> float:
 # --- the ladder ---------------------------------------------------------------------------------
 
 
-def ladder(fits: Fits, order: Sequence[str]) -> Errors:
+def ladder(fits: Fits, order: Sequence[str], split: Collection[str]) -> Errors:
     """Return held-out errors in mm on blocks: model, static residual, effects one by one, with both; per fold."""
     problem, record = fits.problem, fits.problem.record
-    steps = [fits.get(order[: i + 1]) for i in range(len(order))]
+    steps = [fits.get(order[: i + 1], split) for i in range(len(order))]
     last = fits.losses(steps[-1] if steps else fits.null)[2]
     null = fits.losses(fits.null)[2]
     return (
@@ -219,7 +219,7 @@ def _held_out(problem: Problem, predictions: Floats, static: bool = False) -> fl
     return float(np.sqrt(np.nanmean(np.concatenate(squares))))
 
 
-def ladder_on(fits: Fits, other: Record, order: Sequence[str]) -> Errors:
+def ladder_on(fits: Fits, other: Record, order: Sequence[str], split: Collection[str]) -> Errors:
     """Return the same errors on an independent run; parameters and static residual come from the diagnosed run."""
     record = fits.problem.record
     every = np.arange(len(record))
@@ -230,7 +230,7 @@ def ladder_on(fits: Fits, other: Record, order: Sequence[str]) -> Errors:
             residual = residual - _static(record, other, record.seen - fit.predicted, every)
         return other.rms_mm(residual)
 
-    steps = [fits.get(order[: i + 1]) for i in range(len(order))]
+    steps = [fits.get(order[: i + 1], split) for i in range(len(order))]
     return (
         error(fits.null),
         error(fits.null, static=True),

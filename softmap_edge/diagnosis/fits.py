@@ -6,7 +6,7 @@ Units: mm. Pinned by tests/test_fits.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import product
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.fit import Fit, Problem, Space
 
 Floats = NDArray[np.float64]
+Key = tuple[frozenset[str], frozenset[str]]  # effects, and those of them with a number for each channel
 
 INSTANTS = 16  # places in time at which something may have happened
 DESCENTS = 2  # starts of a member that are followed to their end
@@ -28,20 +29,34 @@ class Fits:
     def __init__(self, problem: Problem, candidates: Sequence[str]) -> None:
         self.problem, self.candidates = problem, list(candidates)
         self.null = problem.null()
-        self._fits: dict[frozenset[str], Fit] = {frozenset(): self.null}
-        self._losses: dict[frozenset[str], tuple[Floats, Floats, Floats]] = {}
-        self._shifts: dict[tuple[frozenset[str], str], Floats] = {}
+        self._fits: dict[Key, Fit] = {(frozenset(), frozenset()): self.null}
+        self._losses: dict[Key, tuple[Floats, Floats, Floats]] = {}
+        self._shifts: dict[tuple[Key, str], Floats] = {}
 
-    def get(self, effects: Sequence[str] | frozenset[str]) -> Fit:
-        """Return the fit of a set of effects."""
-        key = frozenset(effects)
+    def get(self, effects: Collection[str], split: Collection[str] = ()) -> Fit:
+        """Return the fit of a set of effects; those in `split` have a number for each channel in place of one."""
+        key = frozenset(effects), frozenset(split) & frozenset(effects)
         if key not in self._fits:
-            self._fits[key] = self._grown(key)
+            self._fits[key] = self._split(key) if key[1] else self._grown(key[0])
         return self._fits[key]
+
+    def without(self, fit: Fit, effect: str) -> Fit:
+        """Return the fit of the same set without one effect."""
+        return self.get([e for e in fit.effects if e != effect], fit.space.split)
+
+    def _split(self, key: Key) -> Fit:
+        """Fit a set with numbers for each channel, from where the numbers for all of them are best."""
+        effects, split = key
+        shared = self.get(effects, split - {max(split)})
+        space = self.problem.space(shared.effects, split=split)
+        known = dict(zip(shared.space.free_labels, shared.x))
+        start = [known[name] if name in known else known[name.split("[")[0]] for name in space.free_labels]
+        return self.problem.fit(shared.effects, [np.array(start)], split=split)
 
     def _grown(self, key: frozenset[str]) -> Fit:
         """Fit a set from the nearest smaller one that is known, else from that without its last member."""
-        known = [self._fits[key - {e}] for e in sorted(key) if key - {e} in self._fits]
+        none: frozenset[str] = frozenset()
+        known = [self._fits[key - {e}, none] for e in sorted(key) if (key - {e}, none) in self._fits]
         ordered = sorted(key, key=self.candidates.index)
         parent = min(known, key=lambda f: f.cost) if known else self.get(ordered[:-1])
         added = next(iter(key - set(parent.effects)))
@@ -61,7 +76,7 @@ class Fits:
 
     def losses(self, fit: Fit) -> tuple[Floats, Floats, Floats]:
         """Return held-out losses (folds,), plain and whitened, and the fold predictions (folds, K, F)."""
-        key = frozenset(fit.effects)
+        key = _key(fit)
         if key not in self._losses:
             predictions = self.problem.fold_predictions(fit)
             self._losses[key] = (*self.problem.fold_losses(predictions), predictions)
@@ -73,20 +88,27 @@ class Fits:
 
     def displacement(self, fit: Fit, effect: str) -> Floats:
         """Return the feature differences (K, F) mm that `effect` makes within a fit."""
-        key = (frozenset(fit.effects), effect)
+        key = _key(fit), effect
         if key not in self._shifts:
-            params = {k: v for k, v in fit.params.items() if k.split(".")[0] != effect}
-            space = self.problem.space([e for e in fit.effects if e != effect])
+            kept = [e for e in fit.effects if e != effect]
+            split = frozenset(fit.space.split) - {effect}
+            space, params = self.problem.space(kept, split=split), fit.params
             without = np.array([[params[label] for label in space.labels]])
-            self._shifts[key] = np.asarray(fit.predicted - self.problem.record.predict(space.names, without)[0])
+            self._shifts[key] = np.asarray(
+                fit.predicted - self.problem.record.predict(space.names, space.full(without))[0]
+            )
         return self._shifts[key]
 
     def share(self, fit: Fit, member: str) -> float:
         """Return which share of the explained misfit a member carries, on held-out blocks or on the objective."""
-        rest = self.get(frozenset(fit.effects) - {member})
+        rest = self.without(fit, member)
         plain = [float(self.losses(f)[0].sum()) for f in (self.null, rest, fit)]
         pairs = ((plain[1] - plain[2], plain[0] - plain[2]), (rest.cost - fit.cost, self.null.cost - fit.cost))
         return max(part / total if total > 0.0 else 0.0 for part, total in pairs)
+
+
+def _key(fit: Fit) -> Key:
+    return frozenset(fit.effects), frozenset(fit.space.split)
 
 
 def starts(problem: Problem, effect: str) -> list[Floats]:

@@ -8,7 +8,7 @@ law is unknown; if a generic law with as few numbers does, it is open. Pinned by
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -100,16 +100,20 @@ def answered(state: State, fits: Fits, rough: Representative, before: Floats) ->
     members = asked.members()
     laws += members
     if not asked.any_reaches(members):
-        laws += asked.pairs(members)
+        laws += asked.for_each_channel(members)
+    if not asked.any_reaches(laws):
+        laws += asked.pairs(laws)
     return asked.judged(laws)
 
 
-def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats) -> Law:
+def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, split: Collection[str] = ()) -> Law:
     """Fit effects on top of what was found and judge them on held-out folds; `before` is the loss (folds,) without.
+
+    Those in `split` have a number for each channel.
 
     What happens once in a fold cannot be known from the others: there a law is as good as none.
     """
-    body, fit = state.body, fits.get(frozenset((*state.fit.effects, *effects)))
+    body, fit = state.body, fits.get((*state.fit.effects, *effects), (*state.fit.space.split, *split))
     level = body.level()
     names, ridges = state.blocks(level, fit)
     level.close(np.ascontiguousarray(fit.modes))
@@ -121,7 +125,8 @@ def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats) -
             since = body.record.t_seen[test] - float(body.parts[0].run.t[0])
             if np.min(np.abs(since - instant)) <= 2.0 * GAP:
                 loss[i] = min(loss[i], before[i])
-    return Law(" + ".join(effects), effects, fit, loss, int(own.sum()), tuple(bounds))
+    name = " + ".join(f"{e} for each channel" if e in split else e for e in effects)
+    return Law(name, effects, fit, loss, int(own.sum()), tuple(bounds))
 
 
 class _Asked:
@@ -138,10 +143,21 @@ class _Asked:
         names = [n for n in self.representative.family.members if n in self.fits.candidates]
         return [law_of(self.state, self.fits, (n,), self.before) for n in names if n not in self.state.fit.effects]
 
-    def pairs(self, members: list[Law]) -> list[Law]:
-        """Fit the pairs of the best members."""
-        best = sorted(members, key=lambda law: float(law.loss.sum()))[:PAIRED]
-        return [law_of(self.state, self.fits, (*a.effects, *b.effects), self.before) for a, b in combinations(best, 2)]
+    def for_each_channel(self, members: list[Law]) -> list[Law]:
+        """Fit members with a number for each channel where they have one for all."""
+        laws = [law_of(self.state, self.fits, law.effects, self.before, law.effects) for law in members]
+        return [law for law, shared in zip(laws, members) if law.numbers > shared.numbers]
+
+    def pairs(self, laws: list[Law]) -> list[Law]:
+        """Fit the pairs of the best members, as they are best."""
+        best: dict[tuple[str, ...], Law] = {}
+        for law in sorted((law for law in laws if law.effects), key=lambda law: float(law.loss.sum())):
+            best.setdefault(law.effects, law)
+        found = []
+        for a, b in combinations(list(best.values())[:PAIRED], 2):
+            split = [e for law in (a, b) if law.fit is not None for e in law.effects if e in law.fit.space.split]
+            found.append(law_of(self.state, self.fits, (*a.effects, *b.effects), self.before, split))
+        return found
 
     def generic(self) -> list[Law]:
         """Fit laws of a static map that are nobody's effect, with one set of numbers and with one for each channel."""

@@ -130,7 +130,7 @@ def _taken(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
     beside = (*state.beside, answer.representative)
     there = State(state.body, state.fit, beside)
     shifted = Fits(_shifted(state.body.problem, there.shift), fits.candidates)
-    return State(state.body, shifted.get(state.fit.effects), beside, state.background), shifted
+    return State(state.body, shifted.get(state.fit.effects, state.fit.space.split), beside, state.background), shifted
 
 
 def _shifted(problem: Problem, shift: Floats) -> Problem:
