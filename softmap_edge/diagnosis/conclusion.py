@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
+from softmap_edge.diagnosis.collinear import collinear_conditions
 from softmap_edge.diagnosis.conditions import cells
 from softmap_edge.diagnosis.evidence import (
     at_bound,
@@ -81,6 +82,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit, registry) if h.name not in {b.name for b in hidden}]
     unknown = any(s.answer.law is None and not s.answer.open for s in standing) or _left(outcome, standing)
+    unknown = unknown or bool(problem.noise.moving)
     findings = [_finding(outcome, fit, name, context, alternatives, unknown, registry) for name in order]
     faults = tuple(f for f in findings if registry[f.name]["kind"] == "fault")
     physics = tuple(f for f in findings if registry[f.name]["kind"] != "fault")
@@ -100,6 +102,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
         "verdict": verdict,
         "sentence": sentence
         + "".join(f" But {doubt}." for doubt in doubts)
+        + "".join(f" Moreover, {motion}." for motion in problem.noise.moving)
         + ("" if context.masked is None else f" {context.masked}."),
         "effects": physics,
         "faults": faults,
@@ -266,7 +269,8 @@ def _alternatives(
 
     def add(one: Alternative) -> None:
         known = any(set(one.effects) == set(a.effects) and one.family == a.family for a in found)
-        if not known and not dropped & set(one.effects) and set(one.effects) != set(fit.effects):
+        same = set(one.effects) == set(fit.effects) and not one.family
+        if not known and not dropped & set(one.effects) and not same:
             found.append(one)
 
     for step in standing:
@@ -282,11 +286,28 @@ def _alternatives(
             else:
                 why = f"the family {other.family.name} cannot be distinguished from {step.family.name} here"
                 add(Alternative(tuple(rest), why, member, other.family.name))
+    for step, family, why in _confounded(outcome, standing):
+        named = _named(step)
+        add(Alternative(tuple(e for e in fit.effects if e not in named), why, named[0] if named else "", family))
     for member in fit.effects:
         for twin, why in _twins(outcome.fits, fit, member, registry, context.impossible):
             add(Alternative(tuple(twin if e == member else e for e in fit.effects), why, member))
     if context.own is not None and fit.effects:
         add(Alternative(tuple(context.own.names), str(context.own), next(iter(fit.effects))))
+    return found
+
+
+def _confounded(outcome: Outcome, standing: Sequence[Step]) -> list[tuple[Step, str, str]]:
+    """Return steps of a condition that varies as time does in every run, the family it looks like, and why."""
+    conditions = [{c.condition: c for c in collinear_conditions(part.run)} for part in outcome.body.parts]
+    found = []
+    for step in standing:
+        pairs = {"temperature": "time", "time": "temperature", "step": "temperature"}
+        other = pairs.get(step.family.name)
+        if other is None or not all("temperature" in known for known in conditions):
+            continue
+        why = "; ".join(dict.fromkeys(str(known["temperature"]) for known in conditions))
+        found.append((step, other, why))
     return found
 
 

@@ -61,9 +61,13 @@ class Outcome:
     state: State
     null: Floats  # (folds,) held-out loss of the model alone
     loss: Floats  # (folds,) held-out loss of what was found
-    ordinary_mm: float  # ordinary static imperfections of the robot, RMS
     steps: list[Step] = field(default_factory=list)
     hint: Representative | None = None  # the best family, if it was not accepted but falls
+
+    @property
+    def ordinary_mm(self) -> float:
+        """Ordinary static imperfections of the robot, RMS, beside what was found."""
+        return self.body.ordinary_mm
 
     @property
     def fit(self) -> Fit:
@@ -102,10 +106,10 @@ def search(
     while outcome is None or len(outcome.steps) < rule.MOST:
         taken = [step.family for step in outcome.steps] if outcome else []
         ranking = ranked(state, every, taken)
+        if problem.record.model.kind != "rod":  # a rod's own error is its noise
+            body.ordinary_mm = ordinary(state, ranking, every)
         if outcome is None:
-            if problem.record.model.kind != "rod":  # a rod's own error is its noise
-                body.ordinary_mm = ordinary(state, ranking, every)
-            outcome = Outcome(body, fits, fits, state, ranking.found, ranking.found, body.ordinary_mm)
+            outcome = Outcome(body, fits, fits, state, ranking.found, ranking.found)
         if _is_ordinary(ranking, state):
             state = State(body, state.fit, state.beside, [f for f in every if f.name in BACKGROUND])
             ranking = ranked(state, [f for f in every if f.kind != "static"], taken)
