@@ -42,7 +42,7 @@ from softmap_edge.run import Run
 
 BALLS_MM = (22.0, 44.0, 66.0, 88.0, 108.0)
 SEEN_HZ = 7.0
-MOVES_MM = (2.0, 5.0)
+MOVES_MM = (2.8, 5.5)
 REACH = 11.0  # mm
 CAMERA = Level("learned", 0.15, 0.0, 0.0, 0.0, 0.0, 0.0, MOVES_MM)
 SINGLES: tuple[type[Law], ...] = (
