@@ -127,7 +127,7 @@ class Body:
         names, params = fit.space.names, fit.space.params(fit.x[None])[0]
         out = []
         for part, column in zip(self.parts, self.record.layout(names).columns):
-            chain, run = _core.Chain(list(names), part.u.shape[1]), part.run
+            chain, run = self.record.library.Chain(list(names), part.u.shape[1]), part.run
             own = np.ascontiguousarray(params[column][: len(chain.labels)])
             t = np.asarray(run.t, float)
             rows = chain.rollout(
