@@ -3,7 +3,7 @@
     r = u − m ÿ,  m = 2 kg;   r = k y + c ẏ + z,   ż = α ẏ − β (γ |ẏ| |z|^(ν−1) z + δ ẏ |z|^ν)
 
 ÿ comes from the FFT of the mean of the four estimation periods, lines above `BAND_HZ` left out (they hold noise). The
-validation sets judge only: r is derived from their own displacement, of the sweep with `EDGE_S` at its ends left out.
+validation sets are not fitted: r is derived from their own displacement, of the sweep without `EDGE_S` at its ends.
 The structure rings at tens of Hz and our effects live at the pace of a finger, so a run counts `SLOWED` s for one of
 the log. Displacements are in mm, forces in N.
 """

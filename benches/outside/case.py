@@ -15,7 +15,7 @@ from benches.data import ROOT
 from softmap_edge import Model, Run
 
 Floats = NDArray[np.float64]
-BLOCKS = "blocks of the run"  # what judges where there is no other run: those of the diagnosis
+BLOCKS = "blocks of the run"  # what validates where there is no other run: those of the diagnosis
 
 Law = Callable[[], Mapping[str, Floats]]  # what the right law, fitted by hand, predicts on each held-out run (K, Q)
 
@@ -29,7 +29,7 @@ class Case:
         about: a paragraph for the page: what the data are, what is known to be missing, what was left out.
         values: makes (K, Q) of markers (K, M, 3): what peers learn and errors count; outputs stay as they are.
         fit: the run that is learned from and diagnosed.
-        held: runs that judge only, by name; without one the held-out blocks of the diagnosis do.
+        held: runs that only validate, by name; without one the held-out blocks of the diagnosis do.
         model: makes the model before the diagnosis.
         law: fits the right law by hand, in (K, Q) of `targets`; None where nobody knows it.
         law_name: of that law.

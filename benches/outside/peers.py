@@ -1,7 +1,7 @@
 """General methods on the same held-out runs: what each reaches with the run and the model that our diagnosis gets.
 
 Each learns what the model misses on the run (seen − predicted) from the commands, at once or at several earlier
-times, and is judged as we are. None sees a measured output of a held-out run, so every figure is one of simulation.
+times, and is validated as we are. None sees a measured output of a held-out run, so every figure is one of simulation.
 Settings are the libraries' own unless named below; draws use `SEED`; everything runs on one thread.
 """
 

@@ -93,8 +93,8 @@ def page(rows: Sequence[Row], cases: dict[str, Case], skipped: dict[str, str]) -
 
 
 def _paragraph(row: Row) -> str:
-    right = f"Right: {row.expected}. " if row.answer.verdict != "–" else ""
-    said = f"We say: {_said(row.answer)}. " if row.answer.verdict != "–" else ""
+    right = f"Right answer: {row.expected}. " if row.answer.verdict != "–" else ""
+    said = f"Our answer: {_said(row.answer)}. " if row.answer.verdict != "–" else ""
     return f"{right}{said}By hand: {row.law_name}."
 
 
