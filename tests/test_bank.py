@@ -178,11 +178,11 @@ def test_a_run_at_rest_shows_no_motion():
 # --- the judge ------------------------------------------------------------------------------------
 
 
-def said(*effects, rivals=(), verdict="identified", open_=(), settles=()):
+def said(*effects, alternatives=(), verdict="identified", open_=(), settles=()):
     entries = [{"name": e, "share": 1.0 - 0.1 * k, "probability": 0.9} for k, e in enumerate(effects)]
     return {
         "verdict": verdict, "effects": entries, "faults": [],
-        "rivals": [{"effects": list(r), "why": ""} for r in rivals],
+        "alternatives": [{"effects": list(r), "why": ""} for r in alternatives],
         "not_testable": [{"name": n} for n in open_], "next": [{"block": "b", "settles": list(settles)}],
     }  # fmt: skip
 
@@ -192,17 +192,17 @@ def judged(hidden, document, orientations=2, expressible=frozenset(LAWS), also=(
 
 
 def test_a_turned_frame_may_stand_for_turned_tendons_only_where_no_roll_is_seen():
-    open_ = said("routing", rivals=[["mount"]], verdict="ambiguous")
+    open_ = said("routing", alternatives=[["mount"]], verdict="ambiguous")
     assert judged(["routing"], open_, roll=False)["first"] and not judged(["routing"], open_)["first"]
     assert not judged(["routing"], said("twist"), roll=False)["first"]
 
 
 def test_a_name_counts_only_alone_or_beside_its_structural_equivalent():
     assert judged(["lag"], said("lag"))["first"]
-    assert not judged(["lag"], said("lag", rivals=[["creep"]], verdict="ambiguous"))["first"]
+    assert not judged(["lag"], said("lag", alternatives=[["creep"]], verdict="ambiguous"))["first"]
     assert not judged(["lag"], said("gain", "lag"))["first"] and not judged(["lag"], said())["first"]
-    assert judged(["latency"], said("latency", rivals=[["clock_shift"]], verdict="ambiguous"))["first"]
-    pair = said("payload", rivals=[["gravity"]], verdict="ambiguous", settles=["payload", "gravity"])
+    assert judged(["latency"], said("latency", alternatives=[["clock_shift"]], verdict="ambiguous"))["first"]
+    pair = said("payload", alternatives=[["gravity"]], verdict="ambiguous", settles=["payload", "gravity"])
     assert judged(["payload"], pair, orientations=1)["first"] and not judged(["payload"], pair)["first"]
     assert judged(["gravity"], pair, orientations=1)["cannot"]
     assert not judged(["gravity"], said("payload"), orientations=1)["cannot"]
@@ -213,7 +213,7 @@ def test_sets_claims_and_what_the_library_lacks():
     assert not both["exact"] and [c["true"] for c in both["claims"]] == [True, True, False]
     assert judged(["lag", "gain"], said("gain", "lag"))["exact"]
     assert not judged(["lag", "gain"], said("gain"))["inside"]
-    assert judged(["lag", "gain"], said("gain", rivals=[["gain", "lag"]], verdict="ambiguous"))["inside"]
+    assert judged(["lag", "gain"], said("gain", alternatives=[["gain", "lag"]], verdict="ambiguous"))["inside"]
     assert not judged(["magnet"], said())["in_library"] and judged(["lag"], said())["in_library"]
     assert not judged(["lag"], said(), expressible={"gain"})["in_library"]
 

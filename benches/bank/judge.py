@@ -53,31 +53,31 @@ def judged(
     groups = [sorted(document[kind], key=lambda e: -e["share"]) for kind in ("effects", "faults")]
     entries = [e for group in groups[:: -1 if document["verdict"] == "measurement_fault" else 1] for e in group]
     named = [e["name"] for e in entries]
-    rivals = [set(r["effects"]) for r in document["rivals"]]
+    others = [set(a["effects"]) for a in document["alternatives"] if a["effects"]]
     like = {name: alike.get(name, {name}) for name in hidden}
     right = [e["name"] in also or any(e["name"] in like[name] for name in hidden) for e in entries]
     top = named[0] if named else None
-    alone = bool(named) and any(top in like[n] and all(r & like[n] for r in rivals) for n in hidden)
-    said = set(named).union(*rivals)
+    alone = bool(named) and any(top in like[n] and all(other & like[n] for other in others) for n in hidden)
+    said = set(named).union(*others)
     open_ = {h["name"] for h in document["not_testable"]}
     settles = {name for block in document["next"] for name in block["settles"]}
     asked = all(like[n] & settles for n in hidden)
     nameless = document["verdict"] == "measurement_fault" and not named
     honest = document["verdict"] in ("ambiguous", "cannot_tell", "nothing") and all(
-        like[n] & (open_ | settles | (said if rivals else set())) for n in hidden
+        like[n] & (open_ | settles | (said if others else set())) for n in hidden
     )
     return {
         "verdict": document["verdict"],
         "named": named,
-        "rivals": [sorted(r) for r in rivals],
-        "why": [r["why"] for r in document["rivals"]],
+        "alternatives": [sorted(other) for other in others],
+        "why": [a["why"] for a in document["alternatives"]],
         "not_testable": sorted(open_),
         "next": [{"block": b["block"], "settles": b["settles"]} for b in document["next"]],
         "in_library": all(like[n] & expressible for n in hidden),
         "first": alone,
         "equivalent": any(top in like[n] for n in hidden),
         "exact": _told(set(named), like, also),
-        "inside": any(_told(s, like, also) for s in [set(named), *rivals]),
+        "inside": any(_told(s, like, also) for s in [set(named), *others]),
         "claims": [
             {"name": e["name"], "probability": e["probability"], "true": ok, "itself": e["name"] in {*hidden, *also}}
             for e, ok in zip(entries, right)

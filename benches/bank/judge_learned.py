@@ -44,7 +44,7 @@ def judge_learned(case: Kept) -> dict[str, Any]:
     return {
         **truth, **verdict, **by_family(document, truth, like), "first": verdict["first"] or absorbed,
         "chain": list(model.chain_names), "error_mm": error, "fall": None, "frames": int(run.t_seen.size),
-        "sentence": found.sentence, "ladder": found.error, "unexplained": found.unexplained,
+        "sentence": found.sentence, "ladder": found.to_dict()["error"], "unexplained": found.to_dict()["unexplained"],
         "learn_seconds": round(learned - started, 2), "seconds": round(finished - learned, 2),
     }  # fmt: skip
 

@@ -117,7 +117,7 @@ def judge_modelled(case: Kept) -> dict[str, Any]:
     return {
         **truth, **verdict, **by_family(last.to_dict(), truth, like),
         "error_mm": error, "fall": fall, "frames": int(run.t_seen.size), "sentence": last.sentence,
-        "ladder": last.error, "unexplained": last.unexplained, "seconds": round(seconds, 2),
+        "ladder": last.to_dict()["error"], "unexplained": last.to_dict()["unexplained"], "seconds": round(seconds, 2),
     }  # fmt: skip
 
 
