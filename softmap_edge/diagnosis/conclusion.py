@@ -88,6 +88,9 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     physics = tuple(f for f in findings if registry[f.name]["kind"] != "fault")
     error = _error(outcome, order, context.other)
     families = tuple(_family(outcome, s) for s in standing)
+    if unknown and not standing and outcome.hint is not None:
+        near, gone = outcome.hint, float(outcome.hint.loss.sum() / max(float(outcome.null.sum()), 1e-300))
+        families = (FamilyFinding(near.family.name, near.family.kind, "unknown", (), 1.0 - gone, near.moved_mm),)
     doubts = [*([str(context.own)] if context.own else []), *at_bounds(findings), *record.doubts]
     is_open = any(s.answer.open for s in standing)
     unsure = any(registry[e]["kind"] != "fault" for a in alternatives for e in a.effects)
@@ -131,10 +134,9 @@ def _left(outcome: Outcome, standing: Sequence[Step]) -> bool:
     """Whether something unknown is left: beyond the named effects, or a family that falls and was not accepted."""
     if standing:
         return outcome.left > rule.LEFT
-    record = outcome.body.record
-    own = max(float(np.hypot(record.form_mm, outcome.ordinary_mm)), outcome.body.problem.noise.rms_mm(record.positions))
-    off = record.rms_mm(outcome.state.residual)
-    return outcome.hint is not None and off > rule.UNKNOWN_TIMES * own
+    problem, record = outcome.body.problem, outcome.body.record
+    own = max(record.form_mm, problem.noise.rms_mm(record.positions))
+    return record.rms_mm(outcome.state.residual - outcome.state.ordinary) > rule.UNKNOWN_TIMES * own
 
 
 def _family(outcome: Outcome, step: Step) -> FamilyFinding:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-FORM = 0.025  # of the explained loss: what the form of a law may be off (0.16 of its amplitude, squared)
+FORM = 0.05  # of the explained loss: what the form of a law may be off (0.22 of its amplitude, squared)
 FORM_MOST = 0.15  # the same where ordinary imperfections stand beside a static law
 FALL = 0.03  # least relative fall of the held-out loss for a family
 FALL_FIRST, FALL_NEXT = 0.2, 0.3  # of the loss above the noise: least fall of the first family and of later ones

@@ -96,6 +96,10 @@ def diagnose(
         fit, demoted = _demote(outcome.fits, fit, lambda f: _error_on(f, other), 0.995)
     else:  # form error can swallow what a static effect does wrong on unseen blocks; in mm it shows
         fit, demoted = _demote(outcome.fits, fit, outcome.fits.held_out_mm, 1.0)
+        if demoted:  # what stood in its place is looked for again
+            outcome = search(problem, [name for name in candidates if name not in demoted], progress)
+            fit, more = _demote(outcome.fits, outcome.fit, outcome.fits.held_out_mm, 1.0)
+            demoted += more
     own = _own_misfit(record) if record.replay is None else None  # wrong numbers of its own cancel out too
     context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), seed)
     gone = stray(record, fit)

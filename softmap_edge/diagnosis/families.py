@@ -33,6 +33,7 @@ MODES = 8  # leading spatial modes of a free static shape
 AT_BOUND = 1e-6  # of the scale of a parameter
 FREE_MM = 0.9  # mm RMS of the body that one such column moves it by
 BACKGROUND_RIDGE = 10.0  # of families that explain ordinary imperfections
+FARTHEST = 3.0  # half ranges from the middle that a representative may move commands
 LINEARISED = 2  # times that a representative is linearised about itself
 
 
@@ -150,8 +151,9 @@ class Body:
         return np.concatenate([row.reshape(len(self.half), p.frames, -1) for row, p in zip(rows, self.parts)], axis=1)
 
     def modes(self, difference: Floats) -> Floats:
-        """Return feature differences (..., K, F) as modes (..., K, M); what is not seen counts as no difference."""
-        return np.asarray(np.where(np.isfinite(self.record.seen), difference, 0.0) @ self.weights)
+        """Return feature differences (..., K, F) as modes (..., K, M); what is not seen, or not known, is none."""
+        known = np.isfinite(self.record.seen) & np.isfinite(difference)
+        return np.asarray(np.where(known, difference, 0.0) @ self.weights)
 
     # --- columns --------------------------------------------------------------------------------
 
@@ -183,8 +185,8 @@ class Body:
         bank = _core.Bank(family.name, len(self.half))
         series = self.series(commands)
         found = [bank.columns(one, np.asarray(part.t_seen, float)) for one, part in zip(series, self.parts)]
-        if len({len(which) for which, _ in found}) > 1:
-            return None  # one of the runs does not declare what it needs
+        if len({len(which) for which, _ in found}) > 1:  # one of the runs does not declare what it needs
+            found = [(which[:0], weight[:0]) for which, weight in found]
         which, weight = np.asarray(found[0][0], np.intp), np.concatenate([w for _, w in found], axis=1)
         fields = self._fields(family)
         if len(fields):
@@ -370,7 +372,9 @@ def applied(body: Body, one: Representative, commands: Commands) -> tuple[Comman
     bank = _core.Bank(one.family.name, len(body.half))
     acting = np.ascontiguousarray(one.theta[: one.columns.commanded])
     if len(acting):
-        commands = [np.ascontiguousarray(bank.applied(series, acting)) for series in body.series(commands)]
+        most = FARTHEST * body.half
+        moved = [bank.applied(series, acting) for series in body.series(commands)]
+        commands = [np.ascontiguousarray(np.clip(v, body.middle - most, body.middle + most)) for v in moved]
     return commands, one.columns.shift(one.theta, one.columns.commanded)
 
 

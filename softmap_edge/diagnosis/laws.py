@@ -92,8 +92,8 @@ class Answer:
         return self.representative.numbers if self.law is None else self.law.numbers
 
 
-def answered(state: State, fits: Fits, rough: Representative, before: Floats) -> Answer:
-    """Ask a family for its law."""
+def answered(state: State, fits: Fits, rough: Representative, before: Floats, pairs: bool) -> Answer:
+    """Ask a family for its law, for `pairs` of its members too where nothing else is left to explain."""
     representative, _ = linearised(state, rough)
     asked = _Asked(state, fits, representative, before)
     laws = asked.generic() if representative.family.name == "static map" else []
@@ -101,7 +101,7 @@ def answered(state: State, fits: Fits, rough: Representative, before: Floats) ->
     laws += members
     if not asked.any_reaches(members):
         laws += asked.for_each_channel(members)
-    if not asked.any_reaches(laws):
+    if pairs and not asked.any_reaches(laws):
         laws += asked.pairs(laws)
     return asked.judged(laws)
 

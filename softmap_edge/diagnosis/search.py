@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ from softmap_edge.diagnosis.families import (
 )
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
-from softmap_edge.diagnosis.laws import WINDING, Answer, answered, law_of
+from softmap_edge.diagnosis.laws import WINDING, Answer, Law, answered, law_of
 
 Floats = NDArray[np.float64]
 
@@ -123,8 +124,70 @@ def search(
         state, fits = _taken(state, fits, step.answer)
         outcome.state, outcome.fits = state, fits
     outcome.state = state
-    outcome.loss = ranked(state, [], []).found
+    _ask_together(outcome)
+    _ask_again(outcome)
+    outcome.loss = ranked(outcome.state, [], []).found
     return outcome
+
+
+def _ask_together(outcome: Outcome) -> None:
+    """Try laws of several families at once where one was asked before the others were known, and has none.
+
+    They stand if together they leave no more than the representatives do.
+    """
+    open_ones = [i for i, step in enumerate(outcome.steps) if step.answer.law is None]
+    if not 2 <= len(open_ones) <= rule.ASKED:
+        return
+    state = State(outcome.body, outcome.fit, (), outcome.state.background)
+    now, fits = ranked(outcome.state, [], []).found, outcome.plain
+    before = ranked(state, [], []).found
+    choices = [_singles(outcome.steps[i].answer)[: rule.ASKED] for i in open_ones]
+    tried = []
+    for laws in product(*choices):
+        split = [e for law in laws if law.fit is not None for e in law.effects if e in law.fit.space.split]
+        effects = tuple(e for law in laws for e in law.effects)
+        if len(set(effects)) == len(effects):
+            tried.append((laws, law_of(state, fits, effects, before, split)))
+    best = min(tried, key=lambda pair: float(pair[1].loss.sum()), default=None)
+    if best is None or not rule.reaches(best[1].loss, now, float(outcome.null.sum() - now.sum())):
+        return
+    for i, law in zip(open_ones, best[0]):
+        answer = outcome.steps[i].answer
+        together = replace(law, fit=best[1].fit, loss=best[1].loss)
+        outcome.steps[i] = Step(replace(answer, law=together, equals=(), reaching=(together,)), outcome.steps[i].others)
+    assert best[1].fit is not None
+    outcome.state, outcome.fits = State(outcome.body, best[1].fit, (), state.background), fits
+
+
+def _singles(answer: Answer) -> list[Law]:
+    """Return the single laws of a family that were tried, each effect as it was best."""
+    best: dict[tuple[str, ...], Law] = {}
+    for law in answer.tried:
+        if len(law.effects) == 1:
+            best.setdefault(law.effects, law)
+    return list(best.values())
+
+
+def _ask_again(outcome: Outcome) -> None:
+    """Ask the families without a law once more, with all others in place: what was not known then explains no more."""
+    for i, step in enumerate(outcome.steps):
+        if step.answer.law is not None:
+            continue
+        state, family = outcome.state, step.family
+        others = [one for one in state.beside if one.family.name != family.name]
+        fits = outcome.plain
+        if others:
+            shift = State(state.body, state.fit, others).shift
+            fits = Fits(_shifted(outcome.plain.problem, shift), outcome.plain.candidates)
+        fit = fits.get(state.fit.effects, state.fit.space.split)
+        without = State(state.body, fit, others, state.background)
+        ranking = ranked(without, [family], [])
+        if not ranking.rows:
+            continue
+        answer = answered(without, fits, ranking.rows[0], ranking.found, pairs=True)
+        if answer.law is not None or answer.open:
+            outcome.steps[i] = Step(answer, step.others)
+            outcome.state, outcome.fits = _taken(without, fits, answer)
 
 
 def _taken(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
@@ -213,7 +276,7 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
         outcome.hint = best if gain > 0.1 * float(ranking.before.sum()) else None
         return None
     tied = [row for row in able if near(row.loss, able[0].loss, ranking.before) or _ordinary_apart(row, able[0], state)]
-    answers = [answered(state, fits, row, ranking.found) for row in tied]
+    answers = [answered(state, fits, row, ranking.found, pairs=False) for row in tied]
     above = max(0.0, float(ranking.found.sum()) - rule.ABOVE_NOISE * state.body.problem.numbers)
     least = max(rule.FALL_FIRST * above, rule.FALL * float(ranking.found.sum()))
     answers = [a for a in answers if float(ranking.found.sum() - a.loss.sum()) >= least]
