@@ -1,8 +1,9 @@
 """The bundle: the folder that carries a model from one machine to another. Nothing in it is run unasked.
 
-manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it
+manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it; of a learned model
+                `made_from` has `runs` (their hashes) and `learned_in` (`learned_in.py`)
 prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes, scale, power and
-                the rest as a table), or a rod
+                the rest as a table), or a rod with the `coverage_…` of the commands that it was learned from
 template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh;
                 handles, where not all vertices are
 fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands; `second_…`
@@ -36,6 +37,7 @@ import numpy as np
 
 from softmap_edge import __version__, _core, own_effect
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
+from softmap_edge.learned_in import read_learned_in
 from softmap_edge.manifest import LARGEST, finite_number, load_manifest, read_json
 from softmap_edge.model import Arrays, Model
 from softmap_edge.network import read_network
@@ -352,7 +354,13 @@ def _own_hashes(manifest: dict[str, Any]) -> dict[str, str]:
 
 def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:
     made = manifest.get("made_from")
-    return dict(made) if isinstance(made, dict) else {}
+    if not isinstance(made, dict):
+        return {}
+    read_learned_in(made.get("learned_in"))
+    runs = made.get("runs", [])
+    if not isinstance(runs, list) or not all(isinstance(run, str) and len(run) == 64 for run in runs):
+        raise SoftmapError("made_from: `runs` is not a list of sha256")
+    return dict(made)
 
 
 def _sha256(file: Path) -> str:
