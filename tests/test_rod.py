@@ -15,7 +15,7 @@ from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.folds import folds
 from softmap_edge.rod.learn import LearnedRod, learn, learn_model
 from softmap_edge.rod.polynomial import RodParameters
-from softmap_edge.rod.regression import Drive, Regression
+from softmap_edge.rod.regression import Drive, Record, Regression
 from softmap_edge.run import Run
 
 ROOT = Path(__file__).parent.parent
@@ -96,7 +96,7 @@ def test_delay_and_lag_of_the_drive_are_found(truth):
     assert rod.error_mm < 0.5
     # Without them the same polynomial fails.
     fit = Regression(run.markers, np.zeros(3), folds(run.t_seen, 5, 2.0))
-    undelayed = Drive(run.command, run.t, run.t_seen).at([(0.0, 0.0)])[0]
+    undelayed = Drive(Record(run.command, run.t, run.t_seen)).commanded
     assert fit.error(undelayed, rod.rod.degree, 1.0) > 10 * rod.error_mm
 
 
