@@ -26,6 +26,7 @@ from benches.peer_rollout import backlash_and_creep
 from benches.row import ratio, side_by_side
 from softmap_edge import __version__, _core
 from softmap_edge.bundle import builtin_model
+from softmap_edge.chain_labels import grouped
 from softmap_edge.rod.robot import Robot
 from softmap_edge.run import Run
 from softmap_edge.solid.finger import Finger
@@ -111,8 +112,9 @@ def rollouts() -> dict[str, object]:
     t = np.arange(2000) * 0.02
     u = 8 * np.sin(0.7 * t[:, None] + [0.0, 1.0]) * np.sin(0.1 * t)[:, None]
     chain = _core.Chain(["backlash", "creep"], 2)
-    params = np.repeat(np.asarray(chain.start)[None], 51, axis=0) * rng.uniform(0.9, 1.1, (51, len(chain.start)))
-    at = {label: k for k, label in enumerate(chain.labels)}
+    at = {label: k for k, label in enumerate(dict.fromkeys(chain.group_labels))}
+    start = np.asarray(chain.start)[[members[0] for members in grouped(chain).values()]]
+    params = start * rng.uniform(0.9, 1.1, (51, len(start)))  # each shared number once
     numbers = [params[:, at[name]].copy() for name in PEER_NUMBERS]
     ours_s, peer_s = side_by_side(lambda: chain.rollout(params, u, t), lambda: backlash_and_creep(*numbers, u, t))
     return ratio("rollouts of two effects, 51 × 2000 steps", ours_s, peer_s, "NumPy", "wanted ≥ 8")

@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 
 from benches.data import ROOT
 from softmap_edge import Diagnosis, Model, Run, diagnose, import_logs, learn_model, read_mapping
+from softmap_edge.chain_labels import grouped
 from softmap_edge.folds import folds
 from softmap_edge.rod.learn import learn
 from softmap_edge.rod.polynomial import RodParameters
@@ -63,14 +64,15 @@ def fit(model: Model, run: Run, effects: Sequence[str]) -> Model:
     """Return the model with `effects` fitted to the run's frames before `FITTED` by plain least squares."""
     early = run.at(run.t_seen < FITTED)
     now = model.with_effects((*model.chain_names, *effects), model.params)
-    free = [i for i, label in enumerate(now.chain.labels) if label.split(".")[0] in effects]
+    free = {label: some[0] for label, some in grouped(now.chain).items() if label.split(".")[0] in effects}
     if not free:
         return model
-    low, high, start = (np.asarray(getattr(now.chain, name), float)[free] for name in ("low", "high", "start"))
+    first = [*free.values()]
+    low, high, start = (np.asarray(getattr(now.chain, name), float)[first] for name in ("low", "high", "start"))
     start = np.clip(start, low + 1e-3 * (high - low), high - 1e-3 * (high - low))
 
     def at(x: np.ndarray) -> Model:
-        values = dict(model.params) | {now.chain.labels[i]: float(v) for i, v in zip(free, x)}
+        values = dict(model.params) | dict(zip(free, map(float, x)))
         return model.with_effects(now.chain_names, values)
 
     def off(x: np.ndarray) -> np.ndarray:
@@ -83,7 +85,7 @@ def load_table(model: Model, loaded: Run, sets: Sequence[tuple[str, ...]] = SETS
     """Yield (effects, numbers fitted, later error in mm) for each set of effects."""
     for effects in sets:
         fitted = fit(model, loaded, effects)
-        yield " + ".join(effects) or "none", len(fitted.chain_params) - len(model.chain_params), error(fitted, loaded)
+        yield " + ".join(effects) or "none", len(fitted.params) - len(model.params), error(fitted, loaded)
 
 
 def rods(free: Run) -> dict[str, float]:

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from softmap_edge import Run, _core, builtin_model
+from softmap_edge.chain_labels import named
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, STYLE
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
@@ -36,10 +37,11 @@ A Python file does as well, everywhere but in the control loop: [own_effect.md](
 
 At its null values an effect is absent. A fit searches from *low* to *high* (on a logarithmic scale where *low* is
 positive) and begins at *start*. A parameter marked *per channel* has one value for each command: `gain.factor[0]`,
-`gain.factor[1]`; one *per pair* has one for each ordered pair of channels (of neighbours, beyond four channels), the
-one that is moved first: `coupling.factor[0,1]`. A *whole* number is tried, not moved. The path from command to camera
-is `command → transmission → material → shape → sensing`; a chain is always composed in this order. Each picture shows
-one recording, without the effect and with it.
+`gain.factor[1]`. One marked *shared* does too (`backlash.gap[0]`, `backlash.gap[1]`), but one number, `backlash.gap`,
+stands for all channels until they are given or fitted apart. One *per pair* has one for each ordered pair of channels
+(of neighbours, beyond four channels), the one that is moved first: `coupling.factor[0,1]`. A *whole* number is tried,
+not moved. The path from command to camera is `command → transmission → material → shape → sensing`; a chain is always
+composed in this order. Each picture shows one recording, without the effect and with it.
 
 Loads move a finger by its fields, which are taken at constant tension of its tendons; the tendons then answer by
 falling slack or taut, a complementarity problem solved at every frame (`rust/cables.rs`). What large loads, and changes
@@ -134,8 +136,8 @@ def pictured(effect: dict[str, Any]) -> bytes:
             else:
                 frames = model.predict_features((effect["name"],), sets, run)[:, :, model.positions]
             _seen(figure, t, moments, frames[0], frames[1])
-        units = ("" if unit == "1" else f" {unit}" for unit in chain.units)
-        given = ", ".join(f"{n.split('.')[1]} {v:.3g}{unit}" for n, v, unit in zip(chain.labels, params, units))
+        units = dict(zip([*chain.labels, *chain.group_labels], ["" if u == "1" else f" {u}" for u in chain.units] * 2))
+        given = ", ".join(f"{n.split('.')[1]} {v:.3g}{units[n]}" for n, v in named(chain, params).items())
         figure.suptitle(given, size=9.0, x=0.01, ha="left")
         target = io.BytesIO()
         figure.savefig(target, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
@@ -237,8 +239,9 @@ def _section(effect: dict[str, Any]) -> str:
 
 
 def _each(parameter: dict[str, Any]) -> str:
-    each = {"per_channel": " per channel", "per_pair": " per pair", "integer": " whole"}
-    return "".join(word for key, word in each.items() if parameter[key])
+    each = {"shared": " shared", "per_channel": " per channel", "per_pair": " per pair"}
+    words = [word for key, word in each.items() if parameter[key]][:1]  # what is shared is per channel too
+    return "".join(words + [" whole"] * parameter["integer"])
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
     command ─chain of effects─> u_eff ─prior f(u_eff) + Σ cₖ·Sₖ(u_eff)─sensing effects─> points
 
 The prior is a table or a scattered family (a sweep) or a rod (fitted to a run); whoever uses a model cannot tell which.
-Parameters of effects live in one place, `chain_params`, in the order of `chain.labels`.
+Parameters of effects live in one place, `chain_params`, in the order of `chain.labels`; by label (`chain_labels`) one
+number stands for all channels while they have the same.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core, views
+from softmap_edge.chain_labels import named, spread, valued
 from softmap_edge.coverage import Coverage
 from softmap_edge.errors import SoftmapError
 from softmap_edge.features import Body, FeatureMap, marker_features, section_features, upright
@@ -138,7 +140,7 @@ class Model:
     @property
     def params(self) -> dict[str, float]:
         """The parameters of the effects, by label (`backlash.gap`, `gain.factor[0]`)."""
-        return dict(zip(self.chain.labels, map(float, self.chain_params)))
+        return named(self.chain, self.chain_params)
 
     @cached_property
     def contact(self) -> Contact | None:
@@ -173,6 +175,9 @@ class Model:
     def with_effects(self, names: Sequence[str], params: Floats | Mapping[str, float]) -> Model:
         """Return a model whose chain holds exactly `names` with `params` (in chain order, or by label).
 
+        A parameter that channels share may be given once (`backlash.gap`) or for each (`backlash.gap[1]`); in chain
+        order all of them are given once, or all for each channel.
+
         By label, `params` may hold changes of the prior's numbers as well (`changes`). Without an effect that changes
         its law the prior has the numbers that it had before one was added.
         """
@@ -182,19 +187,22 @@ class Model:
             moved = {label: value for label, value in params.items() if label in known}
             if moved:
                 return self.changed(moved).with_effects(names, {k: v for k, v in params.items() if k not in known})
-            unknown = [label for label in params if label not in chain.labels]
+            unknown = [label for label in params if label not in {*chain.labels, *chain.group_labels}]
             if unknown:
-                raise SoftmapError(f"no parameter '{unknown[0]}' in the chain; there are {', '.join(chain.labels)}")
-            start = dict(zip(chain.labels, map(float, chain.null))) | dict(params)
-            params = np.array([start[label] for label in chain.labels])
-        params = np.asarray(params, float)
+                there = ", ".join(dict.fromkeys(chain.group_labels))
+                raise SoftmapError(f"no parameter '{unknown[0]}' in the chain; there are {there}")
+            params = valued(chain, params, chain.null)
+        params = spread(chain, np.asarray(params, float))
         if params.shape != (len(chain.labels),):
-            raise SoftmapError(f"{len(chain.labels)} parameters wanted ({', '.join(chain.labels)}), got {params.shape}")
+            groups = list(dict.fromkeys(chain.group_labels))
+            raise SoftmapError(f"{len(groups)} parameters wanted ({', '.join(groups)}), got {params.shape}")
         if not np.isfinite(params).all():
-            raise SoftmapError(f"{chain.labels[int(np.argmin(np.isfinite(params)))]} is not a finite number; give one")
+            wrong = next(label for label, value in named(chain, params).items() if not np.isfinite(value))
+            raise SoftmapError(f"{wrong} is not a finite number; give one")
         if (params < 0)[chain.log].any():
-            wrong = int(np.argmax(chain.log & (params < 0)))
-            raise SoftmapError(f"{chain.labels[wrong]} is {params[wrong]:g} {chain.units[wrong]}, allowed is 0 or more")
+            i = int(np.argmax(chain.log & (params < 0)))
+            wrong = next(label for label in (chain.group_labels[i], chain.labels[i]) if label in named(chain, params))
+            raise SoftmapError(f"{wrong} is {params[i]:g} {chain.units[i]}, allowed is 0 or more")
         model = self if chain.numbers else self._before_laws()
         return replace(model.with_residual(None), chain_names=tuple(names), chain_params=params)
 

@@ -66,7 +66,8 @@ class Chain:
             for p in e["parameters"]:
                 for c in range(channels) if p["per_channel"] else [None]:
                     rows.append((f"{e['name']}.{p['name']}" + ("" if c is None else f"[{c}]"), p))
-        self.labels = [label for label, _ in rows]
+        self.labels = self.group_labels = [label for label, _ in rows]
+        self.tie = np.arange(len(rows))  # nothing is shared
         self.units = [p["unit"] for _, p in rows]
         for key in ("null", "start", "low", "high"):
             setattr(self, key, np.array([float(p[key]) for _, p in rows]))

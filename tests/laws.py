@@ -32,12 +32,22 @@ def relaxed(u, t, tau):
     """First-order low pass of piecewise linear u by superposing the response to every piece (Duhamel)."""
     if tau <= 0:
         return u
-    slope = np.diff(u, axis=0) / np.diff(t)[:, None]
+    slope = (np.diff(u, axis=0).T / np.diff(t)).T
     out = u.copy()
     for k in range(1, len(t)):
         missing = np.exp(-(t[k] - t[1 : k + 1]) / tau) - np.exp(-(t[k] - t[:k]) / tau)
         out[k] -= tau * missing @ slope[:k]
     return out
+
+
+def each(law):
+    """The law (p, u (T,), t) of one channel for all, each with its own number where `p` has one."""
+
+    def channels(p, u, t):
+        own = [{k: v[c] if np.ndim(v) else v for k, v in p.items()} for c in range(u.shape[1])]
+        return np.stack([law(one, column, t) for one, column in zip(own, u.T)], axis=1)
+
+    return channels
 
 
 def slot(u, half):
@@ -52,17 +62,9 @@ def slot(u, half):
     return np.array(out)
 
 
-def played(u, half):
-    return np.stack([slot(column, half) for column in u.T], axis=1)
-
-
-def delayed(p, u, t):
-    return np.stack([np.interp(t - p["delay"], t, column) for column in u.T], axis=1)
-
-
 def prandtl_ishlinskii(p, u, t):
     """What a stop holds back is what its play lets slip: stop = identity − play."""
-    held = [u - played(u, p["reach"] * share ** p["shape"]) for share in (0.25, 0.5, 0.75, 1.0)]
+    held = [u - slot(u, p["reach"] * share ** p["shape"]) for share in (0.25, 0.5, 0.75, 1.0)]
     return u - p["strength"] * np.mean(held, axis=0)
 
 
@@ -80,23 +82,21 @@ def followed(speed):
     """A follower, from event to event: it meets its command, or the sample ends."""
 
     def law(p, u, t):
-        out = u.copy()
-        for c in range(u.shape[1]):
-            x = u[0, c]
-            for k in range(1, len(t)):
-                at, left = u[k - 1, c], t[k] - t[k - 1]
-                slope = (u[k, c] - at) / left
-                while left > 0:
-                    if abs(at - x) > 1e-12:
-                        move = p[speed] * np.sign(at - x)
-                        closing = abs(move) - slope * np.sign(move)
-                        meet = abs(at - x) / closing if closing > 0 else np.inf
-                    else:
-                        move, meet = np.clip(slope, -p[speed], p[speed]), np.inf
-                    span = min(meet, left)
-                    x, at, left = x + move * span, at + slope * span, left - span
-                    x = at if span == meet else x
-                out[k, c] = x
+        out, x = u.copy(), u[0]
+        for k in range(1, len(t)):
+            at, left = u[k - 1], t[k] - t[k - 1]
+            slope = (u[k] - at) / left
+            while left > 0:
+                if abs(at - x) > 1e-12:
+                    move = p[speed] * np.sign(at - x)
+                    closing = abs(move) - slope * np.sign(move)
+                    meet = abs(at - x) / closing if closing > 0 else np.inf
+                else:
+                    move, meet = np.clip(slope, -p[speed], p[speed]), np.inf
+                span = min(meet, left)
+                x, at, left = x + move * span, at + slope * span, left - span
+                x = at if span == meet else x
+            out[k] = x
         return out
 
     return law
@@ -280,17 +280,17 @@ ORACLES = {
     "saturation": lambda p, u, t: np.clip(u, -p["below"], p["above"]),
     "offset": lambda p, u, t: u + p["shift"],
     "gain": lambda p, u, t: u * p["factor"],
-    "latency": delayed,
-    "rate_limit": followed("speed"),
-    "lag": lambda p, u, t: relaxed(u, t, p["tau"]),
+    "latency": each(lambda p, u, t: np.interp(t - p["delay"], t, u)),
+    "rate_limit": each(followed("speed")),
+    "lag": each(lambda p, u, t: relaxed(u, t, p["tau"])),
     "eccentric_pulley": eccentric,
-    "backlash": lambda p, u, t: played(u, p["gap"] / 2),
+    "backlash": each(lambda p, u, t: slot(u, p["gap"] / 2)),
     "friction": rubbed,
     "coupling": lambda p, u, t: u @ (np.eye(u.shape[1]) + p["factor"]).T,
     "dead_zone": lambda p, u, t: np.sign(u) * np.maximum(np.abs(u) - p["slack"], 0.0),
     "tendon_creep": crept,
     "anchor_slip": slipped,
-    "hysteresis": prandtl_ishlinskii,
+    "hysteresis": each(prandtl_ishlinskii),
     "creep": lambda p, u, t: (
         u + p["strength"] * 0.5 * (relaxed(u, t, p["tau"] * p["spread"]) + relaxed(u, t, p["tau"] / p["spread"]))
     ),

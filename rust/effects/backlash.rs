@@ -1,6 +1,6 @@
 //! Backlash: free play in the transmission; after a reversal nothing moves until the play is used up.
 //!
-//! The play operator `y = clamp(y, u − gap/2, u + gap/2)`, `gap` the full free play, mm, one for all channels. Memory starts
+//! The play operator `y = clamp(y, u − gap/2, u + gap/2)`, `gap` the full free play of each channel, mm. Memory starts
 //! centred, `y = u`. Exact for commands that are monotonic between samples. gap ≤ 0 is no play.
 //! Source: M. A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis (1989).
 
@@ -29,7 +29,8 @@ pub static EFFECT: Effect = Effect {
             0.04,
             4.0,
             "full free play (half-width = gap/2)",
-        )],
+        )
+        .shared()],
     },
     law: Law::Channel(&Backlash),
 };
@@ -47,8 +48,8 @@ impl ChannelEffect for Backlash {
 
     #[inline]
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {
-        let half = 0.5 * params[0].max(0.0);
-        for (x, y) in x.iter_mut().zip(state) {
+        for ((x, y), gap) in x.iter_mut().zip(state).zip(params) {
+            let half = 0.5 * gap.max(0.0);
             *y = y.max(*x - half).min(*x + half);
             *x = *y;
         }

@@ -125,6 +125,43 @@ impl Chain {
         all
     }
 
+    /// The label (P,) that stands for all numbers of the group of each parameter: `backlash.gap` for `backlash.gap[0]`.
+    pub fn group_labels(&self) -> Vec<String> {
+        let bare = |label: &str| label.split('[').next().unwrap_or_default().to_string();
+        let all = self.parameters().into_iter();
+        all.map(|(label, p)| match p.each {
+            Each::Shared => bare(&label),
+            _ => label,
+        })
+        .collect()
+    }
+
+    /// The group (P,) of each parameter: the numbers of one shared parameter are one group, any other is one by itself.
+    pub fn tie(&self) -> Vec<usize> {
+        let (mut groups, mut next) = (Vec::with_capacity(self.width), 0);
+        for parameter in self
+            .links
+            .iter()
+            .flat_map(|link| link.effect.declaration.parameters)
+        {
+            let (count, shared) = (
+                parameter.count(self.channels),
+                parameter.each == Each::Shared,
+            );
+            groups.extend((0..count).map(|i| if shared { next } else { next + i }));
+            next = groups.last().map_or(next, |last| last + 1);
+        }
+        groups
+    }
+
+    /// Parameters (B, P) of sets that give each shared parameter one number, (B, G) with one for each group of [`Chain::tie`].
+    pub fn spread(&self, params: &[f64], groups: usize) -> Vec<f64> {
+        let tie = self.tie();
+        let sets = params.chunks_exact(groups.max(1));
+        sets.flat_map(|set| tie.iter().map(|group| set[*group]))
+            .collect()
+    }
+
     /// Refuse parameters (P,) that some effect cannot honour.
     pub fn check(&self, params: &[f64]) -> Result<()> {
         if params.len() != self.width {

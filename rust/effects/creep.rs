@@ -34,7 +34,8 @@ pub static EFFECT: Effect = Effect {
                 0.01,
                 0.5,
                 "slow response over quick response, when all has settled",
-            ),
+            )
+            .shared(),
             Parameter::new(
                 "tau",
                 "s",
@@ -69,13 +70,15 @@ impl ChannelEffect for Creep {
         for held in state.chunks_exact_mut(x.len().max(1)) {
             held.copy_from_slice(x);
         }
-        x.iter_mut().for_each(|x| *x += params[0] * *x);
+        let channels = x.iter_mut().zip(params);
+        channels.for_each(|(x, strength)| *x += strength * *x);
     }
 
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
-        let slow = low_pass(params[1] * params[2], context.dt);
-        let quick = low_pass(params[1] / params[2], context.dt);
-        advance(params[0], slow, quick, x, state);
+        let (strength, times) = params.split_at(x.len());
+        let slow = low_pass(times[0] * times[1], context.dt);
+        let quick = low_pass(times[0] / times[1], context.dt);
+        advance(strength, slow, quick, x, state);
     }
 
     /// As by steps; the weights of many samples are found together.
@@ -87,9 +90,10 @@ impl ChannelEffect for Creep {
         state: &mut [f64],
         conditions: &Conditions,
     ) {
-        let taus = [params[1] * params[2], params[1] / params[2]];
+        let (strength, times) = params.split_at(channels);
+        let taus = [times[0] * times[1], times[0] / times[1]];
         low_passed(taus, samples, channels, conditions, |[slow, quick], x| {
-            advance(params[0], slow, quick, x, state);
+            advance(strength, slow, quick, x, state);
         });
     }
 }
@@ -97,7 +101,7 @@ impl ChannelEffect for Creep {
 /// Advance one sample of every channel.
 #[inline]
 fn advance(
-    strength: f64,
+    strength: &[f64],
     [a, b, c]: [f64; 3],
     [d, e, f]: [f64; 3],
     x: &mut [f64],
@@ -105,7 +109,8 @@ fn advance(
 ) {
     let (slow, rest) = state.split_at_mut(x.len());
     let (quick, before) = rest.split_at_mut(x.len());
-    for (((x, slow), quick), before) in x.iter_mut().zip(slow).zip(quick).zip(before) {
+    let channels = x.iter_mut().zip(slow).zip(quick).zip(before);
+    for ((((x, slow), quick), before), strength) in channels.zip(strength) {
         let u = *x;
         *slow = a * *slow + (b * *before + c * u);
         *quick = d * *quick + (e * *before + f * u);

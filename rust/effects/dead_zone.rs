@@ -1,6 +1,6 @@
 //! Dead zone: around zero a command moves nothing, because slack is taken up first.
 //!
-//! `x = sign(u)·max(|u| − slack, 0)`, mm, without memory, one number for all channels; slack ≤ 0 is none. It acts on
+//! `x = sign(u)·max(|u| − slack, 0)`, mm, without memory, for each channel; slack ≤ 0 is none. It acts on
 //! the command: the tendon that goes slack under a load is a law of the prior's own (`slack` of a rod), and no dead
 //! zone.
 
@@ -30,7 +30,8 @@ pub static EFFECT: Effect = Effect {
             0.05,
             4.0,
             "command on each side of zero that moves nothing",
-        )],
+        )
+        .shared()],
     },
     law: Law::Channel(&DeadZone),
 };
@@ -39,8 +40,10 @@ struct DeadZone;
 
 impl ChannelEffect for DeadZone {
     fn settle(&self, params: &[f64], x: &mut [f64], _state: &mut [f64]) {
-        let slack = params[0].max(0.0);
-        x.iter_mut().for_each(|x| *x -= x.max(-slack).min(slack));
+        for (x, slack) in x.iter_mut().zip(params) {
+            let slack = slack.max(0.0);
+            *x -= x.max(-slack).min(slack);
+        }
     }
 
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {

@@ -51,7 +51,7 @@ pub struct Parameter {
     pub low: f64,
     pub high: f64,
     pub doc: &'static str,
-    /// One number for all channels, or one for each.
+    /// One number for the robot, or one for each channel or pair.
     pub each: Each,
     /// A whole number: no slope leads to it, so fits try each from low to high as a start and leave it there.
     pub integer: bool,
@@ -68,6 +68,9 @@ pub struct Parameter {
 pub enum Each {
     Robot,
     Channel,
+    /// One for each channel, all the same unless the data ask for more: fits move them together, and one label without
+    /// an index stands for all of them (`Chain::tie`).
+    Shared,
     /// What [`pairs`] gives.
     Pair,
 }
@@ -120,6 +123,12 @@ impl Parameter {
         self
     }
 
+    /// One number for each channel, the same for all unless told otherwise.
+    pub const fn shared(mut self) -> Parameter {
+        self.each = Each::Shared;
+        self
+    }
+
     /// One number for each of the [`pairs`] of channels.
     pub const fn per_pair(mut self) -> Parameter {
         self.each = Each::Pair;
@@ -166,7 +175,7 @@ impl Parameter {
     pub fn indices(&self, channels: usize) -> Vec<String> {
         match self.each {
             Each::Robot => vec![String::new()],
-            Each::Channel => (0..channels).map(|c| format!("[{c}]")).collect(),
+            Each::Channel | Each::Shared => (0..channels).map(|c| format!("[{c}]")).collect(),
             Each::Pair => pairs(channels).map(|(i, j)| format!("[{i},{j}]")).collect(),
         }
     }
@@ -175,7 +184,7 @@ impl Parameter {
     pub fn count(&self, channels: usize) -> usize {
         match self.each {
             Each::Robot => 1,
-            Each::Channel => channels,
+            Each::Channel | Each::Shared => channels,
             Each::Pair => pairs(channels).count(),
         }
     }

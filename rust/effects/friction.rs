@@ -2,7 +2,7 @@
 //!
 //! Play whose width grows with the pull, for elements along the tendon: `y_j = clamp(y_j, x − w_j, x + w_j)` with `w_j
 //! = mu·f_j·(|x| + preload)` and `f_j = (j − ½)/5`, j = 1…5, the share of the wrap that lies before the element; what
-//! acts is the mean over the elements. mm, one number for all channels; mu ≤ 0 is none. Memory starts centred, `y_j =
+//! acts is the mean over the elements. mm, for each channel; mu ≤ 0 is none. Memory starts centred, `y_j =
 //! x`. Both bounds of the play rise with x while mu < 1, so that it is exact for commands monotonic between samples.
 //! Limit: to first order in mu of the capstan's exponential; wrap and pull in proportion to the command.
 
@@ -34,7 +34,8 @@ pub static EFFECT: Effect = Effect {
                 0.01,
                 0.5,
                 "friction of the whole tendon: half-width of the loop at its far end, over the pull",
-            ),
+            )
+            .shared(),
             Parameter::new(
                 "preload",
                 "mm",
@@ -43,7 +44,8 @@ pub static EFFECT: Effect = Effect {
                 0.2,
                 10.0,
                 "pull at home, as a shortening",
-            ),
+            )
+            .shared(),
         ],
     },
     law: Law::Channel(&Friction),
@@ -66,9 +68,11 @@ impl ChannelEffect for Friction {
 
     #[inline]
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {
-        let (mu, preload) = (params[0].max(0.0), params[1].max(0.0));
-        for (x, elements) in x.iter_mut().zip(state.chunks_exact_mut(ELEMENTS)) {
-            let (width, mut lag) = (mu * (x.abs() + preload), 0.0);
+        let (mu, preload) = params.split_at(x.len());
+        let numbers = mu.iter().zip(preload);
+        let channels = x.iter_mut().zip(state.chunks_exact_mut(ELEMENTS));
+        for ((x, elements), (mu, preload)) in channels.zip(numbers) {
+            let (width, mut lag) = (mu.max(0.0) * (x.abs() + preload.max(0.0)), 0.0);
             for (j, y) in elements.iter_mut().enumerate() {
                 let half = width * ((j as f64 + 0.5) / ELEMENTS as f64);
                 *y = y.max(*x - half).min(*x + half);

@@ -34,7 +34,8 @@ pub static EFFECT: Effect = Effect {
                 0.02,
                 0.7,
                 "share of the motion held back just after a reversal",
-            ),
+            )
+            .shared(),
             Parameter::new(
                 "reach",
                 "mm",
@@ -62,17 +63,18 @@ struct Hysteresis;
 
 const STOPS: usize = 4;
 
-/// Thresholds of the stops, mm.
-fn thresholds(params: &[f64]) -> [f64; STOPS] {
+/// Thresholds of the stops, mm, from `reach` and `shape`.
+fn thresholds(numbers: &[f64]) -> [f64; STOPS] {
     let share = |i: usize| (i + 1) as f64 / STOPS as f64;
-    std::array::from_fn(|i| params[1].max(0.0) * share(i).powf(params[2].max(0.0)))
+    std::array::from_fn(|i| numbers[0].max(0.0) * share(i).powf(numbers[1].max(0.0)))
 }
 
 /// Advance one sample of every channel.
 #[inline]
-fn advance(strength: f64, limits: &[f64; STOPS], x: &mut [f64], state: &mut [f64]) {
-    let weight = strength / STOPS as f64;
-    for (x, memory) in x.iter_mut().zip(state.chunks_exact_mut(1 + STOPS)) {
+fn advance(strength: &[f64], limits: &[f64; STOPS], x: &mut [f64], state: &mut [f64]) {
+    let channels = x.iter_mut().zip(state.chunks_exact_mut(1 + STOPS));
+    for ((x, memory), strength) in channels.zip(strength) {
+        let weight = strength / STOPS as f64;
         let (before, stops) = memory.split_at_mut(1);
         let change = *x - before[0];
         before[0] = *x;
@@ -98,7 +100,8 @@ impl ChannelEffect for Hysteresis {
     }
 
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {
-        advance(params[0], &thresholds(params), x, state);
+        let (strength, numbers) = params.split_at(x.len());
+        advance(strength, &thresholds(numbers), x, state);
     }
 
     /// As by steps; powers are taken once instead of at every sample.
@@ -110,9 +113,10 @@ impl ChannelEffect for Hysteresis {
         state: &mut [f64],
         _conditions: &Conditions,
     ) {
-        let limits = thresholds(params);
+        let (strength, numbers) = params.split_at(channels);
+        let limits = thresholds(numbers);
         for x in samples.chunks_exact_mut(channels) {
-            advance(params[0], &limits, x, state);
+            advance(strength, &limits, x, state);
         }
     }
 }

@@ -25,15 +25,7 @@ pub static EFFECT: Effect = Effect {
         ),
         alike: &[],
         needs: &[],
-        parameters: &[Parameter::new(
-            "tau",
-            "s",
-            0.0,
-            0.12,
-            0.02,
-            3.0,
-            "time constant",
-        )],
+        parameters: &[Parameter::new("tau", "s", 0.0, 0.12, 0.02, 3.0, "time constant").shared()],
     },
     law: Law::Channel(&Lag),
 };
@@ -52,10 +44,14 @@ impl ChannelEffect for Lag {
     }
 
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
-        advance(params[0], low_pass(params[0], context.dt), x, state);
+        let (low, before) = state.split_at_mut(x.len());
+        let channels = x.iter_mut().zip(low).zip(before).zip(params);
+        for (((x, low), before), tau) in channels {
+            advance(*tau, low_pass(*tau, context.dt), x, low, before);
+        }
     }
 
-    /// As by steps; the weights of many samples are found together.
+    /// As by steps; the weights of many samples are found together, once for all channels of one time constant.
     fn rollout(
         &self,
         params: &[f64],
@@ -64,26 +60,27 @@ impl ChannelEffect for Lag {
         state: &mut [f64],
         conditions: &Conditions,
     ) {
-        low_passed(
-            [params[0]],
-            samples,
-            channels,
-            conditions,
-            |[weights], x| {
-                advance(params[0], weights, x, state);
-            },
-        );
+        let (low, before) = state.split_at_mut(channels);
+        for (first, tau) in params.iter().enumerate() {
+            if params[..first].contains(tau) {
+                continue;
+            }
+            low_passed([*tau], samples, channels, conditions, |[weights], x| {
+                for c in first..channels {
+                    if params[c] == *tau {
+                        advance(*tau, weights, &mut x[c], &mut low[c], &mut before[c]);
+                    }
+                }
+            });
+        }
     }
 }
 
-/// Advance one sample of every channel.
+/// Advance one sample of one channel.
 #[inline]
-fn advance(tau: f64, [a, b, c]: [f64; 3], x: &mut [f64], state: &mut [f64]) {
-    let (low, before) = state.split_at_mut(x.len());
-    for ((x, low), before) in x.iter_mut().zip(low).zip(before) {
-        let u = *x;
-        *low = a * *low + (b * *before + c * u);
-        *before = u;
-        *x = if tau > 0.0 { *low } else { u };
-    }
+fn advance(tau: f64, [a, b, c]: [f64; 3], x: &mut f64, low: &mut f64, before: &mut f64) {
+    let u = *x;
+    *low = a * *low + (b * *before + c * u);
+    *before = u;
+    *x = if tau > 0.0 { *low } else { u };
 }

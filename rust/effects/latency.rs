@@ -38,17 +38,18 @@ pub static EFFECT: Effect = Effect {
             0.005,
             0.5,
             "age of the command that acts",
-        )],
+        )
+        .shared()],
     },
     law: Law::Channel(&Latency),
 };
 
 struct Latency;
 
-// State: samples kept so far, read position (both counts), the first command (C), then per slot its time and command.
+// State: samples kept so far, the read position of each channel (C), the first command (C), then per slot its time and
+// command. Positions count samples, as what is kept does.
 const KEPT: usize = 0;
 const CURSOR: usize = 1;
-const FIRST: usize = 2;
 
 /// The ring inside a state slice.
 struct Ring<'a> {
@@ -57,8 +58,12 @@ struct Ring<'a> {
 }
 
 impl Ring<'_> {
+    fn first(&self) -> usize {
+        CURSOR + self.channels
+    }
+
     fn slot(&self, index: usize) -> usize {
-        FIRST + self.channels + (index % SLOTS) * (1 + self.channels)
+        CURSOR + 2 * self.channels + (index % SLOTS) * (1 + self.channels)
     }
 
     fn time(&self, index: usize) -> f64 {
@@ -77,48 +82,46 @@ impl Ring<'_> {
         self.state[KEPT] = (kept + 1) as f64;
     }
 
-    fn read(&mut self, t: f64, x: &mut [f64]) {
+    /// The command of channel `c` at time `t`.
+    fn read(&mut self, t: f64, c: usize) -> f64 {
         let kept = self.state[KEPT] as usize;
         let (oldest, newest) = (kept.saturating_sub(SLOTS), kept - 1);
         if t < self.time(oldest) {
             let held = if oldest == 0 {
-                FIRST
+                self.first()
             } else {
                 self.slot(oldest) + 1
             };
-            x.copy_from_slice(&self.state[held..held + self.channels]);
-            return;
+            return self.state[held + c];
         }
-        let mut cursor = (self.state[CURSOR] as usize).clamp(oldest, newest);
+        let mut cursor = (self.state[CURSOR + c] as usize).clamp(oldest, newest);
         while cursor < newest && self.time(cursor + 1) <= t {
             cursor += 1;
         }
         while cursor > oldest && self.time(cursor) > t {
             cursor -= 1;
         }
-        self.state[CURSOR] = cursor as f64;
+        self.state[CURSOR + c] = cursor as f64;
         let here = self.slot(cursor);
         if cursor == newest {
-            x.copy_from_slice(&self.state[here + 1..here + 1 + self.channels]);
-            return;
+            return self.state[here + 1 + c];
         }
         let next = self.slot(cursor + 1);
         let share = (t - self.state[here]) / (self.state[next] - self.state[here]);
-        for c in 0..self.channels {
-            let (from, to) = (self.state[here + 1 + c], self.state[next + 1 + c]);
-            x[c] = from + share * (to - from);
-        }
+        let (from, to) = (self.state[here + 1 + c], self.state[next + 1 + c]);
+        from + share * (to - from)
     }
 }
 
 impl ChannelEffect for Latency {
     fn state_size(&self, channels: usize) -> usize {
-        FIRST + channels + SLOTS * (1 + channels)
+        CURSOR + 2 * channels + SLOTS * (1 + channels)
     }
 
     fn settle(&self, _params: &[f64], x: &mut [f64], state: &mut [f64]) {
         state.fill(0.0);
-        state[FIRST..FIRST + x.len()].copy_from_slice(x);
+        let first = CURSOR + x.len();
+        state[first..first + x.len()].copy_from_slice(x);
     }
 
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
@@ -127,19 +130,20 @@ impl ChannelEffect for Latency {
             channels: x.len(),
         };
         ring.push(context.t, x);
-        if params[0] > 0.0 {
-            ring.read(context.t - params[0], x);
+        for (c, (x, delay)) in x.iter_mut().zip(params).enumerate() {
+            if *delay > 0.0 {
+                *x = ring.read(context.t - delay, c);
+            }
         }
     }
 
     fn check(&self, params: &[f64]) -> Result<()> {
-        if params[0] > MAX_DELAY {
-            return Err(invalid(format!(
-                "latency.delay is {} s; the ring of past commands holds at most {MAX_DELAY} s, so choose a shorter delay",
-                params[0]
-            )));
+        match params.iter().find(|delay| **delay > MAX_DELAY) {
+            Some(delay) => Err(invalid(format!(
+                "latency.delay is {delay} s; the ring of past commands holds at most {MAX_DELAY} s, so choose a shorter delay"
+            ))),
+            None => Ok(()),
         }
-        Ok(())
     }
 }
 

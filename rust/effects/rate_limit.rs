@@ -33,7 +33,8 @@ pub static EFFECT: Effect = Effect {
             0.5,
             80.0,
             "largest speed of a command; 0 for none",
-        )],
+        )
+        .shared()],
     },
     law: Law::Channel(&RateLimit),
 };
@@ -69,10 +70,11 @@ impl ChannelEffect for RateLimit {
     #[inline]
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
         let (there, before) = state.split_at_mut(x.len());
-        for ((x, there), before) in x.iter_mut().zip(there).zip(before) {
+        let channels = x.iter_mut().zip(there).zip(before).zip(params);
+        for (((x, there), before), speed) in channels {
             let u = *x;
-            *there = if params[0] > 0.0 {
-                follow(params[0], context.dt, *there, *before, u)
+            *there = if *speed > 0.0 {
+                follow(*speed, context.dt, *there, *before, u)
             } else {
                 u
             };

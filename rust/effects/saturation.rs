@@ -1,6 +1,6 @@
 //! Saturation: the drive goes no further than its limits, which the model does not know.
 //!
-//! `x = min(max(u, −below), above)`, mm, without memory, for every channel alike; a limit of 0 or less is none. The
+//! `x = min(max(u, −below), above)`, mm, without memory, for each channel; a limit of 0 or less is none. The
 //! search begins inside the usual stroke, since a limit beyond all commands has no slope.
 
 use super::conditions::Context;
@@ -34,7 +34,8 @@ pub static EFFECT: Effect = Effect {
                 1.0,
                 25.0,
                 "largest shortening that acts; 0 for none",
-            ),
+            )
+            .shared(),
             Parameter::new(
                 "below",
                 "mm",
@@ -43,7 +44,8 @@ pub static EFFECT: Effect = Effect {
                 1.0,
                 25.0,
                 "largest shortening of the other sign that acts; 0 for none",
-            ),
+            )
+            .shared(),
         ],
     },
     law: Law::Channel(&Saturation),
@@ -54,8 +56,10 @@ struct Saturation;
 impl ChannelEffect for Saturation {
     fn settle(&self, params: &[f64], x: &mut [f64], _state: &mut [f64]) {
         let limit = |value: f64| if value > 0.0 { value } else { f64::INFINITY };
-        let (above, below) = (limit(params[0]), limit(params[1]));
-        x.iter_mut().for_each(|x| *x = x.min(above).max(-below));
+        let (above, below) = params.split_at(x.len());
+        for ((x, above), below) in x.iter_mut().zip(above).zip(below) {
+            *x = x.min(limit(*above)).max(-limit(*below));
+        }
     }
 
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], _context: &Context) {

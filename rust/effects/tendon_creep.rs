@@ -37,7 +37,8 @@ pub static EFFECT: Effect = Effect {
                 0.01,
                 0.3,
                 "share of a pull that is lost when all has settled",
-            ),
+            )
+            .shared(),
             Parameter::new(
                 "tau",
                 "s",
@@ -62,14 +63,17 @@ impl ChannelEffect for TendonCreep {
     }
 
     fn settle(&self, params: &[f64], x: &mut [f64], state: &mut [f64]) {
-        for (x, state) in x.iter_mut().zip(state.chunks_exact_mut(3)) {
+        let (loss, numbers) = params.split_at(x.len());
+        let channels = x.iter_mut().zip(state.chunks_exact_mut(3)).zip(loss);
+        for ((x, state), loss) in channels {
             state.copy_from_slice(&[x.max(0.0), (-*x).max(0.0), *x]);
-            *x = shortened(params, *x, state);
+            *x = shortened(*loss, numbers[1], *x, state);
         }
     }
 
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
-        advance(params, low_pass(params[1], context.dt), x, state);
+        let tau = params[x.len()];
+        advance(params, low_pass(tau, context.dt), x, state);
     }
 
     /// As by steps; the weights of many samples are found together.
@@ -82,7 +86,7 @@ impl ChannelEffect for TendonCreep {
         conditions: &Conditions,
     ) {
         low_passed(
-            [params[1]],
+            [params[channels]],
             samples,
             channels,
             conditions,
@@ -96,18 +100,20 @@ impl ChannelEffect for TendonCreep {
 /// Advance one sample of every channel.
 #[inline]
 fn advance(params: &[f64], [a, b, c]: [f64; 3], x: &mut [f64], state: &mut [f64]) {
-    for (x, state) in x.iter_mut().zip(state.chunks_exact_mut(3)) {
+    let (loss, numbers) = params.split_at(x.len());
+    let channels = x.iter_mut().zip(state.chunks_exact_mut(3)).zip(loss);
+    for ((x, state), loss) in channels {
         let (before, u) = (state[2], *x);
         let follow = |z: f64, before: f64, u: f64| a * z + (b * before.max(0.0) + c * u.max(0.0));
         state[0] = follow(state[0], before, u);
         state[1] = follow(state[1], -before, -u);
         state[2] = u;
-        *x = shortened(params, u, state);
+        *x = shortened(*loss, numbers[1], u, state);
     }
 }
 
 /// What reaches the body of a command.
 #[inline]
-fn shortened(params: &[f64], x: f64, state: &[f64]) -> f64 {
-    lengthened(x, [params[0] * state[0], params[0] * state[1]], params[2])
+fn shortened(loss: f64, taut: f64, x: f64, state: &[f64]) -> f64 {
+    lengthened(x, [loss * state[0], loss * state[1]], taut)
 }

@@ -99,9 +99,23 @@ impl PyChain {
         self.column(py, |p| p.integer)
     }
 
+    /// The group (P,) of each parameter: numbers of one group are the same unless told otherwise.
+    #[getter]
+    fn tie<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
+        let groups: Vec<i64> = self.chain.tie().into_iter().map(|g| g as i64).collect();
+        groups.into_pyarray(py)
+    }
+
+    /// The label (P,) that stands for all numbers of a parameter's group.
+    #[getter]
+    fn group_labels(&self) -> Vec<String> {
+        self.chain.group_labels()
+    }
+
     /// What each number of a parameter set (P,) stands for; None where it is a number like any other.
-    fn meanings(&self, params: Vec<f64>) -> PyResult<Vec<Option<String>>> {
-        self.chain.sets(&params)?;
+    fn meanings(&self, params: Value<'_, '_>) -> PyResult<Vec<Option<String>>> {
+        let params = one_set(&self.chain, params)?;
+        self.chain.check(&params)?;
         let numbers = self.chain.parameters().into_iter().zip(params);
         let said = numbers.map(|((_, p), value)| {
             p.meaning
@@ -329,16 +343,42 @@ impl PyChain {
         let width = self.chain.width();
         // Without parameters there is nothing to tell one set from another.
         let sets = (width == 0).then_some(1);
+        if let Some(groups) = tied(&self.chain) {
+            let given = floats("params", params, &[("B", sets), ("P", None)])?;
+            if given.shape[1] == groups {
+                return Ok(Floats {
+                    shape: vec![given.shape[0], width],
+                    data: self.chain.spread(&given.data, groups),
+                });
+            }
+        }
         floats("params", params, &[("B", sets), ("P", Some(width))])
     }
 
     /// Checked parameters (P,) and command (C,).
     fn one(&self, params: Value<'_, '_>, u: Value<'_, '_>) -> PyResult<(Vec<f64>, Vec<f64>)> {
-        let params = floats("params", params, &[("P", Some(self.chain.width()))])?.data;
+        let params = one_set(&self.chain, params)?;
         self.chain.check(&params)?;
         let u = floats("u", u, &[("C", Some(self.chain.channels()))])?.data;
         Ok((params, u))
     }
+}
+
+/// How many numbers a parameter set has that gives each shared parameter one; None where no parameter is shared.
+fn tied(chain: &Chain) -> Option<usize> {
+    let groups = chain.tie().last().map_or(0, |last| last + 1);
+    (groups < chain.width()).then_some(groups)
+}
+
+/// One parameter set (P,) of a chain. A set with one number for each group of `tie` is spread to all channels.
+pub(super) fn one_set(chain: &Chain, params: Value<'_, '_>) -> PyResult<Vec<f64>> {
+    if let Some(groups) = tied(chain) {
+        let given = floats("params", params, &[("P", None)])?.data;
+        if given.len() == groups {
+            return Ok(chain.spread(&given, groups));
+        }
+    }
+    Ok(floats("params", params, &[("P", Some(chain.width()))])?.data)
 }
 
 /// Commands (T, C) and the world around them; what is absent is constant, gravity that of a hanging finger.

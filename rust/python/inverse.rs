@@ -1,7 +1,7 @@
 //! Binding of inverse kinematics.
 
 use super::arrays::floats;
-use super::effects::{PyChain, Value, vector};
+use super::effects::{PyChain, Value, one_set, vector};
 use super::shape::PyShape;
 use crate::effects::{Chain, Context};
 use crate::inverse::chain::Inverse;
@@ -101,7 +101,7 @@ pub(super) fn inverted(
     load: f64,
     temperature: f64,
 ) -> PyResult<Inverse> {
-    let params = floats("params", params, &[("P", Some(chain.width()))])?.data;
+    let params = one_set(chain, params)?;
     let context = Context {
         t: 0.0,
         dt: 0.0,

@@ -33,6 +33,7 @@ struct Number {
     high: f64,
     doc: String,
     per_channel: bool,
+    shared: bool,
     integer: bool,
 }
 
@@ -85,6 +86,9 @@ impl Number {
         let mut p = Parameter::new(name, unit, self.null, self.start, self.low, self.high, doc);
         if self.per_channel {
             p = p.per_channel();
+        }
+        if self.shared {
+            p = p.shared();
         }
         if self.integer { p.integer() } else { p }
     }

@@ -3,7 +3,7 @@
 use super::arrays::floats;
 use super::at_work;
 use super::cables::{PyCables, PySecond};
-use super::effects::{Maybe, PyChain, Value, record, vector};
+use super::effects::{Maybe, PyChain, Value, one_set, record, vector};
 use super::shape::PyShape;
 use crate::contact::Contact;
 use crate::effects::{Conditions, Context};
@@ -114,7 +114,7 @@ impl PyPredictor {
         load: f64,
         temperature: f64,
     ) -> PyResult<PyShape> {
-        let params = floats("params", params, &[("P", Some(chain.chain.width()))])?.data;
+        let params = one_set(&chain.chain, params)?;
         let gravity = vector("gravity", gravity)?;
         let context = Context {
             t: 0.0,

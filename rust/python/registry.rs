@@ -47,7 +47,11 @@ fn parameter<'py>(py: Python<'py>, p: &Parameter) -> PyResult<Bound<'py, PyDict>
     entry.set_item("start", p.start)?;
     entry.set_item("low", p.low)?;
     entry.set_item("high", p.high)?;
-    entry.set_item("per_channel", p.each == Each::Channel)?;
+    entry.set_item(
+        "per_channel",
+        matches!(p.each, Each::Channel | Each::Shared),
+    )?;
+    entry.set_item("shared", p.each == Each::Shared)?;
     entry.set_item("per_pair", p.each == Each::Pair)?;
     entry.set_item("integer", p.integer)?;
     entry.set_item("instant", p.instant)?;

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from softmap_edge import _core
+from softmap_edge.chain_labels import valued
 from softmap_edge.errors import SoftmapError, brief
 from softmap_edge.report.text import SCHEMA, VERDICTS, check_diagnosis, diagnosis_text
 from softmap_edge.whole_file import read_document
@@ -113,6 +114,7 @@ class Diagnosis:
         """
         params: dict[str, float] = dict(model.params)
         for name in names:
+            params = {label: value for label, value in params.items() if label.split(".")[0] != name}
             params |= self._checked(model, name)
         chain = (*model.chain_names, *(name for name in names if name not in model.chain_names))
         entries = [entry for entry in [*self.effects, *self.faults] if entry["name"] in names]
@@ -122,13 +124,15 @@ class Diagnosis:
     def _checked(self, model: Model, name: str) -> dict[str, float]:
         """Return the fitted parameters of one effect, all of them and none beyond its bounds."""
         params, chain = self.params_of(name), _core.Chain([name], model.channels)
-        for label, low, high in zip(chain.labels, chain.low, chain.high):
+        values = valued(chain, params, np.full(len(chain.labels), np.nan))
+        for i, (value, low, high) in enumerate(zip(values, chain.low, chain.high)):
             room = 1e-6 * (high - low)
+            label = chain.labels[i] if chain.labels[i] in params else chain.group_labels[i]
             if label not in params:
                 raise SoftmapError(f"the diagnosis has no {label}; it is not of this model, diagnose again")
-            if not low - room <= params[label] <= high + room:
+            if not low - room <= value <= high + room:
                 raise SoftmapError(
-                    f"{label} is {params[label]:.6g} in the diagnosis, allowed {low:.6g} to {high:.6g}; diagnose again"
+                    f"{label} is {value:.6g} in the diagnosis, allowed {low:.6g} to {high:.6g}; diagnose again"
                 )
         return params
 

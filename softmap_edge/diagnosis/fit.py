@@ -13,7 +13,7 @@ Pinned by tests/test_fit.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -38,20 +38,30 @@ LINEAR = 0.5  # of what its slopes promised a step must win for them to be carri
 
 
 class Space:
-    """Scaled coordinates x of the free parameters of a chain; all other parameters stay at `base`."""
+    """Scaled coordinates x of the free parameters of a chain; all other parameters stay at `base`.
+
+    A number that channels share is one coordinate, `backlash.gap`, that moves all of them; those of an effect in
+    `split` are one for each channel, `backlash.gap[0]`.
+    """
 
     def __init__(
-        self, record: Record, effects: Sequence[str], base: dict[str, float], free: Sequence[str] = ()
+        self,
+        record: Record,
+        effects: Sequence[str],
+        base: Mapping[str, float],
+        free: Sequence[str] = (),
+        split: Collection[str] = (),
     ) -> None:
         """Free the effects in `effects` on top of the model's own, or exactly those in `free`."""
         own = tuple(record.model.chain_names)
-        layout = record.layout(own + tuple(e for e in effects if e not in own))
+        layout = record.layout(own + tuple(e for e in effects if e not in own), split)
+        self.split, self._full = tuple(split), layout.full
         self.names, self.labels, self.units = layout.names, layout.labels, layout.units
         null, start, low, high = layout.null, layout.start, layout.low, layout.high
         wanted = set(free or effects)
         told = [label.split("@")[0] not in record.untold for label in self.labels]
         self.free = np.array([i for i, s in enumerate(self.labels) if s.split(".")[0] in wanted and told[i]], int)
-        self.base = np.array([base.get(label.split("@")[0], null[i]) for i, label in enumerate(self.labels)])
+        self.base = layout.values(base, null)
         self.log, self.integer, self.instant = (a[self.free] for a in (layout.log, layout.integer, layout.instant))
         self.declared = layout.declared[self.free]  # not so the prior's own numbers, which count with or without
         self._zero = np.where(self.log, start[self.free], null[self.free])
@@ -75,10 +85,18 @@ class Space:
         return np.asarray(np.where(self.log, self._zero * np.exp(exponent), self._zero + stretched))
 
     def params(self, x: Floats) -> Floats:
-        """Return full parameter sets (B, P_all) of a batch x (B, P)."""
-        full = np.tile(self.base, (len(x), 1))
-        full[:, self.free] = self.values(x)
-        return full
+        """Return full parameter sets (B, N) of a batch x (B, P): what a record predicts from."""
+        return self._full(self._sets(x))
+
+    def named(self, x: Floats) -> dict[str, float]:
+        """Return all parameters at x (P,) by label."""
+        return dict(zip(self.labels, map(float, self._sets(x[None])[0])))
+
+    def _sets(self, x: Floats) -> Floats:
+        """Return parameter sets (B, L), in the order of `labels`, of a batch x (B, P)."""
+        sets = np.tile(self.base, (len(x), 1))
+        sets[:, self.free] = self.values(x)
+        return sets
 
     def sigma(self, x: Floats, deviation: Floats) -> Floats:
         """Return one standard deviation in user units of scaled deviations at x."""
@@ -137,12 +155,12 @@ class Fit:
     @property
     def params(self) -> dict[str, float]:
         """The fitted parameters by label, the model's own included."""
-        return dict(zip(self.space.labels, map(float, self.space.params(self.x[None])[0])))
+        return self.space.named(self.x)
 
     def on(self, other: Record) -> Floats:
         """Return what the fitted parameters predict on another record (K, F) mm."""
-        params = other.layout(self.space.names).values(self.params)
-        return np.asarray(other.predict(self.space.names, params[None])[0])
+        layout = other.layout(self.space.names, self.space.split)
+        return np.asarray(other.predict(self.space.names, layout.full(layout.values(self.params)[None]))[0])
 
 
 @dataclass(frozen=True)
@@ -167,7 +185,7 @@ class Problem:
         self.numbers = float(seen.sum() * len(whitener.form)) / noise.inflation
         self.folds = run_folds(record.t_seen, record.block)
         self._seen: tuple[Floats, Told | None] | None = None
-        self._spaces: dict[tuple[tuple[str, ...], tuple[str, ...]], Space] = {}
+        self._spaces: dict[tuple[tuple[str, ...], ...], Space] = {}
 
     def some(self, rows: NDArray[np.intp]) -> Problem:
         """Return the same on some of the frames, `rows` rising."""
@@ -186,11 +204,11 @@ class Problem:
         shrunk = self.whitener.shrink(modes)
         return shrunk.reshape(*shrunk.shape[:-2], shrunk.shape[-2] * shrunk.shape[-1])
 
-    def space(self, effects: Sequence[str], free: Sequence[str] = ()) -> Space:
-        """Return the coordinates of a set of effects; made once."""
-        key = (tuple(effects), tuple(free))
+    def space(self, effects: Sequence[str], free: Sequence[str] = (), split: Collection[str] = ()) -> Space:
+        """Return the coordinates of a set of effects; made once. Those in `split` have a number for each channel."""
+        key = (tuple(effects), tuple(free), tuple(sorted(split)))
         if key not in self._spaces:
-            self._spaces[key] = Space(self.record, effects, self.base, free)
+            self._spaces[key] = Space(self.record, effects, self.base, free, split)
         return self._spaces[key]
 
     @cached_property
@@ -244,9 +262,14 @@ class Problem:
         step = np.where(x + STEP > space.high, -STEP, STEP)
         return np.asarray((self.at(space, x + np.diag(step)) - modes) / step[:, None, None])
 
-    def fit(self, effects: Sequence[str], starts: Sequence[Floats], free: Sequence[str] = ()) -> Fit:
-        """Fit a set of effects from each start (P,) in scaled coordinates and keep the best."""
-        space = self.space(effects, free)
+    def fit(
+        self, effects: Sequence[str], starts: Sequence[Floats], free: Sequence[str] = (), split: Collection[str] = ()
+    ) -> Fit:
+        """Fit a set of effects from each start (P,) in scaled coordinates and keep the best.
+
+        The shared numbers of the effects in `split` are fitted for each channel.
+        """
+        space = self.space(effects, free, split)
         inside = [np.clip(start, space.low, space.high) for start in starts]
         fits = [self._descend(tuple(effects), space.pinned(x), x) for x in inside]
         return min(fits, key=lambda fit: fit.cost)

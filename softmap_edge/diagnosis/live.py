@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.camera.frames import Frame, HostClock
+from softmap_edge.chain_labels import valued
 from softmap_edge.diagnosis.comparison import aligned
 from softmap_edge.errors import ComparisonError, RunError
 from softmap_edge.model import Model
@@ -197,7 +198,7 @@ def _shape(model: Model) -> Model:
     """Return the model of what is acting already: without the effects that change commands, and without ticks."""
     names = tuple(name for name in model.chain_names if not _channel(name))
     rest = _core.Chain(list(names), model.channels)
-    params = np.array([model.params[label] for label in rest.labels])
+    params = valued(rest, model.params, rest.null)
     return replace(model, chain_names=names, chain_params=params, calibration=None)
 
 

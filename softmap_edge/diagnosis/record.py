@@ -6,7 +6,7 @@ Pinned by tests/test_fit.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.chain_labels import differing, named
 from softmap_edge.diagnosis.conditions import Conditions, conditions
 from softmap_edge.diagnosis.layout import Layout, layout_of, per_mm
 from softmap_edge.diagnosis.paired import Replay, pair
@@ -81,7 +82,7 @@ class Record:
             )
         if not some.all():
             run, seen = run.at(some), seen[some]
-        self._layouts: dict[tuple[tuple[str, ...], int], Layout] = {}
+        self._layouts: dict[tuple[tuple[str, ...], int, frozenset[str]], Layout] = {}
         self.run = run
         self.frames, self.features = seen.shape[0], seen.shape[1] * 3
         self.seen = seen.reshape(self.frames, self.features)
@@ -160,18 +161,32 @@ class Record:
         """Parameters that nothing seen here tells, whatever the commands: they stay at what they are."""
         return () if self.roll_seen else ROLLS
 
-    def layout(self, names: Sequence[str]) -> Layout:
-        """Return the parameters of a chain of `names`."""
-        return self._layout(names, 1)
+    def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
+        """Return the parameters of a chain of `names`; those of the effects in `split` have a number for each channel.
 
-    def _layout(self, names: Sequence[str], runs: int) -> Layout:
+        So do those of the model's own effects in which channels differ already.
+        """
+        return self._layout(names, 1, split)
+
+    def _layout(self, names: Sequence[str], runs: int, split: Collection[str]) -> Layout:
         """Return the parameters of a chain, those of the effects in PER_RUN once for each run; made once."""
-        key = (tuple(names), runs)
+        apart = self._differing.union(split).intersection(names)
+        key = (tuple(names), runs, apart)
         if key not in self._layouts:
             chain = self.library.Chain(list(names), self.model.channels)
             factor = per_mm(self.model, self.library, chain)
-            self._layouts[key] = layout_of(names, chain, self._changes(names), factor, runs, self._within)
+            self._layouts[key] = layout_of(names, chain, self._changes(names), factor, runs, self._within, apart)
         return self._layouts[key]
+
+    @cached_property
+    def _differing(self) -> frozenset[str]:
+        """The model's own effects in which channels have different numbers."""
+        chain = self.library.Chain(list(self.model.chain_names), self.model.channels)
+        return differing(chain, np.asarray(self.model.chain_params))
+
+    def full(self, names: Sequence[str], params: Floats) -> Floats:
+        """Return the full sets (B, N) of parameter sets of the layout of `names`; full sets unchanged."""
+        return self.layout(names).full(params)
 
     @cached_property
     def _within(self) -> tuple[float, float]:
@@ -200,11 +215,10 @@ class Record:
         return found
 
     def own(self) -> Floats:
-        """Return the parameters (P,) of the model's own effects."""
+        """Return the parameters (L,) of the model's own effects in their layout."""
         chain = self.library.Chain(list(self.model.chain_names), self.model.channels)
         layout = self.layout(self.model.chain_names)
-        unchanged = dict(zip(layout.labels, map(float, layout.null)))
-        return layout.values(unchanged | dict(zip(chain.labels, map(float, self.model.chain_params))))
+        return layout.values(named(chain, np.asarray(self.model.chain_params)), layout.null)
 
     @cached_property
     def _inputs(self) -> dict[str, Any]:
@@ -213,7 +227,8 @@ class Record:
         return {} if inputs is None else {"inputs": inputs(self.run)}
 
     def predict(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return predicted features (B, K, F) mm for parameter sets (B, P) of the layout of `names`."""
+        """Return predicted features (B, K, F) mm for parameter sets (B, L) of the layout of `names`, or full (B, N)."""
+        params = self.full(names, params)
         chunk = max(1, CHUNK // max(1, self.frames * self.features))
         out = np.empty((len(params), self.frames, self.features))
         for model, rows, sets in self._models(names, params):
@@ -234,7 +249,10 @@ class Record:
         def predict(names: Sequence[str], params: Floats) -> Floats:
             if forms is None or self._changes(names) or not senses.isdisjoint(names):
                 return np.asarray(self.predict(names, params) @ weights)
-            sets, chunk = np.ascontiguousarray(params), max(1, CHUNK // max(1, self.frames * weights.shape[1]))
+            sets, chunk = (
+                np.ascontiguousarray(self.full(names, params)),
+                max(1, CHUNK // max(1, self.frames * weights.shape[1])),
+            )
             parts = [
                 self.model.predict_forms(forms, names, sets[i : i + chunk], **self._inputs)
                 for i in range(0, len(sets), chunk)
@@ -244,14 +262,15 @@ class Record:
         return predict
 
     def acting(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return what acts on the shape, (B, K, C), for parameter sets (B, P)."""
+        """Return what acts on the shape, (B, K, C), for parameter sets as `predict` takes them."""
+        params = self.full(names, params)
         chain = np.ascontiguousarray(params[:, : params.shape[1] - len(self._changes(names))])
         return np.asarray(self.model.acting(tuple(names), chain, self.run, **self._inputs))
 
     def slopes(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the slopes (C, K, F) mm of the features over what acts, about one parameter set (P,)."""
+        """Return the slopes (C, K, F) mm of the features over what acts, about one parameter set of `predict`."""
         step = np.maximum(SLOPE * self.spread, 1e-3)
-        model, _, sets = self._models(names, params[None])[0]
+        model, _, sets = self._models(names, self.full(names, params[None]))[0]
         slopes = model.slopes(tuple(names), sets[0], step, self.run, **self._inputs)
         return np.asarray(slopes).reshape(len(slopes), self.frames, self.features)
 

@@ -7,7 +7,7 @@ Units: mm, s, g. Limit: the runs must be seen in the same way
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import fields, replace
 from functools import cached_property
@@ -131,9 +131,9 @@ class Records(Record):
         """Return which of the fields that an effect needs some run does not declare."""
         return [name for name in wanted if any(part.missing([name]) for part in self.parts)]
 
-    def layout(self, names: Sequence[str]) -> Layout:
+    def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
         """Return the parameters of a chain, with numbers of its own for each run where they belong to a session."""
-        return self._layout(names, len(self.parts))
+        return self._layout(names, len(self.parts), split)
 
     @cached_property
     def _within(self) -> tuple[float, float]:
@@ -142,10 +142,11 @@ class Records(Record):
         return max(begins), min(ends)
 
     def _each(self, names: Sequence[str], params: Floats) -> list[tuple[Record, Floats]]:
-        return [(part, params[..., column]) for part, column in zip(self.parts, self.layout(names).columns)]
+        full = self.full(names, params)
+        return [(part, full[..., column]) for part, column in zip(self.parts, self.layout(names).columns)]
 
     def predict(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return predicted features (B, ΣK, F) mm for parameter sets (B, P) of the layout of `names`."""
+        """Return predicted features (B, ΣK, F) mm for sets (B, L) of the layout of `names`, or full (B, N)."""
         return np.concatenate([part.predict(names, own) for part, own in self._each(names, params)], axis=1)
 
     def forms(self, weights: Floats) -> Forms:
@@ -153,17 +154,17 @@ class Records(Record):
         each = [part.forms(weights) for part in self.parts]
 
         def predict(names: Sequence[str], params: Floats) -> Floats:
-            own = [params[..., column] for column in self.layout(names).columns]
-            return np.concatenate([forms(names, params) for forms, params in zip(each, own)], axis=1)
+            own = [sets for _, sets in self._each(names, params)]
+            return np.concatenate([forms(names, sets) for forms, sets in zip(each, own)], axis=1)
 
         return predict
 
     def acting(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return what acts on the shape, (B, ΣK, C), for parameter sets (B, P)."""
+        """Return what acts on the shape, (B, ΣK, C), for parameter sets as `predict` takes them."""
         return np.concatenate([part.acting(names, own) for part, own in self._each(names, params)], axis=1)
 
     def slopes(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the slopes (C, ΣK, F) mm of the features over what acts, about one parameter set (P,)."""
+        """Return the slopes (C, ΣK, F) mm of the features over what acts, about one parameter set of `predict`."""
         return np.concatenate([part.slopes(names, own) for part, own in self._each(names, params)], axis=1)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
+from softmap_edge.chain_labels import valued
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.predictors import tip
@@ -198,10 +199,13 @@ class Kinematics:
         return np.asarray(np.linalg.norm((places - targets)[:, self.counted], axis=1))
 
     @property
-    def delays(self) -> tuple[float, float]:
-        """Seconds by which the model's effects answer late: a pure delay, and a lag (its time constant)."""
-        told = [self.model.params.get(f"{name}.{number}", 0.0) for name, number in PREVIEWED.items()]
-        return float(told[0]), float(told[1])
+    def delays(self) -> tuple[Floats, Floats]:
+        """Seconds (C,) by which the model's effects answer late: a pure delay, and a lag (its time constant)."""
+        there = _core.Chain(list(PREVIEWED), self.model.channels)
+        values = valued(there, self.model.params, there.null)
+        wanted = (f"{name}.{number}" for name, number in PREVIEWED.items())
+        delay, lag = (values[[label == group for group in there.group_labels]] for label in wanted)
+        return delay, lag
 
     def acts(self, commands: Floats, t: Floats, rested: Floats) -> Floats:
         """Return what acts (T, C) mm where `commands` are sent at `t` after long at `rested` (C,): the model's own
@@ -227,15 +231,15 @@ class Kinematics:
         return np.array([self.solve(point[None]).distance[0] <= REACHED for point in points], bool)
 
 
-def early(acting: Floats, t: Floats, delay: float, lag: float) -> Floats:
-    """Return what is to be asked at `t` (T,) s so that `acting` (T, C) comes in time through a delay and a lag (s).
+def early(acting: Floats, t: Floats, delay: Floats, lag: Floats) -> Floats:
+    """Return what is to be asked at `t` (T,) s so that `acting` (T, C) comes in time through delays and lags (C,) s.
 
     u(t) = x(t + delay) + lag x'(t + delay), linear between samples, held beyond the last.
     """
-    if (not delay and not lag) or len(t) < 2:
+    if (not delay.any() and not lag.any()) or len(t) < 2:
         return acting
     asked = acting + lag * np.gradient(acting, t, axis=0)
-    return np.stack([np.interp(t + delay, t, column) for column in asked.T], axis=1)
+    return np.stack([np.interp(t + late, t, column) for late, column in zip(delay, asked.T)], axis=1)
 
 
 def _points(targets: ArrayLike) -> Floats:

@@ -162,8 +162,9 @@ def track(
     robot.check_recorded()  # what broke off measured nothing
     delay, lag = told or (0.0, 0.0)
     plan = course.plan
-    asked = early(plan.acting, plan.t, delay + kinematics.delays[0], lag + kinematics.delays[1])
-    feedback = _Feedback(kinematics, plan, sum((delay, lag, *kinematics.delays)), late) if observe else None
+    delays, lags = (own + more for own, more in zip((delay, lag), kinematics.delays))  # (C,) s
+    asked = early(plan.acting, plan.t, delays, lags)
+    feedback = _Feedback(kinematics, plan, float(np.max(delays + lags)), late) if observe else None
     begun = time.monotonic()
 
     def command(t: float) -> Floats:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.chain_labels import named
 from softmap_edge.diagnosis.layout import REACH_MM
 from softmap_edge.learned_in import LearnedNumber
 from softmap_edge.rod.descent import Term, descend
@@ -76,16 +77,16 @@ def law(names: Sequence[str], drive: Drive, each: Sequence[str] = ()) -> Law:
     median = float(np.median(drive.half))
     labels: list[str] = []
     of, low, high = [], [], []
-    for label, unit, least, most in zip(chain.labels, chain.units, chain.low, chain.high):
-        effect, _, index = label.partition("[")
-        shared = effect if effect.split(".")[0] not in each else label
-        if shared not in labels:
-            half = float(drive.half[int(index[:-1])]) if index and shared == label else median
-            labels.append(shared)
-            bounds = _range(effect, unit, float(least), float(most), half)
+    declared = zip(chain.labels, chain.group_labels, chain.units, chain.low, chain.high)
+    for one, group, unit, least, most in declared:
+        label = one if one.split(".")[0] in each else group
+        if label not in labels:
+            half = float(drive.half[int(label.partition("[")[2][:-1])]) if "[" in label else median
+            bounds = _range(group, unit, float(least), float(most), half)
+            labels.append(label)
             low.append(bounds[0])
             high.append(bounds[1])
-        of.append(labels.index(shared))
+        of.append(labels.index(label))
     lowest = np.array(low)
     return Law(tuple(chain.names), chain, tuple(labels), np.array(of, np.intp), lowest, np.array(high), lowest > 0)
 
@@ -111,8 +112,8 @@ class FittedLaw:
 
     @property
     def params(self) -> dict[str, float]:
-        """The parameters by the chain's labels."""
-        return dict(zip(self.law.chain.labels, self.law.params(self.x).tolist()))
+        """The parameters by label, as a model has them."""
+        return named(self.law.chain, self.law.params(self.x))
 
     @property
     def numbers(self) -> dict[str, float]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.chain_labels import valued
 from softmap_edge.folds import Folds
 
 Floats = NDArray[np.float64]
@@ -161,8 +162,7 @@ class Drive:
         if not names:
             return self.commanded
         chain = _core.Chain(list(names), self.channels)
-        values = [params.get(label, float(null)) for label, null in zip(chain.labels, chain.null)]
-        return np.asarray(self.rolled(chain, np.array([values]))[0])
+        return np.asarray(self.rolled(chain, valued(chain, params, chain.null)[None])[0])
 
 
 def choose_degree(fit: Regression, u: Floats, degrees: Sequence[int]) -> tuple[int, float]:
