@@ -7,7 +7,7 @@ OUT ?= out
 
 RUST := $(shell find rust -name '*.rs') Cargo.toml Cargo.lock rust/servo/Cargo.toml
 
-.PHONY: demo build test lint bench bank prove docs wheel data builtin clean test-rust test-python
+.PHONY: demo build test lint bench bank outside prove docs wheel data builtin clean test-rust test-python
 
 demo: $(VENV)/.core
 	$(BIN)/softmap demo --out $(OUT)/demo
@@ -45,6 +45,10 @@ SEEDS ?= reporting
 SHARE ?= 1
 bank: $(VENV)/.test
 	$(BIN)/python -m benches.bank --seeds $(SEEDS) --share $(SHARE) --out $(OUT)/bank
+
+# Public data with known answers beside general methods; sets that are absent are skipped. Writes docs/outside.md as well.
+outside: $(VENV)/.bench
+	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m benches.outside --out $(OUT)/outside --page
 
 prove: wheel $(VENV)/.prove
 	cargo test --workspace --locked --release --quiet -- --include-ignored

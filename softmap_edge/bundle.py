@@ -42,6 +42,7 @@ from softmap_edge.manifest import LARGEST, finite_number, load_manifest, read_js
 from softmap_edge.model import Arrays, Model
 from softmap_edge.network import read_network
 from softmap_edge.npz import read_npz, write_npz
+from softmap_edge.output import Output
 from softmap_edge.safety import Safety, derived, read_safety
 from softmap_edge.shape_arrays import cables_from, family_from, fields_from, second_from
 from softmap_edge.template_arrays import template_arrays, template_from
@@ -110,6 +111,8 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         "written_by": f"softmap-edge {__version__}",
         "sha256": {name: _sha256(partial / name) for name in files},
     }
+    if model.output is not None:
+        manifest["output"] = model.output.to_dict()
     if own:
         manifest["own_effects"] = {effect.name: effect.sha256 for effect in own}
     (partial / "manifest.json").write_text(json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False) + "\n")
@@ -128,6 +131,8 @@ def _umask() -> int:
 
 def _schema(model: Model, files: list[str], own: bool) -> int:
     """Return the oldest schema that holds the model; a rod makes its fields itself."""
+    if model.output is not None:
+        return 8
     if SAFETY in files:
         return 7
     if "calibration.json" in files or model.handles is not None:
@@ -285,6 +290,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         command_unit=str(manifest.get("command_unit", "mm")),
         input=str(manifest.get("input", "present")),
         made_from=made_from,
+        output=Output.from_dict(manifest["output"]) if manifest.get("output") else None,
         body=template.body,
         handles=template.handles,
         calibration=_calibration(folder, manifest),

@@ -43,7 +43,7 @@ class Alternative:
     error_mm: float
 
     def __str__(self) -> str:
-        return f"{self.name or 'an unknown law'} ({self.family}, {self.error_mm:.2f} mm)"
+        return f"{self.name or 'an unknown law'} ({self.family}, {self.error_mm:.2f} mm RMS)"
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ class LearnedIn:
     alternatives: tuple[Alternative, ...] = ()
 
     def __str__(self) -> str:
-        lines = [f"{self.name}: {self.family}, law {self.law}, held-out error {self.before_mm:.2f} → {self.after_mm:.2f} mm"]
-        lines += [f"  {number}" for number in self.params]
+        errors = f"held-out error {self.before_mm:.2f} to {self.after_mm:.2f} mm RMS"
+        lines = [f"{self.name}: {self.family}, law {self.law}, {errors}", *(f"  {number}" for number in self.params)]
         if self.alternatives:
             lines.append(f"  alternatives: {', '.join(map(str, self.alternatives))}")
         return "\n".join(lines)

@@ -15,8 +15,8 @@ from softmap_edge import own_effect
 from softmap_edge.errors import BundleError, brief
 
 # 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a residual; 5: networks;
-# 6: a calibration, handles; 7: limits (safety.toml)
-SCHEMA = 7
+# 6: a calibration, handles; 7: limits (safety.toml); 8: outputs that are no places
+SCHEMA = 8
 KINDS = ("table", "scattered", "network", "rod")
 LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
 
@@ -58,6 +58,7 @@ def load_manifest(path: str | Path) -> dict[str, Any]:
         lambda v: isinstance(v, list) and len(v) == manifest["channels"] and all(map(_interval, v)),
         "a pair [low, high] a channel, low below high",
     )
+    _require({"output": {}, **manifest}, "output", lambda v: isinstance(v, dict), "a table of names, unit, mm_per_unit")
     _require({"own_effects": {}, **manifest}, "own_effects", _hashes, "a table of names and sha256, of at most 16")
     return manifest
 

@@ -23,6 +23,7 @@ from softmap_edge.coverage import Coverage
 from softmap_edge.errors import SoftmapError
 from softmap_edge.features import Body, FeatureMap, marker_features, section_features, upright
 from softmap_edge.learned_in import LearnedIn, read_learned_in
+from softmap_edge.output import Output
 from softmap_edge.outside import check_commands
 from softmap_edge.predictors import Contact, Shape, stations, tip, whole
 from softmap_edge.shape_arrays import family_from
@@ -80,6 +81,7 @@ class Model:
     residual: Shape | None = None  # commands (n, C) to flattened points (n, 3N) mm
     calibration: Calibration | None = None  # of the servos: what a run's ticks are in commands
     handles: NDArray[np.int64] | None = None
+    output: Output | None = None  # what the markers stand for, of a model of forces, angles, levels
     safety: Safety | None = None  # what the finger may be asked; a model of before has none
     _views: dict[tuple[bytes, bool], views.View] = field(default_factory=dict, init=False, repr=False)
 

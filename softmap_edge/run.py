@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, overload
@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import run_fields as fields
 from softmap_edge.errors import RunError
 from softmap_edge.npz import MAX_BYTES, read_npz, write_npz
+from softmap_edge.output import Output, output_of
 
 Array = NDArray[np.float64]
 Source = Literal["goal", "present"]
@@ -53,6 +54,7 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
         for name in ("robot", "command_unit"):
             if name in stored:
                 known[name] = fields.text(name, stored.pop(name))
+        known |= fields.outputs_from(stored)
         if "t" not in known:
             if "t_seen" not in known or "command" in known or "ticks" in known:
                 raise RunError("t: missing; a run needs the time of its commands (T,) in s")
@@ -97,6 +99,8 @@ class Run:
         frame: (3, 4) [R | mm], what took the points from where they were recorded to the base frame (`softmap align`);
             frame_sigma: (6,) its standard deviations, deg and mm, about the axes of the base frame.
         cameras: (A, 3, 4) [R | mm], the pose of each camera, from the base frame to its own, in which it looks along z.
+        output: what the markers stand for, where they are no places but forces, angles, levels (`of_outputs`).
+        timeless: whether `t` counts rows, because the log has no time: nothing about rates can be learned from it.
         extra: fields that this version does not know, kept as they are.
 
     Raises:
@@ -126,7 +130,32 @@ class Run:
     cameras: Array | None = None
     robot: str | None = None
     command_unit: str = "mm"
+    output: Output | None = None
+    timeless: bool = False
     extra: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+    @classmethod
+    def of_outputs(
+        cls, values: ArrayLike, unit: str, names: Sequence[str] = (), *, t_seen: ArrayLike, **recorded: Any
+    ) -> Run:
+        """Return a run of outputs that are no places: forces, angles, levels.
+
+        Args:
+            values: what was measured, shape (K, Q), in `unit`; NaN where an output has no value.
+            unit: of all outputs, as reports print it.
+            names: of the outputs; numbered without them.
+            t_seen: (K,) s.
+            recorded: the other fields of a run: `t`, `command`, `command_unit`, `timeless`, …
+
+        Raises:
+            RunError: no output moves, or a field is wrong.
+        """
+        rows = np.asarray(values, float)
+        output = output_of(rows, unit, tuple(names))
+        shown = np.isfinite(rows)
+        if not shown.all():
+            recorded = {"visible": shown} | recorded
+        return cls(markers=output.markers(rows), t_seen=np.asarray(t_seen, float), output=output, **recorded)
 
     def __post_init__(self) -> None:
         for name in fields.AXES:
@@ -157,6 +186,7 @@ class Run:
         stored = {name: np.asarray(value) for name, value in known.items() if value is not None}
         stored |= {"command_unit": np.asarray(self.command_unit)}
         stored |= {} if self.robot is None else {"robot": np.asarray(self.robot)}
+        stored |= fields.stored_outputs(self)
         return stored | {name: self.extra[name] for name in sorted(self.extra)}
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -194,6 +224,8 @@ class Run:
     @property
     def marker_names(self) -> list[str]:
         """The names of the markers, from `marker_labels` where an import kept them, else their numbers from 1."""
+        if self.output is not None:
+            return list(self.output.names)
         count = 0 if self.markers is None else self.markers.shape[1]
         numbered = [f"marker {m + 1}" for m in range(count)]
         labels = self.extra.get("marker_labels")
@@ -201,6 +233,17 @@ class Run:
             return numbered
         names = ["".join(c for c in str(label)[:40] if c.isprintable()) for label in labels]
         return names if all(names) and len(set(names)) == count else numbered
+
+    @property
+    def outputs(self) -> Array:
+        """(K, Q) what was measured, in `output.unit`; NaN where an output has no value.
+
+        Raises:
+            RunError: the run is one of places.
+        """
+        if self.output is None or self.markers is None:
+            raise RunError("output: the run holds places, not outputs; its markers are `markers`")
+        return np.where(known(self, self.markers), self.output.values(self.markers), np.nan)
 
     @property
     def seen_points(self) -> Array:
@@ -314,6 +357,8 @@ class Run:
 
     def __repr__(self) -> str:
         seen = next((name for name in ("vertices", "markers", "points") if getattr(self, name) is not None), "nothing")
+        if self.output is not None:
+            seen = f"{', '.join(self.output.names)} ({self.output.unit})"
         rows = f"{len(self.t)} rows, {self.channels} channels, {self.frames} frames of {seen}"
         return f"Run({self.robot or 'unnamed'}: {rows})"
 

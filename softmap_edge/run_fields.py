@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.output import Output, output_of
 
 if TYPE_CHECKING:
     from softmap_edge.run import Run
@@ -124,6 +125,45 @@ def text(name: str, value: NDArray[Any]) -> str:
     if not found.isprintable():
         raise RunError(f"{name}: holds unprintable characters; give a plain name")
     return found
+
+
+def outputs_from(stored: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """Take the fields of outputs out of what a file holds; return those of a run that they make.
+
+    A file may hold `output` (K, Q) in `output_unit`, as a person writes it, in place of markers and their scale.
+
+    Raises:
+        RunError: a field is missing or of another kind.
+    """
+    found: dict[str, Any] = {}
+    if "timeless" in stored:
+        found["timeless"] = bool(np.all(convert("visible", stored.pop("timeless"))))
+    unit = text("output_unit", stored.pop("output_unit")) if "output_unit" in stored else None
+    names = tuple(str(name) for name in np.atleast_1d(stored.pop("output_names", np.zeros(0, "U1"))))
+    scale = stored.pop("output_mm_per_unit", None)
+    values = None if unit is None else stored.pop("output", None)
+    if unit is None:
+        return found
+    if values is not None:
+        rows = convert("markers", values)
+        output = output_of(rows, unit, names)
+        visible = {} if np.isfinite(rows).all() else {"visible": np.isfinite(rows)}
+        return found | visible | {"markers": output.markers(rows), "output": output}
+    if scale is None or scale.size != 1 or scale.dtype.kind not in "iuf":
+        raise RunError("output_mm_per_unit: missing, expected one number; or give `output` (K, Q) in `output_unit`")
+    return found | {"output": Output(names, unit, float(scale.reshape(-1)[0]))}
+
+
+def stored_outputs(run: Run) -> dict[str, NDArray[Any]]:
+    """Return the fields in which a file keeps what the markers stand for, and that there is no time."""
+    found: dict[str, NDArray[Any]] = {"timeless": np.asarray(True)} if run.timeless else {}
+    if run.output is None:
+        return found
+    return found | {
+        "output_names": np.array(run.output.names),
+        "output_unit": np.asarray(run.output.unit),
+        "output_mm_per_unit": np.asarray(run.output.mm_per_unit),
+    }
 
 
 def check(run: Run) -> None:
@@ -248,6 +288,9 @@ def _together(run: Run) -> None:
             raise RunError(f"present: {present.shape[1]} channels, but `{name}` has none; give what was commanded")
     if run.command_unit == "" or len(run.command_unit) > 32:
         raise RunError(f"command_unit: '{run.command_unit[:40]}', expected a short unit such as mm, deg or ticks")
+    if run.output is not None and (run.markers is None or run.markers.shape[1] != len(run.output.names)):
+        there = "none" if run.markers is None else str(run.markers.shape[1])
+        raise RunError(f"output: {len(run.output.names)} outputs need as many markers, the run has {there}")
     if run.marker_rest is not None and run.vertices is not None:
         raise RunError("marker_rest: belongs to markers, but the run holds vertices; drop it")
 

@@ -45,7 +45,9 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
         "frames": run.frames,
         "frame_rate_hz": _rate(run.t_seen),
         "seen": kind,
-        "points_mm": _extent(seen),
+        "points_mm": None if run.output is not None else _extent(seen),
+        "output": _outputs(run),
+        "timeless": run.timeless,
         "base_markers": int(run.extra[BASE_MARKERS].shape[1]) if _has_base(run) else 0,
         "points_per_frame": None if seen is None or seen.ndim != 3 else int(seen.shape[1]),
         "visible_share": 1.0 if run.visible is None or not run.visible.size else _rounded(run.visible.mean()),
@@ -75,7 +77,8 @@ def sentences(document: dict[str, Any]) -> list[str]:
     unit = d["command_unit"]
     lines = [f"robot     {d['robot'] or 'not named'}"]
     rate = "" if d["rate_hz"] is None else f" at {d['rate_hz']:g} Hz"
-    lines.append(f"commands  {d['channels']} channels, {d['rows']} rows over {d['duration_s']:g} s{rate}")
+    over = ", no time recorded" if d.get("timeless") else f" over {d['duration_s']:g} s{rate}"
+    lines.append(f"commands  {d['channels']} channels, {d['rows']} rows{over}")
     if d["calibrated"]:
         lines.append("          ticks, as commands by the calibration of the bundle")
     for c, (low, high) in enumerate(d["command_range"]):
@@ -84,7 +87,13 @@ def sentences(document: dict[str, Any]) -> list[str]:
     each = "" if d["points_per_frame"] is None else f" of {d['points_per_frame']} {d['seen']}"
     part = "" if d["visible_share"] == 1.0 else f", {100 * d['visible_share']:.1f} % visible"
     roll = "" if d["roll_seen"] else ", roll not measured"
+    if (output := d.get("output")) is not None:
+        each = f" of {len(output['names'])} output{'s' * (len(output['names']) != 1)}"
+    rate = "" if d.get("timeless") else rate
     lines.append(f"seen      {d['frames']} frames{each}{rate}{part}{roll}")
+    if output is not None:
+        spans = zip(output["names"], output["range"])
+        lines += [f"          {name}: {low:.4g} to {high:.4g} {output['unit']}" for name, (low, high) in spans]
     if d["points_mm"]:
         ranges = ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, (low, high) in zip("xyz", d["points_mm"]))
         lines.append(f"          {ranges} mm in the base frame")
@@ -140,6 +149,15 @@ def _extent(seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> list[list[flo
     return [[_rounded(c.min()), _rounded(c.max())] for c in flat.T] if len(flat) else None
 
 
+def _outputs(run: Run) -> dict[str, Any] | None:
+    """What the outputs of a run are and their ranges, in their unit."""
+    if run.output is None:
+        return None
+    rows = run.outputs
+    ranges = [[_rounded(np.nanmin(c)), _rounded(np.nanmax(c))] if np.isfinite(c).any() else [0.0, 0.0] for c in rows.T]
+    return {"names": list(run.output.names), "unit": run.output.unit, "range": ranges}
+
+
 def _ranges(run: Run) -> list[list[float]]:
     rows = run.command if run.command is not None else run.ticks
     return [] if rows is None else [[_rounded(c.min()), _rounded(c.max())] for c in rows.T]
@@ -188,12 +206,13 @@ def _missing(run: Run, document: dict[str, Any]) -> list[str]:
         gaps.append("points: there are times of frames but no vertices, markers or points")
     if run.command is None and run.ticks is not None:
         gaps.append("command: only ticks are given; a bundle of `softmap calibrate` turns them into mm")
-    if run.gravity is None:
+    if run.gravity is None and run.output is None:
         gaps.append("gravity: the orientation of the robot is taken to be that of its model")
-    if run.markers is not None and run.marker_rest is None:
+    if run.markers is not None and run.marker_rest is None and run.output is None:
         gaps.append("marker_rest: the rest place of the markers has to come from the model")
     if run.sigma is None:
-        gaps.append("sigma: the noise of the points comes from repeats alone, with nothing to check it by")
+        what = "points" if run.output is None else "outputs"
+        gaps.append(f"sigma: the noise of the {what} comes from repeats alone, with nothing to check it by")
     return gaps
 
 
@@ -216,7 +235,7 @@ def _warnings(run: Run) -> list[str]:
     away = _far_away(run)
     if away is not None:
         notes.append(away)
-    if run.command_unit != "mm":
+    if run.command_unit != "mm" and run.output is None:
         notes.append(f"commands are in {run.command_unit}: every figure about the drive carries that unit")
     return notes
 
@@ -224,7 +243,7 @@ def _warnings(run: Run) -> list[str]:
 def _far_away(run: Run) -> str | None:
     """Say so where no point comes near the origin, which is the middle of the robot's base."""
     seen = run.vertices if run.vertices is not None else run.markers
-    if seen is None or seen.shape[1] < 2 or run.frame is not None:
+    if seen is None or seen.shape[1] < 2 or run.output is not None or run.frame is not None:
         return None
     flat = seen[:: max(1, len(seen) // 100)].reshape(-1, 3)
     flat = flat[np.isfinite(flat).all(axis=1)]

@@ -99,7 +99,22 @@ def seen_points(model: Model, run: Run) -> Floats:
             f"the run has {seen.shape[1]} points a frame, this model of '{model.robot}' has {wanted}; "
             "it is a run of another robot or template"
         )
-    return np.asarray(seen, float)
+    return in_scale_of(model, run, np.asarray(seen, float))
+
+
+def in_scale_of(model: Model, run: Run, seen: Floats) -> Floats:
+    """Return the markers of a run of outputs in the scale of the model's own; places stay as they are.
+
+    Raises:
+        RunError: one of the two is of outputs and the other is not, or they are of other outputs.
+    """
+    ours, theirs = model.output, run.output
+    if ours is None and theirs is None:
+        return seen
+    if ours is None or theirs is None or ours.unit != theirs.unit:
+        of = ["places" if o is None else f"{', '.join(o.names)} in {o.unit}" for o in (theirs, ours)]
+        raise RunError(f"the run is of {of[0]}, this model of '{model.robot}' of {of[1]}; take the model of this run")
+    return seen if ours.mm_per_unit == theirs.mm_per_unit else theirs.rescaled(seen, ours)
 
 
 def points_in_mm(model: Model, run: Run) -> Floats:

@@ -102,6 +102,7 @@ class Arm:
     kind: str = "table"
     channels: int = 2
     robot: str = "arm"
+    output: object = None
 
     def with_effects(self, names, params):
         labels = Chain(names, 2).labels
@@ -204,6 +205,7 @@ class Recording(SimpleNamespace):
     """What a diagnosis uses of a run, with the features themselves in place of vertices."""
 
     hash = Run.hash
+    output, timeless = None, False
 
     def at(self, rows):
         """Return the run with some of its frames."""

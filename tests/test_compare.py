@@ -51,6 +51,7 @@ class Lean:
     params: dict = field(default_factory=dict)
     arrays: dict = field(default_factory=dict)
     calibration: object = None
+    output: object = None
 
     @property
     def markers(self):
@@ -82,6 +83,7 @@ class Recording(SimpleNamespace):
 
     hash = Run.hash
     extra = {}
+    output, timeless = None, False
 
     def arrays(self):
         return {name: np.asarray(value) for name, value in vars(self).items() if value is not None}

@@ -97,6 +97,7 @@ def learn_arguments(parser: argparse.ArgumentParser) -> None:
 
 def learn(args: argparse.Namespace) -> int:
     """Fit a rod to reference runs and write its bundle."""
+    from softmap_edge.report.in_unit import words_in_unit
     from softmap_edge.rod.learn import learn as fit
     from softmap_edge.rod.learn import learned_model
     from softmap_edge.rod.robot import Robot
@@ -112,6 +113,7 @@ def learn(args: argparse.Namespace) -> int:
     learned = fit(runs, args.input, hold_out=held_out, robot=robot, static=args.static)
     model = learned_model(runs, learned)
     save_bundle(model, args.out)
+    output = model.output
     result = {
         "schema": "softmap.learn/1",
         "bundle": str(args.out),
@@ -120,20 +122,22 @@ def learn(args: argparse.Namespace) -> int:
         "channels": model.channels,
         "markers": len(model.rest),
         "held_out_error_mm": round(model.vertex_error_mm, 4),
+        **({} if output is None else {"output": output.to_dict()}),
         "params": model.params,
         "learned_in": [one.to_dict() for one in learned.learned_in],
         "numbers": [number.to_dict() for number in learned.numbers],
         "notes": list(learned.notes),
     }
+    seen = f"{len(model.rest)} markers" if output is None else f"outputs {', '.join(output.names)}"
     lines = [
-        f"{args.out}: rod model of '{model.robot}', {model.channels} channels, {len(model.rest)} markers, "
+        f"{args.out}: rod model of '{model.robot}', {model.channels} channels, {seen}, "
         f"own blocked cross-validation error {model.vertex_error_mm:.2f} mm RMS (held out)"
     ]
     lines += _memory(learned, args.static)
     lines += [f"  {number}" for number in learned.numbers]
-    print(json.dumps(result) if args.json else "\n".join(lines))
+    print(json.dumps(result) if args.json else words_in_unit("\n".join(lines), output))
     for note in learned.notes:
-        print(f"softmap learn: {note}", file=sys.stderr)
+        print(f"softmap learn: {words_in_unit(note, output)}", file=sys.stderr)
     return 0
 
 

@@ -144,6 +144,9 @@ def show(args: argparse.Namespace) -> int:
     sweep = is_shape_sweep(path)
     run = None if sweep else open_run(path)
     arrays = read_npz(path, SweepError, LIMIT) if run is None else run.arrays()
+    if run is not None and run.output is not None:  # as they were measured, not as markers
+        arrays = {"output" if name == "markers" else name: array for name, array in arrays.items()}
+        arrays["output"] = run.outputs
     fields = [_field(name, array) for name, array in arrays.items()]
     if args.json:
         kind = "sweep" if sweep else "run"
@@ -227,6 +230,8 @@ def _field(name: str, array: np.ndarray[Any, Any]) -> dict[str, Any]:
 def _traces(run: Run) -> list[tuple[str, np.ndarray[Any, np.dtype[np.float64]]]]:
     rows = run.command if run.command is not None else run.ticks
     traces = [] if rows is None else [(f"command {c}", np.asarray(rows[:, c], float)) for c in range(run.channels)]
+    if run.output is not None:
+        return [*traces, *zip(run.output.names, run.outputs.T)]
     if run.frames and (run.vertices is not None or run.markers is not None) and run.seen_points.shape[1]:
         last = run.seen_points[:, -1]
         name = "last vertex" if run.vertices is not None else "last marker"

@@ -63,10 +63,12 @@ def advice(run: Run, home_visits: int) -> list[Word]:
         ]
     u = _commanded(run)
     state = conditions(run, u)
-    words = [_enough(run.frames), _noise(run, state), _home(run, home_visits), _orientation(run), *_points(run)]
+    words = [_enough(run.frames), _noise(run, state), _home(run, home_visits)]
+    words += [] if run.output is not None else [_orientation(run), *_points(run)]  # outputs have no body
     words += _drive(u)
     if words[-1].about != "drive":
-        words += [_speed(u, state), _dwell(state), _direction(state)]
+        words += [] if run.timeless else [_speed(u, state), _dwell(state)]
+        words.append(_direction(state))
     return [*words, _temperature(run)]
 
 
@@ -80,8 +82,8 @@ def asked(runs: Sequence[Run], frames: int, replicates: bool) -> list[str]:
     words = [_enough(frames), *_drive(np.concatenate([_commanded(run) for run in runs]))]
     if not replicates:
         words.append(_guessed(next((run.sigma for run in runs if run.sigma is not None), None)))
-    if any(run.gravity is None for run in runs):
-        words.append(_orientation(next(run for run in runs if run.gravity is None)))
+    leaning = [run for run in runs if run.gravity is None and run.output is None]
+    words += [_orientation(run) for run in leaning[:1]]
     poor = [f"these data cannot tell {word.text}; {word.remedy}" for word in words if not word.tells]
     return list(dict.fromkeys(poor))
 
@@ -115,7 +117,8 @@ def _noise(run: Run, state: Conditions) -> Word:
     visible = known(run, seen)
     found = dwelt(state, np.where(visible[..., None], seen, 0.0), visible) if run.channels else None
     if found is not None:
-        return Word("noise", True, f"noise from physics: the noise is {found[0]:.2g} mm, from {found[1]}")
+        size = f"{found[0]:.2g} mm" if run.output is None else f"{run.output.value(found[0]):.2g} {run.output.unit}"
+        return Word("noise", True, f"noise from physics: the noise is {size}, from {found[1]}")
     return _guessed(run.sigma)
 
 

@@ -126,6 +126,7 @@ class Comparison:
             ) from None
 
 
+TIMED = ("speed", "dwell", "time")  # maps of the error that a log without time has not
 ERROR_KEYS = ("rms_mm", "median_mm", "p95_mm", "max_mm", "tip_rms_mm")
 
 
@@ -149,6 +150,8 @@ def compare(model: Model, run: Run) -> Comparison:
     state = conditions(run, model.commands(run))
     where = {"section": _by_section(model, squared, visible, getattr(run, "marker_names", []))}
     for name, row in cells(state, model.command_unit).items():
+        if run.timeless and name in TIMED:
+            continue
         where[name] = [_bin_of(cell, squared, visible) for cell in row]
     where = {name: [row for row in rows if row.n > 0] for name, rows in where.items()}
     tip_seen, tip_predicted = tips(model, predicted, seen, visible)
@@ -169,7 +172,7 @@ def compare(model: Model, run: Run) -> Comparison:
         noise_floor_mm=floor,
         where=where,
         worst=_worst(where, squared, visible, run),
-        made_from=_made_from(kind),
+        made_from=_made_from(kind, model, run),
     )
 
 
@@ -285,10 +288,12 @@ def _model_digest(model: Model) -> str:
     return sha.hexdigest()
 
 
-def _made_from(kind: str) -> dict[str, Any]:
+def _made_from(kind: str, model: Model, run: Run) -> dict[str, Any]:
     from softmap_edge import __version__
 
-    return {"softmap_edge": __version__, "numpy": np.__version__, "noise_floor": kind}
+    made: dict[str, Any] = {"softmap_edge": __version__, "numpy": np.__version__, "noise_floor": kind}
+    made |= {} if model.output is None else {"output": model.output.to_dict()}
+    return made | ({"timeless": True} if run.timeless else {})
 
 
 def _length(value: Any) -> float:

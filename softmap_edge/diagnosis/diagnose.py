@@ -110,6 +110,8 @@ def diagnose(
         document = conclude(search, fit, other, (), impossible, own, seed, masked(search, fit))
         document |= {"verdict": "measurement_fault", "sentence": gone, "rivals": []}
     document["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
+    if model.output is not None:  # how reports turn the model's mm back into the output's unit
+        document["made_from"] = {**document["made_from"], "output": model.output.to_dict()}
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     remarks += [] if record.replay is None else [TWICE]
     whole = [converted(model, run) for run in record.whole]

@@ -18,6 +18,7 @@ from softmap_edge.diagnosis.noise import Noise, command_kernel, estimate_noise, 
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.errors import SoftmapError, no_effect
 from softmap_edge.folds import LEAST_FRAMES
+from softmap_edge.output import acts_on_outputs, needs_time
 
 Floats = NDArray[np.float64]
 
@@ -36,6 +37,8 @@ def candidates_of(
     if unknown:
         raise SoftmapError(no_effect(unknown[0], registry))
     names = [n for n in registry if (wanted is None or n in wanted) and n not in record.model.chain_names]
+    if record.model.output is not None and wanted is None:
+        names = [n for n in names if acts_on_outputs(registry[n])]
     if not names:
         raise SoftmapError("no effect is left to look for: the model already has every candidate")
     lawless = [n for n in names if registry[n]["role"] == "prior" and record.model.lacking(n)]
@@ -46,6 +49,10 @@ def candidates_of(
         missing = record.missing(registry[name].get("needs", []))
         if record.model.channels == 0 and (registry[name]["role"] == "channel" or not record.layout((name,)).labels):
             impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
+        elif needs_time(registry[name]) and any(run.timeless for run in record.whole):
+            impossible.append(
+                Untestable(name, "the log has no time", "the same moves, the time of each row logged", 1.0)
+            )
         elif not record.layout((name,)).labels:
             why = f"it is between channels, and the model has {record.model.channels}"
             impossible.append(Untestable(name, why, "a robot of more channels", 0.0))

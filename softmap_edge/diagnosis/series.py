@@ -18,6 +18,7 @@ from softmap_edge.errors import ComparisonError
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
+    from softmap_edge.output import Output
     from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
@@ -32,6 +33,17 @@ class Pose:
 
     frame: int
     points: Floats
+    before: Floats
+    after: Floats | None
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """One output against one command at the frames (K,): measured, predicted before, and after where there is one."""
+
+    name: str
+    command: Floats
+    seen: Floats  # in the output's unit; NaN where there is none
     before: Floats
     after: Floats | None
 
@@ -56,6 +68,9 @@ class Series:
     command: Floats  # (K, C) at the frames
     command_unit: str
     poses: list[Pose]
+    output: Output | None = None  # what the markers stand for, where they are no places
+    loops: tuple[Loop, ...] = ()  # of a run of outputs: each of them
+    timeless: bool = False  # `t_seen` counts rows
 
 
 def series(run: Run, before: Model, after: Model | None = None, kind: str = "held out") -> Series:
@@ -78,7 +93,7 @@ def series(run: Run, before: Model, after: Model | None = None, kind: str = "hel
     predicted, seen, visible = aligned(before, run)
     squared = np.where(visible, np.sum((predicted - seen) ** 2, axis=2), 0.0)
     tip_seen, tip_before = tips(before, predicted, seen, visible)
-    frame_after = point_after = tip_after = squared_after = None
+    frame_after = point_after = tip_after = squared_after = predicted_after = None
     if after is not None:
         predicted_after, _, _ = aligned(after, run)
         squared_after = np.where(visible, np.sum((predicted_after - seen) ** 2, axis=2), 0.0)
@@ -106,8 +121,37 @@ def series(run: Run, before: Model, after: Model | None = None, kind: str = "hel
         tip_after=tip_after,
         command=state.command,
         command_unit=before.command_unit,
-        poses=_poses(state.command, seen, visible, squared, squared_after),
+        poses=[] if before.output is not None else _poses(state.command, seen, visible, squared, squared_after),
+        output=before.output,
+        timeless=run.timeless,
+        loops=_loops(before, state.command, seen, visible, predicted, predicted_after),
     )
+
+
+def _loops(
+    model: Model, command: Floats, seen: Floats, visible: Mask, before: Floats, after: Floats | None
+) -> tuple[Loop, ...]:
+    """Return each output against the command that it follows best, for a model of outputs."""
+    if model.output is None or not command.shape[1]:
+        return ()
+    shown = np.where(visible, model.output.values(seen), np.nan)
+    predicted = [None if points is None else model.output.values(points) for points in (before, after)]
+    loops = []
+    for q, name in enumerate(model.output.names):
+        known = visible[:, q] & (np.ptp(command, axis=0).max() > 0)
+        strength = [abs(_correlation(command[known, c], shown[known, q])) for c in range(command.shape[1])]
+        column = command[:, int(np.argmax(strength))]
+        rows = [None if values is None else values[:, q] for values in predicted]
+        assert rows[0] is not None
+        loops.append(Loop(name, column, shown[:, q], rows[0], rows[1]))
+    return tuple(loops)
+
+
+def _correlation(x: Floats, y: Floats) -> float:
+    """Return the correlation of two columns; 0 where one of them stands still."""
+    if len(x) < 2 or not np.ptp(x) > 0 or not np.ptp(y) > 0:
+        return 0.0
+    return float(np.corrcoef(x, y)[0, 1])
 
 
 def _drawn(model: Model, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[np.int64] | None]:

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.held import LONGEST_HOLD, repeated_frames
-from softmap_edge.logs.mapping import FILE, LENGTH, Mapping, Quantity
+from softmap_edge.logs.mapping import FILE, LENGTH, Log, Mapping, Quantity
+from softmap_edge.logs.measured import Measured
 from softmap_edge.logs.plausible import doubts_of_points
 from softmap_edge.logs.swaps import find_swaps, mend_swaps
 from softmap_edge.logs.table import LogTable
+from softmap_edge.output import output_of
 
 Array = NDArray[np.float64]
 _TOLD = 5  # swaps, and markers not seen, that are named one by one
@@ -27,12 +29,14 @@ def seen(
     Raises:
         RunError: several logs hold markers, no frame shows one, or their unit cannot be right.
     """
-    owners = [k for k, log in enumerate(mapping.logs) if log.markers is not None]
+    owners = [k for k, log in enumerate(mapping.logs) if log.markers is not None or log.output is not None]
     if not owners:
         return None
     if len(owners) > 1:
-        raise RunError(f"{mapping.path}: {len(owners)} logs hold markers; name the columns of one of them only")
+        raise RunError(f"{mapping.path}: {len(owners)} logs hold what is seen; name the columns of one of them only")
     table, log = tables[owners[0]], mapping.logs[owners[0]]
+    if log.output is not None:
+        return _outputs(table, log, log.output, fields, notes)
     assert log.markers is not None
     given = np.isfinite(table.numbers(log.markers.columns)).reshape(len(table.t), -1, 3)
     shown = np.asarray(np.any(np.all(given, axis=2), axis=1))
@@ -60,6 +64,26 @@ def seen(
     fields["marker_labels"] = np.array(log.markers.labels)
     if log.base is not None:
         fields["base_markers"] = mapping.to_base(_points(table, log.base, doubts))
+    if log.block is not None:
+        fields["block"] = table.texts()
+    return table.t
+
+
+def _outputs(table: LogTable, log: Log, measured: Measured, fields: dict[str, Any], notes: list[str]) -> Array:
+    """Return the times of rows with an output; `fields` gets the outputs, carried as markers, and their labels."""
+    given = np.asarray(np.isfinite(table.numbers(measured.columns)).any(axis=1))
+    if not given.any():
+        raise RunError(f"{table.path}: no row has an output; check the columns of `output`")
+    if not given.all():
+        notes.append(f"{int((~given).sum())} of {len(given)} rows have no output and are no frames")
+        table = table.rows(given)
+    values = table.numbers(measured.columns) * measured.scale + measured.offset
+    output = output_of(values, measured.unit, measured.names)
+    fields["output"], fields["markers"] = output, output.markers(values)
+    visible = np.asarray(np.isfinite(values))
+    if not visible.all():
+        fields["visible"] = visible
+        _tell_dropouts(visible, measured.names, notes)
     if log.block is not None:
         fields["block"] = table.texts()
     return table.t

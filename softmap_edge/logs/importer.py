@@ -61,13 +61,14 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     tables = [read_log(path, log) for path, log in zip(files, mapping.logs)]
     for path, table in zip(files, tables):
         notes += [f"{path.name}: {note}" for note in table.notes]
-        doubts += [f"{path.name}: {doubt}" for doubt in doubts_of_time(table.t)]
-    fields: dict[str, Any] = {}
+    fields: dict[str, Any] = _timeless(mapping, notes)
+    if not fields:
+        doubts += [f"{path.name}: {doubt}" for path, table in zip(files, tables) for doubt in doubts_of_time(table.t)]
     t = _command_rows(tables, mapping, fields, notes, doubts)
     doubts += doubts_of_both(fields)
     t_seen = seen(tables, mapping, fields, notes, doubts)
     if t is None and t_seen is None:
-        raise RunError(f"{mapping.path}: names neither commands nor markers; give at least one of them")
+        raise RunError(f"{mapping.path}: names neither commands nor markers nor outputs; give at least one of them")
     t = t_seen if t is None else t
     assert t is not None
     del tables  # of a long log, half of the memory
@@ -76,7 +77,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         _rest(t_seen, fields, mapping, notes)
         t_seen = choose_frames(t, t_seen, fields, mapping, notes)
         fields["t_seen"] = t_seen
-        doubts += doubts_of_rest(t, t_seen, fields, mapping)
+        doubts += [] if "output" in fields else doubts_of_rest(t, t_seen, fields, mapping)
     if mapping.zero_time:
         zero = t[0]
         t = t - zero
@@ -93,6 +94,18 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         suspicion = next((doubt for doubt in doubts if f"{name}: " in doubt), None)  # what is wrong in the mapping
         raise RunError(f"{fault}; {suspicion}" if suspicion else str(fault)) from None
     return Imported(run, tuple(notes), tuple(doubts))
+
+
+def _timeless(mapping: Mapping, notes: list[str]) -> dict[str, Any]:
+    """Return the field that a run of a log without time has; raise RunError where times would have to be joined."""
+    if not any(log.clock.timeless for log in mapping.logs):
+        return {}
+    if len(mapping.logs) > 1:
+        raise RunError(f'{mapping.path}: time = "none" and {len(mapping.logs)} logs: only time could join them')
+    if mapping.command_rate_hz is not None or mapping.seen_rate_hz is not None:
+        raise RunError(f'{mapping.path}: rate_hz in a mapping with time = "none"; leave one of them out')
+    notes.append("the log has no time: rows count, and nothing about rates or delays can be learned from it")
+    return {"timeless": True}
 
 
 def _sha256(path: Path) -> str:
@@ -161,7 +174,7 @@ def _command_rows(
                 fields[name] = column[:, 0]
             else:
                 fields[name] = np.rint(column) if "ticks" in name else column
-    if t is None and fields:
+    if t is None and set(fields) - {"timeless"}:
         raise RunError(
             f"{mapping.path}: {', '.join(fields)} without commands; name the columns of `command` or `ticks` as well"
         )

@@ -17,13 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
+from softmap_edge.logs.measured import Column, Measured, columns_of, measured_of, per_column
 from softmap_edge.toml_table import TomlTable, shown
 
 Array = NDArray[np.float64]
-Column = str | int
 
 SCHEMA = "softmap.mapping/1"
 POINTS = ("markers", "base")
+NO_TIME = "none"  # the `time` of a log that has none: its rows count
+ROW_S = 0.05  # s that a row then stands for: the rate at which a model is learned, so that no row is left out
 FILE = "file"  # the unit that the file itself states; mm where it states none
 LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}  # → mm
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}  # → s
@@ -58,12 +60,13 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Clock:
-    """How a log tells time: a column in a unit, a counter at a rate, or the row number at a rate."""
+    """How a log tells time: a column in a unit, a counter at a rate, the row number at a rate, or not at all."""
 
     column: Column | None
     seconds: float
-    offset_s: float
-    repeated: str
+    offset_s: float = 0.0
+    repeated: str = "refuse"
+    timeless: bool = False
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,7 @@ class Log:
     markers: Quantity | None
     base: Quantity | None
     block: Column | None
+    output: Measured | None = None
 
 
 @dataclass(frozen=True)
@@ -227,12 +231,18 @@ def _axes(frame: TomlTable) -> tuple[tuple[int, int], ...]:
     return axes
 
 
-def _log(table: TomlTable, command_unit: str) -> Log:
+def _clock(table: TomlTable) -> Clock:
+    if table.values.get("time") == NO_TIME:
+        table.get("time", (str,))
+        return Clock(None, ROW_S, timeless=True)
     time = table.table("time")
     column = _column(time, "column")
     rate = time.number("rate_hz", None, 1e-6, 1e7)
     if column is None and rate is None:
-        raise RunError(f"{time.where}: needs `column`, `rate_hz`, or both (a counter); say how the log tells time")
+        raise RunError(
+            f"{time.where}: needs `column`, `rate_hz`, or both (a counter); say how the log tells time, or "
+            f'time = "{NO_TIME}" if it does not'
+        )
     unit = time.choice("unit", tuple(TIME), "s")
     clock = Clock(
         column=column,
@@ -241,6 +251,11 @@ def _log(table: TomlTable, command_unit: str) -> Log:
         repeated=time.choice("repeated", ("refuse", "drop", "spread"), "refuse"),
     )
     time.done()
+    return clock
+
+
+def _log(table: TomlTable, command_unit: str) -> Log:
+    clock = _clock(table)
     rows = {name: _quantity(table, name, command_unit) for name in UNITS if name in table.values}
     markers, base = (rows.pop(name, None) for name in POINTS)
     delimiter = table.get("delimiter", (str,))
@@ -259,12 +274,15 @@ def _log(table: TomlTable, command_unit: str) -> Log:
         markers=markers,
         base=base,
         block=_column(table, "block"),
+        output=measured_of(table),
     )
     if log.decimal == "," and log.delimiter == ",":
         raise RunError(f"{table.where}: comma is both delimiter and decimal; the file cannot be read so")
     table.asked += list(UNITS)
     table.done()
-    if (log.block is not None or base is not None) and markers is None:
+    if log.output is not None and (markers is not None or base is not None):
+        raise RunError(f"{table.where}: output and markers: a run holds outputs or places; make two runs of them")
+    if (log.block is not None or base is not None) and markers is None and log.output is None:
         what = "block labels belong" if base is None else "base markers belong"
         raise RunError(f"{table.where}: {what} to the log with the markers; move them there")
     return log
@@ -277,10 +295,7 @@ def _column(table: TomlTable, key: str) -> Column | None:
 
 def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     table = log.table(name)
-    listed = table.get("columns", (list,), [])
-    flat: list[Any] = [cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])]
-    if not flat or not all(isinstance(cell, str | int) and not isinstance(cell, bool) for cell in flat):
-        raise RunError(f"{table.where}: columns = {str(listed)[:60]}, expected a list of column names or numbers")
+    listed, flat = table.values.get("columns", []), columns_of(table)
     if name in POINTS and (len(flat) % 3 or any(isinstance(e, list) and len(e) != 3 for e in listed)):
         raise RunError(f'{table.where}: {len(flat)} columns, expected x, y, z of each marker: [["x1", "y1", "z1"], …]')
     if name in ("temperature", "load") and len(flat) != 1:
@@ -308,8 +323,8 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     quantity = Quantity(
         columns=tuple(flat),
         unit=unit,
-        scale=_per_column(table, "scale", len(flat), 1.0),
-        offset=_per_column(table, "offset", len(flat), 0.0),
+        scale=per_column(table, "scale", len(flat), 1.0),
+        offset=per_column(table, "offset", len(flat), 0.0),
         held=table.choice("held", *_held(name)),
         spool_radius_mm=1.0 if radius is None else radius,
         labels=_labels(table, name, flat),
@@ -347,11 +362,3 @@ def _label(triple: list[str], k: int) -> str:
         if len(set(cut)) == 1 and shared:
             return f"marker {shared}" if shared.isdigit() else shared
     return f"marker {k}"
-
-
-def _per_column(table: TomlTable, key: str, count: int, default: float) -> Array:
-    if isinstance(table.values.get(key), list):
-        values = table.numbers(key, (count,))
-        assert values is not None
-        return values
-    return np.full(count, table.number(key, default))

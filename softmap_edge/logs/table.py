@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.mapping import Clock, Column, Log
+from softmap_edge.logs.mapping import Clock, Log
+from softmap_edge.logs.measured import Column
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
 from softmap_edge.logs.readers.mcap_file import MAGIC
 from softmap_edge.logs.readers.mocap import is_motive, is_trc, open_motive, open_trc
@@ -108,6 +109,7 @@ def read_log(path: Path, log: Log) -> LogTable:
     names = columns.names
     wanted: list[Column] = [column for quantity in log.rows.values() for column in quantity.columns]
     wanted += [column for points in (log.markers, log.base) if points is not None for column in points.columns]
+    wanted += [] if log.output is None else log.output.columns
     wanted += [] if log.clock.column is None else [log.clock.column]
     _all_there(path, names, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
     places = sorted({place(path, names, column) for column in wanted})

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from softmap_edge.errors import ReportError
+from softmap_edge.report.in_unit import PLACES, comparison_in_unit, unit_of
 from softmap_edge.report.numbers import BAR, bar, fall, folded, mm, percent
 
 if TYPE_CHECKING:
@@ -39,26 +40,27 @@ def comparison_text(comparison: Comparison) -> str:
     Returns:
         str: lines of at most 100 columns.
     """
+    comparison, unit = comparison_in_unit(comparison), unit_of(comparison.made_from)
     error, floor = comparison.error, comparison.noise_floor_mm
     effects = ", ".join(comparison.bundle.get("effects", [])) or "none added"
     lines = [
         f"Model of '{comparison.bundle.get('robot', '?')}' (effects: {effects}) against a run of "
         f"'{comparison.run.get('robot', '?')}', {comparison.frames} frames seen",
         "",
-        "Distance between predicted and measured points, mm (nothing was fitted here)",
+        f"{_distance(unit)}, {unit} (nothing was fitted here)",
     ]
     named = [
         ("rms", "rms_mm"),
         ("median", "median_mm"),
         ("95 %", "p95_mm"),
         ("max", "max_mm"),
-        ("tip rms", "tip_rms_mm"),
+        *([("tip rms", "tip_rms_mm")] if unit == PLACES else []),
     ]
     scale = max(error[key] for _, key in named)
     lines += [f"  {label:<12}{mm(error[key]):>7}  {bar(error[key], scale)}" for label, key in named]
     lines.append(f"  {'noise floor':<12}{mm(floor):>7}  {bar(floor or 0.0, scale)}")
     lines += folded(f"floor: {comparison.floor_kind}", 2)
-    lines += ["", f"Where the error is (RMS mm; full bar = {mm(_top([comparison]))} mm)"]
+    lines += ["", f"Where the error is (RMS {unit}; full bar = {mm(_top([comparison]))} {unit})"]
     scale = _top([comparison])
     for name, rows in comparison.where.items():
         if len(rows) < 2:
@@ -66,7 +68,7 @@ def comparison_text(comparison: Comparison) -> str:
         lines.append(f"  {WHERE.get(name, name)}")
         for row in rows:
             lines.append(f"    {row.label:<26}{mm(row.rms_mm):>7}  {bar(row.rms_mm, scale):<{BAR}}  {row.n:>5} frames")
-    lines += ["", *_worst_lines(comparison)]
+    lines += ["", *_worst_lines(comparison, unit)]
     return "\n".join(line.rstrip() for line in lines)
 
 
@@ -83,6 +85,8 @@ def pair_text(before: Comparison, after: Comparison) -> str:
         ReportError: they are of different runs.
     """
     check_pair(before, after)
+    unit = unit_of(before.made_from)
+    before, after = comparison_in_unit(before), comparison_in_unit(after)
     floor = before.noise_floor_mm
     old, new = before.error["rms_mm"], after.error["rms_mm"]
     added = [name for name in after.bundle.get("effects", []) if name not in before.bundle.get("effects", [])]
@@ -93,16 +97,17 @@ def pair_text(before: Comparison, after: Comparison) -> str:
         + "is fitted here"
         + (f" ({change})" if change else ""),
         "",
-        *folded(_pair_sentence(old, new, floor), 0),
+        *folded(_pair_sentence(old, new, floor, unit), 0),
         "",
-        f"  {'mm':<26}{'before':>8}{'after':>8}   {'fall':>6}",
+        f"  {unit:<26}{'before':>8}{'after':>8}   {'fall':>6}",
     ]
     for label, key in (("rms", "rms_mm"), ("median", "median_mm"), ("95 %", "p95_mm"), ("max", "max_mm")):
         lines.append(_pair_row(label, before.error[key], after.error[key]))
-    lines.append(_pair_row("tip rms", before.error["tip_rms_mm"], after.error["tip_rms_mm"]))
+    if unit == PLACES:
+        lines.append(_pair_row("tip rms", before.error["tip_rms_mm"], after.error["tip_rms_mm"]))
     lines += [f"  {'noise floor':<26}{mm(floor):>8}{mm(floor):>8}"]
     scale = _top([before, after])
-    lines += ["", f"Where (RMS mm before, after; █ left, ░ fallen, ▓ risen; full bar = {mm(scale)} mm)"]
+    lines += ["", f"Where (RMS {unit} before, after; █ left, ░ fallen, ▓ risen; full bar = {mm(scale)} {unit})"]
     for name, rows in before.where.items():
         partners = {row.label: row for row in after.where.get(name, [])}
         if len(rows) < 2:
@@ -127,23 +132,28 @@ def _top(comparisons: Sequence[Comparison]) -> float:
     return max([v for v in values if math.isfinite(v)], default=0.0)
 
 
-def _worst_lines(comparison: Comparison) -> list[str]:
+def _distance(unit: str) -> str:
+    """What the figures of a comparison measure."""
+    what = "points" if unit == PLACES else "outputs"
+    return f"Distance between predicted and measured {what}"
+
+
+def _worst_lines(comparison: Comparison, unit: str) -> list[str]:
     frame = comparison.worst.get("frame") or {}
     bins = comparison.worst.get("bins") or []
-    named = "; ".join(f"{WHERE.get(b['where'], b['where'])} {b['label']} ({mm(b['rms_mm'])} mm)" for b in bins)
+    named = "; ".join(f"{WHERE.get(b['where'], b['where'])} {b['label']} ({mm(b['rms_mm'])} {unit})" for b in bins)
     lines = folded(f"Worst: {named}." if named else "", 0)
     if frame:
-        lines += folded(
-            f"Worst frame: number {frame['index']} at {frame['t_s']:.2f} s, {mm(frame['rms_mm'])} mm RMS.", 0
-        )
+        when = "" if comparison.made_from.get("timeless") else f" at {frame['t_s']:.2f} s"
+        lines += folded(f"Worst frame: number {frame['index']}{when}, {mm(frame['rms_mm'])} {unit} RMS.", 0)
     return lines
 
 
-def _pair_sentence(old: float, new: float, floor: float | None) -> str:
+def _pair_sentence(old: float, new: float, floor: float | None, unit: str) -> str:
     if new > old:
-        return f"The error ROSE from {mm(old)} to {mm(new)} mm RMS: the second model is worse on this run."
+        return f"The error ROSE from {mm(old)} to {mm(new)} {unit} RMS: the second model is worse on this run."
     share, removable = fall(old, new), fall(old, new, floor) if floor and new > floor else None
-    text = f"The error falls from {mm(old)} to {mm(new)} mm RMS ({percent(share)})"
+    text = f"The error falls from {mm(old)} to {mm(new)} {unit} RMS ({percent(share)})"
     return text + (
         f"; of what lies above the noise floor, {percent(removable)} is gone." if removable is not None else "."
     )

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.series import Series
 from softmap_edge.report.comparison_text import WHERE
+from softmap_edge.report.in_unit import PLACES
 from softmap_edge.report.numbers import mm
 from softmap_edge.report.text import ladder_steps
 
@@ -68,23 +69,24 @@ class Surface:
     normals: Floats  # (P, 3)
 
 
-def over_time(series: Series) -> bytes:
-    """Draw the RMS error of each frame against time, before and after (SVG)."""
+def over_time(series: Series, unit: str = PLACES) -> bytes:
+    """Draw the RMS error (in `unit`) of each frame against time, before and after (SVG)."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, 2.9), layout="constrained")
         axes = figure.add_subplot()
         t, before = _thinned(series.t_seen, series.before)
         name = "error" if series.after is None else "before"
         axes.fill_between(t, before, color=BEFORE, alpha=0.13, linewidth=0)
-        axes.plot(t, before, color=BEFORE, linewidth=1.3, label=f"{name}: {mm(rms(series.before))} mm rms")
+        axes.plot(t, before, color=BEFORE, linewidth=1.3, label=f"{name}: {mm(rms(series.before))} {unit} rms")
         if series.after is not None:
             t, after = _thinned(series.t_seen, series.after)
             axes.fill_between(t, after, color=AFTER, alpha=0.22, linewidth=0)
-            axes.plot(t, after, color=AFTER, linewidth=1.3, label=f"after: {mm(rms(series.after))} mm rms")
+            axes.plot(t, after, color=AFTER, linewidth=1.3, label=f"after: {mm(rms(series.after))} {unit} rms")
         if series.noise_floor_mm is not None:
-            label = f"camera noise: {'at most ' * series.floor_is_bound}{mm(series.noise_floor_mm)} mm"
+            whose = "camera" if unit == PLACES else "sensor"
+            label = f"{whose} noise: {'at most ' * series.floor_is_bound}{mm(series.noise_floor_mm)} {unit}"
             axes.axhline(series.noise_floor_mm, color=FLOOR, linewidth=1.0, linestyle=(0, (4, 3)), label=label)
-        axes.set(xlabel="time, s", ylabel="RMS error of a frame, mm", ylim=(0, None))
+        axes.set(xlabel="time, s", ylabel=f"RMS error of a frame, {unit}", ylim=(0, None))
         axes.margins(x=0.005)
         axes.grid(axis="y", color=FAINT, linewidth=0.8)
         axes.set_axisbelow(True)
@@ -196,11 +198,11 @@ def ladder_bars(error: Mapping[str, Any]) -> bytes:
             axes.annotate(
                 f"floor {mm(floor)}", (floor, -0.62), (4, 0), textcoords="offset points", size=8, color="#52606d"
             )
-        axes.set_yticks(range(len(steps)), [_clean(name, 46) for name, _ in steps])
+        axes.set_yticks(range(len(steps)), [clean(name, 46) for name, _ in steps])
         axes.set_ylim(len(steps) - 0.45, -0.95)
         axes.set_xlim(0, 1.1 * max([value for _, value in steps], default=1.0))
         axes.set_xlabel(
-            f"{_clean(str(error.get('kind', 'held-out rms')), 40)}, {_clean(str(error.get('unit', 'mm')), 8)}"
+            f"{clean(str(error.get('kind', 'held-out rms')), 40)}, {clean(str(error.get('unit', 'mm')), 8)}"
         )
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
@@ -226,7 +228,7 @@ def _bars(axes: Axes, before: Sequence[Any], after: Sequence[Any] | None, top: f
         text = mm(value) if after is None else f"{mm(value)} → {mm(partner.get(name))}"
         end = max(value, partner.get(name, 0.0))
         axes.annotate(text, (end, k), (3, 0), textcoords="offset points", va="center", size=6.5, color="#52606d")
-    shown = [_clean(name, 26) for name in names]
+    shown = [clean(name, 26) for name in names]
     axes.set_yticks(place, shown, size=7.5 if max(map(len, shown), default=0) <= 22 else 6.6)
     axes.set_ylim(len(before) - 0.4, -0.6)
     axes.set_xlim(0, top)
@@ -372,7 +374,7 @@ def rms(values: Floats) -> float:
     return math.sqrt(float(np.mean(known**2))) if len(known) else math.nan
 
 
-def _clean(text: str, longest: int) -> str:
+def clean(text: str, longest: int) -> str:
     """A label without control characters, cut to a length that fits."""
     printable = "".join(ch if ch.isprintable() else " " for ch in str(text))
     return printable if len(printable) <= longest else printable[: longest - 1] + "…"

@@ -18,15 +18,18 @@ from softmap_edge.diagnosis.series import Series
 from softmap_edge.errors import ReportError
 from softmap_edge.report.comparison_text import check_pair
 from softmap_edge.report.html_open import open_questions
+from softmap_edge.report.in_unit import PLACES, comparison_in_unit, in_unit, series_in_unit, unit_of
 from softmap_edge.report.numbers import fall, mm, number, percent, tamed
 from softmap_edge.report.style import PAGE, TONES, cards, escaped, picture, section
 from softmap_edge.report.text import (
     LADDER_NOTE,
+    OUTPUT_NOTE,
     STATIC_ADDED,
     VERDICTS,
     again,
     check_diagnosis,
     ladder_steps,
+    moved_by,
     parameter,
 )
 from softmap_edge.whole_file import write_whole
@@ -45,6 +48,12 @@ class Story:
     floor: tuple[float, str] | None = None
     ways: Mapping[str, float | None] | None = None
     ways_on: str = ""
+    unit: str = PLACES  # of every figure on the page but those of commands
+
+    @property
+    def places(self) -> bool:
+        """Whether the page is about a body; outputs have no shape to draw."""
+        return self.unit == PLACES
 
 
 def write_html(
@@ -81,12 +90,23 @@ def write_html(
     if diagnosis is not None:
         diagnosis = diagnosis.to_dict() if hasattr(diagnosis, "to_dict") else diagnosis
         check_diagnosis(diagnosis)
+    unit = unit_of(given[0].made_from if given else (diagnosis or {}).get("made_from") or {})
+    shown = [comparison_in_unit(one) for one in given]
+    measured, on = (None, "") if ways is None else ways
     story = Story(
-        given[0] if given else None, given[1] if len(given) > 1 else None, diagnosis, series, floor, *(ways or ())
+        before=shown[0] if shown else None,
+        after=shown[1] if len(shown) > 1 else None,
+        diagnosis=None if diagnosis is None else in_unit(diagnosis),
+        series=None if series is None else series_in_unit(series),
+        floor=floor,
+        ways=measured,
+        ways_on=on,
+        unit=unit,
     )
     figures = loaded_figures()
     sections = [
         _hero(story),
+        _loops(story),
         _sheet(story),
         _where(story, figures),
         _ladder(story, figures),
@@ -170,13 +190,13 @@ def _sentence(story: Story) -> str:
     kind = story.series.kind if story.series else ""
     told = {"held out": "a run that was not fitted", "fitted": "the run that was fitted"}.get(kind, "nothing is fitted")
     if story.after is None:
-        text = f"The model is off by {mm(old)} mm RMS over {story.before.frames} frames ({told})"
+        text = f"The model is off by {mm(old)} {story.unit} RMS over {story.before.frames} frames ({told})"
         floor, most = story.before.noise_floor_mm, "at most " * story.before.floor_is_bound
-        return text + (f"; the camera's noise is {most}{mm(floor)} mm." if floor is not None else ".")
+        return text + (f"; {_noise(story)} is {most}{mm(floor)} {story.unit}." if floor is not None else ".")
     new = story.after.error["rms_mm"]
     if new > old:
-        return f"The error rises from {mm(old)} to {mm(new)} mm RMS ({told}): the second model is worse on this run."
-    return f"The error falls from {mm(old)} to {mm(new)} mm RMS ({told})."
+        return f"The error rises from {mm(old)} to {mm(new)} {story.unit} RMS ({told}): the second model is worse."
+    return f"The error falls from {mm(old)} to {mm(new)} {story.unit} RMS ({told})."
 
 
 def _cards(story: Story) -> list[tuple[str, str, str, str]]:
@@ -189,7 +209,7 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
         floor, origin = story.floor or (story.before.noise_floor_mm, f"noise, RMS; {story.before.floor_kind}")
         kind = story.series.kind if story.series else ""
         told = {"held out": "a run not fitted", "fitted": "the run fitted"}.get(kind, "this run")
-        note = f"all points, {told}"
+        note = f"all {_things(story)}, {told}"
     else:
         told = str(error.get("kind", "held out"))
         steps = [value for name, value in ladder_steps(error) if name.startswith("+") and name != STATIC_ADDED]
@@ -199,10 +219,10 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
             str(error.get("floor_kind") or "floor"),
             told,
         )
-    rows = [("error before" if new is not None else "error", f"{mm(old)} mm", f"RMS, {note}", "before")]
+    rows = [("error before" if new is not None else "error", f"{mm(old)} {story.unit}", f"RMS, {note}", "before")]
     if number(new) is not None and number(old) is not None:
         share = fall(old, new, floor if floor is not None and (story.floor or new > floor) else None)
-        rows.append(("error after", f"{mm(new)} mm", f"RMS, {note}", "after"))
+        rows.append(("error after", f"{mm(new)} {story.unit}", f"RMS, {note}", "after"))
         rows.append(
             (
                 "of the removable error gone",
@@ -211,23 +231,47 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
                 "after",
             )
         )
-    rows.append(("floor", f"{mm(floor)} mm", origin, "floor"))
+    rows.append(("floor", f"{mm(floor)} {story.unit}", origin, "floor"))
     if story.before is not None and story.after is None:
         tip = story.before.error["tip_rms_mm"]
-        rows.insert(1, ("error of the tip", f"{mm(tip)} mm", f"RMS, {told}", "before"))
-        rows.insert(2, ("95 % of points within", f"{mm(story.before.error['p95_mm'])} mm", told, "before"))
+        most = f"{mm(story.before.error['p95_mm'])} {story.unit}"
+        if story.places:
+            rows.insert(1, ("error of the tip", f"{mm(tip)} mm", f"RMS, {told}", "before"))
+        rows.insert(1 + story.places, (f"95 % of {_things(story)} within", most, told, "before"))
     return rows
 
 
 def _time(story: Story, figures: ModuleType) -> str:
-    if story.series is None:
+    if story.series is None or story.series.timeless:
         return ""
-    image = picture(figures.over_time(story.series), "RMS error of each frame over time, before and after")
-    return section("Error over time", image, f"RMS over the points of a frame, mm{_short(story)}.")
+    image = picture(figures.over_time(story.series, story.unit), "RMS error of each frame over time, before and after")
+    return section(
+        "Error over time", image, f"RMS over the {_things(story)} of a frame, {escaped(story.unit)}{_short(story)}."
+    )
+
+
+def _loops(story: Story) -> str:
+    if story.series is None or not story.series.loops:
+        return ""
+    from softmap_edge.report.loop_figure import loops
+
+    image = picture(loops(story.series, story.unit), "Output against command, measured and predicted")
+    note = f"The cycle with the largest error before, {escaped(story.unit)} (faint: all that was measured)"
+    return section("Output against command", image, f"{note}{_short(story)}.")
+
+
+def _things(story: Story) -> str:
+    """What is compared: the points of a body, or outputs."""
+    return "points" if story.places else "outputs"
+
+
+def _noise(story: Story) -> str:
+    """What the floor is, in a sentence."""
+    return "the camera's noise" if story.places else "the sensor's noise"
 
 
 def _sheet(story: Story) -> str:
-    if story.series is None:
+    if story.series is None or not story.places:
         return ""
     from softmap_edge.report.sheet import sheet
 
@@ -237,7 +281,7 @@ def _sheet(story: Story) -> str:
 
 
 def _body(story: Story, figures: ModuleType) -> str:
-    if story.series is None:
+    if story.series is None or not story.places:
         return ""
     image = picture(figures.body(story.series), "RMS error of each point, drawn on the body")
     markers = story.series.triangles is None
@@ -247,7 +291,7 @@ def _body(story: Story, figures: ModuleType) -> str:
 
 
 def _tip(story: Story, figures: ModuleType) -> str:
-    if story.series is None:
+    if story.series is None or not story.places:
         return ""
     image = picture(figures.tip_path(story.series), "Path of the tip, measured and predicted")
     rows, t = figures.worst_stretch(story.series), story.series.t_seen
@@ -260,12 +304,12 @@ def _ladder(story: Story, figures: ModuleType) -> str:
     error = (story.diagnosis or {}).get("error") or {}
     if not ladder_steps(error):
         return ""
-    unit, on = error.get("unit", "mm"), error.get("held_out_on")
+    unit, on = error.get("unit", PLACES), error.get("held_out_on")
     note = f"{escaped(error.get('kind', 'held-out rms'))}{escaped(f' on {on}' if on else '')}, {escaped(unit)}. "
     note += f"Floor: {escaped(error.get('floor_kind', 'origin not stated'))}. "
     known = [("Noise floor", error.get("noise_floor")), ("Model's own held-out error", error.get("model_floor"))]
     note += "".join(f"{name}: {mm(value)} {escaped(unit)} RMS. " for name, value in known if number(value) is not None)
-    note += LADDER_NOTE
+    note += LADDER_NOTE if story.places else OUTPUT_NOTE
     return section(
         "What each effect removes", picture(figures.ladder_bars(error), "Error ladder down to the floor"), note
     )
@@ -277,7 +321,7 @@ def _ways(story: Story) -> str:
         return ""
     most = max(value for _, value in rows)
     body = "".join(
-        f"<tr><td>{escaped(name)}</td><td>{mm(value)} mm</td>"
+        f"<tr><td>{escaped(name)}</td><td>{mm(value)} {escaped(story.unit)}</td>"
         f'<td><meter min="0" max="{most:g}" value="{value:g}"></meter></td></tr>'
         for name, value in rows
     )
@@ -291,7 +335,9 @@ def _effects(story: Story) -> str:
     for title, rows in (("Faults of the measurement", found.get("faults")), ("Effects found", found.get("effects"))):
         if rows:
             judged = any((row.get("displacement_mm") or {}).get("held_out") is not None for row in rows)
-            moves = "moves the body, mm RMS<br>fitted" + (" / held out" if judged else "")
+            moves = f"moves {moved_by(story.unit)}, {escaped(story.unit)} RMS<br>fitted" + (
+                " / held out" if judged else ""
+            )
             values = "parameters, fitted ± 1σ<br>ratios have no unit"
             columns = ("effect", values, "probability<br>fitted", "share of what is explained<br>fitted", moves)
             head = "".join(f"<th>{name}</th>" for name in columns)
@@ -332,7 +378,7 @@ def _where(story: Story, figures: ModuleType) -> str:
         return ""
     colours = "wide bars before, narrow bars after" if new else "one bar a class"
     image = picture(figures.where_maps(old, new), "Error by condition, before and after")
-    return section("Error by condition", image, f"RMS, mm, on one scale; {colours}{escaped(kind)}.")
+    return section("Error by condition", image, f"RMS, {escaped(story.unit)}, on one scale; {colours}{escaped(kind)}.")
 
 
 def _origin(story: Story) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from softmap_edge.report.in_unit import unit_of
 from softmap_edge.report.numbers import mm, number, tamed
 from softmap_edge.report.style import escaped
 from softmap_edge.report.text import servo_row, untestable_rows
@@ -23,7 +24,7 @@ def open_questions(found: Mapping[str, Any]) -> str:
         _definitions("Not testable with these data", untestable),
         _definitions("Next experiment", steps),
         _remarks(found.get("remarks") or []),
-        _unexplained(found.get("unexplained") or {}),
+        _unexplained(found.get("unexplained") or {}, unit_of(found.get("made_from") or {})),
     ]
     inner = "".join(part for part in parts if part)
     return f'<div class="columns">{inner}</div>' if inner else ""
@@ -50,14 +51,14 @@ def _remarks(rows: Sequence[str]) -> str:
     return f"<section><h2>About the run</h2><ul>{inner}</ul></section>"
 
 
-def _unexplained(left: Mapping[str, Any]) -> str:
+def _unexplained(left: Mapping[str, Any], unit: str) -> str:
     if not left:
         return ""
     by = left.get("predicted_by")
     named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "nothing that was tried")
     chi, share = number(left.get("chi2_per_n")), number(left.get("blocked_r2"))
     rows = [
-        ("size", f"{mm(left.get('rms_mm'))} mm RMS beyond the noise, fitted"),
+        ("size", f"{mm(left.get('rms_mm'))} {unit} RMS beyond the noise, fitted"),
         ("against the noise", "–" if chi is None else f"chi² per number {chi:.3g} (1 is noise alone), fitted"),
         ("predictable share", "–" if share is None else f"R² {share:.2g} on held-out blocks"),
         ("follows", named),

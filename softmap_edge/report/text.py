@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from softmap_edge.errors import ReportError
+from softmap_edge.report.in_unit import PLACES, in_unit, unit_of
 from softmap_edge.report.numbers import LARGEST, bar, folded, mm, number, percent, tamed
 
 SCHEMA = "softmap.diagnosis/1"
@@ -37,6 +38,7 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
         ReportError: it is not such a document.
     """
     check_diagnosis(document)
+    document, unit = in_unit(document), unit_of(document.get("made_from") or {})
     lines = [f"Verdict: {VERDICTS.get(document['verdict'], document['verdict'])}"]
     lines += folded(tamed(document.get("sentence", "")), 2)
     for title, key in (
@@ -47,14 +49,14 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
         if rows:
             lines += ["", title]
         for row in rows:
-            lines += _effect_lines(row)
+            lines += _effect_lines(row, unit)
     lines += _ladder_lines(document.get("error") or {})
     servos = [servo_row(row) for row in document.get("servo") or []]
     lines += _list_lines("Servos: between command and encoder", servos, ": ".join)
     lines += _list_lines("Rivals: what explains these data as well", document.get("rivals"), _rival)
     lines += _list_lines("Not testable with these data", untestable_rows(document), _untestable)
     lines += _list_lines("About the run", document.get("remarks"), tamed)
-    lines += _unexplained_lines(document.get("unexplained") or {})
+    lines += _unexplained_lines(document.get("unexplained") or {}, unit)
     lines += _list_lines("Next experiment", document.get("next"), _next)
     return "\n".join(line.rstrip() for line in lines)
 
@@ -108,10 +110,13 @@ def _demand(value: Any, kind: Any, name: str) -> Any:
 
 PARAMETERS = "fitted, ± 1 σ of the scatter alone; ratios have no unit"
 STATIC_ADDED = "+ static correction"
-LADDER_NOTE = (
-    "Measured at the middles of the body's sections, or at the markers; a comparison takes every point. "
+STATIC_NOTE = (
     "A static correction is a polynomial of the command fitted to what is left: "
     "what it cannot remove depends on history or on conditions."
+)
+OUTPUT_NOTE = f"Measured over all outputs. {STATIC_NOTE}"
+LADDER_NOTE = (
+    f"Measured at the middles of the body's sections, or at the markers; a comparison takes every point. {STATIC_NOTE}"
 )
 
 
@@ -130,21 +135,26 @@ def ladder_steps(error: Mapping[str, Any]) -> list[tuple[str, float]]:
     return [(name, known) for name, value in steps if (known := number(value)) is not None]
 
 
-def _effect_lines(row: Mapping[str, Any]) -> list[str]:
+def _effect_lines(row: Mapping[str, Any], place_unit: str) -> list[str]:
     shift = row.get("displacement_mm") or {}
     head = f"  {row.get('name', '?')}  ({row.get('family', '?')}, stage {row.get('stage', '?')})"
     held = shift.get("held_out")
     facts = [
         *([] if row.get("probability") is None else [f"probability {percent(row['probability'])} (fitted)"]),
         f"{percent(row.get('share'))} of what is explained (fitted)",
-        f"moves the body by {mm(shift.get('fitted'))} mm RMS (fitted)"
-        + ("" if held is None else f", {mm(held)} mm RMS (held out)"),
+        f"moves {moved_by(place_unit)} by {mm(shift.get('fitted'))} {place_unit} RMS (fitted)"
+        + ("" if held is None else f", {mm(held)} {place_unit} RMS (held out)"),
     ]
     lines = [head, *folded(" · ".join(facts), 6)]
     for label, value in (row.get("params") or {}).items():
         bound = "   at its bound" if value.get("at_bound") else ""
         lines.append(f"      {label:<26} {parameter(value)}{bound}")
     return [*lines, *(f"      {line}" for line in again(row))]
+
+
+def moved_by(unit: str) -> str:
+    """What an effect moves, in a report whose figures have this unit."""
+    return "the body" if unit == PLACES else "the output"
 
 
 def again(row: Mapping[str, Any]) -> list[str]:
@@ -197,7 +207,7 @@ def _ladder_lines(error: Mapping[str, Any]) -> list[str]:
     if floor is not None:
         lines.append(f"  {'floor':<30}{mm(floor):>8}  {'░' * len(bar(floor, scale, 40))}")
         lines += folded(f"floor: {error.get('floor_kind', 'origin not stated')}", 2)
-    lines += folded(LADDER_NOTE, 2)
+    lines += folded(LADDER_NOTE if unit == PLACES else OUTPUT_NOTE, 2)
     known = [("noise floor", error.get("noise_floor")), ("model's own held-out error", error.get("model_floor"))]
     told = [f"{name} {mm(value)} {unit} RMS" for name, value in known if number(value) is not None]
     return [*lines, *([f"  {' · '.join(told)}"] if told else [])]
@@ -241,11 +251,11 @@ def _next(row: Mapping[str, Any]) -> str:
     return f"{row.get('block', '?')}{took}{': settles ' + named if named else ''}{apart}"
 
 
-def _unexplained_lines(left: Mapping[str, Any]) -> list[str]:
+def _unexplained_lines(left: Mapping[str, Any], unit: str) -> list[str]:
     if not left:
         return []
     chi, r2 = left.get("chi2_per_n"), left.get("blocked_r2")
-    facts = [f"{mm(left.get('rms_mm'))} mm RMS beyond the noise (fitted)"]
+    facts = [f"{mm(left.get('rms_mm'))} {unit} RMS beyond the noise (fitted)"]
     facts += [f"chi²/n {chi:.3g} (fitted; 1 is noise alone)"] if isinstance(chi, (int, float)) else []
     facts += [f"predictable share R² {r2:.2g} (held-out blocks)"] if isinstance(r2, (int, float)) else []
     by = left.get("predicted_by")

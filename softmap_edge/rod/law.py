@@ -127,10 +127,10 @@ class FittedLaw:
 
 
 class LawFit:
-    """What a law is fitted to: a drive, and a static map that is solved again for every set of numbers."""
+    """What a law is fitted to: a drive, in its unit, and a static map that is solved again for every set of numbers."""
 
-    def __init__(self, drive: Drive, static: StaticMap, seed: int) -> None:
-        self.drive, self.static, self.seed = drive, static, seed
+    def __init__(self, drive: Drive, static: StaticMap, seed: int, unit: str = "mm") -> None:
+        self.drive, self.static, self.seed, self.unit = drive, static, seed, unit
 
     def scanned(self, law: Law, known: Mapping[str, float]) -> FittedLaw:
         """Fit a law from a scan of the numbers that are not `known` by label; those that are start as they are."""
@@ -177,7 +177,10 @@ class LawFit:
         jackknife = np.sqrt((folds - 1.0) / folds * ((refits - refits.mean(axis=0)) ** 2).sum(axis=0))
         scale = np.where(law.log, law.values(x) * np.log(law.high / np.where(law.log, law.low, 1.0)), law.high - law.low)
         sigma = np.maximum(linear, jackknife) * scale
-        units = {label.partition("[")[0]: unit for label, unit in zip(law.chain.labels, law.chain.units)}
+        units = {
+            label.partition("[")[0]: self.unit + unit.removeprefix("mm") if unit.startswith("mm") else unit
+            for label, unit in zip(law.chain.labels, law.chain.units)
+        }
         return {
             label: LearnedNumber(label, float(value), float(s), units[label.partition("[")[0]], bool(bound))
             for label, value, s, bound in zip(law.labels, law.values(x), sigma, fitted.bounded)

@@ -28,10 +28,11 @@ from softmap_edge.model import NOMINAL, Model
 from softmap_edge.rod.elastic import ElasticParameters
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
 from softmap_edge.rod.polynomial import RodParameters, fit_polynomial
-from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, commanded_in_ticks, observe
+from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
 from softmap_edge.rod.regression import rms
 from softmap_edge.run import Run
 from softmap_edge.safety import derived
+from softmap_edge.ticks import commanded_in_ticks
 
 if TYPE_CHECKING:
     from softmap_edge.rod.robot import Robot
@@ -191,13 +192,13 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
     notes += _dependent(commands, unit)
     if error > USELESS * stray:
         notes.append(
-            f"the held-out error of {error:.2f} mm is hardly below the {stray:.2f} mm of always answering the mean "
-            "pose: the commands do not explain these markers, or the run is too short"
+            f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of always answering the "
+            "mean pose: the commands do not explain these markers, or the run is too short"
         )
     elif error > POOR * stray:
         notes.append(
-            f"the held-out error of {error:.2f} mm is much of the {stray:.2f} mm of always answering the mean pose: "
-            "the mapping may miss a command or have a wrong rate, or the run is short"
+            f"the held-out error of {error:.2f} mm RMS is much of the {stray:.2f} mm RMS of always answering the mean "
+            "pose: the mapping may miss a command or have a wrong rate, or the run is short"
         )
     vague = [number.label for number in fitted.numbers if number.note]
     if vague:
@@ -279,6 +280,7 @@ def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
         robot=run.robot or str(learned.made_from.get("robot", "robot")),
         command_unit=run.command_unit,
         input=learned.input,
+        output=run.output,
         made_from=learned.made_from,
         arrays={"prior": learned.to_arrays() | learned.coverage.to_arrays(), "fields": {}},
         stiffness_known=False,

@@ -111,7 +111,7 @@ def search_folds(seen: Seen) -> Folds:
 class _Search:
     def __init__(self, seen: Seen, static: StaticMap, seed: int, members: Sequence[str] | None) -> None:
         self.seen, self.static, self.members = seen, static, members
-        self.fit, self.families = LawFit(seen.drive, static, seed), families()
+        self.fit, self.families = LawFit(seen.drive, static, seed, seen.unit), families()
         self.floor = self._noise() * len(static.targets) * static.targets.shape[1]
         self.frames = sum(len(test) for _, test in static.parts) / len(static.targets)  # times each frame is judged
         self.notes: list[str] = []
@@ -123,7 +123,7 @@ class _Search:
             represented = self._represented(acting, found)
             if self._static_suffices(represented, acting, found):
                 self.static = replace(self.static, splined=True)  # the next families are judged beside this map
-                self.fit = LawFit(self.fit.drive, self.static, self.fit.seed)
+                self.fit = LawFit(self.fit.drive, self.static, self.fit.seed, self.fit.unit)
                 continue
             step = self._step(represented, acting, found)
             if step is None:
@@ -139,7 +139,12 @@ class _Search:
 
     def _represented(self, acting: Floats, found: Sequence[_Found]) -> list[_Represented]:
         """Return the families that this log can show, the one with the lowest held-out loss first."""
-        possible = [f for f in self.families if not (f.fast and self.seen.slow) and not (f.static and self.static.splined)]
+        possible = [
+            family
+            for family in self.families
+            if not (family.fast and self.seen.slow or family.timed and self.seen.timeless)
+            and not (family.static and self.static.splined)
+        ]
         every = (_Represented(f, self.static.losses(acting, self._beside(f, found))) for f in possible)
         return sorted(every, key=lambda one: float(one.losses.sum()))
 
@@ -297,8 +302,8 @@ class _Search:
         names, after = " or ".join(one.family.name for one in near), self._rms(near[0].losses)
         why = "is left to the diagnosis" if forbidden else "has no law in the library that reaches it"
         self.notes.append(
-            f"the run shows {names} beside the static map (held-out error {self._rms(now):.2f} → {after:.2f} "
-            f"mm), which {why}: it is not in the model"
+            f"the run shows {names} beside the static map (held-out error {self._rms(now):.2f} to {after:.2f} "
+            f"mm RMS), which {why}: it is not in the model"
         )
 
     def _memory(self, found: Sequence[_Found], noise: float) -> Memory:
@@ -326,12 +331,12 @@ def _deviation(differences: Floats) -> float:
     return float(differences.std(ddof=1) * np.sqrt(len(differences)))
 
 
-def refined_memory(memory: Memory, drive: Drive, static: StaticMap, seed: int) -> Memory:
+def refined_memory(memory: Memory, seen: Seen, static: StaticMap, seed: int) -> Memory:
     """Return the memory with its numbers fitted again beside another map of the same targets."""
     if not memory.names:
         return memory
     each = sorted({label.split(".")[0] for one in memory.learned_in for label in _labels(one) if "[" in label})
-    again, fit = law(memory.names, drive, each), LawFit(drive, static, seed)
+    again, fit = law(memory.names, seen.drive, each), LawFit(seen.drive, static, seed, seen.unit)
     fitted = fit.refined(again, again.at(memory.params)[None])
     numbers = fit.told(fitted)
     records = tuple(

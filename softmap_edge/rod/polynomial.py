@@ -109,7 +109,7 @@ def fit_polynomial(
     u = memory.acting(seen.drive)
     chosen, ridge = choose_degree(fit, u, degrees)
     if memory.names:
-        memory = refined_memory(memory, seen.drive, StaticMap(_plane(fit), search_folds(seen), chosen), seed)
+        memory = refined_memory(memory, seen, StaticMap(_plane(fit), search_folds(seen), chosen), seed)
         u = memory.acting(seen.drive)
     weights = fit.weights(u, chosen, ridge)
     rod = RodParameters(

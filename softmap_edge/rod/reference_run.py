@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -14,6 +14,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.folds import Folds
 from softmap_edge.rod.regression import Drive, Record, rms
 from softmap_edge.run import Run, Source, known
+from softmap_edge.ticks import commanded_in_ticks
 
 if TYPE_CHECKING:
     from softmap_edge.rod.memory import Memory
@@ -102,8 +103,13 @@ class Seen:
 
     @property
     def slow(self) -> bool:
-        """Whether the frames are too far apart to tell delay and lag."""
-        return len(self.t) < 2 or float(np.median(np.diff(self.t))) > SLOW
+        """Whether nothing is known of delay and lag: the log has no time, or its frames are too far apart."""
+        return self.timeless or len(self.t) < 2 or float(np.median(np.diff(self.t))) > SLOW
+
+    @property
+    def timeless(self) -> bool:
+        """Whether a log has no time, only an order."""
+        return any(run.timeless for run in self.runs)
 
     @property
     def stray(self) -> float:
@@ -157,21 +163,6 @@ def observe(runs: Sequence[Run], input: Source | None, hold_out: Sequence[tuple[
     return Seen(runs, source, frames, markers, drive)
 
 
-def commanded_in_ticks(run: Run) -> Run:
-    """Return a run that holds ticks only with its ticks as commands, since a learned model needs no mm."""
-    if run.command is not None or run.ticks is None:
-        return run
-    present = None if run.present_ticks is None else np.asarray(run.present_ticks, float)
-    return replace(
-        run,
-        command=np.asarray(run.ticks, float),
-        present=present if run.present is None else run.present,
-        ticks=None,
-        present_ticks=None,
-        command_unit="ticks",
-    )
-
-
 def _drive(runs: Sequence[Run], source: Source, frames: Sequence[NDArray[np.intp]]) -> Drive:
     records = [
         Record(np.ascontiguousarray(run.commands(source)), np.ascontiguousarray(run.t), run.t_seen[index])
@@ -187,6 +178,7 @@ def _alike(runs: Sequence[Run], source: Source) -> None:
         for what, one, other in (
             ("commands a row", first.commands(source).shape[1], run.commands(source).shape[1]),
             ("markers", np.shape(first.markers)[1], np.shape(run.markers)[1]),
+            ("for its outputs", first.output, run.output),
             ("as the unit of its commands", first.command_unit, run.command_unit),
         ):
             if one != other:

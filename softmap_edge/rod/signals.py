@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 
 CONTROL = "static map"
 FAST = ("delay", "rate")  # families that only frames close in time can show
+TIMED = (*FAST, "creep", "time")  # families that a log without time cannot show
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,11 @@ class Family:
     def fast(self) -> bool:
         """Whether only frames close in time can show it."""
         return self.name in FAST
+
+    @property
+    def timed(self) -> bool:
+        """Whether only a log with times can show it."""
+        return self.name in TIMED
 
     def signals(self, record: Record, acting: Floats, middle: Floats, half: Floats) -> Floats:
         """Return the signals (n, J) of what acts (T, C) in a run, at its seen times."""

@@ -1,0 +1,107 @@
+"""What a row of the table is made from: one data set, its runs, and the law that is known to be right."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benches.data import ROOT
+from softmap_edge import Model, Run
+
+Floats = NDArray[np.float64]
+BLOCKS = "blocks of the run"  # what validates where there is no other run: those of the diagnosis
+
+Law = Callable[[], Mapping[str, Floats]]  # what the right law, fitted by hand, predicts on each held-out run (K, Q)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A data set.
+
+    Attributes:
+        name: of the row.
+        about: a paragraph for the page: what the data are, what is known to be missing, what was left out.
+        values: makes (K, Q) of markers (K, M, 3): what peers learn and errors count; outputs stay as they are.
+        fit: the run that is learned from and diagnosed.
+        held: runs that only validate, by name; without one the held-out blocks of the diagnosis do.
+        model: makes the model before the diagnosis.
+        law: fits the right law by hand, in (K, Q) of `targets`; None where nobody knows it.
+        law_name: of that law.
+        unit: of the errors; "NRMSE" divides by the standard deviation of the held-out outputs.
+        lags: rows of the fit run by which the peers see the commands late.
+        expected: what a right answer names, for the page.
+        diagnose: whether our diagnosis runs at all; else the row has peers and laws only.
+        moving: whether commands move, without which no peer can be trained.
+        per_library_law: whether each memory law of the library is fitted as well.
+    """
+
+    name: str
+    about: str
+    values: Callable[[Floats], Floats]
+    fit: Run
+    held: Mapping[str, Run]
+    model: Callable[[], Model]
+    law: Law | None
+    law_name: str
+    unit: str
+    expected: str
+    lags: tuple[int, ...] = (0, 1, 2, 4, 8, 16, 32, 64)
+    diagnose: bool = True
+    moving: bool = True
+    per_library_law: bool = False
+
+
+@cache
+def _texts() -> dict[str, str]:
+    """Return the texts of the page."""
+    return tomllib.loads(Path(__file__).with_name("texts.toml").read_text(encoding="utf-8"))
+
+
+def text(name: str, **numbers: object) -> str:
+    """Return a text of the page with its numbers filled in."""
+    found = _texts()[name].strip()
+    return found.format(**numbers) if numbers else found
+
+
+def folder(name: str) -> Path | None:
+    """Return the folder of a data set: in the checkout's `data`, or `../shared/data`; None where it is absent."""
+    return next((p for p in (ROOT / "data" / name, ROOT.parent / "shared/data" / name) if p.is_dir()), None)
+
+
+def places(markers: Floats) -> Floats:
+    """Return markers (K, M, 3) mm as (K, 3M)."""
+    return np.asarray(markers, float).reshape(len(markers), -1)
+
+
+def along_x(markers: Floats) -> Floats:
+    """Return the x of markers (K, M, 3) that stand for an output, (K, M), in any unit."""
+    return np.asarray(markers[..., 0], float)
+
+
+def targets(case: Case, run: Run) -> Floats:
+    """Return what was measured in a run, (K, Q): outputs in their unit, else the coordinates of the case."""
+    return run.outputs if run.output is not None else case.values(np.asarray(run.markers, float))
+
+
+def predicted(case: Case, model: Model, run: Run) -> Floats:
+    """Return what a model predicts of a run, (K, Q), as `targets` has it."""
+    points = np.asarray(model.predict(run), float)
+    return case.values(points) if model.output is None else model.output.values(points)
+
+
+def error(case: Case, run: Run, answer: Floats) -> float:
+    """Return the error of a prediction (K, Q): NRMSE over the standard deviation of what was measured, or mm.
+
+    In mm it is the RMS distance of the markers that were seen.
+    """
+    seen = targets(case, run)
+    off = np.asarray(answer, float) - seen
+    if case.unit == "NRMSE":
+        return float(np.sqrt(np.nanmean(off**2)) / np.nanstd(seen))
+    return float(np.sqrt(np.nanmean(np.sum(off.reshape(len(off), -1, 3) ** 2, axis=2))))

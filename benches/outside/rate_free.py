@@ -1,0 +1,69 @@
+"""Play and stop, the two laws that memory is built from, and least squares beside a static map: laws by hand.
+
+play_g(x): follows x with a slack of g in all;   stop_s(x): follows x until it slips at ±s
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from softmap_edge import Run
+
+Floats = NDArray[np.float64]
+Columns = Callable[[Run, Floats], Floats]  # of a run, for the numbers that are searched: (K, n)
+
+
+def play(x: Floats, gap: float) -> Floats:
+    """Return what a play of full gap `gap` makes of x (T,); it starts in the middle."""
+    found, at, half = np.empty(len(x)), float(x[0]), 0.5 * gap
+    for k, value in enumerate(x.tolist()):
+        at = min(max(at, value - half), value + half)
+        found[k] = at
+    return found
+
+
+def stop(x: Floats, slip: float) -> Floats:
+    """Return the elongation of a spring that slips at ±slip, along x (T,)."""
+    found, held = np.empty(len(x)), 0.0
+    for k, step in enumerate(np.diff(x, prepend=x[0]).tolist()):
+        held = min(max(held + step, -slip), slip)
+        found[k] = held
+    return found
+
+
+def cubic(x: Floats) -> Floats:
+    """Return 1, x, x², x³ as columns."""
+    return np.stack([np.ones_like(x), x, x**2, x**3], axis=1)
+
+
+def at_frames(run: Run, rows: Floats, late: float = 0.0) -> Floats:
+    """Return rows (T,) of a run at its frames (K,), `late` s late."""
+    return np.interp(run.t_seen - late, run.t, rows)
+
+
+def fitted(
+    columns: Columns, fit: Run, seen: Floats, held: Mapping[str, Run], starts: Sequence[Sequence[float]],
+    low: Sequence[float], high: Sequence[float],
+) -> dict[str, Floats]:  # fmt: skip
+    """Return predictions (K, Q) on held-out runs: numbers searched from several starts, weights solved for.
+
+    Args:
+        columns: of a run and the searched numbers, (K, n). seen: (K, Q) of `fit`. starts, low, high: of the numbers.
+    """
+
+    def off(x: Floats) -> Floats:
+        a = columns(fit, x)
+        return np.asarray(a @ np.linalg.lstsq(a, seen, rcond=None)[0] - seen).ravel()
+
+    # laws of slips and gaps are not smooth: steps of half a percent
+    tries = [
+        least_squares(off, start, bounds=(low, high), x_scale=np.subtract(high, low), diff_step=5e-3, max_nfev=40)
+        for start in starts
+    ]
+    best = min(tries, key=lambda one: float(one.cost)).x
+    weights = np.linalg.lstsq(columns(fit, best), seen, rcond=None)[0]
+    return {name: np.asarray(columns(run, best) @ weights) for name, run in held.items()}

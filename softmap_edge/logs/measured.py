@@ -1,0 +1,70 @@
+"""The part of a mapping that names outputs which are no places (force, angle, level); and how columns are named.
+
+Pinned by tests/test_output.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import RunError
+from softmap_edge.toml_table import TomlTable, shown
+
+Array = NDArray[np.float64]
+Column = str | int
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Columns of outputs that are no places (force, angle, level): value · scale + offset, in `unit`."""
+
+    columns: tuple[Column, ...]
+    names: tuple[str, ...]
+    unit: str
+    scale: Array
+    offset: Array
+
+
+def measured_of(log: TomlTable) -> Measured | None:
+    """Return the outputs that a log names, if it names any."""
+    if "output" not in log.values:
+        return None
+    table = log.table("output")
+    columns = columns_of(table)
+    names = table.get("names", (list,), [str(column) for column in columns])
+    if len(names) != len(columns) or not all(isinstance(name, str) for name in names):
+        raise RunError(f"{table.where}: names = {shown(names)}, expected {len(columns)} texts, one for each column")
+    unit = table.get("unit", (str,), "")
+    if not unit:
+        raise RunError(f'{table.where}: unit is missing; say what the numbers are: unit = "N"')
+    measured = Measured(
+        columns=tuple(columns),
+        names=tuple(names),
+        unit=unit,
+        scale=per_column(table, "scale", len(columns), 1.0),
+        offset=per_column(table, "offset", len(columns), 0.0),
+    )
+    table.done()
+    return measured
+
+
+def columns_of(table: TomlTable) -> list[Any]:
+    """Return the columns that a table names, nested lists in a row."""
+    listed = table.get("columns", (list,), [])
+    flat: list[Any] = [cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])]
+    if not flat or not all(isinstance(cell, str | int) and not isinstance(cell, bool) for cell in flat):
+        raise RunError(f"{table.where}: columns = {str(listed)[:60]}, expected a list of column names or numbers")
+    return flat
+
+
+def per_column(table: TomlTable, key: str, count: int, default: float) -> Array:
+    """Return one number for each column: the same for all, or a list of them."""
+    if isinstance(table.values.get(key), list):
+        values = table.numbers(key, (count,))
+        assert values is not None
+        return values
+    return np.full(count, table.number(key, default))
