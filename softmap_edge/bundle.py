@@ -36,6 +36,7 @@ from typing import Any
 import numpy as np
 
 from softmap_edge import __version__, _core, own_effect
+from softmap_edge.coverage import Coverage
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
 from softmap_edge.learned_in import read_learned_in
 from softmap_edge.manifest import LARGEST, finite_number, load_manifest, read_json
@@ -264,6 +265,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         from softmap_edge.rod.learn import rod_from_arrays
 
         prior, fields = rod_from_arrays(arrays["prior"])
+        Coverage.from_arrays(arrays["prior"], manifest["channels"])  # or says what is wrong with it
         cables = second = None
     rest = template.rest
     if prior.size != rest.size:

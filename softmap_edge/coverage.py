@@ -27,7 +27,7 @@ LARGER = 1.5  # times the largest leverage: a single channel reaches it 10 % of 
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """What taught a model: `middle` and `half` (C,) of what acted, `root` (F, F) with h = |φ root|², `most` (1,) of h."""
+    """What taught a model: `middle` and `half` (C,) of what acted, `root` (F, F), `most` (1,); h = |φ root|² ≤ most."""
 
     middle: Floats
     half: Floats
@@ -73,8 +73,8 @@ class Coverage:
         if wrong or not (values["half"] > 0).all() or not values["most"][0] > 0:
             name = wrong[0] if wrong else "half"
             raise SoftmapError(
-                f"coverage: '{name}' of shape {values[name].shape} does not fit {channels} channels, or is not above 0; "
-                "learn the bundle again"
+                f"coverage: '{name}' of shape {values[name].shape} does not fit {channels} channels, or is not above "
+                "0; learn the bundle again"
             )
         return cls(**values)
 

@@ -1,7 +1,8 @@
 """What a learned model holds beside its static map: effects that were in the robot while it was learned.
 
-`softmap learn` writes one record for each effect that it put into the chain. They stand in the manifest of a bundle, under `made_from.learned_in`, and are read back as a
-stranger's file. `Model.learned_in` returns them. Pinned by tests/test_learned_in.py.
+`softmap learn` writes one record for each effect that it put into the chain. They stand in the manifest of a bundle,
+under `made_from.learned_in`, and are checked like any untrusted file when they are read. `Model.learned_in` returns
+them. Pinned by tests/test_learned_in.py.
 """
 
 from __future__ import annotations
@@ -50,8 +51,9 @@ class Alternative:
 class LearnedIn:
     """An effect that a model was learned with.
 
-    `name` is the effect in the chain. `law` is `identified`, `ambiguous` (the alternatives fit as well) or `open` (no law of the library fits as well as
-    the family can). `before_mm` and `after_mm` are held-out errors, RMS, without it and with it.
+    `name` is the effect in the chain. `law` is `identified`, `ambiguous` (weak evidence, or an alternative of another
+    family or with as few numbers fits as well) or `open` (a number stands at its bound, or no law of the library fits
+    as well as the family can). `before_mm` and `after_mm` are held-out errors, RMS, without the effect and with it.
     """
 
     name: str

@@ -207,8 +207,9 @@ def converted(model: Any, run: Run) -> Run:
     """Return the run with its ticks as commands, by the calibration of the model; as it is where either is missing.
 
     Args:
-        model: perhaps with a `calibration`, or learned from ticks, which it then takes as they are. run: `ticks` become `command`, `present_ticks` become `present` unless the
-            run has that; what was seen is the same array.
+        model: perhaps with a `calibration`; or learned from ticks, which it takes as commands.
+        run: `ticks` become `command`, `present_ticks` become `present` unless the run has that; what was seen is the
+            same array.
 
     Raises:
         CalibrationError: the run has another number of servos than the calibration.

@@ -1,4 +1,4 @@
-"""A memory that was always in the robot: `learn` names it, with its numbers and alternatives, or leaves it out by request.
+"""A memory that was always in the robot: `learn` names it, with numbers and alternatives, or leaves it out if asked.
 
 The truth is simulated apart from the effect library, or was recorded by others (`../shared/data/memory`).
 """
@@ -12,8 +12,8 @@ from logs import published
 
 from softmap_edge import Run, learn_model, load_bundle, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.learn import learn, learned_model
-from softmap_edge.rod.memory import search_folds
 from softmap_edge.rod.reference_run import observe
 from softmap_edge.rod.regression import Record
 from softmap_edge.rod.signals import families
@@ -75,7 +75,8 @@ def found(loose):
 def test_play_that_was_always_there_is_named_with_its_numbers(found):
     (one,) = found.learned_in
     assert (one.name, one.family, one.law) == ("backlash", "memory", "identified")
-    assert found.chain_names == ("backlash",) and not one.alternatives
+    assert found.chain_names == ("backlash",)
+    assert {other.name for other in one.alternatives} <= {"hysteresis"}  # which needs three numbers for as much
     (gap,) = one.params
     assert gap.value == pytest.approx(1.4, rel=0.03) and abs(gap.value - 1.4) < 4 * gap.sigma
     assert gap.unit == "mm" and not gap.at_bound
@@ -122,35 +123,47 @@ def test_unequal_play_of_a_robot_from_its_csv_gets_a_number_for_each_servo(gaps,
     (one,) = document["learned_in"]
     assert one["name"] == "backlash"
     values = {number["label"]: number["value"] for number in one["params"]}
-    assert values == {
-        f"backlash.gap[{c}]": pytest.approx(gap, rel=0.1) for c, gap in enumerate(gaps)
-    }
+    assert values == {f"backlash.gap[{c}]": pytest.approx(gap, rel=0.1) for c, gap in enumerate(gaps)}
     model = load_bundle(bundle)
     assert model.learned_in[0].name == "backlash" and model.taught_by(Run.load(npz))
     assert not model.taught_by(run)
 
 
-def test_a_second_run_of_another_speed_tells_play_from_delay():
-    """One sine draws a loop that play, delay and slow poles all draw; another speed does not."""
+def swing(period, seed, late=0.2, seconds=60.0):
+    """One servo that swings at one speed and follows late, from rest."""
 
-    def sine(period):
-        return lambda t: 10.0 * np.stack([np.sin(2 * np.pi * t / period), 0.6 * np.cos(2 * np.pi * t / period)], axis=1)
+    def command(t):
+        return 10.0 * np.clip(t / 4.0, 0.0, 1.0) * np.sin(2 * np.pi * t / period)
 
-    one = recorded((1.6, 1.6), seconds=40.0, drive=sine(8.0), seed=1)
-    other = recorded((1.6, 1.6), seconds=40.0, drive=sine(3.0), seed=2)
-    alone, both = learn(one), learn([one, other])
-    families_of = {a.family for a in alone.learned_in[0].alternatives} | {alone.learned_in[0].family}
-    assert {"memory", "delay"} <= families_of
-    assert [part.name for part in both.learned_in] == ["backlash"]
-    assert {a.family for a in both.learned_in[0].alternatives} <= {"memory"}
+    t = np.arange(0.0, seconds, 0.02)
+    acting = command(t - late)
+    markers = arc(np.column_stack([acting, 0.0 * acting]))[::3]
+    markers = markers + np.random.default_rng(seed).normal(0, 0.5, markers.shape)
+    return Run(t=t, command=command(t)[:, None], t_seen=t[::3], markers=markers)
+
+
+def test_a_second_run_of_another_speed_judges_between_families():
+    """A sine of one speed draws an ellipse that delay, creep and memory all draw; with another speed only one does."""
+    one, other = swing(12.0, 1), swing(3.0, 2)
+    (alone,), both = learn(one).learned_in, learn([one, other])
+    assert alone.law == "ambiguous" and {"creep", "rate"} <= {rival.family for rival in alone.alternatives}
+    (told,) = both.learned_in
+    assert (told.name, told.law) == ("latency", "identified")
+    assert told.params[0].value == pytest.approx(0.2, abs=0.005)
+    assert [rival.name for rival in told.alternatives] == ["clock_shift"]  # which no run distinguishes
     assert both.made_from["runs"] == [one.hash(), other.hash()]
 
 
 def test_memory_begins_anew_in_each_run():
     """Two halves of a run, the second one recorded after the command had been left elsewhere."""
-    first, second = recorded((1.4, 1.4), seconds=50.0), recorded((1.4, 1.4), seconds=50.0, drive=lambda t: wander(t + 77))
+    first, second = (
+        recorded((1.4, 1.4), seconds=50.0),
+        recorded((1.4, 1.4), seconds=50.0, drive=lambda t: wander(t + 77)),
+    )
     both = learn([first, second])
-    assert both.error_mm < 0.3 and both.chain_params["backlash.gap" if len(both.chain_params) == 1 else "backlash.gap[0]"]
+    assert (
+        both.error_mm < 0.3 and both.chain_params["backlash.gap" if len(both.chain_params) == 1 else "backlash.gap[0]"]
+    )
     model = learned_model([first, second], both)
     for run in (first, second):
         assert np.sqrt(((model.predict(run) - run.markers) ** 2).sum(-1).mean()) < 0.35
@@ -249,4 +262,6 @@ def test_a_friction_damper_with_a_gap_has_a_memory_whose_law_stays_open():
     first = learned.learned_in[0]
     assert first.family == "memory" and (first.law == "open" or len(learned.learned_in) > 1)
     error = learned_model(run, learned).predict(held) - held.markers
-    assert np.sqrt((error**2).sum(-1).mean()) <= 0.20 * np.sqrt(((held.markers - held.markers.mean(0)) ** 2).sum(-1).mean())
+    assert np.sqrt((error**2).sum(-1).mean()) <= 0.20 * np.sqrt(
+        ((held.markers - held.markers.mean(0)) ** 2).sum(-1).mean()
+    )

@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import RobotError, RunError
 from softmap_edge.folds import Folds
+from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.descent import Term, descend
 from softmap_edge.rod.elastic import Coordinates, ElasticParameters
-from softmap_edge.rod.memory import FRAMES, Memory, find_memory, search_folds
+from softmap_edge.rod.memory import FRAMES, Memory, find_memory
 from softmap_edge.rod.reference_run import Fitted, Number, Seen
 from softmap_edge.rod.static_map import StaticMap
 
@@ -80,7 +81,9 @@ def _memory(seen: Seen, robot: Robot, fitted: Floats, seed: int) -> Memory:
     few = seen.every(-(-len(seen.t) // FRAMES))
     rod, parts = robot.layout.compiled(fitted), search_folds(few)
     smallest = min(len(train) for train, _ in parts)
-    degree = max([d for d in BESIDE_ROD if 2 * len(_core.monomial_degrees(seen.drive.channels, d)) < smallest], default=1)
+    degree = max(
+        [d for d in BESIDE_ROD if 2 * len(_core.monomial_degrees(seen.drive.channels, d)) < smallest], default=1
+    )
     static = StaticMap(
         few.markers.reshape(len(few.markers), -1),
         parts,

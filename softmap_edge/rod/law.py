@@ -2,11 +2,11 @@
 
     minimise over x:  Σ |seen − map solved at v(x)|²,   v(x) = rollout of the chain
 
-Numbers are searched in 0 … 1 over their range, by logarithm where the range is of one sign; a scan of the whole range
-comes first, since play is not smooth, then a bounded Levenberg-Marquardt from the best few. Ranges declared in mm are of
-a drive of ±16 mm and grow with the drive; a gap may be nearly the whole range, and what holds back may hold back all of
-the motion, for an output may be a force. σ is the larger of the linearised fit's and of the jackknife's over the folds.
-Pinned by tests/test_learned_memory.py.
+Numbers are searched in 0 … 1 over their range, by logarithm where the range is positive. Play is not smooth, so a
+scan of the held-out loss over the whole range comes first, then a bounded Levenberg-Marquardt from the best few.
+Ranges declared in mm are those of a drive of ±16 mm and grow with the drive. A gap may be nearly the whole range, and
+what is held back may be all of the motion, for an output may be a force. σ is the larger of the linearised fit's and
+of the jackknife's over the folds. Pinned by tests/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ Index = NDArray[np.intp]
 WIDEST = 1.95  # half ranges: a wider gap would never move what it drives
 HELD_BACK = 30.0  # share of the motion held back: from here on all that is left is what holds back
 SCAN = 24  # sets for each number of a scan
+SCAN_ALONG = 12  # of one number while the others stay
 TOGETHER = 24  # sets rolled out at a time
 REFINED = 2  # of the scanned sets
 MOST_STEPS, ENOUGH = 15, 1e-4  # of a descent: play is not smooth, and what folds differ by is larger
@@ -143,16 +144,16 @@ class LawFit:
             sets[:, open_] = np.random.default_rng(self.seed).uniform(size=(len(sets), len(open_)))
         sums = np.concatenate(
             [
-                [float((self.static.residual(v) ** 2).sum()) for v in self.drive.rolled(law.chain, law.params(some))]
+                [self.static.scanned(v) for v in self.drive.rolled(law.chain, law.params(some))]
                 for some in np.array_split(sets, -(-len(sets) // TOGETHER))
             ]
         )
         return self.refined(law, sets[np.argsort(sums)[:REFINED]])
 
     def scanned_along(self, law: Law, start: Floats, i: int) -> Floats:
-        """Return `start` with its number `i` where a scan of its range is lowest."""
-        sets = np.tile(start, (SCAN + 1, 1))
-        sets[1:, i] = np.linspace(0.0, 1.0, SCAN)
+        """Return `start` with its number `i` where a scan of its range fits best; the others are near their best."""
+        sets = np.tile(start, (SCAN_ALONG + 1, 1))
+        sets[1:, i] = np.linspace(0.0, 1.0, SCAN_ALONG)
         rolled = self.drive.rolled(law.chain, law.params(sets))
         return np.asarray(sets[int(np.argmin([float((self.static.residual(v) ** 2).sum()) for v in rolled]))])
 
@@ -172,10 +173,14 @@ class LawFit:
         variance = float(residual @ residual) / max(1, len(residual) - len(x))
         information = slopes.T @ slopes / max(variance, 1e-12) + np.eye(len(x))  # as wide as the range where unseen
         linear = np.sqrt(np.diag(np.linalg.inv(information)))
-        refits = np.stack([descend(self._term(law, train), x, zero, one, MOST_STEPS, ENOUGH)[0] for train, _ in self.static.parts])
+        refits = np.stack(
+            [descend(self._term(law, train), x, zero, one, MOST_STEPS, ENOUGH)[0] for train, _ in self.static.parts]
+        )
         folds = len(refits)
         jackknife = np.sqrt((folds - 1.0) / folds * ((refits - refits.mean(axis=0)) ** 2).sum(axis=0))
-        scale = np.where(law.log, law.values(x) * np.log(law.high / np.where(law.log, law.low, 1.0)), law.high - law.low)
+        scale = np.where(
+            law.log, law.values(x) * np.log(law.high / np.where(law.log, law.low, 1.0)), law.high - law.low
+        )
         sigma = np.maximum(linear, jackknife) * scale
         units = {
             label.partition("[")[0]: self.unit + unit.removeprefix("mm") if unit.startswith("mm") else unit

@@ -55,8 +55,8 @@ class LearnedRod:
     `chain_names` and `chain_params` (by label) are the effects that belong in the bundle's chain; `learned_in` says of
     each what it stands for, and what else was seen.
     `error_mm` is the blocked cross-validation RMS over all markers, `per_fold_mm` (blocks,), `per_marker_mm` (K,);
-    `form_error` (K, 3) mm is its RMS by marker and axis; `residuals` (n, K, 3) mm (predicted − seen) at the `frames` of each run; `coverage`
-    says which commands they show;
+    `form_error` (K, 3) mm is its RMS by marker and axis; `residuals` (n, K, 3) mm (predicted − seen) at the `frames` of
+    each run; `coverage` says which commands they show;
     `numbers` are what was fitted of an elastic rod; `notes` say what to beware of.
     """
 
@@ -113,8 +113,9 @@ def learn(
         runs: one or several of one robot, each with commands (T, C) and markers (K, M, 3) mm, base to tip, in the base
             frame (z along the rest axis). Memory begins in equilibrium in each.
         input: "goal" or "present"; None takes the present positions where every run has them.
-        blocks: contiguous blocks of the cross-validation; an elastic rod takes the runs' `block` labels if they have any.
-        gap_s: s, frames this close to a block are not used to predict it.
+        blocks: contiguous blocks of the cross-validation, more where a short run would else hold out what it saw once;
+            an elastic rod takes the runs' `block` labels if they have any.
+        gap_s: s, frames this close to a block are not used to predict it; at most half a block.
         hold_out: intervals (t0, t1) s whose frames are not used at all, in each run.
         base: (3,) mm, the point from which the first chord starts; None is the origin of the base frame. It is not
             fitted: markers do not tell it (on the trunk any depth from 0 to 94 mm predicts equally well within 0.1 mm).
@@ -139,7 +140,7 @@ def learn(
     else:
         seen = fit_for(robot, seen)
         fitted = fit_elastic(seen, robot, folds(seen.t, blocks, gap_s, seen.labels), seed, static)
-    made_from = {
+    made_from: dict[str, Any] = {
         "softmap-edge": __version__, "run": together[0].hash(), "runs": [run.hash() for run in together],
         "frames": len(seen.t), "rate_hz": rate_hz, "blocks": len(fitted.parts), "gap_s": gap_s,
         "hold_out_s": [list(map(float, pair)) for pair in hold_out], "static": static,
@@ -153,7 +154,7 @@ def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> Learne
     per_fold = [rms(residuals[test]) for _, test in fitted.parts]
     per_marker = [rms(residuals[:, k]) for k in range(residuals.shape[1])]
     notes = (*_notes(seen, fitted, rms(residuals)), *memory.notes)
-    more = {
+    more: dict[str, Any] = {
         "per_fold_mm": [round(error, 4) for error in per_fold],
         "per_marker_mm": [round(error, 4) for error in per_marker],
         "compliance": NOMINAL,

@@ -1,17 +1,19 @@
 """The memory that was in a robot while it was learned: which family first, by which law second.
 
-Level 1: the signals of each family (`signals.py`) stand beside the static map as columns, with powers up to three where
-there are few channels; a family is taken if it lowers the held-out loss by more than a paired standard error over the
-folds, in most folds, by a share of the loss and of what stands above the noise, and visibly. If the best family fails,
-none is taken: the next best would only stand in for it. Level 2: the effects that are members of the families that fall,
-each with the static map solved again (`law.py`). A law *reaches* if it does as well as the best of
-all, representatives included; the fewest numbers win; the rest are its alternatives. Then one number per channel is tried.
-The law joins the chain, v takes the place of the command, and the families are asked again.
+Level 1. The signals of each family (`signals.py`) stand beside the static map as columns, with powers up to three
+where there are few channels. A family counts if it lowers the held-out loss by more than one paired standard error
+over the folds, in most folds, by a share of the loss and of what stands above the noise, and visibly. If the best
+family fails, none is taken: the next best would only stand in for it. The B-splines of the command are the control.
+Where they do as well as the best family, they join the map, and the families are judged beside them.
 
-Several runs: each run whose commands lie within those of the others is also held out whole, which judges between
-families that draw the same loop at one amplitude and speed. The B-spline of the command is the control: where it does as
-well as a family, nothing is remembered. Limits: laws act in series with the map; rates alone have no law in the library.
-Pinned by tests/test_learned_memory.py.
+Level 2. The members of the families that fall are fitted with the static map solved again (`law.py`), with one number
+for all channels and with a number per channel. A law *reaches* if it does as well as the best of all, representatives
+included. The fewest numbers win; the other laws that reach are its alternatives. The law joins the chain, what it
+leaves of the commands takes their place, and the families are asked again.
+
+Several runs: each run whose commands the others cover is also held out whole. That judges between families that draw
+the same loop at one amplitude and speed. Limits: laws act in series with the map; a rate alone has no law in the
+library. Pinned by tests/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -23,9 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.folds import Folds, run_folds
 from softmap_edge.learned_in import Alternative, LearnedIn
-from softmap_edge.learned_in import Law as Kind
+from softmap_edge.learned_in import Law as Certainty
 from softmap_edge.rod.law import FittedLaw, LawFit, law
 from softmap_edge.rod.reference_run import Seen
 from softmap_edge.rod.regression import Drive
@@ -44,10 +45,12 @@ FALL = 0.01  # of its loss by which a fold falls
 VISIBLE = 1e-3  # of the robot's length, RMS: less is below what a camera shows (0.12 mm of a finger of 120)
 FORM = 0.025  # of the explained loss: laws closer than this differ in form, not in truth
 AGREE, FOLDS_THAT_AGREE = 0.85, 5  # share of at least so many folds that decides between two though their mean does not
+SURE = 0.2  # of what stands above the noise that a law must explain to be identified
 PAIR = 0.8  # of what a law leaves above the noise: a second law of its family that explains less is form error
 EACH = 0.05  # of the loss that a number per channel must explain more than one for all
+EACH_TRIED = 3  # laws, the best of one number for all, that are tried with a number per channel
 MOST_LAWS = 3
-WITHIN = 0.1  # of the range by which a run held out whole may leave the others
+SHORT = 2  # effects that are named as the nearest where none reaches
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +77,49 @@ class _Represented:
 
 
 @dataclass(frozen=True, eq=False)
+class _Candidate:
+    """An effect `name` that may stand for a family, or a family without a law, with its held-out loss (folds,)."""
+
+    family: Family
+    name: str
+    losses: Floats
+    fitted: FittedLaw | None = None
+
+    @property
+    def law(self) -> FittedLaw:
+        """The fitted law of an effect."""
+        assert self.fitted is not None
+        return self.fitted
+
+    @property
+    def numbers(self) -> int:
+        """How many free numbers it has."""
+        return 0 if self.fitted is None else len(self.fitted.x)
+
+
+@dataclass(frozen=True, eq=False)
 class _Found:
-    """A law that was taken, with what it was taken for and what came near it."""
+    """Effects that were taken together, the loss before them, and what came near them.
+
+    They fall `short` if they do not reach the best of all, and are `weak` if they explain a small part of the loss.
+    """
 
     family: Family
     names: tuple[str, ...]
     fitted: FittedLaw
     before: Floats
-    rivals: tuple[tuple[str, str, Floats], ...]
-    open: bool
+    rivals: tuple[_Candidate, ...]
+    short: bool
+    weak: bool
+
+    @property
+    def certainty(self) -> Certainty:
+        """Whether the law is identified: strong, nothing at a bound, no rival of another family or as few numbers."""
+        if self.short or self.fitted.bounded.any():
+            return "open"
+        own = len(self.fitted.x)
+        alike = any(rival.family.name != self.family.name or rival.numbers <= own for rival in self.rivals)
+        return "ambiguous" if alike or self.weak else "identified"
 
 
 def find_memory(seen: Seen, static: StaticMap, seed: int, members: Sequence[str] | None = None) -> Memory:
@@ -93,19 +130,6 @@ def find_memory(seen: Seen, static: StaticMap, seed: int, members: Sequence[str]
         members: the families whose laws may join the chain; None for all. Others are only reported.
     """
     return _Search(seen, static, seed, members).run()
-
-
-def search_folds(seen: Seen) -> Folds:
-    """Return the folds of a search: blocks of time, and runs that the commands of the others cover."""
-    parts = run_folds(seen.t, seen.labels)
-    commands, number = seen.drive.commanded, seen.number
-    for k in range(len(seen.runs)) if len(seen.runs) > 1 else ():
-        inside, others = commands[number == k], commands[number != k]
-        low, high = others.min(axis=0), others.max(axis=0)
-        slack = WITHIN * (high - low)
-        if np.all((inside >= low - slack) & (inside <= high + slack)):
-            parts.append((np.flatnonzero(number != k), np.flatnonzero(number == k)))
-    return parts
 
 
 class _Search:
@@ -163,52 +187,48 @@ class _Search:
         share = LATER if found else FIRST
         falling = [one for one in represented if self._falls(now, one.losses, share) and not one.family.static]
         near = [one for one in falling if self._near(one.losses, best.losses, now)]
-        chosen = [name for f in found for name in f.names]
-        fits = {
-            (one.family.name, member): self._law([*chosen, member], found)
-            for one in falling  # signals of one channel at a time may fall short of a law that a map of many explains
-            for member in one.family.members
-            if member not in chosen
-        }
-        good = {key: fit for key, fit in fits.items() if self._falls(now, fit.losses, share)}
+        good = [one for one in self._candidates(falling, found) if self._falls(now, one.losses, share)]
         if not good:
             self._only_seen(near, now, False)
             return None
-        step = self._chosen(near, good, now, best)
+        step = self._chosen(near, good, now, best.losses)
         if self.members is not None and step.family.name not in self.members:
             self._only_seen(near, now, True)
             return None
         return step
 
+    def _candidates(self, falling: Sequence[_Represented], found: Sequence[_Found]) -> list[_Candidate]:
+        """Return the fitted laws of all families that fall, beside those found.
+
+        The signals of one channel at a time may fall short of a law behind a map of many channels. So the members of
+        all families that fall are asked, not only those of the nearest.
+        """
+        there = [name for one in found for name in one.names]
+        alike = [
+            _Candidate(one.family, member, fit.losses, fit)
+            for one in falling
+            for member in one.family.members
+            if member not in there
+            for fit in [self._law([*there, member], found)]
+        ]
+        alike.sort(key=lambda one: float(one.losses.sum()))
+        return [self._each(one) if i < EACH_TRIED else one for i, one in enumerate(alike)]
+
     def _chosen(
-        self,
-        near: Sequence[_Represented],
-        good: Mapping[tuple[str, str], FittedLaw],
-        now: Floats,
-        best: _Represented,
+        self, near: Sequence[_Represented], good: Sequence[_Candidate], now: Floats, represented: Floats
     ) -> _Found:
-        """Choose among laws that lower the loss: those that reach, the fewest numbers first."""
-        lowest = min([*(fit.losses for fit in good.values()), best.losses], key=lambda losses: float(losses.sum()))
-        reach = {key: fit for key, fit in good.items() if self._near(fit.losses, lowest, now)}
-        order = sorted(
-            (reach or good).items(), key=lambda item: (len(item[1].x) if reach else 0, float(item[1].losses.sum()))
-        )
-        (family, name), fitted = order[0]
-        fitted, second = self._paired(family, name, fitted)
-        fitted = self._each(name, fitted)
-        rivals = [(member, of, fit.losses) for (of, member), fit in reach.items() if member not in (name, second)]
-        if not reach:
-            rivals += [(member, of, fit.losses) for (of, member), fit in good.items() if member not in (name, second)][:2]
+        """Choose among laws that lower the loss: those that reach the best of all, the fewest numbers first."""
+        lowest = min([*(one.losses for one in good), represented], key=lambda losses: float(losses.sum()))
+        reach = [one for one in good if self._near(one.losses, lowest, now)]
+        best = min(reach or good, key=lambda one: (one.numbers if reach else 0, float(one.losses.sum())))
+        fitted, second = self._paired(best)
+        others = reach or sorted(good, key=lambda one: float(one.losses.sum()))[: 1 + SHORT]
+        rivals = [one for one in others if one.name not in (best.name, second)]
         lawless = [one for one in near if not one.family.members and self._near(one.losses, lowest, now)]
-        rivals += [("", one.family.name, one.losses) for one in lawless]
-        return _Found(
-            next(one for one in self.families if one.name == family),
-            tuple(filter(None, (name, second))),
-            fitted,
-            now,
-            tuple(rivals),
-            open=not reach or bool(fitted.bounded.any()),
-        )
+        rivals += [_Candidate(one.family, "", one.losses) for one in lawless]
+        weak = not self._falls(now, fitted.losses, SURE)
+        names = tuple(filter(None, (best.name, second)))
+        return _Found(best.family, names, fitted, now, tuple(rivals), short=not reach, weak=weak)
 
     def _law(self, names: Sequence[str], found: Sequence[_Found]) -> FittedLaw:
         if not found:
@@ -216,16 +236,23 @@ class _Search:
         last = found[-1].fitted
         return self.fit.scanned(law(names, self.seen.drive, self._apart(last)), last.numbers)
 
-    def _paired(self, family: str, name: str, fitted: FittedLaw) -> tuple[FittedLaw, str]:
+    def _paired(self, one: _Candidate) -> tuple[FittedLaw, str]:
         """Return the law with a second member of its family where the two explain nearly all that the one leaves."""
+        fitted = one.law
         left = float(fitted.losses.sum()) - self.frames * self.floor
         best, second = fitted, ""
-        for member in next(f.members for f in self.families if f.name == family):
+        for member in one.family.members:
             if member in fitted.law.names:
                 continue
-            both = self.fit.scanned(law([*fitted.law.names, member], self.seen.drive, self._apart(fitted)), fitted.numbers)
+            both = self.fit.scanned(
+                law([*fitted.law.names, member], self.seen.drive, self._apart(fitted)), fitted.numbers
+            )
             fall = float((fitted.losses - both.losses).sum())
-            if fall > PAIR * left and self._falls(fitted.losses, both.losses, LATER) and both.losses.sum() < best.losses.sum():
+            if (
+                fall > PAIR * left
+                and self._falls(fitted.losses, both.losses, LATER)
+                and both.losses.sum() < best.losses.sum()
+            ):
                 best, second = both, member
         return best, second
 
@@ -234,21 +261,22 @@ class _Search:
         """Return the effects that have a number per channel in a law."""
         return sorted({label.split(".")[0] for label in fitted.law.labels if "[" in label})
 
-    def _each(self, name: str, fitted: FittedLaw) -> FittedLaw:
-        """Return the law with a number per channel for the effect `name` where the evidence asks for it."""
-        one = fitted.law
-        other = law(one.names, self.seen.drive, [*self._apart(fitted), name])
-        if len(other.labels) == len(one.labels):
-            return fitted  # one channel, or an effect whose numbers are the robot's
+    def _each(self, candidate: _Candidate) -> _Candidate:
+        """Return a law with a number per channel of its newest effect, where the evidence asks for it."""
+        fitted, name = candidate.law, candidate.name
+        other = law(fitted.law.names, self.seen.drive, [*self._apart(fitted), name])
+        if len(other.labels) == len(fitted.law.labels):
+            return candidate  # one channel, or an effect whose numbers are the robot's
         start = other.at(fitted.numbers)
         starts = [start]
         for i, label in enumerate(other.labels):
             if label.startswith(f"{name}.") and "[" in label:
                 starts.append(self.fit.scanned_along(other, starts[-1], i))
-        better = self.fit.refined(other, np.stack(starts[-2:]))
+        better = self.fit.refined(other, np.stack([start, starts[-1]]))
         fall = fitted.losses - better.losses
         asked = fall.sum() > max(_deviation(fall), EACH * float(fitted.losses.sum()))
-        return better if asked and (better.losses < fitted.losses).mean() >= MOST_FOLDS else fitted
+        most = (better.losses < fitted.losses).mean() >= MOST_FOLDS
+        return _Candidate(candidate.family, name, better.losses, better) if asked and most else candidate
 
     # --- evidence --------------------------------------------------------------------------------
 
@@ -311,13 +339,14 @@ class _Search:
         numbers = self.fit.told(last)
         records = []
         for one in found:
-            rivals = tuple(Alternative(name, family, self._rms(losses)) for name, family, losses in one.rivals)
-            kind: Kind = "open" if one.open else "ambiguous" if rivals else "identified"
+            rivals = tuple(Alternative(r.name, r.family.name, self._rms(r.losses)) for r in one.rivals)
             before, after = self._rms(one.before), self._rms(one.fitted.losses)
             for name in one.names:
                 twins = tuple(Alternative(twin, one.family.name, after) for twin in _twins(name))
                 params = tuple(number for label, number in numbers.items() if label.startswith(f"{name}."))
-                records.append(LearnedIn(name, one.family.name, kind, before, after, params, (*rivals, *twins)))
+                records.append(
+                    LearnedIn(name, one.family.name, one.certainty, before, after, params, (*rivals, *twins))
+                )
         return Memory(last.law.names, last.params, tuple(records), noise, tuple(self.notes))
 
 

@@ -17,18 +17,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.folds import folds
 from softmap_edge.model import TIP_PER_NEWTON
-from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory, search_folds
+from softmap_edge.rod.covered_folds import covered_folds, search_folds
+from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory
 from softmap_edge.rod.reference_run import Fitted, Seen
-from softmap_edge.rod.regression import RIDGE, Regression, choose_degree, normalise
+from softmap_edge.rod.regression import RIDGE, RIDGE_STEPS, Regression, choose_degree, normalise
 from softmap_edge.rod.static_map import StaticMap
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
 DEGREES = (1, 2, 3)
-DEGREES_OF_ONE = (1, 2, 3, 4, 5)  # of a single command: an S-shaped answer needs the fifth, and there are frames enough
+DEGREES_OF_ONE = (1, 2, 3, 4, 5)  # of a single command: the highest that the frames teach, without a ridge
 CUBIC = 3
 LEVEL, FAR_BELOW = 1e-6, 20.0  # of the range of markers: heights that stay so still are no body's; the base of outputs
 LOCK = 1.0  # the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
@@ -99,7 +99,7 @@ def fit_polynomial(
     seen: Seen, blocks: int, gap_s: float, base: ArrayLike | None, degree: int | None, static: bool, seed: int
 ) -> Fitted:
     """Fit a polynomial rod with its memory: degree and ridge by cross-validation, `static` for no memory."""
-    parts = folds(seen.t, blocks, gap_s)
+    parts, gap_s = covered_folds(seen, blocks, gap_s)
     fit = Regression(seen.markers, _base(base, seen.markers), parts)
     degrees = _degrees(seen, min(len(train) for train, _ in parts), degree)
     memory = Memory()
@@ -107,16 +107,17 @@ def fit_polynomial(
         step = -(-len(seen.t) // FRAMES)
         memory = _memory(seen, seen.every(step), fit, degrees, seed)
     u = memory.acting(seen.drive)
-    chosen, ridge = choose_degree(fit, u, degrees)
+    ridges = RIDGE_STEPS if seen.drive.channels > 1 else RIDGE_STEPS[:1]
+    chosen, ridge = choose_degree(fit, u, degrees, ridges)
     if memory.names:
-        memory = refined_memory(memory, seen, StaticMap(_plane(fit), search_folds(seen), chosen), seed)
+        memory = refined_memory(memory, seen, StaticMap(_plane(fit), search_folds(seen), chosen, ridge), seed)
         u = memory.acting(seen.drive)
     weights = fit.weights(u, chosen, ridge)
     rod = RodParameters(
         fit.base, weights.centre, weights.scale, chosen, weights.angles, weights.lengths, _nominal(fit.lengths)
     )
     residuals = fit.cross_validate(normalise(u), chosen, ridge)
-    return Fitted(rod, memory, residuals, parts, {"degree": chosen, "ridge": ridge})
+    return Fitted(rod, memory, residuals, parts, {"degree": chosen, "ridge": ridge, "gap_s": round(gap_s, 6)})
 
 
 def _degrees(seen: Seen, smallest: int, degree: int | None) -> tuple[int, ...]:
@@ -124,6 +125,7 @@ def _degrees(seen: Seen, smallest: int, degree: int | None) -> tuple[int, ...]:
     channels = seen.drive.channels
     some = DEGREES if channels > 1 else DEGREES_OF_ONE
     degrees = tuple(d for d in (some if degree is None else (degree,)) if 2 * _terms(channels, d) < smallest)
+    degrees = degrees if channels > 1 else degrees[-1:]
     if not degrees:
         raise RunError(
             f"{len(seen.t)} usable frames leave {smallest} to learn from beside a block, too few for a polynomial "

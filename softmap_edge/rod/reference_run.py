@@ -85,12 +85,19 @@ class Seen:
     @property
     def t(self) -> Floats:
         """Times (n,) s of the frames; the runs stand one after the other, `APART` apart."""
-        times, start = [], 0.0
+        times: list[Floats] = []
+        start = 0.0
         for run, index in zip(self.runs, self.frames):
             seen = run.t_seen[index]
             times.append(seen if not times else seen - run.t_seen[0] + start)
             start = float(times[-1][-1]) + APART if len(seen) else start
         return np.concatenate(times)
+
+    @property
+    def seconds(self) -> float:
+        """How long the runs were seen, together."""
+        spans = [float(np.ptp(run.t_seen[index])) for run, index in zip(self.runs, self.frames) if len(index)]
+        return sum(spans)
 
     @property
     def labels(self) -> NDArray[Any] | None:
@@ -141,7 +148,9 @@ def observe(runs: Sequence[Run], input: Source | None, hold_out: Sequence[tuple[
     source: Source = input or ("goal" if any(run.present is None for run in runs) else "present")
     for run in runs:
         if run.markers is None or run.commands(source).shape[1] == 0 or len(run.t) < 2:
-            raise RunError("a rod is learned from markers and at least two rows of commands; this run lacks one of them")
+            raise RunError(
+                "a rod is learned from markers and at least two rows of commands; this run lacks one of them"
+            )
     _alike(runs, source)
     frames = tuple(_usable(run, hold_out, rate_hz) for run in runs)
     markers = np.concatenate([np.asarray(run.markers, float)[index] for run, index in zip(runs, frames)])
@@ -177,7 +186,7 @@ def _alike(runs: Sequence[Run], source: Source) -> None:
     for number, run in enumerate(runs[1:], start=2):
         for what, one, other in (
             ("commands a row", first.commands(source).shape[1], run.commands(source).shape[1]),
-            ("markers", np.shape(first.markers)[1], np.shape(run.markers)[1]),
+            ("markers", first.seen_points.shape[1], run.seen_points.shape[1]),
             ("for its outputs", first.output, run.output),
             ("as the unit of its commands", first.command_unit, run.command_unit),
         ):

@@ -122,7 +122,8 @@ class Record:
         after = np.clip(np.searchsorted(self.t, self.t_seen), 1, len(self.t) - 1)
         share = (self.t_seen - self.t[after - 1]) / (self.t[after] - self.t[after - 1])
         before = rows[:, after - 1]
-        return np.asarray(before + np.clip(share, 0.0, 1.0)[:, None] * (rows[:, after] - before))
+        inside = np.clip(share, 0.0, 1.0)[:, None]
+        return np.asarray(before + inside * (rows[:, after] - before), float)
 
 
 class Drive:
@@ -139,7 +140,8 @@ class Drive:
     @cached_property
     def commanded(self) -> Floats:
         """The commands (n, C) at the seen times, before any effect."""
-        return np.concatenate([record.read(record.u[None])[0] for record in self.records])
+        read: list[Floats] = [record.read(record.u[None])[0] for record in self.records]
+        return np.concatenate(read)
 
     @property
     def middle(self) -> Floats:
@@ -150,7 +152,7 @@ class Drive:
     def half(self) -> Floats:
         """Half (C,) of each channel's range; 1 for a channel that does not move."""
         half = 0.5 * np.ptp(self.commands, axis=0)
-        return np.where(half > 0, half, 1.0)
+        return np.asarray(np.where(half > 0, half, 1.0), float)
 
     def rolled(self, chain: _core.Chain, params: Floats) -> Floats:
         """Return what acts (B, n, C) for parameter sets (B, P) of a chain."""
@@ -165,6 +167,8 @@ class Drive:
         return np.asarray(self.rolled(chain, valued(chain, params, chain.null)[None])[0])
 
 
-def choose_degree(fit: Regression, u: Floats, degrees: Sequence[int]) -> tuple[int, float]:
+def choose_degree(
+    fit: Regression, u: Floats, degrees: Sequence[int], ridges: Sequence[float] = RIDGE_STEPS
+) -> tuple[int, float]:
     """Return the degree and the ridge with the lowest cross-validation error."""
-    return min(product(degrees, RIDGE_STEPS), key=lambda choice: fit.error(u, *choice))
+    return min(product(degrees, ridges), key=lambda choice: fit.error(u, *choice))

@@ -1,8 +1,8 @@
-"""Signals of the families of memory, from which `learn` builds what may stand beside a static map.
+"""Signals of the families of memory: what `learn` may set beside a static map.
 
-A *family* is everything that depends on the same history of the commands, without saying by which law. The families, their
-signals and the effects that are their members are declared in the core (rust/families/): plays of many widths, shifts and
-poles, velocities, softening, time. The B-splines of the command, which remember nothing, are the control.
+A *family* is everything that depends on the same history of the commands, without saying by which law. The families,
+their signals and their members among the effects are declared in the core (rust/families/): plays of many widths,
+shifts and poles, velocities, softening, time. The B-splines of the command, which remember nothing, are the control.
 Limit: one channel at a time; products of channels are left to the laws. Pinned by tests/test_families.py and
 tests/test_learned_memory.py.
 """

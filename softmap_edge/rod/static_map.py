@@ -1,13 +1,13 @@
-"""The static map that is solved again for every law of memory: a ridge on a polynomial of what acts (variable projection).
+"""The static map that is solved again for every law of memory: a ridge on a polynomial (variable projection).
 
     targets (n, q) ≈ base(v) + [1, monomials(v)] W,   v = what acts (n, C)
 
-Targets are mm that stand for the markers: chords turned into the plane, Σ over the chords below of length × angle, so
-that their squared error is about that of the markers; with a described rod they are the coordinates of the markers, and
-`base` is that rod. The *held-out loss* of a fold is the sum of squares over its frames, each predicted from the other
-folds; folds stay whole because frames near each other are alike (`folds.py`). Laws are fitted with next to no ridge, and
-judged with the ridge of the lowest held-out loss.
-Source: variable projection, Golub and Pereyra 1973, doi:10.1137/0710036. Pinned by tests/test_learned_memory.py.
+Targets are mm that stand for the markers: chords turned into the plane, Σ over the chords below of length × angle.
+Their squared error is about that of the markers. With a described rod they are the coordinates of the markers, and
+`base` is that rod. The *held-out loss* of a fold is the sum of squares over its frames, predicted from the other
+folds; folds stay whole because frames near each other are alike (`folds.py`). Laws are fitted with the `ridge` of the
+map, next to none while they are sought, and judged with the one of the lowest held-out loss. Source: variable
+projection, Golub and Pereyra 1973, doi:10.1137/0710036. Pinned by tests/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ class StaticMap:
     targets: Floats
     parts: Folds
     degree: int
+    ridge: float = RIDGE_STEPS[0]
     splined: bool = False
     base: Callable[[Floats], Floats] | None = None
 
@@ -52,11 +53,16 @@ class StaticMap:
     def residual(self, acting: Floats, rows: Index | None = None) -> Floats:
         """Return seen − mapped (n, q) mm with the map solved on the frames `rows` (all of them if None)."""
         columns, penalty, targets = *self._columns(acting), self.left(acting)
-        penalty = RIDGE_STEPS[0] * penalty
+        penalty = self.ridge * penalty
         rows = np.arange(len(targets)) if rows is None else rows
         kept = columns[rows]
         weights = np.linalg.solve(_system(kept.T @ kept, len(rows), penalty), kept.T @ targets[rows])
         return np.asarray(targets - columns @ weights)
+
+    def scanned(self, acting: Floats) -> float:
+        """Return the held-out loss mm² at the usual ridge: quick, and no map of few motions fits itself into it."""
+        columns, penalty = self._columns(acting)
+        return float(_Folded(columns, self.left(acting), self.parts).losses(penalty).sum())
 
     def losses(self, acting: Floats, beside: Floats | None = None) -> Floats:
         """Return the held-out loss (folds,) mm², with further columns (n, J) `beside` the map if they are given."""
