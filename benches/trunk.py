@@ -29,7 +29,7 @@ from benches.data import find_or_say
 from benches.trunk_load import FREE, read, report
 from softmap_edge.folds import Folds, folds
 from softmap_edge.rod.learn import LearnedRod, learn
-from softmap_edge.rod.regression import Drive
+from softmap_edge.rod.regression import Drive, Record
 from softmap_edge.run import Run, Source
 
 Floats = NDArray[np.float64]
@@ -101,8 +101,9 @@ def table(run: Run) -> Iterator[dict[str, float | str]]:
         start = time.perf_counter()
         rod = learn(run, source, BLOCKS, GAP_S)
         yield row("rod", name, rod.residuals, time.perf_counter() - start)
-        parts = folds(run.t_seen[rod.frames], BLOCKS, GAP_S)
-        x, y = inputs(run, rod), np.asarray(run.markers)[rod.frames]
+        (frames,) = rod.frames
+        parts = folds(run.t_seen[frames], BLOCKS, GAP_S)
+        x, y = inputs(run, rod), np.asarray(run.markers)[frames]
         for peer, make in PEERS.items():
             start = time.perf_counter()
             residuals = cross_validate(make, x, y, parts)
@@ -110,9 +111,10 @@ def table(run: Run) -> Iterator[dict[str, float | str]]:
 
 
 def inputs(run: Run, rod: LearnedRod) -> Floats:
-    """Return what drives the rod at its frames (n, C): commands after delay and lag."""
-    drive = Drive(run.commands(rod.input), run.t, run.t_seen[rod.frames])
-    return drive.at([(rod.chain_params.get("latency.delay", 0.0), rod.chain_params.get("lag.tau", 0.0))])[0]
+    """Return what drives the rod at its frames (n, C): commands after the effects that were found."""
+    (frames,) = rod.frames
+    drive = Drive(Record(run.commands(rod.input), run.t, run.t_seen[frames]))
+    return drive.acting(rod.chain_names, rod.chain_params)
 
 
 def cross_validate(make: Callable[[], Any], x: Floats, y: Floats, parts: Folds) -> Floats:

@@ -19,7 +19,7 @@ from softmap_edge.chain_labels import grouped
 from softmap_edge.folds import folds
 from softmap_edge.rod.learn import learn
 from softmap_edge.rod.polynomial import RodParameters
-from softmap_edge.rod.regression import Drive, Regression
+from softmap_edge.rod.regression import Drive, Record, Regression
 
 COMMANDS = "control_inputs_controlled_1.csv"
 FREE, LOADED = "observations_controlled_1.csv", "observations_controlled_1_100g.csv"
@@ -31,7 +31,7 @@ HALVES = {
     "second half": ((73.0, 151.0), (75.0, 135.0), (137.0, 151.0)),
     "first half": ((-1.0, 77.0), (0.0, 60.0), (62.0, 75.0)),
 }
-OTHER_DRIVE = (0.175, 0.05)  # s, delay and lag that the page names as the rival of a pure delay
+OTHER_DRIVE = {"latency.delay": 0.175, "lag.tau": 0.05}  # s, which the page names as the rival of a pure delay
 SETS: tuple[tuple[str, ...], ...] = (
     (),
     ("offset",),
@@ -97,9 +97,10 @@ def rods(free: Run) -> dict[str, float]:
         found |= {f"{source}: rod, cross-validation, mm": rod.error_mm, f"{source}: at the tip, mm": tip}
         found |= {f"{source}: {label}, s": value for label, value in rod.chain_params.items()}
         if source == "goal":
-            seen = free.t_seen[rod.frames]
-            regression = Regression(np.asarray(free.markers)[rod.frames], np.zeros(3), folds(seen, BLOCKS, GAP_S))
-            u = Drive(free.commands("goal"), free.t, seen).at([OTHER_DRIVE])[0]
+            (frames,) = rod.frames
+            seen = free.t_seen[frames]
+            regression = Regression(np.asarray(free.markers)[frames], np.zeros(3), folds(seen, BLOCKS, GAP_S))
+            u = Drive(Record(free.commands("goal"), free.t, seen)).acting(("latency", "lag"), OTHER_DRIVE)
             other = regression.error(u, rod.made_from["degree"], rod.made_from["ridge"])
             found["goal: delay 0.175 s and lag 0.05 s, error ratio"] = other / rod.error_mm
     return found

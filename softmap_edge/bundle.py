@@ -1,8 +1,9 @@
 """The bundle: the folder that carries a model from one machine to another. Nothing in it is run unasked.
 
-manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it
+manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it; of a learned model
+                `made_from` has `runs` (their hashes) and `learned_in` (`learned_in.py`)
 prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes, scale, power and
-                the rest as a table), or a rod
+                the rest as a table), or a rod with the `coverage_…` of the commands that it was learned from
 template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh;
                 handles, where not all vertices are
 fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands; `second_…`
@@ -35,7 +36,9 @@ from typing import Any
 import numpy as np
 
 from softmap_edge import __version__, _core, own_effect
+from softmap_edge.coverage import Coverage
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
+from softmap_edge.learned_in import read_learned_in
 from softmap_edge.manifest import LARGEST, finite_number, load_manifest, read_json
 from softmap_edge.model import Arrays, Model
 from softmap_edge.network import read_network
@@ -262,6 +265,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         from softmap_edge.rod.learn import rod_from_arrays
 
         prior, fields = rod_from_arrays(arrays["prior"])
+        Coverage.from_arrays(arrays["prior"], manifest["channels"])  # or says what is wrong with it
         cables = second = None
     rest = template.rest
     if prior.size != rest.size:
@@ -358,7 +362,13 @@ def _own_hashes(manifest: dict[str, Any]) -> dict[str, str]:
 
 def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:
     made = manifest.get("made_from")
-    return dict(made) if isinstance(made, dict) else {}
+    if not isinstance(made, dict):
+        return {}
+    read_learned_in(made.get("learned_in"))
+    runs = made.get("runs", [])
+    if not isinstance(runs, list) or not all(isinstance(run, str) and len(run) == 64 for run in runs):
+        raise SoftmapError("made_from: `runs` is not a list of sha256")
+    return dict(made)
 
 
 def _sha256(file: Path) -> str:

@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core, views
 from softmap_edge.chain_labels import named, spread, valued
+from softmap_edge.coverage import Coverage
 from softmap_edge.errors import SoftmapError
 from softmap_edge.features import Body, FeatureMap, marker_features, section_features, upright
+from softmap_edge.learned_in import LearnedIn, read_learned_in
 from softmap_edge.output import Output
 from softmap_edge.outside import check_commands
 from softmap_edge.predictors import Contact, Shape, stations, tip, whole
@@ -122,6 +124,20 @@ class Model:
     def positions(self) -> NDArray[np.bool_]:
         """Which features (V,) are places; the others are directions."""
         return self.feature_map.positions
+
+    @cached_property
+    def learned_in(self) -> tuple[LearnedIn, ...]:
+        """What was in the robot while the model was learned (`softmap learn`); none for a model of a simulator."""
+        return read_learned_in(self.made_from.get("learned_in"))
+
+    def taught_by(self, run: Run) -> bool:
+        """Return whether the model was learned from this very run."""
+        return run.hash() in self.made_from.get("runs", [])
+
+    @cached_property
+    def coverage(self) -> Coverage | None:
+        """Where a learned model has seen commands; None where that was not kept."""
+        return Coverage.from_arrays(self.arrays.get("prior", {}), self.channels)
 
     @property
     def params(self) -> dict[str, float]:
@@ -247,7 +263,8 @@ class Model:
         return replace(model, form_error=error, vertex_error_mm=overall)
 
     def _with_rod(self, rod: ElasticParameters, kept: Arrays) -> Model:
-        arrays = {**self.arrays, "prior": rod.to_arrays() | kept}
+        coverage = {} if self.coverage is None else self.coverage.to_arrays()
+        arrays = {**self.arrays, "prior": rod.to_arrays() | coverage | kept}
         return replace(self, prior=rod.compiled(), fields=dict(rod.fields()), arrays=arrays)
 
     @cached_property

@@ -1,6 +1,7 @@
 """Where a run leaves what a model was made from: commands, shapes, loads that are not applied, points out of reach.
 
-A trained prior and a residual tell in `made_from` which commands taught them (`span`); those that act are compared.
+A trained prior and a residual tell in `made_from` which commands taught them (`span`); those that act are compared. A
+learned rod keeps the leverage of what taught it (`coverage.py`), which knows of combinations of channels as well.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ def beyond(model: Model, run: Run) -> list[str]:
     """
     u, notes = model.commands(run), []
     said = _taught(model, "prior") is not None  # of a trained prior by `untaught`, once
+    if model.coverage is not None:
+        notes, said = _uncovered(model, run), True
     for c, (low, high) in enumerate(model.command_range if len(u) and not said else ()):
         least, most = float(u[:, c].min()), float(u[:, c].max())
         slack = BEYOND * (high - low)
@@ -46,6 +49,31 @@ def beyond(model: Model, run: Run) -> list[str]:
             "that is not applied"
         )
     return notes
+
+
+def _uncovered(model: Model, run: Run) -> list[str]:
+    """Return a sentence where what acts is unlike all that a learned model was made from."""
+    coverage, unit = model.coverage, model.command_unit
+    if coverage is None or not run.frames:
+        return []
+    u = model.acts(run)
+    outside = coverage.outside(u)
+    count = int(outside.sum())
+    if not count:
+        return []
+    low, high = coverage.middle - coverage.half, coverage.middle + coverage.half
+    least, most = u.min(axis=0), u.max(axis=0)
+    left = (least < low - BEYOND * (high - low)) | (most > high + BEYOND * (high - low))
+    where = ", ".join(
+        f"channel {c} goes from {least[c]:.3g} to {most[c]:.3g} {unit}, there from {low[c]:.3g} to {high[c]:.3g}"
+        for c in np.flatnonzero(left)
+    )
+    return [
+        f"{count} of {len(u)} frames ({100 * count / len(u):.0f} %) are unlike what '{model.robot}' was learned from "
+        f"(leverage up to {float(coverage.excess(u).max()):.3g} times the largest there): "
+        f"{where or 'each channel stays within its range, but they were not moved together so'}; it extrapolates, and "
+        "its errors there are not known"
+    ]
 
 
 def untaught(model: Model, run: Run) -> list[str]:

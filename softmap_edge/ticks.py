@@ -207,15 +207,16 @@ def converted(model: Any, run: Run) -> Run:
     """Return the run with its ticks as commands, by the calibration of the model; as it is where either is missing.
 
     Args:
-        model: perhaps with a `calibration`. run: `ticks` become `command`, `present_ticks` become `present` unless the
-            run has that; what was seen is the same array.
+        model: perhaps with a `calibration`; or learned from ticks, which it takes as commands.
+        run: `ticks` become `command`, `present_ticks` become `present` unless the run has that; what was seen is the
+            same array.
 
     Raises:
         CalibrationError: the run has another number of servos than the calibration.
     """
     calibration: Calibration | None = getattr(model, "calibration", None)
     if calibration is None:
-        return run
+        return commanded_in_ticks(run) if getattr(model, "command_unit", "mm") == "ticks" else run
     encoded = run.present_ticks is not None and run.present is None
     if not encoded and run.ticks is None:
         return run
@@ -230,6 +231,20 @@ def converted(model: Any, run: Run) -> Run:
         present=calibration.commands(run.present_ticks) if encoded and run.present_ticks is not None else run.present,
         command_unit=calibration.unit if run.ticks is not None else run.command_unit,
     )
+    return _driven(run, drive)
+
+
+def commanded_in_ticks(run: Run) -> Run:
+    """Return a run that holds ticks only with its ticks as commands, for a model that is learned and needs no mm."""
+    if run.command is not None or run.ticks is None:
+        return run
+    encoded = run.present_ticks is not None and run.present is None
+    present = np.asarray(run.present_ticks, float) if encoded else run.present
+    return _driven(run, Run(t=run.t, command=np.asarray(run.ticks, float), present=present, command_unit="ticks"))
+
+
+def _driven(run: Run, drive: Run) -> Run:
+    """Return a run with the commands of another."""
     whole = copy(run)  # not `replace`, which would check again what was seen, at every prediction
     for name in ("command", "present", "ticks", "present_ticks", "command_unit"):
         object.__setattr__(whole, name, getattr(drive, name))

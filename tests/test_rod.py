@@ -15,7 +15,7 @@ from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.folds import folds
 from softmap_edge.rod.learn import LearnedRod, learn, learn_model
 from softmap_edge.rod.polynomial import RodParameters
-from softmap_edge.rod.regression import Drive, Regression
+from softmap_edge.rod.regression import Drive, Record, Regression
 from softmap_edge.run import Run
 
 ROOT = Path(__file__).parent.parent
@@ -96,7 +96,7 @@ def test_delay_and_lag_of_the_drive_are_found(truth):
     assert rod.error_mm < 0.5
     # Without them the same polynomial fails.
     fit = Regression(run.markers, np.zeros(3), folds(run.t_seen, 5, 2.0))
-    undelayed = Drive(run.command, run.t, run.t_seen).at([(0.0, 0.0)])[0]
+    undelayed = Drive(Record(run.command, run.t, run.t_seen)).commanded
     assert fit.error(undelayed, rod.rod.degree, 1.0) > 10 * rod.error_mm
 
 
@@ -272,3 +272,36 @@ def test_play_is_sought_in_the_size_of_the_drive(truth, unit, size):
     assert found.verdict == "identified" and [e.name for e in found.effects] == ["backlash"]
     gap = found.effects[0].params["backlash.gap"]
     assert gap["value"] == pytest.approx(0.8 * size, rel=0.03) and gap["unit"] == unit and not gap["at_bound"]
+
+
+def test_tendons_that_add_up_to_zero_are_reported(truth):
+    """Three tendons drive two directions: what one does alone cannot be learned, and learning works all the same."""
+    t = np.arange(0.0, 60.0, 0.02)
+    two = commands(t)
+    three = np.column_stack([two, -two.sum(axis=1)])
+    markers = truth.compiled().evaluate(two)[::3].reshape(-1, 2, 3)
+    rod = learn(Run(t=t, command=three, t_seen=t[::3], markers=markers))
+    (note,) = rod.notes
+    assert "2 of 3 directions" in note and "u1 + u2 + u3 stays at" in note
+    assert rod.error_mm < 0.1 and rod.chain_names == ()
+    pair = learn(Run(t=t, command=np.column_stack([two, 1.0 - 0.5 * two[:, 0]]), t_seen=t[::3], markers=markers))
+    assert "(0.5·u1 + u3 stays at 1 mm)" in pair.notes[0]
+
+
+def test_a_robot_is_learned_from_the_ticks_of_its_servos(truth, tmp_path, capsys):
+    """The proposal of a mapping keeps whole numbers as ticks; a learned model takes them as its unit."""
+    t = np.arange(0.0, 60.0, 0.05)
+    ticks = np.rint(2048 + 90.0 * commands(t))
+    markers = truth.compiled().evaluate((ticks - 2048) / 90.0).reshape(len(t), -1)
+    names = ",".join(["time", "motor_1", "motor_2", *(f"m{m}_{axis}" for m in (1, 2) for axis in "xyz")])
+    np.savetxt(tmp_path / "log.csv", np.column_stack([t, ticks, markers]), "%.3f", ",", header=names, comments="")
+    log, mapping, npz, bundle = (str(tmp_path / name) for name in ("log.csv", "map.toml", "run.npz", "rod"))
+    assert main(["import", log, "--guess", "--out", mapping]) == 0
+    assert main(["import", log, "--map", mapping, "--out", npz]) == 0
+    assert main(["learn", npz, "--out", bundle]) == 0
+    run, model = Run.load(npz), load_bundle(bundle)
+    assert run.command is None and model.command_unit == "ticks"
+    # The proposal guesses where the clamp is, and chords from elsewhere have angles that are no polynomials.
+    assert np.sqrt(((model.predict(run) - run.markers) ** 2).sum(-1).mean()) < 0.3
+    assert main(["compare", npz, "--bundle", bundle]) == 0
+    capsys.readouterr()

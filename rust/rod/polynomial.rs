@@ -8,6 +8,9 @@ use crate::room::with_few;
 /// Largest number of monomials that a rod accepts: 9 channels to the cubic are 219.
 const MOST_MONOMIALS: usize = 5000;
 
+/// Highest degree: an S-shaped answer of one command needs the fifth.
+const MOST_DEGREE: usize = 5;
+
 /// Outputs that are summed at a time.
 const BLOCK: usize = 8;
 
@@ -22,9 +25,9 @@ pub struct Monomials {
 impl Monomials {
     /// List the monomials; refuses degree 0, no variables and more than 5000 terms.
     pub fn new(variables: usize, degree: usize) -> Result<Self> {
-        if variables == 0 || degree == 0 || degree > 4 {
+        if variables == 0 || degree == 0 || degree > MOST_DEGREE {
             return Err(invalid(format!(
-                "a polynomial needs at least one variable and a degree of 1 to 4, got {variables} variables and degree {degree}"
+                "a polynomial needs at least one variable and a degree of 1 to {MOST_DEGREE}, got {variables} variables and degree {degree}"
             )));
         }
         let too_many = || {

@@ -7,6 +7,7 @@ import json
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.recorded import open_run
 from softmap_edge.solid.finger import Finger
+
+if TYPE_CHECKING:
+    from softmap_edge.rod.learn import LearnedRod
 
 TRAINING = "pip install softmap-training"  # whose module is imported when it is asked for
 
@@ -75,8 +79,13 @@ def build(args: argparse.Namespace) -> int:
 
 def learn_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `learn`."""
-    parser.add_argument("run", help="reference run (.npz or .mcap)")
+    parser.add_argument(
+        "run", nargs="+", help="reference run (.npz or .mcap); give several of one robot to learn from all of them"
+    )
     bundle_arguments(parser)
+    parser.add_argument(
+        "--static", action="store_true", help="learn the static map alone, and leave all memory to `softmap diagnose`"
+    )
     parser.add_argument("--robot", metavar="FILE", help="robot.toml: its tendons, for a rod that knows them")
     parser.add_argument(
         "--input", choices=["goal", "present"], help="what moves the model (default: present if recorded)"
@@ -87,7 +96,7 @@ def learn_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def learn(args: argparse.Namespace) -> int:
-    """Fit a rod to a reference run and write its bundle."""
+    """Fit a rod to reference runs and write its bundle."""
     from softmap_edge.report.in_unit import words_in_unit
     from softmap_edge.rod.learn import learn as fit
     from softmap_edge.rod.learn import learned_model
@@ -96,35 +105,49 @@ def learn(args: argparse.Namespace) -> int:
     check_bundle(args.out, args.force)
     held_out = [_interval(text) for text in args.hold_out]
     robot = None if args.robot is None else Robot.load(args.robot)
-    run = open_run(args.run)
+    runs = [open_run(path) for path in args.run]
     for text, (low, high) in zip(args.hold_out, held_out):
-        if not np.any((run.t_seen >= low) & (run.t_seen < high)):
-            raise SoftmapError(f"--hold-out {text}: no frame is seen then; the run is seen {_span(run.t_seen)}")
-    learned = fit(run, args.input, hold_out=held_out, robot=robot)
-    model = learned_model(run, learned)
+        if not any(np.any((run.t_seen >= low) & (run.t_seen < high)) for run in runs):
+            spans = "; ".join(_span(run.t_seen) for run in runs)
+            raise SoftmapError(f"--hold-out {text}: no frame is seen then; the run is seen {spans}")
+    learned = fit(runs, args.input, hold_out=held_out, robot=robot, static=args.static)
+    model = learned_model(runs, learned)
     save_bundle(model, args.out)
+    output = model.output
     result = {
         "schema": "softmap.learn/1",
         "bundle": str(args.out),
         "kind": "rod",
+        "runs": len(runs),
         "channels": model.channels,
         "markers": len(model.rest),
         "held_out_error_mm": round(model.vertex_error_mm, 4),
-        **({} if run.output is None else {"output": run.output.to_dict()}),
+        **({} if output is None else {"output": output.to_dict()}),
         "params": model.params,
+        "learned_in": [one.to_dict() for one in learned.learned_in],
         "numbers": [number.to_dict() for number in learned.numbers],
         "notes": list(learned.notes),
     }
-    seen = f"{len(model.rest)} markers" if run.output is None else f"outputs {', '.join(run.output.names)}"
+    seen = f"{len(model.rest)} markers" if output is None else f"outputs {', '.join(output.names)}"
     lines = [
         f"{args.out}: rod model of '{model.robot}', {model.channels} channels, {seen}, "
         f"own blocked cross-validation error {model.vertex_error_mm:.2f} mm RMS (held out)"
     ]
+    lines += _memory(learned, args.static)
     lines += [f"  {number}" for number in learned.numbers]
-    print(json.dumps(result) if args.json else words_in_unit("\n".join(lines), run.output))
+    print(json.dumps(result) if args.json else words_in_unit("\n".join(lines), output))
     for note in learned.notes:
-        print(f"softmap learn: {words_in_unit(note, run.output)}", file=sys.stderr)
+        print(f"softmap learn: {words_in_unit(note, output)}", file=sys.stderr)
     return 0
+
+
+def _memory(learned: LearnedRod, static: bool) -> list[str]:
+    """Return what was found beside the static map, as lines."""
+    if static:
+        return ["  memory: not looked for (--static); `softmap diagnose` names it from a run"]
+    if not learned.learned_in:
+        return ["  memory: none found; the chain is empty"]
+    return [f"  {line}" for one in learned.learned_in for line in str(one).splitlines()]
 
 
 def sweep_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,7 +12,6 @@ it is left less certain than a guess (`Kind.doubt`), or when it is less certain 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,29 +20,28 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import RobotError, RunError
 from softmap_edge.folds import Folds
+from softmap_edge.rod.covered_folds import search_folds
+from softmap_edge.rod.descent import Term, descend
 from softmap_edge.rod.elastic import Coordinates, ElasticParameters
+from softmap_edge.rod.memory import FRAMES, Memory, find_memory
 from softmap_edge.rod.reference_run import Fitted, Number, Seen
-from softmap_edge.rod.regression import Drive, fit_drive, refine_drive, rms
+from softmap_edge.rod.static_map import StaticMap
 
 if TYPE_CHECKING:
     from softmap_edge.rod.robot import Robot
 
 Floats = NDArray[np.float64]
-Term = Callable[
-    [Floats, bool], tuple[Floats, Floats]
-]  # x, slopes wanted → residuals (m,), their slopes (m, D) or (0, D)
 
-ITERATIONS = 60
-ENOUGH = 1e-7  # share of the sum of squares by which a step must lower it to be followed by another
 STARTS = 4
+BESIDE_ROD = (1, 2)  # degrees of the polynomial that supports a described rod while its delay is sought
 MOST_SEEN, LEAST_FRAMES = 8000, 200  # markers times frames of a fit; more frames, but not these, are thinned evenly
 CHUNK = 4_000_000  # slopes by all numbers that are held at once
 EXACT = 1e-4  # mm: no camera sees better, so that a perfect fit is not infinitely sure
 TRADED = 0.995  # correlation of two numbers from which the run tells them only together
 
 
-def fit_elastic(seen: Seen, robot: Robot, parts: Folds, seed: int) -> Fitted:
-    """Fit the free numbers of an elastic rod, then delay and lag where the log can tell them.
+def fit_elastic(seen: Seen, robot: Robot, parts: Folds, seed: int, static: bool) -> Fitted:
+    """Fit the free numbers of an elastic rod, then the drive's delay where the log can tell it and not `static`.
 
     Raises:
         RunError: a fold leaves too little to fit the numbers from.
@@ -54,27 +52,20 @@ def fit_elastic(seen: Seen, robot: Robot, parts: Folds, seed: int) -> Fitted:
             f"beside one of the {len(parts)} parts that are held out in turn {least} coordinates are left to fit "
             f"{free} numbers from; record longer, label longer moves as one `block`, or make more of them known"
         )
-    start, drive, pair = robot.start.copy(), seen.drive, (0.0, 0.0)
-    u = drive.at([pair])[0]
+    start, u = robot.start.copy(), seen.drive.commanded
     if not robot.angles_known:
         start[robot.layout.places()["angle"]] = _sides(robot, u, seen.markers)
     space = robot.coordinates(start)
     data = Data(space, u, seen.markers)
     x, agree = best_of(data, STARTS, seed)
-    if not seen.slow:
-        for _ in range(2):  # the rod's numbers hardly feel the drive's, so that twice in turn is enough
-            rod = robot.layout.compiled(space.numbers(x))
-
-            def error(u: Floats, rod: _core.ElasticRod = rod) -> float:
-                return rms(rod.evaluate(np.ascontiguousarray(u)).reshape(seen.markers.shape) - seen.markers)
-
-            pair = refine_drive(error, drive, *fit_drive(error, drive))
-            data = Data(space, drive.at([pair])[0], seen.markers)
-            x = descend(data.term(), x, space.low, space.high)[0]
+    memory = Memory() if static or seen.slow else _memory(seen, robot, space.numbers(x), seed)
+    if memory.names:
+        data = Data(space, memory.acting(seen.drive), seen.markers)
+        x = descend(data.term(), x, space.low, space.high)[0]
     residuals, refits = cross_validate(data, x, parts)
     return Fitted(
         rod=ElasticParameters.nominal(robot.layout, space.numbers(x), space.groups),
-        pair=pair,
+        memory=memory,
         residuals=residuals.reshape(seen.markers.shape),
         parts=parts,
         made_from={"robot": robot.name, "seed": seed, "starts": STARTS, "starts_that_agree": agree},
@@ -82,24 +73,42 @@ def fit_elastic(seen: Seen, robot: Robot, parts: Folds, seed: int) -> Fitted:
     )
 
 
+def _memory(seen: Seen, robot: Robot, fitted: Floats, seed: int) -> Memory:
+    """Find the drive's delay beside the rod that was fitted to the commands, with a small polynomial in its support.
+
+    Other memory is left to the diagnosis: the rod has laws of its own for slack and friction.
+    """
+    few = seen.every(-(-len(seen.t) // FRAMES))
+    rod, parts = robot.layout.compiled(fitted), search_folds(few)
+    smallest = min(len(train) for train, _ in parts)
+    degree = max(
+        [d for d in BESIDE_ROD if 2 * len(_core.monomial_degrees(seen.drive.channels, d)) < smallest], default=1
+    )
+    static = StaticMap(
+        few.markers.reshape(len(few.markers), -1),
+        parts,
+        degree,
+        base=lambda acting: rod.evaluate(np.ascontiguousarray(acting)),
+    )
+    return find_memory(few, static, seed, members=("delay",))
+
+
 def fit_for(robot: Robot, seen: Seen) -> Seen:
     """Check that a run is one of this robot, and thin its frames to what a fit needs."""
-    channels, markers = seen.drive.u.shape[1], seen.markers.shape[1]
+    channels, markers = seen.drive.channels, seen.markers.shape[1]
     if (channels, markers) != (robot.layout.channels, len(robot.layout.at)):
         raise RobotError(
             f"the run has {channels} commands and {markers} markers, '{robot.name}' has {robot.layout.channels} and "
             f"{len(robot.layout.at)}; give each tendon its command and each marker its place in robot.toml"
         )
     free = len(robot.coordinates().labels)
-    if len(seen.frames) * 3 * markers < 4 * free or not free:
+    if len(seen.t) * 3 * markers < 4 * free or not free:
         raise RobotError(
-            f"{len(seen.frames)} usable frames of {markers} markers and {free} numbers to fit; give four coordinates "
+            f"{len(seen.t)} usable frames of {markers} markers and {free} numbers to fit; give four coordinates "
             'for each number, and name in [fit] of robot.toml what is to be fitted, as angle = "each"'
         )
-    every = -(-len(seen.frames) // max(LEAST_FRAMES, MOST_SEEN // markers))
-    frames = seen.frames[::every]
-    drive = Drive(seen.drive.u, seen.drive.t, seen.run.t_seen[frames])
-    return Seen(seen.run, seen.source, frames, seen.markers[::every], drive)
+    every = -(-len(seen.t) // max(LEAST_FRAMES, MOST_SEEN // markers))
+    return seen.every(every)
 
 
 def _sides(robot: Robot, u: Floats, markers: Floats) -> Floats:
@@ -145,38 +154,6 @@ class Data:
             return self.residuals(x, some).reshape(-1), self.slopes(x, some) if wanted else np.zeros((0, len(x)))
 
         return at
-
-
-def descend(term: Term, x: Floats, low: Floats, high: Floats) -> tuple[Floats, float]:
-    """Minimise the sum of squares of `term` within bounds; return where, and the sum."""
-    x = np.clip(x, low, high)
-    residual = term(x, False)[0]
-    cost, damping = float(residual @ residual), 1e-3
-    for _ in range(ITERATIONS):
-        jacobian = term(x, True)[1]
-        gradient, square = jacobian.T @ residual, jacobian.T @ jacobian
-        free = ~(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
-        scale = np.maximum(np.diag(square), 1e-12 * max(float(np.trace(square)), 1e-300))
-        fall = 0.0
-        while damping < 1e12 and free.any():
-            system = square + damping * np.diag(scale)
-            step = np.zeros(len(x))
-            try:
-                step[free] = -np.linalg.solve(system[np.ix_(free, free)], gradient[free])
-            except np.linalg.LinAlgError:  # two numbers that do the same, and damping lost in round-off
-                damping *= 8.0
-                continue
-            ahead = np.clip(x + step, low, high)
-            reached = term(ahead, False)[0]
-            fall = cost - float(reached @ reached)
-            if fall > 0:
-                x, residual, cost = ahead, reached, cost - fall
-                damping = max(damping * 0.1, 1e-12)
-                break
-            damping *= 8.0
-        if fall <= ENOUGH * cost:
-            break
-    return x, cost
 
 
 def best_of(data: Data, starts: int, seed: int) -> tuple[Floats, int]:

@@ -1,12 +1,13 @@
-"""Fit a rod to a reference run: the prior of a robot that has no simulator. Seconds; numpy and the core only.
+"""Fit a rod to reference runs: the prior of a robot that has no simulator. Seconds; numpy and the core only.
 
 Two rods (rust/rod/) turn commands into markers. Where the robot's tendons are described (`robot.py`) it is the elastic
 one, fitted by `elastic_fit.py`; else a chain of chords whose bending angles are a polynomial (`polynomial.py`).
-With either, delay and lag of the drive are found, which stay effects of the chain; a log too slow for them has none.
-Degree, ridge, delay and lag are those with the lowest error; frames closer than `gap_s` to a block are not used to
-predict it. These few choices are made on the blocks that give the stated error, so it is slightly low; frames in
-`hold_out` are never looked at. Known limit: memory other than delay and lag is not fitted.
-tests/test_rod.py and tests/test_elastic.py pin exact recovery and the error on real data.
+With either, the memory that was in the robot is found (`memory.py`): its law joins the chain by name, with its
+alternatives, and `static` leaves it out. Beside an elastic rod only delays join; other memory is reported.
+Degree, ridge and law are those with the lowest error; frames closer than `gap_s` to a block are not used to predict it.
+These few choices are made on the blocks that give the stated error, so it is slightly low; frames in `hold_out` are
+never looked at. tests/test_rod.py, tests/test_elastic.py and tests/test_learned_memory.py pin exact recovery and the
+error on real data.
 """
 
 from __future__ import annotations
@@ -19,25 +20,31 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.errors import SoftmapError
+from softmap_edge.coverage import Coverage
+from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.folds import folds
+from softmap_edge.learned_in import LearnedIn
 from softmap_edge.model import NOMINAL, Model
 from softmap_edge.rod.elastic import ElasticParameters
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
 from softmap_edge.rod.polynomial import RodParameters, fit_polynomial
 from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
 from softmap_edge.rod.regression import rms
+from softmap_edge.run import Run
 from softmap_edge.safety import derived
+from softmap_edge.ticks import commanded_in_ticks
 
 if TYPE_CHECKING:
     from softmap_edge.rod.robot import Robot
-    from softmap_edge.run import Run, Source
+    from softmap_edge.run import Source
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
 RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
 USELESS = 0.8  # share of that straying from which a held-out error says that commands explain little
+DEPENDENT = 0.01  # of the largest singular value of the commands: a direction that moves less does not move
+ROUNDED = 0.02  # weights below this in such a direction are encoders' rounding
 POOR = 0.4  # of the same: a rod that knows its commands leaves a tenth
 
 
@@ -45,9 +52,11 @@ POOR = 0.4  # of the same: a rod that knows its commands leaves a tenth
 class LearnedRod:
     """A rod fitted to a run, and how well it predicts what it has not seen.
 
-    `chain_names` and `chain_params` (by label, s) are the delay and lag of the drive that belong in the bundle's chain.
+    `chain_names` and `chain_params` (by label) are the effects that belong in the bundle's chain; `learned_in` says of
+    each what it stands for, and what else was seen.
     `error_mm` is the blocked cross-validation RMS over all markers, `per_fold_mm` (blocks,), `per_marker_mm` (K,);
-    `form_error` (K, 3) mm is its RMS by marker and axis; `residuals` (n, K, 3) mm (predicted − seen) at `frames` (n,);
+    `form_error` (K, 3) mm is its RMS by marker and axis; `residuals` (n, K, 3) mm (predicted − seen) at the `frames` of
+    each run; `coverage` says which commands they show;
     `numbers` are what was fitted of an elastic rod; `notes` say what to beware of.
     """
 
@@ -60,29 +69,32 @@ class LearnedRod:
     per_marker_mm: Floats
     form_error: Floats
     residuals: Floats
-    frames: NDArray[np.intp]
+    frames: tuple[NDArray[np.intp], ...]
+    coverage: Coverage
     made_from: Mapping[str, Any]
     numbers: tuple[Number, ...] = ()
+    learned_in: tuple[LearnedIn, ...] = ()
     notes: tuple[str, ...] = ()
 
     def to_arrays(self) -> Arrays:
-        """Return the arrays of `prior.npz` (delay and lag live in `effects.json`)."""
+        """Return the arrays of `prior.npz` (effects live in `effects.json`)."""
         return self.rod.to_arrays()
 
     def __str__(self) -> str:
         """Say in a few lines what was fitted and how far it is off."""
-        drive = ", ".join(f"{label} {value:.3f} s" for label, value in self.chain_params.items()) or "no delay, no lag"
+        memory = ", ".join(self.chain_names) or "no memory"
         markers = ", ".join(f"{value:.2f}" for value in self.per_marker_mm)
         blocks = ", ".join(f"{value:.2f}" for value in self.per_fold_mm)
         lines = [
-            f"{self.rod}, on the {self.input} command; {drive}",
+            f"{self.rod}, on the {self.input} command; {memory}",
             f"blocked cross-validation {self.error_mm:.2f} mm RMS (markers {markers}; blocks {blocks})",
         ]
+        lines += [str(one) for one in self.learned_in]
         return "\n".join([*lines, *(f"  {number}" for number in self.numbers), *self.notes])
 
 
 def learn(
-    run: Run,
+    runs: Run | Sequence[Run],
     input: Source | None = None,
     blocks: int = 5,
     gap_s: float = 2.0,
@@ -92,80 +104,93 @@ def learn(
     degree: int | None = None,
     rate_hz: float = RATE_HZ,
     robot: Robot | None = None,
+    static: bool = False,
     seed: int = 0,
 ) -> LearnedRod:
-    """Fit a rod and the delay and lag of the drive to a reference run with markers.
+    """Fit a rod and the memory of the robot to reference runs with markers.
 
     Args:
-        run: commands (T, C) and markers (K, M, 3) mm, base to tip, in the base frame (z along the rest axis).
-        input: "goal" or "present"; None takes the present positions where the run has them.
-        blocks: contiguous blocks of the cross-validation; an elastic rod takes the run's `block` labels if it has any.
-        gap_s: s, frames this close to a block are not used to predict it.
-        hold_out: intervals (t0, t1) s whose frames are not used at all.
+        runs: one or several of one robot, each with commands (T, C) and markers (K, M, 3) mm, base to tip, in the base
+            frame (z along the rest axis). Memory begins in equilibrium in each.
+        input: "goal" or "present"; None takes the present positions where every run has them.
+        blocks: contiguous blocks of the cross-validation, more where a short run would else hold out what it saw once;
+            an elastic rod takes the runs' `block` labels if they have any.
+        gap_s: s, frames this close to a block are not used to predict it; at most half a block.
+        hold_out: intervals (t0, t1) s whose frames are not used at all, in each run.
         base: (3,) mm, the point from which the first chord starts; None is the origin of the base frame. It is not
             fitted: markers do not tell it (on the trunk any depth from 0 to 94 mm predicts equally well within 0.1 mm).
-        degree: of the polynomial; None chooses among 1, 2, 3.
+        degree: of the polynomial; None chooses among 1, 2, 3 (of one command up to 5).
         rate_hz: at most so many frames a second are used.
         robot: a description of the robot's tendons; with it the rod is elastic, without it a polynomial.
-        seed: of the starts of an elastic fit.
+        static: learn the static map alone and leave all memory to the diagnosis.
+        seed: of the scans, and of the starts of an elastic fit.
 
     Raises:
-        RunError: the run has no markers or no commands, too few frames, or hardly moves.
-        RobotError: the run is not one of that robot.
+        RunError: a run has no markers or no commands, too few frames, or hardly moves.
+        RobotError: a run is not one of that robot.
     """
-    seen = observe(run, input, hold_out, rate_hz)
+    together = [runs] if isinstance(runs, Run) else list(runs)
+    if not together:
+        raise RunError("no run to learn from; give one or more")
+    seen = observe(together, input, hold_out, rate_hz)
     if robot is None:
-        fitted = fit_polynomial(seen, blocks, gap_s, base, degree)
+        fitted = fit_polynomial(seen, blocks, gap_s, base, degree, static, seed)
     elif base is not None or degree is not None:
         raise SoftmapError("base and degree belong to the polynomial rod; an elastic one has base_mm in its robot.toml")
     else:
         seen = fit_for(robot, seen)
-        labels = None if run.block is None or len(np.unique(run.block[seen.frames])) < 2 else run.block[seen.frames]
-        fitted = fit_elastic(seen, robot, folds(seen.t, blocks, gap_s, labels), seed)
-    made_from = {
-        "softmap-edge": __version__, "run": run.hash(), "frames": len(seen.frames), "rate_hz": rate_hz,
-        "blocks": len(fitted.parts), "gap_s": gap_s, "hold_out_s": [list(map(float, pair)) for pair in hold_out],
+        fitted = fit_elastic(seen, robot, folds(seen.t, blocks, gap_s, seen.labels), seed, static)
+    made_from: dict[str, Any] = {
+        "softmap-edge": __version__, "run": together[0].hash(), "runs": [run.hash() for run in together],
+        "frames": len(seen.t), "rate_hz": rate_hz, "blocks": len(fitted.parts), "gap_s": gap_s,
+        "hold_out_s": [list(map(float, pair)) for pair in hold_out], "static": static,
     }  # fmt: skip
     return _learned(seen, fitted, made_from)
 
 
 def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> LearnedRod:
     """Put together what was fitted, how far off it is, and what to beware of."""
-    residuals, params = fitted.residuals, dict(zip(("latency.delay", "lag.tau"), fitted.pair))
+    residuals, memory = fitted.residuals, fitted.memory
     per_fold = [rms(residuals[test]) for _, test in fitted.parts]
     per_marker = [rms(residuals[:, k]) for k in range(residuals.shape[1])]
-    notes = _notes(seen, fitted, rms(residuals))
-    more = {
+    notes = (*_notes(seen, fitted, rms(residuals)), *memory.notes)
+    more: dict[str, Any] = {
         "per_fold_mm": [round(error, 4) for error in per_fold],
         "per_marker_mm": [round(error, 4) for error in per_marker],
         "compliance": NOMINAL,
+        "learned_in": [one.to_dict() for one in memory.learned_in],
         "notes": list(notes),
     }
+    if memory.noise_mm is not None:
+        more["noise_mm"] = float(f"{memory.noise_mm:.3g}")
     if fitted.numbers:
         more["numbers"] = [number.to_dict() for number in fitted.numbers]
     return LearnedRod(
         rod=fitted.rod,
         input=seen.source,
-        chain_names=tuple(label.split(".")[0] for label, value in params.items() if value > 0),
-        chain_params={label: value for label, value in params.items() if value > 0},
+        chain_names=memory.names,
+        chain_params=dict(memory.params),
         error_mm=rms(residuals),
         per_fold_mm=np.array(per_fold),
         per_marker_mm=np.array(per_marker),
         form_error=np.sqrt((residuals**2).mean(axis=0)),
         residuals=residuals,
         frames=seen.frames,
+        coverage=Coverage.of(memory.acting(seen.drive)),
         made_from={**made_from, **fitted.made_from, **more},
         numbers=fitted.numbers,
+        learned_in=memory.learned_in,
         notes=notes,
     )
 
 
 def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
     """Return what the user should know before trusting the rod."""
-    notes, unit = [], seen.run.command_unit
-    commands, stray = seen.drive.u, seen.stray
+    notes, unit = [], seen.unit
+    commands, stray = seen.drive.commands, seen.stray
     for c in np.flatnonzero(np.ptp(commands, axis=0) == 0):
         notes.append(f"command {c + 1} stays at {commands[0, c]:g} {unit}: the rod does not know what it does")
+    notes += _dependent(commands, unit)
     if error > USELESS * stray:
         notes.append(
             f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of always answering the "
@@ -185,22 +210,62 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
     return tuple(notes)
 
 
+def _dependent(commands: Floats, unit: str) -> list[str]:
+    """Return a sentence for each sum of commands that does not move, and what follows from it."""
+    half = 0.5 * np.ptp(commands, axis=0)
+    moving = np.flatnonzero(half > 0)
+    centred = (commands - commands.mean(axis=0))[:, moving] / half[moving]
+    values, directions = np.linalg.eigh(centred.T @ centred)
+    still = np.sqrt(np.maximum(values, 0.0)) < DEPENDENT * np.sqrt(values[-1])
+    if not still.any():
+        return []
+    sums = []
+    for weights in _reduced(directions[:, still].T) / half[moving]:
+        weights = weights / weights[np.argmax(np.abs(weights))]
+        used = np.flatnonzero(np.abs(weights) > ROUNDED)
+        level = float((commands[:, moving[used]] @ weights[used]).mean())
+        terms = " ".join(_term(float(w), int(moving[c]) + 1) for c, w in zip(used, weights[used]))
+        sums.append(f"{terms.removeprefix('+ ')} stays at {level:.3g} {unit}")
+    return [
+        f"the commands move in {len(moving) - int(still.sum())} of {len(moving)} directions ({'; '.join(sums)}): what "
+        "belongs to one of these commands alone cannot be learned; move each alone, or keep to such moves"
+    ]
+
+
+def _term(weight: float, number: int) -> str:
+    size = "" if abs(abs(weight) - 1.0) < ROUNDED else f"{abs(weight):.2g}·"
+    return f"{'+' if weight > 0 else '-'} {size}u{number}"
+
+
+def _reduced(rows: Floats) -> Floats:
+    """Return a basis of the same space with as many zeros as elimination gives."""
+    rows = rows.copy()
+    for i in range(len(rows)):
+        pivot = int(np.argmax(np.abs(rows[i])))
+        rows[i] /= rows[i, pivot]
+        others = np.arange(len(rows)) != i
+        rows[others] -= np.outer(rows[others, pivot], rows[i])
+    return rows
+
+
 def learn_model(
-    run: Run,
+    runs: Run | Sequence[Run],
     input: Source | None = None,
     hold_out: Sequence[tuple[float, float]] = (),
     robot: Robot | None = None,
     **options: Any,
 ) -> Model:
     """Learn a rod and return it as a model; arguments as for `learn`."""
-    learned = learn(run, input, hold_out=hold_out, robot=robot, **options)
-    return learned_model(run, learned)
+    learned = learn(runs, input, hold_out=hold_out, robot=robot, **options)
+    return learned_model(runs, learned)
 
 
-def learned_model(run: Run, learned: LearnedRod) -> Model:
-    """Return the model of a rod that was learned from `run`."""
-    rod, markers = learned.rod.compiled(), len(learned.per_marker_mm)
-    commands = run.commands(learned.input)
+def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
+    """Return the model of a rod that was learned from `runs`."""
+    together = [commanded_in_ticks(run) for run in ([runs] if isinstance(runs, Run) else runs)]
+    run, markers = together[0], len(learned.per_marker_mm)
+    rod = learned.rod.compiled()
+    commands = np.concatenate([one.commands(learned.input) for one in together])
     home = rod.evaluate(np.zeros((1, commands.shape[1]))).reshape(-1, 3)
     model = Model(
         kind="rod",
@@ -218,7 +283,7 @@ def learned_model(run: Run, learned: LearnedRod) -> Model:
         input=learned.input,
         output=run.output,
         made_from=learned.made_from,
-        arrays={"prior": learned.to_arrays(), "fields": {}},
+        arrays={"prior": learned.to_arrays() | learned.coverage.to_arrays(), "fields": {}},
         stiffness_known=False,
     )
     return replace(model.with_effects(learned.chain_names, learned.chain_params), safety=derived(model))

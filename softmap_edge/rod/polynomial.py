@@ -17,15 +17,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.folds import folds
 from softmap_edge.model import TIP_PER_NEWTON
+from softmap_edge.rod.covered_folds import covered_folds, search_folds
+from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory
 from softmap_edge.rod.reference_run import Fitted, Seen
-from softmap_edge.rod.regression import Regression, choose_degree, fit_drive, normalise, refine_drive
+from softmap_edge.rod.regression import RIDGE, RIDGE_STEPS, Regression, choose_degree, normalise
+from softmap_edge.rod.static_map import StaticMap
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
 DEGREES = (1, 2, 3)
+DEGREES_OF_ONE = (1, 2, 3, 4, 5)  # of a single command: the highest that the frames teach, without a ridge
+CUBIC = 3
+LEVEL, FAR_BELOW = 1e-6, 20.0  # of the range of markers: heights that stay so still are no body's; the base of outputs
 LOCK = 1.0  # the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
 
 
@@ -85,38 +90,79 @@ class RodParameters:
             if len(value) != 1:
                 raise SoftmapError(f"rod: '{name}' holds {len(value)} numbers, expected one; learn the bundle again")
         (degree,), (compliance,), (lock,) = single.values()
-        if degree not in (1, 2, 3, 4):
-            raise SoftmapError(f"rod: degree {degree}, expected 1 to 4; learn the bundle again")
+        if degree not in range(1, len(RIDGE) + 1):
+            raise SoftmapError(f"rod: degree {degree}, expected 1 to {len(RIDGE)}; learn the bundle again")
         return cls(degree=int(degree), compliance=compliance, lock=lock, **values)
 
 
-def fit_polynomial(seen: Seen, blocks: int, gap_s: float, base: ArrayLike | None, degree: int | None) -> Fitted:
-    """Fit a polynomial rod: its degree, ridge, delay and lag by cross-validation."""
-    commands, parts = seen.drive.u, folds(seen.t, blocks, gap_s)
-    smallest = min(len(train) for train, _ in parts)
-    degrees: tuple[int, ...] = DEGREES if degree is None else (degree,)
-    degrees = tuple(d for d in degrees if 2 * len(_core.monomial_degrees(commands.shape[1], d)) < smallest)
-    if not degrees:
-        raise RunError(
-            f"{len(seen.frames)} usable frames leave {smallest} to learn from beside a block, too few for a polynomial "
-            f"of {commands.shape[1]} commands; record longer, use fewer blocks or a smaller gap_s"
-        )
-    fit, drive, pair = Regression(seen.markers, _base(base), parts), seen.drive, (0.0, 0.0)
-    if not seen.slow:
-        pair = fit_drive(lambda u: fit.error(u, min(degrees[-1], 2), 1.0), drive)
-    chosen, ridge = choose_degree(fit, drive.at([pair])[0], degrees)
-    if not seen.slow:
-        pair = refine_drive(lambda u: fit.error(u, chosen, ridge), drive, *pair)
-    u = drive.at([pair])[0]
+def fit_polynomial(
+    seen: Seen, blocks: int, gap_s: float, base: ArrayLike | None, degree: int | None, static: bool, seed: int
+) -> Fitted:
+    """Fit a polynomial rod with its memory: degree and ridge by cross-validation, `static` for no memory."""
+    parts, gap_s = covered_folds(seen, blocks, gap_s)
+    fit = Regression(seen.markers, _base(base, seen.markers), parts)
+    degrees = _degrees(seen, min(len(train) for train, _ in parts), degree)
+    memory = Memory()
+    if not static:
+        step = -(-len(seen.t) // FRAMES)
+        memory = _memory(seen, seen.every(step), fit, degrees, seed)
+    u = memory.acting(seen.drive)
+    ridges = RIDGE_STEPS if seen.drive.channels > 1 else RIDGE_STEPS[:1]
+    chosen, ridge = choose_degree(fit, u, degrees, ridges)
+    if memory.names:
+        memory = refined_memory(memory, seen, StaticMap(_plane(fit), search_folds(seen), chosen, ridge), seed)
+        u = memory.acting(seen.drive)
     weights = fit.weights(u, chosen, ridge)
     rod = RodParameters(
         fit.base, weights.centre, weights.scale, chosen, weights.angles, weights.lengths, _nominal(fit.lengths)
     )
-    return Fitted(rod, pair, fit.cross_validate(normalise(u), chosen, ridge), parts, {"degree": chosen, "ridge": ridge})
+    residuals = fit.cross_validate(normalise(u), chosen, ridge)
+    return Fitted(rod, memory, residuals, parts, {"degree": chosen, "ridge": ridge, "gap_s": round(gap_s, 6)})
 
 
-def _base(base: ArrayLike | None) -> Floats:
-    point = np.zeros(3) if base is None else np.array(base, float)
+def _degrees(seen: Seen, smallest: int, degree: int | None) -> tuple[int, ...]:
+    """Return the degrees that `smallest` frames can teach."""
+    channels = seen.drive.channels
+    some = DEGREES if channels > 1 else DEGREES_OF_ONE
+    degrees = tuple(d for d in (some if degree is None else (degree,)) if 2 * _terms(channels, d) < smallest)
+    degrees = degrees if channels > 1 else degrees[-1:]
+    if not degrees:
+        raise RunError(
+            f"{len(seen.t)} usable frames leave {smallest} to learn from beside a block, too few for a polynomial "
+            f"of {channels} commands; record longer, use fewer blocks or a smaller gap_s"
+        )
+    return degrees
+
+
+def _terms(channels: int, degree: int) -> int:
+    return len(_core.monomial_degrees(channels, degree))
+
+
+def _memory(seen: Seen, thinned: Seen, fit: Regression, degrees: tuple[int, ...], seed: int) -> Memory:
+    """Find the memory beside the map that the commands alone would be given, or a richer one of few channels."""
+    chosen, _ = choose_degree(fit, seen.drive.commanded, degrees)
+    richest = max(d for d in degrees if d <= max(chosen, CUBIC if seen.drive.channels <= FEW_CHANNELS else 1))
+    few = Regression(thinned.markers, fit.base, search_folds(thinned))
+    return find_memory(thinned, StaticMap(_plane(few), few.folds, richest), seed)
+
+
+def _plane(fit: Regression) -> Floats:
+    """Return chords turned into the plane (n, 2K) mm: of each marker Σ length × angle over the chords below it."""
+    turned = fit.angles.reshape(len(fit.angles), -1, 2) * fit.lengths.mean(axis=0)[:, None]
+    return np.asarray(np.cumsum(turned, axis=1).reshape(len(turned), -1))
+
+
+def _base(base: ArrayLike | None, markers: Floats) -> Floats:
+    """Return the point from which the first chord starts: what is given, the origin, or far below an output.
+
+    Markers that keep their height stand for outputs and bend nothing: seen from far below, a chord's angle is linear in
+    them.
+    """
+    if base is None:
+        wide = float(np.ptp(markers[..., :2], axis=0).max(initial=0.0))
+        level = float(np.ptp(markers[..., 2], axis=0).max(initial=0.0)) < LEVEL * wide
+        return np.array([0.0, 0.0, float(markers[0, 0, 2]) - FAR_BELOW * wide if level else 0.0])
+    point = np.array(base, float)
     if point.shape != (3,) or not np.all(np.isfinite(point)):
         raise SoftmapError(f"base of shape {point.shape}: expected three finite numbers in mm")
     return point

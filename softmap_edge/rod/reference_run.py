@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +12,17 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import RunError
 from softmap_edge.folds import Folds
-from softmap_edge.rod.regression import Drive, rms
+from softmap_edge.rod.regression import Drive, Record, rms
 from softmap_edge.run import Run, Source, known
+from softmap_edge.ticks import commanded_in_ticks
+
+if TYPE_CHECKING:
+    from softmap_edge.rod.memory import Memory
 
 Floats = NDArray[np.float64]
 
 SLOW = 0.25  # s between frames from which a log tells nothing of delay and lag
+APART = 1000.0  # s between runs that are learned from together: further than any gap beside a block
 STILL = 0.005  # of the robot's length: markers that stray less from their mean teach nothing
 
 
@@ -56,56 +61,107 @@ class Number:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What of a run is learned from: frames (n,), their markers (n, K, 3) mm, and the commands behind them."""
+    """What of one run or of several is learned from.
 
-    run: Run
+    `frames` (n_i,) of each run, their `markers` (n, K, 3) mm, and the commands behind them.
+    """
+
+    runs: tuple[Run, ...]
     source: Source
-    frames: NDArray[np.intp]
+    frames: tuple[NDArray[np.intp], ...]
     markers: Floats
     drive: Drive
 
     @property
+    def unit(self) -> str:
+        """Unit of the commands."""
+        return self.runs[0].command_unit
+
+    @property
+    def number(self) -> NDArray[np.intp]:
+        """Which run (n,) each frame belongs to, from 0."""
+        return np.repeat(np.arange(len(self.runs)), [len(index) for index in self.frames])
+
+    @property
     def t(self) -> Floats:
-        """Times (n,) s of the frames."""
-        return self.run.t_seen[self.frames]
+        """Times (n,) s of the frames; the runs stand one after the other, `APART` apart."""
+        times: list[Floats] = []
+        start = 0.0
+        for run, index in zip(self.runs, self.frames):
+            seen = run.t_seen[index]
+            times.append(seen if not times else seen - run.t_seen[0] + start)
+            start = float(times[-1][-1]) + APART if len(seen) else start
+        return np.concatenate(times)
+
+    @property
+    def seconds(self) -> float:
+        """How long the runs were seen, together."""
+        spans = [float(np.ptp(run.t_seen[index])) for run, index in zip(self.runs, self.frames) if len(index)]
+        return sum(spans)
+
+    @property
+    def labels(self) -> NDArray[Any] | None:
+        """The `block` labels (n,) of the frames; None where a run has none, or all frames have the same."""
+        blocks = [run.block[index] for run, index in zip(self.runs, self.frames) if run.block is not None]
+        if len(blocks) < len(self.runs):
+            return None
+        named = np.array([f"{n} {label}" for n, block in enumerate(blocks) for label in block.tolist()])
+        return named if len(np.unique(named)) > len(self.runs) else None
 
     @property
     def slow(self) -> bool:
         """Whether nothing is known of delay and lag: the log has no time, or its frames are too far apart."""
-        return self.run.timeless or len(self.frames) < 2 or float(np.median(np.diff(self.t))) > SLOW
+        return self.timeless or len(self.t) < 2 or float(np.median(np.diff(self.t))) > SLOW
+
+    @property
+    def timeless(self) -> bool:
+        """Whether a log has no time, only an order."""
+        return any(run.timeless for run in self.runs)
 
     @property
     def stray(self) -> float:
         """RMS distance of the markers from their mean, mm."""
         return rms(self.markers - self.markers.mean(axis=0))
 
+    def every(self, step: int) -> Seen:
+        """Return the same with every `step`-th frame."""
+        kept = np.concatenate([np.arange(len(index)) % step == 0 for index in self.frames])
+        frames = tuple(index[::step] for index in self.frames)
+        return Seen(self.runs, self.source, frames, self.markers[kept], _drive(self.runs, self.source, frames))
+
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A rod, its drive (delay and lag, s), its held-out residuals (n, K, 3) mm and the folds that gave them."""
+    """A rod, what was found of its memory, its held-out residuals (n, K, 3) mm and the folds that gave them."""
 
     rod: Rod
-    pair: tuple[float, float]
+    memory: Memory
     residuals: Floats
     parts: Folds
     made_from: Mapping[str, Any]
     numbers: tuple[Number, ...] = ()
 
 
-def observe(run: Run, input: Source | None, hold_out: Sequence[tuple[float, float]], rate_hz: float) -> Seen:
-    """Return the frames to learn from; raise RunError where the run lacks markers, commands or motion."""
-    source: Source = input or ("goal" if run.present is None else "present")
-    commands, t = np.ascontiguousarray(run.commands(source)), np.ascontiguousarray(run.t)
-    if run.markers is None or commands.shape[1] == 0 or len(t) < 2:
-        raise RunError("a rod is learned from markers and at least two rows of commands; this run lacks one of them")
-    if not np.ptp(commands, axis=0).any():
+def observe(runs: Sequence[Run], input: Source | None, hold_out: Sequence[tuple[float, float]], rate_hz: float) -> Seen:
+    """Return the frames to learn from; raise RunError where a run lacks markers, commands or motion."""
+    runs = tuple(commanded_in_ticks(run) for run in runs)
+    source: Source = input or ("goal" if any(run.present is None for run in runs) else "present")
+    for run in runs:
+        if run.markers is None or run.commands(source).shape[1] == 0 or len(run.t) < 2:
+            raise RunError(
+                "a rod is learned from markers and at least two rows of commands; this run lacks one of them"
+            )
+    _alike(runs, source)
+    frames = tuple(_usable(run, hold_out, rate_hz) for run in runs)
+    markers = np.concatenate([np.asarray(run.markers, float)[index] for run, index in zip(runs, frames)])
+    drive = _drive(runs, source, frames)
+    if not np.ptp(drive.commands, axis=0).any():
         raise RunError(
-            f"nothing moves: each of the {commands.shape[1]} commands stays as it is in all {len(t)} rows (the first "
-            f"at {commands[0, 0]:g} {run.command_unit}); record a run that goes through the robot's range"
+            f"nothing moves: each of the {drive.channels} commands stays as it is in all {len(drive.commands)} rows "
+            f"(the first at {drive.commands[0, 0]:g} {runs[0].command_unit}); record a run that goes through the "
+            "robot's range"
         )
-    frames = _usable(run, hold_out, rate_hz)
-    markers = np.asarray(run.markers[frames], float)
-    if len(frames):
+    if len(markers):
         stray, length = rms(markers - markers.mean(axis=0)), float(np.linalg.norm(markers[:, -1].mean(axis=0)))
         if stray < STILL * length:
             raise RunError(
@@ -113,7 +169,31 @@ def observe(run: Run, input: Source | None, hold_out: Sequence[tuple[float, floa
                 f"{length:.3g} mm from the base, and under {100 * STILL:g} % of that a model learns noise; record a "
                 "run that goes through the robot's range, or correct the markers' unit"
             )
-    return Seen(run, source, frames, markers, Drive(commands, t, run.t_seen[frames]))
+    return Seen(runs, source, frames, markers, drive)
+
+
+def _drive(runs: Sequence[Run], source: Source, frames: Sequence[NDArray[np.intp]]) -> Drive:
+    records = [
+        Record(np.ascontiguousarray(run.commands(source)), np.ascontiguousarray(run.t), run.t_seen[index])
+        for run, index in zip(runs, frames)
+    ]
+    return Drive(*records)
+
+
+def _alike(runs: Sequence[Run], source: Source) -> None:
+    """Raise RunError where runs that are learned from together are not runs of one robot."""
+    first = runs[0]
+    for number, run in enumerate(runs[1:], start=2):
+        for what, one, other in (
+            ("commands a row", first.commands(source).shape[1], run.commands(source).shape[1]),
+            ("markers", first.seen_points.shape[1], run.seen_points.shape[1]),
+            ("for its outputs", first.output, run.output),
+            ("as the unit of its commands", first.command_unit, run.command_unit),
+        ):
+            if one != other:
+                raise RunError(
+                    f"run {number} has {other} {what}, the first run {one}; give runs of one robot, in one unit"
+                )
 
 
 def _usable(run: Run, hold_out: Sequence[tuple[float, float]], rate_hz: float) -> NDArray[np.intp]:

@@ -1,30 +1,28 @@
-"""The regression behind `learn`: chords to angles, ridge on a polynomial, blocked cross-validation, and the searches.
+"""The regression behind `learn`: chords to angles, ridge on a polynomial, blocked cross-validation.
 
 All is linear algebra on sums of products: the sums of all frames less those of the frames left out give every fold its
-system. Delay and lag are computed by the effects themselves, so that what is fitted is what the chain will do.
+system. What acts on the rod is computed by the effects themselves, so that what is fitted is what the chain will do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.chain_labels import valued
 from softmap_edge.folds import Folds
 
 Floats = NDArray[np.float64]
-Error = Callable[[Floats], float]  # commands u_eff (n, C) → mm
 
-RIDGE = (3e-5, 9e-4, 3e-4, 3e-4)  # by degree 1…4, for |q| ≤ 1
+RIDGE = (3e-5, 9e-4, 3e-4, 3e-4, 3e-4)  # by degree 1…5, for |q| ≤ 1
 RIDGE_STEPS = (1e-7, 0.1, 1.0 / 3.0, 1.0, 3.0, 10.0)
 LENGTH_RIDGE = 1e-10
-DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4)  # s, coarse search
-LAGS = (0.0, 0.03, 0.06, 0.12, 0.24)  # s
-WORTH = 0.01  # delay or lag enter the chain only if the cross-validation error falls by this share
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,83 +106,69 @@ def rms(residuals: Floats) -> float:
     return float(np.sqrt((residuals**2).sum(axis=-1).mean()))
 
 
-# --- delay, lag, degree -----------------------------------------------------------------------
+# --- commands and degree ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """The commands of one run: `u` (T, C) at `t` (T,) s, asked for at `t_seen` (n,) s."""
+
+    u: Floats
+    t: Floats
+    t_seen: Floats
+
+    def read(self, rows: Floats) -> Floats:
+        """Return rows (B, T, C) at the seen times (B, n, C): linear between rows, held outside."""
+        after = np.clip(np.searchsorted(self.t, self.t_seen), 1, len(self.t) - 1)
+        share = (self.t_seen - self.t[after - 1]) / (self.t[after] - self.t[after - 1])
+        before = rows[:, after - 1]
+        inside = np.clip(share, 0.0, 1.0)[:, None]
+        return np.asarray(before + inside * (rows[:, after] - before), float)
 
 
 class Drive:
-    """The commands after delay and lag, as the chain computes them, at the seen times."""
+    """The commands of one run or of several, as a chain of effects leaves them at the seen times.
 
-    def __init__(self, u: Floats, t: Floats, t_seen: Floats) -> None:
-        self.u, self.t = u, t
-        self.after = np.clip(np.searchsorted(t, t_seen), 1, len(t) - 1)
-        share = (t_seen - t[self.after - 1]) / (t[self.after] - t[self.after - 1])
-        self.share = np.clip(share, 0.0, 1.0)[:, None]
-        self.chain = _core.Chain(["latency", "lag"], u.shape[1])
-        bounds = dict(zip(self.chain.group_labels, zip(self.chain.low, self.chain.high)))
-        self.low = {label: float(low) for label, (low, _) in bounds.items()}
-        self.high = {label: float(high) for label, (_, high) in bounds.items()}
+    Memory begins in equilibrium in each run.
+    """
 
-    def admissible(self, delay: float, lag: float) -> tuple[float, float]:
-        """Return the nearest values that the effects allow; below half of the lower bound is none."""
-        pair = []
-        for label, value in (("latency.delay", delay), ("lag.tau", lag)):
-            low, high = self.low[label], self.high[label]
-            pair.append(0.0 if value < low / 2 else min(max(value, low), high))
-        return pair[0], pair[1]
+    def __init__(self, *records: Record) -> None:
+        self.records = records
+        self.channels = records[0].u.shape[1]
+        self.commands = np.concatenate([record.u for record in records])
 
-    def at(self, pairs: Sequence[tuple[float, float]]) -> Floats:
-        """Return u_eff (B, n, C) for pairs of (delay, lag) in s."""
-        values = {"latency.delay": [p[0] for p in pairs], "lag.tau": [p[1] for p in pairs]}
-        params = np.array([values[label] for label in self.chain.group_labels]).T.copy()
-        rolled = self.chain.rollout(params, self.u, self.t)
-        before = rolled[:, self.after - 1]
-        return before + self.share * (rolled[:, self.after] - before)
+    @cached_property
+    def commanded(self) -> Floats:
+        """The commands (n, C) at the seen times, before any effect."""
+        read: list[Floats] = [record.read(record.u[None])[0] for record in self.records]
+        return np.concatenate(read)
+
+    @property
+    def middle(self) -> Floats:
+        """Middle (C,) of each channel's range."""
+        return 0.5 * (self.commands.min(axis=0) + self.commands.max(axis=0))
+
+    @property
+    def half(self) -> Floats:
+        """Half (C,) of each channel's range; 1 for a channel that does not move."""
+        half = 0.5 * np.ptp(self.commands, axis=0)
+        return np.asarray(np.where(half > 0, half, 1.0), float)
+
+    def rolled(self, chain: _core.Chain, params: Floats) -> Floats:
+        """Return what acts (B, n, C) for parameter sets (B, P) of a chain."""
+        sets = np.ascontiguousarray(params)
+        return np.concatenate([r.read(chain.rollout(sets, r.u, r.t)) for r in self.records], axis=1)
+
+    def acting(self, names: Sequence[str], params: Mapping[str, float]) -> Floats:
+        """Return what acts (n, C) under a chain of `names` with its parameters by label; others keep their null."""
+        if not names:
+            return self.commanded
+        chain = _core.Chain(list(names), self.channels)
+        return np.asarray(self.rolled(chain, valued(chain, params, chain.null)[None])[0])
 
 
-def fit_drive(error: Error, drive: Drive) -> tuple[float, float]:
-    """Return the delay and lag (s) of a grid whose commands have the least error."""
-    best, pair = np.inf, (0.0, 0.0)
-    for delay in DELAYS:
-        pairs = [drive.admissible(delay, lag) for lag in LAGS]
-        for candidate, u in zip(pairs, drive.at(pairs)):
-            reached = error(u)
-            if reached < best:
-                best, pair = reached, candidate
-    return pair
-
-
-def choose_degree(fit: Regression, u: Floats, degrees: Sequence[int]) -> tuple[int, float]:
+def choose_degree(
+    fit: Regression, u: Floats, degrees: Sequence[int], ridges: Sequence[float] = RIDGE_STEPS
+) -> tuple[int, float]:
     """Return the degree and the ridge with the lowest cross-validation error."""
-    return min(product(degrees, RIDGE_STEPS), key=lambda choice: fit.error(u, *choice))
-
-
-def refine_drive(error: Error, drive: Drive, delay: float, lag: float) -> tuple[float, float]:
-    """Refine delay and lag, then drop each that is not worth its place in the chain."""
-
-    def at(x: Floats) -> float:
-        return error(drive.at([drive.admissible(float(x[0]), float(x[1]))])[0])
-
-    # Along (1, −1) delay and lag trade places and the error hardly changes, so that direction is searched too.
-    found = _descend(at, np.array([delay, lag]), np.array([[0.02, 0.0], [0.0, 0.02], [0.02, -0.02]]), halvings=4)
-    candidates = [(0.0, 0.0), (float(found.sum()), 0.0), (0.0, float(found.sum())), tuple(found)]
-    pairs = [drive.admissible(max(float(a), 0.0), max(float(b), 0.0)) for a, b in candidates]
-    errors = [at(np.array(pair)) for pair in pairs]
-    for pair, reached in zip(pairs, errors):  # simplest first
-        if reached <= min(errors) * (1.0 + WORTH):
-            return pair
-    return pairs[-1]
-
-
-def _descend(error: Callable[[Floats], float], start: Floats, steps: Floats, halvings: int) -> Floats:
-    """Minimise by steps (D, n) to and fro, halved when none of them helps."""
-    at, lowest = start, error(start)
-    for _ in range(halvings + 1):
-        moved = True
-        while moved:
-            moved = False
-            for step in [*steps, *-steps]:
-                reached = error(at + step)
-                if reached < lowest * (1.0 - 1e-6):
-                    at, lowest, moved = at + step, reached, True
-        steps = steps / 2.0
-    return at
+    return min(product(degrees, ridges), key=lambda choice: fit.error(u, *choice))

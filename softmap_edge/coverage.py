@@ -1,0 +1,83 @@
+"""Where a learned model has seen commands: the leverage of a quadratic in what acts, in place of a box per channel.
+
+    h(v) = φᵀ (ΦᵀΦ/n + ε)⁻¹ φ,   φ = [1, q, q², q_i q_j],   q = (v − middle)/half
+
+h/n is the diagonal of the hat matrix of that regression: a prediction's variance there, in units of the noise's. A
+command whose channels are each within their range, but which were never moved together, has a large h. Directions that
+the runs never moved count as far as ε allows. The limit is the largest h of the frames that taught the model.
+Source: Hoaglin and Welsch, The American Statistician 32 (1978) 17. Pinned by tests/test_coverage.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import SoftmapError
+
+Floats = NDArray[np.float64]
+
+EPSILON = 1e-5  # of a feature's mean square: leaving a direction that never moved by 1 % of the range counts by 10
+LARGER = 1.5  # times the largest leverage: a single channel reaches it 10 % of its half range beyond
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """What taught a model: `middle` and `half` (C,) of what acted, `root` (F, F), `most` (1,); h = |φ root|² ≤ most."""
+
+    middle: Floats
+    half: Floats
+    root: Floats
+    most: Floats
+
+    @classmethod
+    def of(cls, acting: Floats) -> Coverage:
+        """Return the coverage of what acted (n, C) while a model was learned."""
+        low, high = acting.min(axis=0), acting.max(axis=0)
+        half = np.where(high > low, 0.5 * (high - low), 1.0)
+        features = _features((acting - 0.5 * (low + high)) / half)
+        strength, directions = np.linalg.eigh(features.T @ features / len(features))
+        root = directions / np.sqrt(np.maximum(strength, 0.0) + EPSILON)
+        return cls(0.5 * (low + high), half, root, np.array([float(((features @ root) ** 2).sum(axis=1).max())]))
+
+    def excess(self, acting: Floats) -> Floats:
+        """Return the leverage (n,) of what acts (n, C) over the largest that taught the model."""
+        features = _features((acting - self.middle) / self.half)
+        return np.asarray(((features @ self.root) ** 2).sum(axis=1) / self.most[0])
+
+    def outside(self, acting: Floats) -> NDArray[np.bool_]:
+        """Return which commands (n,) are unlike those that taught the model."""
+        return np.asarray(self.excess(acting) > LARGER)
+
+    def to_arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return the arrays that stand in `prior.npz`."""
+        return {f"coverage_{name}": getattr(self, name) for name in ("middle", "half", "root", "most")}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], channels: int) -> Coverage | None:
+        """Read the arrays of `prior.npz`; None where there are none.
+
+        Raises:
+            SoftmapError: some are missing, or do not fit a model of that many channels.
+        """
+        if not any(name.startswith("coverage_") for name in arrays):
+            return None
+        count = (channels + 1) * (channels + 2) // 2
+        shapes = {"middle": (channels,), "half": (channels,), "root": (count, count), "most": (1,)}
+        values = {name: np.asarray(arrays.get(f"coverage_{name}", np.zeros(0)), float) for name in shapes}
+        wrong = [name for name, shape in shapes.items() if values[name].shape != shape]
+        if wrong or not (values["half"] > 0).all() or not values["most"][0] > 0:
+            name = wrong[0] if wrong else "half"
+            raise SoftmapError(
+                f"coverage: '{name}' of shape {values[name].shape} does not fit {channels} channels, or is not above "
+                "0; learn the bundle again"
+            )
+        return cls(**values)
+
+
+def _features(q: Floats) -> Floats:
+    return np.concatenate([np.ones((len(q), 1)), _core.monomials(np.ascontiguousarray(q), 2)], axis=1)

@@ -1,0 +1,134 @@
+"""What a learned model holds beside its static map: effects that were in the robot while it was learned.
+
+`softmap learn` writes one record for each effect that it put into the chain. They stand in the manifest of a bundle,
+under `made_from.learned_in`, and are checked like any untrusted file when they are read. `Model.learned_in` returns
+them. Pinned by tests/test_learned_in.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal, get_args
+
+from softmap_edge.errors import SoftmapError
+
+Law = Literal["identified", "ambiguous", "open"]
+MOST = 32  # records, numbers or alternatives in a list
+LONGEST = 100  # characters of a name
+LARGEST = 1e9
+
+
+@dataclass(frozen=True)
+class LearnedNumber:
+    """A fitted parameter: `value` ± `sigma` (one standard deviation) in `unit`."""
+
+    label: str
+    value: float
+    sigma: float
+    unit: str
+    at_bound: bool = False
+
+    def __str__(self) -> str:
+        bound = ", at its bound" if self.at_bound else ""
+        return f"{self.label} = {self.value:.4g} ± {self.sigma:.2g} {self.unit.replace('1', '')}".rstrip() + bound
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another effect, or a family without a law of its own (`name` is empty), and its held-out error in mm RMS."""
+
+    name: str
+    family: str
+    error_mm: float
+
+    def __str__(self) -> str:
+        return f"{self.name or 'an unknown law'} ({self.family}, {self.error_mm:.2f} mm RMS)"
+
+
+@dataclass(frozen=True)
+class LearnedIn:
+    """An effect that a model was learned with.
+
+    `name` is the effect in the chain. `law` is `identified`, `ambiguous` (weak evidence, or an alternative of another
+    family or with as few numbers fits as well) or `open` (a number stands at its bound, or no law of the library fits
+    as well as the family can). `before_mm` and `after_mm` are held-out errors, RMS, without the effect and with it.
+    """
+
+    name: str
+    family: str
+    law: Law
+    before_mm: float
+    after_mm: float
+    params: tuple[LearnedNumber, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
+
+    def __str__(self) -> str:
+        errors = f"held-out error {self.before_mm:.2f} to {self.after_mm:.2f} mm RMS"
+        lines = [f"{self.name}: {self.family}, law {self.law}, {errors}", *(f"  {number}" for number in self.params)]
+        if self.alternatives:
+            lines.append(f"  alternatives: {', '.join(map(str, self.alternatives))}")
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record as a manifest holds it."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> LearnedIn:
+        """Read a record of a manifest.
+
+        Raises:
+            SoftmapError: a key is unknown or missing, or a value is not what it should be.
+        """
+        values = _checked(cls, document)
+        if values["law"] not in get_args(Law):
+            raise SoftmapError(f"learned_in: law is {values['law']!r:.40}, expected one of {', '.join(get_args(Law))}")
+        values["params"] = tuple(LearnedNumber(**_checked(LearnedNumber, part)) for part in values["params"])
+        values["alternatives"] = tuple(Alternative(**_checked(Alternative, part)) for part in values["alternatives"])
+        return cls(**values)
+
+
+def read_learned_in(document: object) -> tuple[LearnedIn, ...]:
+    """Return the records of a manifest's `made_from.learned_in`; none where it is missing.
+
+    Raises:
+        SoftmapError: it is not a list of at most 32 records, or one of them is not a record.
+    """
+    if document is None:
+        return ()
+    if not isinstance(document, Sequence) or isinstance(document, str) or len(document) > MOST:
+        raise SoftmapError(f"learned_in: expected a list of at most {MOST} records, got {document!r:.40}")
+    return tuple(LearnedIn.from_dict(part) for part in document)
+
+
+def _checked(kind: type, document: object) -> dict[str, Any]:
+    """Return the values of a table whose keys are the fields of `kind`, each of its declared type."""
+    declared = {field.name: str(field.type) for field in fields(kind)}
+    if not isinstance(document, Mapping) or set(document) != set(declared):
+        raise SoftmapError(f"learned_in: expected a table with {', '.join(declared)}, got {document!r:.60}")
+    values = dict(document)
+    for name, of in declared.items():
+        if not _fits(values[name], of):
+            raise SoftmapError(f"learned_in: {name} is {values[name]!r:.40}, expected {_EXPECTED.get(of, of)}")
+    return values
+
+
+_EXPECTED = {
+    "str": f"a printable text of at most {LONGEST} characters",
+    "Law": f"a printable text of at most {LONGEST} characters",
+    "float": f"a number within ±{LARGEST:g}",
+    "bool": "true or false",
+}
+
+
+def _fits(value: object, of: str) -> bool:
+    if of == "bool":
+        return isinstance(value, bool)
+    if of == "float":
+        plain = isinstance(value, int | float) and not isinstance(value, bool)
+        return plain and math.isfinite(float(value)) and abs(float(value)) <= LARGEST  # type: ignore[arg-type]
+    if of in ("str", "Law"):
+        return isinstance(value, str) and len(value) <= LONGEST and value.isprintable()
+    return isinstance(value, list | tuple) and len(value) <= MOST

@@ -1,0 +1,52 @@
+"""Folds of a rod's cross-validation: blocks of time short enough that what is held out was also commanded elsewhere.
+
+A recording of one or two sweeps visits each command once or twice. A long block then holds all that was seen there, and
+its error tells how a polynomial extrapolates, not how well it predicts. So blocks are halved, and the gap beside them
+with them, until the rest covers them (`coverage.py`). Long recordings keep the blocks that they are given.
+Pinned by tests/test_learned_memory.py.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softmap_edge.coverage import Coverage
+from softmap_edge.folds import FOLDS, GAP, Folds, folds, labelled, run_folds
+from softmap_edge.rod.reference_run import Seen
+
+UNCOVERED = 0.1  # share of the held-out frames that the others may leave uncovered
+MOST_GAP = 0.5  # of a block: more would leave a short run nothing to learn from
+MOST_BLOCKS, LEAST_FRAMES = 40, 4  # blocks of a run, and frames of a block
+
+
+def covered_folds(seen: Seen, blocks: int, gap_s: float) -> tuple[Folds, float]:
+    """Return folds of at least `blocks` blocks of time, and the gap (s, at most `gap_s`) beside each.
+
+    Raises:
+        RunError: too few frames.
+    """
+    while True:
+        gap = min(gap_s, MOST_GAP * seen.seconds / max(blocks, 1))
+        parts = folds(seen.t, blocks, gap)
+        finer = 2 * blocks
+        if finer > MOST_BLOCKS or len(seen.t) < LEAST_FRAMES * finer or _uncovered(seen, parts) <= UNCOVERED:
+            return parts, gap
+        blocks = finer
+
+
+def search_folds(seen: Seen) -> Folds:
+    """Return the folds of a search: whole labels, or blocks of time; and runs that the commands of the others cover."""
+    parts = run_folds(seen.t, seen.labels) if labelled(seen.labels) else covered_folds(seen, FOLDS, GAP)[0]
+    for k in range(len(seen.runs)) if len(seen.runs) > 1 else ():
+        inside = seen.number == k
+        commands = seen.drive.commanded
+        if Coverage.of(commands[~inside]).outside(commands[inside]).mean() <= UNCOVERED:
+            parts.append((np.flatnonzero(~inside), np.flatnonzero(inside)))
+    return parts
+
+
+def _uncovered(seen: Seen, parts: Folds) -> float:
+    """Return the share of the held-out frames that the frames that train leave uncovered."""
+    commands = seen.drive.commanded
+    outside = [Coverage.of(commands[train]).outside(commands[test]) for train, test in parts if len(train)]
+    return float(np.concatenate(outside).mean()) if outside else 0.0

@@ -1,0 +1,206 @@
+"""Laws of memory as the chain computes them, fitted with the static map solved again for every set of numbers.
+
+    minimise over x:  Σ |seen − map solved at v(x)|²,   v(x) = rollout of the chain
+
+Numbers are searched in 0 … 1 over their range, by logarithm where the range is positive. Play is not smooth, so a
+scan of the held-out loss over the whole range comes first, then a bounded Levenberg-Marquardt from the best few.
+Ranges declared in mm are those of a drive of ±16 mm and grow with the drive. A gap may be nearly the whole range, and
+what is held back may be all of the motion, for an output may be a force. σ is the larger of the linearised fit's and
+of the jackknife's over the folds. Pinned by tests/test_learned_memory.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.chain_labels import named
+from softmap_edge.diagnosis.layout import REACH_MM
+from softmap_edge.learned_in import LearnedNumber
+from softmap_edge.rod.descent import Term, descend
+from softmap_edge.rod.regression import Drive
+from softmap_edge.rod.static_map import StaticMap
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+WIDEST = 1.95  # half ranges: a wider gap would never move what it drives
+HELD_BACK = 30.0  # share of the motion held back: from here on all that is left is what holds back
+SCAN = 24  # sets for each number of a scan
+SCAN_ALONG = 12  # of one number while the others stay
+TOGETHER = 24  # sets rolled out at a time
+REFINED = 2  # of the scanned sets
+MOST_STEPS, ENOUGH = 15, 1e-4  # of a descent: play is not smooth, and what folds differ by is larger
+STEP = 1e-3  # of the range, for slopes: wider than the kinks of a play that is sampled
+BOUND = 1e-3  # of the range, from where a number counts as at its bound
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """A chain of effects, and which of its free numbers (D,) each parameter (P,) takes, with their ranges."""
+
+    names: tuple[str, ...]
+    chain: _core.Chain
+    labels: tuple[str, ...]
+    of: Index
+    low: Floats
+    high: Floats
+    log: NDArray[np.bool_]
+
+    def values(self, x: Floats) -> Floats:
+        """Return the free numbers (…, D) in user units from x in 0 … 1."""
+        low = np.where(self.log, self.low, 1.0)
+        return np.where(self.log, low * (self.high / low) ** x, self.low + (self.high - self.low) * x)
+
+    def params(self, x: Floats) -> Floats:
+        """Return parameters (…, P) of the chain."""
+        return np.ascontiguousarray(self.values(x)[..., self.of])
+
+    def at(self, values: Mapping[str, float]) -> Floats:
+        """Return x (D,) of numbers by label, the middle of the range where one is not given."""
+        x = np.full(len(self.labels), 0.5)
+        for i, label in enumerate(self.labels):
+            value = values.get(label, values.get(label.split("[")[0]))
+            if value is not None:
+                low, high = float(self.low[i]), float(self.high[i])
+                share = np.log(value / low) / np.log(high / low) if self.log[i] else (value - low) / (high - low)
+                x[i] = np.clip(share, 0.0, 1.0)
+        return x
+
+
+def law(names: Sequence[str], drive: Drive, each: Sequence[str] = ()) -> Law:
+    """Return the law of a chain: one number for all channels, or one for each where the effect is named in `each`."""
+    chain = _core.Chain(list(names), drive.channels)
+    median = float(np.median(drive.half))
+    labels: list[str] = []
+    of, low, high = [], [], []
+    declared = zip(chain.labels, chain.group_labels, chain.units, chain.low, chain.high)
+    for one, group, unit, least, most in declared:
+        label = one if one.split(".")[0] in each else group
+        if label not in labels:
+            half = float(drive.half[int(label.partition("[")[2][:-1])]) if "[" in label else median
+            bounds = _range(group, unit, float(least), float(most), half)
+            labels.append(label)
+            low.append(bounds[0])
+            high.append(bounds[1])
+        of.append(labels.index(label))
+    lowest = np.array(low)
+    return Law(tuple(chain.names), chain, tuple(labels), np.array(of, np.intp), lowest, np.array(high), lowest > 0)
+
+
+def _range(effect: str, unit: str, low: float, high: float, half: float) -> tuple[float, float]:
+    if unit.startswith("mm"):
+        low, high = low * half / REACH_MM, high * half / REACH_MM
+    if effect == "backlash.gap":
+        high = WIDEST * half
+    if effect == "hysteresis.strength":
+        high = HELD_BACK
+    return low, high
+
+
+@dataclass(frozen=True, eq=False)
+class FittedLaw:
+    """A law with its free numbers x (D,) in 0 … 1, what acts (n, C), and its held-out loss (folds,) mm²."""
+
+    law: Law
+    x: Floats
+    acting: Floats
+    losses: Floats
+
+    @property
+    def params(self) -> dict[str, float]:
+        """The parameters by label, as a model has them."""
+        return named(self.law.chain, self.law.params(self.x))
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The free numbers by label."""
+        return dict(zip(self.law.labels, self.law.values(self.x).tolist()))
+
+    @property
+    def bounded(self) -> NDArray[np.bool_]:
+        """Which free numbers (D,) stand at a bound of their range."""
+        return (self.x < BOUND) | (self.x > 1.0 - BOUND)
+
+
+class LawFit:
+    """What a law is fitted to: a drive, in its unit, and a static map that is solved again for every set of numbers."""
+
+    def __init__(self, drive: Drive, static: StaticMap, seed: int, unit: str = "mm") -> None:
+        self.drive, self.static, self.seed, self.unit = drive, static, seed, unit
+
+    def scanned(self, law: Law, known: Mapping[str, float]) -> FittedLaw:
+        """Fit a law from a scan of the numbers that are not `known` by label; those that are start as they are."""
+        start = law.at(known)
+        open_ = [i for i, label in enumerate(law.labels) if label not in known]
+        sets = np.tile(start, (SCAN * max(1, len(open_)), 1))
+        if len(open_) == 1:
+            sets[:, open_[0]] = np.linspace(0.0, 1.0, len(sets))
+        else:
+            sets[:, open_] = np.random.default_rng(self.seed).uniform(size=(len(sets), len(open_)))
+        sums = np.concatenate(
+            [
+                [self.static.scanned(v) for v in self.drive.rolled(law.chain, law.params(some))]
+                for some in np.array_split(sets, -(-len(sets) // TOGETHER))
+            ]
+        )
+        return self.refined(law, sets[np.argsort(sums)[:REFINED]])
+
+    def scanned_along(self, law: Law, start: Floats, i: int) -> Floats:
+        """Return `start` with its number `i` where a scan of its range fits best; the others are near their best."""
+        sets = np.tile(start, (SCAN_ALONG + 1, 1))
+        sets[1:, i] = np.linspace(0.0, 1.0, SCAN_ALONG)
+        rolled = self.drive.rolled(law.chain, law.params(sets))
+        return np.asarray(sets[int(np.argmin([float((self.static.residual(v) ** 2).sum()) for v in rolled]))])
+
+    def refined(self, law: Law, starts: Floats) -> FittedLaw:
+        """Fit a law from some starts (S, D) and return the best."""
+        zero, one = np.zeros(len(law.labels)), np.ones(len(law.labels))
+        ends = [descend(self._term(law, None), start, zero, one, MOST_STEPS, ENOUGH) for start in starts]
+        x = min(ends, key=lambda end: end[1])[0]
+        acting = self.drive.rolled(law.chain, law.params(x)[None])[0]
+        return FittedLaw(law, x, acting, self.static.losses(acting))
+
+    def told(self, fitted: FittedLaw) -> dict[str, LearnedNumber]:
+        """Return the free numbers with their uncertainty, by label."""
+        law, x = fitted.law, fitted.x
+        residual, slopes = self._term(law, None)(x, True)
+        zero, one = np.zeros(len(x)), np.ones(len(x))
+        variance = float(residual @ residual) / max(1, len(residual) - len(x))
+        information = slopes.T @ slopes / max(variance, 1e-12) + np.eye(len(x))  # as wide as the range where unseen
+        linear = np.sqrt(np.diag(np.linalg.inv(information)))
+        refits = np.stack(
+            [descend(self._term(law, train), x, zero, one, MOST_STEPS, ENOUGH)[0] for train, _ in self.static.parts]
+        )
+        folds = len(refits)
+        jackknife = np.sqrt((folds - 1.0) / folds * ((refits - refits.mean(axis=0)) ** 2).sum(axis=0))
+        scale = np.where(
+            law.log, law.values(x) * np.log(law.high / np.where(law.log, law.low, 1.0)), law.high - law.low
+        )
+        sigma = np.maximum(linear, jackknife) * scale
+        units = {
+            label.partition("[")[0]: self.unit + unit.removeprefix("mm") if unit.startswith("mm") else unit
+            for label, unit in zip(law.chain.labels, law.chain.units)
+        }
+        return {
+            label: LearnedNumber(label, float(value), float(s), units[label.partition("[")[0]], bool(bound))
+            for label, value, s, bound in zip(law.labels, law.values(x), sigma, fitted.bounded)
+        }
+
+    def _term(self, law: Law, rows: Index | None) -> Term:
+        """Return the residuals of the frames `rows`, and their slopes by differences within the range."""
+        kept = slice(None) if rows is None else rows
+
+        def at(x: Floats, wanted: bool) -> tuple[Floats, Floats]:
+            steps = np.where(x > 1.0 - STEP, -STEP, STEP)
+            sets = np.vstack([x, x + np.diag(steps)]) if wanted else x[None]
+            rolled = self.drive.rolled(law.chain, law.params(sets))
+            found = [self.static.residual(v, rows)[kept].ravel() for v in rolled]
+            slopes = np.stack([(ahead - found[0]) / step for ahead, step in zip(found[1:], steps)]) if wanted else None
+            return found[0], np.zeros((0, len(x))) if slopes is None else slopes.T
+
+        return at

@@ -1,0 +1,379 @@
+"""The memory that was in a robot while it was learned: which family first, by which law second.
+
+Level 1. The signals of each family (`signals.py`) stand beside the static map as columns, with powers up to three
+where there are few channels. A family counts if it lowers the held-out loss by more than one paired standard error
+over the folds, in most folds, by a share of the loss and of what stands above the noise, and visibly. If the best
+family fails, none is taken: the next best would only stand in for it. The B-splines of the command are the control.
+Where they do as well as the best family, they join the map, and the families are judged beside them.
+
+Level 2. The members of the families that fall are fitted with the static map solved again (`law.py`), with one number
+for all channels and with a number per channel. A law *reaches* if it does as well as the best of all, representatives
+included. The fewest numbers win; the other laws that reach are its alternatives. The law joins the chain, what it
+leaves of the commands takes their place, and the families are asked again.
+
+Several runs: each run whose commands the others cover is also held out whole. That judges between families that draw
+the same loop at one amplitude and speed. Limits: laws act in series with the map; a rate alone has no law in the
+library. Pinned by tests/test_learned_memory.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.learned_in import Alternative, LearnedIn
+from softmap_edge.learned_in import Law as Certainty
+from softmap_edge.rod.law import FittedLaw, LawFit, law
+from softmap_edge.rod.reference_run import Seen
+from softmap_edge.rod.regression import Drive
+from softmap_edge.rod.signals import Family, families
+from softmap_edge.rod.static_map import StaticMap
+
+Floats = NDArray[np.float64]
+
+FRAMES = 1500  # of a search; neighbouring frames say the same
+FEW_CHANNELS = 3  # up to here signals get powers, which more channels have too few frames for
+POWERS = 3
+LEAST = 0.03  # of the loss that a family must explain: less is lost in how the folds were cut
+FIRST, LATER = 0.05, 0.3  # the same of what stands above the noise; later ones divide what the first left
+MOST_FOLDS = 0.6  # share of the folds in which it must
+FALL = 0.01  # of its loss by which a fold falls
+VISIBLE = 1e-3  # of the robot's length, RMS: less is below what a camera shows (0.12 mm of a finger of 120)
+FORM = 0.025  # of the explained loss: laws closer than this differ in form, not in truth
+AGREE, FOLDS_THAT_AGREE = 0.85, 5  # share of at least so many folds that decides between two though their mean does not
+SURE = 0.2  # of what stands above the noise that a law must explain to be identified
+PAIR = 0.8  # of what a law leaves above the noise: a second law of its family that explains less is form error
+EACH = 0.05  # of the loss that a number per channel must explain more than one for all
+EACH_TRIED = 3  # laws, the best of one number for all, that are tried with a number per channel
+MOST_LAWS = 3
+SHORT = 2  # effects that are named as the nearest where none reaches
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What was found: the chain and its parameters by label, a record of each part, the noise in mm, remarks."""
+
+    names: tuple[str, ...] = ()
+    params: Mapping[str, float] = field(default_factory=dict)
+    learned_in: tuple[LearnedIn, ...] = ()
+    noise_mm: float | None = None
+    notes: tuple[str, ...] = ()
+
+    def acting(self, drive: Drive) -> Floats:
+        """Return what acts (n, C) at the seen times."""
+        return drive.acting(self.names, self.params)
+
+
+@dataclass(frozen=True, eq=False)
+class _Represented:
+    """A family with the held-out loss (folds,) that its signals beside the map reach."""
+
+    family: Family
+    losses: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """An effect `name` that may stand for a family, or a family without a law, with its held-out loss (folds,)."""
+
+    family: Family
+    name: str
+    losses: Floats
+    fitted: FittedLaw | None = None
+
+    @property
+    def law(self) -> FittedLaw:
+        """The fitted law of an effect."""
+        assert self.fitted is not None
+        return self.fitted
+
+    @property
+    def numbers(self) -> int:
+        """How many free numbers it has."""
+        return 0 if self.fitted is None else len(self.fitted.x)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Effects that were taken together, the loss before them, and what came near them.
+
+    They fall `short` if they do not reach the best of all, and are `weak` if they explain a small part of the loss.
+    """
+
+    family: Family
+    names: tuple[str, ...]
+    fitted: FittedLaw
+    before: Floats
+    rivals: tuple[_Candidate, ...]
+    short: bool
+    weak: bool
+
+    @property
+    def certainty(self) -> Certainty:
+        """Whether the law is identified: strong, nothing at a bound, no rival of another family or as few numbers."""
+        if self.short or self.fitted.bounded.any():
+            return "open"
+        own = len(self.fitted.x)
+        alike = any(rival.family.name != self.family.name or rival.numbers <= own for rival in self.rivals)
+        return "ambiguous" if alike or self.weak else "identified"
+
+
+def find_memory(seen: Seen, static: StaticMap, seed: int, members: Sequence[str] | None = None) -> Memory:
+    """Find the memory of a robot beside its static map.
+
+    Args:
+        seen: what was seen. static: of the same frames. seed: of the scans.
+        members: the families whose laws may join the chain; None for all. Others are only reported.
+    """
+    return _Search(seen, static, seed, members).run()
+
+
+class _Search:
+    def __init__(self, seen: Seen, static: StaticMap, seed: int, members: Sequence[str] | None) -> None:
+        self.seen, self.static, self.members = seen, static, members
+        self.fit, self.families = LawFit(seen.drive, static, seed, seen.unit), families()
+        self.floor = self._noise() * len(static.targets) * static.targets.shape[1]
+        self.frames = sum(len(test) for _, test in static.parts) / len(static.targets)  # times each frame is judged
+        self.notes: list[str] = []
+
+    def run(self) -> Memory:
+        found: list[_Found] = []
+        acting = self.seen.drive.commanded
+        while len(found) < MOST_LAWS:
+            represented = self._represented(acting, found)
+            if self._static_suffices(represented, acting, found):
+                self.static = replace(self.static, splined=True)  # the next families are judged beside this map
+                self.fit = LawFit(self.fit.drive, self.static, self.fit.seed, self.fit.unit)
+                continue
+            step = self._step(represented, acting, found)
+            if step is None:
+                break
+            found.append(step)
+            acting = step.fitted.acting
+        noise = float(np.sqrt(self.floor / self.static.targets.size))
+        if not found:
+            return Memory(noise_mm=noise, notes=tuple(self.notes))
+        return self._memory(found, noise)
+
+    # --- one family ------------------------------------------------------------------------------
+
+    def _represented(self, acting: Floats, found: Sequence[_Found]) -> list[_Represented]:
+        """Return the families that this log can show, the one with the lowest held-out loss first."""
+        possible = [
+            family
+            for family in self.families
+            if not (family.fast and self.seen.slow or family.timed and self.seen.timeless)
+            and not (family.static and self.static.splined)
+        ]
+        every = (_Represented(f, self.static.losses(acting, self._beside(f, found))) for f in possible)
+        return sorted(every, key=lambda one: float(one.losses.sum()))
+
+    def _static_suffices(self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]) -> bool:
+        """Whether a map of another form does as well as any memory."""
+        now, best = self.static.losses(acting), represented[0].losses
+        if not self._falls(now, best, LATER if found else FIRST):
+            return False
+        return any(one.family.static and self._near(one.losses, best, now) for one in represented)
+
+    def _step(self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]) -> _Found | None:
+        """Return the law that is to join those found, or None."""
+        now, best = self.static.losses(acting), represented[0]
+        if not self._falls(now, best.losses, LATER if found else FIRST):
+            return None
+        share = LATER if found else FIRST
+        falling = [one for one in represented if self._falls(now, one.losses, share) and not one.family.static]
+        near = [one for one in falling if self._near(one.losses, best.losses, now)]
+        good = [one for one in self._candidates(falling, found) if self._falls(now, one.losses, share)]
+        if not good:
+            self._only_seen(near, now, False)
+            return None
+        step = self._chosen(near, good, now, best.losses)
+        if self.members is not None and step.family.name not in self.members:
+            self._only_seen(near, now, True)
+            return None
+        return step
+
+    def _candidates(self, falling: Sequence[_Represented], found: Sequence[_Found]) -> list[_Candidate]:
+        """Return the fitted laws of all families that fall, beside those found.
+
+        The signals of one channel at a time may fall short of a law behind a map of many channels. So the members of
+        all families that fall are asked, not only those of the nearest.
+        """
+        there = [name for one in found for name in one.names]
+        alike = [
+            _Candidate(one.family, member, fit.losses, fit)
+            for one in falling
+            for member in one.family.members
+            if member not in there
+            for fit in [self._law([*there, member], found)]
+        ]
+        alike.sort(key=lambda one: float(one.losses.sum()))
+        return [self._each(one) if i < EACH_TRIED else one for i, one in enumerate(alike)]
+
+    def _chosen(
+        self, near: Sequence[_Represented], good: Sequence[_Candidate], now: Floats, represented: Floats
+    ) -> _Found:
+        """Choose among laws that lower the loss: those that reach the best of all, the fewest numbers first."""
+        lowest = min([*(one.losses for one in good), represented], key=lambda losses: float(losses.sum()))
+        reach = [one for one in good if self._near(one.losses, lowest, now)]
+        best = min(reach or good, key=lambda one: (one.numbers if reach else 0, float(one.losses.sum())))
+        fitted, second = self._paired(best)
+        others = reach or sorted(good, key=lambda one: float(one.losses.sum()))[: 1 + SHORT]
+        rivals = [one for one in others if one.name not in (best.name, second)]
+        lawless = [one for one in near if not one.family.members and self._near(one.losses, lowest, now)]
+        rivals += [_Candidate(one.family, "", one.losses) for one in lawless]
+        weak = not self._falls(now, fitted.losses, SURE)
+        names = tuple(filter(None, (best.name, second)))
+        return _Found(best.family, names, fitted, now, tuple(rivals), short=not reach, weak=weak)
+
+    def _law(self, names: Sequence[str], found: Sequence[_Found]) -> FittedLaw:
+        if not found:
+            return self.fit.scanned(law(names, self.seen.drive), {})
+        last = found[-1].fitted
+        return self.fit.scanned(law(names, self.seen.drive, self._apart(last)), last.numbers)
+
+    def _paired(self, one: _Candidate) -> tuple[FittedLaw, str]:
+        """Return the law with a second member of its family where the two explain nearly all that the one leaves."""
+        fitted = one.law
+        left = float(fitted.losses.sum()) - self.frames * self.floor
+        best, second = fitted, ""
+        for member in one.family.members:
+            if member in fitted.law.names:
+                continue
+            both = self.fit.scanned(
+                law([*fitted.law.names, member], self.seen.drive, self._apart(fitted)), fitted.numbers
+            )
+            fall = float((fitted.losses - both.losses).sum())
+            if (
+                fall > PAIR * left
+                and self._falls(fitted.losses, both.losses, LATER)
+                and both.losses.sum() < best.losses.sum()
+            ):
+                best, second = both, member
+        return best, second
+
+    @staticmethod
+    def _apart(fitted: FittedLaw) -> list[str]:
+        """Return the effects that have a number per channel in a law."""
+        return sorted({label.split(".")[0] for label in fitted.law.labels if "[" in label})
+
+    def _each(self, candidate: _Candidate) -> _Candidate:
+        """Return a law with a number per channel of its newest effect, where the evidence asks for it."""
+        fitted, name = candidate.law, candidate.name
+        other = law(fitted.law.names, self.seen.drive, [*self._apart(fitted), name])
+        if len(other.labels) == len(fitted.law.labels):
+            return candidate  # one channel, or an effect whose numbers are the robot's
+        start = other.at(fitted.numbers)
+        starts = [start]
+        for i, label in enumerate(other.labels):
+            if label.startswith(f"{name}.") and "[" in label:
+                starts.append(self.fit.scanned_along(other, starts[-1], i))
+        better = self.fit.refined(other, np.stack([start, starts[-1]]))
+        fall = fitted.losses - better.losses
+        asked = fall.sum() > max(_deviation(fall), EACH * float(fitted.losses.sum()))
+        most = (better.losses < fitted.losses).mean() >= MOST_FOLDS
+        return _Candidate(candidate.family, name, better.losses, better) if asked and most else candidate
+
+    # --- evidence --------------------------------------------------------------------------------
+
+    def _beside(self, family: Family, found: Sequence[_Found]) -> Floats:
+        """Return the columns (n, J) of a family: its signals about what acts, and their powers."""
+        parts = []
+        middle, half = self.seen.drive.middle, self.seen.drive.half
+        powers = POWERS if self.seen.drive.channels <= FEW_CHANNELS and not family.static else 1
+        for record in self.seen.drive.records:
+            u = record.u
+            if found:
+                one = found[-1].fitted
+                u = one.law.chain.rollout(one.law.params(one.x)[None], record.u, record.t)[0]
+            z = family.signals(record, u, middle, half)
+            parts.append(np.concatenate([z**power for power in range(1, powers + 1)], axis=1))
+        return np.concatenate(parts)
+
+    def _falls(self, before: Floats, after: Floats, share: float) -> bool:
+        """Whether a loss falls clearly, in most folds, by enough of it, and visibly."""
+        fall, above = before - after, float(before.sum()) - self.frames * self.floor
+        enough = max(LEAST * float(before.sum()), share * max(above, 0.0), _deviation(fall))
+        markers = self.seen.markers.shape[1]
+        moved = np.sqrt(max(float(fall.sum()), 0.0) / (self.frames * len(self.static.targets) * markers))
+        length = float(np.linalg.norm(self.seen.markers, axis=2).mean(axis=0).max())
+        most = float((fall > FALL * before).mean()) >= MOST_FOLDS
+        return float(fall.sum()) > enough and most and moved > VISIBLE * length
+
+    @staticmethod
+    def _near(one: Floats, best: Floats, before: Floats) -> bool:
+        """Whether a held-out loss cannot be told from the best one, form error forgiven."""
+        behind = one - best
+        if behind.sum() <= FORM * float((before - best).sum()):
+            return True
+        decided = len(behind) >= FOLDS_THAT_AGREE and float((behind > 0).mean()) >= AGREE
+        return float(behind.sum()) <= _deviation(behind) and not decided
+
+    def _noise(self) -> float:
+        """Return the variance of a target, mm², from its third differences between frames: what no map can explain."""
+        residual = self.static.residual(self.seen.drive.commanded)
+        if len(residual) < 8:
+            return 0.0
+        square = (np.diff(residual, n=3, axis=0) ** 2).mean(axis=1)
+        return float(np.median(square)) / 20.0  # 1 + 9 + 9 + 1; corners at reversals are few, so the median
+
+    # --- what is told ----------------------------------------------------------------------------
+
+    def _rms(self, losses: Floats) -> float:
+        return float(np.sqrt(losses.sum() / (self.frames * len(self.static.targets) * self.seen.markers.shape[1])))
+
+    def _only_seen(self, near: Sequence[_Represented], now: Floats, forbidden: bool) -> None:
+        names, after = " or ".join(one.family.name for one in near), self._rms(near[0].losses)
+        why = "is left to the diagnosis" if forbidden else "has no law in the library that reaches it"
+        self.notes.append(
+            f"the run shows {names} beside the static map (held-out error {self._rms(now):.2f} to {after:.2f} "
+            f"mm RMS), which {why}: it is not in the model"
+        )
+
+    def _memory(self, found: Sequence[_Found], noise: float) -> Memory:
+        last = found[-1].fitted
+        numbers = self.fit.told(last)
+        records = []
+        for one in found:
+            rivals = tuple(Alternative(r.name, r.family.name, self._rms(r.losses)) for r in one.rivals)
+            before, after = self._rms(one.before), self._rms(one.fitted.losses)
+            for name in one.names:
+                twins = tuple(Alternative(twin, one.family.name, after) for twin in _twins(name))
+                params = tuple(number for label, number in numbers.items() if label.startswith(f"{name}."))
+                records.append(
+                    LearnedIn(name, one.family.name, one.certainty, before, after, params, (*rivals, *twins))
+                )
+        return Memory(last.law.names, last.params, tuple(records), noise, tuple(self.notes))
+
+
+def _twins(name: str) -> list[str]:
+    """Return the effects that no run distinguishes from the effect `name`."""
+    return [effect["name"] for effect in _core.effects() if effect["alike"].get(name) == "never"]
+
+
+def _deviation(differences: Floats) -> float:
+    """Return one standard error of the sum of paired differences over folds."""
+    return float(differences.std(ddof=1) * np.sqrt(len(differences)))
+
+
+def refined_memory(memory: Memory, seen: Seen, static: StaticMap, seed: int) -> Memory:
+    """Return the memory with its numbers fitted again beside another map of the same targets."""
+    if not memory.names:
+        return memory
+    each = sorted({label.split(".")[0] for one in memory.learned_in for label in _labels(one) if "[" in label})
+    again, fit = law(memory.names, seen.drive, each), LawFit(seen.drive, static, seed, seen.unit)
+    fitted = fit.refined(again, again.at(memory.params)[None])
+    numbers = fit.told(fitted)
+    records = tuple(
+        replace(one, params=tuple(numbers[label] for label in _labels(one) if label in numbers))
+        for one in memory.learned_in
+    )
+    return replace(memory, params=fitted.params, learned_in=records)
+
+
+def _labels(record: LearnedIn) -> list[str]:
+    return [number.label for number in record.params]

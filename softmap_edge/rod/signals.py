@@ -1,0 +1,69 @@
+"""Signals of the families of memory: what `learn` may set beside a static map.
+
+A *family* is everything that depends on the same history of the commands, without saying by which law. The families,
+their signals and their members among the effects are declared in the core (rust/families/): plays of many widths,
+shifts and poles, velocities, softening, time. The B-splines of the command, which remember nothing, are the control.
+Limit: one channel at a time; products of channels are left to the laws. Pinned by tests/test_families.py and
+tests/test_learned_memory.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.rod.regression import Record
+
+Floats = NDArray[np.float64]
+
+CONTROL = "static map"
+FAST = ("delay", "rate")  # families that only frames close in time can show
+TIMED = (*FAST, "creep", "time")  # families that a log without time cannot show
+
+
+@dataclass(frozen=True)
+class Family:
+    """A family: its `name`, and the effects of the library that act on commands and are its `members`."""
+
+    name: str
+    members: tuple[str, ...]
+
+    @property
+    def static(self) -> bool:
+        """Whether it is the control, which remembers nothing."""
+        return self.name == CONTROL
+
+    @property
+    def fast(self) -> bool:
+        """Whether only frames close in time can show it."""
+        return self.name in FAST
+
+    @property
+    def timed(self) -> bool:
+        """Whether only a log with times can show it."""
+        return self.name in TIMED
+
+    def signals(self, record: Record, acting: Floats, middle: Floats, half: Floats) -> Floats:
+        """Return the signals (n, J) of what acts (T, C) in a run, at its seen times."""
+        series = _core.Series(np.ascontiguousarray(acting), record.t, middle, half)
+        return np.asarray(_core.Bank(self.name, acting.shape[1]).signals(series, record.t_seen, wide=True)[1].T)
+
+
+def families() -> tuple[Family, ...]:
+    """Return the families that have signals; the members of the control are left to the map."""
+    on_commands = {effect["name"] for effect in _core.effects() if effect["role"] == "channel" and not effect["needs"]}
+    return tuple(
+        Family(one["name"], () if one["name"] == CONTROL else tuple(m for m in one["members"] if m in on_commands))
+        for one in _core.families()
+        if one["signals"]
+    )
+
+
+def splines(acting: Floats, middle: Floats, half: Floats) -> Floats:
+    """Return the B-splines (n, J) of what acts (n, C), whatever was before."""
+    series = _core.Series(np.ascontiguousarray(acting), np.arange(float(len(acting))), middle, half)
+    at = np.arange(float(len(acting)))
+    return np.asarray(_core.Bank(CONTROL, acting.shape[1]).signals(series, at, wide=True)[1].T)

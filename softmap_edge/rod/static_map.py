@@ -1,0 +1,118 @@
+"""The static map that is solved again for every law of memory: a ridge on a polynomial (variable projection).
+
+    targets (n, q) ≈ base(v) + [1, monomials(v)] W,   v = what acts (n, C)
+
+Targets are mm that stand for the markers: chords turned into the plane, Σ over the chords below of length × angle.
+Their squared error is about that of the markers. With a described rod they are the coordinates of the markers, and
+`base` is that rod. The *held-out loss* of a fold is the sum of squares over its frames, predicted from the other
+folds; folds stay whole because frames near each other are alike (`folds.py`). Laws are fitted with the `ridge` of the
+map, next to none while they are sought, and judged with the one of the lowest held-out loss. Source: variable
+projection, Golub and Pereyra 1973, doi:10.1137/0710036. Pinned by tests/test_learned_memory.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.folds import Folds
+from softmap_edge.rod.regression import RIDGE, RIDGE_STEPS, normalise
+from softmap_edge.rod.signals import splines
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+BESIDE = tuple(np.geomspace(1e-6, 1.0, 7).tolist())  # ridges of columns beside the map, for columns of unit spread
+SPLINED = 1e-4  # ridge of the B-splines of a splined map
+STILL = 1e-9  # spread of a column that does not move
+FLOOR = 1e-9  # of a column's mean square, added to each system: columns that follow from others are shared evenly
+
+
+@dataclass(frozen=True, eq=False)
+class StaticMap:
+    """Targets (n, q) mm, the folds on which a map is judged, and the `degree` of its polynomial.
+
+    A `splined` map has B-splines of each channel as well.
+    """
+
+    targets: Floats
+    parts: Folds
+    degree: int
+    ridge: float = RIDGE_STEPS[0]
+    splined: bool = False
+    base: Callable[[Floats], Floats] | None = None
+
+    def left(self, acting: Floats) -> Floats:
+        """Return what the polynomial has to explain (n, q) mm where `acting` (n, C) acts."""
+        return self.targets if self.base is None else self.targets - self.base(acting)
+
+    def residual(self, acting: Floats, rows: Index | None = None) -> Floats:
+        """Return seen − mapped (n, q) mm with the map solved on the frames `rows` (all of them if None)."""
+        columns, penalty, targets = *self._columns(acting), self.left(acting)
+        penalty = self.ridge * penalty
+        rows = np.arange(len(targets)) if rows is None else rows
+        kept = columns[rows]
+        weights = np.linalg.solve(_system(kept.T @ kept, len(rows), penalty), kept.T @ targets[rows])
+        return np.asarray(targets - columns @ weights)
+
+    def scanned(self, acting: Floats) -> float:
+        """Return the held-out loss mm² at the usual ridge: quick, and no map of few motions fits itself into it."""
+        columns, penalty = self._columns(acting)
+        return float(_Folded(columns, self.left(acting), self.parts).losses(penalty).sum())
+
+    def losses(self, acting: Floats, beside: Floats | None = None) -> Floats:
+        """Return the held-out loss (folds,) mm², with further columns (n, J) `beside` the map if they are given."""
+        (columns, penalty), targets = self._columns(acting), self.left(acting)
+        folded = _Folded(columns, targets, self.parts)
+        alone = [folded.losses(ridge * penalty) for ridge in RIDGE_STEPS]
+        best = int(np.argmin([losses.sum() for losses in alone]))
+        if beside is None:
+            return alone[best]
+        spread = beside.std(axis=0)
+        moving = spread > STILL
+        folded = _Folded(np.concatenate([columns, beside[:, moving] / spread[moving]], axis=1), targets, self.parts)
+        added = np.ones(int(moving.sum()))
+        found = [folded.losses(np.append(RIDGE_STEPS[best] * penalty, ridge * added)) for ridge in BESIDE]
+        return min(found, key=lambda losses: float(losses.sum()))
+
+    def _columns(self, acting: Floats) -> tuple[Floats, Floats]:
+        """Return the columns (n, 1 + F) of the map and their penalties at a ridge of 1."""
+        degrees = np.array(_core.monomial_degrees(acting.shape[1], self.degree))
+        penalty = np.append(0.0, np.array(RIDGE)[degrees - 1])
+        q = normalise(acting)
+        rows = [np.ones((len(q), 1)), _core.monomials(q, self.degree)]
+        if self.splined:
+            rows.append(splines(q, np.zeros(q.shape[1]), np.ones(q.shape[1])))
+            penalty = np.append(penalty, np.full(rows[-1].shape[1], SPLINED))
+        return np.concatenate(rows, axis=1), penalty
+
+
+class _Folded:
+    """Sums of products of columns (n, p) and targets (n, q) for each fold: any ridge is then a small solve."""
+
+    def __init__(self, columns: Floats, targets: Floats, parts: Folds) -> None:
+        square, mixed = columns.T @ columns, columns.T @ targets
+        self.systems = []
+        for train, test in parts:
+            out = np.ones(len(columns), bool)
+            out[train] = False
+            gone = columns[out]
+            part = square - gone.T @ gone, mixed - gone.T @ targets[out]
+            self.systems.append((len(train), *part, columns[test], targets[test]))
+
+    def losses(self, penalty: Floats) -> Floats:
+        """Return the held-out loss (folds,) under a penalty (p,) a frame."""
+        found = []
+        for frames, square, mixed, columns, targets in self.systems:
+            weights = np.linalg.solve(_system(square, frames, penalty), mixed)
+            found.append(float(((columns @ weights - targets) ** 2).sum()))
+        return np.array(found)
+
+
+def _system(square: Floats, frames: int, penalty: Floats) -> Floats:
+    """Return the normal equations' matrix with its ridge."""
+    return square + np.diag(frames * penalty + FLOOR * max(float(np.trace(square)) / len(square), 1e-12))

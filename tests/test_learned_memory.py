@@ -1,0 +1,267 @@
+"""A memory that was always in the robot: `learn` names it, with numbers and alternatives, or leaves it out if asked.
+
+The truth is simulated apart from the effect library, or was recorded by others (`../shared/data/memory`).
+"""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from logs import published
+
+from softmap_edge import Run, learn_model, load_bundle, save_bundle
+from softmap_edge.cli import main
+from softmap_edge.rod.covered_folds import search_folds
+from softmap_edge.rod.learn import learn, learned_model
+from softmap_edge.rod.reference_run import observe
+from softmap_edge.rod.regression import Record
+from softmap_edge.rod.signals import families
+from softmap_edge.rod.static_map import StaticMap
+
+DEGREE_MM = np.pi * 100.0 / 180.0  # of the 100 mm circle of the ViO-Com files
+
+
+# --- a finger of two servos, apart from the library ------------------------------------------------
+
+
+def wander(t, size=10.0):
+    """Two commands (T, 2) that turn round at many places and never repeat within a minute."""
+    x = 0.6 * np.sin(0.7 * t) + 0.4 * np.sin(1.9 * t + 1)
+    return size * np.stack([x, 0.6 * np.sin(0.9 * t + 2) + 0.4 * np.sin(2.3 * t)], axis=1)
+
+
+def play(u, gaps):
+    """What is left of commands (T, C) behind gaps (C,): whoever pulls must first cross the gap."""
+    at, out = u[0].copy(), np.empty_like(u)
+    for i, now in enumerate(u):
+        for c, gap in enumerate(gaps):
+            if now[c] - at[c] > gap / 2:
+                at[c] = now[c] - gap / 2
+            elif at[c] - now[c] > gap / 2:
+                at[c] = now[c] + gap / 2
+        out[i] = at
+    return out
+
+
+def arc(acting, rings=3, length=110.0):
+    """Markers (T, rings, 3) mm on an arm of constant curvature that bends by 0.07 rad a mm, softening as it bends."""
+    bend = 0.07 * acting * (1.0 - 0.002 * acting**2 / 4.0)
+    angle, heading = np.hypot(*bend.T), np.arctan2(bend[:, 1], bend[:, 0])
+    s = np.linspace(0.0, 1.0, rings + 1)[1:, None]
+    turned = np.maximum(s * angle, 1e-9)
+    radius = length * s / turned
+    out = radius * (1.0 - np.cos(turned))
+    return np.stack([out * np.cos(heading), out * np.sin(heading), radius * np.sin(turned)], axis=2).swapaxes(0, 1)
+
+
+def recorded(gaps=(0.0, 0.0), seconds=90.0, seed=0, noise=0.1, drive=wander, **more):
+    rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, 0.02)
+    u = drive(t)
+    markers = arc(play(u, gaps))[::3]
+    return Run(t=t, command=u, t_seen=t[::3], markers=markers + rng.normal(0, noise, markers.shape), **more)
+
+
+@pytest.fixture(scope="module")
+def loose():
+    return recorded((1.4, 1.4))
+
+
+@pytest.fixture(scope="module")
+def found(loose):
+    return learn(loose)
+
+
+def test_play_that_was_always_there_is_named_with_its_numbers(found):
+    (one,) = found.learned_in
+    assert (one.name, one.family, one.law) == ("backlash", "memory", "identified")
+    assert found.chain_names == ("backlash",)
+    assert {other.name for other in one.alternatives} <= {"hysteresis"}  # which needs three numbers for as much
+    (gap,) = one.params
+    assert gap.value == pytest.approx(1.4, rel=0.03) and abs(gap.value - 1.4) < 4 * gap.sigma
+    assert gap.unit == "mm" and not gap.at_bound
+    assert one.after_mm < 0.3 * one.before_mm and found.error_mm < 0.3
+
+
+def test_without_looking_for_memory_the_same_map_fails(loose, found):
+    static = learn(loose, static=True)
+    assert static.chain_names == () and static.learned_in == () and static.error_mm > 3 * found.error_mm
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_robot_without_memory_gets_nothing_into_its_chain(seed):
+    tight = learn(recorded(seed=seed, noise=0.3))
+    assert tight.chain_names == () and tight.learned_in == () and tight.notes == ()
+
+
+def test_a_static_law_that_no_polynomial_holds_is_no_memory():
+    """A dead zone of 4 mm: the map is wrong everywhere, and still nothing is remembered."""
+    t = np.arange(0.0, 90.0, 0.02)
+    u = wander(t)
+    markers = arc(np.sign(u) * np.maximum(np.abs(u) - 2.0, 0.0))[::3]
+    markers = markers + np.random.default_rng(3).normal(0, 0.1, markers.shape)
+    assert learn(Run(t=t, command=u, t_seen=t[::3], markers=markers)).chain_names == ()
+
+
+@pytest.mark.parametrize("gaps", [(1.4, 0.8)])
+def test_unequal_play_of_a_robot_from_its_csv_gets_a_number_for_each_servo(gaps, tmp_path, capsys):
+    """From the logs of a motion capture whose frame is turned and shifted, and whose robot is loose in both servos."""
+    run = recorded(gaps, seconds=120.0, seed=5)
+    turn = np.array([[0.0, 0.8, 0.6], [0.0, -0.6, 0.8], [1.0, 0.0, 0.0]])  # the arm lies along the capture's x
+    assert np.linalg.det(turn) == pytest.approx(1.0)
+    markers = run.markers @ turn + [820.0, -340.0, 1210.0]
+    names = [f"m{k + 1}_{axis}" for k in range(3) for axis in "xyz"]
+    rows = np.column_stack([run.t_seen, run.command[::3], markers.reshape(len(markers), -1)])
+    header = ",".join(["time", "motor_1", "motor_2", *names])
+    np.savetxt(tmp_path / "log.csv", rows, "%.4f", ",", header=header, comments="")
+    log, mapping, npz, bundle = (str(tmp_path / name) for name in ("log.csv", "map.toml", "run.npz", "finger"))
+    assert main(["import", log, "--guess", "--out", mapping]) == 0
+    assert main(["import", log, "--map", mapping, "--out", npz]) == 0
+    capsys.readouterr()
+    assert main(["learn", npz, "--out", bundle, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    (one,) = document["learned_in"]
+    assert one["name"] == "backlash"
+    values = {number["label"]: number["value"] for number in one["params"]}
+    assert values == {f"backlash.gap[{c}]": pytest.approx(gap, rel=0.1) for c, gap in enumerate(gaps)}
+    model = load_bundle(bundle)
+    assert model.learned_in[0].name == "backlash" and model.taught_by(Run.load(npz))
+    assert not model.taught_by(run)
+
+
+def swing(period, seed, late=0.2, seconds=60.0):
+    """One servo that swings at one speed and follows late, from rest."""
+
+    def command(t):
+        return 10.0 * np.clip(t / 4.0, 0.0, 1.0) * np.sin(2 * np.pi * t / period)
+
+    t = np.arange(0.0, seconds, 0.02)
+    acting = command(t - late)
+    markers = arc(np.column_stack([acting, 0.0 * acting]))[::3]
+    markers = markers + np.random.default_rng(seed).normal(0, 0.5, markers.shape)
+    return Run(t=t, command=command(t)[:, None], t_seen=t[::3], markers=markers)
+
+
+def test_a_second_run_of_another_speed_judges_between_families():
+    """A sine of one speed draws an ellipse that delay, creep and memory all draw; with another speed only one does."""
+    one, other = swing(12.0, 1), swing(3.0, 2)
+    (alone,), both = learn(one).learned_in, learn([one, other])
+    assert alone.law == "ambiguous" and {"creep", "rate"} <= {rival.family for rival in alone.alternatives}
+    (told,) = both.learned_in
+    assert (told.name, told.law) == ("latency", "identified")
+    assert told.params[0].value == pytest.approx(0.2, abs=0.005)
+    assert [rival.name for rival in told.alternatives] == ["clock_shift"]  # which no run distinguishes
+    assert both.made_from["runs"] == [one.hash(), other.hash()]
+
+
+def test_memory_begins_anew_in_each_run():
+    """Two halves of a run, the second one recorded after the command had been left elsewhere."""
+    first, second = (
+        recorded((1.4, 1.4), seconds=50.0),
+        recorded((1.4, 1.4), seconds=50.0, drive=lambda t: wander(t + 77)),
+    )
+    both = learn([first, second])
+    assert (
+        both.error_mm < 0.3 and both.chain_params["backlash.gap" if len(both.chain_params) == 1 else "backlash.gap[0]"]
+    )
+    model = learned_model([first, second], both)
+    for run in (first, second):
+        assert np.sqrt(((model.predict(run) - run.markers) ** 2).sum(-1).mean()) < 0.35
+
+
+# --- the parts -------------------------------------------------------------------------------------
+
+
+def test_the_map_is_solved_again_for_every_law():
+    """With the true play the map is exact; at any other gap it is not: the projected loss has its least there."""
+    run = recorded((1.4, 1.4), noise=0.0)
+    seen = observe([run], None, (), 20.0)
+    static = StaticMap(seen.markers.reshape(len(seen.markers), -1), search_folds(seen), 3)
+    at = {gap: float((static.residual(play_at(run, gap, seen)) ** 2).sum()) for gap in (1.0, 1.3, 1.4, 1.5, 1.8)}
+    assert min(at, key=at.get) == 1.4 and at[1.3] > 1.5 * at[1.4] < at[1.5]
+
+
+def play_at(run, gap, seen):
+    return Record(run.command, run.t, seen.t).read(play(run.command, (gap, gap))[None])[0]
+
+
+def test_held_out_losses_are_those_of_a_plain_refit():
+    rng = np.random.default_rng(0)
+    run = recorded(seconds=30.0)
+    seen = observe([run], None, (), 20.0)
+    static = StaticMap(rng.normal(size=(len(seen.t), 2)), search_folds(seen), 1)
+    u = seen.drive.commanded
+    columns = np.column_stack([np.ones(len(u)), u])
+    plain = []
+    for train, test in static.parts:
+        weights = np.linalg.lstsq(columns[train], static.targets[train], rcond=None)[0]
+        plain.append(((columns[test] @ weights - static.targets[test]) ** 2).sum())
+    np.testing.assert_allclose(static.losses(u), plain, rtol=2e-3)  # its ridge is small and not zero
+
+
+def test_families_bring_only_effects_that_act_on_commands():
+    members = {one.name: one.members for one in families()}
+    assert {"memory", "delay", "rate", "creep", "softening", "time", "static map"} <= set(members)
+    assert members["static map"] == () and "clock_shift" not in members["delay"]
+    assert {"latency", "lag"} <= set(members["delay"]) and "backlash" in members["memory"]
+
+
+def test_runs_of_different_robots_are_not_learned_together():
+    from softmap_edge.errors import RunError
+
+    run = recorded(seconds=20.0)
+    for other in (replace(run, markers=run.markers[:, :2]), replace(run, command_unit="deg")):
+        with pytest.raises(RunError, match="run 2 has"):
+            learn([run, other])
+
+
+# --- the command line --------------------------------------------------------------------------------
+
+
+def test_learn_prints_what_it_put_into_the_chain(loose, tmp_path, capsys):
+    loose.save(tmp_path / "run.npz")
+    assert main(["learn", str(tmp_path / "run.npz"), "--out", str(tmp_path / "finger")]) == 0
+    said = capsys.readouterr().out
+    assert "backlash: memory, law identified, held-out error" in said and "backlash.gap" in said and "±" in said
+    assert main(["learn", str(tmp_path / "run.npz"), "--out", str(tmp_path / "map"), "--static"]) == 0
+    assert "not looked for (--static)" in capsys.readouterr().out
+    assert load_bundle(tmp_path / "map").chain_names == () and load_bundle(tmp_path / "map").learned_in == ()
+
+
+def test_a_learned_memory_survives_the_journey_and_predicts(loose, tmp_path):
+    model = learn_model(loose)
+    again = load_bundle(save_bundle(model, tmp_path / "finger"))
+    assert again.learned_in == model.learned_in and again.chain_names == ("backlash",)
+    np.testing.assert_allclose(again.predict(loose), model.predict(loose), atol=1e-6)
+    assert again.taught_by(loose) and not again.taught_by(recorded(seed=9))
+
+
+# --- machines of others --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "gap", "limit"), [("vio000", 45.0, 1.2), ("vio090", 58.0, 1.1)])
+def test_a_tendon_sheath_joint_has_play_as_its_first_answer(name, gap, limit):
+    folder = published("memory")
+    run, held = (Run.load(folder / f"{name}_{part}.npz") for part in ("fit", "held"))
+    learned = learn(run)
+    first = learned.learned_in[0]
+    assert (first.name, first.family) == ("backlash", "memory")
+    assert first.params[0].value == pytest.approx(gap, rel=0.05)
+    model = learned_model(run, learned)
+    error = np.sqrt(((model.predict(held) - held.markers) ** 2).sum(-1).mean())
+    assert error <= limit * DEGREE_MM
+    # Without the play, the same map is ten times as far off.
+    static = learned_model(run, learn(run, static=True))
+    assert np.sqrt(((static.predict(held) - held.markers) ** 2).sum(-1).mean()) > 5 * limit * DEGREE_MM
+
+
+def test_a_friction_damper_with_a_gap_has_a_memory_whose_law_stays_open():
+    folder = published("memory")
+    run, held = (Run.load(folder / f"arts_30lb_05hz_1in_{part}.npz") for part in ("fit", "held"))
+    learned = learn(run)
+    first = learned.learned_in[0]
+    assert first.family == "memory" and (first.law == "open" or len(learned.learned_in) > 1)
+    error = learned_model(run, learned).predict(held) - held.markers
+    assert np.sqrt((error**2).sum(-1).mean()) <= 0.20 * np.sqrt(
+        ((held.markers - held.markers.mean(0)) ** 2).sum(-1).mean()
+    )
