@@ -73,7 +73,7 @@ def test_what_a_member_does_and_its_share_of_what_is_explained():
     alone = fits.problem.record.predict(("payload",), params[None])[0] - fits.null.predicted
     assert np.abs(done - alone).max() < 0.2 * np.abs(alone).max()  # the load does the same behind a play
     shares = [fits.share(both, name) for name in both.effects]
-    assert all(0.05 < share < 1.0 for share in shares) and sum(shares) == pytest.approx(1.0, abs=0.3)
+    assert all(0.2 < share < 1.2 for share in shares)  # beyond 1 where without it the rest does harm
     assert fits.share(fits.get(["backlash", "payload", "latency"]), "latency") < 0.02
 
 
