@@ -22,11 +22,13 @@ pub struct Series {
     pub(super) share: Vec<f64>,
     pub(super) temperature: Option<Vec<f64>>,
     pub(super) orientation: Option<Vec<i64>>,
+    /// Number of orientations, of this run and of others that are fitted together with it.
+    pub(super) orientations: usize,
 }
 
 impl Series {
     /// Create a series from `v` (T, C) mm at `t` (T,) s, with `middle` and `half` range (C,) mm of each channel.
-    /// Optional conditions: `temperature` (T,) °C, and integer codes of the `orientation` (T,).
+    /// Optional conditions: `temperature` (T,) °C, and codes 0, 1, … of the `orientation` (T,), out of `orientations`.
     pub fn new(
         v: &[f64],
         t: Vec<f64>,
@@ -34,6 +36,7 @@ impl Series {
         half: Vec<f64>,
         temperature: Option<Vec<f64>>,
         orientation: Option<Vec<i64>>,
+        orientations: Option<usize>,
     ) -> Result<Series> {
         let (samples, channels) = (t.len(), half.len());
         if samples < 2 || channels == 0 || v.len() != samples * channels {
@@ -74,6 +77,8 @@ impl Series {
                 half[c]
             )));
         }
+        let seen = orientation.iter().flatten().max().map_or(0, |code| code + 1);
+        let orientations = orientations.unwrap_or(usize::try_from(seen).unwrap_or(0));
         let channel =
             |c: usize| -> Vec<f64> { v.iter().skip(c).step_by(channels).copied().collect() };
         let v: Vec<Vec<f64>> = (0..channels).map(channel).collect();
@@ -92,6 +97,7 @@ impl Series {
             share,
             temperature,
             orientation,
+            orientations,
         })
     }
 
