@@ -25,17 +25,17 @@ fn columns(series: &Series, channel: usize, emit: Emit) {
     let Some(orientation) = &series.orientation else {
         return;
     };
-    if !(2..=MOST).contains(&series.orientations) {
+    if !(2..=MOST).contains(&series.orientations.len()) {
         return;
     }
     let most = PLAUSIBLE * series.half[channel];
     let mut out = vec![0.0; series.samples()];
     let terms: [fn(f64) -> f64; 3] = [|_| 1.0, |x| x, |x| x * x];
     for term in terms {
-        for code in 1..series.orientations as i64 {
+        for code in &series.orientations[1..] {
             let samples = out.iter_mut().zip(orientation).zip(&series.x[channel]);
             for ((out, now), x) in samples {
-                *out = if *now == code { most * term(*x) } else { 0.0 };
+                *out = if now == code { most * term(*x) } else { 0.0 };
             }
             emit(&out);
         }
