@@ -291,3 +291,13 @@ def test_invalid_input_is_rejected():
         _core.Series(p.v, p.t, p.middle, p.half, orientation=np.arange(3))
     with refused("T ≥ 2"):
         _core.Series(p.v[:1], p.t[:1], p.middle, p.half)
+
+
+def test_orientations_of_other_runs_keep_their_columns():
+    """Of two runs that are fitted together each is seen in one orientation: their columns are the same ones."""
+    p, bank = Plain(2), _core.Bank("load", 2)
+    codes, zeros = np.array([4, 7]), np.zeros(len(p.t), int)
+    one, other = (_core.Series(p.v, p.t, p.middle, p.half, orientation=zeros + c, orientations=codes) for c in codes)
+    (which, absent), (same, there) = bank.columns(one, p.t), bank.columns(other, p.t)
+    assert list(which) == list(same) == 3 * [0] + 3 * [1] and not absent.any() and there.any(axis=1).all()
+    assert len(bank.columns(_core.Series(p.v, p.t, p.middle, p.half, orientation=zeros), p.t)[0]) == 0

@@ -15,6 +15,7 @@ from softmap_edge import Run, _core, builtin_model, diagnose, next_experiment, s
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.conclusion import _next
 from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.findings import Alternative, Untestable
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.choose import SETTLED, program
@@ -57,7 +58,7 @@ def document(**changed):
     empty = {name: [] for name in ("effects", "faults", "alternatives", "not_testable", "next")}
     empty |= {name: {} for name in ("where", "error", "unexplained", "made_from")}
     return Diagnosis.from_dict(
-        {"schema": "softmap.diagnosis/1", "verdict": "nothing", "sentence": ""} | empty | changed
+        {"schema": "softmap.diagnosis/2", "verdict": "nothing", "sentence": ""} | empty | changed
     )
 
 
@@ -72,7 +73,7 @@ def test_payload_or_gravity_is_settled_by_another_orientation(ambiguous):
         "separation": float(f"{best.separation:.4g}"),
     }  # fmt: skip
     again = diagnose(MODEL, [run, played(best.plan, {"payload.mass": 9.0}, seed=1)])
-    assert (again.verdict, [e.name for e in again.effects], again.alternatives) == ("identified", ["payload"], [])
+    assert (again.verdict, [e.name for e in again.effects], again.alternatives) == ("identified", ["payload"], ())
     # As much of the same moves in the same orientation leaves it open.
     same = diagnose(MODEL, [run, played(BLOCKS["triangles of growing size"].plan(LIMITS), {"payload.mass": 9.0}, 1)])
     assert same.verdict == "ambiguous"
@@ -137,7 +138,7 @@ def test_every_effect_of_the_library_can_be_asked_for():
 
 def test_blocks_are_taken_until_all_is_settled_or_time_is_up(ambiguous):
     run, found = ambiguous
-    also = [{"name": name, "why": "", "experiment": ""} for name in ("latency", "creep")]
+    also = tuple(Untestable(name) for name in ("latency", "creep"))
     ranked = next_experiment(MODEL, replace(found, not_testable=also), [run])
     taken = program(ranked, 6.0)
     assert taken[0].block == ranked[0].block == "another orientation"
@@ -149,7 +150,7 @@ def test_blocks_are_taken_until_all_is_settled_or_time_is_up(ambiguous):
 def test_two_rivals_and_ten_unseen_effects_take_seconds(ambiguous):
     run, found = ambiguous
     others = [n for n in found.made_from["candidates"] if n not in ("gravity", "payload")]
-    everything = replace(found, not_testable=[{"name": n, "why": "", "experiment": ""} for n in others[:10]])
+    everything = replace(found, not_testable=tuple(Untestable(n) for n in others[:10]))
     start = time.process_time()
     next_experiment(MODEL, everything, [run])
     assert time.process_time() - start < 20.0
@@ -197,8 +198,10 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
 
 def test_what_is_named_beside_a_rival_is_not_open():
     """A rival set holds the rest of what is named too: only the member and what stands for it are to be settled."""
-    rival = {"member": "lag", "effects": ["gain", "latency"], "why": "", "experiment": ("triangles", 1.0)}
-    assert _next([rival], [], {}, ["gain", "lag"])[0]["settles"] == ["lag", "latency"]
+    other = Alternative(("gain", "latency"), "", "lag")
+    registry = {effect["name"]: effect for effect in _core.effects()}
+    (block,) = _next([other], [], registry, ["gain", "lag"])
+    assert block.settles == ("lag", "latency") and block.block == registry["lag"]["experiment"][0]
 
 
 def test_only_the_built_in_robot_is_told_how_to_be_played(tmp_path, capsys):

@@ -77,7 +77,8 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     standing = [s for s in outcome.steps if not set(_named(s)) & set(context.demoted)]
     order = _order(fits, fit, registry)
     alternatives = _alternatives(outcome, fit, standing, registry, context)
-    left = leftover(problem, outcome.state.residual, len(fit.x))
+    residual = record.seen - fit.predicted - outcome.state.shift
+    left = leftover(problem, residual, len(fit.x))
     behind = [] if context.masked is None else context.masked.untestable(registry)
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit, registry) if h.name not in {b.name for b in hidden}]
@@ -100,7 +101,10 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     )  # fmt: skip
     if verdict == "nothing" and behind:
         verdict, hidden = "cannot_tell", behind
-    sentence = sentence_of(verdict, physics, faults, families, alternatives, left, hidden, error, context.demoted)
+    hint = outcome.hint.family.name if outcome.hint is not None else ""
+    sentence = sentence_of(
+        verdict, physics, faults, families, alternatives, left, hidden, error, context.demoted, hint
+    )
     return {
         "verdict": verdict,
         "sentence": sentence
@@ -112,10 +116,10 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
         "families": families,
         "alternatives": tuple(alternatives),
         "not_testable": tuple(hidden),
-        "where": Where(_where(record, record.seen - fits.null.predicted), _where(record, outcome.state.residual)),
+        "where": Where(_where(record, record.seen - fits.null.predicted), _where(record, residual)),
         "error": error,
         "unexplained": left,
-        "next": (*_mended(faults), *_next(alternatives, hidden, registry, order)),
+        "next": (*_mended(faults), *_refit(context.own), *_next(alternatives, hidden, registry, order)),
         "made_from": _made_from(outcome, order, context, registry),
     }
 
@@ -131,7 +135,7 @@ def _order(fits: Fits, fit: Fit, registry: Registry) -> list[str]:
 
 
 def _left(outcome: Outcome, standing: Sequence[Step]) -> bool:
-    """Whether something unknown is left: beyond the named effects, or a family that falls and was not accepted."""
+    """Whether something unknown is left: beyond the named effects, or far more than the model's own error."""
     if standing:
         return outcome.left > rule.LEFT
     problem, record = outcome.body.problem, outcome.body.record
@@ -295,7 +299,7 @@ def _alternatives(
         for twin, why in _twins(outcome.fits, fit, member, registry, context.impossible):
             add(Alternative(tuple(twin if e == member else e for e in fit.effects), why, member))
     if context.own is not None and fit.effects:
-        add(Alternative(tuple(context.own.names), str(context.own), next(iter(fit.effects))))
+        found.insert(0, Alternative(tuple(context.own.names), str(context.own), next(iter(fit.effects))))
     return found
 
 
@@ -389,6 +393,11 @@ def _mended(faults: Sequence[Finding]) -> list[NextBlock]:
     block = "put it right, plugs or columns and signs of the mapping, and diagnose again: {}"
     cases = {f.name: p.meaning for f in faults for p in f.params.values() if p.meaning}
     return [NextBlock(block.format(case), 2.0, (name,)) for name, case in cases.items()]
+
+
+def _refit(own: OwnMisfit | None) -> list[NextBlock]:
+    """Return what to do first where the model's own effects do not fit."""
+    return [] if own is None else [NextBlock("`softmap refit` on this run, then diagnose again", 0.0, own.names)]
 
 
 def _next(

@@ -102,7 +102,7 @@ def diagnose(
             demoted += more
     own = _own_misfit(record) if record.replay is None else None  # wrong numbers of its own cancel out too
     context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), seed)
-    gone = stray(record, fit)
+    gone = stray(record, outcome.state.predicted if outcome.state.beside else fit.predicted)
     values = conclude(outcome, fit, context)
     if gone is None:
         loaded = any(run.load is not None and np.any(run.load) for run in record.whole)

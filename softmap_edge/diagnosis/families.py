@@ -159,26 +159,32 @@ class Body:
 
     def series(self, commands: Commands) -> list[_core.Series]:
         """Return effective commands with the conditions of their runs, as banks take them."""
-        out = []
-        for part, v, orientation in zip(self.parts, commands, self._orientations):
-            t = np.asarray(part.run.t, float)
-            warm = _numbers(part.run.temperature, len(t))
-            warm = None if warm is None or np.ptp(warm) < WARMED else warm
-            out.append(_core.Series(v, t, self.middle, self.half, warm, orientation))
-        return out
+        every, orientations = self._orientations
+        rows = zip(self.parts, commands, self._temperatures, orientations)
+        return [
+            _core.Series(v, np.asarray(part.run.t, float), self.middle, self.half, warm, orientation, every)
+            for part, v, warm, orientation in rows
+        ]
 
     @cached_property
-    def _orientations(self) -> list[NDArray[np.int64] | None]:
-        """Which of the orientations of the runs each sample (T,) of a run is in; None where there is one."""
+    def _temperatures(self) -> list[Floats | None]:
+        """Temperature (T,) °C of each run; None where not all of them warm: a bank scales what one run shows."""
+        rows = [_numbers(part.run.temperature, len(part.run.t)) for part in self.parts]
+        known = [row for row in rows if row is not None and np.ptp(row) >= WARMED]
+        return list(known) if len(known) == len(rows) else [None] * len(rows)
+
+    @cached_property
+    def _orientations(self) -> tuple[NDArray[np.int64] | None, list[NDArray[np.int64] | None]]:
+        """Codes of all orientations, and which of them each sample (T,) of a run is in; None where there is one."""
         rows = [_vectors(part.run.gravity, len(part.run.t)) for part in self.parts]
         known = [np.round(row, TURNED) for row in rows if row is not None]
         if len(known) < len(rows):
-            return [None] * len(rows)
+            return None, [None] * len(rows)
         every, codes = np.unique(np.concatenate(known), axis=0, return_inverse=True)
         if len(every) < 2:
-            return [None] * len(rows)
+            return None, [None] * len(rows)
         ends = np.cumsum([len(row) for row in known])
-        return list(np.split(codes.reshape(-1).astype(np.int64), ends[:-1]))
+        return np.arange(len(every)), list(np.split(codes.reshape(-1).astype(np.int64), ends[:-1]))
 
     def columns(self, family: Family, commands: Commands, slopes: Floats) -> Columns | None:
         """Return the columns of a family about effective commands with their `slopes` (C, K, F), if it has any."""

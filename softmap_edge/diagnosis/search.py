@@ -282,6 +282,8 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     answers = [a for a in answers if float(ranking.found.sum() - a.loss.sum()) >= least]
     if not answers:
         return None
+    best_loss = min((a.loss for a in answers), key=lambda loss: float(loss.sum()))
+    answers = [a for a in answers if near(a.loss, best_loss, ranking.found)]  # a law may do far more than its family
     answers.sort(key=lambda a: (not a.resolved, _order(a.family), a.numbers, float(a.loss.sum())))
     first, *rest = answers
     return Step(first, tuple(a for a in rest if _stands_beside(a, first, ranking, state)))
@@ -340,7 +342,8 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
     shifts = crossed + [own.shift(np.asarray(level.theta([n], [rule.RIDGES[0]])[0])) for n, own in singles.items()]
     pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
     left, moved = min(pairs, default=(total, 0.0))
-    motion = record.rms_mm(record.seen - np.nanmean(record.seen, axis=0))
+    count = np.maximum(seen.sum(axis=0), 1)  # what is never seen has no mean and does not count
+    motion = record.rms_mm(record.seen - np.where(seen, record.seen, 0.0).sum(axis=0) / count)
     return float(min(left if moved >= rule.DOMINATES * left else total, rule.ORDINARY * motion))
 
 

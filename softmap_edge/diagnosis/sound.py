@@ -33,7 +33,6 @@ from softmap_edge.run import known
 from softmap_edge.ticks import converted
 
 if TYPE_CHECKING:
-    from softmap_edge.diagnosis.fit import Fit
     from softmap_edge.model import Model
     from softmap_edge.run import Run
 
@@ -140,10 +139,10 @@ def sound_record(
     return record, told
 
 
-def stray(record: Record, fit: Fit) -> str | None:
+def stray(record: Record, predicted: Floats) -> str | None:
     """Say so where the points do not move as the commands say, or not at all, whatever a fit allows for."""
     seen = record.seen.reshape(len(record), -1, 3)[:, record.positions]
-    left = seen - fit.predicted.reshape(len(record), -1, 3)[:, record.positions]
+    left = seen - predicted.reshape(len(record), -1, 3)[:, record.positions]
     visible = np.asarray(np.isfinite(seen).all(axis=2), np.bool_)
     rest = np.asarray(getattr(record.model, "rest", np.zeros((1, 3))), float)
     moved, length = spread(seen, visible), float(np.linalg.norm(rest, axis=1).max())

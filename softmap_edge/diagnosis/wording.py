@@ -79,8 +79,12 @@ def sentence_of(
     hidden: Sequence[Untestable],
     error: ErrorLadder,
     demoted: Sequence[str],
+    hint: str = "",
 ) -> str:
-    """Return the verdict as a sentence: what is named, alternatives, by how much the held-out error falls."""
+    """Return the verdict as a sentence: what is named, alternatives, by how much the held-out error falls.
+
+    `hint` is the family that comes nearest where none is accepted.
+    """
     fall = f"the held-out error falls from {error.before:.2f} to {error.after:.2f} mm RMS"
     lost = f" Dropped, because the error on {error.held_out_on} did not fall: {', '.join(demoted)}." if demoted else ""
     found = _found(physics, faults, families)
@@ -96,7 +100,8 @@ def sentence_of(
         rest = f"{left.rms_mm:.2f} mm RMS (fitted) remain unexplained"
         rest += f" and follow {by}" if by else ""
         falls = f"; {fall}" if physics or faults else ""
-        return f"{found or 'Something unknown is missing'}; {rest}{falls}.{lost}"
+        nearest = f" (nearest family: {hint})" if hint else ""
+        return f"{found or f'Something unknown is missing{nearest}'}; {rest}{falls}.{lost}"
     if verdict == "measurement_fault":
         return f"{found if physics else f'The measurement is at fault, not the model: {_names(faults)}'}; {fall}.{lost}"
     names = ", ".join(h.name for h in hidden)
