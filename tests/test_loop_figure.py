@@ -134,6 +134,10 @@ def test_the_page_draws_the_loop_where_a_family_with_memory_was_detected(found, 
         ),
         (family("delay", "memory", "open", ("latency", "lag")), "Delay; law open: latency, lag"),
         (family("rate", "memory", "unknown", ()), "Unknown law of the family rate"),
+        (
+            family(effects=("backlash", "friction")),
+            "Memory: backlash, gap 1.39 mm on channel 0 and 0.770 mm on channel 1, or friction",
+        ),
         (family("load", "static", "resolved", ("payload",)), "Load: payload"),
     ],
 )

@@ -39,9 +39,10 @@ def family_line(row: Row, findings: Sequence[Row]) -> str:
         fits = [*effects, *map(str, row.get("generic") or [])]
         what = "Static, non-linear map of the commands" if name == "static map" else _capital(name)
         return f"{what}; law open" + (f": {', '.join(fits)}" if fits else "")
-    known = {one.get("name"): one for one in findings}
-    laws = [_law(one, (known.get(one) or {}).get("params") or {}) for one in effects]
-    return f"{_capital(name)}: {' and '.join(laws) or '?'}"
+    known = {str(one.get("name")): one for one in findings}
+    laws = [_law(one, known[one].get("params") or {}) for one in effects if one in known]
+    alike = [one for one in effects if one not in known]
+    return f"{_capital(name)}: {', or '.join([*([' and '.join(laws)] if laws else []), *alike]) or '?'}"
 
 
 def _capital(name: str) -> str:
