@@ -78,10 +78,14 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         "runs", nargs="+", metavar="run", help="the measured run, .npz or .mcap; several runs are fitted together"
     )
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
-    parser.add_argument("--held-out", metavar="RUN", help="an independent run, for validation only")
+    parser.add_argument(
+        "--held-out",
+        metavar="RUN",
+        help="an independent run, never fitted; effects that do not lower its error are dropped",
+    )
     parser.add_argument(
         "--reference", action="append", metavar="RUN",
-        help="a run of the same commands before the change; errors are relative to it; may be repeated, one for each run",
+        help="a run of the same commands before the change; errors are relative to it; repeat for each run",
     )  # fmt: skip
     effects_argument(parser, "; NAME,NAME: test only these effects and those of the files")
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
