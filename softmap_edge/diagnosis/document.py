@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 SCHEMA, BEFORE = "softmap.diagnosis/2", "softmap.diagnosis/1"
 VERDICTS = {
     "identified": "identified",
-    "ambiguous": "ambiguous: more than one effect fits",
+    "ambiguous": "ambiguous: more than one explanation fits",
     "partly_explained": "partly explained: something unknown is left",
     "nothing": "nothing above the floor",
     "cannot_tell": "these data cannot tell",

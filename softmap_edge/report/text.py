@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
+from softmap_edge.report.families import family_lines
 from softmap_edge.report.in_unit import PLACES, in_unit, unit_of
 from softmap_edge.report.numbers import LARGEST, bar, folded, mm, number, percent, tamed
 
@@ -31,6 +32,7 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
     document, unit = in_unit(known), unit_of(known["made_from"])
     lines = [f"Verdict: {VERDICTS.get(document['verdict'], document['verdict'])}"]
     lines += folded(tamed(document.get("sentence", "")), 2)
+    lines += family_lines(document, unit)
     for title, key in (
         (f"Faults of the measurement ({PARAMETERS})", "faults"),
         (f"Missing effects, in order of importance ({PARAMETERS})", "effects"),
@@ -40,7 +42,6 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
             lines += ["", title]
         for row in rows:
             lines += _effect_lines(row, unit)
-    lines += _list_lines("Families of effects that were detected", document["families"], family_text)
     lines += _ladder_lines(document.get("error") or {})
     servos = [servo_row(row) for row in document.get("servo") or []]
     lines += _list_lines("Servos: between command and encoder", servos, ": ".join)
@@ -53,9 +54,9 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
 
 
 PARAMETERS = "fitted, ± 1 σ of the scatter alone; ratios have no unit"
-STATIC_ADDED = "+ static correction"
+STATIC_ADDED = "+ static baseline"
 STATIC_NOTE = (
-    "A static correction is a polynomial of the command fitted to what is left: "
+    "The static baseline is a polynomial of the command, fitted to the remaining error: "
     "what it cannot remove depends on history or on conditions."
 )
 OUTPUT_NOTE = f"Measured over all outputs. {STATIC_NOTE}"
@@ -73,7 +74,7 @@ def ladder_steps(error: Mapping[str, Any]) -> list[tuple[str, float]]:
     Returns:
         list: steps whose value is a finite number, in the order in which things were added.
     """
-    steps = [("model alone", error.get("model")), ("static correction only", error.get("static_residual"))]
+    steps = [("model alone", error.get("model")), ("static baseline only", error.get("static_residual"))]
     steps += [(f"+ {row.get('added', '?')}", row.get("value")) for row in error.get("ladder") or []]
     steps.append((STATIC_ADDED, error.get("with_static_residual")))
     return [(name, known) for name, value in steps if (known := number(value)) is not None]
@@ -85,7 +86,7 @@ def _effect_lines(row: Mapping[str, Any], place_unit: str) -> list[str]:
     held = shift.get("held_out")
     facts = [
         *([] if row.get("probability") is None else [f"probability {percent(row['probability'])} (fitted)"]),
-        f"{percent(row.get('share'))} of what is explained (fitted)",
+        f"{percent(row.get('share'))} of the explained error (fitted)",
         f"moves {moved_by(place_unit)} by {mm(shift.get('fitted'))} {place_unit} RMS (fitted)"
         + ("" if held is None else f", {mm(held)} {place_unit} RMS (held out)"),
     ]
@@ -176,19 +177,6 @@ def _alternative(row: Mapping[str, Any]) -> str:
     return f"{alternative_name(row)}: {tamed(row.get('why', ''))}"
 
 
-def family_text(row: Mapping[str, Any]) -> str:
-    """Return what is known of a detected family: its share, its law, other families that look alike."""
-    effects, generic = (list(map(str, row.get(key) or [])) for key in ("effects", "generic"))
-    law = {
-        "resolved": ", ".join(effects),
-        "open": f"law open ({', '.join([*effects, *generic]) or 'no candidate'})",
-        "unknown": "no known law" + (f"; the nearest explains {percent(row['law_share'])} of it"
-                                     if row.get("law_share") is not None else ""),
-    }.get(str(row.get("law")), "?")  # fmt: skip
-    beside = f"; cannot be distinguished from {', '.join(map(str, row['alternatives']))}" if row["alternatives"] else ""
-    return f"{row['name']}: {law}; {percent(row['share'])} of the explained loss, {mm(row['moved_mm'])} mm RMS{beside}"
-
-
 def untestable_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Return what a diagnosis cannot test as (effects, why, experiment), effects of one reason in one row."""
     rows: dict[tuple[str, str], list[str]] = {}
@@ -223,4 +211,4 @@ def _unexplained_lines(left: Mapping[str, Any], unit: str) -> list[str]:
     by = left.get("predicted_by")
     named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "")
     facts += [f"follows {named}"] if named else []
-    return ["", "Left unexplained", *folded(" · ".join(facts), 2)]
+    return ["", "Unexplained error", *folded(" · ".join(facts), 2)]
