@@ -102,9 +102,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     if verdict == "nothing" and behind:
         verdict, hidden = "cannot_tell", behind
     hint = outcome.hint.family.name if outcome.hint is not None else ""
-    sentence = sentence_of(
-        verdict, physics, faults, families, alternatives, left, hidden, error, context.demoted, hint
-    )
+    sentence = sentence_of(verdict, physics, faults, families, alternatives, left, hidden, error, context.demoted, hint)
     return {
         "verdict": verdict,
         "sentence": sentence
