@@ -116,7 +116,7 @@ class Screening:
         A limit is absent at its high end and acts all at once below what is commanded: no slope leads there from afar.
         """
         space = self.few.space((effect,), free=(effect,))
-        ends = [np.where(space.log & space.declared, end, space.start) for end in (space.low, space.high)]
+        ends = [np.where(space.log & space.declared, end, space.start) for end in (space.low, space.usual_high)]
         points = np.stack([space.start + share * (end - space.start) for end in ends for share in FAINTER])
         modes = self._glance(parent, self.few.space((effect,)), effect, points)
         return list(points[np.argsort(self.few.costs(modes, points)[0], kind="stable")[:2]])
@@ -268,7 +268,7 @@ class Screening:
         for i in np.flatnonzero(space.log & space.declared & ~space.instant):
             for share in (0.15, 0.85):
                 point = space.start.copy()
-                point[i] = space.low[i] + share * (space.high[i] - space.low[i])
+                point[i] = space.low[i] + share * (space.usual_high[i] - space.low[i])
                 points.append(point)
         signed = (~space.log & (space.low < 0))[space.declared]
         if signed.all():
