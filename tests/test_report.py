@@ -249,7 +249,10 @@ FAMILIES = {
 def test_every_error_in_a_sentence_says_rms_and_fitted_or_held_out(verdict, named, family):
     physics = [Finding("backlash", {})] if named else []
     left = Unexplained(rms_mm=0.4, chi2_per_n=1.9, blocked_r2=0.5, predicted_by="speed")
-    told = sentence_of(verdict, physics, [], FAMILIES[family], [], left, [], ERROR, []) + f" {OwnMisfit(('gain',), 2.0, 1.0)}."
+    told = (
+        sentence_of(verdict, physics, [], FAMILIES[family], [], left, [], ERROR, [])
+        + f" {OwnMisfit(('gain',), 2.0, 1.0)}."
+    )
     assert not re.findall(r"\d mm(?! RMS)", told)
     errors = [part for part in re.split(r"[;:.] ", told) if "mm RMS" in part]
     sizes = [part for part in errors if "family memory" in part or "law open" in part]  # of an effect, no error

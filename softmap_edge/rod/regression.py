@@ -146,7 +146,8 @@ class Drive:
     @property
     def middle(self) -> Floats:
         """Middle (C,) of each channel's range."""
-        return 0.5 * (self.commands.min(axis=0) + self.commands.max(axis=0))
+        middle: Floats = 0.5 * (self.commands.min(axis=0) + self.commands.max(axis=0))
+        return middle
 
     @property
     def half(self) -> Floats:
