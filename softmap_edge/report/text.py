@@ -86,7 +86,7 @@ def _effect_lines(row: Mapping[str, Any], place_unit: str) -> list[str]:
     held = shift.get("held_out")
     facts = [
         *([] if row.get("probability") is None else [f"probability {percent(row['probability'])} (fitted)"]),
-        f"{percent(row.get('share'))} of the explained error (fitted)",
+        f"{percent(row.get('share'))} of the explained error",
         f"moves {moved_by(place_unit)} by {mm(shift.get('fitted'))} {place_unit} RMS (fitted)"
         + ("" if held is None else f", {mm(held)} {place_unit} RMS (held out)"),
     ]
