@@ -6,7 +6,7 @@ Nothing is searched here. Units: mm. Pinned by tests/test_diagnosis.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
