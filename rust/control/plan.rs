@@ -140,7 +140,8 @@ mod tests {
             seen_for: 0.0,
         };
         let chain = Chain::new(&names, 2).unwrap();
-        Inverse::new(&chain, params, vec![-5.0; 2], vec![5.0; 2], context).unwrap()
+        let params = chain.spread(params, params.len());
+        Inverse::new(&chain, &params, vec![-5.0; 2], vec![5.0; 2], context).unwrap()
     }
 
     fn map(chain: Option<Inverse>) -> Map {
@@ -163,7 +164,7 @@ mod tests {
         let follow = |chain: Option<Inverse>| {
             let mut map = map(chain);
             map.passed(&[2000, 1000], 0.01);
-            let mut state = truth.init(&[0.6], &[0.1, -0.1]).unwrap();
+            let mut state = truth.init(&[0.6; 2], &[0.1, -0.1]).unwrap();
             let (mut ticks, mut worst) = ([0.0; 2], 0.0f64);
             for k in 1..2000 {
                 let t = 0.01 * f64::from(k);
@@ -184,7 +185,7 @@ mod tests {
                     temperature: f64::NAN,
                     seen_for: 0.0,
                 };
-                truth.step(&[0.6], &mut acts, &mut state, &context);
+                truth.step(&[0.6; 2], &mut acts, &mut state, &context);
                 worst = worst
                     .max((acts[0] - goal[0]).abs())
                     .max((acts[1] - goal[1]).abs());
