@@ -140,13 +140,12 @@ class Drive:
     @cached_property
     def commanded(self) -> Floats:
         """The commands (n, C) at the seen times, before any effect."""
-        read: list[Floats] = [record.read(record.u[None])[0] for record in self.records]
-        return np.concatenate(read)
+        return np.concatenate([record.read(record.u[None])[0] for record in self.records])
 
     @property
     def middle(self) -> Floats:
         """Middle (C,) of each channel's range."""
-        return 0.5 * (self.commands.min(axis=0) + self.commands.max(axis=0))
+        return np.asarray(0.5 * (self.commands.min(axis=0) + self.commands.max(axis=0)), float)
 
     @property
     def half(self) -> Floats:
