@@ -38,7 +38,7 @@ if sys.argv[3] == "profile":
     pstats.Stats(profile, stream=sys.stderr).sort_stats("tottime").print_stats(25)
 print(json.dumps({
     "seconds": taken, "megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-    "verdict": found.verdict, "named": [e["name"] for e in [*found.effects, *found.faults]],
+    "verdict": found.verdict, "named": [e.name for e in [*found.effects, *found.faults]],
     "candidates": len(found.made_from["candidates"]), "frames": run.frames, "rows": len(run.t),
 }))
 """

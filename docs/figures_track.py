@@ -41,7 +41,7 @@ def found(model: Model, laws: Sequence[Any]) -> Model:
     points = points + np.random.default_rng(0).normal(0, 0.1, points.shape)
     answer = diagnose(model, Run(t=plan.t, command=plan.command, t_seen=plan.t_seen, vertices=points))
     print(answer.sentence)
-    return answer.added(model, [entry["name"] for entry in answer.effects])
+    return answer.added(model, [entry.name for entry in answer.effects])
 
 
 def tracked(model: Model, laws: Sequence[Any]) -> tuple[Course, Tracked]:

@@ -244,6 +244,7 @@ class Series:
         half: _Floats,
         temperature: _Floats | None = None,
         orientation: NDArray[np.int64] | None = None,
+        orientations: NDArray[np.int64] | None = None,
     ) -> Self: ...
     @property
     def samples(self) -> int: ...

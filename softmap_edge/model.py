@@ -353,6 +353,27 @@ class Model:
         chain, predictor = _core.Chain(list(names), self.channels), self.view(run).predictor
         return predictor.slopes(chain, params[None], inputs or self.inputs(run), np.asarray(step, float))
 
+    def features_at(self, effective: Floats, run: Run) -> Floats:
+        """Return the features (K, V, 3) mm of the prior at effective commands (K, C), in the conditions of a run."""
+        chain, predictor = _core.Chain([], self.channels), self.view(run).predictor
+        return np.asarray(predictor.predict(chain, np.zeros((1, 0)), self._inputs_at(effective, run))[0])
+
+    def slopes_at(self, effective: Floats, step: Floats, run: Run) -> Floats:
+        """Return the slopes (C, K, V, 3) of the prior at effective commands (K, C), `step` (C,) to both sides."""
+        chain, predictor = _core.Chain([], self.channels), self.view(run).predictor
+        return predictor.slopes(chain, np.zeros((1, 0)), self._inputs_at(effective, run), np.asarray(step, float))
+
+    def _inputs_at(self, effective: Floats, run: Run) -> _core.Inputs:
+        """Return what the core takes where each seen frame has an effective command of its own."""
+        seen = np.ascontiguousarray(run.t_seen, float)
+        at = np.clip(np.searchsorted(np.asarray(run.t, float), seen, side="right") - 1, 0, len(run.t) - 1)
+        gravity = np.broadcast_to(self.gravity_reference if run.gravity is None else run.gravity, (len(run.t), 3))
+        load = None if run.load is None else np.broadcast_to(run.load, (len(run.t),))[at]
+        warm = None if run.temperature is None else np.broadcast_to(run.temperature, (len(run.t),))[at]
+        given = (np.ascontiguousarray(a, float) for a in (effective, seen, seen, gravity[at]))
+        u, t, t_seen, g = given
+        return _core.Inputs(u, t, t_seen, gravity=g, load=load, temperature=warm, cameras=run.cameras)
+
     def seen_features(self, run: Run) -> Floats:
         """Return the measured features (K, V, 3) mm; NaN where too little was seen."""
         return views.seen_features(self, run)

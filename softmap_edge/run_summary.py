@@ -7,11 +7,13 @@ usual grid never mixed).
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from softmap_edge.diagnosis.advice import Word, advice
+from softmap_edge.diagnosis.collinear import collinear_conditions
 from softmap_edge.diagnosis.conditions import HOME, conditions, orientations
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
@@ -27,6 +29,7 @@ SAME_PLACE = 0.02  # of a channel's range
 def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     """Return what a run holds, with units in the keys; `missing` and `warnings` are sentences.
 
+    `collinear` are the conditions that cannot be separated from time or the commands (`collinear.Collinear`, `text`).
     `can_tell` and `cannot_tell` are lists of `{about, tells, text, remedy, minutes}` (`advice.Word`). A `model` with a
     calibration says what the ticks of the run are in commands. Raises CalibrationError where it is of other servos.
     """
@@ -64,6 +67,7 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
         "hash": recorded.hash(),
     }
     document["missing"] = _missing(run, document)
+    document["collinear"] = [asdict(one) | {"text": str(one)} for one in collinear_conditions(run)]
     words = advice(run, document["home_visits"])
     document["can_tell"] = [word.to_dict() for word in words if word.tells]
     document["cannot_tell"] = [word.to_dict() for word in words if not word.tells]
@@ -110,6 +114,7 @@ def sentences(document: dict[str, Any]) -> list[str]:
         lines.append(f"kept      {', '.join(d['unknown_fields'])} (not known here, ignored)")
     lines += [line for text in d["missing"] for line in _hung("missing", text)]
     lines += [line for text in d["warnings"] for line in _hung("look at", text)]
+    lines += [line for one in d["collinear"] for line in _hung("alike", one["text"])]
     return lines + advice_lines([Word(**word) for word in [*d["can_tell"], *d["cannot_tell"]]])
 
 

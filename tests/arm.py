@@ -74,6 +74,38 @@ class Chain:
         self.log = np.array([p["log"] for _, p in rows], bool)
         self.integer = self.instant = np.zeros(len(rows), bool)
 
+    def rollout(self, params, u, t, gravity=None, load=None, temperature=None):
+        """Effective commands (B, T, 2) at full rate of commands (T, 2)."""
+        return acted(self.names, params, u, t)
+
+
+def acted(names, params, u, t):
+    """What effects make of commands (T, 2) at full rate, (B, T, 2), for parameters (B, P)."""
+    column = {label: params[:, i] for i, label in enumerate(Chain(names, 2).labels)}
+    u = np.broadcast_to(u, (len(params), *u.shape)).copy()
+    dt = t[1] - t[0]
+    if "offset" in names:
+        u = u + np.stack([column["offset.shift[0]"], column["offset.shift[1]"]], axis=1)[:, None]
+    if "gain" in names:
+        u = u * (1 + np.stack([column["gain.factor[0]"], column["gain.factor[1]"]], axis=1)[:, None])
+    if "latency" in names:
+        for b, delay in enumerate(column["latency.delay"]):
+            for c in range(2):
+                u[b, :, c] = np.interp(t - delay, t, u[b, :, c])
+    if "backlash" in names:
+        half, y = 0.5 * column["backlash.gap"][:, None], u[:, 0].copy()
+        for k in range(u.shape[1]):
+            y = np.clip(y, u[:, k] - half, u[:, k] + half)
+            u[:, k] = y
+    if "creep" in names:
+        decay = np.exp(-dt / column["creep.tau"])[:, None]
+        slow, before = u[:, 0].copy(), u[:, 0].copy()
+        for k in range(u.shape[1]):
+            slow = decay * slow + (1 - decay) * before
+            before = u[:, k].copy()
+            u[:, k] = before + column["creep.strength"][:, None] * slow
+    return u
+
 
 LIBRARY = SimpleNamespace(effects=lambda: EFFECTS, Chain=Chain)
 
@@ -129,37 +161,22 @@ class Arm:
     def predict_features(self, names, params, run):
         return self.seen_at(self.acting(names, params, run), names, params)
 
-    def slopes(self, names, params, step, run):
-        def at(moved):
-            return self.seen_at(self.acting(names, params[None], run) + moved, names, params[None])[0]
+    def features_at(self, effective, run):
+        """Features (K, V, 3) of the bare arm at effective commands (K, 2)."""
+        return shape(effective, np.zeros(len(effective)))
 
-        return np.stack([(at(moved) - at(-moved)) / (2 * h) for h, moved in zip(step, np.diag(step))])
+    def slopes_at(self, effective, step, run):
+        moved = [np.where(np.arange(2) == c, h, 0.0) for c, h in enumerate(step)]
+        return np.stack(
+            [(self.features_at(effective + m, run) - self.features_at(effective - m, run)) / (2 * h)
+             for m, h in zip(moved, step)]
+        )  # fmt: skip
 
     def acting(self, names, params, run):
-        column = {label: params[:, i] for i, label in enumerate(Chain(names, 2).labels)}
-        u = np.broadcast_to(run.command, (len(params), *run.command.shape)).copy()  # (B, T, 2)
-        dt = run.t[1] - run.t[0]
-        if "offset" in names:
-            u = u + np.stack([column["offset.shift[0]"], column["offset.shift[1]"]], axis=1)[:, None]
-        if "gain" in names:
-            u = u * (1 + np.stack([column["gain.factor[0]"], column["gain.factor[1]"]], axis=1)[:, None])
-        if "latency" in names:
-            for b, delay in enumerate(column["latency.delay"]):
-                for c in range(2):
-                    u[b, :, c] = np.interp(run.t - delay, run.t, u[b, :, c])
-        if "backlash" in names:
-            half, y = 0.5 * column["backlash.gap"][:, None], u[:, 0].copy()
-            for k in range(u.shape[1]):
-                y = np.clip(y, u[:, k] - half, u[:, k] + half)
-                u[:, k] = y
-        if "creep" in names:
-            decay = np.exp(-dt / column["creep.tau"])[:, None]
-            slow, before = u[:, 0].copy(), u[:, 0].copy()
-            for k in range(u.shape[1]):
-                slow = decay * slow + (1 - decay) * before
-                before = u[:, k].copy()
-                u[:, k] = before + column["creep.strength"][:, None] * slow
-        return u[:, np.searchsorted(run.t, run.t_seen, side="right") - 1]
+        """Commands (B, K, 2) that act when the arm is seen, between samples on a straight line."""
+        u = acted(names, params, run.command, run.t)
+        rows = [[np.interp(run.t_seen, run.t, column) for column in one.T] for one in u]
+        return np.moveaxis(np.array(rows), 1, 2)
 
     def seen_at(self, u, names, params):
         column = {label: params[:, i] for i, label in enumerate(Chain(names, 2).labels)}

@@ -25,7 +25,7 @@ def full(**change):
     rest = 40 * rng.normal(size=(12, 3)) + [0, 0, 60]
     fields = {
         "t": p.t, "command": p.command, "gravity": p.gravity, "t_seen": p.t_seen, "marker_rest": rest,
-        "temperature": np.linspace(20, 26, len(p.t)), "robot": "finger",
+        "temperature": 20 + 6 * (1 - np.abs(2 * p.t / p.t[-1] - 1)), "robot": "finger",
         "markers": rest + 0.1 * rng.normal(size=(p.frames, 12, 3)),
     }  # fmt: skip
     return Run(**(fields | change))
@@ -91,6 +91,7 @@ def test_what_the_motion_cannot_tell_is_said_with_a_remedy(command, about, words
         ({"gravity": np.array([0.0, 0, 1])}, "orientation", "in one orientation"),
         ({"temperature": None}, "temperature", "no temperature is logged"),
         ({"temperature": 21.0}, "temperature", "changes by 0.0 °C only"),
+        ({"temperature": np.linspace(20, 26, len(standard_protocol().t))}, "temperature", "from drift over time"),
         ({"marker_rest": np.arange(12)[:, None] * [0.0, 0.1, 10]}, "markers", "lie on one line"),
     ],
 )

@@ -186,7 +186,7 @@ def test_an_aligned_run_is_as_good_as_one_recorded_in_the_base_frame(filmed, tmp
     errors = [compare(model, run).error["rms_mm"] for run in (straight, aligned, camera)]
     assert errors[1] == pytest.approx(errors[0], abs=0.05) and errors[2] > 100.0
     found = diagnose(model, aligned, effects=["mount", "backlash", "gain"])
-    assert [e["name"] for e in found.effects] == ["backlash"] and found.faults == []
+    assert [e.name for e in found.effects] == ["backlash"] and found.faults == ()
     assert main(["align", str(tmp_path / "base.npz"), "--out", str(tmp_path / "again.npz"), "--json"]) == 0
     turn = np.array(json.loads(capsys.readouterr().out)["transform"]["turn_deg"])
     assert np.abs(turn).max() < 0.05  # nothing is left to align, and the field holds the whole way

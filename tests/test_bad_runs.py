@@ -198,7 +198,7 @@ TOLERATED = {
     "another robot's name": (lambda f: f | {"robot": np.array("trunk")}, "the run is one of 'trunk'"),
     "another unit's name": (lambda f: f | {"command_unit": np.array("deg")}, "commands are in deg, the model takes mm"),
     "a load in kg": (lambda f: f | {"load": np.array(0.02)}, "`load` is in grams, not kg"),
-    "an absurd sigma": (lambda f: f | {"sigma": np.array(500.0)}, "`sigma` says 8.7e+02 mm a point"),
+    "an absurd sigma": (lambda f: f | {"sigma": np.array(500.0)}, "`sigma` declares 8.7e+02 mm a point"),
     "no gravity": (
         lambda f: {k: v for k, v in some(f, slice(0, 140)).items() if k != "gravity"},
         "the orientation is not declared",
@@ -256,7 +256,7 @@ def test_what_does_not_follow_the_commands_is_no_physics(case, tmp_path, capsys)
     change, words = UNRELATED[case]
     code, document, _ = diagnosed(written(tmp_path, change, True), capsys)
     assert code == 0 and document["verdict"] == "measurement_fault" and document["effects"] == []
-    assert "does not follow the commands" in document["sentence"] and document["rivals"] == []
+    assert "does not follow the commands" in document["sentence"] and document["alternatives"] == []
     assert ("The commands never change in this log" in document["sentence"]) == (case == "constant commands")
     assert not words or any(words in remark for remark in document["remarks"])
 
@@ -310,7 +310,7 @@ def test_frames_out_of_order_in_a_dwell_are_set_aside_and_hide_nothing(tmp_path,
 
 def test_a_slow_lag_is_a_lag_and_its_scatter_at_rest_is_told():
     found = diagnose(builtin_model(), finger_run(["lag"], {"lag.tau": 2.0}), effects=["lag", "rate_limit", "creep"])
-    assert found.verdict == "identified" and [entry["name"] for entry in found.effects] == ["lag"]
+    assert found.verdict == "identified" and [entry.name for entry in found.effects] == ["lag"]
     assert any("which counts as noise and hides what is smaller" in remark for remark in found.remarks)
 
 

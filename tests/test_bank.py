@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from benches.bank import judge
-from benches.bank.__main__ import SHARES, SIZES, main, tasks
+from benches.bank.__main__ import SHARES, SIZES, SLICES, main, tasks
 from benches.bank.bodies import body_of
 from benches.bank.body_rod import guessed, hanging, template
 from benches.bank.body_solid import interpolation_mm
@@ -26,8 +26,9 @@ from benches.bank.laws_unknown import UNKNOWN
 from benches.bank.model_rod import changes
 from benches.bank.rod import Loads, settle
 from benches.bank.section import finger
+from benches.bank.store import keep
 from benches.bank.watch import LEVELS, looked, rms, sections
-from benches.bank.work import kept, work
+from benches.bank.work import kept, make, work
 from softmap_edge import _core
 from softmap_edge.run import Run
 
@@ -112,7 +113,7 @@ def test_the_bank_never_calls_the_effect_library():
         tree = ast.parse(path.read_text(encoding="utf-8"))
         names = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
         assert not names & {"Chain", "rollout", "Predictor", "predict_features", "with_effects"}, path.name
-        if path.name not in ("work.py", "model_rod.py"):  # these diagnose, or hand the model over
+        if path.name not in ("work.py", "judge_learned.py", "model_rod.py"):  # these diagnose, or hand the model over
             modules = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module}
             modules -= {"softmap_edge.truth_clouds"}  # cameras
             assert not any("diagnosis" in m or "_core" in m or "truth" in m for m in modules), path.name
@@ -177,11 +178,11 @@ def test_a_run_at_rest_shows_no_motion():
 # --- the judge ------------------------------------------------------------------------------------
 
 
-def said(*effects, rivals=(), verdict="identified", open_=(), settles=()):
+def said(*effects, alternatives=(), verdict="identified", open_=(), settles=()):
     entries = [{"name": e, "share": 1.0 - 0.1 * k, "probability": 0.9} for k, e in enumerate(effects)]
     return {
         "verdict": verdict, "effects": entries, "faults": [],
-        "rivals": [{"effects": list(r), "why": ""} for r in rivals],
+        "alternatives": [{"effects": list(r), "why": ""} for r in alternatives],
         "not_testable": [{"name": n} for n in open_], "next": [{"block": "b", "settles": list(settles)}],
     }  # fmt: skip
 
@@ -191,17 +192,17 @@ def judged(hidden, document, orientations=2, expressible=frozenset(LAWS), also=(
 
 
 def test_a_turned_frame_may_stand_for_turned_tendons_only_where_no_roll_is_seen():
-    open_ = said("routing", rivals=[["mount"]], verdict="ambiguous")
+    open_ = said("routing", alternatives=[["mount"]], verdict="ambiguous")
     assert judged(["routing"], open_, roll=False)["first"] and not judged(["routing"], open_)["first"]
     assert not judged(["routing"], said("twist"), roll=False)["first"]
 
 
 def test_a_name_counts_only_alone_or_beside_its_structural_equivalent():
     assert judged(["lag"], said("lag"))["first"]
-    assert not judged(["lag"], said("lag", rivals=[["creep"]], verdict="ambiguous"))["first"]
+    assert not judged(["lag"], said("lag", alternatives=[["creep"]], verdict="ambiguous"))["first"]
     assert not judged(["lag"], said("gain", "lag"))["first"] and not judged(["lag"], said())["first"]
-    assert judged(["latency"], said("latency", rivals=[["clock_shift"]], verdict="ambiguous"))["first"]
-    pair = said("payload", rivals=[["gravity"]], verdict="ambiguous", settles=["payload", "gravity"])
+    assert judged(["latency"], said("latency", alternatives=[["clock_shift"]], verdict="ambiguous"))["first"]
+    pair = said("payload", alternatives=[["gravity"]], verdict="ambiguous", settles=["payload", "gravity"])
     assert judged(["payload"], pair, orientations=1)["first"] and not judged(["payload"], pair)["first"]
     assert judged(["gravity"], pair, orientations=1)["cannot"]
     assert not judged(["gravity"], said("payload"), orientations=1)["cannot"]
@@ -212,7 +213,7 @@ def test_sets_claims_and_what_the_library_lacks():
     assert not both["exact"] and [c["true"] for c in both["claims"]] == [True, True, False]
     assert judged(["lag", "gain"], said("gain", "lag"))["exact"]
     assert not judged(["lag", "gain"], said("gain"))["inside"]
-    assert judged(["lag", "gain"], said("gain", rivals=[["gain", "lag"]], verdict="ambiguous"))["inside"]
+    assert judged(["lag", "gain"], said("gain", alternatives=[["gain", "lag"]], verdict="ambiguous"))["inside"]
     assert not judged(["magnet"], said())["in_library"] and judged(["lag"], said())["in_library"]
     assert not judged(["lag"], said(), expressible={"gain"})["in_library"]
 
@@ -250,6 +251,12 @@ def test_the_full_bank_has_the_sizes_that_were_asked_for():
     clouds = [task for task in every if task[2] == "clouds"]
     assert {task[1] for task in clouds} == {"B"} and len(clouds) == 180
     every = [task for task in every if task not in clouds]
+    for (slice_, level), sizes in SLICES.items():
+        mine = [task[3] for task in tasks("reporting", 1.0, [*SIZES, "trap"], [(slice_, level)])]
+        assert {kind: mine.count(kind) for kind in sizes} == sizes and len(mine) == sum(sizes.values())
+    for slices in (("shop",), ("odd",), ("learned",)):
+        whole = {k: sum(s.get(k, 0) for p, s in SLICES.items() if p[0] in slices) for k in SIZES}
+        assert whole["null"] >= 100 and whole["single"] >= 150 and min(whole["pair"], whole["unknown"]) >= 60
     count = {kind: sum(task[3] == kind for task in every) for kind in SIZES}
     assert count == SIZES and count["null"] >= 300 and count["single"] >= 300 and count["pair"] >= 200
     assert min(count[k] for k in ("unknown", "untestable", "rivals")) >= 100 and len(set(every)) == len(every)
@@ -257,11 +264,18 @@ def test_the_full_bank_has_the_sizes_that_were_asked_for():
 
 def test_a_case_that_fails_says_so_and_is_tried_again(tmp_path, capsys, monkeypatch):
     task = ("development", "A", "real", "null", 0)
-    monkeypatch.setattr("benches.bank.work.run_case", lambda task: 1 / 0)
-    assert "ZeroDivisionError" in work((task, str(tmp_path), "now"))["failed"]
-    monkeypatch.setattr("benches.bank.work.run_case", lambda task: {"case": "x", "kind": task[3]})
-    assert work((task, str(tmp_path), "now"))["case"] == "x" and len(list(tmp_path.iterdir())) == 1
-    assert json.loads(kept(task, tmp_path).read_text()) == {"case": "x", "kind": "null", "code": "now"}
+    job = (task, str(tmp_path / "cases"), str(tmp_path), "now")
+    monkeypatch.setattr("benches.bank.make.made", lambda task, root: 1 / 0)
+    assert "ZeroDivisionError" in work(job)["failed"] and "ZeroDivisionError" in make(job)["failed"]
+    head = dict(zip(("seeds", "slice", "level", "kind", "number"), task))
+    monkeypatch.setattr(
+        "benches.bank.make.made", lambda task, root: keep(task, root, {"hidden": [], "truth_seconds": 0}, {})
+    )
+    monkeypatch.setattr("benches.bank.work.judge_case", lambda case: 1 / 0)
+    assert "ZeroDivisionError" in work(job)["failed"]
+    monkeypatch.setattr("benches.bank.work.judge_case", lambda case: {"case": "x", "kind": "null"})
+    assert work(job)["case"] == "x"
+    assert json.loads(kept(task, tmp_path).read_text()) == head | {"case": "x", "code": "now"}
     with pytest.raises(SystemExit):
         main(["--kinds", "nonsense", "--out", str(tmp_path)])
     assert "null, single" in capsys.readouterr().err
@@ -354,9 +368,9 @@ PAIRS = (29, 23, 18)
 
 def test_a_fixed_slice_is_diagnosed(tmp_path, capsys):
     for kind, number in FIXED:
-        work((("development", "A", "real", kind, number), str(tmp_path), "now"))
+        work((("development", "A", "real", kind, number), str(tmp_path / "cases"), str(tmp_path), "now"))
     for number in PAIRS:
-        work((("development", "A", "easy", "pair", number), str(tmp_path), "now"))
+        work((("development", "A", "easy", "pair", number), str(tmp_path / "cases"), str(tmp_path), "now"))
     assert main(["--table", "--out", str(tmp_path)]) == 0
     told = capsys.readouterr().out
     rows = {(r["kind"], r["number"]): r for r in (json.loads(p.read_text()) for p in tmp_path.glob("*.json"))}

@@ -278,7 +278,8 @@ def test_document_survives_json():
     document = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert Comparison.from_dict(document) == found
     assert set(document) == {
-        *("schema", "run", "bundle", "frames", "error", "noise_floor_mm", "where", "worst", "made_from")
+        *("schema", "run", "bundle", "frames", "error", "noise_floor_mm", "memoryless_floor", "where"),
+        *("worst", "made_from"),
     }
     assert set(document["where"]) == {"section", "direction", "speed", "dwell", "history", "command", "time"}
     assert set(document["where"]["speed"][0]) == {"label", "low", "high", "n", "rms_mm"}

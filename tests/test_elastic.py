@@ -266,7 +266,7 @@ def test_play_in_its_drives_is_named_and_added(run, learned, tmp_path, capsys):
     worn.save(tmp_path / "worn.npz")
     save(model, tmp_path / "arm")
     found = diagnose(model, worn)
-    assert "backlash" in [effect["name"] for effect in found.effects], found.sentence
+    assert "backlash" in [effect.name for effect in found.effects], found.sentence
     arguments = ["diagnose", str(tmp_path / "worn.npz"), "--bundle", str(tmp_path / "arm"), "--effects", "backlash,lag"]
     assert main([*arguments, "--out", str(tmp_path / "d.json")]) == 0
     add = ["add", "backlash", "--from", str(tmp_path / "d.json"), "--bundle", str(tmp_path / "arm")]

@@ -95,8 +95,8 @@ def test_tendons_that_run_elsewhere_are_found_on_a_rod():
     seen = points + 0.1 * np.random.default_rng(2).normal(size=points.shape)
     run = Run(t=t, command=u, t_seen=t, markers=seen)
     found = diagnose(model, run, effects=["routing", "offset", "gain", "backlash"])
-    assert [effect["name"] for effect in found.effects] == ["routing"], found.sentence
-    phase = [found.effects[0]["params"][f"routing.phase[{c}]"]["value"] for c in range(2)]
+    assert [effect.name for effect in found.effects] == ["routing"], found.sentence
+    phase = [found.effects[0].params[f"routing.phase[{c}]"].value for c in range(2)]
     assert phase == pytest.approx([8.0, 0.0], abs=0.8)  # linear in the angle
     assert found.error["ladder"][-1]["value"] < 0.3 * found.error["model"]
     assert not set(ROUTING) & set(ElasticParameters(arm().layout, arm().start, 1.0).fields())
@@ -114,7 +114,7 @@ def test_a_gradient_of_stiffness_is_found_on_a_rod_that_was_taken_for_even():
     found = diagnose(
         learn_model(seen, robot=even), seen, effects=["stiffness_gradient", "offset", "payload", "backlash"]
     )
-    assert [effect["name"] for effect in found.effects] == ["stiffness_gradient"], found.sentence
+    assert [effect.name for effect in found.effects] == ["stiffness_gradient"], found.sentence
     assert found.error["ladder"][-1]["value"] < 0.4 * found.error["model"]
 
 
@@ -132,7 +132,7 @@ def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(taken_for_r
     worn, model = taken_for_rods
     before = float(np.sqrt(np.mean(np.sum((model.predict(worn) - worn.markers) ** 2, axis=-1))))
     found = diagnose(model, worn, effects=LAWS)
-    assert [effect["name"] for effect in found.effects] == ["slack"] and found.verdict == "identified", found.sentence
+    assert [effect.name for effect in found.effects] == ["slack"] and found.verdict == "identified", found.sentence
     entry = found.effects[0]
     assert entry["params"]["slack.ratio"]["value"] < 0.02 and "slack.stiffness[0]" in entry["refitted"]["params"]
     assert found.error["ladder"][-1]["value"] < 0.1 * before

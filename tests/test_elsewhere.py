@@ -110,7 +110,7 @@ def test_with_a_known_load_a_payload_is_weighed(built, capsys):
     """In one orientation own weight and a weight at the tip look alike: ambiguous within the family is right."""
     found = told(built, "rod", recorded("rod", "payload", 1.5), capsys)
     assert found["verdict"] == "ambiguous" and [e["name"] for e in found["effects"]] == ["payload"]
-    assert [r["effects"] for r in found["rivals"]] == [["gravity"]]
+    assert [r["effects"] for r in found["alternatives"]] == [["gravity"]]
     mass = found["effects"][0]["params"]["payload.mass"]
     assert mass["unit"] == "g" and mass["value"] == pytest.approx(15.0, rel=0.1)  # loads are answered linearly
 
@@ -209,8 +209,8 @@ def test_one_channel_is_diagnosed_without_what_lies_between_channels():
     worn = model.with_effects(("backlash",), np.array([1.5]))
     noise = np.random.default_rng(1).normal(size=(len(t), *model.rest.shape)) * 0.2
     found = diagnose(model, replace(run, vertices=worn.predict(run) + noise))
-    assert [e["name"] for e in found.effects] == ["backlash"], found.sentence
-    assert "coupling" in {row["name"] for row in found.not_testable}
+    assert [e.name for e in found.effects] == ["backlash"], found.sentence
+    assert "coupling" in {row.name for row in found.not_testable}
 
 
 def test_a_sweep_of_this_simulator_builds_exactly_as_its_finger(tmp_path):

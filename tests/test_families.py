@@ -118,7 +118,9 @@ def columns(p, name, c):
         return by_x((p.share[:, None] > np.linspace(0.06, 0.94, 16)).astype(float))
     if name == "temperature":
         z = (p.temperature - p.temperature.mean()) / np.ptp(p.temperature)
-        return h * stack([z, z * x, z**2 * x, z * x * np.abs(x), z**2, 0.3 * x])
+        behind = [pole(z, t, tau) * x for tau in (30, 100)]
+        crept = [z * (pole(x, t, tau) - x) for tau in (5, 30)]
+        return h * stack([z, z * x, z**2 * x, z * x * np.abs(x), z**2, 0.3 * x, *behind, *crept])
     if name == "load":
         e = (p.orientation[:, None] == [4, 7]).astype(float)
         return 0.3 * h * np.concatenate([e, e * x[:, None], e * x[:, None] ** 2], axis=1)
@@ -289,3 +291,13 @@ def test_invalid_input_is_rejected():
         _core.Series(p.v, p.t, p.middle, p.half, orientation=np.arange(3))
     with refused("T ≥ 2"):
         _core.Series(p.v[:1], p.t[:1], p.middle, p.half)
+
+
+def test_orientations_of_other_runs_keep_their_columns():
+    """Of two runs that are fitted together each is seen in one orientation: their columns are the same ones."""
+    p, bank = Plain(2), _core.Bank("load", 2)
+    codes, zeros = np.array([4, 7]), np.zeros(len(p.t), int)
+    one, other = (_core.Series(p.v, p.t, p.middle, p.half, orientation=zeros + c, orientations=codes) for c in codes)
+    (which, absent), (same, there) = bank.columns(one, p.t), bank.columns(other, p.t)
+    assert list(which) == list(same) == 3 * [0] + 3 * [1] and not absent.any() and there.any(axis=1).all()
+    assert len(bank.columns(_core.Series(p.v, p.t, p.middle, p.half, orientation=zeros), p.t)[0]) == 0

@@ -40,7 +40,7 @@ def first(story, name):
     named = claimed(story)
     if named[:1] == [name]:
         return True
-    rivals = {member for rival in document["rivals"] for member in rival["effects"]}
+    rivals = {member for rival in document["alternatives"] for member in rival["effects"]}
     return bool(named) and document["verdict"] == "ambiguous" and FAMILY[named[0]] == FAMILY[name] and name in rivals
 
 

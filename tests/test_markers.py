@@ -59,7 +59,7 @@ def test_hidden_markers_neither_hide_the_effect_nor_count():
     model = builtin_model()
     assert 0.65 < run.visible.mean() < 0.75
     found = diagnose(model, run, effects=["backlash", "gain", "mount"])
-    assert [e["name"] for e in found.effects] == ["backlash"] and found.faults == []
+    assert [e.name for e in found.effects] == ["backlash"] and found.faults == ()
     assert found.params_of("backlash")["backlash.gap"] == pytest.approx(2.0, abs=0.1)
     truth = model.with_effects(["backlash"], {"backlash.gap": 2.0})
     assert compare(truth, run).error["rms_mm"] == pytest.approx(0.15 * np.sqrt(3), rel=0.05)

@@ -15,6 +15,7 @@ from softmap_edge import Run, _core, builtin_model, diagnose, next_experiment, s
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.conclusion import _next
 from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.findings import Alternative, Untestable
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.choose import SETTLED, program
@@ -54,16 +55,16 @@ def ambiguous():
 
 def document(**changed):
     """A diagnosis that names nothing."""
-    empty = {name: [] for name in ("effects", "faults", "rivals", "not_testable", "next")}
+    empty = {name: [] for name in ("effects", "faults", "alternatives", "not_testable", "next")}
     empty |= {name: {} for name in ("where", "error", "unexplained", "made_from")}
     return Diagnosis.from_dict(
-        {"schema": "softmap.diagnosis/1", "verdict": "nothing", "sentence": ""} | empty | changed
+        {"schema": "softmap.diagnosis/2", "verdict": "nothing", "sentence": ""} | empty | changed
     )
 
 
 def test_payload_or_gravity_is_settled_by_another_orientation(ambiguous):
     run, found = ambiguous
-    assert found.verdict == "ambiguous" and found.rivals
+    assert found.verdict == "ambiguous" and found.alternatives
     best = next_experiment(MODEL, found, [run])[0]
     assert best.block == "another orientation" and set(best.settles) == {"gravity", "payload"}
     assert best.separation > 10 * SETTLED and best.minutes < 1.0
@@ -72,7 +73,7 @@ def test_payload_or_gravity_is_settled_by_another_orientation(ambiguous):
         "separation": float(f"{best.separation:.4g}"),
     }  # fmt: skip
     again = diagnose(MODEL, [run, played(best.plan, {"payload.mass": 9.0}, seed=1)])
-    assert (again.verdict, [e["name"] for e in again.effects], again.rivals) == ("identified", ["payload"], [])
+    assert (again.verdict, [e.name for e in again.effects], again.alternatives) == ("identified", ["payload"], ())
     # As much of the same moves in the same orientation leaves it open.
     same = diagnose(MODEL, [run, played(BLOCKS["triangles of growing size"].plan(LIMITS), {"payload.mass": 9.0}, 1)])
     assert same.verdict == "ambiguous"
@@ -91,7 +92,7 @@ def test_the_block_that_an_engineer_would_pick(hidden, other, picked):
     name = next(iter(hidden)).split(".")[0]
     run = played(BLOCKS["circle"].plan(LIMITS), hidden)
     stated = {label: {"value": v, "sigma": 0.1, "unit": "1"} for label, v in hidden.items()}
-    found = document(effects=[{"name": name, "params": stated}], rivals=[{"effects": [other], "why": "for the test"}])
+    found = document(effects=[{"name": name, "params": stated}], alternatives=[{"effects": [other], "why": "for the test"}])
     best = next_experiment(MODEL, found, [run])[0]
     assert best.block == picked and best.settles == [name, other]
 
@@ -99,7 +100,7 @@ def test_the_block_that_an_engineer_would_pick(hidden, other, picked):
 def test_what_a_grid_cannot_show_is_shown_by_a_fast_triangle():
     run = played(grid())
     found = diagnose(MODEL, run)
-    hidden = {row["name"] for row in found.not_testable}
+    hidden = {row.name for row in found.not_testable}
     assert {"latency", "lag"} <= hidden
     ranked = next_experiment(MODEL, found, [run])
     assert ranked[0].block == "fast and slow triangles" and {"latency", "lag"} <= set(ranked[0].settles)
@@ -108,11 +109,11 @@ def test_what_a_grid_cannot_show_is_shown_by_a_fast_triangle():
     assert next_experiment(MODEL, found, [])[0].block == ranked[0].block
     # Recorded, they are testable.
     again = diagnose(MODEL, [run, played(ranked[0].plan, seed=1)])
-    assert not {row["name"] for row in again.not_testable} & set(ranked[0].settles)
+    assert not {row.name for row in again.not_testable} & set(ranked[0].settles)
 
 
 def test_what_no_block_settles_is_left_to_what_the_library_says():
-    found = document(effects=[{"name": "offset", "params": {}}], rivals=[{"effects": ["offset", "mount"], "why": ""}])
+    found = document(effects=[{"name": "offset", "params": {}}], alternatives=[{"effects": ["offset", "mount"], "why": ""}])
     ranked = next_experiment(MODEL, found, [played(plan(chosen(UPRIGHT), LIMITS))])
     open_ones = [e for e in ranked if e.plan is None]
     assert all(e.separation is None and e.settles for e in open_ones)
@@ -121,7 +122,7 @@ def test_what_no_block_settles_is_left_to_what_the_library_says():
 
 def test_a_rival_that_the_model_cannot_express_is_left_to_what_the_library_says():
     poor = replace(MODEL, fields={n: f for n, f in MODEL.fields.items() if not n.startswith("curve")})
-    found = document(effects=[{"name": "offset", "params": {}}], rivals=[{"effects": ["pre_curve"], "why": ""}])
+    found = document(effects=[{"name": "offset", "params": {}}], alternatives=[{"effects": ["pre_curve"], "why": ""}])
     ranked = next_experiment(poor, found, [played(plan(chosen(UPRIGHT), LIMITS))])
     assert ranked and all(e.plan is None for e in ranked) and {n for e in ranked for n in e.settles} >= {"pre_curve"}
 
@@ -137,7 +138,7 @@ def test_every_effect_of_the_library_can_be_asked_for():
 
 def test_blocks_are_taken_until_all_is_settled_or_time_is_up(ambiguous):
     run, found = ambiguous
-    also = [{"name": name, "why": "", "experiment": ""} for name in ("latency", "creep")]
+    also = tuple(Untestable(name) for name in ("latency", "creep"))
     ranked = next_experiment(MODEL, replace(found, not_testable=also), [run])
     taken = program(ranked, 6.0)
     assert taken[0].block == ranked[0].block == "another orientation"
@@ -149,7 +150,7 @@ def test_blocks_are_taken_until_all_is_settled_or_time_is_up(ambiguous):
 def test_two_rivals_and_ten_unseen_effects_take_seconds(ambiguous):
     run, found = ambiguous
     others = [n for n in found.made_from["candidates"] if n not in ("gravity", "payload")]
-    everything = replace(found, not_testable=[{"name": n, "why": "", "experiment": ""} for n in others[:10]])
+    everything = replace(found, not_testable=tuple(Untestable(n) for n in others[:10]))
     start = time.process_time()
     next_experiment(MODEL, everything, [run])
     assert time.process_time() - start < 20.0
@@ -175,7 +176,7 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
     argv = ["next", str(tmp_path / "d.json"), "--run", str(tmp_path / "old.npz"), "--out", str(tmp_path / "c.csv")]
     assert main(argv) == 0
     told = capsys.readouterr().out
-    assert "Open      payload (ambiguous); rivals: gravity" in told
+    assert "Open      payload (ambiguous); alternatives: gravity" in told
     assert f"`softmap record {tmp_path / 'c.csv'} --sim --out new.npz`" in told
     assert "another orientation (0.6 min): settles payload, gravity; separation" in told
     assert "turn the robot until gravity points along 0.52 0.24 0.82" in told
@@ -191,14 +192,16 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
     (tmp_path / "d2.json").write_text(json.dumps(diagnose(MODEL, [run, new]).to_dict()))
     assert main(["next", str(tmp_path / "d2.json"), "--since", str(tmp_path / "d.json")]) == 0
     told = capsys.readouterr().out
-    assert "Before    payload (ambiguous); rivals: gravity" in told
-    assert "Now       payload (identified); rivals: none" in told and "Settled   gravity" in told
+    assert "Before    payload (ambiguous); alternatives: gravity" in told
+    assert "Now       payload (identified); alternatives: none" in told and "Settled   gravity" in told
 
 
 def test_what_is_named_beside_a_rival_is_not_open():
     """A rival set holds the rest of what is named too: only the member and what stands for it are to be settled."""
-    rival = {"member": "lag", "effects": ["gain", "latency"], "why": "", "experiment": ("triangles", 1.0)}
-    assert _next([rival], [], {}, ["gain", "lag"])[0]["settles"] == ["lag", "latency"]
+    other = Alternative(("gain", "latency"), "", "lag")
+    registry = {effect["name"]: effect for effect in _core.effects()}
+    (block,) = _next([other], [], registry, ["gain", "lag"])
+    assert block.settles == ("lag", "latency") and block.block == registry["lag"]["experiment"][0]
 
 
 def test_only_the_built_in_robot_is_told_how_to_be_played(tmp_path, capsys):

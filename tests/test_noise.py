@@ -1,9 +1,14 @@
 """Noise and form error: what the estimators recover, and that whitened numbers are white."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from softmap_edge import Run, builtin_model
 from softmap_edge.diagnosis.advice import DWELL_FRAMES
+from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.diagnosis.memoryless import Repeats
 from softmap_edge.diagnosis.noise import (
     Noise,
     Whitener,
@@ -13,7 +18,12 @@ from softmap_edge.diagnosis.noise import (
     rod_noise,
     whitener,
 )
+from softmap_edge.diagnosis.prepare import candidates_of, noise_of, problem_of
+from softmap_edge.diagnosis.record import Record
 from softmap_edge.errors import SoftmapError
+from softmap_edge.protocol import standard_protocol
+from softmap_edge.run_summary import summary
+from softmap_edge.truth import Camera, Truth
 
 V, F = 6, 18
 
@@ -143,13 +153,31 @@ def test_squares_are_those_of_the_shrunk_modes():
         np.testing.assert_allclose(found.squares(modes), np.sum(found.shrink(modes) ** 2, axis=(1, 2)), rtol=1e-12)
 
 
+def rods(residual, form, repeats=None):
+    t = np.arange(len(residual)) * 0.05
+    measured = estimate_noise(residual, t, np.full(len(residual), -1))
+    return rod_noise(residual, t, np.full((3, 3), form), measured, repeats)
+
+
 def test_rod_noise_counts_correlated_frames_once():
     rng = np.random.default_rng(6)
     slow = np.repeat(rng.normal(size=(60, 9)), 20, axis=0)
-    noise = rod_noise(slow, np.arange(1200) * 0.05, np.full((3, 3), 4.0))
+    noise = rods(slow, 4.0)
     assert noise.inflation > 15
-    assert rod_noise(rng.normal(size=(1200, 9)), np.arange(1200) * 0.05, np.full((3, 3), 4.0)).inflation < 5
-    assert noise.rms_mm(np.ones(3, bool)) == pytest.approx(4 * np.sqrt(3))
+    assert rods(rng.normal(size=(1200, 9)), 4.0).inflation < 5
+    assert noise.rms_mm(np.ones(3, bool)) == pytest.approx(4 * np.sqrt(3), rel=0.01)
+
+
+def test_what_does_not_repeat_is_no_error_of_a_rods_map():
+    """A residual that is all memory: the same command, two shapes. The map's own error cannot hide it."""
+    rng = np.random.default_rng(7)
+    branch = np.sign(np.sin(np.arange(1200) * 0.05))[:, None] * np.ones(9)
+    residual = 2.0 * branch + 0.1 * rng.normal(size=(1200, 9))
+    memory = Repeats(np.full(9, 4.0), poses=20, passages=60, frames=600)
+    hidden, seen = rods(residual, 2.0), rods(residual, 2.0, memory)
+    assert hidden.rms_mm(np.ones(3, bool)) > 3.4 and seen.rms_mm(np.ones(3, bool)) < 0.5
+    static = replace(memory, variance=np.full(9, 0.01))  # poses that repeat: then it is the map's own error
+    assert rods(residual, 2.0, static).rms_mm(np.ones(3, bool)) > 3.4
 
 
 def test_unseen_features_do_not_count():
@@ -178,3 +206,54 @@ def test_what_a_lean_makes_is_another_error_in_another_orientation():
         left[name] = [float(np.sum(white.shrink(m) ** 2)) for m in modes]
     assert left["command"][0] < 0.02 * left["command"][1]
     assert left["orientation"][1] < 0.05 * left["command"][1]
+
+
+# --- the whole, on the simulated finger -------------------------------------------------------------
+
+
+def chi2(vertices, protocol):
+    """Chi² per number of the built-in model on a run in which nothing is hidden, and the noise."""
+    run = Run(t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen,
+              block=protocol.block, vertices=vertices, command_unit="mm")  # fmt: skip
+    record = Record(builtin_model(), run)
+    names = candidates_of(record, {e["name"]: e for e in record.library.effects()}, None)[0]
+    problem = problem_of(record, names)
+    return problem.null().chi2 / problem.numbers, problem.noise
+
+
+@pytest.mark.parametrize("camera", [Camera(), Camera(shift_mm=0.3, turn_deg=0.2, memory_s=10.0)])
+def test_with_nothing_hidden_chi2_is_the_count_of_numbers(camera):
+    """The model as its own truth, seen by the camera of the hidden truths: once with a jitter of 10 s."""
+    protocol, model = standard_protocol(), builtin_model()
+    rest = np.repeat(model.rest[None], protocol.frames, axis=0)
+    clean = model.predict(Run(t=protocol.t, command=protocol.command, gravity=protocol.gravity,
+                              t_seen=protocol.t_seen, vertices=rest, command_unit="mm"))  # fmt: skip
+    found = [chi2(camera.look(clean, protocol.t_seen, np.random.default_rng(s)), protocol) for s in range(3)]
+    assert [ratio for ratio, _ in found] == pytest.approx([1.0] * 3, abs=0.15)
+    # a point: its own noise, and the frame's at 60 mm from the base, in all directions
+    turn = np.radians(camera.turn_deg) * np.sqrt(2.0) * np.sqrt(np.mean(np.sum(clean**2, axis=2)))
+    true = np.sqrt(3 * camera.vertex_mm**2 + 3 * camera.shift_mm**2 + turn**2)
+    assert np.mean([noise.point_mm for _, noise in found]) == pytest.approx(true, rel=0.15)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", range(4))
+def test_with_nothing_hidden_chi2_is_right_on_another_finger(seed):
+    protocol = standard_protocol()
+    ratio, _ = chi2(np.asarray(Truth(seed).measure(protocol).vertices), protocol)
+    assert ratio == pytest.approx(1.0, abs=0.15)
+
+
+def test_check_compare_and_diagnose_have_one_noise():
+    protocol, model = standard_protocol(), builtin_model()
+    rest = np.repeat(model.rest[None], protocol.frames, axis=0)
+    run = Run(t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen,
+              vertices=rest, command_unit="mm", robot=model.robot)  # fmt: skip
+    seen = Camera(memory_s=5.0, shift_mm=0.2).look(model.predict(run), run.t_seen, np.random.default_rng(0))
+    run = replace(run, vertices=seen)
+    record = Record(model, run)
+    base = record.predict(model.chain_names, record.own()[None])[0]
+    number = compare(model, run).noise_floor_mm
+    assert noise_of(record, record.seen - base).point_mm == number
+    text = next(w["text"] for w in summary(run)["can_tell"] if w["about"] == "noise")
+    assert f"the noise is {number:.2g} mm" in text

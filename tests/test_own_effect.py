@@ -252,8 +252,8 @@ def test_it_is_a_candidate_and_its_numbers_are_found(off_centre_run):
     without = diagnose(builtin_model(), off_centre_run, effects=["gain", "offset"])
     load_effect(EXAMPLE)
     found = diagnose(builtin_model(), off_centre_run, effects=["gain", "offset", "off_centre_pulley"])
-    assert "off_centre_pulley" not in [e["name"] for e in without.effects]
-    assert [e["name"] for e in found.effects] == ["off_centre_pulley"]
+    assert "off_centre_pulley" not in [e.name for e in without.effects]
+    assert [e.name for e in found.effects] == ["off_centre_pulley"]
     params = found.params_of("off_centre_pulley")
     assert params["off_centre_pulley.a[0]"] == pytest.approx(0.8, abs=0.03)
     assert params["off_centre_pulley.radius"] == pytest.approx(5.0, rel=0.03)

@@ -23,7 +23,7 @@ PAYLOAD = {"payload.mass": 60.0}
 
 
 def names(found):
-    return [e["name"] for e in [*found.faults, *found.effects]]
+    return [e.name for e in [*found.faults, *found.effects]]
 
 
 def test_what_acts_in_both_runs_cancels_out_and_the_payload_of_one_is_named_alone():
@@ -39,7 +39,7 @@ def test_what_acts_in_both_runs_cancels_out_and_the_payload_of_one_is_named_alon
     assert "relative to the reference run" in paired.sentence and "cancels out" in paired.sentence
     assert paired.made_from["reference"]["run"] == reference.hash() and paired.made_from["run"] == run.hash()
     assert alone.made_from["reference"] is None
-    assert paired.effects[0]["params"]["payload.mass"]["value"] == pytest.approx(14.0, rel=0.15)
+    assert paired.effects[0].params["payload.mass"].value == pytest.approx(14.0, rel=0.15)
     error = paired.error
     assert error["model"] < 0.7 * alone.error["model"] and error["ladder"][-1]["value"] < 0.4 * error["model"]
 
@@ -52,7 +52,7 @@ def test_a_static_error_of_the_model_goes_away_with_the_reference():
     again = replace_noise(record_run({}, **alike), 9)
     paired = diagnose(Arm(), run, library=LIBRARY, reference=reference)
     assert names(paired) == ["payload"] and paired.verdict == "identified"
-    value = paired.effects[0]["params"]["payload.mass"]
+    value = paired.effects[0].params["payload.mass"]
     assert abs(value["value"] - 60.0) < 3 * value["sigma"] + 0.5
     alone = diagnose(Arm(), run, library=LIBRARY)
     assert names(alone) != ["payload"]
@@ -153,7 +153,7 @@ def test_the_next_experiment_is_chosen_for_a_difference():
     found = diagnose(MODEL, run, effects=["payload", "gravity", "offset"], reference=free)
     assert any("recorded twice" in remark for remark in found.remarks)
     open_one = [{"effects": ["gravity"], "why": "for the test"}]
-    found = replace(found, rivals=open_one, not_testable=[])
+    found = replace(found, alternatives=open_one, not_testable=[])
     paired = next_experiment(MODEL, found, [run], references=[free])[0]
     assert paired.block == "another orientation" and set(paired.settles) == {"payload", "gravity"}
     told = found.made_from

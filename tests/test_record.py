@@ -94,7 +94,7 @@ def assert_alike(said, quoted):
 def test_the_doubt_of_the_page_is_settled(page):
     there, printed = page
     told = printed["diagnose hanging.npz leaning.npz --bundle finger --out settled.json --since diagnosis.json"]
-    assert "Now       payload (identified); rivals: none" in told and "Settled   gravity" in told
+    assert "Now       payload (identified); alternatives: none" in told and "Settled   gravity" in told
     assert read_commands(there / "next.csv")[0].gravity[:, 0].max() > 0.5
     assert set(Run.load(there / "circle.npz").block) == {"home", "circle"}
     named = re.search(r"`--block` writes those that you name:(.*?)\.\n", PAGE, re.DOTALL)[1]

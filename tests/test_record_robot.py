@@ -293,7 +293,7 @@ def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, c
         answer = diagnose(model, run)
         if answer.verdict == "identified" or max(map(halted, folder.glob("*.mcap"))) < WATCHDOG:
             break
-    assert [effect["name"] for effect in answer.effects] == ["backlash"] and answer.verdict == "identified"
+    assert [effect.name for effect in answer.effects] == ["backlash"] and answer.verdict == "identified"
     assert compare(model, run).error["rms_mm"] > 4 * compare(answer.added(model, ["backlash"]), run).error["rms_mm"]
 
 

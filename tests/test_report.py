@@ -7,7 +7,7 @@ import pytest
 from test_compare import lean, triangle
 
 from softmap_edge.diagnosis.comparison import compare
-from softmap_edge.diagnosis.evidence import Leftover
+from softmap_edge.diagnosis.findings import Displacement, ErrorLadder, FamilyFinding, Finding, Rung, Unexplained
 from softmap_edge.diagnosis.wording import OwnMisfit, sentence_of, verdict_of
 from softmap_edge.errors import ReportError
 from softmap_edge.report.comparison_text import pair_text
@@ -16,7 +16,7 @@ from softmap_edge.report.numbers import bar, fall, tamed
 from softmap_edge.report.text import VERDICTS, diagnosis_text, parameter
 
 DIAGNOSIS = {
-    "schema": "softmap.diagnosis/1",
+    "schema": "softmap.diagnosis/2",
     "verdict": "partly_explained",
     "sentence": "Backlash of 0.62 mm is missing; 0.21 mm are left.",
     "effects": [
@@ -31,7 +31,18 @@ DIAGNOSIS = {
         }
     ],
     "faults": [],
-    "rivals": [{"effects": ["friction"], "why": "within two standard errors"}],
+    "families": [
+        {
+            "name": "memory",
+            "kind": "memory",
+            "law": "resolved",
+            "effects": ["backlash"],
+            "share": 0.93,
+            "moved_mm": 1.84,
+            "law_share": 0.98,
+        }
+    ],
+    "alternatives": [{"effects": ["friction"], "why": "within two standard errors"}],
     "not_testable": [{"name": "thermal_softening", "why": "no temperature", "experiment": "a warm-up"}],
     "where": {
         "before": {"speed": [{"label": "still", "low": None, "high": None, "n": 9, "rms_mm": 1.0}] * 2},
@@ -49,7 +60,7 @@ DIAGNOSIS = {
         "floor": 0.21,
         "floor_kind": "nothing hidden",
     },
-    "unexplained": {"rms_mm": 0.21, "chi2_per_n": 1.8, "blocked_r2": 0.22, "predicted_by": ["dwell"]},
+    "unexplained": {"rms_mm": 0.21, "chi2_per_n": 1.8, "blocked_r2": 0.22, "predicted_by": "dwell"},
     "next": [{"block": "staircase", "minutes": 2.5, "settles": ["creep"], "separation": 42.0}],
     "made_from": {"seed": 1},
 }
@@ -148,7 +159,7 @@ def test_what_is_not_known_is_not_printed():
 def test_numbers_that_ran_away_stay_short(tmp_path):
     """A rival whose held-out error is astronomic must not fill the screen with its digits."""
     document = copy.deepcopy(DIAGNOSIS)
-    document["rivals"][0]["why"] = f"explains 93 % of it, {4.2e299:+.1f} % in mm, {10**400} more"
+    document["alternatives"][0]["why"] = f"explains 93 % of it, {4.2e299:+.1f} % in mm, {10**400} more"
     document["sentence"] = f"The error falls from {3e200:.2f} to 0.93 mm."
     document["error"]["model"] = document["unexplained"]["rms_mm"] = 3.1e250
     document["effects"][0]["share"] = document["unexplained"]["blocked_r2"] = -1e200
@@ -170,7 +181,7 @@ def test_ordinary_numbers_are_left_alone(given, kept):
 
 
 def test_a_diagnosis_of_nothing():
-    empty = {"schema": "softmap.diagnosis/1", "verdict": "nothing", "sentence": "Nothing above the floor."}
+    empty = {"schema": "softmap.diagnosis/2", "verdict": "nothing", "sentence": "Nothing above the floor."}
     assert "Nothing above the floor." in diagnosis_text(empty)
 
 
@@ -188,7 +199,7 @@ def page(path):
         {"error": [3]},
         {"error": {"ladder": [3]}},
         {"where": {"before": {"speed": [{"label": "x"}]}}},
-        {"rivals": {"a": 1}},
+        {"alternatives": {"a": 1}},
     ],
 )
 def test_damaged_diagnoses_are_refused(damage, tmp_path):
@@ -224,15 +235,44 @@ def leaves(value, path=()):
     return [path]
 
 
+ERROR = ErrorLadder(model=3.18, ladder=(Rung("backlash", 0.38),), held_out_on="blocks of the run that was fitted")
+FAMILIES = {
+    "none": (),
+    "unknown": (FamilyFinding("memory", "memory", "unknown", (), 0.9, 1.2, 0.4, (), ("delay",)),),
+    "open": (FamilyFinding("static map", "static", "open", ("gain",), 0.9, 1.2, 0.9, ("u³ on all channels",)),),
+}
+
+
 @pytest.mark.parametrize("verdict", VERDICTS)
 @pytest.mark.parametrize("named", [True, False])
-def test_every_error_in_a_sentence_says_rms_and_fitted_or_held_out(verdict, named):
-    physics = [{"name": "backlash"}] if named else []
-    error = {"model": 3.18, "ladder": [{"value": 0.38}], "held_out_on": "blocks of this run"}
-    left = Leftover(rms_mm=0.4, chi2_per_n=1.9, blocked_r2=0.5, predicted_by="speed", claim=True)
-    told = sentence_of(verdict, physics, [], [], left, [], error, []) + f" {OwnMisfit(('gain',), 2.0, 1.0)}."
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_error_in_a_sentence_says_rms_and_fitted_or_held_out(verdict, named, family):
+    physics = [Finding("backlash", {})] if named else []
+    left = Unexplained(rms_mm=0.4, chi2_per_n=1.9, blocked_r2=0.5, predicted_by="speed")
+    told = sentence_of(verdict, physics, [], FAMILIES[family], [], left, [], ERROR, []) + f" {OwnMisfit(('gain',), 2.0, 1.0)}."
     assert not re.findall(r"\d mm(?! RMS)", told)
-    assert all("fitted" in part or "held" in part for part in re.split(r"[;:.] ", told) if "mm RMS" in part), told
+    errors = [part for part in re.split(r"[;:.] ", told) if "mm RMS" in part]
+    sizes = [part for part in errors if "family memory" in part or "law open" in part]  # of an effect, no error
+    assert all("fitted" in part or "held" in part for part in errors if part not in sizes), told
+
+
+def test_a_sentence_names_what_was_found_in_words_of_both_levels():
+    left = Unexplained(rms_mm=0.4, chi2_per_n=1.9, blocked_r2=0.5, predicted_by="speed")
+
+    def told(verdict, family, physics=(), hint=""):
+        return sentence_of(verdict, physics, [], FAMILIES[family], [], left, [], ERROR, [], hint)
+
+    assert told("ambiguous", "open").startswith(
+        "A static, non-linear map of the commands of 1.20 mm RMS, law open; candidates: gain, u³ on all channels"
+    )
+    unknown = told("partly_explained", "unknown")
+    assert "unknown law of the family memory (or delay), 1.20 mm RMS" in unknown and "follow speed" in unknown
+    assert told("partly_explained", "none").startswith("Something unknown is missing; 0.40 mm RMS (fitted)")
+    assert "(nearest family: creep)" in told("partly_explained", "none", hint="creep")
+    both = told("ambiguous", "open", [Finding("backlash", {})])
+    assert both.startswith("The model lacks backlash; and a static, non-linear map of the commands")
+    candidate = told("ambiguous", "open", [Finding("gain", {})])
+    assert "lacks" not in candidate  # a candidate of an open law is nothing that the model lacks
 
 
 def test_every_error_of_a_report_says_rms_and_fitted_or_held_out():
@@ -246,15 +286,27 @@ def test_every_error_of_a_report_says_rms_and_fitted_or_held_out():
 
 def test_a_fault_that_does_most_comes_first_and_is_the_verdict():
     def entry(name, mm):
-        return {"name": name, "displacement_mm": {"fitted": mm}, "params": {}}
+        return Finding(name, {}, displacement_mm=Displacement(mm))
 
     swap, hysteresis, mount = entry("servo_swap", 13.0), entry("hysteresis", 2.0), entry("mount", 1.0)
-    assert verdict_of([hysteresis], [swap], [], False, [], 30) == "measurement_fault"
-    assert verdict_of([hysteresis], [mount], [], False, [], 30) == "identified"
-    assert verdict_of([mount], [mount], ["a rival"], False, [], 30) == "ambiguous"
-    error = {"model": 13.2, "ladder": [{"value": 0.4}], "held_out_on": "blocks of this run"}
-    left = Leftover(0.1, 1.0, 0.0, None, False)
-    told = sentence_of("measurement_fault", [hysteresis], [swap], [], left, [], error, [])
+    sure, found = dict(doubtful=False, unknown=False), dict(detected=True, hidden=0, count=30)
+    assert verdict_of([hysteresis], [swap], **sure, **found) == "measurement_fault"
+    assert verdict_of([hysteresis], [mount], **sure, **found) == "identified"
+    assert verdict_of([mount], [mount], doubtful=True, unknown=False, **found) == "ambiguous"
+    assert verdict_of([], [mount], **sure, **found) == "measurement_fault"
+    error = ErrorLadder(model=13.2, ladder=(Rung("servo_swap", 0.4),), held_out_on="blocks of this run")
+    left = Unexplained(0.1, 1.0, 0.0, None)
+    told = sentence_of("measurement_fault", [hysteresis], [swap], [], [], left, [], error, [])
     assert told.startswith(
-        "The measurement is at fault (servo_swap), and the model lacks hysteresis; the held-out error"
+        "The measurement is at fault (servo_swap); and the model lacks hysteresis; the held-out error"
     )
+
+
+def test_verdicts_follow_from_what_was_found():
+    one, sure = [Finding("gain", {}, displacement_mm=Displacement(1.0))], dict(doubtful=False, unknown=False)
+    assert verdict_of(one, [], **sure, detected=True, hidden=0, count=30) == "identified"
+    assert verdict_of(one, [], doubtful=True, unknown=False, detected=True, hidden=0, count=30) == "ambiguous"
+    assert verdict_of(one, [], doubtful=True, unknown=True, detected=True, hidden=0, count=30) == "partly_explained"
+    assert verdict_of([], [], doubtful=True, unknown=False, detected=True, hidden=0, count=30) == "ambiguous"
+    assert verdict_of([], [], **sure, detected=False, hidden=9, count=30) == "nothing"
+    assert verdict_of([], [], **sure, detected=False, hidden=10, count=30) == "cannot_tell"

@@ -122,7 +122,7 @@ def test_hostile_names_stay_text(pair, tmp_path):
     document = copy.deepcopy(DIAGNOSIS)
     document["sentence"] = document["effects"][0]["name"] = document["error"]["ladder"][0]["added"] = evil
     document["where"]["before"]["speed"][0]["label"] = evil
-    document["rivals"][0]["why"] = document["error"]["kind"] = document["made_from"]["seed"] = evil
+    document["alternatives"][0]["why"] = document["error"]["kind"] = document["made_from"]["seed"] = evil
     text = page(write_html(tmp_path / "evil.html", compare(named, run), document, series(run, named)))
     assert "<script" not in text and "&lt;script&gt;" in text
     text = page(write_html(tmp_path / "diagnosis.html", None, document))

@@ -190,7 +190,7 @@ def test_a_payload_behind_a_residual_is_named(adapted, loaded):
     """In one orientation, which leaves gravity as its rival; with another, alone."""
     found = diagnose(adapted[0], loaded)
     assert named(found) == {"payload"} and found.verdict == "ambiguous"
-    assert found.effects[0]["params"]["payload.mass"]["value"] == pytest.approx(15.0, abs=1.0)
+    assert found.effects[0].params["payload.mass"].value == pytest.approx(15.0, abs=1.0)
     assert "residual of 0.3" in found.sentence and "was taken out" in found.sentence
     assert found.model.residual is None and set(found.model.chain_names) == {"payload"}
     both = diagnose(adapted[0], finger_run(["payload"], PAYLOAD), effects=SOME)
@@ -205,7 +205,7 @@ def test_where_the_run_is_too_poor_to_tell_it_says_what_it_may_be(adapted):
     found = diagnose(adapted[0], run)
     assert found.verdict == "cannot_tell" and not named(found)
     open_ones = {row["name"]: row for row in found.not_testable}
-    assert found.not_testable[0]["name"] == "payload" and "may be it" in open_ones["payload"]["why"]
+    assert found.not_testable[0].name == "payload" and "may be it" in open_ones["payload"]["why"]
     assert open_ones["payload"]["experiment"] == "another orientation" == found.next[0]["block"]
     assert "it may hide payload" in found.sentence
     assert found.made_from["residual"]["may_be"][0][0] == "payload"
@@ -221,8 +221,8 @@ def of_another_finger(hidden):
 def test_a_weight_of_another_finger_is_never_nothing(hidden):
     run = of_another_finger(hidden)
     found = diagnose(learn_residual(MODEL, run)[0], run, effects=SOME)
-    said = named(found) | {name for rival in found.rivals for name in rival["effects"]}
-    said |= {row["name"] for row in found.not_testable if "may be it" in row["why"]}
+    said = named(found) | {name for rival in found.alternatives for name in rival.effects}
+    said |= {row.name for row in found.not_testable if "may be it" in row["why"]}
     assert hidden in said and found.verdict in ("identified", "ambiguous", "cannot_tell"), found.sentence
 
 
@@ -232,7 +232,7 @@ def test_memory_is_found_through_a_residual():
     assert report["size_mm"] > 0.8  # it has learned what of the hysteresis looks static
     found = diagnose(model, run, effects=SOME)
     assert named(found) == {"hysteresis"} and found.verdict == "identified"
-    assert found.effects[0]["params"]["hysteresis.reach"]["value"] == pytest.approx(5.0, rel=0.05)
+    assert found.effects[0].params["hysteresis.reach"].value == pytest.approx(5.0, rel=0.05)
 
 
 @pytest.mark.parametrize(("size", "reason"), [(0.15, "may be its own error"), (0.7, "no effect explains alone")])

@@ -136,7 +136,7 @@ def test_a_residual_that_hides_a_payload_is_taken_out_and_the_payload_is_not_ove
     other, _ = recorded(20, 3, dwell=4, params=PHASE)  # dwells tell noise from physics
     said = diagnose(hiding, register(MODEL, other).run(other)).to_dict()
     assert "was taken out" in said["sentence"]
-    names = {e["name"] for e in said["effects"]} | {n for r in said["rivals"] for n in r["effects"]}
+    names = {e["name"] for e in said["effects"]} | {n for r in said["alternatives"] for n in r["effects"]}
     assert said["verdict"] not in ("nothing", "measurement_fault")
     assert "payload" in names, said["sentence"]
 

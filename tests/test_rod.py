@@ -269,8 +269,8 @@ def test_play_is_sought_in_the_size_of_the_drive(truth, unit, size):
         return Run(t=t, command=size * goal, t_seen=t[::5], markers=markers, command_unit=unit)
 
     found = diagnose(learn_model(log(0.0, 120.0)), log(0.8, 120.0))
-    assert found.verdict == "identified" and [e["name"] for e in found.effects] == ["backlash"]
-    gap = found.effects[0]["params"]["backlash.gap"]
+    assert found.verdict == "identified" and [e.name for e in found.effects] == ["backlash"]
+    gap = found.effects[0].params["backlash.gap"]
     assert gap["value"] == pytest.approx(0.8 * size, rel=0.03) and gap["unit"] == unit and not gap["at_bound"]
 
 

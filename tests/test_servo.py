@@ -25,7 +25,7 @@ def test_servo_delay_is_not_the_tendon_s():
     seen = finger_run(["backlash"], {"backlash.gap": 1.0}, acting=lambda u: present)
     run = replace(seen, present=present)
     found = diagnose(builtin_model(), run, effects=["latency", "lag", "gain", "backlash", "hysteresis"])
-    assert [e["name"] for e in found.effects] == ["backlash"]
+    assert [e.name for e in found.effects] == ["backlash"]
     assert [row["channel"] for row in found.servo] == [0, 1]
     for row in found.servo:
         assert [e["name"] for e in row["effects"]] == ["latency"] and row["unit"] == "mm"

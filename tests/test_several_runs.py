@@ -71,12 +71,12 @@ def test_shared_effect_and_a_camera_frame_for_each_run():
     run = finger_run(["backlash"], {"backlash.gap": 1.0})
     runs = [turned(run, 2.0, [0.0, 1.0, 0.0]), turned(run, -3.0, [1.5, 0.0, 0.0])]
     found = diagnose(builtin_model(), runs, effects=["backlash", "hysteresis", "gain", "mount"])
-    assert [e["name"] for e in found.effects] == ["backlash"] and [f["name"] for f in found.faults] == ["mount"]
-    params = {k: p["value"] for k, p in found.faults[0]["params"].items()}
+    assert [e.name for e in found.effects] == ["backlash"] and [f.name for f in found.faults] == ["mount"]
+    params = {k: p["value"] for k, p in found.faults[0].params.items()}
     assert params["mount.turn_z"] == pytest.approx(2.0, abs=0.3) and params["mount.turn_z@2"] == pytest.approx(
         -3.0, abs=0.3
     )
-    assert found.effects[0]["params"]["backlash.gap"]["value"] == pytest.approx(1.0, abs=0.05)
+    assert found.effects[0].params["backlash.gap"].value == pytest.approx(1.0, abs=0.05)
     assert found.made_from["run"] == [r.hash() for r in runs]
     assert found.model.params["mount.turn_z"] == params["mount.turn_z"] and len(found.model.params) == 7
     again = Diagnosis.from_dict(found.to_dict())
@@ -90,8 +90,8 @@ def test_two_orientations_in_two_runs_tell_what_neither_tells_alone():
     hanging = replace(hanging, gravity=np.array([0.0, 0.0, 1.0]))
     wanted = ["gravity", "payload", "offset"]
     both = diagnose(builtin_model(), [hanging, lying], effects=wanted)
-    assert [e["name"] for e in both.effects] == ["payload"]
-    assert both.effects[0]["params"]["payload.mass"]["value"] == pytest.approx(15.0, rel=0.1)
+    assert [e.name for e in both.effects] == ["payload"]
+    assert both.effects[0].params["payload.mass"].value == pytest.approx(15.0, rel=0.1)
 
 
 def test_refit_of_several_runs_and_runs_that_do_not_fit_together():

@@ -29,10 +29,10 @@ def test_one_orientation_cannot_tell_and_the_next_experiment_does(hidden, tmp_pa
     run = truth.measure(plan(chosen(FIRST), Limits.of(MODEL.command_range)))
     assert np.ptp(run.gravity, axis=0).max() == 0.0
     doubt = diagnose(MODEL, run)
-    named = {e["name"] for e in doubt.effects}
+    named = {e.name for e in doubt.effects}
     assert doubt.verdict == "ambiguous" and len(named & {"gravity", "payload"}) == 1
     other = ({"gravity", "payload"} - named).pop()
-    assert any(set(rival["effects"]) == named - {"gravity", "payload"} | {other} for rival in doubt.rivals)
+    assert any(set(rival.effects) == named - {"gravity", "payload"} | {other} for rival in doubt.alternatives)
 
     run.save(tmp_path / "old.npz")
     (tmp_path / "before.json").write_text(json.dumps(doubt.to_dict()))
@@ -44,8 +44,8 @@ def test_one_orientation_cannot_tell_and_the_next_experiment_does(hidden, tmp_pa
 
     new = truth.measure(read_commands(tmp_path / "c.csv")[0], seed=1)
     settled = diagnose(MODEL, [run, new])
-    assert [e["name"] for e in settled.effects][:1] == [hidden], settled.sentence
-    rivals = {name for rival in settled.rivals for name in rival["effects"]}
+    assert [e.name for e in settled.effects][:1] == [hidden], settled.sentence
+    rivals = {name for rival in settled.alternatives for name in rival.effects}
     assert settled.verdict == "identified" and twin not in rivals, settled.sentence
     (tmp_path / "after.json").write_text(json.dumps(settled.to_dict()))
     assert main(["next", str(tmp_path / "after.json"), "--since", str(tmp_path / "before.json")]) == 0

@@ -119,7 +119,7 @@ def test_the_example_with_rods_is_the_other_one_with_another_law():
 def test_from_two_sided_tendons_the_first_answer_is_slack(page, logs):
     found, before, after = document(page, "rods.json")
     assert found["verdict"] == "identified" and [effect["name"] for effect in found["effects"]] == ["slack"]
-    assert found["rivals"] == [] and found["error"]["held_out_on"] == "an independent run"
+    assert found["alternatives"] == [] and found["error"]["held_out_on"] == "an independent run"
     effect = found["effects"][0]
     assert effect["probability"] is None  # calibrated on bodies that were simulated
     assert effect["params"]["slack.ratio"]["value"] < 0.02 and len(effect["refitted"]["params"]) == 17
@@ -132,7 +132,7 @@ def test_from_two_sided_tendons_the_first_answer_is_slack(page, logs):
 def test_the_second_is_a_memory_whose_members_are_not_told_apart(page, logs):
     """A pretension by another name is dropped: the error on the unseen run did not fall."""
     found, before, after = document(page, "tdcr.json")
-    rivals = {name for rival in found["rivals"] for name in rival["effects"]}
+    rivals = {name for rival in found["alternatives"] for name in rival["effects"]}
     named = {effect["name"] for effect in found["effects"]}
     assert found["verdict"] == "ambiguous" and found["made_from"]["demoted"] == ["offset"]
     assert named | rivals == {"latency", "lag", "clock_shift", "backlash", "friction"} and len(named) == 1

@@ -144,7 +144,7 @@ def test_a_run_in_ticks_is_compared_predicted_diagnosed_and_adapted_to_like_the_
     assert compare(model, ticks).run["sha256"] == ticks.hash()
     np.testing.assert_allclose(model.predict(ticks), model.predict(mm), atol=1e-9)
     found, same = (diagnose(model, run, effects=["gain", "offset"]) for run in (ticks, mm))
-    assert found.verdict == same.verdict and "gain" in [e["name"] for e in found.effects]
+    assert found.verdict == same.verdict and "gain" in [e.name for e in found.effects]
     assert found.made_from["run"] == ticks.hash()
     one, other = (d.to_dict()["effects"] for d in (found, same))
     assert [e["name"] for e in one] == [e["name"] for e in other]

@@ -79,7 +79,7 @@ def found(model, laws):
     points = np.asarray(model.prior.evaluate(seen)).reshape(len(seen), -1, 3)
     points = points + np.random.default_rng(0).normal(0, 0.1, points.shape)
     answer = diagnose(model, Run(t=p.t, command=p.command, t_seen=p.t_seen, vertices=points))
-    assert {entry["name"] for entry in answer.effects} == set(HIDDEN)
+    assert {entry.name for entry in answer.effects} == set(HIDDEN)
     return answer.added(model, HIDDEN)
 
 

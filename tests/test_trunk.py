@@ -66,7 +66,7 @@ def test_the_load_is_named_with_its_rival_and_never_in_grams(page):
     document = page[1]["found"].to_dict()
     effects = {entry["name"]: entry for entry in document["effects"]}
     assert {"payload", "offset"} <= set(effects)
-    assert any("gain" in rival["effects"] for rival in document["rivals"])
+    assert any("gain" in rival["effects"] for rival in document["alternatives"])
     units = {p["unit"] for entry in [*document["effects"], *document["faults"]] for p in entry["params"].values()}
     assert not units & {"g", "kg", "N"} and '"unit": "g"' not in json.dumps(document)
     assert effects["payload"]["params"]["payload.mass"]["unit"] == "of the model's own load scale"
@@ -92,7 +92,7 @@ def test_the_unloaded_run_as_the_model_gives_the_same_answer_with_more_power(pag
     alone, paired = names["found"], names["paired"]
     mine, other = ({e["name"]: e for e in d.effects} for d in (alone, paired))
     assert set(other) == {"payload", "offset"} <= set(mine)
-    said = set(other) | {name for rival in paired.rivals for name in rival["effects"]}
+    said = set(other) | {name for rival in paired.alternatives for name in rival.effects}
     assert "gain" in said and paired.made_from["reference"]["share"] == 0.0
     before, after = zip(*((d.error["model"], d.error["ladder"][-1]["value"]) for d in (alone, paired)))
     assert 1.0 - after[1] / before[1] > 1.0 - after[0] / before[0] + 0.05

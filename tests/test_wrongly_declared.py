@@ -21,7 +21,7 @@ def test_a_load_that_is_declared_wrongly_is_no_physics(hangs, fits):
     seen = builtin_model().predict(bare) + run.vertices - builtin_model().predict(run)
     wrong = replace(run, vertices=seen, load=np.full(len(run.t), 25.0))
     found = diagnose(builtin_model(), wrong)
-    assert found.verdict == "measurement_fault" and found.effects == [], found.sentence
+    assert found.verdict == "measurement_fault" and found.effects == (), found.sentence
     assert "`load` is declared as up to 25 g" in found.sentence and fits in found.sentence
     right = diagnose(builtin_model(), replace(wrong, load=bare.load))
     assert right.verdict == "nothing", right.sentence
@@ -43,7 +43,7 @@ def test_gravity_of_a_wrong_sign_beside_a_weight_is_a_fault_of_the_declaration(w
     argv = ["--effects", "offset,gravity,payload,mount", "--json"]
     assert main(["diagnose", str(tmp_path / "run.npz"), *argv]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["verdict"] == "measurement_fault" and document["effects"] == [] and document["rivals"] == []
+    assert document["verdict"] == "measurement_fault" and document["effects"] == [] and document["alternatives"] == []
     assert f"`gravity` is declared {words}" in document["sentence"] and "both held out" in document["sentence"]
     run.save(tmp_path / "run.npz")
     assert main(["diagnose", str(tmp_path / "run.npz"), *argv]) == 0

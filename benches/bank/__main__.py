@@ -1,8 +1,11 @@
-"""Run the bank: make cases, diagnose them, write one small JSON a case, print the table. Goes on where it was stopped.
+"""Run the bank: make cases once, diagnose and judge them, write one small JSON a case, print the table.
 
 python -m benches.bank --share 0.1            a tenth of the development seeds
 python -m benches.bank --seeds reporting      all, on seeds on which no threshold was set (docs/bank.md)
+python -m benches.bank --make                 only make the cases; --judge: only judge those that are made
 python -m benches.bank --table                what is there already
+
+It goes on where it was stopped. After a change of the diagnosis only the diagnosis is repeated.
 """
 
 from __future__ import annotations
@@ -13,25 +16,43 @@ import multiprocessing
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-from benches.bank.work import Task, code, kept, work
+from benches.bank.store import Kept, Task, name_of
+from benches.bank.work import Job, code, judge, kept, make, work
 
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "RAYON_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # one process a core; read when NumPy is loaded, below
 
+Part = tuple[str, str]  # slice, level
+
 SIZES = {"null": 300, "single": 300, "pair": 200, "unknown": 100, "removed": 100, "untestable": 100, "rivals": 100}
-SHARES = {("A", "easy"): 0.2, ("A", "real"): 0.4, ("A", "hard"): 0.2, ("B", "real"): 0.2, ("B", "clouds"): 0.15}
+SHARES: dict[Part, float] = {
+    ("A", "easy"): 0.2, ("A", "real"): 0.4, ("A", "hard"): 0.2, ("B", "real"): 0.2, ("B", "clouds"): 0.15,
+}  # fmt: skip
+SLICES: dict[Part, dict[str, int]] = {
+    ("shop", "floor"): {"null": 100, "single": 150, "pair": 60, "unknown": 60},
+    ("odd", "maps"): {"unknown": 60},
+    ("odd", "real"): {"null": 100, "single": 150, "pair": 60, "unknown": 60, "trap": 60},
+    ("learned", "one"): {"null": 50, "single": 75, "pair": 30, "unknown": 30},
+    ("learned", "two"): {"null": 50, "single": 75, "pair": 30, "unknown": 30},
+}
+PARTS: tuple[Part, ...] = (*SHARES, *SLICES)
+KINDS = (*SIZES, "trap")
 
 
-def tasks(seeds: str, share: float, kinds: Sequence[str], parts: Sequence[tuple[str, str]]) -> Iterator[Task]:
+def size(part: Part, kind: str, share: float) -> int:
+    """Return how many cases of a kind a part of the bank has."""
+    full = SLICES[part].get(kind, 0) if part in SLICES else SIZES.get(kind, 0) * SHARES[part]
+    return round(full * share)
+
+
+def tasks(seeds: str, share: float, kinds: Sequence[str], parts: Sequence[Part]) -> Iterator[Task]:
     """Return the cases to run, so that an early stop leaves some of each kind."""
-    counts = {
-        (part, kind): round(SIZES[kind] * SHARES[part] * share) for part in parts for kind in kinds if part in SHARES
-    }
+    counts = {(part, kind): size(part, kind, share) for part in parts for kind in kinds}
     for number in range(max(counts.values(), default=0)):
         for (part, kind), count in counts.items():
             if number < count:
@@ -48,35 +69,49 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="benches.bank", description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", choices=("development", "reporting"), default="development")
     parser.add_argument("--share", type=float, default=1.0, help="of the full sizes (1)")
-    parser.add_argument("--kinds", default=",".join(SIZES), help="some of the kinds, with commas")
-    parser.add_argument("--parts", default=",".join("/".join(p) for p in SHARES), help="slice/level, with commas")
-    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=Path("out/bank"))
-    parser.add_argument("--table", action="store_true", help="only print what is there")
+    parser.add_argument("--kinds", default=",".join(KINDS), help="some of the kinds, with commas")
+    parser.add_argument("--parts", default=",".join("/".join(p) for p in PARTS), help="slice/level, with commas")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes at a time")
+    parser.add_argument("--out", type=Path, default=Path("out/bank"), help="folder of the judged cases")
+    parser.add_argument("--cases", type=Path, help="folder of the cases that were made (OUT/cases)")
+    step = parser.add_mutually_exclusive_group()
+    step.add_argument("--make", action="store_true", help="only make the cases")
+    step.add_argument("--judge", action="store_true", help="only judge cases that are made")
+    step.add_argument("--table", action="store_true", help="only print what is there")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
+    parts, kinds = [tuple(p.split("/")) for p in args.parts.split(",")], args.kinds.split(",")
+    wrong = [k for k in kinds if k not in KINDS] + ["/".join(p) for p in parts if p not in PARTS]
+    if wrong:
+        parser.error(f"no '{wrong[0]}'; kinds are {', '.join(KINDS)}, parts {', '.join('/'.join(p) for p in PARTS)}")
+    cases = args.cases or args.out / "cases"
     args.out.mkdir(parents=True, exist_ok=True)
+    wanted = list(tasks(args.seeds, args.share, kinds, parts))  # type: ignore[arg-type]
+    if args.make:
+        _make(wanted, cases, args.jobs)
+        return 0
     if not args.table:
-        parts: list[tuple[str, str]] = [tuple(p.split("/")) for p in args.parts.split(",")]  # type: ignore[misc]
-        wrong = [k for k in args.kinds.split(",") if k not in SIZES] + ["/".join(p) for p in parts if p not in SHARES]
-        if wrong:
-            parser.error(
-                f"no '{wrong[0]}'; kinds are {', '.join(SIZES)}, parts {', '.join('/'.join(p) for p in SHARES)}"
-            )
-        _run(list(tasks(args.seeds, args.share, args.kinds.split(","), parts)), args.out, args.processes)
+        _judge(wanted, cases, args.out, args.jobs, only_made=args.judge)
     from benches.bank.judge import parts_of, table, text
 
     rows = rows_in(args.out, args.seeds)
     if args.json:
         told = {part: table(mine) for part, mine in parts_of(rows).items()}
-        print(json.dumps({"schema": "softmap.bank/1", "seeds": args.seeds, "cases": len(rows), "parts": told}))
+        print(json.dumps({"schema": "softmap.bank/2", "seeds": args.seeds, "cases": len(rows), "parts": told}))
     else:
         print(text(rows))
     return 0
 
 
-def _run(wanted: list[Task], out: Path, processes: int) -> None:
-    """Run what has no file yet, in parallel."""
+def _make(wanted: list[Task], cases: Path, jobs: int) -> None:
+    """Make the cases that are not there."""
+    left = [(task, str(cases), "", "") for task in wanted if not Kept(cases / name_of(task)).is_current]
+    print(f"{len(wanted)} cases, {len(left)} to make, {jobs} at a time → {cases}", file=sys.stderr)
+    _each(make, left, jobs, lambda row: f"{row['hidden']} {row['seconds']} s")
+
+
+def _judge(wanted: list[Task], cases: Path, out: Path, jobs: int, only_made: bool) -> None:
+    """Judge what has no row of this code, as it is made; what is not there is made first unless `only_made`."""
     now = code()
 
     def finished(task: Task) -> bool:
@@ -84,18 +119,28 @@ def _run(wanted: list[Task], out: Path, processes: int) -> None:
         if not path.exists():
             return False
         row = json.loads(path.read_text(encoding="utf-8"))
-        return "failed" not in row and row.get("code") == now
+        case = Kept(cases / name_of(task))
+        there = case.is_made and (only_made or case.is_current)
+        return there and "failed" not in row and row["code"] == now and row["made_by"] == case.truth["made_by"]
 
-    left = [(task, str(out), now) for task in wanted if not finished(task)]
-    print(f"{len(wanted)} cases, {len(left)} to run, {processes} at a time → {out}", file=sys.stderr)
+    wanted = [task for task in wanted if not only_made or Kept(cases / name_of(task)).is_made]
+    left = [(task, str(cases), str(out), now) for task in wanted if not finished(task)]
+    print(f"{len(wanted)} cases, {len(left)} to judge, {jobs} at a time → {out}", file=sys.stderr)
+    _each(judge if only_made else work, left, jobs, lambda row: f"{row['hidden']} → {row['named']} {row['verdict']}")
+
+
+def _each(
+    what: Callable[[Job], dict[str, Any]], left: list[Job], jobs: int, said: Callable[[dict[str, Any]], str]
+) -> None:
+    """Run `what` on jobs, in parallel, with a line for each."""
     started = time.monotonic()
     fresh = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(processes, max(len(left), 1)), mp_context=fresh) as pool:
-        jobs = [pool.submit(work, job) for job in left]
-        for count, job in enumerate(as_completed(jobs), start=1):
+    with ProcessPoolExecutor(max(1, min(jobs, len(left))), mp_context=fresh) as pool:
+        running = [pool.submit(what, job) for job in left]
+        for count, job in enumerate(as_completed(running), start=1):
             row = job.result()
-            said = row.get("failed") or f"{row['hidden']} → {row['named']} {row['verdict']}"
-            print(f"[{count}/{len(left)} {time.monotonic() - started:.0f} s] {row['case']}: {said}", file=sys.stderr)
+            line = row.get("failed") or said(row)
+            print(f"[{count}/{len(left)} {time.monotonic() - started:.0f} s] {row['case']}: {line}", file=sys.stderr)
 
 
 if __name__ == "__main__":

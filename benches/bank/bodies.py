@@ -1,4 +1,4 @@
-"""The two bodies of the bank behind one face: slice A, the Cosserat rod; slice B, finite elements on another mesh."""
+"""The two bodies of the bank behind one face: the Cosserat rod (slices A, shop, odd); finite elements (slice B)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from benches.bank import body_rod, model_rod
 from benches.bank.body_solid import SolidBody
-from benches.bank.law import Floats, Law
+from benches.bank.law import Floats, Law, Past
 from benches.bank.laws_body import BODY
 from benches.bank.laws_drive import DRIVE
 from benches.bank.laws_unknown import UNKNOWN
@@ -32,8 +32,13 @@ class Body(Protocol):
     @property
     def place(self) -> Floats: ...
 
-    def points(self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool) -> Floats:
-        """Return points (K, N, 3) mm under pulls (K, 2C) mm and declared gravity (K, 3) g."""
+    def points(
+        self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool, past: Past | None = None
+    ) -> Floats:
+        """Return points (K, N, 3) mm under pulls (K, 2C) mm and declared gravity (K, 3) g.
+
+        `past` is how the cables came there; a body without friction along its cables needs none.
+        """
         ...
 
     def rough(self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool) -> Floats:
@@ -59,9 +64,11 @@ class RodBody:
     def place(self) -> Floats:
         return body_rod.template()[0]
 
-    def points(self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool) -> Floats:
+    def points(
+        self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool, past: Past | None = None
+    ) -> Floats:
         where = body_rod.markers() if marked else body_rod.template()
-        return body_rod.solved(laws, pull, gravity).points(finger(1), *where)
+        return body_rod.solved(laws, pull, gravity, past).points(finger(1), *where)
 
     def rough(self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool) -> Floats:
         where = body_rod.markers() if marked else body_rod.template()
@@ -77,4 +84,4 @@ class RodBody:
 @lru_cache(maxsize=4)
 def body_of(slice_: str) -> Body:
     """Return the body of a slice. Raises KeyError for an unknown one."""
-    return {"A": RodBody, "B": SolidBody}[slice_]()
+    return {"A": RodBody, "B": SolidBody, "shop": RodBody, "odd": RodBody}[slice_]()

@@ -11,19 +11,21 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benches.bank.law import Floats, Law
+from benches.bank.friction_rod import dragged
+from benches.bank.law import Floats, Law, Past
 from benches.bank.rod import Loads, Poses, laid, settle, strains
 from benches.bank.section import finger
 
 NAME = "rod-finger"
 REACH = 16.0
-SOURCES = ("section.py", "rod.py", "rotations.py", "body_rod.py", "model_rod.py", "second_rod.py")
+SOURCES = ("section.py", "rod.py", "newton_step.py", "rotations.py", "body_rod.py", "model_rod.py", "second_rod.py")
 HANGING = np.array([0.0, 0.0, 1.0])
 RINGS, AROUND = 14, 12
 GRID = 9  # commands a channel from which Newton starts
@@ -53,18 +55,23 @@ def rest(points: tuple[Floats, Floats]) -> Floats:
     return np.concatenate([points[1], points[0][:, None]], axis=1)
 
 
-def solved(laws: Sequence[Law], pull: Floats, gravity: Floats, start: Poses | None = None) -> Poses:
+def solved(laws: Sequence[Law], pull: Floats, gravity: Floats, past: Past | None = None) -> Poses:
     """Return the finger in equilibrium under pulls (K, 4) mm and declared gravity (K, 3) g, as `laws` make it."""
     design = finger(1)
     for law in laws:
         design = law.design(design)
     loads = Loads(pull, np.asarray(gravity, float), np.zeros((len(pull), 3)))
-    poses = start or guessed(pull)
+    poses = guessed(pull)
     if any(law.NAME == "magnet" for law in laws):
         poses = settle(design, loads, poses)
     for law in laws:
         loads = law.loads(loads, poses)
-    return settle(design, loads, poses)
+    poses = settle(design, loads, poses)
+    for law in laws:
+        tension = None if past is None else law.tension(past)
+        if tension is not None:
+            return dragged(design, replace(loads, tension=tension), poses)
+    return poses
 
 
 def guessed(pull: Floats) -> Poses:

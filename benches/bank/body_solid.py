@@ -18,7 +18,7 @@ import numpy as np
 
 from benches.bank import section
 from benches.bank.body_rod import kept
-from benches.bank.law import Floats, Law
+from benches.bank.law import Floats, Law, Past
 from benches.bank.laws_body import BODY
 from benches.bank.laws_drive import DRIVE
 from benches.bank.laws_unknown import UNKNOWN
@@ -55,7 +55,9 @@ class SolidBody:
         rest = np.asarray(_first().template.vertices, float)
         return rest[_markers()] if marked else rest
 
-    def points(self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool) -> Floats:
+    def points(
+        self, laws: Sequence[Law], pull: Floats, gravity: Floats, marked: bool, past: Past | None = None
+    ) -> Floats:
         u, loads = _commands(pull), Loads(pull, np.asarray(gravity, float), np.zeros((len(pull), 3)))
         for law in laws:
             loads = law.loads(loads, None)

@@ -13,14 +13,15 @@ Units: s, mm, g, °C. Pinned by tests/test_bank.py.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from benches.bank.answers import Answer, answer_for
 from benches.bank.bodies import Body, body_of
-from benches.bank.law import Floats, Law, Record
+from benches.bank.law import Floats, Law, Past, Record
 from benches.bank.laws_body import BODY
 from benches.bank.laws_drive import DRIVE
 from benches.bank.laws_unknown import UNKNOWN
@@ -39,6 +40,12 @@ NEAR = 0.1  # of how far a law is to move the finger, which is drawn anyway: nea
 PAIRS = 4  # pairs that are drawn until each law does something beside the other
 
 
+def temperature(t: Floats) -> Floats:
+    """Return what the run says of the room (T,) °C: it warms by 9 K, halts, and cools again by half, slowly."""
+    knots = np.array([0.0, 0.15, 0.4, 0.55, 0.75, 1.0]) * max(float(t[-1]), 1.0)
+    return np.asarray(np.interp(t, knots, [22.0, 22.0, 31.0, 31.0, 25.0, 27.0]))
+
+
 @dataclass(frozen=True, eq=False)
 class Case:
     """A finger with its secrets, before a camera."""
@@ -52,6 +59,8 @@ class Case:
     moved_mm: tuple[float, ...]  # by each hidden law alone, section centroids
     seed: int
     marked: bool  # seen by markers, not as a surface
+    answers: tuple[Answer, ...] = ()  # what is right for each hidden law, or for the run as a whole
+    room: Callable[[Floats], Floats] = temperature  # (T,) s to °C, as the run declares it
 
     @property
     def hidden(self) -> tuple[str, ...]:
@@ -62,12 +71,12 @@ class Case:
         """Record a protocol; without `laws` as it is, with `()` the twin that hides nothing. Same noise for both."""
         rng = np.random.default_rng([self.seed, protocol.frames])
         acting = (*self.small, *(self.laws if laws is None else laws))
-        points = seen(self.body, acting, protocol, self.marked)
+        points = seen(self.body, acting, protocol, self.marked, room=self.room)
         noisy, visible = looked(points, protocol.t_seen, self.level, rng)
         kind = {"markers": noisy, "marker_rest": self.body.rest(True)} if self.marked else {"vertices": noisy}
         return Run(
             t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen,
-            block=protocol.block, temperature=temperature(protocol.t), robot=self.body.name,
+            block=protocol.block, temperature=self.room(protocol.t), robot=self.body.name,
             visible=None if visible.all() else visible, **kind,
         )  # fmt: skip
 
@@ -76,32 +85,50 @@ class Case:
         """Return what a diagnosis gets to see."""
         return "clouds" if self.level.clouds else "markers" if self.marked else "vertices"
 
+    def background_mm(self) -> float:
+        """Return how far what is always there moves the section centroids on the standard protocol, in mm RMS."""
+        protocol, every = standard_protocol(2), 2 * self.body.every
+        own = seen(self.body, self.small, protocol, False, every=every, room=self.room)
+        return rms(sections(own - seen(self.body, (), protocol, False, every=every), self.body.place))
+
     def to_dict(self) -> dict[str, Any]:
         """Return what was hidden."""
         told = [
             {"name": law.NAME, "params": law.params(), "moved_mm": round(mm, 4)}
             for law, mm in zip(self.laws, self.moved_mm)
         ]
-        return {"case": self.name, "laws": told, "seen": self.seen_as}
+        also = [name for law in self.laws for name in law.ALSO]
+        return {"case": self.name, "laws": told, "also": also, "seen": self.seen_as}
 
 
 def case(seeds: str, slice_: str, level: str, kind: str, number: int) -> Case:
     """Make a case. Raises KeyError for an unknown word, ArithmeticError if a body does not settle."""
     name = f"{seeds}-{slice_}-{level}-{kind}-{number:04d}"
-    seed = SEEDS[seeds] + number
-    rng = np.random.default_rng([seed, zlib.crc32(f"{slice_} {level} {kind}".encode())])
+    rng = stream(seeds, slice_, level, kind, number)
     body, hardness = body_of(slice_), LEVELS[level]
     small = background(hardness, rng, body.channels)
     for _ in range(PAIRS):
-        found = [_drawn(one, body, hardness, rng) for one in _wanted(kind, number, rng, body)]
-        if len(found) < 2 or _each_moves([law for law, _ in found], body, hardness):
+        wanted = [LAWS[one] if one in LAWS else UNKNOWN[one] for one in _wanted(kind, number, rng, body)]
+        found = [drawn(one, body, hardness, rng) for one in wanted]
+        if len(found) < 2 or each_moves([law for law, _ in found], body, hardness):
             break
-    order = list(LAWS) + list(UNKNOWN)
-    found.sort(key=lambda pair: order.index(pair[0].NAME))
+    found.sort(key=lambda pair: place_of(pair[0]))
     return Case(
         name, hardness, kind, body, tuple(law for law, _ in found), small, tuple(mm for _, mm in found),
         int(rng.integers(2**31)), bool(rng.integers(MARKED) == 0) and not hardness.clouds,
+        tuple(answer_for(law.NAME, law.NAME in LAWS) for law, _ in found),
     )  # fmt: skip
+
+
+def stream(seeds: str, slice_: str, level: str, kind: str, number: int) -> np.random.Generator:
+    """Return the generator from which a case is drawn."""
+    return np.random.default_rng([SEEDS[seeds] + number, zlib.crc32(f"{slice_} {level} {kind}".encode())])
+
+
+def place_of(law: Law) -> int:
+    """Return where in the chain from command to camera a law acts."""
+    order = list(LAWS) + list(UNKNOWN)
+    return order.index(law.NAME) if law.NAME in order else len(order)
 
 
 def _wanted(kind: str, number: int, rng: np.random.Generator, body: Body) -> list[str]:
@@ -173,20 +200,13 @@ def judge_protocol(number: int) -> Protocol:
     return other_protocol(2, seed=number % 16)
 
 
-def temperature(t: Floats) -> Floats:
-    """Return what the run says of the room (T,) °C: it warms by 9 K, halts, and cools again by half, slowly."""
-    knots = np.array([0.0, 0.15, 0.4, 0.55, 0.75, 1.0]) * max(float(t[-1]), 1.0)
-    return np.asarray(np.interp(t, knots, [22.0, 22.0, 31.0, 31.0, 25.0, 27.0]))
-
-
 def seen(
     body: Body, laws: Sequence[Law], protocol: Protocol, marked: bool, every: int = 1,
-    rough: bool = False,
+    rough: bool = False, room: Callable[[Floats], Floats] = temperature,
 ) -> Floats:  # fmt: skip
     """Return the true points (K, N, 3) mm of every `every`-th frame; `rough` ones are not settled."""
-    order = list(LAWS) + list(UNKNOWN)
-    laws = sorted(laws, key=lambda law: order.index(law.NAME))
-    record = Record(protocol.t, protocol.command, temperature(protocol.t))
+    laws = sorted(laws, key=place_of)
+    record = Record(protocol.t, protocol.command, room(protocol.t), protocol.gravity)
     u = protocol.command
     for law in laws:
         u = law.drive(record, u)
@@ -199,13 +219,17 @@ def seen(
         taken = law.clock(taken)
     at = np.stack([np.interp(taken, protocol.t, column) for column in pull.T], axis=1)
     gravity = protocol.gravity[np.searchsorted(protocol.t, labelled, side="right") - 1]
-    points = (body.rough if rough else body.points)(laws, at, gravity, marked)
+    if rough:
+        points = body.rough(laws, at, gravity, marked)
+    else:
+        past = Past(protocol.t, pull, protocol.gravity, taken)
+        points = body.points(laws, at, gravity, marked, past)
     for law in laws:
         points = law.seen(points, labelled)
     return points
 
 
-def _each_moves(laws: Sequence[Law], body: Body, level: Level) -> bool:
+def each_moves(laws: Sequence[Law], body: Body, level: Level) -> bool:
     """Return whether each law still does something beside the others: half of the least that it does alone."""
     protocol, rough = standard_protocol(2), not any(law.SHAPE for law in laws)
 
@@ -222,43 +246,50 @@ def _each_moves(laws: Sequence[Law], body: Body, level: Level) -> bool:
     )
 
 
-def _drawn(name: str, body: Body, level: Level, rng: np.random.Generator) -> tuple[Law, float]:
-    """Draw a law and scale it until it moves the section centroids as far as the level wants, in mm RMS.
-
-    A twist turns sections without moving their centres: there the points count.
-    """
+def drawn(kind: type[Law], body: Body, level: Level, rng: np.random.Generator) -> tuple[Law, float]:
+    """Draw a law and scale it until it moves the section centroids as far as the level wants, in mm RMS."""
     low, high = level.moves_mm
-    kind = LAWS[name] if name in LAWS else UNKNOWN[name]
-    protocol = standard_protocol(2)
     best: tuple[Law, float] | None = None
-    plain = seen(body, (), protocol, False, every=body.every, rough=not kind.SHAPE)
+    plain = seen(body, (), standard_protocol(2), False, every=body.every, rough=not kind.SHAPE)
     for _ in range(TRIES):
-        drawn = kind.draw(rng, body.channels)
-        target = float(rng.uniform(low, high))
-        strength, tried = 1.0, [(0.0, 0.0)]  # strengths, and how far they move the sections
-        for _ in range(1 if name in GROSS else 7):
-            try:
-                there = seen(body, (drawn.scaled(strength),), protocol, False, every=body.every, rough=not kind.SHAPE)
-            except ArithmeticError:  # so strong that the body buckles
-                strength *= 0.6
-                continue
-            moved = there - plain
-            reached = max(rms(sections(moved, body.place)), rms(moved) if name == "twist" else 0.0)
-            tried.append((strength, reached))
-            if abs(reached - target) < NEAR * target or name in GROSS:
-                break
-            step = np.clip(target / max(reached, 1e-6), 0.25, 4.0)
-            if strength >= drawn.LIMIT and step > 1.0:
-                break
-            ahead = float(min(strength * step, drawn.LIMIT))
-            below = max(s for s, r in tried if r < target)
-            above = min((s for s, r in tried if r >= target), default=np.inf)
-            strength = ahead if below < ahead < above else float((below + above) / 2)
-        strength, reached = min(tried[1:] or tried, key=lambda pair: abs(pair[1] - target))
-        found = (drawn.scaled(strength), reached)
-        if name in GROSS or low * 0.8 <= reached <= 1.2 * high:
+        character = kind.draw(rng, body.channels)
+        found = strengthened(character, float(rng.uniform(low, high)), body, plain)
+        if kind.NAME in GROSS or low * 0.8 <= found[1] <= 1.2 * high:
             return found
-        if best is None or abs(np.log(max(reached, 1e-6) / low)) < abs(np.log(max(best[1], 1e-6) / low)):
+        if best is None or abs(np.log(max(found[1], 1e-6) / low)) < abs(np.log(max(best[1], 1e-6) / low)):
             best = found
     assert best is not None
     return best
+
+
+def strengthened(
+    character: Law, target: float, body: Body, plain: Floats, room: Callable[[Floats], Floats] = temperature
+) -> tuple[Law, float]:
+    """Return a law as strong as it takes to move the section centroids by `target` mm RMS, and how far it does.
+
+    `plain` are the points that the finger without it has on the standard protocol, every `body.every`-th frame, rough
+    where the law leaves the body as it is. A twist turns sections without moving their centres: there the points count.
+    """
+    protocol, gross = standard_protocol(2), not character.STRONG or character.NAME in GROSS
+    strength, tried = 1.0, [(0.0, 0.0)]  # strengths, and how far they move the sections
+    for _ in range(1 if gross else 7):
+        acting, rough = (character.scaled(strength),), not character.SHAPE
+        try:
+            there = seen(body, acting, protocol, False, every=body.every, rough=rough, room=room)
+        except ArithmeticError:  # so strong that the body buckles
+            strength *= 0.6
+            continue
+        moved = there - plain
+        reached = max(rms(sections(moved, body.place)), rms(moved) if character.NAME == "twist" else 0.0)
+        tried.append((strength, reached))
+        if abs(reached - target) < NEAR * target or gross:
+            break
+        step = np.clip(target / max(reached, 1e-6), 0.25, 4.0)
+        if strength >= character.LIMIT and step > 1.0:
+            break
+        ahead = float(min(strength * step, character.LIMIT))
+        below = max(s for s, r in tried if r < target)
+        above = min((s for s, r in tried if r >= target), default=np.inf)
+        strength = ahead if below < ahead < above else float((below + above) / 2)
+    strength, reached = min(tried[1:] or tried, key=lambda pair: abs(pair[1] - target))
+    return character.scaled(strength), reached

@@ -53,31 +53,31 @@ def judged(
     groups = [sorted(document[kind], key=lambda e: -e["share"]) for kind in ("effects", "faults")]
     entries = [e for group in groups[:: -1 if document["verdict"] == "measurement_fault" else 1] for e in group]
     named = [e["name"] for e in entries]
-    rivals = [set(r["effects"]) for r in document["rivals"]]
+    others = [set(a["effects"]) for a in document["alternatives"] if a["effects"]]
     like = {name: alike.get(name, {name}) for name in hidden}
     right = [e["name"] in also or any(e["name"] in like[name] for name in hidden) for e in entries]
     top = named[0] if named else None
-    alone = bool(named) and any(top in like[n] and all(r & like[n] for r in rivals) for n in hidden)
-    said = set(named).union(*rivals)
+    alone = bool(named) and any(top in like[n] and all(other & like[n] for other in others) for n in hidden)
+    said = set(named).union(*others)
     open_ = {h["name"] for h in document["not_testable"]}
     settles = {name for block in document["next"] for name in block["settles"]}
     asked = all(like[n] & settles for n in hidden)
     nameless = document["verdict"] == "measurement_fault" and not named
     honest = document["verdict"] in ("ambiguous", "cannot_tell", "nothing") and all(
-        like[n] & (open_ | settles | (said if rivals else set())) for n in hidden
+        like[n] & (open_ | settles | (said if others else set())) for n in hidden
     )
     return {
         "verdict": document["verdict"],
         "named": named,
-        "rivals": [sorted(r) for r in rivals],
-        "why": [r["why"] for r in document["rivals"]],
+        "alternatives": [sorted(other) for other in others],
+        "why": [a["why"] for a in document["alternatives"]],
         "not_testable": sorted(open_),
         "next": [{"block": b["block"], "settles": b["settles"]} for b in document["next"]],
         "in_library": all(like[n] & expressible for n in hidden),
         "first": alone,
         "equivalent": any(top in like[n] for n in hidden),
         "exact": _told(set(named), like, also),
-        "inside": any(_told(s, like, also) for s in [set(named), *rivals]),
+        "inside": any(_told(s, like, also) for s in [set(named), *others]),
         "claims": [
             {"name": e["name"], "probability": e["probability"], "true": ok, "itself": e["name"] in {*hidden, *also}}
             for e, ok in zip(entries, right)
@@ -143,9 +143,27 @@ def _is(*kinds: str, known: bool | None = True) -> Callable[[Row], bool]:
     return lambda row: row["kind"] in kinds and (known is None or row["in_library"] == known)
 
 
+def _scored(row: Row) -> bool:
+    return row["kind"] == "single" and bool(row["scored"])
+
+
+def _unknown(row: Row) -> bool:
+    return row["kind"] == "unknown" and row["family_right"] is not None
+
+
 SHARES: tuple[Measure, ...] = (
+    ("single, twice its background: right name first", "≥ 90 %", _scored, lambda r: r["first"]),
+    ("single, twice its background: right family", "≥ 97 %",
+     lambda r: _scored(r) and r["family_right"] is not None, lambda r: r["family_right"]),
+    ("'identified' that is false", "≤ 2 %", lambda r: r["identified"], lambda r: r["false_identified"]),
+    ("nothing hidden, a name or an open map claimed", "≤ 3 %", _is("null", known=None), lambda r: r["claimed"]),
+    ("unknown law: left open, or flagged", "≥ 97 %", _is("unknown", known=None), lambda r: r["answered"]),
+    ("unknown law: right family", "≥ 90 %", _unknown, lambda r: r["family_right"]),
+    ("known law beside an unknown one: named, the rest open", "≥ 80 %",
+     lambda r: r["beside"] is not None, lambda r: r["beside"]),
+    ("trap: answered rightly", "≥ 97 %", _is("trap", known=None), lambda r: r["answered"]),
     ("single effect, alone in first place", "≥ 98 % easy, ≥ 90 % real", _is("single"), lambda r: r["first"]),
-    ("exact set, pairs", "≥ 93 % real", _is("pair"), lambda r: r["exact"]),
+    ("exact set, pairs", "≥ 93 % A, B; ≥ 80 %", _is("pair"), lambda r: r["exact"]),
     ("truth inside the reported set", "≥ 97 %", _is("single", "pair"), lambda r: r["inside"]),
     ("nothing hidden, something claimed", "≤ 1 %", _is("null", known=None), lambda r: bool(r["named"])),
     ("false 'unknown' flags", "≤ 5 %", _is("null", "single", "pair"), lambda r: r["flagged"]),
@@ -153,7 +171,8 @@ SHARES: tuple[Measure, ...] = (
     ("true effect removed: flagged, or its equivalent named", "≥ 85 %",
      _is("removed", known=None), lambda r: r["flagged"] or r["equivalent"]),
     ("not in the library: flagged, or its equivalent named", "≥ 85 %",
-     _is("single", "pair", known=False), lambda r: r["flagged"] or r["equivalent"]),
+     lambda r: _is("single", "pair", known=False)(r) and r["beside"] is None,
+     lambda r: r["flagged"] or r["equivalent"]),
     ("not to be told: left open, with the right experiment", "≥ 98 %",
      _is("untestable", known=None), lambda r: r["cannot"]),
     ("rivals resolved after the suggested experiment", "≥ 97 %",

@@ -25,11 +25,25 @@ Numbers = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Record:
-    """What a law may know: t (T,) s, the command u (T, C) mm that was sent, temperature (T,) °C."""
+    """What a law may know: t (T,) s, the command u (T, C) mm that was sent, temperature (T,) °C, gravity (T, 3) g."""
 
     t: Floats
     u: Floats
     temperature: Floats
+    gravity: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """How the cables came to where they are at the seen frames.
+
+    `t` (T,) s with even steps, `pull` (T, 4) mm, `gravity` (T, 3) g; `taken` (K,) s, when the frames were exposed.
+    """
+
+    t: Floats
+    pull: Floats
+    gravity: Floats
+    taken: Floats
 
 
 @dataclass(frozen=True)
@@ -70,6 +84,10 @@ class Law:
     def loads(self, loads: Loads, poses: Poses | None) -> Loads:
         """Return the true loads; `poses` are those of the finger without this law."""
         return loads
+
+    def tension(self, past: Past) -> Floats | None:
+        """Return the tension (K, 4, segments) along each cable at the seen frames, in parts of that at its base."""
+        return None
 
     def seen(self, points: Floats, t: Floats) -> Floats:
         """Return where points (K, N, 3) mm appear at t (K,) s."""

@@ -23,7 +23,8 @@ import numpy as np
 
 from benches.bank.body_rod import HANGING, NAME, REACH, grid, guessed, hanging, kept, sources, stored, template
 from benches.bank.law import Floats
-from benches.bank.rod import Loads, Poses, assembled, guides, newton_step, own_lengths, settle
+from benches.bank.newton_step import newton_step
+from benches.bank.rod import Loads, Poses, assembled, guides, own_lengths, settle
 from benches.bank.rotations import turn
 from benches.bank.second_rod import CAUSES, NODES, bends, second_of
 from benches.bank.section import GRAVITY, Design, finger

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.bank.newton_step import newton_step
 from benches.bank.rotations import hat, into, log, out_of, transposed, turn
 from benches.bank.section import FLOOR, GRAVITY, SHEAR, Design
 
@@ -39,13 +40,14 @@ class Loads:
     """What acts on each of B rods: `pull` (B, 4) mm of shortening of the cables, `gravity` (B, 3) g, `tip` (B, 3) N.
 
     `plane` (normal (3,), place mm) is an obstacle: what of the rod's surface lies beyond normal·x = place is pushed
-    back.
+    back. `tension` (B, 4, m-1) is that of each cable along its segments, in parts of that at the base; None is 1.
     """
 
     pull: Floats
     gravity: Floats
     tip: Floats
     plane: tuple[Floats, float] | None = None
+    tension: Floats | None = None
 
     def rows(self, which: NDArray[np.intp], share: float = 1.0) -> Loads:
         """Return some rows; of everything but the obstacle the `share`."""
@@ -54,6 +56,7 @@ class Loads:
             pull=share * self.pull[which],
             gravity=share * self.gravity[which],
             tip=share * self.tip[which],
+            tension=None if self.tension is None else self.tension[which],
         )
 
 
@@ -260,12 +263,30 @@ def own_lengths(design: Design) -> Floats:
     return np.asarray(np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1))
 
 
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """What acts on the free nodes of B rods: `slope` (B, n, 6) of the energy, its tangent `blocks` (below, diagonal,
+    above) (B, n, 6, 6) without the cables' own stiffness, slopes (B, n, 6, 4) of the cables' `lengths`, the same
+    `drawn` by the tension of each segment, and the tension `pull` (B, 4) N at the base.
+    """
+
+    slope: Floats
+    blocks: tuple[Floats, Floats, Floats]
+    lengths: Floats
+    drawn: Floats
+    pull: Floats
+
+
 def assembled(
     design: Design, loads: Loads, x: Floats, frame: Floats
 ) -> tuple[Floats, tuple[Floats, Floats, Floats], Floats, Floats]:
-    """Return the slope (B, n, 6) of the energy by the free nodes, its tangent without the cables' own stiffness as
-    (below, diagonal, above) blocks (B, n, 6, 6), the slopes (B, n, 6, 4) of the cables' lengths, their tension.
-    """
+    """Return slope, blocks, lengths and pull of `balance`."""
+    found = balance(design, loads, x, frame)
+    return found.slope, found.blocks, found.lengths, found.pull
+
+
+def balance(design: Design, loads: Loads, x: Floats, frame: Floats) -> Balance:
+    """Return what acts on rods at places x (B, n+1, 3) and frames (B, n+1, 3, 3)."""
     middle, theta, chord, strain = _strains(design, x, frame)
     _, sigma, law = _section(design, strain)
     local, force = _element(design.length, theta, chord, sigma, law)
@@ -277,8 +298,8 @@ def assembled(
     slope = np.zeros((b, nodes, 6))
     slope[:, :-1] += spatial[..., :6]
     slope[:, 1:] += spatial[..., 6:]
-    pull, lengths = _cables(design, loads, x, frame, ends)
-    slope += np.einsum("bnkc,bc->bnk", lengths, pull)
+    pull, lengths, drawn = _cables(design, loads, x, frame, ends)
+    slope += np.einsum("bnkc,bc->bnk", drawn, pull)
     slope[..., :3] -= GRAVITY * loads.gravity[:, None] * design.mass[:, None]
     slope[:, -1, :3] -= loads.tip
     diagonal = np.zeros((b, nodes, 6, 6))
@@ -289,7 +310,8 @@ def assembled(
         gap = _gap(design, loads, x)
         slope[..., :3] += WALL * np.maximum(gap, 0.0)[..., None] * normal
         diagonal[..., :3, :3] += WALL * (gap > 0.0)[..., None, None] * np.outer(normal, normal)
-    return slope[:, 1:], (ends[:, 1:, 6:, :6], diagonal[:, 1:], ends[:, 1:, :6, 6:]), lengths[:, 1:], pull
+    blocks = ends[:, 1:, 6:, :6], diagonal[:, 1:], ends[:, 1:, :6, 6:]
+    return Balance(slope[:, 1:], blocks, lengths[:, 1:], drawn[:, 1:], pull)
 
 
 def _element(length: Floats, theta: Floats, chord: Floats, sigma: Floats, law: Floats) -> tuple[Floats, Floats]:
@@ -329,8 +351,10 @@ def _element(length: Floats, theta: Floats, chord: Floats, sigma: Floats, law: F
     return tangent + np.concatenate(rows, axis=2), force
 
 
-def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats) -> tuple[Floats, Floats]:
-    """Return tension (B, 4) N and slopes (B, n+1, 6, 4) of the cables' lengths; add what taut lines do to `ends`."""
+def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return tension (B, 4) N, slopes (B, n+1, 6, 4) of the cables' lengths, and the same weighed by the tension of
+    each segment; add what taut lines do to `ends`.
+    """
     m = design.guide.shape[1]
     arm = np.einsum("bmij,cmj->bcmi", frame[:, :m], design.guide)
     line = np.diff(x[:, None, :m] + arm, axis=2)
@@ -338,50 +362,32 @@ def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats
     along = line / span[..., None]
     stretch = span.sum(axis=2) - own_lengths(design) + loads.pull - design.slack
     pull = design.cable * np.maximum(stretch, 0.0)
+    slopes = drawn = _by_node(x, arm, along)
+    held = np.broadcast_to(pull[..., None], span.shape)
+    if loads.tension is not None:
+        pull = pull * span.sum(axis=2) / np.sum(loads.tension * span, axis=2)
+        drawn, held = _by_node(x, arm, along * loads.tension[..., None]), pull[..., None] * loads.tension
+    moved = np.zeros((*along.shape, 12))
+    moved[..., :3], moved[..., 6:9] = -np.eye(3), np.eye(3)
+    moved[..., 3:6], moved[..., 9:] = hat(arm[:, :, :-1]), -hat(arm[:, :, 1:])
+    across = moved - along[..., :, None] * (along[..., None, :] @ moved)
+    across *= np.sqrt(held / span)[..., None, None]
+    rows = np.moveaxis(across, 1, 2).reshape(len(x), m - 1, 12, 12)  # 4 cables of 3 rows
+    ends[:, : m - 1] += transposed(rows) @ rows
+    own = held[..., None, None]
+    for block, lever, sign in ((slice(3, 6), arm[:, :, :-1], -1.0), (slice(9, 12), arm[:, :, 1:], 1.0)):
+        turn_ = lever[..., :, None] * along[..., None, :] - np.sum(lever * along, axis=3)[..., None, None] * np.eye(3)
+        ends[:, : m - 1, block, block] += np.sum(sign * own * turn_, axis=1)
+    return pull, slopes, drawn
+
+
+def _by_node(x: Floats, arm: Floats, along: Floats) -> Floats:
+    """Return slopes (B, n+1, 6, 4) of Σ lengths by the nodes, of segments along (B, 4, m-1, 3) at arms (B, 4, m, 3)."""
+    m = arm.shape[2]
     at = np.zeros_like(arm)  # slope by the guide's place
     at[:, :, 1:] += along
     at[:, :, :-1] -= along
     slopes = np.zeros((*x.shape[:2], 6, 4))
     slopes[:, :m, :3] = np.moveaxis(at, 1, 3)
     slopes[:, :m, 3:] = np.moveaxis(np.cross(arm, at), 1, 3)
-    moved = np.zeros((*along.shape, 12))
-    moved[..., :3], moved[..., 6:9] = -np.eye(3), np.eye(3)
-    moved[..., 3:6], moved[..., 9:] = hat(arm[:, :, :-1]), -hat(arm[:, :, 1:])
-    across = moved - along[..., :, None] * (along[..., None, :] @ moved)
-    across *= np.sqrt(pull[..., None] / span)[..., None, None]
-    rows = np.moveaxis(across, 1, 2).reshape(len(x), m - 1, 12, 12)  # 4 cables of 3 rows
-    ends[:, : m - 1] += transposed(rows) @ rows
-    own = pull[..., None, None, None]
-    for block, lever, sign in ((slice(3, 6), arm[:, :, :-1], -1.0), (slice(9, 12), arm[:, :, 1:], 1.0)):
-        turn_ = lever[..., :, None] * along[..., None, :] - np.sum(lever * along, axis=3)[..., None, None] * np.eye(3)
-        ends[:, : m - 1, block, block] += np.sum(sign * own * turn_, axis=1)
-    return pull, slopes
-
-
-def newton_step(
-    blocks: tuple[Floats, ...], force: Floats, lengths: Floats, taut: NDArray[np.bool_], stiffness: Floats
-) -> Floats:
-    """Return the Newton step (B, n, 6): −(K + Σ k l lᵀ)⁻¹ f over the taut cables, K block-tridiagonal."""
-    below, diagonal, above = blocks
-    lengths = lengths * taut[:, None, None, :]
-    right = np.concatenate([-force[..., None], lengths], axis=3)  # (B, n, 6, 5)
-    n = right.shape[1]
-    kept: list[tuple[Floats, Floats]] = []
-    d, r = diagonal[:, 0], right[:, 0]
-    for i in range(n):
-        both = np.linalg.solve(d, np.concatenate([above[:, i], r], axis=2) if i < n - 1 else r)
-        if i == n - 1:
-            kept.append((np.zeros(0), both))
-            break
-        up, y = both[..., :6], both[..., 6:]
-        kept.append((up, y))
-        d = diagonal[:, i + 1] - below[:, i] @ up
-        r = right[:, i + 1] - below[:, i] @ y
-    answer = np.empty_like(right)
-    answer[:, -1] = kept[-1][1]
-    for i in range(n - 2, -1, -1):
-        answer[:, i] = kept[i][1] - kept[i][0] @ answer[:, i + 1]
-    plain, by_cable = answer[..., 0], answer[..., 1:]
-    inner = np.einsum("bnkc,bnkd->bcd", lengths, by_cable) + np.diag(1.0 / np.maximum(stiffness, 1e-12))
-    share = np.linalg.solve(inner, np.einsum("bnkc,bnk->bc", lengths, plain)[..., None])
-    return np.asarray(plain - (by_cable @ share[:, None])[..., 0])
+    return slopes

@@ -24,6 +24,8 @@ class Level:
     """How hard it is: σ of a point and of the frame, share of points hidden, background, how far a law moves.
 
     `clouds`: cameras see clouds of what is told here (`clouds.py`); their noise, outliers and holes come on top.
+    `memory_s` of the shivering frame; `tails`: degrees of freedom of Student's noise, 0 for a Gaussian; `lost`: share
+    of frames that are laid elsewhere by some 10 mm.
     """
 
     name: str
@@ -35,6 +37,9 @@ class Level:
     background: float
     moves_mm: tuple[float, float]
     clouds: bool = False
+    memory_s: float = 1.0
+    tails: float = 0.0
+    lost: float = 0.0
 
 
 LEVELS = {
@@ -68,10 +73,14 @@ def background(level: Level, rng: np.random.Generator, channels: int) -> tuple[L
 
 def looked(points: Floats, t: Floats, level: Level, rng: np.random.Generator) -> tuple[Floats, NDArray[np.bool_]]:
     """Return what is seen of points (K, N, 3) mm at t (K,) s, and which (K, N) are."""
-    shiver, creep = _wandering(t, 1.0, 6, rng), _wandering(t, 30.0, 3, rng)
-    seen = points + level.point_mm * rng.normal(size=points.shape)
+    shiver, creep = _wandering(t, level.memory_s, 6, rng), _wandering(t, 30.0, 3, rng)
+    noise = rng.standard_t(level.tails, size=points.shape) if level.tails else rng.normal(size=points.shape)
+    seen = points + level.point_mm * noise
     seen = np.einsum("kij,knj->kni", turn(np.radians(level.shiver_deg) * shiver[:, 3:]), seen)
     seen += (level.shiver_mm * shiver[:, :3] + level.creep_mm * creep)[:, None]
+    if level.lost > 0.0:
+        astray = rng.uniform(size=t.size) < level.lost
+        seen[astray] += rng.normal(scale=10.0, size=(int(astray.sum()), 1, 3))
     visible = np.ones(points.shape[:2], bool)
     if level.hidden > 0.0:
         patch = _wandering(t, 5.0, 3, rng)

@@ -1,4 +1,4 @@
-"""One case from beginning to end: make it, diagnose it, judge it, write one small JSON. What the processes call."""
+"""One case from beginning to end: made once and kept, diagnosed, judged, one small JSON. What the processes call."""
 
 from __future__ import annotations
 
@@ -11,99 +11,127 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from benches.bank.store import JUDGING, Kept, Task, name_of
+
 if TYPE_CHECKING:
     from softmap_edge.run import Run
 
-Task = tuple[str, str, str, str, int]  # seeds, slice, level, kind, number
-
-
-def run_case(task: Task) -> dict[str, Any]:
-    """Make one case, diagnose it, judge it."""
-    from benches.bank.case import case, judge_protocol, protocol_of
-    from benches.bank.clouds import registered, thinned
-    from benches.bank.judge import alike, judged
-    from benches.bank.watch import rms
-    from softmap_edge import _core
-    from softmap_edge.diagnosis.diagnose import diagnose
-
-    seeds, slice_, level, kind, number = task
-    started = time.process_time()
-    mine = case(*task)
-    model = mine.body.model()
-
-    def recorded(told: str) -> Run:
-        protocol = protocol_of(told, mine.hidden, number)
-        if mine.level.clouds:
-            return registered(model, mine.run(thinned(protocol)), mine.seed)
-        return mine.run(protocol)
-
-    run = recorded(kind)
-    whole = recorded("single") if kind == "rivals" else None
-    made = time.process_time()
-    registry = _core.effects()
-    library = [e["name"] for e in registry if kind != "removed" or e["name"] not in mine.hidden]
-    expressible = {e["name"] for e in registry if not model.lacking(e["name"])}
-    first = diagnose(model, run, effects=library)
-    finished = time.process_time()
-    one, several = (alike(registry, orientations, roll=not mine.level.clouds) for orientations in (1, 2))
-    turned = len(np.unique(run.gravity, axis=0)) > 1
-    also = [name for law in mine.laws for name in law.ALSO]
-    verdict = judged(mine.hidden, first.to_dict(), several if turned else one, expressible, also)
-    last = first
-    if whole is not None:
-        last = diagnose(model, [run, whole], effects=library)
-        verdict = judged(mine.hidden, last.to_dict(), several, expressible, also) | {"at_first": verdict}
-
-    def off(predicted: Any, seen: Any) -> float:
-        points = seen.vertices if seen.vertices is not None else seen.markers
-        return rms(predicted.predict(seen) - points, seen.visible)
-
-    error, fall = None, None
-    if kind == "single":
-        judge = judge_protocol(number)
-        other, twin = mine.run(judge), mine.run(judge, ())
-        error = {"before": off(model, other), "after": off(first.model, other), "floor": off(model, twin)}
-        removable = error["before"] - error["floor"]
-        fall = (error["before"] - error["after"]) / removable if removable > 0.05 else None
-    return {
-        "slice": slice_, "level": level, "kind": kind, "number": number, "seeds": seeds, **mine.to_dict(), **verdict,
-        "hidden": list(mine.hidden), "error_mm": error, "fall": fall,
-        "frames": int(run.t_seen.size), "sentence": last.sentence,
-        "ladder": last.error, "unexplained": last.unexplained,
-        "truth_seconds": round(made - started, 2), "seconds": round(finished - made, 2),
-    }  # fmt: skip
+Job = tuple[Task, str, str, str]  # a case, the folders of cases and of rows, the digest of what judges
 
 
 def kept(task: Task, out: Path) -> Path:
-    """Return the file of a case."""
-    seeds, slice_, level, kind, number = task
-    return out / f"{seeds}-{slice_}-{level}-{kind}-{number:04d}.json"
+    """Return the file of a judged case."""
+    return out / f"{name_of(task)}.json"
 
 
 def code() -> str:
-    """Return a digest of the bank and of what it judges: a case that other code made is made again."""
+    """Return a digest of what diagnoses and judges: a case that other code judged is judged again."""
     import softmap_edge
 
     digest = hashlib.sha256()
     package = Path(softmap_edge.__file__).parent
-    for folder, pattern in ((Path(__file__).parent, "*.py"), (package, "**/*.[ps][yo]"), (package / "data", "**/*.*")):
-        for path in sorted(folder.glob(pattern)):
-            digest.update(path.read_bytes())
+    paths = [Path(__file__).with_name(name) for name in JUDGING if Path(__file__).with_name(name).exists()]
+    paths += sorted(package.glob("**/*.[ps][yo]")) + sorted((package / "data").glob("**/*.*"))
+    for path in paths:
+        digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
 
 
-def work(job: tuple[Task, str, str]) -> dict[str, Any]:
-    """Run one case and write its file, marked with `code`; one that fails says so there, and is tried again."""
-    task, out, made_by = job
+def make(job: Job) -> dict[str, Any]:
+    """Make a case if it is not there; return its name, and what failed."""
+    from benches.bank.make import made
+
+    task, cases = job[0], Path(job[1])
     try:
-        row = run_case(task)
+        case = Kept(cases / name_of(task))
+        case = case if case.is_current else made(task, cases)
     except Exception as error:  # one case must not stop a thousand others
-        row = dict(zip(("seeds", "slice", "level", "kind", "number"), task)) | {
-            "case": kept(task, Path(out)).stem, "failed": f"{type(error).__name__}: {error}"[:300],
-        }  # fmt: skip
-    row["code"] = made_by
+        return {"case": name_of(task), "failed": f"{type(error).__name__}: {error}"[:300]}
+    return {"case": name_of(task), "hidden": case.truth["hidden"], "seconds": case.truth["truth_seconds"]}
+
+
+def work(job: Job) -> dict[str, Any]:
+    """Make a case if it is not there, and judge it. One that fails says so in its row, and is tried again."""
+    row = make(job)
+    return written(row, job) if "failed" in row else judge(job)
+
+
+def judge(job: Job) -> dict[str, Any]:
+    """Judge a case that was made, and write its row."""
+    task, cases = job[0], Path(job[1])
+    try:
+        row = judge_case(Kept(cases / name_of(task)))
+    except Exception as error:  # one case must not stop a thousand others
+        row = {"case": name_of(task), "failed": f"{type(error).__name__}: {error}"[:300]}
+    return written(row, job)
+
+
+def written(row: dict[str, Any], job: Job) -> dict[str, Any]:
+    """Write a row, marked with what judged it, and return it."""
+    task, _, out, judged_by = job
+    row = row | dict(zip(("seeds", "slice", "level", "kind", "number"), task)) | {"code": judged_by}
     path = kept(task, Path(out))
     half = path.with_suffix(f".{os.getpid()}.part")
     half.write_text(json.dumps(row) + "\n", encoding="utf-8")
     half.replace(path)
     return row
+
+
+def judge_case(case: Kept) -> dict[str, Any]:
+    """Diagnose a case that was made, and judge what is said of it."""
+    if case.truth["slice"] == "learned":
+        from benches.bank.judge_learned import judge_learned
+
+        return judge_learned(case)
+    return judge_modelled(case)
+
+
+def judge_modelled(case: Kept) -> dict[str, Any]:
+    """Diagnose a case with the model of its body, and judge it."""
+    from benches.bank.bodies import body_of
+    from benches.bank.judge import alike, judged
+    from benches.bank.judge_family import by_family, names_alike
+    from softmap_edge import _core
+    from softmap_edge.diagnosis.diagnose import diagnose
+
+    truth, run = case.truth, case.run()
+    hidden, kind = truth["hidden"], truth["kind"]
+    model = body_of(truth["slice"]).model()
+    registry = _core.effects()
+    library = [e["name"] for e in registry if kind != "removed" or e["name"] not in hidden]
+    expressible = {e["name"] for e in registry if not model.lacking(e["name"])}
+    started = time.process_time()
+    first = diagnose(model, run, effects=library)
+    seconds = time.process_time() - started
+    one, several = (
+        names_alike(alike(registry, orientations, roll=not truth["clouds"]), truth) for orientations in (1, 2)
+    )
+    like = several if len(np.unique(run.gravity, axis=0)) > 1 else one
+    verdict = judged(hidden, first.to_dict(), like, expressible, truth["also"])
+    last = first
+    if kind == "rivals":
+        last = diagnose(model, [run, case.run("whole")], effects=library)
+        verdict = judged(hidden, last.to_dict(), several, expressible, truth["also"]) | {"at_first": verdict}
+        like = several
+    error, fall = (None, None) if "judge" not in case.runs else fallen(case, model, first.model)
+    return {
+        **truth, **verdict, **by_family(last.to_dict(), truth, like),
+        "error_mm": error, "fall": fall, "frames": int(run.t_seen.size), "sentence": last.sentence,
+        "ladder": last.to_dict()["error"], "unexplained": last.to_dict()["unexplained"], "seconds": round(seconds, 2),
+    }  # fmt: skip
+
+
+def off(model: Any, run: Run) -> float:
+    """Return how far (mm RMS) a model is from the points that a run shows."""
+    from benches.bank.watch import rms
+
+    points = run.vertices if run.vertices is not None else run.markers
+    return rms(model.predict(run) - points, run.visible)
+
+
+def fallen(case: Kept, before: Any, after: Any) -> tuple[dict[str, float], float | None]:
+    """Return the errors (mm) on a run of another kind, and the share of what is removable that is gone."""
+    judge = case.run("judge")
+    error = {"before": off(before, judge), "after": off(after, judge), "floor": off(before, case.run("twin"))}
+    removable = error["before"] - error["floor"]
+    return error, (error["before"] - error["after"]) / removable if removable > 0.05 else None

@@ -25,17 +25,14 @@ fn columns(series: &Series, channel: usize, emit: Emit) {
     let Some(orientation) = &series.orientation else {
         return;
     };
-    let mut codes = orientation.clone();
-    codes.sort_unstable();
-    codes.dedup();
-    if !(2..=MOST).contains(&codes.len()) {
+    if !(2..=MOST).contains(&series.orientations.len()) {
         return;
     }
     let most = PLAUSIBLE * series.half[channel];
     let mut out = vec![0.0; series.samples()];
     let terms: [fn(f64) -> f64; 3] = [|_| 1.0, |x| x, |x| x * x];
     for term in terms {
-        for code in &codes[1..] {
+        for code in &series.orientations[1..] {
             let samples = out.iter_mut().zip(orientation).zip(&series.x[channel]);
             for ((out, now), x) in samples {
                 *out = if now == code { most * term(*x) } else { 0.0 };

@@ -22,11 +22,14 @@ pub struct Series {
     pub(super) share: Vec<f64>,
     pub(super) temperature: Option<Vec<f64>>,
     pub(super) orientation: Option<Vec<i64>>,
+    /// Codes of the orientations of this run, and of others that are fitted together with it; rising.
+    pub(super) orientations: Vec<i64>,
 }
 
 impl Series {
     /// Create a series from `v` (T, C) mm at `t` (T,) s, with `middle` and `half` range (C,) mm of each channel.
-    /// Optional conditions: `temperature` (T,) °C, and integer codes of the `orientation` (T,).
+    /// Optional conditions: `temperature` (T,) °C, and integer codes of the `orientation` (T,),
+    /// one of `orientations`.
     pub fn new(
         v: &[f64],
         t: Vec<f64>,
@@ -34,6 +37,7 @@ impl Series {
         half: Vec<f64>,
         temperature: Option<Vec<f64>>,
         orientation: Option<Vec<i64>>,
+        orientations: Option<Vec<i64>>,
     ) -> Result<Series> {
         let (samples, channels) = (t.len(), half.len());
         if samples < 2 || channels == 0 || v.len() != samples * channels {
@@ -74,6 +78,9 @@ impl Series {
                 half[c]
             )));
         }
+        let mut orientations = orientations.or_else(|| orientation.clone()).unwrap_or_default();
+        orientations.sort_unstable();
+        orientations.dedup();
         let channel =
             |c: usize| -> Vec<f64> { v.iter().skip(c).step_by(channels).copied().collect() };
         let v: Vec<Vec<f64>> = (0..channels).map(channel).collect();
@@ -92,6 +99,7 @@ impl Series {
             share,
             temperature,
             orientation,
+            orientations,
         })
     }
 

@@ -1,6 +1,7 @@
 //! Temperature: the error follows the temperature declared in the run.
 
 use super::declaration::*;
+use super::operators::pole;
 use super::series::Series;
 
 pub static FAMILY: Family = Family {
@@ -19,7 +20,12 @@ const LEAST: f64 = 0.5;
 /// Scale of the x column, as a share of the half range: gain error caused by the unknown reference temperature.
 const REFERENCE: f64 = 0.3;
 
-/// z, zx, z²x, zx|x|, z² and x, with z = (temperature − mean)/range; mm. The reference temperature is unknown, hence x.
+/// Time constants of a body that follows the temperature late, s; of creep whose strength follows the temperature, s.
+const LATE: [f64; 2] = [30.0, 100.0];
+const CREEP: [f64; 2] = [5.0, 30.0];
+
+/// z, zx, z²x, zx|x|, z², x, pole(z)x and z(pole(x) − x), with z = (temperature − mean)/range; mm. The reference
+/// temperature is unknown, hence x.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let Some(temperature) = &series.temperature else {
         return;
@@ -46,6 +52,22 @@ fn columns(series: &Series, channel: usize, emit: Emit) {
     for term in terms {
         for ((out, t), x) in out.iter_mut().zip(temperature).zip(x) {
             *out = half * term((t - mean) / (high - low), *x);
+        }
+        emit(&out);
+    }
+    let z: Vec<f64> = temperature.iter().map(|t| (t - mean) / (high - low)).collect();
+    let mut passed = vec![0.0; z.len()];
+    for tau in LATE {
+        pole(&z, &series.dt, tau, &mut passed);
+        for ((out, late), x) in out.iter_mut().zip(&passed).zip(x) {
+            *out = half * late * x;
+        }
+        emit(&out);
+    }
+    for tau in CREEP {
+        pole(x, &series.dt, tau, &mut passed);
+        for (((out, crept), x), z) in out.iter_mut().zip(&passed).zip(x).zip(&z) {
+            *out = half * z * (crept - x);
         }
         emit(&out);
     }

@@ -52,9 +52,10 @@ pub struct PySeries {
 
 #[pymethods]
 impl PySeries {
-    /// `v` (T, C) mm, `t` (T,) s, `middle` and `half` range (C,) mm, `temperature` (T,) °C, integer codes of `orientation` (T,).
+    /// `v` (T, C) mm, `t` (T,) s, `middle` and `half` range (C,) mm, `temperature` (T,) °C, integer codes of `orientation` (T,);
+    /// `orientations` are the codes of all runs that are fitted together, if this is one of several.
     #[new]
-    #[pyo3(signature = (v, t, middle, half, temperature=None, orientation=None))]
+    #[pyo3(signature = (v, t, middle, half, temperature=None, orientation=None, orientations=None))]
     fn new(
         v: Value<'_, '_>,
         t: Value<'_, '_>,
@@ -62,6 +63,7 @@ impl PySeries {
         half: Value<'_, '_>,
         temperature: Maybe<'_>,
         orientation: Maybe<'_>,
+        orientations: Maybe<'_>,
     ) -> PyResult<PySeries> {
         let t = floats("t", t, &[("T", None)])?.data;
         let samples = Some(t.len());
@@ -76,8 +78,12 @@ impl PySeries {
             None => None,
             Some(value) => Some(integers("orientation", &value)?),
         };
+        let orientations = match orientations {
+            None => None,
+            Some(value) => Some(integers("orientations", &value)?),
+        };
         let (middle, half) = (row("middle", middle)?, row("half", half)?);
-        let series = Series::new(&v.data, t, &middle, half, temperature, orientation)?;
+        let series = Series::new(&v.data, t, &middle, half, temperature, orientation, orientations)?;
         Ok(PySeries { series })
     }
 

@@ -33,7 +33,9 @@ VERBS: list[Verb] = [
     Verb("predict", "look", "shapes for commands", "softmap_edge.commands.look"),
     Verb("effects", "look", "the effects that the library knows", "softmap_edge.commands.look"),
     Verb("compare", "understand", "how far off is the model, and where", "softmap_edge.commands.understand"),
-    Verb("diagnose", "understand", "which effect is missing", "softmap_edge.commands.understand"),
+    Verb(
+        "diagnose", "understand", "which family of effects is missing, and its law", "softmap_edge.commands.understand"
+    ),
     Verb("next", "understand", "which experiment settles what is open", "softmap_edge.commands.experiment"),
     Verb("add", "understand", "add an effect to a bundle", "softmap_edge.commands.understand"),
     Verb("remove", "understand", "remove an effect from a bundle", "softmap_edge.commands.understand"),

@@ -31,29 +31,27 @@ def next_arguments(parser: argparse.ArgumentParser) -> None:
     effects_argument(parser)
     parser.add_argument(
         "--run", action="append", default=[], metavar="RUN",
-        help="a run that the diagnosis was made from (give each); without it blocks are judged less well",
+        help="a run that the diagnosis was made from (repeat for each); without it, blocks are ranked less reliably",
     )  # fmt: skip
     parser.add_argument(
         "--reference", action="append", default=[], metavar="RUN",
-        help="the reference run of a diagnosis that was made with one (give each)",
+        help="the reference run of a diagnosis that was made with one (repeat for each)",
     )  # fmt: skip
     parser.add_argument("--out", metavar="CSV", help="write the commands, for `softmap record`")
     parser.add_argument("--standard", action="store_true", help="the standard protocol for this robot, no diagnosis")
     parser.add_argument(
         "--protocol", choices=["grid", "validation", "paths"],
-        help="no diagnosis, but commands to learn a robot from: a grid of held commands, each reached from a "
-        "neighbour; others to validate; paths with reversals, to test",
+        help="commands to learn a robot from, without a diagnosis: a grid of held commands, each reached from a "
+        "neighbour; held commands for validation; paths with reversals for tests",
     )  # fmt: skip
     parser.add_argument(
-        "--block", action="append", default=[], metavar="NAME", help="write this block, whatever is best"
+        "--block", action="append", default=[], metavar="NAME", help="write this block instead of the best one"
     )
-    parser.add_argument("--minutes", type=float, default=6.0, help="write further blocks up to this long (6)")
+    parser.add_argument("--minutes", type=float, default=6.0, help="total length of the blocks to write (6)")
+    parser.add_argument("--fastest", type=float, metavar="SPEED", help="highest speed, in mm/s or the robot's unit/s")
+    parser.add_argument("--since", metavar="FILE", help="an earlier diagnosis: report what was settled since then")
     parser.add_argument(
-        "--fastest", type=float, metavar="SPEED", help="no faster than this, in mm/s or the robot's unit/s"
-    )
-    parser.add_argument("--since", metavar="FILE", help="an earlier diagnosis: say what has been settled since")
-    parser.add_argument(
-        "--seed", type=int, default=0, help="draws the irregular times of the frames, and what --protocol draws (0)"
+        "--seed", type=int, default=0, help="random seed of the irregular frame times and of --protocol (0)"
     )
 
 
@@ -137,7 +135,7 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
         name = "--standard" if args.standard else "--protocol"
         raise SoftmapError(f"{name} takes no diagnosis; leave one of the two out")
     diagnosis, before = Diagnosis.load(args.diagnosis), args.since and Diagnosis.load(args.since).to_dict()
-    asked = {name for e in [*diagnosis.effects, *diagnosis.rivals] for name in e.get("effects", [e.get("name")])}
+    asked = {e.name for e in diagnosis.effects} | {name for a in diagnosis.alternatives for name in a.effects}
     check_hashes([*asked], diagnosis.made_from.get("python_effects"))
     runs, limits = [open_run(path, model) for path in args.run], _limits(args, model)
     references = [open_run(path, model) for path in args.reference]

@@ -19,7 +19,7 @@ def effects_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
         action="append",
         default=[],
         metavar="FILE.py",
-        help=f"run this file and know its effect; may be repeated{more}",
+        help=f"load a user-defined effect from FILE.py; may be repeated{more}",
     )
 
 

@@ -75,23 +75,29 @@ def compare(args: argparse.Namespace) -> int:
 def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap diagnose`."""
     parser.add_argument(
-        "runs", nargs="+", metavar="run", help="the measured run, .npz or .mcap; several share their effects"
+        "runs", nargs="+", metavar="run", help="the measured run, .npz or .mcap; several runs are fitted together"
     )
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
-    parser.add_argument("--held-out", metavar="RUN", help="an independent run that is never fitted")
+    parser.add_argument(
+        "--held-out",
+        metavar="RUN",
+        help="an independent run, never fitted; effects that do not lower its error are dropped",
+    )
     parser.add_argument(
         "--reference", action="append", metavar="RUN",
-        help="a run of the same commands that stands for the model's own error; several: each run takes its own",
+        help="a run of the same commands before the change; errors are relative to it; repeat for each run",
     )  # fmt: skip
-    effects_argument(parser, "; NAME,NAME: look for these only, and for those of the files")
+    effects_argument(parser, "; NAME,NAME: test only these effects and those of the files")
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
     parser.add_argument("--out", metavar="FILE", help="write the diagnosis as JSON, for `softmap add --from`")
-    parser.add_argument("--since", metavar="FILE", help="an earlier diagnosis: say what has been settled since")
-    parser.add_argument("--seed", type=int, default=0, help="kept in the document")
+    parser.add_argument("--since", metavar="FILE", help="an earlier diagnosis: report what was settled since then")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="stored in the document; the method draws nothing at random"
+    )
 
 
 def diagnose(args: argparse.Namespace) -> int:
-    """Name the effect that a model lacks; 0 whatever the verdict, since silence and doubt are answers."""
+    """Name the family of effects that a model lacks, and its law; return 0 whatever the verdict."""
     from softmap_edge.diagnosis.diagnose import diagnose as find
     from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.report.progress import progress_lines

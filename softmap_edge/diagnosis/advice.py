@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.diagnosis.collinear import collinear_conditions, tied_channels
 from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions, last_direction, orientations
-from softmap_edge.diagnosis.floor import replicates as dwelt
-from softmap_edge.diagnosis.noise import LONG_DWELL
+from softmap_edge.diagnosis.floor import commanded, noise_of_points
+from softmap_edge.diagnosis.repeats import LONG_DWELL
 from softmap_edge.folds import LEAST_FRAMES
 from softmap_edge.run import Run, known
 
@@ -61,9 +62,9 @@ def advice(run: Run, home_visits: int) -> list[Word]:
         return [
             Word("frames", False, "anything: no frame was seen", "record what the cameras see with the commands", 4.0)
         ]
-    u = _commanded(run)
+    u = commanded(run)
     state = conditions(run, u)
-    words = [_enough(run.frames), _noise(run, state), _home(run, home_visits)]
+    words = [_enough(run.frames), _noise(run), _home(run, home_visits)]
     words += [] if run.output is not None else [_orientation(run), *_points(run)]  # outputs have no body
     words += _drive(u)
     if words[-1].about != "drive":
@@ -79,7 +80,7 @@ def asked(runs: Sequence[Run], frames: int, replicates: bool) -> list[str]:
         runs: that are diagnosed together: what one of them tells is told. frames: that were used of all.
         replicates: whether dwells told the noise.
     """
-    words = [_enough(frames), *_drive(np.concatenate([_commanded(run) for run in runs]))]
+    words = [_enough(frames), *_drive(np.concatenate([commanded(run) for run in runs]))]
     if not replicates:
         words.append(_guessed(next((run.sigma for run in runs if run.sigma is not None), None)))
     leaning = [run for run in runs if run.gravity is None and run.output is None]
@@ -110,15 +111,14 @@ def _enough(frames: int) -> Word:
     return Word("frames", True, f"whether an effect helps on what was not fitted: {frames} frames can be held out")
 
 
-def _noise(run: Run, state: Conditions) -> Word:
+def _noise(run: Run) -> Word:
     seen = run.vertices if run.vertices is not None else run.markers
     if seen is None:
         return Word("noise", False, "the noise: the points of clouds have no identity", "register them to a template")
-    visible = known(run, seen)
-    found = dwelt(state, np.where(visible[..., None], seen, 0.0), visible) if run.channels else None
+    found = noise_of_points(run)
     if found is not None:
-        size = f"{found[0]:.2g} mm" if run.output is None else f"{run.output.value(found[0]):.2g} {run.output.unit}"
-        return Word("noise", True, f"noise from physics: the noise is {size}, from {found[1]}")
+        size = f"{found.mm:.2g} mm" if run.output is None else f"{run.output.value(found.mm):.2g} {run.output.unit}"
+        return Word("noise", True, f"noise from physics: the noise is {size}, from {found.source}")
     return _guessed(run.sigma)
 
 
@@ -168,11 +168,6 @@ def _points(run: Run) -> Iterator[Word]:
         yield Word("markers", False, text, "glue a marker or two beside the line, 10 mm or more", None)
 
 
-def _commanded(run: Run) -> Floats:
-    rows = run.command if run.command is not None else run.ticks
-    return np.zeros((len(run.t), 0)) if rows is None else np.asarray(rows, float)
-
-
 def _drive(u: Floats) -> list[Word]:
     if u.shape[1] == 0:
         remedy = "send commands and log them with the frames"
@@ -191,7 +186,11 @@ def _channels(u: Floats) -> Iterator[Word]:
         text = f"anything about channel {named}: it never moves"
         yield Word("channels", False, text, "move it to both ends of its range and back", float(len(still)))
     alive = np.flatnonzero(span > 1e-9 * span.max())
-    if len(alive) > 1:
+    tied = [group for group in tied_channels(u) if len(group.channels) > 2]  # a pair is told by its correlation
+    for group in tied:
+        text = f"what one channel of a group does by itself (gain, play, friction): {group}"
+        yield Word("channels", False, text, group.remedy, float(len(group.channels)))
+    if len(alive) > 1 and not tied:
         r = np.abs(np.corrcoef(u[:, alive].T)) - np.eye(len(alive))
         pair = np.unravel_index(int(np.argmax(r)), r.shape)
         if r[pair] > TOGETHER:
@@ -199,7 +198,8 @@ def _channels(u: Floats) -> Iterator[Word]:
             text = f"channel {one} from channel {two}: they move together (correlation {r[pair]:.2f})"
             yield Word("channels", False, text, "move each channel alone, the others at rest", float(len(alive)))
         elif not len(still):
-            yield Word("channels", True, f"one channel from another: none of the {len(alive)} follows another")
+            text = f"one channel from another: all {len(alive)} move independently"
+            yield Word("channels", True, text)
     one_sided = [c for c in alive if u[:, c].min() > -0.05 * u[:, c].max() or u[:, c].max() < -0.05 * u[:, c].min()]
     if one_sided:
         named = ", ".join(map(str, one_sided))
@@ -253,11 +253,16 @@ def _direction(state: Conditions) -> Word:
 
 
 def _temperature(run: Run) -> Word:
-    remedy = "log a thermometer beside the silicone, and go on until it has warmed by 5 °C"
+    remedy = "log a thermometer beside the silicone; warm it up by 5 °C while it moves, and let it cool down again"
     if run.temperature is None:
         return Word("temperature", False, "softening by warmth from creep: no temperature is logged", remedy, 15.0)
     change = float(np.ptp(run.temperature))
     if change < WARMING:
         text = f"softening by warmth from creep: the temperature changes by {change:.1f} °C only"
         return Word("temperature", False, text, remedy, 15.0)
+    for confused in collinear_conditions(run):
+        if confused.condition == "temperature":
+            other = "drift over time" if confused.with_ == "time" else "effects of the commands"
+            text = f"softening by warmth from {other}: the temperature follows {confused.like}"
+            return Word("temperature", False, text, confused.remedy, 15.0)
     return Word("temperature", True, f"softening by warmth from creep: the temperature changes by {change:.1f} °C")

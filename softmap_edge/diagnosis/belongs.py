@@ -1,8 +1,9 @@
 """Whether a run is one of this model's robot under these commands: units, frame, handedness, order of points, clocks.
 
 What is asked is gross, so that no missing physics can be meant: each limit lies beyond what any effect of the library
-does. A run that fails is refused with its numbers and the remedy; a fault that a diagnosis can fit (a base that is
-misaligned by 2 mm, a swapped servo, a clock 0.2 s late) passes.
+does, and a memory as strong as a play over most of the range is no fault (`remembered.py`). A run that fails is refused
+with its numbers and the remedy; a fault that a diagnosis can fit (a base that is misaligned by 2 mm, a swapped servo, a
+clock 0.2 s late) passes.
 
     follows = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²     s seen, p predicted points, means over the frames
 
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.alignment.rigid import kabsch, rotation_vector
 from softmap_edge.diagnosis.conditions import conditions
+from softmap_edge.diagnosis.remembered import centred, remembered
 from softmap_edge.errors import RunError
 from softmap_edge.logs.plausible import doubts_of_time
 from softmap_edge.outside import beyond
@@ -43,7 +45,9 @@ FAR, STEADY = 1.5, 3.0  # times what is fitted as a mount, and the scatter over 
 BETTER = 0.5  # of the distance between seen and predicted that such a move must leave at most
 LARGER = 4.0  # times as far as the commands say, or as little: no gain is that wrong
 ALIKE = 0.8  # share of the motion that is followed where a cause is named
+STILL, ALONG = 0.08, 0.02  # of the expected motion: in all, and along it; a play of 1.9 half ranges leaves 0.05
 MOTION = 0.04  # of the body's length: less motion (RMS) says nothing about what drives it
+NEARLY = 0.1  # of the motion: explained as well as by another cause
 FOLLOWED = 0.6  # share of the motion below which a run is not one of these commands
 MENDED = 0.3  # of the error that gravity the other way round must leave at most
 LATE = 2.0  # s: a delay up to here is asked of the effects
@@ -98,13 +102,14 @@ def belongs(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floa
     _in_order(model, rest, s, v)
     _in_place(model, rest, s, v, p)
     _upside_down(model, run.at(some), s, v, p)
-    motion = _centred(s, v)
+    motion = centred(s, v)
     if float(np.sqrt(np.mean(np.sum(motion[v] ** 2, axis=1)))) < MOTION * length or not model.channels:
         return []
-    answer = _centred(p, v)
+    answer = centred(p, v)
     both = float(np.sum(motion * answer))
     power, moved = float(np.sum(answer**2)), float(np.sum(motion**2))
-    if power > 0 and both > ALIKE * np.sqrt(power * moved) and not 1 / LARGER < both / power < LARGER:
+    other = power > 0 and both > ALIKE * np.sqrt(power * moved) and not 1 / LARGER < both / power < LARGER
+    if other and remembered(model, run.at(some), s, v).share < ALIKE:
         raise RunError(
             f"the points move {both / power:.3g} times as far as the commands say, in the same way: the commands "
             f"are in another unit than {model.command_unit} (cm, m, deg or ticks?) or of another robot; set `unit` in "
@@ -117,15 +122,29 @@ def belongs(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floa
 
 def follows(left: Floats, seen: Floats, visible: Mask) -> float:
     """Return which share of the motion of points (K, N, 3) is not `left` (K, N, 3)."""
-    moved = float(np.sum(_centred(seen, visible) ** 2))
-    return 1.0 - float(np.sum(_centred(left, visible) ** 2)) / max(moved, 1e-300)
+    moved = float(np.sum(centred(seen, visible) ** 2))
+    return 1.0 - float(np.sum(centred(left, visible) ** 2)) / max(moved, 1e-300)
 
 
-def _centred(points: Floats, visible: Mask) -> Floats:
-    """Return points (K, N, 3) about the mean of each over the frames that show it; 0 where one was not seen."""
-    shown = np.where(visible[..., None], points, 0.0)
-    mean = shown.sum(axis=0) / np.maximum(visible.sum(axis=0), 1)[:, None]
-    return np.where(visible[..., None], shown - mean, 0.0)
+def still(seen: Floats, visible: Mask, expected: Floats, length: float) -> str | None:
+    """Say so where the robot does not follow its commands at all.
+
+    Args:
+        seen, expected: points (K, N, 3) mm. visible: (K, N). length: of the body, mm.
+    """
+    wanted = spread(expected, visible)
+    if wanted < MOTION * length:
+        return None
+    moved, answer = centred(seen, visible), centred(expected, visible)
+    along = float(np.sum(moved * answer)) / max(float(np.sum(answer**2)), 1e-300)
+    got = spread(seen, visible)
+    if got > STILL * wanted or abs(along) > ALONG:
+        return None
+    return (
+        f"The robot does not follow its commands: they should move its points by {wanted:.3g} mm RMS, and the points "
+        f"move by {got:.2g} mm RMS, of which {100 * abs(along):.1f} % go with the commands. No effect is named. Check "
+        "that the drive is engaged (power, torque, tendons attached), and that the frames are of this recording."
+    )
 
 
 def _in_reach(model: Model, run: Run, predicted: Floats, length: float) -> None:
@@ -241,22 +260,27 @@ def _other_cause(model: Model, run: Run, seen: Floats, visible: Mask) -> None:
     turned = {n: -getattr(run, n) for n in ("command", "present") if getattr(run, n) is not None}
     other = np.asarray(model.predict(replace(run, **turned).at(some)))
     share = follows(seen - other, seen, visible)
+    late, later = _clock(model, run, seen, visible, run.t_seen[some])
+    if max(share, later) > ALIKE and remembered(model, run.at(some), seen, visible).free > max(share, later) - NEARLY:
+        return
     if share > ALIKE:
         raise RunError(
             f"with the opposite sign the commands explain {100 * share:.0f} % of the motion, as they are far "
             "less: every channel pulls the other way; set sign = -1 in the mapping"
         )
-    late, share = _clock(model, run, seen, visible, run.t_seen[some])
-    if share > ALIKE and abs(late) > LATE:
+    if later > ALIKE and abs(late) > LATE:
         raise RunError(
-            f"the commands explain {100 * share:.0f} % of the motion with the frames {abs(late):.4g} s "
+            f"the commands explain {100 * later:.0f} % of the motion with the frames {abs(late):.4g} s "
             f"{'earlier' if late > 0 else 'later'}, as they are far less: bring both to one clock "
             "(`clock` in the mapping)"
         )
 
 
 def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tuple[float, float]:
-    """Return by how many s the frames are late, and which share of the motion the commands explain then."""
+    """Return by how many s the frames are late, and which share of the motion the commands explain then.
+
+    A periodic command fits again a period later: of shifts that explain nearly as much the smallest counts.
+    """
     grid = np.linspace(run.t[0], run.t[-1], TIMES)
     blank: dict[str, Any] = {
         "vertices": None,
@@ -269,9 +293,9 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
     name = "vertices" if run.vertices is not None else "markers"
     blank |= {name: np.full((TIMES, *seen.shape[1:]), np.nan), "visible": np.zeros((TIMES, seen.shape[1]), bool)}
     played = np.asarray(model.predict(replace(run, extra={}, **blank)))
-    motion = _centred(seen, visible)
+    motion = centred(seen, visible)
     ones = np.argsort(-np.sum(motion**2, axis=(0, 2)))[:3]  # the points that move most
-    best = (0.0, -np.inf)
+    found = [(0.0, -np.inf)]
     for late in np.linspace(-1.0, 1.0, 2 * TIMES + 1) * (grid[-1] - grid[0]):
         inside = (t - late >= grid[0]) & (t - late <= grid[-1])
         if inside.sum() < max(30, 0.4 * len(t)):
@@ -279,8 +303,16 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
         at = np.clip(np.rint((t[inside] - late - grid[0]) / (grid[1] - grid[0])).astype(int), 0, TIMES - 1)
         s, v = seen[inside][:, ones], visible[inside][:, ones]
         share = follows(s - played[at][:, ones], s, v)
-        best = max(best, (float(late), share), key=lambda pair: pair[1])
-    return best
+        found.append((float(late), share))
+    most = max(share for _, share in found)
+    rounds: list[list[tuple[float, float]]] = [[]]
+    for pair in sorted(found):
+        if pair[1] >= most - NEARLY:
+            rounds[-1].append(pair)
+        elif rounds[-1]:
+            rounds.append([])
+    tops = [max(part, key=lambda pair: pair[1]) for part in rounds if part]
+    return min(tops, key=lambda pair: abs(pair[0]))
 
 
 def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
@@ -360,4 +392,4 @@ def _beside(columns: Floats, values: Floats) -> Floats:
 
 def spread(left: Floats, visible: Mask) -> float:
     """Return the RMS mm of what is left (K, N, 3) about its mean over these frames."""
-    return float(np.sqrt(np.sum(_centred(left, visible) ** 2) / max(int(visible.sum()), 1)))
+    return float(np.sqrt(np.sum(centred(left, visible) ** 2) / max(int(visible.sum()), 1)))

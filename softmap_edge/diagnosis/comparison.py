@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.conditions import Cell, cells, conditions
-from softmap_edge.diagnosis.floor import BOUND, noise_floor, rms
+from softmap_edge.diagnosis.floor import BOUND, commanded, memoryless_floor, noise_floor, rms
 from softmap_edge.errors import ComparisonError
 from softmap_edge.run import Run, known
 from softmap_edge.views import members, roll_seen, without_roll
@@ -48,6 +48,23 @@ class Bin:
 
 
 @dataclass(frozen=True)
+class MemorylessFloor:
+    """The error in mm RMS below which no model without memory can go, and what shows it.
+
+    `poses` were met again, in so many `passages` and `frames`.
+    """
+
+    mm: float
+    poses: int
+    passages: int
+    frames: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain numbers."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
 class Comparison:
     """The error of one model on one run; prints itself, and `to_dict()` is the document softmap.comparison/1."""
 
@@ -59,6 +76,7 @@ class Comparison:
     where: dict[str, list[Bin]]
     worst: dict[str, Any]
     made_from: dict[str, Any]
+    memoryless: MemorylessFloor | None = None  # None where too few poses are repeated
 
     def __str__(self) -> str:
         from softmap_edge.report.comparison_text import comparison_text
@@ -84,6 +102,7 @@ class Comparison:
             "frames": self.frames,
             "error": {key: value if math.isfinite(value) else None for key, value in self.error.items()},
             "noise_floor_mm": self.noise_floor_mm,
+            "memoryless_floor": None if self.memoryless is None else self.memoryless.to_dict(),
             "where": {name: [row.to_dict() for row in rows] for name, rows in self.where.items()},
             "worst": self.worst,
             "made_from": self.made_from,
@@ -119,6 +138,7 @@ class Comparison:
                 where=where,
                 worst=dict(document["worst"]),
                 made_from=dict(document["made_from"]),
+                memoryless=_memoryless(document.get("memoryless_floor")),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ComparisonError(
@@ -163,7 +183,9 @@ def compare(model: Model, run: Run) -> Comparison:
         "max_mm": float(np.max(distance)),
         "tip_rms_mm": rms(np.sum((tip_predicted - tip_seen)[with_tip] ** 2, axis=1)),
     }
-    floor, kind = noise_floor(state, seen, visible, predicted, template(model, seen))
+    stands = conditions(run, commanded(run))
+    floor, kind = noise_floor(stands, seen, visible, predicted, template(model, seen))
+    repeats = memoryless_floor(run, state, seen, visible)
     return Comparison(
         run={"robot": run.robot or "not named", "sha256": run.hash()},
         bundle={"robot": model.robot, "effects": list(model.chain_names), "sha256": _model_digest(model)},
@@ -173,6 +195,9 @@ def compare(model: Model, run: Run) -> Comparison:
         where=where,
         worst=_worst(where, squared, visible, run),
         made_from=_made_from(kind, model, run),
+        memoryless=None
+        if repeats is None
+        else MemorylessFloor(repeats.mm, repeats.poses, repeats.passages, repeats.frames),
     )
 
 
@@ -299,6 +324,13 @@ def _made_from(kind: str, model: Model, run: Run) -> dict[str, Any]:
 def _length(value: Any) -> float:
     """Read a length; null is one that is not known, as the tip's where the tip is never seen."""
     return math.nan if value is None else float(value)
+
+
+def _memoryless(entry: Any) -> MemorylessFloor | None:
+    """Read the floor of models without memory; documents of before have none."""
+    if entry is None:
+        return None
+    return MemorylessFloor(float(entry["mm"]), *(int(entry[key]) for key in ("poses", "passages", "frames")))
 
 
 def _bin(row: Any) -> Bin:

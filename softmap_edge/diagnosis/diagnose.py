@@ -17,17 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.advice import asked
-from softmap_edge.diagnosis.conclusion import conclude, parameters
+from softmap_edge.diagnosis.conclusion import Context, conclude, parameters
 from softmap_edge.diagnosis.declared import strange, wrong_load, wrong_sign
 from softmap_edge.diagnosis.document import Diagnosis, with_error
 from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unseen
+from softmap_edge.diagnosis.findings import plain
 from softmap_edge.diagnosis.fit import Fit
+from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.masked import masked
 from softmap_edge.diagnosis.prepare import candidates_of, problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
-from softmap_edge.diagnosis.rivals import earliest, simplest
-from softmap_edge.diagnosis.search import Search
+from softmap_edge.diagnosis.search import search
 from softmap_edge.diagnosis.servo import servos
 from softmap_edge.diagnosis.sound import sound_record, stray
 from softmap_edge.diagnosis.wording import OwnMisfit
@@ -76,7 +77,8 @@ def diagnose(
             commands: each takes the one whose commands agree.
 
     Returns:
-        Diagnosis: verdict, effects with parameters and sigma, rivals, what cannot be told, the held-out error ladder.
+        Diagnosis: verdict, families, effects with parameters and sigma, alternatives, what this run cannot show, the
+        held-out error ladder.
 
     Raises:
         SoftmapError: too few frames, unknown effects, a run of another robot, a reference of other commands.
@@ -86,39 +88,41 @@ def diagnose(
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = candidates_of(record, registry, effects)
     problem = problem_of(record, candidates)
-    search = Search(problem, candidates, progress)
-    fit = search.run()
-    if model.kind == "rod":
-        fit = simplest(search, fit)
-    fit = earliest(search, fit, lambda name: equivalents(record, name, registry))
-    other = None if held_out is None else _judge(model, held_out, library, reference)
+    outcome = search(problem, candidates, progress)
+    other = None if held_out is None else _validation(model, held_out, library, reference)
+    fit = outcome.fit
     demoted: list[str] = []
     if other is not None:
-        fit, demoted = _demote(search, fit, lambda f: _error_on(f, other), 0.995)
+        fit, demoted = _demote(outcome.fits, fit, lambda f: _error_on(f, other), 0.995)
     else:  # form error can swallow what a static effect does wrong on unseen blocks; in mm it shows
-        fit, demoted = _demote(search, fit, search.held_out_mm, 1.0)
+        fit, demoted = _demote(outcome.fits, fit, outcome.fits.held_out_mm, 1.0)
+        if demoted:  # what stood in its place is looked for again
+            outcome = search(problem, [name for name in candidates if name not in demoted], progress)
+            fit, more = _demote(outcome.fits, outcome.fit, outcome.fits.held_out_mm, 1.0)
+            demoted += more
     own = _own_misfit(record) if record.replay is None else None  # wrong numbers of its own cancel out too
-
-    gone = stray(record, fit)
+    context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), seed)
+    gone = stray(record, outcome.state.predicted if outcome.state.beside else fit.predicted)
+    values = conclude(outcome, fit, context)
     if gone is None:
-        document = conclude(search, fit, other, demoted, impossible, own, seed, masked(search, fit))
-        if strange(document, any(run.load is not None and np.any(run.load) for run in record.whole)):
-            error, again = search.held_out_mm(fit), partial(_again, model, candidates=candidates, library=library)
+        loaded = any(run.load is not None and np.any(run.load) for run in record.whole)
+        if strange(plain(values), loaded):
+            error, again = outcome.fits.held_out_mm(fit), partial(_again, model, candidates=candidates, library=library)
             gone = wrong_sign(record, error, again) or wrong_load(record, error, again)
     if gone is not None:
-        fit = search.null
-        document = conclude(search, fit, other, (), impossible, own, seed, masked(search, fit))
-        document |= {"verdict": "measurement_fault", "sentence": gone, "rivals": []}
-    document["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
+        fit = outcome.plain.null
+        values |= {"verdict": "measurement_fault", "sentence": gone, "alternatives": (), "effects": (), "faults": ()}
+        values |= {"families": ()}
+    values["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
     if model.output is not None:  # how reports turn the model's mm back into the output's unit
-        document["made_from"] = {**document["made_from"], "output": model.output.to_dict()}
+        values["made_from"] = {**values["made_from"], "output": model.output.to_dict()}
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     remarks += [] if record.replay is None else [TWICE]
     whole = [converted(model, run) for run in record.whole]
     remarks += [] if library is not None else asked(whole, len(record), problem.noise.replicates)
     encoded = [run for run in whole if run.present is not None] if library is None else []
-    told = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
-    return Diagnosis(**document, servo=told, remarks=remarks, model=with_error(found, document["effects"]))
+    behind = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
+    return Diagnosis(**values, servo=tuple(behind), remarks=tuple(remarks), model=with_error(found, values["effects"]))
 
 
 def _apart(run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequence[Run] | None) -> None:
@@ -154,7 +158,7 @@ def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[
     fit = problem.fit(own, [now, space.start], free=own)
     sigma = problem.uncertainty(fit, max(1.0, fit.chi2 / max(1.0, problem.numbers)))
     document = {
-        "params": parameters(record, fit, sigma, own),
+        "params": plain(parameters(record, fit, sigma, own)),
         "before_rms_mm": record.rms_mm(record.seen - before.predicted),
         "after_held_out_rms_mm": problem.held_out_mm(problem.fold_predictions(fit)),
     }
@@ -212,11 +216,11 @@ def _shared(fit: Fit) -> dict[str, float]:
 
 def _again(model: Model, runs: Sequence[Run], candidates: Sequence[str], library: Any) -> float:
     """Return the held-out error mm that a search leaves on other runs."""
-    search = Search(problem_of(record_of(model, runs, library), candidates), candidates)
-    return search.held_out_mm(search.run())
+    outcome = search(problem_of(record_of(model, runs, library), candidates), candidates)
+    return outcome.plain.held_out_mm(outcome.plain.get(outcome.fit.effects, outcome.fit.space.split))
 
 
-def _judge(model: Model, held_out: Run, library: Any, reference: Run | Sequence[Run] | None) -> Record:
+def _validation(model: Model, held_out: Run, library: Any, reference: Run | Sequence[Run] | None) -> Record:
     """Return the run that nothing is fitted to, relative to a reference if the others are."""
     try:
         return sound_record(model, held_out, library, reference)[0]
@@ -255,11 +259,11 @@ def _error_on(fit: Fit, other: Record) -> float:
     return other.rms_mm(other.seen - fit.on(other))
 
 
-def _demote(search: Search, fit: Fit, error: Callable[[Fit], float], share: float) -> tuple[Fit, list[str]]:
+def _demote(fits: Fits, fit: Fit, error: Callable[[Fit], float], share: float) -> tuple[Fit, list[str]]:
     """Drop members, or all at once, while the `error` (mm, on what was not fitted) is at most `share` without them."""
     demoted: list[str] = []
     while fit.effects:
-        rests = [search.null, *(search.get(frozenset(fit.effects) - {e}) for e in fit.effects)]
+        rests = [fits.null, *(fits.without(fit, e) for e in fit.effects)]
         best = min(rests, key=error)
         if error(best) > share * error(fit):
             break

@@ -1,7 +1,7 @@
-"""The document softmap.diagnosis/1: what a diagnosis says, as an object that prints itself, reads and writes itself.
+"""The document softmap.diagnosis/2: what a diagnosis says, as an object that prints itself, reads and writes itself.
 
-It comes from files that nobody vouches for: everything is checked where it is read. Pinned by tests/test_diagnosis.py
-and tests/test_mutated_files.py.
+Documents of schema 1 are read as well. They come from files that nobody vouches for: everything is checked where it is
+read. Pinned by tests/test_diagnosis.py and tests/test_mutated_files.py.
 """
 
 from __future__ import annotations
@@ -16,40 +16,62 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.chain_labels import valued
-from softmap_edge.errors import SoftmapError, brief
-from softmap_edge.report.text import SCHEMA, VERDICTS, check_diagnosis, diagnosis_text
+from softmap_edge.diagnosis.findings import (
+    Alternative,
+    ErrorLadder,
+    FamilyFinding,
+    Finding,
+    NextBlock,
+    ServoFinding,
+    Unexplained,
+    Untestable,
+    Where,
+    plain,
+    read,
+)
+from softmap_edge.errors import ReportError, SoftmapError, brief
 from softmap_edge.whole_file import read_document
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
 
+SCHEMA, BEFORE = "softmap.diagnosis/2", "softmap.diagnosis/1"
+VERDICTS = {
+    "identified": "identified",
+    "ambiguous": "ambiguous: more than one explanation fits",
+    "partly_explained": "partly explained: something unknown is left",
+    "nothing": "nothing above the floor",
+    "cannot_tell": "these data cannot tell",
+    "measurement_fault": "measurement fault",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What a run says about a model; prints itself, and `to_dict()` is the document softmap.diagnosis/1.
+    """What a run says about a model; prints itself, and `to_dict()` is the document softmap.diagnosis/2.
 
     `model` is the model with the accepted effects added; None after `from_dict`.
     """
 
     verdict: str
-    sentence: str
-    effects: list[dict[str, Any]]
-    faults: list[dict[str, Any]]
-    rivals: list[dict[str, Any]]
-    not_testable: list[dict[str, Any]]
-    where: dict[str, Any]
-    error: dict[str, Any]
-    unexplained: dict[str, Any]
-    next: list[dict[str, Any]]
-    made_from: dict[str, Any]
-    servo: list[dict[str, Any]] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)  # on the run itself: what was set aside, what it cannot tell
+    sentence: str = ""
+    effects: tuple[Finding, ...] = ()
+    faults: tuple[Finding, ...] = ()
+    families: tuple[FamilyFinding, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
+    not_testable: tuple[Untestable, ...] = ()
+    where: Where = field(default_factory=Where)
+    error: ErrorLadder = field(default_factory=ErrorLadder)
+    unexplained: Unexplained = field(default_factory=Unexplained)
+    next: tuple[NextBlock, ...] = ()
+    made_from: dict[str, Any] = field(default_factory=dict)
+    servo: tuple[ServoFinding, ...] = ()
+    remarks: tuple[str, ...] = ()  # on the run itself: what was set aside, what it cannot show
     model: Any = field(default=None, repr=False)  # a Model; callers of `diagnose` need not look for None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the document softmap.diagnosis/1."""
-        names = [f.name for f in fields(self) if f.name != "model"]
-        return {"schema": SCHEMA} | {name: getattr(self, name) for name in names}
+        """Return the document softmap.diagnosis/2."""
+        return {"schema": SCHEMA} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name != "model"}
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Diagnosis:
@@ -58,27 +80,20 @@ class Diagnosis:
         Raises:
             SoftmapError: another schema, a missing or mistyped key, an unknown verdict.
         """
-        if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
-            got = document.get("schema") if isinstance(document, Mapping) else type(document).__name__
-            raise SoftmapError(
-                f"not a diagnosis: schema is {got!r}, {SCHEMA!r} is read; make it with `softmap diagnose`"
+        schema = document.get("schema") if isinstance(document, Mapping) else type(document).__name__
+        if schema not in (SCHEMA, BEFORE):
+            raise ReportError(
+                f"not a diagnosis: schema is {schema!r}, {SCHEMA!r} is read; make it with `softmap diagnose`"
             )
-        values = {}
-        for f in fields(cls):
-            if f.name == "model":
-                continue
-            kind = {"verdict": str, "sentence": str}.get(
-                f.name, dict if f.name in ("where", "error", "unexplained", "made_from") else list
-            )
-            if f.name in ("servo", "remarks") and f.name not in document:  # a document of before there was any
-                continue
-            if not isinstance(document.get(f.name), kind):
-                raise SoftmapError(f"the diagnosis has no usable '{f.name}'; make it again with `softmap diagnose`")
-            values[f.name] = document[f.name]
-        if values["verdict"] not in VERDICTS:
-            raise SoftmapError(f"unknown verdict {values['verdict']!r}; there are {', '.join(VERDICTS)}")
-        check_diagnosis(document)
-        return cls(**values)
+        if schema == BEFORE:
+            document = dict(document) | {"alternatives": document.get("rivals", [])}
+        found = read(cls, {key: value for key, value in document.items() if key != "model"}, "diagnosis")
+        if found.verdict not in VERDICTS:
+            raise ReportError(f"unknown verdict {found.verdict!r}; there are {', '.join(VERDICTS)}")
+        names = [entry.name for entry in (*found.effects, *found.faults)]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise ReportError(f"damaged diagnosis: it names '{twice}' twice; diagnose again")
+        return found
 
     @classmethod
     def load(cls, path: str | Path) -> Diagnosis:
@@ -99,11 +114,11 @@ class Diagnosis:
         Raises:
             SoftmapError: the diagnosis does not name it.
         """
-        for entry in [*self.effects, *self.faults]:
-            if entry["name"] == name:
-                params = entry["params"] | (entry.get("refitted") or {}).get("params", {})
-                return {label: float(p["value"]) for label, p in params.items() if "@" not in label}
-        named = ", ".join(e["name"] for e in [*self.effects, *self.faults]) or "none"
+        for entry in (*self.effects, *self.faults):
+            if entry.name == name:
+                params = entry.params | (entry.refitted.params if entry.refitted else {})
+                return {label: p.value for label, p in params.items() if "@" not in label}
+        named = ", ".join(e.name for e in (*self.effects, *self.faults)) or "none"
         raise SoftmapError(f"the diagnosis does not name '{name}'; it names {named}")
 
     def added(self, model: Model, names: Sequence[str]) -> Model:
@@ -117,7 +132,7 @@ class Diagnosis:
             params = {label: value for label, value in params.items() if label.split(".")[0] != name}
             params |= self._checked(model, name)
         chain = (*model.chain_names, *(name for name in names if name not in model.chain_names))
-        entries = [entry for entry in [*self.effects, *self.faults] if entry["name"] in names]
+        entries = [entry for entry in (*self.effects, *self.faults) if entry.name in names]
         found: Model = with_error(model.with_effects(chain, params), entries)
         return found
 
@@ -137,18 +152,17 @@ class Diagnosis:
         return params
 
     def __str__(self) -> str:
+        from softmap_edge.report.text import diagnosis_text
+
         return diagnosis_text(self.to_dict())
 
 
-def with_error(model: Any, entries: Sequence[Mapping[str, Any]]) -> Any:
+def with_error(model: Any, entries: Sequence[Finding]) -> Any:
     """Return a model that errs by what the effects say that were added to it: with other numbers it is another rod."""
     for entry in entries:
-        if not entry.get("refitted"):
+        if entry.refitted is None:
             continue
-        try:
-            error = np.asarray(entry["refitted"].get("error_mm"), float)
-        except (TypeError, ValueError):
-            error = np.zeros(0)
+        error = np.asarray(entry.refitted.error_mm, float)
         if error.shape != (model.form_error.size,) or not np.all(np.isfinite(error) & (error >= 0)):
             raise SoftmapError(f"the diagnosis is not of this model of '{model.robot}'; diagnose again")
         places = np.sum(error.reshape(-1, 3) ** 2, axis=1)

@@ -55,7 +55,7 @@ class Space:
         """Free the effects in `effects` on top of the model's own, or exactly those in `free`."""
         own = tuple(record.model.chain_names)
         layout = record.layout(own + tuple(e for e in effects if e not in own), split)
-        self.split, self._full = tuple(split), layout.full
+        self.split, self.full = tuple(split), layout.full
         self.names, self.labels, self.units = layout.names, layout.labels, layout.units
         null, start, low, high = layout.null, layout.start, layout.low, layout.high
         wanted = set(free or effects)
@@ -86,7 +86,7 @@ class Space:
 
     def params(self, x: Floats) -> Floats:
         """Return full parameter sets (B, N) of a batch x (B, P): what a record predicts from."""
-        return self._full(self._sets(x))
+        return self.full(self._sets(x))
 
     def named(self, x: Floats) -> dict[str, float]:
         """Return all parameters at x (P,) by label."""
@@ -182,7 +182,7 @@ class Problem:
         self.base = own if base is None else base
         self.gain = 1.0 / np.sqrt(noise.inflation)
         seen = np.isfinite(record.seen).mean(axis=1)  # a frame that shows a third of the body counts a third
-        self.numbers = float(seen.sum() * len(whitener.form)) / noise.inflation
+        self.numbers = float(seen.sum() * whitener.numbers) / noise.inflation
         self.folds = run_folds(record.t_seen, record.block)
         self._seen: tuple[Floats, Told | None] | None = None
         self._spaces: dict[tuple[tuple[str, ...], ...], Space] = {}

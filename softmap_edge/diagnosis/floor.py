@@ -1,30 +1,36 @@
 """The noise floor of a run: how far a seen point is from its own mean when nothing but the camera changes.
 
-1. successive frames of one uninterrupted dwell:  sqrt(mean |x(k+1) - x(k)|² / 2), which slow creep hardly inflates
+1. frames of one dwell about its drift, and visits of one pose in other dwells for jitter of the frame (`noise.py`):
+   the same estimate as that of `check` and `diagnose`
 2. else settled frames of the same command:       sqrt(pooled variance), where the robot's memory counts as noise:
                                                   an upper bound
 3. else roughness of the residual over the body:  what (1, x, y) times a polynomial of degree 5 in z leaves in a frame
 4. else second differences of the residual:       sqrt(mean |r(k) - (r(k-1) + r(k+1))/2|² / 1.5), an upper bound
 
 All in mm, over visible points, as a distance in space (root 3 times the noise of one coordinate).
-Known limits: noise that stays constant through a dwell (a camera mount that shifts between moves) is not seen by 1;
-noise that moves the whole body is not seen by 3; motion that the model misses counts as noise in 4.
+Known limits: noise that stays constant through a dwell shows in 1 only where poses are visited again; noise that moves
+the whole body is not seen by 3; motion that the model misses counts as noise in 4.
 Pinned by tests/test_compare.py with known noise.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import Conditions
+from softmap_edge.diagnosis.conditions import Conditions, conditions
+from softmap_edge.diagnosis.memoryless import Repeats, repeats_of
+from softmap_edge.diagnosis.noise import ENOUGH, measure_noise
+from softmap_edge.diagnosis.repeats import SETTLED, dwell_degrees, settled_dwells
+from softmap_edge.run import Run, known
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SETTLED = 0.5  # s after the last motion from which a frame counts as a replicate
+POINTS = 40  # that show the noise of all
 MIN_PAIRS = 15  # fewer replicates say nothing about the noise
 DEGREE = 5  # along the body, of the smooth part of a residual
 SAME = 0.01  # of the largest command: closer than this counts as the same command
@@ -44,9 +50,9 @@ def noise_floor(
     Returns:
         tuple: mm (None when no estimate is possible) and a sentence.
     """
-    known = replicates(state, seen, visible)
-    if known is not None:
-        return known
+    repeated = replicates(state, seen, visible)
+    if repeated is not None:
+        return repeated.mm, repeated.source
     rough = None if rest is None else _roughness(seen - predicted, visible, rest)
     if rough is not None:
         return rough, "no replicates: from the roughness of the residual over the body, independent noise only"
@@ -65,24 +71,71 @@ def rms(squares: Floats) -> float:
     return math.sqrt(float(np.mean(squares))) if len(squares) else math.nan
 
 
-def replicates(state: Conditions, seen: Floats, visible: Mask) -> tuple[float, str] | None:
-    """Return the noise (mm, as a distance) of frames that should be equal, and which they are; None without them."""
+@dataclass(frozen=True)
+class PointNoise:
+    """The noise of a point: `mm`, the RMS distance from its own mean, and the `source` it was estimated from.
+
+    `is_bound` says that it holds more than noise.
+    """
+
+    mm: float
+    source: str
+    is_bound: bool = False
+
+
+def noise_of_points(run: Run) -> PointNoise | None:
+    """Return the noise of a run's points from its repeats, None without enough of them.
+
+    `check`, `compare` and `diagnose` all give this number: it depends on the run alone.
+    """
+    seen = next((s for s in (getattr(run, n, None) for n in ("vertices", "markers")) if s is not None), None)
+    command = commanded(run)
+    if seen is None or not command.shape[1] or not len(seen):
+        return None
+    visible = known(run, seen)
+    return replicates(conditions(run, command), np.where(visible[..., None], seen, 0.0), visible)
+
+
+def commanded(run: Run) -> Floats:
+    """Return what was commanded (T, C), in the unit of the run or in ticks: it stands where encoders flicker."""
+    rows = run.command if run.command is not None else getattr(run, "ticks", None)
+    return np.zeros((len(run.t), 0)) if rows is None else np.asarray(rows, float)
+
+
+def replicates(state: Conditions, seen: Floats, visible: Mask) -> PointNoise | None:
+    """Return the noise of points (K, N, 3) that should be equal; None without repeats."""
+    if len(seen) > 1:
+        some = some_points(visible)
+        values = np.where(visible[:, some, None], seen[:, some], np.nan).reshape(len(seen), -1)
+        places = np.ones(len(some), bool)
+        if dwell_degrees(settled_dwells(state)) >= ENOUGH:
+            found = measure_noise(values, values, places, state.time, state)
+            return PointNoise(found.rms_mm(places), f"frames of one dwell: {found.source}")
     settled = ~state.moving & (state.dwell >= SETTLED)
-    pair = settled[1:] & settled[:-1] & (state.visit[1:] == state.visit[:-1]) if len(seen) > 1 else np.zeros(0, bool)
-    if int(pair.sum()) >= MIN_PAIRS:
-        both = visible[1:][pair] & visible[:-1][pair]
-        step = np.sum((seen[1:][pair] - seen[:-1][pair]) ** 2, axis=2)[both]
-        if len(step):
-            visits = len(np.unique(state.visit[1:][pair]))
-            return rms(step / 2.0), f"{int(pair.sum())} pairs of successive frames inside {visits} dwells"
     groups = _replicates(state, settled)
     if sum(len(group) - 1 for group in groups) >= MIN_PAIRS:
         value = _within(groups, seen, visible)
         if value is not None:
-            return value, (
-                f"{len(groups)} commands seen repeatedly; what the robot remembers counts as noise here: {BOUND}"
-            )
+            text = f"{len(groups)} commands seen repeatedly; what the robot remembers counts as noise here: {BOUND}"
+            return PointNoise(value, text, True)
     return None
+
+
+def some_points(visible: Mask) -> NDArray[np.intp]:
+    """Return some of the points, spread evenly over those that are seen most: they show the noise of all."""
+    often = np.flatnonzero(visible.sum(axis=0) >= 0.5 * visible.sum(axis=0).max(initial=0))
+    return np.asarray(often[np.unique(np.linspace(0, len(often) - 1, min(len(often), POINTS)).astype(int))], np.intp)
+
+
+def memoryless_floor(run: Run, state: Conditions, seen: Floats, visible: Mask) -> Repeats | None:
+    """Return how far points (K, N, 3) are from themselves when a command is met again; None where too few are.
+
+    That is the floor of every model without memory on this run.
+    """
+    some = some_points(visible)
+    values = np.where(visible[:, some, None], seen[:, some], np.nan).reshape(len(seen), -1)
+    load = getattr(run, "load", None)
+    return repeats_of(values, state, None if load is None else np.interp(state.time, run.t, load))
 
 
 def _roughness(residual: Floats, visible: Mask, rest: Floats) -> float | None:

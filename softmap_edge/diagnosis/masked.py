@@ -19,11 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.evidence import Untestable, experiment
+from softmap_edge.diagnosis.decision import VISIBLE_MM
+from softmap_edge.diagnosis.evidence import experiment
+from softmap_edge.diagnosis.findings import Untestable
 from softmap_edge.diagnosis.fit import Fit, Problem
+from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.noise import form_covariance
 from softmap_edge.diagnosis.record import Record
-from softmap_edge.diagnosis.search import VISIBLE_MM, Search
 
 Floats = NDArray[np.float64]
 
@@ -75,57 +77,59 @@ class Masked:
         return f"{told}; {self.left_mm:.2f} mm RMS of it (fitted) are left that no effect explains alone"
 
 
-def masked(search: Search, fit: Fit) -> Masked | None:
+def masked(fits: Fits, fit: Fit) -> Masked | None:
     """Return what the residual that was taken out may hide beside the effects of a fit; None without a residual."""
-    record = search.problem.record
+    record = fits.problem.record
     if record.static is None:
         return None
-    shift = fit.predicted - search.null.predicted
+    shift = fit.predicted - fits.null.predicted
     left = min((record.static, record.static - shift), key=record.rms_mm)
-    size, without = record.rms_mm(record.static), record.rms_mm(record.seen - search.null.predicted)
-    with_mm = record.rms_mm(record.seen - search.null.predicted - record.static)
+    size, without = record.rms_mm(record.static), record.rms_mm(record.seen - fits.null.predicted)
+    with_mm = record.rms_mm(record.seen - fits.null.predicted - record.static)
     own = max(VISIBLE_MM, OWN * record.form_mm)  # whatever the noise of this run: it was learned from another
-    may_be = _may_be(search, fit, left) if record.rms_mm(left) > own and with_mm < without else []
+    may_be = _may_be(fits, fit, left) if record.rms_mm(left) > own and with_mm < without else []
     return Masked(size, record.rms_mm(left), with_mm, without, tuple(may_be), own)
 
 
-def _may_be(search: Search, fit: Fit, left: Floats) -> list[tuple[str, float]]:
-    record = search.problem.record
-    wanted = [e for e in search.candidates if e not in fit.effects and e not in search.faults]
+def _may_be(fits: Fits, fit: Fit, left: Floats) -> list[tuple[str, float]]:
+    record = fits.problem.record
+    kinds = {e["name"]: e["kind"] for e in record.library.effects()}
+    wanted = [e for e in fits.candidates if e not in fit.effects and kinds[e] != "fault"]
     if not wanted:
         return []
-    alone = Search(_as_if_seen(search, left), wanted)
+    alone = Fits(_as_if_seen(fits, left), wanted)
+    best = sorted((alone.get((effect,)) for effect in wanted), key=lambda one: one.cost)[:LOOKED_AT]
     found = []
-    for _, effect, points in alone.screening.best(alone.null, wanted, LOOKED_AT):
-        one = alone.grow(alone.null, effect, points)
+    for one in best:
+        (effect,) = one.effects
         share = 1.0 - (record.rms_mm(left - alone.displacement(one, effect)) / record.rms_mm(left)) ** 2
-        if share >= HIDES and not _against(search, fit, one, effect):
+        if share >= HIDES and not _against(fits, fit, one, effect):
             found.append((effect, float(share)))
     return sorted(found, key=lambda pair: -pair[1])
 
 
-def _as_if_seen(search: Search, field: Floats) -> Problem:
+def _as_if_seen(fits: Fits, field: Floats) -> Problem:
     """Return the problem in which `field` (K, F) mm is all that the model misses, without form error for it."""
-    problem = search.problem
+    problem = fits.problem
     record: Record = copy(problem.record)
     record.static = None
-    record.seen = np.where(np.isfinite(record.seen), search.null.predicted + field, np.nan)
+    record.seen = np.where(np.isfinite(record.seen), fits.null.predicted + field, np.nan)
     rod = record.model.kind == "rod"
     own = form_covariance(record.form_error, record.positions, record.section) * (not rod)
     form = np.einsum("mf,fg,mg->m", problem.whitener.project, own, problem.whitener.project)
     return Problem(record, problem.noise, replace(problem.whitener, form=form), problem.base)
 
 
-def _against(search: Search, fit: Fit, alone: Fit, effect: str) -> bool:
+def _against(fits: Fits, fit: Fit, alone: Fit, effect: str) -> bool:
     """Whether the run speaks against an effect with the numbers that the residual gives it."""
-    problem, record = search.problem, search.problem.record
+    problem, record = fits.problem, fits.problem.record
     space = problem.space((*fit.effects, effect))
     params = np.array([[(fit.params | alone.params)[label] for label in space.labels]])
     params[0, space.free] = np.clip(params[0, space.free], *(space.values(x) for x in (space.low, space.high)))
     x = space.scaled(params[0, space.free])
     predicted = record.predict(space.names, space.params(x[None]))
     cost = float(problem.costs(problem.modes(predicted), x[None])[0][0])
-    worse = (cost - fit.cost) / search.dispersion(fit) > AGAINST
+    worse = (cost - fit.cost) / fits.dispersion(fit) > AGAINST
     return bool(worse or record.rms_mm(record.seen - predicted[0]) >= record.rms_mm(record.seen - fit.predicted))
 
 

@@ -9,18 +9,39 @@
 Diagonalised: with Σ = L Lᵀ and spatial modes V (the span of the signatures), mode m has form variance s_m in units of
 noise, and C^(-1/2) = I + Q (diag(1/sqrt(1 + λ s_m)) - 1) Qᵀ over frames, K = Q diag(λ) Qᵀ. All is linear in the frames.
 Correlation in time is not filtered out; it inflates: n white numbers become n / inflation (AR(1): (1+ρ)/(1-ρ)).
-Units: mm, s. Known limits: modes share one kernel length (0.4 of the command range); replicates of one dwell do not see
-what drifts more slowly than a dwell. A rod's error is not smooth in six commands, so it counts as noise correlated
-in time (`rod_noise`). Pinned by tests/test_noise.py.
+A jitter of the frame keeps longer than a dwell (`jitter.py`): its six directions are inflated by 2τ times the frames a
+second, all others are not. What the body does while its commands stand is no noise (`motion_at_rest.py`).
+Units: mm, s. Known limits: modes share one kernel length (0.4 of the command range); jitter shows only where poses are
+visited again. A rod's error is not smooth in six commands, so what of it repeats counts as noise correlated in time
+(`rod_noise`). Pinned by tests/test_noise.py.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.diagnosis.conditions import Conditions
+from softmap_edge.diagnosis.jitter import (
+    COMMANDED,
+    commanded_modes,
+    coordinates,
+    frame_jitter,
+    white_variance,
+)
+from softmap_edge.diagnosis.memoryless import Repeats
+from softmap_edge.diagnosis.motion_at_rest import MotionAtRest, motion_at_rest
+from softmap_edge.diagnosis.repeats import (
+    LEAST_DWELL,
+    Scatter,
+    dwell_scatter,
+    filled,
+    rows_of,
+    settled_dwells,
+    undrifted,
+)
 from softmap_edge.errors import SoftmapError
 
 Floats = NDArray[np.float64]
@@ -32,17 +53,34 @@ BODY_LENGTH = 0.35  # of the body: how far form error is correlated along it
 ENOUGH = 15  # degrees of freedom below which replicates are not trusted
 MODES = 24  # largest number of spatial modes kept
 FLOOR = 1e-3  # mm: no camera is better than this
-LEAST_DWELL, LONG_DWELL = 3, 6  # frames of a dwell that tell of noise beside a drift, and beside one that bends
+GEOMETRY = 300  # frames over which a jitter's covariance is averaged
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of one frame's features: covariance (F, F) mm², its source, and the inflation by correlation in time."""
+    """Noise of one frame's features: covariance (F, F) mm², its source, and the inflation by correlation in time.
+
+    `slow` (F, F) is the part of the covariance that a jitter of the frame adds, which keeps over `memory_s`: so many of
+    its frames (`slow_inflation`) count as one. `moving` is what the body does while its commands stand, which is no
+    noise and not in the covariance. `point_mm` is the noise of a point (RMS distance), as in `check` and `compare`.
+    """
 
     covariance: Floats
     source: str
     inflation: float
     replicates: bool = False  # whether dwells told it
+    slow: Floats | None = None
+    memory_s: float = 0.0
+    slow_inflation: float = 1.0
+    moving: tuple[MotionAtRest, ...] = ()
+    point_mm: float | None = None
+
+    @property
+    def effective(self) -> Floats:
+        """The covariance (F, F) mm² that counts frames as if they were independent but for `inflation`."""
+        if self.slow is None:
+            return self.covariance
+        return self.covariance + max(0.0, self.slow_inflation / self.inflation - 1.0) * self.slow
 
     def rms_mm(self, positions: Mask) -> float:
         """Return the RMS distance in mm that noise alone gives the places among V features."""
@@ -61,54 +99,104 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
     Returns:
         Noise: from replicates where they give at least 15 degrees of freedom, else from second differences in time.
     """
-    blocks = [np.flatnonzero(visit == v) for v in np.unique(visit) if v >= 0]
-    scatter, degrees, lag = np.zeros((residual.shape[1],) * 2), 0, [0.0, 0.0]
-    shown = np.maximum(np.isfinite(residual[visit >= 0]).mean(axis=0), 1e-3) if np.any(visit >= 0) else np.ones(0)
-    for frames in blocks:
-        if len(frames) < LEAST_DWELL:
-            continue
-        rest, order = undrifted(_filled(residual[frames]))
-        rest[~np.isfinite(residual[frames])] = 0.0
-        scatter += rest.T @ rest
+    found = dwell_scatter(residual, visit)
+    if found.degrees >= ENOUGH:
+        covariance = _shrunk(found.squares / found.degrees, found.degrees)
+        return Noise(covariance, _told(found.degrees), _inflation(found.rho), True)
+    return Noise(_high_frequency(filled(residual), t_seen), "high-frequency part of the run (no replicates)", 1.0)
+
+
+def measure_noise(
+    residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions, point_mm: float | None = None
+) -> Noise:
+    """Measure the noise of a run: within dwells, between visits of one pose, without what the body does at rest.
+
+    Args:
+        residual: measured minus predicted features (K, F) mm. seen: measured features (K, F) mm; both NaN where unseen.
+        positions: which features (V,) are places. t_seen: (K,) s. state: conditions of the frames.
+        point_mm: the noise of a point, where it is known.
+
+    Returns:
+        Noise: as `estimate_noise` where the run is not seen to repeat itself.
+    """
+    dwell = settled_dwells(state)
+    plain = replace(estimate_noise(residual, t_seen, dwell), point_mm=point_mm)
+    if not plain.replicates:
+        return plain
+    modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
+    moving = motion_at_rest(residual, seen, positions, t_seen, state.command, dwell, modes)
+    white = white_variance(moving.values, seen, positions, modes, dwell)
+    jitter = None if white is None else frame_jitter(moving.values, seen, positions, state, dwell, modes, white)
+    if white is None or (jitter is None and not moving.irregular):
+        again = estimate_noise(moving.values, t_seen, dwell) if moving.found else plain
+        return replace(again, moving=moving.found, point_mm=point_mm)
+    fast = _white_scatter(moving.values, seen, positions, modes, white, dwell)
+    covariance = _shrunk(fast.squares / fast.degrees, fast.degrees)
+    told = Noise(covariance, plain.source, _inflation(fast.rho), True, moving=moving.found, point_mm=point_mm)
+    if jitter is None:
+        return told
+    slow = jitter.of_features(filled(seen)[_spread(len(seen))], positions)
+    count = max(1.0, 2.0 * jitter.memory_s * len(seen) / max(float(t_seen[-1] - t_seen[0]), 1e-9))
+    kept = f" of {jitter.memory_s:g} s memory" if jitter.memory_s else ""
+    source = f"{plain.source}, frame jitter{kept} ({jitter.revisits} revisits)"
+    return replace(
+        told, covariance=covariance + slow, source=source, slow=slow, memory_s=jitter.memory_s, slow_inflation=count
+    )
+
+
+def _told(degrees: int) -> str:
+    return f"replicates ({degrees} degrees of freedom)"
+
+
+def _inflation(rho: float) -> float:
+    """Return how many frames count as one where neighbours correlate by `rho`."""
+    rho = float(np.clip(rho, 0.0, 0.95))
+    return (1 + rho) / (1 - rho) if rho > 0.15 else 1.0
+
+
+def _spread(frames: int) -> NDArray[np.intp]:
+    return np.unique(np.linspace(0, frames - 1, min(frames, GEOMETRY)).astype(np.intp))
+
+
+def _most_modes(features: int) -> int:
+    """Return how many commanded modes so many features can show beside a rigid motion and a rest."""
+    return max(2, min(COMMANDED, features // 3 - 2))
+
+
+def _white_scatter(
+    values: Floats, seen: Floats, positions: Mask, modes: Floats, white: Floats, dwell: NDArray[np.int64]
+) -> Scatter:
+    """Return how dwells scatter without jitter of the frame and without motion of the body.
+
+    In the directions of both stands what the white part alone gives there.
+    """
+    squares, degrees, lag = np.zeros((seen.shape[1],) * 2), 0, np.zeros(2)
+    for frames in rows_of(dwell, LEAST_DWELL):
+        rest, order = undrifted(filled(values[frames]))
+        shape = filled(seen[frames])
+        found = coordinates(rest, shape, positions, modes, white)
+        rest = rest - found.explained
         degrees += len(frames) - order
-        lag[0] += float(np.sum(rest[1:] * rest[:-1])) + float(np.sum(rest**2)) * order / len(frames)
-        lag[1] += float(np.sum(rest**2))
-    if degrees >= ENOUGH:
-        rho = float(np.clip(lag[0] / max(lag[1], 1e-300), 0.0, 0.95))
-        inflation = (1 + rho) / (1 - rho) if rho > 0.15 else 1.0
-        scatter = scatter / np.sqrt(np.outer(shown, shown))
-        return Noise(_shrunk(scatter / degrees, degrees), f"replicates ({degrees} degrees of freedom)", inflation, True)
-    return Noise(_high_frequency(_filled(residual), t_seen), "high-frequency part of the run (no replicates)", 1.0)
+        flat = np.swapaxes(found.columns, 0, 1).reshape(seen.shape[1], -1)
+        own = np.swapaxes(found.columns @ found.white, 0, 1).reshape(seen.shape[1], -1)
+        squares += rest.T @ rest + own @ flat.T * (1.0 - order / len(frames))
+        squared = float(np.sum(rest**2))
+        lag += [float(np.sum(rest[1:] * rest[:-1])) + squared * order / len(frames), squared]
+    return Scatter(squares, degrees, float(lag[0] / max(lag[1], 1e-300)))
 
 
-def undrifted(dwell: Floats) -> tuple[Floats, int]:
-    """Return what a dwell (K, F) scatters about a quadratic in time, a line where it is short, and what that fits.
+def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats, measured: Noise, repeats: Repeats | None) -> Noise:
+    """Return the noise of a model whose own error (V, 3) mm is not smooth in its commands: both together.
 
-    Creep within a dwell is not noise.
+    Args:
+        residual: measured minus predicted features (K, F) mm. t_seen: (K,) s. form_error: the model's own.
+        measured: noise from repeats, revisits or high frequencies.
+        repeats: what poses that were seen again tell; of the own error counts only what is then a function of the
+            commands, the rest is memory or noise.
+
+    The own error's correlation time comes from the residual: 1/e of its autocorrelation, linear interpolation.
     """
-    tau, order = np.linspace(-1.0, 1.0, len(dwell)), 3 if len(dwell) >= LONG_DWELL else 2
-    basis, _ = np.linalg.qr(np.vander(tau, order))
-    return np.asarray(dwell - basis @ (basis.T @ dwell)), order
-
-
-def _filled(residual: Floats) -> Floats:
-    """Return residuals (K, F) with what was not seen between what was seen before and after: no jump.
-
-    A marker that is hidden now and then would else be as noisy as the model is wrong there.
-    """
-    out, frames = np.zeros_like(residual), np.arange(len(residual))
-    for column, filled in zip(residual.T, out.T):
-        seen = np.isfinite(column)
-        filled[:] = np.interp(frames, frames[seen], column[seen]) if seen.any() else 0.0
-    return out
-
-
-def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats) -> Noise:
-    """Return the noise of a model whose own error (V, 3) mm is much larger than the camera's and correlated in time.
-
-    The correlation time comes from the residual (K, F) itself: 1/e of its autocorrelation, linear interpolation.
-    """
-    clean = np.where(np.isfinite(residual), residual, 0.0)
+    clean = filled(residual)
     clean = clean - clean.mean(axis=0)
     period = float(np.median(np.diff(t_seen))) if len(t_seen) > 1 else 1.0
     power = float(np.mean(clean**2))
@@ -118,9 +206,16 @@ def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats) -> Noise:
         if rho < np.exp(-1.0):
             break
         tau = (shift + 1) * period
-    covariance = np.diag(np.maximum(form_error.ravel(), FLOOR) ** 2)
+    own, source = form_error.ravel() ** 2, "the model's own held-out error"
+    if repeats is not None:
+        static = np.maximum(np.nanmean(residual**2, axis=0) - repeats.variance, 0.0)
+        own, source = np.minimum(own, static), "the part of the model's own error that repeats"
     inflation = max(1.0, 2.0 * tau / period)
-    return Noise(covariance, f"the model's own held-out error, correlated over {tau:.2g} s", inflation)
+    fast = float(np.trace(measured.covariance))
+    mixed = (fast * measured.inflation + float(own.sum()) * inflation) / (fast + float(own.sum()))
+    covariance = measured.covariance + np.diag(own)
+    told = f"{measured.source}, and {source}, correlated over {tau:.2g} s"
+    return replace(measured, covariance=covariance, source=told, inflation=mixed, slow=None, replicates=False)
 
 
 def form_covariance(form_error: Floats, positions: Mask, section: NDArray[np.int64]) -> Floats:
@@ -186,11 +281,19 @@ class Whitener:
     """Turns feature differences (..., K, F) into numbers (..., K, M) of unit variance, if noise and form are right.
 
     `project` (M, F) maps features to noise-white spatial modes, `form` (M,) is the form variance of each mode.
+    `level` (M,) is the variance that noise alone gives each mode: 1, and less along a slow jitter of the frame, whose
+    frames count for less than one each.
     """
 
     project: Floats
     form: Floats
     kernel: Kernel
+    level: Floats | None = None
+
+    @property
+    def numbers(self) -> float:
+        """How many independent numbers a frame gives: the sum of squares that noise alone leaves of its modes."""
+        return float(len(self.form) if self.level is None else self.level.sum())
 
     def modes(self, difference: Floats) -> Floats:
         """Return (..., K, M) modes in units of noise; what was not seen (NaN) counts as no difference."""
@@ -234,7 +337,7 @@ def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel) -> 
     features = noise.covariance.shape[0]
     if signatures.shape[-1] != features:
         raise SoftmapError(f"signatures have {signatures.shape[-1]} features, the noise has {features}")
-    root = np.linalg.cholesky(noise.covariance)
+    root = np.linalg.cholesky(noise.effective)
     inverse = np.linalg.inv(root)
     gram = np.zeros((features, features))
     for signature in signatures:
@@ -247,7 +350,8 @@ def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel) -> 
     total = max(float(values.sum()), 1e-300)
     keep = [int(i) for rank, i in enumerate(order) if rank < 3 or values[i] > 2e-4 * total]
     project = vectors[:, keep].T @ inverse
-    return Whitener(project, np.einsum("mf,fg,mg->m", project, form, project), kernel)
+    level = None if noise.slow is None else np.einsum("mf,fg,mg->m", project, noise.covariance, project)
+    return Whitener(project, np.einsum("mf,fg,mg->m", project, form, project), kernel, level)
 
 
 def _distance2(a: Floats, b: Floats) -> Floats:
@@ -255,12 +359,21 @@ def _distance2(a: Floats, b: Floats) -> Floats:
 
 
 def _shrunk(covariance: Floats, degrees: int) -> Floats:
-    """Shrink towards the diagonal: an estimate from few replicates has directions of no variance at all."""
+    """Shrink towards the diagonal: an estimate from few replicates has directions of no variance at all.
+
+    By as much as oracle approximating shrinkage (Chen et al. 2010, doi:10.1109/TSP.2010.2053029) asks of the
+    correlations, and at least by the share of features among features and degrees of freedom.
+    """
     features = len(covariance)
-    weight = float(np.clip(features / (features + degrees), 0.05, 1.0))
     diagonal = np.diag(covariance).copy()
-    pooled = 0.5 * diagonal + 0.5 * float(np.median(diagonal))
-    shrunk = (1 - weight) * covariance + weight * np.diag(pooled)
+    size = np.sqrt(np.maximum(diagonal, FLOOR**2))
+    squared = float(np.sum((covariance / np.outer(size, size)) ** 2))
+    oracle = (squared + features**2) / ((degrees + 1) * max(squared - features, 1e-9))
+    weight = float(np.clip(max(oracle, features / (features + degrees)), 0.05, 1.0))
+    shared = 0.5 * features / (features + degrees)
+    pooled = (1.0 - shared) * diagonal + shared * float(np.median(diagonal))
+    shrunk = (1 - weight) * covariance
+    shrunk.flat[:: features + 1] = pooled
     return np.asarray(shrunk + FLOOR**2 * np.eye(features))
 
 

@@ -12,9 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.conditions import orientations
-from softmap_edge.diagnosis.evidence import Untestable, experiment
+from softmap_edge.diagnosis.evidence import experiment
+from softmap_edge.diagnosis.findings import Untestable
 from softmap_edge.diagnosis.fit import Problem
-from softmap_edge.diagnosis.noise import Noise, command_kernel, estimate_noise, form_covariance, rod_noise, whitener
+from softmap_edge.diagnosis.floor import noise_of_points
+from softmap_edge.diagnosis.memoryless import repeats_of
+from softmap_edge.diagnosis.noise import Noise, command_kernel, form_covariance, measure_noise, rod_noise, whitener
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.errors import SoftmapError, no_effect
 from softmap_edge.folds import LEAST_FRAMES
@@ -95,15 +98,41 @@ def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = 
     signatures = [s for name in candidates for s in _signatures(record, name, base, thin)]
     stack = np.stack(signatures) if signatures else np.zeros((1, len(thin), record.features))
     kernel = command_kernel(record.command, record.spread, record.leaning)
+    noise = noise or noise_of(record, record.seen - base)
     if record.model.kind == "rod":
-        noise = noise or rod_noise(record.seen - base, record.t_seen, record.form_error)
         form = np.zeros((record.features, record.features))
     else:
-        noise = noise or estimate_noise(record.seen - base, record.t_seen, record.state.visit)
         form = form_covariance(record.form_error, record.positions, record.section)
         if record.static is not None:  # a residual may be the model's own error or an effect: both are allowed for
             form = form + record.static.T @ record.static / len(record)
     return Problem(record, noise, whitener(noise, form, stack, kernel))
+
+
+def noise_of(record: Record, residual: Floats) -> Noise:
+    """Return the noise of a record, of what a model leaves of it (K, F) mm."""
+    points = [noise_of_points(run) for run in record.whole]
+    known = [p.mm for p in points if p is not None]
+    point = float(np.sqrt(np.mean(np.square(known)))) if known else None
+    noise = measure_noise(residual, record.seen, record.positions, record.t_seen, record.state, point)
+    if record.model.kind != "rod":
+        return noise
+    again = repeats_of(residual, record.state, _load_seen(record))
+    return rod_noise(residual, record.t_seen, record.form_error, noise, again)
+
+
+def _load_seen(record: Record) -> Floats | None:
+    """Return the declared loads (K,) g at the frames, 0 in runs that declare none; None if no run does."""
+    if record.load is None:
+        return None
+    parts = getattr(record, "parts", [record])
+    return np.concatenate(
+        [
+            np.zeros(p.frames)
+            if p.load is None
+            else np.interp(np.asarray(p.run.t_seen, float), p.run.t, np.broadcast_to(p.load, p.run.t.shape))
+            for p in parts
+        ]
+    )
 
 
 def _signatures(record: Record, name: str, base: Floats, frames: NDArray[Any]) -> list[Floats]:

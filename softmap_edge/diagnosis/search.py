@@ -1,334 +1,374 @@
-"""Searches the sets of effects that explain a run: forward selection with a beam, swaps, acceptance.
+"""The search in two levels: family after family, each with its law where one is resolved, then all together again.
 
-Candidates are screened (`screening.py`); the best are fitted in full. A set counts only if each of its
-members is accepted: EBIC falls, blocked cross-validation falls by 1 % and in 60 % of the folds that show the member
-(CV_SHOWN of them at least), the member moves the centreline by more than 0.12 mm (or the noise of a section mean), and
-it moves and carries more than the form of the strongest other member may be off. Differences of objectives are divided
-by the over-dispersion (leftover chi²/n of the fit). Of sets that count, fewer effects that come nearer in mm stand for
-more.
-Known limit: sets are found by growing, dropping and swapping, not by trying all. Pinned by tests/test_diagnosis.py and
-tests/test_evidence.py.
+    rank families about what is known -> accept the best -> ask those near it for their laws -> take one -> again
+
+If the best family is not accepted none is: the next best would only stand in for it. A resolved law joins the fit, an
+unresolved family stays beside it as its representative. Pinned by tests/test_two_levels.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import comb, log
+from copy import copy
+from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.fit import Fit, Problem, Space
-from softmap_edge.diagnosis.screening import Screening
+from softmap_edge.diagnosis import decision as rule
+from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
+from softmap_edge.diagnosis.families import (
+    Body,
+    Columns,
+    Family,
+    Ranking,
+    Representative,
+    State,
+    families,
+    ranked,
+)
+from softmap_edge.diagnosis.fit import Fit, Problem
+from softmap_edge.diagnosis.fits import Fits
+from softmap_edge.diagnosis.laws import WINDING, Answer, Law, answered, law_of
 
 Floats = NDArray[np.float64]
 
-BEAM, LARGEST, ROUNDS = 2, 4, 8
-REFITS, REFITS_ON = 5, 3  # candidates that are fitted alone, and on top of a fit
-STAGES = ("command", "transmission", "material", "shape", "sensing")
-CV_FALL, CV_FOLDS = 0.01, 0.6  # least relative fall of the blocked loss, and the share of folds where it falls
-CV_RISE, CV_SHOWN = 0.05, 2  # a fold whose loss hardly falls and rises by less does not show the member; how many must
-VISIBLE_MM = 0.12  # least RMS displacement of the centreline
-SHARE = 0.045  # least share of the explained misfit: forms off by a fifth leave so much, and that is nobody's effect
-PROMISING = 0.03  # least share of the misfit that a larger set must win for the search to go on without a valid one
-HOPEFUL = 0.5  # of what is promising, or of what a rival must carry: what is predicted to win less is not fitted
-FORM_TOLERANCE, FIELD_TOLERANCE = 0.2, 0.3  # of what another member moves: no form is truer; linear fields of stiffness
-APART, SECOND = 0.5, 2.0  # of a scale between two starts, and times what the first leaves, for a second to be tried
-FLOATED = 0.9  # of what the nearest set of a size leaves: one that came by dropping a member is nearer, and goes first
-SIMPLER = 0.9  # of the held-out error in mm: fewer effects that reach it stand for more that the objective likes better
+CATCH_ALL = "static shape"  # can be any static law; taken where no other family is
+BACKGROUND = ("static map", "static shape", "frame", "load")  # what ordinary imperfections look like
+SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken
 
 
-class Search:
-    """The sets of effects tried on one problem; fits and cross-validations are kept, so nothing is done twice."""
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One family that was taken: what level 2 says of it, other families that cannot be told from it here."""
 
-    def __init__(
-        self,
-        problem: Problem,
-        candidates: Sequence[str],
-        progress: Callable[[str], None] | None = None,
-        visible: float = VISIBLE_MM,
-    ) -> None:
-        """Prepare the search over `candidates`; `progress` hears a line per stage.
+    answer: Answer
+    others: tuple[Answer, ...]
 
-        `visible` is the least RMS displacement that counts, mm (or the unit of what is seen).
-        """
-        self.problem, self.candidates = problem, list(candidates)
-        self.progress = progress or (lambda _: None)
-        self.null = problem.null()
-        self._fits: dict[frozenset[str], Fit] = {frozenset(): self.null}
-        self._cv: dict[frozenset[str], tuple[Floats, Floats, Floats]] = {}
-        registry = problem.record.library.effects()
-        self.screening = Screening(problem, registry)
-        self.stages = {e["name"]: e["stage"] for e in registry}
-        self.faults = {e["name"] for e in registry if e["kind"] == "fault"}
-        self._shifts: dict[tuple[frozenset[str], str], Floats] = {}
-        noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0)  # of one component of a section mean
-        self.visible_mm = max(visible, noise if problem.noise.replicates else 0.0)
+    @property
+    def family(self) -> Family:
+        """The family."""
+        return self.answer.family
 
-    # --- fits -----------------------------------------------------------------------------------
 
-    def get(self, effects: Sequence[str] | frozenset[str]) -> Fit:
-        """Return the fit of a set, fitting it if it is new."""
-        key = frozenset(effects)
-        if key not in self._fits:
-            parents = [key - {e} for e in sorted(key) if key - {e} in self._fits]
-            parent = min((self._fits[p] for p in parents), key=lambda f: f.cost) if parents else None
-            if parent is None:
-                ordered = sorted(key, key=self.candidates.index)
-                parent = self.get(ordered[:-1])
-            added = next(iter(key - set(parent.effects)))
-            self.grow(parent, added)
-        return self._fits[key]
+@dataclass(eq=False)
+class Outcome:
+    """What a search found: steps in the order found, the joint fit, what stands beside it, and what hints at more."""
 
-    def grow(self, parent: Fit, effect: str, points: list[Floats] | None = None) -> Fit:
-        """Fit `parent` with `effect` added; alone, effects with a log scale get a second start."""
-        key = frozenset((*parent.effects, effect))
-        if key in self._fits:
-            return self._fits[key]
-        if points is None:
-            points = self.screening.best(parent, [effect], 1)[0][2]
-        starts = points[:1]
-        space = self.problem.space((*parent.effects, effect))
-        own = np.array([label.split(".")[0] == effect for label in space.free_labels])
-        if not parent.effects and np.any(space.log & own & space.declared):
-            starts += self._elsewhere(space, points)
-        found = self.problem.fit((*parent.effects, effect), starts)
-        self._fits[key] = found
-        return found
+    body: Body
+    fits: Fits
+    plain: Fits  # without what stands beside
+    state: State
+    null: Floats  # (folds,) held-out loss of the model alone
+    loss: Floats  # (folds,) held-out loss of what was found
+    steps: list[Step] = field(default_factory=list)
+    hint: Representative | None = None  # the best family, if it was not accepted but falls
 
-    def _elsewhere(self, space: Space, points: list[Floats]) -> list[Floats]:
-        """Return the next of `points` that lies in another place than the first and leaves little more, or nothing."""
-        apart = [p for p in points[1:] if np.max(np.abs(p - points[0])) > APART][:1]
-        tried = np.stack([points[0], *apart])
-        first, *others = self.problem.costs(self.problem.at(space, tried), tried)[0]
-        return [p for p, cost in zip(apart, others) if cost < SECOND * first]
+    @property
+    def ordinary_mm(self) -> float:
+        """Ordinary static imperfections of the robot, RMS, beside what was found."""
+        return self.body.ordinary_mm
 
-    # --- criteria -------------------------------------------------------------------------------
+    @property
+    def fit(self) -> Fit:
+        """The laws that were found, fitted together."""
+        return self.state.fit
 
-    def dispersion(self, fit: Fit) -> float:
-        """Return leftover chi² per number, at least 1."""
-        return max(1.0, fit.chi2 / max(1.0, self.problem.numbers - len(fit.x)))
+    @property
+    def left(self) -> float:
+        """Share that is left of what stood above the noise, in loss or in mean square, the larger."""
+        problem, record = self.body.problem, self.body.record
+        noise = rule.ABOVE_NOISE * problem.numbers
+        in_loss = (self.loss.sum() - noise) / max(float(self.null.sum()) - noise, 0.25 * noise)
+        own = max(record.form_mm**2 + self.ordinary_mm**2, problem.noise.rms_mm(record.positions) ** 2)
+        start = record.rms_mm(record.seen - self.fits.null.predicted) ** 2
+        now = record.rms_mm(self.state.residual - self.state.ordinary) ** 2
+        return float(max(0.0, in_loss, (now - own) / max(start - own, own)))
 
-    def penalty(self, fit: Fit) -> float:
-        """Return the EBIC penalty of a set: log n per parameter and the log of how many such sets there are."""
-        n = max(3.0, self.problem.numbers)
-        return fit.space.count * log(n) + 2.0 * log(comb(max(len(self.candidates), len(fit.effects)), len(fit.effects)))
 
-    def score(self, fit: Fit, dispersion: float) -> float:
-        """Return the EBIC of a set at a given over-dispersion."""
-        return fit.cost / dispersion + self.penalty(fit)
+def search(
+    problem: Problem,
+    candidates: Sequence[str],
+    progress: Callable[[str], None] | None = None,
+    visible: float = rule.VISIBLE_MM,
+) -> Outcome:
+    """Find the families that a model lacks on a problem, and their laws.
 
-    def cv(self, fit: Fit) -> tuple[Floats, Floats, Floats]:
-        """Return held-out losses (folds,), plain and whitened, and the fold predictions (folds, K, F)."""
-        key = frozenset(fit.effects)
-        if key not in self._cv:
-            predictions = self.problem.fold_predictions(fit)
-            self._cv[key] = (*self.problem.fold_losses(predictions), predictions)
-        return self._cv[key]
+    Args:
+        problem: the record with its noise. candidates: effects that may be a law.
+        progress: hears a line per family.
+        visible: least RMS displacement that counts, mm or the unit of what is seen.
+    """
+    every, tell = families(), progress or (lambda _: None)
+    body, fits = Body(problem, candidates), Fits(problem, candidates)
+    state = State(body, fits.null)
+    outcome: Outcome | None = None
+    while outcome is None or len(outcome.steps) < rule.MOST:
+        taken = [step.family for step in outcome.steps] if outcome else []
+        ranking = ranked(state, every, taken)
+        if problem.record.model.kind != "rod":  # a rod's own error is its noise
+            body.ordinary_mm = ordinary(state, ranking, every)
+        if outcome is None:
+            outcome = Outcome(body, fits, fits, state, ranking.found, ranking.found)
+        if _is_ordinary(ranking, state):
+            state = State(body, state.fit, state.beside, [f for f in every if f.name in BACKGROUND])
+            ranking = ranked(state, [f for f in every if f.kind != "static"], taken)
+        outcome.loss = ranking.found
+        step = None if outcome.steps else _miswired(ranking, state, fits)
+        step = step or _next(ranking, state, fits, outcome, visible)
+        if step is None:
+            break
+        tell(f"{len(taken) + 1}: {step.family.name}, {step.answer.law.name if step.answer.law else 'law open'}")
+        outcome.steps.append(step)
+        state, fits = _taken(state, fits, step.answer)
+        outcome.state, outcome.fits = state, fits
+    outcome.state = state
+    _ask_together(outcome)
+    _ask_again(outcome)
+    outcome.loss = ranked(outcome.state, [], []).found
+    return outcome
 
-    def displacement(self, fit: Fit, effect: str) -> Floats:
-        """Return the feature differences (K, F) mm that `effect` makes within a fit."""
-        key = (frozenset(fit.effects), effect)
-        if key in self._shifts:
-            return self._shifts[key]
-        params = {k: v for k, v in fit.params.items() if k.split(".")[0] != effect}
-        space = self.problem.space([e for e in fit.effects if e != effect])
-        without = np.array([[params[label] for label in space.labels]])
-        self._shifts[key] = np.asarray(fit.predicted - self.problem.record.predict(space.names, without)[0])
-        return self._shifts[key]
 
-    def accepts(self, fit: Fit, member: str) -> bool:
-        """Whether a member of a set counts, against the refitted set without it."""
-        rest = self.get(frozenset(fit.effects) - {member})
-        cv_fall, cv_folds = self._cv_fall(rest, fit)
-        shift = self.displacement(fit, member)
-        forms = [e for e in fit.effects if e != member and e not in self.faults]  # a swapped wire has no wrong form
-        tolerated = [(self._tolerance(e), self.problem.record.rms_mm(self.displacement(fit, e))) for e in forms]
-        wrong, strongest = max(tolerated, key=lambda pair: pair[0] * pair[1], default=(0.0, 0.0))
-        return bool(
-            (rest.cost - fit.cost) / self.dispersion(fit) > self.penalty(fit) - self.penalty(rest)
-            and cv_fall >= CV_FALL
-            and cv_folds >= CV_FOLDS
-            and self.problem.record.rms_mm(shift) >= max(self._least_mm(shift), wrong * strongest)
-            and self.share(fit, member) >= max(SHARE, wrong**2)
-        )
+def _ask_together(outcome: Outcome) -> None:
+    """Try laws of several families at once where one was asked before the others were known, and has none.
 
-    def _tolerance(self, effect: str) -> float:
-        """Return by what share of what it moves the form of an effect may be off."""
-        return FIELD_TOLERANCE if self.screening.families[effect] == "body stiffness" else FORM_TOLERANCE
+    They stand if together they leave no more than the representatives do.
+    """
+    open_ones = [i for i, step in enumerate(outcome.steps) if step.answer.law is None]
+    if not 2 <= len(open_ones) <= rule.ASKED:
+        return
+    state = State(outcome.body, outcome.fit, (), outcome.state.background)
+    now, fits = ranked(outcome.state, [], []).found, outcome.plain
+    before = ranked(state, [], []).found
+    choices = [_singles(outcome.steps[i].answer)[: rule.ASKED] for i in open_ones]
+    tried = []
+    for laws in product(*choices):
+        split = [e for law in laws if law.fit is not None for e in law.effects if e in law.fit.space.split]
+        effects = tuple(e for law in laws for e in law.effects)
+        if len(set(effects)) == len(effects):
+            tried.append((laws, law_of(state, fits, effects, before, split)))
+    best = min(tried, key=lambda pair: float(pair[1].loss.sum()), default=None)
+    if best is None or not rule.reaches(best[1].loss, now, float(outcome.null.sum() - now.sum())):
+        return
+    for i, law in zip(open_ones, best[0]):
+        answer = outcome.steps[i].answer
+        together = replace(law, fit=best[1].fit, loss=best[1].loss)
+        outcome.steps[i] = Step(replace(answer, law=together, equals=(), reaching=(together,)), outcome.steps[i].others)
+    assert best[1].fit is not None
+    outcome.state, outcome.fits = State(outcome.body, best[1].fit, (), state.background), fits
 
-    def _least_mm(self, shift: Floats) -> float:
-        """Return how far a shift (K, F) mm must move the centreline; a static one further than the form error."""
-        record, modes = self.problem.record, self.problem.whitener.modes(shift)
-        static = np.sum(self.problem.whitener.shrink(modes) ** 2) < 0.5 * np.sum(modes**2)
-        if record.model.kind == "rod" or not static:
-            return self.visible_mm
-        return max(self.visible_mm, record.form_mm)
 
-    def _cv_fall(self, rest: Fit, fit: Fit) -> tuple[float, float]:
-        """Return the relative fall of the held-out loss, and in which share of the folds that show the member it falls.
+def _singles(answer: Answer) -> list[Law]:
+    """Return the single laws of a family that were tried, each effect as it was best."""
+    best: dict[tuple[str, ...], Law] = {}
+    for law in answer.tried:
+        if len(law.effects) == 1:
+            best.setdefault(law.effects, law)
+    return list(best.values())
 
-        Of the plain and the whitened loss the one that shows the member better: memory hides in the plain one behind
-        static error, static effects hide in the whitened one behind what form error could be.
-        """
-        found = []
-        for i in (0, 1):
-            before, after = self.cv(rest)[i], self.cv(fit)[i]
-            fall = float((before.sum() - after.sum()) / max(before.sum(), 1e-300))
-            falls, rises = after < (1.0 - CV_FALL) * before, after >= (1.0 + CV_RISE) * before
-            found.append((fall, float(falls.sum() / max(CV_SHOWN, falls.sum() + rises.sum()))))
-        return max(found, key=lambda f: (f[0] >= CV_FALL and f[1] >= CV_FOLDS, f[0]))
 
-    def share(self, fit: Fit, member: str) -> float:
-        """Return which share of the explained misfit a member carries, on held-out blocks or on the objective.
+def _ask_again(outcome: Outcome) -> None:
+    """Ask the families without a law once more, with all others in place: what was not known then explains no more."""
+    for i, step in enumerate(outcome.steps):
+        if step.answer.law is not None:
+            continue
+        state, family = outcome.state, step.family
+        others = [one for one in state.beside if one.family.name != family.name]
+        fits = outcome.plain
+        if others:
+            shift = State(state.body, state.fit, others).shift
+            fits = Fits(_shifted(outcome.plain.problem, shift), outcome.plain.candidates)
+        fit = fits.get(state.fit.effects, state.fit.space.split)
+        without = State(state.body, fit, others, state.background)
+        ranking = ranked(without, [family], [])
+        if not ranking.rows:
+            continue
+        answer = answered(without, fits, ranking.rows[0], ranking.found, pairs=True)
+        if answer.law is not None or answer.open:
+            outcome.steps[i] = Step(answer, step.others)
+            outcome.state, outcome.fits = _taken(without, fits, answer)
 
-        What faults of the measurement explain hides no physics: that is counted in what they leave.
-        """
-        rest = self.get(frozenset(fit.effects) - {member})
-        base = self.null if member in self.faults else self._measured(fit)
-        plain = [float(self.cv(f)[0].sum()) for f in (base, rest, fit)]
-        held, whole = plain[1] - plain[2], plain[0] - plain[2]
-        part, all_of_it = rest.cost - fit.cost, base.cost - fit.cost
-        return max(share / total if total > 0.0 else 0.0 for share, total in ((held, whole), (part, all_of_it)))
 
-    def _measured(self, fit: Fit) -> Fit:
-        """Return the faults of a set without its physics."""
-        return self.get(frozenset(fit.effects) & self.faults)
+def _taken(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
+    """Return state and fits with a family taken: its law joins the fit, else its representative stands beside it."""
+    if answer.law is not None and answer.law.fit is not None:
+        return State(state.body, answer.law.fit, state.beside, state.background), fits
+    beside = (*state.beside, answer.representative)
+    there = State(state.body, state.fit, beside)
+    shifted = Fits(_shifted(state.body.problem, there.shift), fits.candidates)
+    return State(state.body, shifted.get(state.fit.effects, state.fit.space.split), beside, state.background), shifted
 
-    def valid(self, fit: Fit) -> bool:
-        """Whether every member of a set is accepted, and all of them together move the body as far as one must."""
-        shift = fit.predicted - self.null.predicted
-        together = not fit.effects or self.problem.record.rms_mm(shift) >= self._least_mm(shift)
-        return together and all(self.accepts(fit, e) for e in fit.effects)
 
-    # --- search ---------------------------------------------------------------------------------
+def _shifted(problem: Problem, shift: Floats) -> Problem:
+    """Return a problem with a shift (K, F) mm taken off what is seen."""
+    moved = copy(problem)
+    moved.record = copy(problem.record)
+    moved.record.seen = problem.record.seen - shift
+    return moved
 
-    def run(self) -> Fit:
-        """Search and return the largest set whose members are all accepted, or a smaller one that is nearer.
 
-        Members are swapped where all else is built on them, after the first effect, and where the search would end.
-        """
-        chosen = self.null
-        for _ in range(ROUNDS):
-            grown = chosen if self._done(chosen) else self._grown(chosen)
-            after = self._swapped(grown) if grown is chosen or len(grown.effects) == 1 else grown
-            if after is chosen:
-                break
-            chosen = after
-        return self._undominated(chosen)
+def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
+    """Return exchanged or turned servos as a step where they explain as much as the best family without a free number.
 
-    def _grown(self, chosen: Fit) -> Fit:
-        """Return the next valid set above `chosen` that is better, or `chosen` if there is none."""
-        beam, most = [chosen], min(LARGEST, len(self.candidates))
-        for _ in range(ROUNDS):
-            beam = [fit for fit in beam if len(fit.effects) < most]
-            children = self._children(beam, REFITS if beam == [self.null] else REFITS_ON)
-            if not children:
-                break
-            dispersion, size = self.dispersion(children[0]), len(children[0].effects)
-            self.progress(f"{size} effect{'s' if size > 1 else ''}: best {' + '.join(children[0].effects)}")
-            if self.score(children[0], dispersion) >= min(self.score(b, dispersion) for b in [chosen, *beam]):
-                break
-            children = self._floated(children)
-            beam_before, beam = beam, children[: 1 if self.valid(children[0]) else BEAM]  # swaps bring its rivals in
-            level = self.score(chosen, dispersion)
-            good = next((c for c in beam if self.score(c, dispersion) < level and self.valid(c)), None)
-            if good is not None:
-                return good
-            won = min(b.cost for b in [chosen, *beam_before]) - beam[0].cost
-            if won < PROMISING * (self._measured(beam[0]).cost - beam[0].cost):
-                break  # else a pair may need its third; what is not accepted is never reported
-        return chosen
+    They are asked for only where the model is off by a good part of the motion.
+    """
+    record = state.body.record
+    off, motion = record.rms_mm(state.residual), record.rms_mm(record.seen - np.nanmean(record.seen, axis=0))
+    if "servo_swap" not in fits.candidates or off < rule.MISWIRED * motion or not ranking.rows:
+        return None
+    law = law_of(state, fits, ("servo_swap",), ranking.found)
+    best = ranking.rows[0]
+    if law.loss.sum() > best.loss.sum() + rule.FORM * (ranking.found.sum() - best.loss.sum()):
+        return None
+    family = Family("wiring", "static", "Servos are exchanged or turn the other way.", ("servo_swap",), (), (), ())
+    none = Columns(np.zeros((0, *record.seen.shape)), np.zeros(0, np.intp), np.zeros((0, len(record))), 0)
+    moved = record.rms_mm(fits.displacement(fits.get(law.effects), "servo_swap"))
+    stand_in = Representative(family, np.zeros(0), rule.RIDGES[0], law.loss, 0.0, none, moved)
+    return Step(Answer(family, stand_in, ranking.found, law, (), False, (law,), (law,)), ())
 
-    def _undominated(self, fit: Fit) -> Fit:
-        """Return the valid set of fewer effects that comes nearest on held-out blocks, if it comes nearer than `fit`.
 
-        The objective forgives static misfit that form error could be, and counts a wrong form of memory frame by frame:
-        two effects that leave twice as many mm can have the lower one. What is simpler and nearer is the better answer.
-        """
-        record, best = self.problem.record, SIMPLER * self.held_out_mm(fit)
-        fewer = [other for other in self._fits.values() if 0 < len(other.effects) < len(fit.effects)]
-        for other in fewer:
-            if record.rms_mm(record.seen - other.predicted) < best and self.valid(other):
-                mm = self.held_out_mm(other)
-                fit, best = (other, mm) if mm < best else (fit, best)
-        return fit
+def _by_law(row: Representative, ranking: Ranking, state: State, fits: Fits) -> Representative:
+    """Return a family with its best single law in the place of its representative, where that leaves less."""
+    names = [n for n in row.family.members if n in fits.candidates and n not in state.fit.effects]
+    laws = [law_of(state, fits, (name,), ranking.found) for name in names]
+    best = min(laws, key=lambda law: float(law.loss.sum()), default=None)
+    if best is None or best.fit is None or best.loss.sum() >= row.loss.sum():
+        return row
+    moved = state.body.record.rms_mm(fits.displacement(best.fit, best.effects[0]))
+    return replace(row, loss=best.loss, numbers=best.numbers, moved_mm=moved)
 
-    def _floated(self, children: list[Fit]) -> list[Fit]:
-        """Return `children` with the best of them rid of members that it does better without, if there are such.
 
-        What came first may have stood for what came later: sets shrink while what is left is nearer than any tried set
-        of its size (sequential floating selection: Pudil et al. 1994, doi:10.1016/0167-8655(94)90127-9).
-        """
-        fit = children[0]
-        while len(fit.effects) > 1:
-            known = {key: found.cost for key, found in self._fits.items() if len(key) == len(fit.effects) - 1}
-            nearest = min(known.values(), default=np.inf)
-            smaller = min((self.get(frozenset(fit.effects) - {e}) for e in fit.effects), key=lambda f: f.cost)
-            if smaller.cost >= FLOATED * nearest:
-                break
-            fit = smaller
-        return children if fit is children[0] else [fit, *children]
+def _is_ordinary(ranking: Ranking, state: State) -> bool:
+    """Whether the best family is static, and all static misfit no more than ordinary imperfections may be."""
+    best = ranking.rows[0].family.kind if ranking.rows else ""
+    return best == "static" and state.body.ordinary_mm > 0.0 and not _beyond_ordinary(ranking, state)
 
-    def _done(self, fit: Fit) -> bool:
-        """Whether a valid set leaves less than what a further member would have to win to be looked for.
 
-        Of the plain loss, in which the form error stands in the variance, noise is what that leaves of it, and is not
-        counted; the objective counts whole, for what moves on in a dwell is taken for noise.
-        """
-        base, share = self._measured(fit), float(np.mean(1.0 / (1.0 + self.problem.whitener.form)))
-        before, after = (float(self.cv(f)[0].sum()) for f in (base, fit))
-        pairs = [(base.cost, fit.cost, 0.0), (before, after, share * self.problem.numbers)]
-        return all(left - noise < PROMISING * (first - left) for first, left, noise in pairs)
+def _beyond_ordinary(ranking: Ranking, state: State) -> bool:
+    """Whether the static misfit is more than ordinary imperfections of the robot."""
+    return _static_mm(ranking, state) >= rule.DOMINATES * state.body.ordinary_mm
 
-    def _children(self, beam: list[Fit], refits: int) -> list[Fit]:
-        found: dict[frozenset[str], Fit] = {}
-        for parent in beam:
-            others = [effect for effect in self.candidates if effect not in parent.effects]
-            least = HOPEFUL * PROMISING * (self._measured(parent).cost - parent.cost)
-            for rank, (cost, effect, points) in enumerate(self.screening.best(parent, others, refits)):
-                if rank and parent.cost - cost < least:
-                    break
-                child = self.grow(parent, effect, points)
-                found[frozenset(child.effects)] = child
-        dispersion = min((self.dispersion(f) for f in found.values()), default=1.0)
-        return sorted(found.values(), key=lambda f: self.score(f, dispersion))
 
-    def _swapped(self, fit: Fit) -> Fit:
-        """Drop one member, add the best other, as long as the set gets better and stays valid."""
-        for _ in range(2):
-            best = fit
-            for member in fit.effects:
-                for other in self.alternatives(fit, member, 1, 1.0):
-                    dispersion = self.dispersion(best)
-                    if self.score(other, dispersion) < self.score(best, dispersion) - 2.0 and self.valid(other):
-                        best = other
-            if best is fit:
-                return fit
-            fit = best
-        return fit
+def _static_mm(ranking: Ranking, state: State) -> float:
+    record = state.body.record
+    return record.rms_mm(np.where(np.isfinite(record.seen), ranking.static, np.nan))
 
-    def larger(self, fit: Fit) -> list[Fit]:
-        """Return the sets with one effect more that were tried on the way."""
-        mine, size = frozenset(fit.effects), len(fit.effects) + 1
-        return [found for key, found in self._fits.items() if mine < key and len(key) == size]
 
-    def alternatives(self, fit: Fit, member: str, count: int, share: float) -> list[Fit]:
-        """Return the best `count` sets with `member` exchanged for another that may do this `share` of what it does."""
-        rest = self.get(frozenset(fit.effects) - {member})
-        others = [other for other in self.candidates if other not in fit.effects]
-        least = HOPEFUL * share * (rest.cost - fit.cost)
-        best = self.screening.best(rest, others, count, 0.5 * least)
-        return [self.grow(rest, other, points) for cost, other, points in best if rest.cost - cost >= least]
+def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible: float) -> Step | None:
+    """Return the next family to take, or None; the outcome keeps a hint where the best was not accepted."""
+    if not ranking.rows:
+        return None
+    later = bool(outcome.steps)
+    rows = sorted(ranking.rows, key=lambda row: (row.family.name == CATCH_ALL, float(row.loss.sum())))
+    gains = [float(ranking.before.sum() - row.loss.sum()) for row in rows]
+    if rows[-1].family.name == CATCH_ALL and gains[-1] > rule.CATCHES * gains[0]:
+        rows = [rows[-1], *rows[:-1]]
+    able = [row for row in rows if _accepted(row, ranking, state, later, visible)]
+    best = rows[0]
+    if best not in able:  # what happens once, or only far from any column, no representative may show
+        by_law = [_by_law(row, ranking, state, fits) for row in rows[: rule.ASKED]]
+        able = [row for row in by_law if _accepted(row, ranking, state, later, visible)]
+        best = min((best, *able), key=lambda row: float(row.loss.sum()))
+        able.sort(key=lambda row: float(row.loss.sum()))
+    gain = float(ranking.before.sum() - best.loss.sum())
+    if not able or (able[0] is not best and float(able[0].loss.sum() - best.loss.sum()) > 0.1 * gain):
+        outcome.hint = best if gain > 0.1 * float(ranking.before.sum()) else None
+        return None
+    tied = [row for row in able if near(row.loss, able[0].loss, ranking.before) or _ordinary_apart(row, able[0], state)]
+    answers = [answered(state, fits, row, ranking.found, pairs=False) for row in tied]
+    above = max(0.0, float(ranking.found.sum()) - rule.ABOVE_NOISE * state.body.problem.numbers)
+    least = max(rule.FALL_FIRST * above, rule.FALL * float(ranking.found.sum()))
+    answers = [a for a in answers if float(ranking.found.sum() - a.loss.sum()) >= least]
+    if not answers:
+        return None
+    best_loss = min((a.loss for a in answers), key=lambda loss: float(loss.sum()))
+    answers = [a for a in answers if near(a.loss, best_loss, ranking.found)]  # a law may do far more than its family
+    answers.sort(key=lambda a: (not a.resolved, _order(a.family), a.numbers, float(a.loss.sum())))
+    first, *rest = answers
+    return Step(first, tuple(a for a in rest if _stands_beside(a, first, ranking, state)))
 
-    def held_out_mm(self, fit: Fit) -> float:
-        """Return the RMS distance in mm over the places on blocks that trained nothing."""
-        return self.problem.held_out_mm(self.cv(fit)[2])
 
-    def weights(self, fit: Fit, temperature: float) -> dict[frozenset[str], float]:
-        """Return how probable the sets are that were tried, none larger than `fit`: softmax of -½ΔJ/(φT)."""
-        rivals = {key: f for key, f in self._fits.items() if len(key) <= len(fit.effects)}
-        dispersion = self.dispersion(fit) * temperature
-        scores = np.array([f.cost / dispersion + self.penalty(f) / temperature for f in rivals.values()])
-        weight = np.exp(-0.5 * (scores - scores.min()))
-        return dict(zip(rivals, map(float, weight / weight.sum())))
+def _ordinary_apart(one: Representative, other: Representative, state: State) -> bool:
+    """Whether two static families do the same but for ordinary imperfections."""
+    if {one.family.kind, other.family.kind} != {"static"}:
+        return False
+    record = state.body.record
+    apart = one.columns.shift(one.theta) - other.columns.shift(other.theta)
+    return record.rms_mm(np.where(np.isfinite(record.seen), apart, np.nan)) <= state.body.ordinary_mm
+
+
+def _order(family: Family) -> int:
+    return 0 if family.name == "static map" else SIMPLER[family.kind]
+
+
+def _accepted(row: Representative, ranking: Ranking, state: State, later: bool, visible: float) -> bool:
+    """Whether a family is seen: its loss falls far enough, in enough folds, and it moves the body far enough."""
+    problem, before = state.body.problem, float(ranking.before.sum())
+    fall = difference(ranking.before, row.loss)
+    above = max(0.0, before - rule.ABOVE_NOISE * problem.numbers)
+    if not (seen_to_fall(fall) and fall.fall >= rule.FALL * before):
+        return False
+    if fall.fall < (rule.FALL_NEXT if later else rule.FALL_FIRST) * above:
+        return False
+    noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0) if problem.noise.replicates else 0.0
+    static = row.family.kind == "static"
+    if static and not _beyond_ordinary(ranking, state):
+        return False
+    return row.moved_mm >= max(visible, float(noise), state.body.record.form_mm if static else 0.0)
+
+
+def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
+    """Return the level of the robot's ordinary static imperfections, mm RMS.
+
+    Where one effect dominates the static misfit it is what that effect leaves, else all of it: many small things. What
+    is more than ordinary is another effect.
+    """
+    body, record = state.body, state.body.record
+    seen, level = np.isfinite(record.seen), state.body.level()
+    static = [f for f in every if f.kind == "static"]
+    names = dict.fromkeys(e for f in static for e in f.members if e in body.candidates and e != WINDING)
+    singles = {name: own for name in names if (own := body.single(name)) is not None}
+    singles |= body.curves(state.commands, state.slopes)
+    for name, own in singles.items():
+        body.add(level, name, own)
+    level.close(np.ascontiguousarray(body.modes(state.residual)))
+
+    def size(shift: Floats) -> float:
+        return record.rms_mm(np.where(seen, shift, np.nan))
+
+    total = size(ranking.static)
+    crossed = [row.columns.shift(row.theta) for row in ranking.rows if row.family.name == "coupling"]
+    shifts = crossed + [own.shift(np.asarray(level.theta([n], [rule.RIDGES[0]])[0])) for n, own in singles.items()]
+    pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
+    left, moved = min(pairs, default=(total, 0.0))
+    count = np.maximum(seen.sum(axis=0), 1)  # what is never seen has no mean and does not count
+    motion = record.rms_mm(record.seen - np.where(seen, record.seen, 0.0).sum(axis=0) / count)
+    return float(min(left if moved >= rule.DOMINATES * left else total, rule.ORDINARY * motion))
+
+
+def _stands_beside(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
+    """Whether another family cannot be told from the first one."""
+    if other.resolved and first.resolved:
+        return near(other.loss, first.loss, ranking.before) and other.numbers <= first.numbers + 2
+    reference = first.loss if first.resolved else first.representative.loss
+    if not near(other.representative.loss, reference, ranking.before):
+        return False
+    return not (_order(first.family) < _order(other.family) and _does_the_same(other, first, ranking, state))
+
+
+def _does_the_same(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
+    """Whether what a family does here is what a static map of the commands, or the first one, can do as well."""
+    body = state.body
+    theta = ranking.level.theta([*ranking.names, other.family.name], [*ranking.ridges, other.representative.ridge])[-1]
+    target = np.asarray(ranking.level.fitted(other.family.name, theta))
+    names = dict.fromkeys(("static map", "coupling", first.family.name))
+    rows = []
+    for family in families():
+        if family.name in names and (columns := body.columns(family, state.commands, state.slopes)) is not None:
+            rows.append(body.modes(columns.base)[columns.which] * columns.weight[:, :, None])
+    x = np.concatenate(rows).reshape(sum(map(len, rows)), -1)
+    gram = x @ x.T
+    gram.flat[:: len(gram) + 1] += rule.RIDGES[0]
+    z = target.ravel()
+    return bool(1.0 - np.sum((z - np.linalg.solve(gram, x @ z) @ x) ** 2) / max(float(z @ z), 1e-300) > rule.MIMIC)

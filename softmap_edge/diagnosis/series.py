@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.comparison import aligned, mean_root, template, tips
 from softmap_edge.diagnosis.conditions import conditions
-from softmap_edge.diagnosis.floor import BOUND, noise_floor
+from softmap_edge.diagnosis.floor import BOUND, commanded, noise_floor
 from softmap_edge.errors import ComparisonError
 
 if TYPE_CHECKING:
@@ -39,13 +39,17 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One output against one command at the frames (K,): measured, predicted before, and after where there is one."""
+    """One output, or the tip, against one command at the frames (K,): measured, predicted before and after.
+
+    `after` is None where there is one model. `others` are the commands of the other channels at the same frames.
+    """
 
     name: str
     command: Floats
-    seen: Floats  # in the output's unit; NaN where there is none
+    seen: Floats  # in the output's unit, mm for the tip; NaN where there is none
     before: Floats
     after: Floats | None
+    others: Floats | None = None  # (K, C - 1)
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,7 @@ class Series:
     command_unit: str
     poses: list[Pose]
     output: Output | None = None  # what the markers stand for, where they are no places
-    loops: tuple[Loop, ...] = ()  # of a run of outputs: each of them
+    loops: tuple[Loop, ...] = ()  # each output, or the tip along each command
     timeless: bool = False  # `t_seen` counts rows
 
 
@@ -104,7 +108,8 @@ def series(run: Run, before: Model, after: Model | None = None, kind: str = "hel
         tip_after = tips(after, predicted_after, seen, visible)[1]
     drawn, triangles = _drawn(before, seen, visible)
     state = conditions(run, before.commands(run))
-    floor, kind_of_floor = noise_floor(state, seen, visible, predicted, template(before, seen))
+    stands = conditions(run, commanded(run))
+    floor, kind_of_floor = noise_floor(stands, seen, visible, predicted, template(before, seen))
     return Series(
         kind=kind,
         t_seen=np.asarray(run.t_seen, float),
@@ -124,7 +129,9 @@ def series(run: Run, before: Model, after: Model | None = None, kind: str = "hel
         poses=[] if before.output is not None else _poses(state.command, seen, visible, squared, squared_after),
         output=before.output,
         timeless=run.timeless,
-        loops=_loops(before, state.command, seen, visible, predicted, predicted_after),
+        loops=tip_loops(state.command, tip_seen, tip_before, tip_after)
+        if before.output is None
+        else _loops(before, state.command, seen, visible, predicted, predicted_after),
     )
 
 
@@ -145,6 +152,32 @@ def _loops(
         assert rows[0] is not None
         loops.append(Loop(name, column, shown[:, q], rows[0], rows[1]))
     return tuple(loops)
+
+
+def tip_loops(command: Floats, seen: Floats, before: Floats, after: Floats | None) -> tuple[Loop, ...]:
+    """Return the tip's displacement in the direction in which each command moves it, against that command.
+
+    A linear regression of the measured tip on all commands gives the directions and the tip at command 0, from which
+    displacements count. Commands that stand still, or do not move the tip, have no loop.
+
+    Args:
+        command: (K, C). seen, before, after: the tip (K, 3) mm, NaN where it is not seen.
+    """
+    known = np.isfinite(seen).all(axis=1) & np.isfinite(command).all(axis=1)
+    design = np.column_stack([np.ones(len(command)), command])
+    if known.sum() <= design.shape[1]:
+        return ()
+    rest, *slopes = np.linalg.lstsq(design[known], seen[known], rcond=None)[0]
+    found = []
+    for c, slope in enumerate(slopes):
+        size = float(np.linalg.norm(slope))
+        if not np.ptp(command[known, c]) > 0 or not size > 0:
+            continue
+        along = [None if path is None else (path - rest) @ (slope / size) for path in (seen, before, after)]
+        assert along[0] is not None and along[1] is not None
+        others = np.delete(command, c, axis=1)
+        found.append(Loop(f"tip, channel {c}", command[:, c], along[0], along[1], along[2], others))
+    return tuple(found)
 
 
 def _correlation(x: Floats, y: Floats) -> float:

@@ -10,18 +10,17 @@ Pinned by tests/test_servo.py.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.diagnosis.conclusion import parameters
+from softmap_edge.diagnosis.findings import ServoEffect, ServoError, ServoFinding
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.noise import command_kernel, estimate_noise, form_covariance, whitener
 from softmap_edge.diagnosis.record import Record
-from softmap_edge.diagnosis.rivals import simplest
-from softmap_edge.diagnosis.search import Search
+from softmap_edge.diagnosis.search import search
 from softmap_edge.features import FeatureMap
 from softmap_edge.run import Run
 
@@ -76,13 +75,21 @@ class Servo:
         """Return the slopes (1, K, 1, 3) of what is seen over what acts."""
         return np.tile([1.0, 0.0, 0.0], (1, run.frames, 1, 1))
 
+    def features_at(self, effective: Floats, run: Run) -> Floats:
+        """Return the features (K, 1, 3) where the effective command is (K, 1)."""
+        return np.concatenate([effective, np.zeros((len(effective), 2))], axis=1)[:, None]
+
+    def slopes_at(self, effective: Floats, step: Floats, run: Run) -> Floats:
+        """Return the slopes (1, K, 1, 3) of what is seen over the effective command."""
+        return self.slopes((), effective, step, run)
+
     def predict_features(self, names: tuple[str, ...], params: Floats, run: Run) -> Floats:
         """Return features (B, K, 1, 3)."""
         acts = self.acting(names, params, run)
         return np.concatenate([acts, np.zeros((*acts.shape[:2], 2))], axis=2)[:, :, None]
 
 
-def servos(run: Run, effects: list[str]) -> list[dict[str, Any]]:
+def servos(run: Run, effects: list[str]) -> list[ServoFinding]:
     """Find what lies between command and encoder.
 
     Args:
@@ -90,8 +97,8 @@ def servos(run: Run, effects: list[str]) -> list[dict[str, Any]]:
         effects: names of the candidates; those that act on the command before the encoder are looked for.
 
     Returns:
-        list: for each channel that moves `{channel, unit, effects: [{name, params}], error: {model, value}}` with the
-        errors held out on blocks, RMS; empty where the run has no commands or no encoders.
+        list: what lies between command and encoder of each channel that moves, errors held out on blocks; empty where
+        the run has no commands or no encoders.
     """
     if run.command is None or run.present is None or not len(run.t):
         return []
@@ -108,7 +115,7 @@ def servos(run: Run, effects: list[str]) -> list[dict[str, Any]]:
     ]
 
 
-def _servo(run: Run, channel: int, candidates: list[str]) -> dict[str, Any] | None:
+def _servo(run: Run, channel: int, candidates: list[str]) -> ServoFinding | None:
     told = np.abs(np.diff(run.commands("present")[:, channel]))
     moves = told[told > 1e-9]
     goal = run.commands("goal")[:, channel]
@@ -125,12 +132,9 @@ def _servo(run: Run, channel: int, candidates: list[str]) -> dict[str, Any] | No
     signature = np.zeros((1, len(record), 3))
     signature[..., 0] = 1.0
     problem = Problem(record, noise, whitener(noise, form, signature, kernel))
-    search = Search(problem, candidates, visible=max(step, VISIBLE * span))
-    fit = simplest(search, search.run())
-    sigma = problem.uncertainty(fit, search.dispersion(fit)) if len(fit.x) else np.zeros(0)
-    return {
-        "channel": channel,
-        "unit": run.command_unit,
-        "effects": [{"name": e, "params": parameters(record, fit, sigma, (e,))} for e in fit.effects],
-        "error": {"model": search.held_out_mm(search.null), "value": search.held_out_mm(fit)},
-    }
+    outcome = search(problem, candidates, visible=max(step, VISIBLE * span))
+    fit, fits = outcome.fit, outcome.plain
+    sigma = problem.uncertainty(fit, fits.dispersion(fit)) if len(fit.x) else np.zeros(0)
+    effects = tuple(ServoEffect(e, parameters(record, fit, sigma, (e,))) for e in fit.effects)
+    error = ServoError(fits.held_out_mm(fits.null), fits.held_out_mm(fit))
+    return ServoFinding(channel, run.command_unit, effects, error)

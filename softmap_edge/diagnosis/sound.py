@@ -1,8 +1,8 @@
 """Which frames and points of a run are no measurement: set aside before a fit, each with a remark that says so.
 
     late      seen when no command is known: outside the record of the commands, or in a gap of it that hides a move
-    repeated  a picture equal to the one before, bit for bit, from a camera that has noise; one that hangs repeats
-              itself while the commands move
+    repeated  a picture equal to the one before, bit for bit, from a camera that hangs: it repeats itself while the
+              commands move, and then jumps to where the body is; after a plateau of a play a body goes on from there
     clipped   a coordinate exactly at the border of a picture or a box, for several poses: taken as not seen
     astray    a point far from where the model has it, in this frame and not in those around: taken as not seen
 
@@ -20,19 +20,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.belongs import FOLLOWED, MOTION, belongs, declared, follows, spread
+from softmap_edge.diagnosis.belongs import FOLLOWED, MOTION, belongs, declared, follows, spread, still
 from softmap_edge.diagnosis.conditions import conditions
-from softmap_edge.diagnosis.floor import replicates
-from softmap_edge.diagnosis.noise import LEAST_DWELL, undrifted
+from softmap_edge.diagnosis.floor import noise_of_points
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
+from softmap_edge.diagnosis.remembered import catches_up, remembered
+from softmap_edge.diagnosis.repeats import LEAST_DWELL, undrifted
 from softmap_edge.errors import RunError
 from softmap_edge.folds import LEAST_FRAMES
 from softmap_edge.run import known
 from softmap_edge.ticks import converted
 
 if TYPE_CHECKING:
-    from softmap_edge.diagnosis.fit import Fit
     from softmap_edge.model import Model
     from softmap_edge.run import Run
 
@@ -42,6 +42,7 @@ Mask = NDArray[np.bool_]
 GAP_SAMPLES, GAP = 10.0, 1.0  # usual steps, and s, beyond which a record of commands has a gap
 MOVED = 0.05  # of the range of a command, across a gap: what happened there is not known
 STEPPED = 0.01  # of the range of a command between two frames: a camera that works sees it
+SELDOM = 0.2  # of the pairs of frames at rest that may be equal in a camera with noise
 SOON = 0.1  # of the usual time between pictures: no camera is that much faster once
 TOUCHED = 0.03  # of the frames that show a point exactly at its extreme: a border
 POSES = 5  # different places of points at a border: a body at rest has one
@@ -52,6 +53,7 @@ UNSTEADY, UNSTEADY_TIMES = 0.05, 4.0  # of all motion, and of the median dwell, 
 STILL = 0.8  # of all motion: more scatter in the dwells, and the robot does not move
 UNSTEADY_MOST, DWELLS = 0.3, 4  # of the dwells: more are how this robot is; fewer of them tell nothing
 WRONG_SIGMA = 5.0  # times the noise that repeats show, or as little
+REMEMBERED = 100  # frames on which a strong memory is asked for
 UNSEEN = 0.2  # of the points that may never be seen before a word is said
 
 
@@ -87,8 +89,8 @@ def sound(model: Model, run: Run) -> Sound:
         )
     u = model.commands(run)
     remarks, keep = declared(model, run), np.ones(run.frames, bool)
-    remarks += _sigma(run, u, seen, visible)
-    for frames, text in _frames(run, u, seen, visible):
+    remarks += _sigma(run)
+    for frames, text in _frames(model, run, u, seen, visible):
         remarks.append(f"{int(frames.sum())} of {run.frames} frames {text}" if frames.any() else text)
         keep &= ~frames
     if keep.sum() < min(LEAST_FRAMES, run.frames):
@@ -137,24 +139,29 @@ def sound_record(
     return record, told
 
 
-def stray(record: Record, fit: Fit) -> str | None:
-    """Say so where the points move, but not as the commands say, whatever a fit allows for."""
+def stray(record: Record, predicted: Floats) -> str | None:
+    """Say so where the points do not move as the commands say, or not at all, whatever a fit allows for."""
     seen = record.seen.reshape(len(record), -1, 3)[:, record.positions]
-    left = seen - fit.predicted.reshape(len(record), -1, 3)[:, record.positions]
+    left = seen - predicted.reshape(len(record), -1, 3)[:, record.positions]
     visible = np.asarray(np.isfinite(seen).all(axis=2), np.bool_)
     rest = np.asarray(getattr(record.model, "rest", np.zeros((1, 3))), float)
-    moved = spread(seen, visible)
-    if record.replay is not None or moved < MOTION * float(np.linalg.norm(rest, axis=1).max()):
+    moved, length = spread(seen, visible), float(np.linalg.norm(rest, axis=1).max())
+    if record.replay is not None:
+        return None
+    expected = record.predict(record.model.chain_names, record.own()[None])[0].reshape(len(record), -1, 3)
+    if at_rest := still(seen, visible, expected[:, record.positions], length):
+        return at_rest
+    if moved < MOTION * length:
         return None
     share = follows(left, seen, visible)
-    if share > FOLLOWED:
+    if share > FOLLOWED or _remembers(record):
         return None
-    still = [str(c) for c in np.flatnonzero(~(record.spread > 0))]
+    dead = [str(c) for c in np.flatnonzero(~(record.spread > 0))]
     why = "Either commands and frames are not of one recording, or something else than they moves the robot"
-    if len(still) == len(record.spread):
+    if len(dead) == len(record.spread):
         why = "The commands never change in this log"
-    elif still:
-        why = f"Either channel {', '.join(still)} never moves in this log, or something else moves the robot"
+    elif dead:
+        why = f"Either channel {', '.join(dead)} never moves in this log, or something else moves the robot"
     return (
         f"What is seen does not follow the commands: the points move by {moved:.3g} mm RMS, and with whatever effect "
         f"the model explains {100 * max(share, 0.0):.0f} % of that (fitted). {why}; no effect is named. Look at the "
@@ -162,21 +169,36 @@ def stray(record: Record, fit: Fit) -> str | None:
     )
 
 
-def _sigma(run: Run, u: Floats, seen: Floats, visible: Mask) -> list[str]:
+def _remembers(record: Record) -> bool:
+    """Return whether the model behind a play explains the motion of every run: a memory and no other robot."""
+    for part in getattr(record, "parts", [record]):
+        if not hasattr(record.model, "points_in_mm"):
+            return False
+        few = part.run.at(part.spread_rows(REMEMBERED))
+        points = np.asarray(record.model.points_in_mm(few), float)
+        if not remembered(record.model, few, points, known(few, points)).share > FOLLOWED:
+            return False
+    return True
+
+
+def _sigma(run: Run) -> list[str]:
     """Say so where the noise that a run declares is not the one that its repeats show."""
     if run.sigma is None:
         return []
-    found = replicates(conditions(run, u), np.where(visible[..., None], seen, 0.0), visible)
+    found = noise_of_points(run)
     said = float(np.sqrt(3.0) * np.median(run.sigma))
-    if found is None or 1 / WRONG_SIGMA < said / max(found[0], 1e-9) < WRONG_SIGMA:
+    if found is None or 1 / WRONG_SIGMA < said / max(found.mm, 1e-9) < WRONG_SIGMA:
         return []
-    return [f"`sigma` says {said:.2g} mm a point, {found[1]} say {found[0]:.2g} mm; the noise is taken from these"]
+    return [
+        f"`sigma` declares {said:.2g} mm a point, the repeats show {found.mm:.2g} mm ({found.source}); the noise is "
+        "taken from the repeats"
+    ]
 
 
 # --- frames -------------------------------------------------------------------------------------
 
 
-def _frames(run: Run, u: Floats, seen: Floats, visible: Mask) -> Iterator[tuple[Mask, str]]:
+def _frames(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) -> Iterator[tuple[Mask, str]]:
     """Yield frames (K,) that are no measurement, and why."""
     dark: Mask = np.asarray(~visible.any(axis=1), np.bool_)
     if dark.any():
@@ -206,7 +228,7 @@ def _frames(run: Run, u: Floats, seen: Floats, visible: Mask) -> Iterator[tuple[
     jumps, text = _unsteady(run, u, np.where(visible[..., None], seen, 0.0), visible)
     if text:
         yield jumps & ~late & ~inside, text
-    again = _repeated(run, u, seen, visible)
+    again = _repeated(model, run, u, seen, visible)
     if again.any():
         yield (
             again & ~late & ~inside,
@@ -253,7 +275,7 @@ def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, s
     )
 
 
-def _repeated(run: Run, u: Floats, seen: Floats, visible: Mask) -> Mask:
+def _repeated(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) -> Mask:
     """Return which frames (K,) show the picture before them once more, where that can only be the camera."""
     again = np.zeros(run.frames, bool)
     if run.frames < 2:
@@ -270,9 +292,29 @@ def _repeated(run: Run, u: Floats, seen: Floats, visible: Mask) -> Mask:
     at = np.stack([np.interp(run.t_seen, run.t, row) for row in u.T], axis=1) if u.shape[1] else u
     change = (np.abs(np.diff(at, axis=0)) / span).max(axis=1, initial=0.0)
     gap = np.diff(run.t_seen)
-    impossible = same & ((change > STEPPED) | (gap < SOON * np.median(gap[~same])))
-    noisy = bool((~same & (change < 1e-6)).any())
-    return again if noisy and impossible.sum() >= 2 else np.zeros(run.frames, bool)
+    stamped = same & (gap < SOON * np.median(gap[~same]))
+    if (~same & (change < 1e-6)).any() and stamped.sum() >= 2:
+        return again
+    none = np.zeros(run.frames, bool)
+    moving = same & (change > STEPPED)
+    if moving.sum() < 2:
+        return none
+    stretches = [(a, b) for a, b in _stretches(same) if moving[a:b].any()]
+    ended = [(a, b, b + 1) for a, b in stretches if b + 1 < run.frames]
+    if ended and catches_up(ended, seen, visible, np.asarray(model.predict(run), float)):
+        return again
+    outside = np.ones(len(same), bool)
+    for a, b in stretches:
+        outside[a:b] = False
+    still = outside & (change < 1e-6)
+    never = still.sum() >= 2 and float(same[still].mean()) < SELDOM  # a camera with noise never repeats itself
+    return again if never else none
+
+
+def _stretches(same: Mask) -> list[tuple[int, int]]:
+    """Return the first frame and the last repetition of each stretch of frames that repeat their forerunner."""
+    edges = np.flatnonzero(np.diff(np.r_[False, same, False].astype(int)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 # --- points -------------------------------------------------------------------------------------

@@ -7,12 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from softmap_edge.diagnosis.evidence import LEFT_R2, Leftover, Untestable
+from softmap_edge.diagnosis.findings import (
+    Alternative,
+    ErrorLadder,
+    FamilyFinding,
+    Finding,
+    Unexplained,
+    Untestable,
+)
 
 GROSS = 2.0  # times as far as any physics that faults must move the body for them to be the verdict
 UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "cannot tell"
+LEFT_R2 = 0.12  # from which a condition is named as what predicts a leftover
 
 
 @dataclass(frozen=True)
@@ -32,90 +39,110 @@ class OwnMisfit:
 
 
 def verdict_of(
-    physics: list[dict[str, Any]],
-    faults: list[dict[str, Any]],
-    doubts: list[Any],
+    physics: Sequence[Finding],
+    faults: Sequence[Finding],
+    doubtful: bool,
     unknown: bool,
-    hidden: list[Untestable],
+    detected: bool,
+    hidden: int,
     count: int,
 ) -> str:
-    """Return the verdict on entries of effects and faults; `physics` is `faults` where these may be physics.
+    """Return the verdict.
 
     Args:
-        doubts: rivals and whatever else speaks against what is named. unknown: whether something else is left.
-        hidden: effects that the run could not have shown, of `count` candidates.
+        physics: effects that were found, or the faults where these may be physics. faults: faults of the measurement.
+        doubtful: whether anything speaks against what is named. unknown: whether something else is left.
+        detected: whether a family was. hidden: how many effects the run could not have shown, of `count` candidates.
     """
     if unknown:
         return "partly_explained"
     if physics and faults and physics is not faults and _moved(faults) > GROSS * _moved(physics):
         return "measurement_fault"
-    if physics:
-        return "ambiguous" if doubts else "identified"
+    if physics or (detected and not faults):
+        return "ambiguous" if doubtful else "identified"
     if faults:
         return "measurement_fault"
-    return "cannot_tell" if len(hidden) >= UNTESTABLE_SHARE * count else "nothing"
+    return "cannot_tell" if hidden >= UNTESTABLE_SHARE * count else "nothing"
 
 
-def _moved(entries: list[dict[str, Any]]) -> float:
-    return max(float(e["displacement_mm"]["fitted"]) for e in entries)
+def _moved(findings: Sequence[Finding]) -> float:
+    return max(f.displacement_mm.fitted or 0.0 for f in findings)
 
 
 def sentence_of(
     verdict: str,
-    physics: list[dict[str, Any]],
-    faults: list[dict[str, Any]],
-    rivals: list[dict[str, Any]],
-    left: Leftover,
-    hidden: list[Untestable],
-    error: dict[str, Any],
+    physics: Sequence[Finding],
+    faults: Sequence[Finding],
+    families: Sequence[FamilyFinding],
+    alternatives: Sequence[Alternative],
+    left: Unexplained,
+    hidden: Sequence[Untestable],
+    error: ErrorLadder,
     demoted: Sequence[str],
+    hint: str = "",
 ) -> str:
-    """Return the verdict as a sentence: what is named, its rivals, by how much the held-out error falls."""
-    names = " + ".join([*map(_said, faults), *(e["name"] for e in physics)])
-    at_fault = " + ".join(map(_said, faults))
-    wrong = f"the measurement is at fault ({at_fault})" if faults else ""
-    lacks = f"the model lacks {' + '.join(e['name'] for e in physics)}" if physics else ""
-    found = ", and ".join(filter(None, [wrong, lacks]))
-    found = found[:1].upper() + found[1:]
-    after = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
-    fall = f"the held-out error falls from {error['model']:.2f} to {after:.2f} mm RMS"
-    judge = error["held_out_on"]
-    lost = f" Dropped, because the error on {judge} did not fall: {', '.join(demoted)}." if demoted else ""
-    cannot = f" These data cannot show {', '.join(h.name for h in hidden)}." if hidden else ""
-    by = left.predicted_by if left.blocked_r2 >= LEFT_R2 else "none of its conditions"
-    unknown = f"{left.rms_mm:.2f} mm RMS (fitted) are left that {by} predicts"
+    """Return the verdict as a sentence: what is named, alternatives, by how much the held-out error falls.
+
+    `hint` is the family that comes nearest where none is accepted.
+    """
+    fall = f"the held-out error falls from {error.before:.2f} to {error.after:.2f} mm RMS"
+    lost = f" Dropped, because the error on {error.held_out_on} did not fall: {', '.join(demoted)}." if demoted else ""
+    found = _found(physics, faults, families)
     if verdict == "identified":
         return f"{found}; {fall}.{lost}"
     if verdict == "ambiguous":
-        also = "; ".join(dict.fromkeys(" + ".join(r["effects"]) for r in rivals))
-        other = f"a rival that these data do not rule out ({also})" if rivals else "something that looks like it"
-        return f"{found} or {other}; {fall}.{lost}"
-    if verdict == "partly_explained" and names:
-        return f"{found}, and something is missing that is not among the candidates: {unknown}; {fall}.{lost}"
+        others = dict.fromkeys(" + ".join(a.effects) if a.effects else f"a law of the family {a.family}"
+                               for a in alternatives)  # fmt: skip
+        other = f", or an alternative that these data cannot exclude ({'; '.join(others)})" if others else ""
+        return f"{found}{other}; {fall}.{lost}"
     if verdict == "partly_explained":
-        return f"Something that is not among the candidates is missing: {unknown}.{lost}"
+        by = left.predicted_by if (left.blocked_r2 or 0.0) >= LEFT_R2 and left.predicted_by else None
+        rest = f"{left.rms_mm:.2f} mm RMS (fitted) remain unexplained"
+        rest += f" and follow {by}" if by else ""
+        falls = f"; {fall}" if physics or faults else ""
+        nearest = f" (nearest family: {hint})" if hint else ""
+        return f"{found or f'Something unknown is missing{nearest}'}; {rest}{falls}.{lost}"
     if verdict == "measurement_fault":
-        return f"{found if physics else f'The measurement is at fault, not the model: {names}'}; {fall}.{lost}"
+        return f"{found if physics else f'The measurement is at fault, not the model: {_names(faults)}'}; {fall}.{lost}"
+    names = ", ".join(h.name for h in hidden)
     if verdict == "cannot_tell":
-        return (
-            f"Nothing above the floor is seen, and these data could not show {', '.join(h.name for h in hidden)}.{lost}"
-        )
-    stays = f"{error['model']:.2f} mm RMS (held out)"
-    return f"Nothing above the floor: no candidate explains the {stays} that are left.{cannot}{lost}"
+        return f"Nothing above the floor is seen, and these data could not show {names}.{lost}"
+    stays = f"{error.before:.2f} mm RMS (held out)"
+    cannot = f" These data cannot show {names}." if hidden else ""
+    return f"Nothing above the floor: no candidate explains the remaining {stays}.{cannot}{lost}"
 
 
-def _said(fault: dict[str, Any]) -> str:
-    """Name a fault, and what its case means where it has one."""
-    meanings = [p["meaning"] for p in fault["params"].values() if p.get("meaning")]
-    return ": ".join([fault["name"], *meanings])
+def _found(physics: Sequence[Finding], faults: Sequence[Finding], families: Sequence[FamilyFinding]) -> str:
+    """Return what was found: faults, named effects by family, families whose law is open or unknown."""
+    parts = [f"the measurement is at fault ({_names(faults)})"] if faults else []
+    named = {f.name for f in (*physics, *faults)}
+    settled = [f.name for f in physics if not any(f.name in g.effects and g.law != "resolved" for g in families)]
+    if settled:
+        parts.append(f"the model lacks {' + '.join(settled)}")
+    for family in families:
+        if family.law == "open":
+            fits = [e for e in family.effects if e not in named] + [e for e in family.effects if e in named]
+            among = f"; candidates: {', '.join([*fits, *family.generic])}" if (*fits, *family.generic) else ""
+            kind = "a static, non-linear map of the commands" if family.name == "static map" else family.name
+            parts.append(f"{kind} of {family.moved_mm:.2f} mm RMS, law open{among}")
+        elif family.law == "unknown":
+            beside = f" (or {', '.join(family.alternatives)})" if family.alternatives else ""
+            parts.append(f"an unknown law of the family {family.name}{beside}, {family.moved_mm:.2f} mm RMS")
+    text = "; and ".join(parts)
+    return text[:1].upper() + text[1:]
 
 
-def at_bounds(entries: list[dict[str, Any]]) -> list[str]:
+def _names(faults: Sequence[Finding]) -> str:
+    """Name faults, and what a case means where one has it."""
+    return " + ".join(": ".join([f.name, *(p.meaning for p in f.params.values() if p.meaning)]) for f in faults)
+
+
+def at_bounds(findings: Sequence[Finding]) -> list[str]:
     """Return a doubt for each number that the fit left at its bound."""
     return [
-        f"{label} is at its bound of {p['value']:.3g}{'' if p['unit'] == '1' else ' ' + p['unit']}: "
+        f"{label} is at its bound of {p.value:.3g}{'' if p.unit == '1' else ' ' + p.unit}: "
         "the true value lies beyond, or another effect acts"
-        for entry in entries
-        for label, p in entry["params"].items()
-        if p["at_bound"]
+        for finding in findings
+        for label, p in finding.params.items()
+        if p.at_bound
     ]

@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.diagnosis.decision import VISIBLE_MM
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.fit import Problem
+from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.noise import FLOOR, Noise
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
-from softmap_edge.diagnosis.search import VISIBLE_MM, Search
 from softmap_edge.diagnosis.sound import sound
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, Block, Setting, plan
@@ -68,7 +69,7 @@ class World:
         self.paired = diagnosis.made_from.get("reference") is not None
         self.runs = runs = [sound(model, run).run for run in runs] if sound_only else runs
         self.references = [sound(model, run).run for run in references] if sound_only else [*references]
-        known = [e["name"] for e in [*diagnosis.effects, *diagnosis.faults]]
+        known = [e.name for e in (*diagnosis.effects, *diagnosis.faults)]
         self.found = tuple(name for name in self.registry if name in known)
         asked = _questions(diagnosis, self.found, tuple(model.chain_names))
         self.beyond = [q for q in asked if q.hidden is None and any(model.lacking(n) for n in q.other)]
@@ -84,9 +85,9 @@ class World:
         if runs:
             whole = record_of(model, runs, library, self.references or None)
             problem = problem_of(whole, [n for n in self.names if self.declared(n)])
-            search = Search(problem, [n for n in self.names if self.declared(n)])
-            fits = {key: search.get(key) for key in sets}
-            self.noise, self.dispersion = problem.noise, search.dispersion(fits[self.found])
+            fitted = Fits(problem, [n for n in self.names if self.declared(n)])
+            fits = {key: fitted.get(key) for key in sets}
+            self.noise, self.dispersion = problem.noise, fitted.dispersion(fits[self.found])
             self.params |= {key: fit.params for key, fit in fits.items()}
         else:
             self.noise, self.dispersion = _declared_noise(model, diagnosis), 1.0
@@ -281,11 +282,11 @@ class _Linear:
 
 def _questions(diagnosis: Diagnosis, found: tuple[str, ...], own: tuple[str, ...]) -> list[Question]:
     asked = []
-    for rival in diagnosis.rivals:
-        effects = tuple(str(e) for e in rival.get("effects") or ())
+    for alternative in diagnosis.alternatives:
+        effects = alternative.effects
         if set(effects) != set(found) and not set(effects) & set(own):  # a refit of the model's own needs no experiment
             asked.append(Question(found, effects))
-    asked += [Question(found, found, row["name"]) for row in diagnosis.not_testable if row["name"] not in found]
+    asked += [Question(found, found, row.name) for row in diagnosis.not_testable if row.name not in found]
     return list(dict.fromkeys(asked))
 
 
@@ -306,9 +307,9 @@ def _check(
             f"the diagnosis was made from other runs than the {len(runs)} given; give those, or diagnose these again"
         )
     _check_references(made.get("reference"), bool(runs), [run.hash() for run in references])
-    named = [e["name"] for e in [*diagnosis.effects, *diagnosis.faults]]
-    named += [str(e) for rival in diagnosis.rivals for e in rival.get("effects") or ()]
-    named += [str(row.get("name")) for row in diagnosis.not_testable]
+    named = [e.name for e in (*diagnosis.effects, *diagnosis.faults)]
+    named += [e for alternative in diagnosis.alternatives for e in alternative.effects]
+    named += [row.name for row in diagnosis.not_testable]
     unknown = [name for name in named if name not in registry]
     if unknown:
         raise SoftmapError(f"the diagnosis names '{unknown[0]}', which this library lacks; diagnose again")
@@ -332,8 +333,8 @@ def _check_references(told: Any, runs: bool, given: list[str]) -> None:
 
 def _declared_noise(model: Model, diagnosis: Diagnosis) -> Noise:
     """Return the noise that a diagnosis states, the same for each coordinate, where its runs are not given."""
-    stated = diagnosis.error.get("noise_floor")
-    mm = float(stated) if isinstance(stated, (int, float)) and 0 < stated < 1e3 else 0.3
+    stated = diagnosis.error.noise_floor
+    mm = stated if stated is not None and 0 < stated < 1e3 else 0.3
     return Noise(np.eye(3 * len(model.positions)) * max(mm / np.sqrt(3.0), FLOOR) ** 2, "stated", 1.0)
 
 

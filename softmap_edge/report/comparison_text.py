@@ -59,6 +59,7 @@ def comparison_text(comparison: Comparison) -> str:
     scale = max(error[key] for _, key in named)
     lines += [f"  {label:<12}{mm(error[key]):>7}  {bar(error[key], scale)}" for label, key in named]
     lines.append(f"  {'noise floor':<12}{mm(floor):>7}  {bar(floor or 0.0, scale)}")
+    lines += _memoryless_lines(comparison, scale)
     lines += folded(f"floor: {comparison.floor_kind}", 2)
     lines += ["", f"Where the error is (RMS {unit}; full bar = {mm(_top([comparison]))} {unit})"]
     scale = _top([comparison])
@@ -125,6 +126,21 @@ def check_pair(before: Comparison, after: Comparison) -> None:
         raise ReportError(
             f"before and after are of different runs ({str(first)[:8]}, {str(second)[:8]}); compare both models on one"
         )
+
+
+def _memoryless_lines(comparison: Comparison, scale: float) -> list[str]:
+    """Return the floor that no model without memory can beat, and what shows it."""
+    floor = comparison.memoryless
+    if floor is None:
+        return folded("floor without memory: too few repeated poses to tell", 2)
+    return [
+        f"  {'no memory':<12}{mm(floor.mm):>7}  {bar(floor.mm, scale)}",
+        *folded(
+            "no memory: the floor of every model without memory on this run (same command, different shape); "
+            f"{floor.poses} poses in {floor.passages} passages, {floor.frames} frames",
+            2,
+        ),
+    ]
 
 
 def _top(comparisons: Sequence[Comparison]) -> float:

@@ -191,7 +191,7 @@ def ladder_bars(error: Mapping[str, Any]) -> bytes:
         axes = figure.add_subplot()
         for position, (name, value) in enumerate(steps):
             colour = BEFORE if position == 0 else AFTER if name.startswith("+") else PALE
-            axes.barh(position, value, color=colour, height=0.66, alpha=0.55 if "static correction" in name else 1.0)
+            axes.barh(position, value, color=colour, height=0.66, alpha=0.55 if "static baseline" in name else 1.0)
             axes.annotate(f"{mm(value)}", (value, position), (5, 0), textcoords="offset points", va="center")
         if isinstance(floor, (int, float)) and math.isfinite(floor):
             axes.axvline(floor, color=INK, linewidth=1.1, linestyle=(0, (4, 3)))

@@ -14,9 +14,11 @@ from types import ModuleType
 from typing import Any
 
 from softmap_edge.diagnosis.comparison import Comparison
+from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
 from softmap_edge.diagnosis.series import Series
 from softmap_edge.errors import ReportError
 from softmap_edge.report.comparison_text import check_pair
+from softmap_edge.report.families import family_section
 from softmap_edge.report.html_open import open_questions
 from softmap_edge.report.in_unit import PLACES, comparison_in_unit, in_unit, series_in_unit, unit_of
 from softmap_edge.report.numbers import fall, mm, number, percent, tamed
@@ -25,9 +27,7 @@ from softmap_edge.report.text import (
     LADDER_NOTE,
     OUTPUT_NOTE,
     STATIC_ADDED,
-    VERDICTS,
     again,
-    check_diagnosis,
     ladder_steps,
     moved_by,
     parameter,
@@ -69,7 +69,7 @@ def write_html(
     Args:
         path: the file to write.
         comparison: one comparison, or two of the same run (before, after).
-        diagnosis: a Diagnosis or its document softmap.diagnosis/1.
+        diagnosis: a Diagnosis or its document softmap.diagnosis/2 (or /1).
         series: errors over time and over the body (`compare.series`), for the pictures that need them.
         ways: errors in mm RMS of a model made in several ways, by name, and what they were measured on (`adapt`).
         floor: what no model can go below, mm, and what it is, where that is known better than from the camera's noise.
@@ -89,7 +89,7 @@ def write_html(
         check_pair(*given)
     if diagnosis is not None:
         diagnosis = diagnosis.to_dict() if hasattr(diagnosis, "to_dict") else diagnosis
-        check_diagnosis(diagnosis)
+        diagnosis = Diagnosis.from_dict(diagnosis).to_dict()
     unit = unit_of(given[0].made_from if given else (diagnosis or {}).get("made_from") or {})
     shown = [comparison_in_unit(one) for one in given]
     measured, on = (None, "") if ways is None else ways
@@ -106,6 +106,7 @@ def write_html(
     figures = loaded_figures()
     sections = [
         _hero(story),
+        family_section(story.diagnosis or {}, story.unit),
         _loops(story),
         _sheet(story),
         _where(story, figures),
@@ -251,13 +252,23 @@ def _time(story: Story, figures: ModuleType) -> str:
 
 
 def _loops(story: Story) -> str:
-    if story.series is None or not story.series.loops:
+    if story.series is None or not story.series.loops or not (_remembers(story) or not story.places):
         return ""
     from softmap_edge.report.loop_figure import loops
 
-    image = picture(loops(story.series, story.unit), "Output against command, measured and predicted")
+    what = "Tip" if story.places else "Output"
+    image = picture(loops(story.series, story.unit), f"{what} against command, measured and predicted")
     note = f"The cycle with the largest error before, {escaped(story.unit)} (faint: all that was measured)"
-    return section("Output against command", image, f"{note}{_short(story)}.")
+    if story.places:
+        note += (
+            ". The tip's displacement in the direction in which that command moves it, from where it is at command 0"
+        )
+    return section(f"{what} against command: the loop", image, f"{note}{_short(story)}.")
+
+
+def _remembers(story: Story) -> bool:
+    """Whether a family was detected whose error depends on the history of the commands: memory, delay, creep …"""
+    return any(row.get("kind") == "memory" for row in (story.diagnosis or {}).get("families") or [])
 
 
 def _things(story: Story) -> str:
@@ -339,7 +350,7 @@ def _effects(story: Story) -> str:
                 " / held out" if judged else ""
             )
             values = "parameters, fitted ± 1σ<br>ratios have no unit"
-            columns = ("effect", values, "probability<br>fitted", "share of what is explained<br>fitted", moves)
+            columns = ("effect", values, "probability<br>fitted", "share of the explained<br>error, fitted", moves)
             head = "".join(f"<th>{name}</th>" for name in columns)
             body = "".join(_effect_row(row, judged) for row in rows)
             parts.append(section(title, f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"))

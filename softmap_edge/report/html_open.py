@@ -1,4 +1,4 @@
-"""What a diagnosis leaves open, as HTML: servos, rivals, what these data cannot tell, what to record, what is left."""
+"""What a diagnosis leaves open, as HTML: servos, alternatives, what is not testable, what to record."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Any
 from softmap_edge.report.in_unit import unit_of
 from softmap_edge.report.numbers import mm, number, tamed
 from softmap_edge.report.style import escaped
-from softmap_edge.report.text import servo_row, untestable_rows
+from softmap_edge.report.text import alternative_name, servo_row, untestable_rows
 
 
 def open_questions(found: Mapping[str, Any]) -> str:
     """Return the part of a page on what a diagnosis document leaves open; nothing where there is none."""
-    sets = found.get("rivals") or []
-    rivals = [(" + ".join(map(str, row.get("effects") or ["?"])), tamed(row.get("why", ""))) for row in sets]
+    sets = found.get("alternatives") or []
+    alternatives = [(alternative_name(row), tamed(row.get("why", ""))) for row in sets]
     rows = untestable_rows(found)
     untestable = [(names, f"{why} — {experiment}" if experiment else why) for names, why, experiment in rows]
     steps = [(f"{row.get('block', '?')}", _settles(row)) for row in found.get("next") or []]
     parts = [
         _definitions("Servos: between command and encoder", [servo_row(row) for row in found.get("servo") or []]),
-        _definitions("Rivals: what explains these data as well", rivals),
+        _definitions("Alternatives: what explains these data as well", alternatives),
         _definitions("Not testable with these data", untestable),
         _definitions("Next experiment", steps),
         _remarks(found.get("remarks") or []),
@@ -63,4 +63,4 @@ def _unexplained(left: Mapping[str, Any], unit: str) -> str:
         ("predictable share", "–" if share is None else f"R² {share:.2g} on held-out blocks"),
         ("follows", named),
     ]
-    return _definitions("Left unexplained", rows)
+    return _definitions("Unexplained error", rows)

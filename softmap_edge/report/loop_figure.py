@@ -1,57 +1,80 @@
-"""The loop of a run of outputs: each output against its command, measured and predicted, over one cycle.
+"""Loops: each output, or the tip, against a command, measured and predicted before and after, over one cycle.
 
-Pinned by tests/test_output.py. Needs matplotlib.
+Pinned by tests/test_output.py and tests/test_loop_figure.py. Needs matplotlib.
 """
 
 from __future__ import annotations
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.series import Loop, Series
-from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, clean, svg
+from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, PALE, STYLE, WIDE, clean, svg
 
 Floats = NDArray[np.float64]
 
 TURN = 0.2  # of the range of a command: smaller moves back are no cycle
-MOST_LOOPS = 6  # of a run with many outputs
+MOST_LOOPS = 6  # of a run with many outputs or commands
 
 
 def loops(series: Series, unit: str) -> bytes:
-    """Draw each output (in `unit`) against its command: measured, and predicted before and after (SVG).
+    """Draw each output, or the tip (in `unit`), against its command, with the error below it, over one cycle (SVG).
 
-    One cycle of the command, that with the largest error before; all that was measured stands behind.
+    Measured, and predicted before and after. The cycle is that with the largest error before; all that was measured
+    stands behind.
     """
     most = min(len(series.loops), MOST_LOOPS)
     columns = min(most, 2)
     tall = -(-most // columns)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDE, 4.2 * tall), layout="constrained")
-        grid = figure.subplots(tall, columns, squeeze=False).ravel()
-        for axes, loop in zip(grid, series.loops[:most]):
-            rows = worst_cycle(loop)
-            axes.plot(loop.command, loop.seen, color=FAINT, linewidth=0.9, zorder=1)
-            axes.plot(loop.command[rows], loop.seen[rows], color=INK, linewidth=1.0, label="measured", zorder=3)
-            old = "predicted" if loop.after is None else "before"
-            axes.plot(loop.command[rows], loop.before[rows], color=BEFORE, linewidth=1.4, label=old)
-            if loop.after is not None:
-                axes.plot(loop.command[rows], loop.after[rows], color=AFTER, linewidth=1.4, label="after")
-            axes.set(xlabel=f"command, {series.command_unit}", ylabel=f"{clean(loop.name, 30)}, {unit}")
-            axes.grid(color=FAINT, linewidth=0.8)
-            axes.set_axisbelow(True)
-            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
-        for axes in grid[most:]:
-            axes.set_axis_off()
+        figure = Figure(figsize=(WIDE, 5.4 * tall), layout="constrained")
+        grid = figure.subplots(2 * tall, columns, squeeze=False, sharex="col", height_ratios=[3.4, 2.0] * tall)
+        for k in range(tall * columns):
+            row, column = divmod(k, columns)
+            upper, lower = grid[2 * row, column], grid[2 * row + 1, column]
+            if k < most:
+                _draw(upper, lower, series.loops[k], unit, series.command_unit)
+            else:
+                upper.set_axis_off()
+                lower.set_axis_off()
         return svg(figure)
 
 
+def _draw(upper: Axes, lower: Axes, loop: Loop, unit: str, command_unit: str) -> None:
+    """Draw one loop into the upper axes and its error into the lower ones."""
+    rows = worst_cycle(loop)
+    command, seen = loop.command[rows], loop.seen[rows]
+    shown = [("predicted" if loop.after is None else "before", loop.before, BEFORE)]
+    if loop.after is not None:
+        shown.append(("after", loop.after, AFTER))
+    upper.plot(loop.command, loop.seen, color=FAINT, linewidth=0.9, zorder=1)
+    upper.plot(command, seen, color=INK, linewidth=0.9, marker="o", markersize=2.6, label="measured", zorder=1.5)
+    for name, values, colour in shown:
+        upper.plot(command, values[rows], color=colour, linewidth=1.4, label=name)
+        lower.plot(command, seen - values[rows], color=colour, linewidth=1.2, marker="o", markersize=2.0)
+    lower.axhline(0.0, color=PALE, linewidth=0.8, zorder=1)
+    upper.set_ylabel(f"{clean(loop.name, 30)}, {unit}")
+    lower.set(xlabel=f"command, {command_unit}", ylabel=f"measured − predicted, {unit}")
+    for axes in (upper, lower):
+        axes.grid(color=FAINT, linewidth=0.8)
+        axes.set_axisbelow(True)
+    upper.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
+
+
 def worst_cycle(loop: Loop) -> slice:
-    """Return the frames of the cycle of a command (three turns) with the largest error before; else all of them."""
+    """Return the frames of the cycle of a command (three turns) with the largest error before; else all of them.
+
+    Cycles in which the other commands stand still come first: what others do is no loop of this command.
+    """
     turns = _turns(loop.command)
     squares = np.nan_to_num(loop.seen - loop.before) ** 2
     cycles = [slice(start, end + 1) for start, end in zip(turns, turns[2:])]
+    if loop.others is not None:
+        least = TURN * np.ptp(loop.others, axis=0)
+        cycles = [rows for rows in cycles if np.all(np.ptp(loop.others[rows], axis=0) <= least)] or cycles
     return max(cycles, key=lambda rows: float(squares[rows].mean()), default=slice(0, len(squares)))
 
 

@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from softmap_edge.report.numbers import folded
+from softmap_edge.report.text import alternative_name
 
 
 def progress_lines(before: Mapping[str, Any] | None, after: Mapping[str, Any]) -> list[str]:
     """Return what was open and what still is, for a terminal.
 
     Args:
-        before, after: documents softmap.diagnosis/1, earlier and later; without `before` only what is open now.
+        before, after: documents softmap.diagnosis/2, earlier and later; without `before` only what is open now.
     """
     lines = [] if before is None else _open("Before", before)
     lines += _open("Now" if before is not None else "Open", after)
@@ -24,16 +25,16 @@ def progress_lines(before: Mapping[str, Any] | None, after: Mapping[str, Any]) -
 
 def _open(title: str, document: Mapping[str, Any]) -> list[str]:
     found = " + ".join(str(row.get("name")) for row in [*document["effects"], *document["faults"]]) or "nothing named"
-    rivals = list(dict.fromkeys(" + ".join(map(str, row.get("effects") or ["?"])) for row in document["rivals"]))
+    others = list(dict.fromkeys(alternative_name(row) for row in document["alternatives"]))
     hidden = [str(row.get("name")) for row in document["not_testable"]]
     verdict = str(document["verdict"]).replace("_", " ")
-    told = f"{title:<9} {found} ({verdict}); rivals: {', '.join(rivals) or 'none'}"
-    return _folded(told + f"; not testable: {', '.join(hidden) or 'none'}")
+    said = f"{title:<9} {found} ({verdict}); alternatives: {', '.join(others) or 'none'}"
+    return _folded(said + f"; not testable: {', '.join(hidden) or 'none'}")
 
 
 def _asked(document: Mapping[str, Any]) -> list[str]:
-    rivals = [" + ".join(map(str, row.get("effects") or ["?"])) for row in document["rivals"]]
-    return list(dict.fromkeys([*rivals, *(str(row.get("name")) for row in document["not_testable"])]))
+    others = [alternative_name(row) for row in document["alternatives"]]
+    return list(dict.fromkeys([*others, *(str(row.get("name")) for row in document["not_testable"])]))
 
 
 def _folded(text: str) -> list[str]:

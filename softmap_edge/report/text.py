@@ -10,26 +10,17 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from softmap_edge.errors import ReportError
+from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
+from softmap_edge.report.families import family_lines
 from softmap_edge.report.in_unit import PLACES, in_unit, unit_of
 from softmap_edge.report.numbers import LARGEST, bar, folded, mm, number, percent, tamed
 
-SCHEMA = "softmap.diagnosis/1"
-VERDICTS = {
-    "identified": "identified",
-    "ambiguous": "ambiguous: more than one effect fits",
-    "partly_explained": "partly explained: something unknown is left",
-    "nothing": "nothing above the floor",
-    "cannot_tell": "these data cannot tell",
-    "measurement_fault": "measurement fault",
-}
-
 
 def diagnosis_text(document: Mapping[str, Any]) -> str:
-    """Return the report of a diagnosis document softmap.diagnosis/1.
+    """Return the report of a diagnosis document.
 
     Args:
-        document: what `Diagnosis.to_dict()` gave.
+        document: what `Diagnosis.to_dict()` gave, of this schema or the one before.
 
     Returns:
         str: lines of at most 100 columns.
@@ -37,10 +28,11 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
     Raises:
         ReportError: it is not such a document.
     """
-    check_diagnosis(document)
-    document, unit = in_unit(document), unit_of(document.get("made_from") or {})
+    known = Diagnosis.from_dict(document).to_dict()
+    document, unit = in_unit(known), unit_of(known["made_from"])
     lines = [f"Verdict: {VERDICTS.get(document['verdict'], document['verdict'])}"]
     lines += folded(tamed(document.get("sentence", "")), 2)
+    lines += family_lines(document, unit)
     for title, key in (
         (f"Faults of the measurement ({PARAMETERS})", "faults"),
         (f"Missing effects, in order of importance ({PARAMETERS})", "effects"),
@@ -53,7 +45,7 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
     lines += _ladder_lines(document.get("error") or {})
     servos = [servo_row(row) for row in document.get("servo") or []]
     lines += _list_lines("Servos: between command and encoder", servos, ": ".join)
-    lines += _list_lines("Rivals: what explains these data as well", document.get("rivals"), _rival)
+    lines += _list_lines("Alternatives: what explains these data as well", document["alternatives"], _alternative)
     lines += _list_lines("Not testable with these data", untestable_rows(document), _untestable)
     lines += _list_lines("About the run", document.get("remarks"), tamed)
     lines += _unexplained_lines(document.get("unexplained") or {}, unit)
@@ -61,57 +53,10 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def check_diagnosis(document: Any) -> None:
-    """Raise ReportError unless `document` has the schema softmap.diagnosis/1 and its entries have its shape."""
-    schema = document.get("schema") if isinstance(document, Mapping) else None
-    if schema != SCHEMA or not isinstance(document.get("verdict"), str):
-        raise ReportError(f"this is no diagnosis: schema {schema!r}, expected '{SCHEMA}' with a verdict")
-    for key in ("where", "error", "unexplained", "made_from"):
-        _demand(document.get(key) or {}, Mapping, key)
-    for key in ("effects", "faults", "servo", "rivals", "not_testable", "next"):
-        for row in _demand(document.get(key) or [], list, key):
-            _demand(row, Mapping, f"an entry of {key}")
-    for text in _demand(document.get("remarks") or [], list, "remarks"):
-        _demand(text, str, "a remark")
-    named = [*(document.get("effects") or []), *(document.get("faults") or [])]
-    names = [row.get("name") for row in named]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise ReportError(f"damaged diagnosis: it names '{twice}' twice; make it again")
-    for row in document.get("servo") or []:
-        _demand(row.get("error") or {}, Mapping, "error of a servo")
-        named += _demand(row.get("effects") or [], list, "effects of a servo")
-    for row in named:
-        _demand(_demand(row, Mapping, "an effect").get("displacement_mm") or {}, Mapping, "displacement_mm")
-        _demand(row.get("name"), str, "the name of an effect")
-        again = _demand(row.get("refitted") or {"params": {}}, Mapping, "refitted")
-        params = _demand(row.get("params"), Mapping, "params"), _demand(again.get("params"), Mapping, "refitted params")
-        for label, value in (item for group in params for item in group.items()):
-            if number(_demand(value, Mapping, "an entry of params").get("value")) is None:
-                raise ReportError(f"damaged diagnosis: {label} has no finite value; make it again")
-    for row in document.get("rivals") or []:
-        _demand(row.get("effects") or [], list, "effects of a rival")
-    for row in _demand((document.get("error") or {}).get("ladder") or [], list, "ladder"):
-        _demand(row, Mapping, "a step of the ladder")
-    for moment in ("before", "after"):
-        maps = _demand((document.get("where") or {}).get(moment) or {}, Mapping, f"where.{moment}")
-        for name, rows in maps.items():
-            for row in _demand(rows, list, f"where.{moment}.{name}"):
-                if number(_demand(row, Mapping, f"a bin of {name}").get("rms_mm")) is None or "label" not in row:
-                    raise ReportError(f"damaged diagnosis: a bin of {name} has no label or rms_mm; make it again")
-
-
-def _demand(value: Any, kind: Any, name: str) -> Any:
-    if not isinstance(value, kind):
-        raise ReportError(
-            f"damaged diagnosis: {name} is {type(value).__name__}, expected {kind.__name__}; make it again"
-        )
-    return value
-
-
 PARAMETERS = "fitted, ± 1 σ of the scatter alone; ratios have no unit"
-STATIC_ADDED = "+ static correction"
+STATIC_ADDED = "+ static baseline"
 STATIC_NOTE = (
-    "A static correction is a polynomial of the command fitted to what is left: "
+    "The static baseline is a polynomial of the command, fitted to the remaining error: "
     "what it cannot remove depends on history or on conditions."
 )
 OUTPUT_NOTE = f"Measured over all outputs. {STATIC_NOTE}"
@@ -129,7 +74,7 @@ def ladder_steps(error: Mapping[str, Any]) -> list[tuple[str, float]]:
     Returns:
         list: steps whose value is a finite number, in the order in which things were added.
     """
-    steps = [("model alone", error.get("model")), ("static correction only", error.get("static_residual"))]
+    steps = [("model alone", error.get("model")), ("static baseline only", error.get("static_residual"))]
     steps += [(f"+ {row.get('added', '?')}", row.get("value")) for row in error.get("ladder") or []]
     steps.append((STATIC_ADDED, error.get("with_static_residual")))
     return [(name, known) for name, value in steps if (known := number(value)) is not None]
@@ -141,7 +86,7 @@ def _effect_lines(row: Mapping[str, Any], place_unit: str) -> list[str]:
     held = shift.get("held_out")
     facts = [
         *([] if row.get("probability") is None else [f"probability {percent(row['probability'])} (fitted)"]),
-        f"{percent(row.get('share'))} of what is explained (fitted)",
+        f"{percent(row.get('share'))} of the explained error (fitted)",
         f"moves {moved_by(place_unit)} by {mm(shift.get('fitted'))} {place_unit} RMS (fitted)"
         + ("" if held is None else f", {mm(held)} {place_unit} RMS (held out)"),
     ]
@@ -223,8 +168,13 @@ def _list_lines(title: str, rows: Any, text: Any) -> list[str]:
     return lines
 
 
-def _rival(row: Mapping[str, Any]) -> str:
-    return f"{' + '.join(map(str, row.get('effects') or ['?']))}: {tamed(row.get('why', ''))}"
+def alternative_name(row: Mapping[str, Any]) -> str:
+    """Return what an alternative is called: its effects, or the family of which no law is known."""
+    return " + ".join(map(str, row.get("effects") or [])) or str(row.get("family") or "?")
+
+
+def _alternative(row: Mapping[str, Any]) -> str:
+    return f"{alternative_name(row)}: {tamed(row.get('why', ''))}"
 
 
 def untestable_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
@@ -261,4 +211,4 @@ def _unexplained_lines(left: Mapping[str, Any], unit: str) -> list[str]:
     by = left.get("predicted_by")
     named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "")
     facts += [f"follows {named}"] if named else []
-    return ["", "Left unexplained", *folded(" · ".join(facts), 2)]
+    return ["", "Unexplained error", *folded(" · ".join(facts), 2)]

@@ -1,0 +1,90 @@
+"""What a diagnosis is worth by family: which kind of law it is, whether anything is claimed, whether a claim is false.
+
+The document's `families` are a list of {name, …}, strongest first; a document without them names none. *Claimed* is a
+name that is more likely than not, or a static map above the finger's own background whose law is left open. A verdict
+is *falsely identified* if it is `identified` and names something that is not right for what is hidden. What is right
+stands in the truth of a case: `answers`, one for each hidden law (`answers.py`). Pinned by tests/test_bank_judge.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from benches.bank.answers import fits_family, matches
+
+SURE = 0.5  # probability from which a name is more than a candidate
+STATIC = "static map"
+SIZES = ("moved_mm", "displacement_mm", "size_mm")  # keys under which a family may give how far it moves the finger
+
+
+def names_alike(alike: Mapping[str, set[str]], truth: Mapping[str, Any]) -> dict[str, set[str]]:
+    """Return, for each hidden law, the names that are right: those of its answer and their equivalents."""
+    found = {name: set(others) for name, others in alike.items()}
+    for law, answer in zip(truth["hidden"], truth["answers"]):
+        right = [name for name in alike if matches(name, answer["names"])]
+        found[law] = {law}.union(*(alike[name] for name in right)) if right else {f"unknown {law}"}
+    return found
+
+
+def by_family(document: Mapping[str, Any], truth: Mapping[str, Any], like: Mapping[str, set[str]]) -> dict[str, Any]:
+    """Return what a diagnosis `document` says by family, and what of it is right.
+
+    Args:
+        document: of the diagnosis.
+        truth: of the case.
+        like: names that are right for each hidden law (`names_alike`).
+    """
+    families = list(document.get("families") or [])
+    said = [str(family["name"]) for family in families]
+    named = [*document["effects"], *document["faults"]]
+    right = set(truth["also"]).union(*(like[name] for name in truth["hidden"]))
+    for answer in truth["answers"]:
+        right |= {e["name"] for e in named if matches(e["name"], answer["also"])}
+    identified = document["verdict"] == "identified"
+    wrong = [e["name"] for e in named if e["name"] not in right]
+    answered = document["verdict"] in truth["verdicts"] and not (identified and wrong)
+    return {
+        "families": said,
+        "family_right": _family_right(said, truth["answers"]),
+        "claimed": any(e.get("probability") is None or e["probability"] >= SURE for e in named)
+        or any(_open_map(family, truth["background_mm"], bool(named)) for family in families),
+        "identified": identified,
+        "false_identified": identified and bool(wrong),
+        "answered": answered,
+        "beside": _beside([e["name"] for e in named], wrong, truth, like, answered),
+    }
+
+
+def _beside(
+    named: list[str], wrong: list[str], truth: Mapping[str, Any], like: Mapping[str, set[str]], answered: bool
+) -> bool | None:
+    """Return whether the known law beside an unknown one is named and the rest left open; None without such a pair."""
+    known = [name for name, answer in zip(truth["hidden"], truth["answers"]) if answer["names"]]
+    if not known or len(known) == len(truth["hidden"]):
+        return None
+    return answered and not wrong and all(any(name in like[law] for name in named) for law in known)
+
+
+def _family_right(said: list[str], answers: list[dict[str, Any]]) -> bool | None:
+    """Return whether the first family is that of the law, of several laws each has one; None where there is none."""
+    wanted = [answer for answer in answers if answer["families"]]
+    if not wanted:
+        return None
+    if len(wanted) == 1:
+        return bool(said) and fits_family(said[0], wanted[0])
+    left = list(said[: len(wanted) + 1])
+    for answer in wanted:
+        found = next((name for name in left if fits_family(name, answer)), None)
+        if found is None:
+            return False
+        left.remove(found)
+    return True
+
+
+def _open_map(family: Mapping[str, Any], background_mm: float, named: bool) -> bool:
+    """Return whether a static map is said to be there above the background with its law left open."""
+    if str(family["name"]).lower().replace("_", " ") != STATIC or named:
+        return False
+    sizes = [float(family[key]) for key in SIZES if family.get(key) is not None]
+    return not sizes or max(sizes) > background_mm

@@ -1,0 +1,70 @@
+"""How an answer about a robot is judged whose law was always there, and whose model is learned from its recordings.
+
+What is named is what `learn` put into the chain of the model, then what the diagnosis of another run adds: for a memory
+that was always there both are right. Units: mm, s. Pinned by tests/test_bank_learned.py.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+from benches.bank.answers import FAMILY
+from benches.bank.judge import alike, judged
+from benches.bank.judge_family import by_family, names_alike
+from benches.bank.store import Kept
+from benches.bank.work import off
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+
+
+def judge_learned(case: Kept) -> dict[str, Any]:
+    """Learn a model from the reference runs of a case, diagnose another run with it, and judge both together."""
+    from softmap_edge import _core
+    from softmap_edge.diagnosis.diagnose import diagnose
+
+    truth, run, registry = case.truth, case.run(), _core.effects()
+    started = time.process_time()
+    model = taught(case)
+    learned = time.process_time()
+    found = diagnose(model, run)
+    finished = time.process_time()
+    document = together(model.chain_names, found.to_dict())
+    expressible = {e["name"] for e in registry if not model.lacking(e["name"])}
+    like = names_alike(alike(registry, 1), truth)
+    verdict = judged(truth["hidden"], document, like, expressible, truth["also"])
+    judge = case.run("judge")
+    error = {
+        "learned": off(model, judge),
+        "after": off(found.model, judge),
+        "noise": truth["camera"]["point_mm"] * 3**0.5,
+    }
+    absorbed = bool(truth["hidden"]) and not verdict["named"] and "nothing" in truth["verdicts"]
+    return {
+        **truth, **verdict, **by_family(document, truth, like), "first": verdict["first"] or absorbed,
+        "chain": list(model.chain_names), "error_mm": error, "fall": None, "frames": int(run.t_seen.size),
+        "sentence": found.sentence, "ladder": found.to_dict()["error"], "unexplained": found.to_dict()["unexplained"],
+        "learn_seconds": round(learned - started, 2), "seconds": round(finished - learned, 2),
+    }  # fmt: skip
+
+
+def taught(case: Kept) -> Model:
+    """Return the model that is learned from the reference runs of a case."""
+    from softmap_edge.rod.learn import learn_model
+
+    runs = [case.run(name) for name in case.runs if name.startswith("taught")]
+    return learn_model(runs[0]) if len(runs) == 1 else learn_model(runs)  # type: ignore[arg-type]
+
+
+def together(chain: tuple[str, ...], document: dict[str, Any]) -> dict[str, Any]:
+    """Return a diagnosis with what the model learned put before what it names."""
+    learned = [{"name": name, "share": 2.0 - 0.01 * k, "probability": 1.0} for k, name in enumerate(chain)]
+    families = [{"name": FAMILY[name][0]} for name in chain if name in FAMILY]
+    silent = not document["effects"] and document["verdict"] in ("nothing", "cannot_tell")
+    return {
+        **document,
+        "effects": [*learned, *document["effects"]],
+        "families": [*families, *(document.get("families") or [])],
+        "verdict": "identified" if learned and silent else document["verdict"],
+    }

@@ -1,0 +1,80 @@
+"""Every constant of the decision between families and between laws, and the comparisons that use them.
+
+A family or a law is judged by its loss on held-out folds, paired fold by fold. What each constant is for stands beside
+it; `tests/test_decision.py` pins each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+FORM = 0.05  # of the explained loss: what the form of a law may be off (0.22 of its amplitude, squared)
+FORM_MOST = 0.15  # the same where ordinary imperfections stand beside a static law
+FALL = 0.03  # least relative fall of the held-out loss for a family
+FALL_FIRST, FALL_NEXT = 0.2, 0.3  # of the loss above the noise: least fall of the first family and of later ones
+FOLDS = 0.6  # of the folds that show a family: in so many its loss must fall
+FOLD_SHOWS = 0.1  # of the mean change of a fold's loss: a fold that changes by less shows nothing
+AGREE = 0.85  # of the folds: so many agree that a difference within one standard error is one
+ABOVE_NOISE = 1.3  # times the number of whitened numbers: noise alone rarely leaves more
+VISIBLE_MM = 0.12  # least displacement of the centreline
+ORDINARY = 0.04  # of the motion (RMS): what imperfections of an ordinary robot amount to at most
+DOMINATES = 2.0  # times the other imperfections that a static effect must move the body
+CATCHES = 2.0  # times as much as any other family that a free static shape must explain to be taken first
+MIMIC = 0.9  # R² from which what one family does is what others can do
+CONFOUNDED = 0.95  # R² from which a condition cannot be told from time
+LEFT = 0.1  # share of the loss, or of the mean square, above which something unknown is left
+UNKNOWN_TIMES = 2.5  # times the model's own error, or the noise, that must be left for an unaccepted family to count
+MISWIRED = 0.2  # of the motion: servos are exchanged only where the model is off by so much
+STANDS_FOR = 0.6  # of what a member explains: an effect of the same form that explains less is no alternative
+ASKED = 3  # families whose laws are asked where the best representative is not accepted
+MOST = 4  # families
+# Odds against a name: always, for each alternative, for a number at its bound, beside something unknown, for open laws.
+ODDS_BASE, ODDS_ALTERNATIVE, ODDS_BOUND, ODDS_UNKNOWN, ODDS_OPEN = 0.03, 0.5, 0.5, 0.5, 1.0
+RIDGES = (0.3, 10.0, 300.0, 1e4)  # strengths of the ridge that cross-validation chooses from
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far the held-out loss falls from one hypothesis to another: sum, standard error, share of the folds."""
+
+    fall: float
+    error: float
+    share: float
+
+
+def difference(before: Floats, after: Floats) -> Difference:
+    """Return how far the loss falls from `before` (folds,) to `after` (folds,)."""
+    fall = before - after
+    shows = FOLD_SHOWS * float(np.mean(np.abs(fall)))
+    falls, rises = int(np.sum(fall > shows)), int(np.sum(fall < -shows))
+    error = float(fall.std(ddof=1) * np.sqrt(len(fall))) if len(fall) > 1 else np.inf
+    return Difference(float(fall.sum()), error, falls / max(1, falls + rises))
+
+
+def seen_to_fall(fall: Difference) -> bool:
+    """Whether a loss falls on held-out folds: beyond one standard error, or in every fold that shows anything."""
+    return fall.share >= FOLDS and (fall.fall > fall.error or fall.share >= 1.0)
+
+
+def near(loss: Floats, best: Floats, null: Floats) -> bool:
+    """Whether a hypothesis cannot be told from the best one, given what the best explains of `null`."""
+    behind = float(loss.sum() - best.sum())
+    if behind <= FORM * float(null.sum() - best.sum()):
+        return True
+    agree = len(loss) >= 5 and float(np.mean(loss > best)) >= AGREE
+    return behind <= difference(loss, best).error and not agree
+
+
+def reaches(loss: Floats, best: Floats, explained: float, form: float = FORM) -> bool:
+    """Whether a law leaves no more than the best of its family, up to one standard error or its form's tolerance."""
+    return float(loss.sum() - best.sum()) <= max(difference(loss, best).error, form * explained)
+
+
+def form_of(static: bool, moved_mm: float, ordinary_mm: float) -> float:
+    """Return the share of the explained loss that a law may miss: a static one need not explain imperfections."""
+    return max(FORM, min(FORM_MOST, (ordinary_mm / max(moved_mm, 1e-9)) ** 2)) if static else FORM

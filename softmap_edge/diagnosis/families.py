@@ -1,0 +1,513 @@
+"""Level 1 of a diagnosis: which family of effects is missing, asked with a flexible representative of each.
+
+A family is a bank of columns X = (∂f/∂v_c) · b(t) about the effective command v(t), and of fields of the body, fitted
+by ridge regression of the whitened residual; cross-validation chooses the strength of the ridge and says by how much
+the held-out loss falls. The columns, the families and the normal equations are compiled (`rust/families/`).
+Known limit: a representative is linear about the state and is linearised anew twice, enough for some 5 mm.
+Pinned by tests/test_two_levels.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.diagnosis.decision import RIDGES
+from softmap_edge.diagnosis.fit import Fit, Problem
+from softmap_edge.diagnosis.record import SLOPE, Record
+
+Floats = NDArray[np.float64]
+Commands = list[Floats]  # effective commands (T, C) of each run
+
+TURNED = 2  # decimals of the direction of gravity: nearer ones are one orientation
+WARMED = 0.5  # K that a run must warm by
+REACH = 0.15  # of the range of a parameter, at which the signature of a field is taken
+FAR = 0.5  # the same of an effect on commands, whose form changes with its size
+PLACES = (0.2, 0.5, 0.8)  # of the range of a parameter that says where: signatures are taken there
+MODES = 8  # leading spatial modes of a free static shape
+AT_BOUND = 1e-6  # of the scale of a parameter
+FREE_MM = 0.9  # mm RMS of the body that one such column moves it by
+BACKGROUND_RIDGE = 10.0  # of families that explain ordinary imperfections
+FARTHEST = 3.0  # half ranges from the middle that a representative may move commands
+LINEARISED = 2  # times that a representative is linearised about itself
+
+
+CURVES: dict[str, Callable[[Floats], Floats]] = {
+    "u²": np.square,
+    "|u|": np.abs,
+    "u|u|": lambda x: x * np.abs(x),
+    "u³": lambda x: x**3,
+}
+PRODUCTS: dict[str, Callable[[Floats, Floats], Floats]] = {  # of a channel and of another one
+    "v²": lambda x, y: y**2,
+    "uv": lambda x, y: x * y,
+    "v³": lambda x, y: y**3,
+    "u²v": lambda x, y: x**2 * y,
+    "uv²": lambda x, y: x * y**2,
+}
+
+
+@dataclass(frozen=True)
+class Family:
+    """A family of effects as the registry declares it."""
+
+    name: str
+    kind: str  # what it depends on: "static", "memory", "time" or "condition"
+    doc: str
+    members: tuple[str, ...]  # effects that may be its law
+    fields: tuple[str, ...]  # effects whose signatures are among its columns
+    mimics: tuple[str, ...]  # families that can look like it
+    needs: tuple[str, ...]  # what a run must declare
+
+
+def families() -> tuple[Family, ...]:
+    """Return the families of the registry, in its order."""
+    listed = ("members", "fields", "mimics", "needs")
+    return tuple(
+        Family(row["name"], row["kind"], row["doc"], *(tuple(row[key]) for key in listed)) for row in _core.families()
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """The columns of a family about a state: column j is base[which_j] · weight_j; `commanded` of them on commands."""
+
+    base: Floats  # (s, K, F) mm
+    which: NDArray[np.intp]  # (n,)
+    weight: Floats  # (n, K)
+    commanded: int
+
+    def with_slopes(self, slopes: Floats) -> Columns:
+        """Return the columns where the slopes over the commands are others, (C, K, F)."""
+        return replace(self, base=np.concatenate([slopes, self.base[len(slopes) :]]))
+
+    def shift(self, theta: Floats, first: int = 0) -> Floats:
+        """Return what the columns from `first` on make of the features (K, F) mm with coefficients `theta` (n,)."""
+        out = np.zeros(self.base.shape[1:])
+        for which, weight, value in zip(self.which[first:], self.weight[first:], theta[first:]):
+            out += self.base[which] * (value * weight)[:, None]
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Representative:
+    """A family fitted as what it can do at most: its coefficients, ridge, held-out loss and displacement."""
+
+    family: Family
+    theta: Floats  # (n,)
+    ridge: float
+    loss: Floats  # (folds,)
+    numbers: float  # effective degrees of freedom
+    columns: Columns
+    moved_mm: float  # RMS over the places
+
+
+class Body:
+    """What level 1 needs of a problem: effective commands to features, and the columns of each family."""
+
+    def __init__(self, problem: Problem, candidates: Sequence[str]) -> None:
+        self.problem, self.record, self.candidates = problem, problem.record, set(candidates)
+        self.parts: list[Record] = list(getattr(self.record, "parts", [self.record]))
+        every = np.concatenate([part.u for part in self.parts])
+        low, high = every.min(axis=0), every.max(axis=0)
+        self.middle, self.half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-6)
+        self.step = np.maximum(SLOPE * self.record.spread, 1e-3)
+        self.weights = np.ascontiguousarray(problem.gain * problem.whitener.project.T)
+        self.ordinary_mm = 0.0  # static imperfections of the robot, RMS
+        self._signatures: dict[str, Floats] = {}
+
+    # --- commands and features ------------------------------------------------------------------
+
+    def effective(self, fit: Fit) -> Commands:
+        """Return what a fit makes of the commands at full rate."""
+        names, params = fit.space.names, fit.space.params(fit.x[None])[0]
+        out = []
+        for part, column in zip(self.parts, self.record.layout(names).columns):
+            chain, run = self.record.library.Chain(list(names), part.u.shape[1]), part.run
+            own = np.ascontiguousarray(params[column][: len(chain.labels)])
+            t = np.asarray(run.t, float)
+            rows = chain.rollout(
+                own[None], np.ascontiguousarray(part.u), t, gravity=_vectors(run.gravity, len(t)),
+                load=_numbers(run.load, len(t)), temperature=_numbers(run.temperature, len(t)),
+            )  # fmt: skip
+            out.append(np.ascontiguousarray(rows[0]))
+        return out
+
+    def features(self, commands: Commands) -> Floats:
+        """Return the features (K, F) mm of the prior at effective commands."""
+        rows = [
+            p.model.features_at(seen_commands(p, v), p.run).reshape(p.frames, -1) for p, v in zip(self.parts, commands)
+        ]
+        return np.concatenate(rows)
+
+    def slopes(self, commands: Commands) -> Floats:
+        """Return the slopes (C, K, F) of the features over effective commands."""
+        rows = [p.model.slopes_at(seen_commands(p, v), self.step, p.run) for p, v in zip(self.parts, commands)]
+        return np.concatenate([row.reshape(len(self.half), p.frames, -1) for row, p in zip(rows, self.parts)], axis=1)
+
+    def modes(self, difference: Floats) -> Floats:
+        """Return feature differences (..., K, F) as modes (..., K, M); what is not seen, or not known, is none."""
+        known = np.isfinite(self.record.seen) & np.isfinite(difference)
+        return np.asarray(np.where(known, difference, 0.0) @ self.weights)
+
+    # --- columns --------------------------------------------------------------------------------
+
+    def series(self, commands: Commands) -> list[_core.Series]:
+        """Return effective commands with the conditions of their runs, as banks take them."""
+        every, orientations = self._orientations
+        rows = zip(self.parts, commands, self._temperatures, orientations)
+        return [
+            _core.Series(v, np.asarray(part.run.t, float), self.middle, self.half, warm, orientation, every)
+            for part, v, warm, orientation in rows
+        ]
+
+    @cached_property
+    def _temperatures(self) -> list[Floats | None]:
+        """Temperature (T,) °C of each run; None where not all of them warm: a bank scales what one run shows."""
+        rows = [_numbers(part.run.temperature, len(part.run.t)) for part in self.parts]
+        known = [row for row in rows if row is not None and np.ptp(row) >= WARMED]
+        return list(known) if len(known) == len(rows) else [None] * len(rows)
+
+    @cached_property
+    def _orientations(self) -> tuple[NDArray[np.int64] | None, list[NDArray[np.int64] | None]]:
+        """Codes of all orientations, and which of them each sample (T,) of a run is in; None where there is one."""
+        rows = [_vectors(part.run.gravity, len(part.run.t)) for part in self.parts]
+        known = [np.round(row, TURNED) for row in rows if row is not None]
+        if len(known) < len(rows):
+            return None, [None] * len(rows)
+        every, codes = np.unique(np.concatenate(known), axis=0, return_inverse=True)
+        if len(every) < 2:
+            return None, [None] * len(rows)
+        ends = np.cumsum([len(row) for row in known])
+        return np.arange(len(every)), list(np.split(codes.reshape(-1).astype(np.int64), ends[:-1]))
+
+    def columns(self, family: Family, commands: Commands, slopes: Floats) -> Columns | None:
+        """Return the columns of a family about effective commands with their `slopes` (C, K, F), if it has any."""
+        bank = _core.Bank(family.name, len(self.half))
+        series = self.series(commands)
+        found = [bank.columns(one, np.asarray(part.t_seen, float)) for one, part in zip(series, self.parts)]
+        if len({len(which) for which, _ in found}) > 1:  # one of the runs does not declare what it needs
+            found = [(which[:0], weight[:0]) for which, weight in found]
+        which, weight = np.asarray(found[0][0], np.intp), np.concatenate([w for _, w in found], axis=1)
+        fields = self._fields(family)
+        if len(fields):
+            times = [np.asarray(part.t_seen, float) for part in self.parts]
+            modulation = np.concatenate([bank.modulation(one, at) for one, at in zip(series, times)], axis=1)
+            extra = len(slopes) + np.repeat(np.arange(len(fields)), len(modulation))
+            commanded, which = len(which), np.concatenate([which, extra])
+            weight = np.concatenate([weight, np.tile(modulation, (len(fields), 1))])
+            return Columns(np.concatenate([slopes, fields]), which, weight, commanded)
+        return Columns(slopes, which, weight, len(which)) if len(which) else None
+
+    def _fields(self, family: Family) -> Floats:
+        """Return the fields (s, K, F) mm of a family: signatures of its effects, or free shapes."""
+        if family.name not in self._signatures:
+            singles = [self.single(name) for name in family.fields if name in self.candidates]
+            rows = [field for own in singles if own is not None for field in own.base]
+            if family.name == "static shape":
+                rows = self._free_shapes()
+            self._signatures[family.name] = np.stack(rows) if rows else np.zeros((0, *self.record.seen.shape))
+        return self._signatures[family.name]
+
+    def single(self, effect: str) -> Columns | None:
+        """Return what the numbers of one effect do, each by itself, as columns; None if they do nothing here."""
+        if effect not in self._signatures:
+            found = self._signature(effect)
+            self._signatures[effect] = np.stack(found) if found else np.zeros((0, *self.record.seen.shape))
+        rows = self._signatures[effect]
+        if not len(rows):
+            return None
+        return Columns(rows, np.arange(len(rows)), np.ones((len(rows), len(self.record))), 0)
+
+    def curves(self, commands: Commands, slopes: Floats) -> dict[str, Columns]:
+        """Return smooth static maps of one form as columns: a curve of each channel, or what one does to another."""
+        seen = np.concatenate([seen_commands(p, v) for p, v in zip(self.parts, commands)])
+        x, channels = (seen - self.middle) / self.half, len(self.half)
+        found = {}
+        for name, curve in CURVES.items():
+            found[name] = Columns(slopes, np.arange(channels), (self.half * curve(x)).T.copy(), channels)
+        for name, product in PRODUCTS.items() if channels > 1 else ():
+            pairs = [(c, k) for c in range(channels) for k in range(channels) if k != c]
+            weight = np.stack([self.half[c] * product(x[:, c], x[:, k]) for c, k in pairs])
+            found[name] = Columns(slopes, np.array([c for c, _ in pairs]), weight, len(pairs))
+        return found
+
+    def _free_shapes(self) -> list[Floats]:
+        """Return the leading spatial modes of what candidates do, as shapes that do not change."""
+        shapes = np.linalg.pinv(self.weights)[:MODES]
+        size = [self.record.rms_mm(np.tile(s, (len(self.record), 1))) for s in shapes]
+        return [np.tile(FREE_MM * s / max(mm, 1e-9), (len(self.record), 1)) for s, mm in zip(shapes, size)]
+
+    def _signature(self, name: str) -> list[Floats]:
+        """Return what each amount of an effect does on top of the model (K, F) mm, at several places if it has one."""
+        record = self.record
+        own = tuple(record.model.chain_names)
+        layout = record.layout((*own, name))
+        known = dict(zip(record.layout(own).labels, map(float, record.own())))
+        null = np.array([known.get(label, n) for label, n in zip(layout.labels, layout.null)])
+        mine = [i for i, label in enumerate(layout.labels) if label.split(".")[0] == name]
+        base = record.predict(layout.names, null[None])[0]
+
+        def moved(i: int, at: Floats, reach: float = REACH) -> Floats:
+            row = at.copy()
+            far = layout.high[i] if abs(layout.high[i] - null[i]) > 1e-12 else layout.low[i]
+            row[i] = null[i] + reach * (far - null[i])
+            return np.asarray(record.predict(layout.names, row[None])[0] - base)
+
+        alone = {i: moved(i, null) for i in mine}
+        channel = next(e["role"] for e in record.library.effects() if e["name"] == name) == "channel"
+        amounts = [i for i in mine if np.abs(alone[i]).max() > 1e-9]
+        places = [i for i in mine if i not in amounts]
+        rows = []
+        for i in amounts:
+            rows += [alone[i], *([moved(i, null, FAR)] if channel else [])] if not places else []
+            for place in places[:1]:
+                for share in PLACES:
+                    at = null.copy()
+                    at[place] = layout.low[place] + share * (layout.high[place] - layout.low[place])
+                    rows.append(moved(i, at))
+        return rows
+
+    # --- normal equations -----------------------------------------------------------------------
+
+    def level(self) -> _core.Level:
+        """Return empty normal equations on the folds of the problem."""
+        problem, whitener = self.problem, self.problem.whitener
+        folds = [
+            (train, test, a.basis, a.strength, b.basis, b.strength)
+            for (train, test), (a, b) in zip(problem.folds, problem.fold_kernels)
+        ]
+        return _core.Level(whitener.form, (whitener.kernel.basis, whitener.kernel.strength), folds)
+
+    def add(self, level: _core.Level, name: str, columns: Columns) -> None:
+        """Add columns to normal equations."""
+        used = np.unique(columns.which)
+        place = np.searchsorted(used, columns.which)
+        level.add(
+            name, np.ascontiguousarray(self.modes(columns.base[used])), place, np.ascontiguousarray(columns.weight)
+        )
+
+    def add_fit(self, level: _core.Level, name: str, fit: Fit) -> bool:
+        """Add the slopes of a fit to normal equations, of numbers that no bound holds; whether there are any."""
+        free = np.flatnonzero(np.minimum(fit.x - fit.space.low, fit.space.high - fit.x) > AT_BOUND)
+        if len(free):
+            ones = np.ones((len(free), len(self.record)))
+            level.add(name, np.ascontiguousarray(-fit.slopes[free]), np.arange(len(free)), ones)
+        return bool(len(free))
+
+
+class State:
+    """What is known at a step of the search: a joint fit, representatives alongside it, and what both predict."""
+
+    def __init__(
+        self,
+        body: Body,
+        fit: Fit,
+        beside: Sequence[Representative] = (),
+        background: Sequence[Family] = (),
+    ) -> None:
+        """Say what is known; families in `background` explain ordinary imperfections, which nobody names."""
+        self.body, self.fit, self.beside, self.background = body, fit, tuple(beside), tuple(background)
+        start = body.effective(fit)
+        commands, shift = start, np.zeros_like(body.record.seen)
+        for one in self.beside:
+            commands, more = applied(body, one, commands)
+            shift = shift + more
+        self.commands = commands
+        if self.beside:
+            shift = shift + body.features(commands) - body.features(start)
+        self.shift = shift  # (K, F) mm of what stands beside the fit
+
+    @property
+    def predicted(self) -> Floats:
+        """The features (K, F) mm that are predicted."""
+        return self.fit.predicted + self.shift
+
+    @cached_property
+    def slopes(self) -> Floats:
+        """The slopes (C, K, F) over the effective commands."""
+        return self.body.slopes(self.commands)
+
+    @property
+    def residual(self) -> Floats:
+        """What is seen beyond what is predicted, (K, F) mm."""
+        return np.asarray(self.body.record.seen - self.predicted)
+
+    def blocks(self, level: _core.Level, fit: Fit | None = None) -> tuple[list[str], list[float]]:
+        """Add what was found, or another `fit`, to normal equations; return names and ridges of the blocks."""
+        names, ridges = [], []
+        if self.body.add_fit(level, "fit", self.fit if fit is None else fit):
+            names, ridges = ["fit"], [1.0]
+        for one in self.beside:
+            columns = self.body.columns(one.family, self.commands, self.slopes)
+            if columns is not None:
+                self.body.add(level, f"*{one.family.name}", columns)
+                names, ridges = [*names, f"*{one.family.name}"], [*ridges, one.ridge]
+        for family, columns in self._background.items():
+            self.body.add(level, f"~{family.name}", columns)
+            names, ridges = [*names, f"~{family.name}"], [*ridges, BACKGROUND_RIDGE]
+        return names, ridges
+
+    @cached_property
+    def _background(self) -> dict[Family, Columns]:
+        """The columns of the families that explain ordinary imperfections."""
+        found = {f: self.body.columns(f, self.commands, self.slopes) for f in self.background}
+        return {family: columns for family, columns in found.items() if columns is not None}
+
+    @cached_property
+    def ordinary(self) -> Floats:
+        """What ordinary imperfections explain of the residual, (K, F) mm."""
+        out = np.zeros_like(self.body.record.seen)
+        if self._background:
+            level = self.body.level()
+            names, ridges = self.blocks(level)
+            level.close(np.ascontiguousarray(self.body.modes(self.residual)))
+            theta = level.theta(names, ridges)
+            for columns, own in zip(self._background.values(), theta[-len(self._background) :]):
+                out += columns.shift(np.asarray(own))
+        return out
+
+
+def applied(body: Body, one: Representative, commands: Commands) -> tuple[Commands, Floats]:
+    """Return effective commands behind a representative, and what it adds to the features (K, F) mm."""
+    bank = _core.Bank(one.family.name, len(body.half))
+    acting = np.ascontiguousarray(one.theta[: one.columns.commanded])
+    if len(acting):
+        most = FARTHEST * body.half
+        moved = [bank.applied(series, acting) for series in body.series(commands)]
+        commands = [np.ascontiguousarray(np.clip(v, body.middle - most, body.middle + most)) for v in moved]
+    return commands, one.columns.shift(one.theta, one.columns.commanded)
+
+
+def linearised(state: State, rough: Representative) -> tuple[Representative, Floats]:
+    """Fit a representative about itself; with it the residual (K, F) mm that its columns were fitted to."""
+    body, columns = state.body, rough.columns
+
+    def moves(theta: Floats) -> tuple[Commands, Floats]:
+        return applied(body, replace(rough, theta=theta), state.commands)
+
+    theta, loss, shift = about_itself(state, columns.with_slopes, rough.theta, rough.ridge, moves)
+    mm = body.record.rms_mm(np.where(np.isfinite(body.record.seen), shift, np.nan))
+    return replace(rough, theta=theta, loss=loss, moved_mm=mm), shift
+
+
+def about_itself(
+    state: State,
+    columns: Callable[[Floats], Columns],
+    theta: Floats,
+    ridge: float,
+    moves: Callable[[Floats], tuple[Commands, Floats]],
+) -> tuple[Floats, Floats, Floats]:
+    """Fit columns beside what was found, linearised about their own fit.
+
+    Args:
+        state: what is known.
+        columns: the columns where the slopes of the features over the commands are (C, K, F).
+        theta: coefficients (n,) to start from.
+        ridge: strength of the ridge.
+        moves: applies coefficients in full: effective commands behind them, and a shift (K, F) mm on top.
+
+    Returns:
+        tuple: coefficients (n,), held-out loss (folds,), and what they make of the features (K, F) mm.
+    """
+    body, loss = state.body, np.zeros(0)
+    before = body.features(state.commands)
+
+    def shift(theta: Floats) -> tuple[Commands, Floats]:
+        there, more = moves(theta)
+        return there, np.asarray(more if there is state.commands else body.features(there) - before + more)
+
+    for _ in range(LINEARISED):
+        there, moved = shift(theta)
+        about = columns(state.slopes if there is state.commands else body.slopes(there))
+        level = body.level()
+        body.add(level, "about itself", about)
+        names, ridges = state.blocks(level)
+        level.close(np.ascontiguousarray(body.modes(state.residual - moved + about.shift(theta))))
+        every, strengths = [*names, "about itself"], [*ridges, ridge]
+        loss = np.asarray(level.losses(every, strengths))
+        theta = np.asarray(level.theta(every, strengths)[-1])
+    return theta, loss, shift(theta)[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Level 1 about a state: the loss before, with the families of what was found beside it, and each family's fit."""
+
+    level: _core.Level
+    names: list[str]  # of the blocks of what was found, and of the families that stand beside it
+    ridges: list[float]
+    found: Floats  # (folds,) held-out loss of what was found
+    before: Floats  # (folds,) the same with the families of what was found as nuisances
+    rows: list[Representative]  # least loss first
+    static: Floats  # (K, F) mm, what all static families explain together
+
+
+def ranked(state: State, every: Sequence[Family], taken: Sequence[Family]) -> Ranking:
+    """Fit each family about a state; those of laws that were found stand beside, as far as the forms may be off."""
+    body, level = state.body, state.body.level()
+    names, ridges = state.blocks(level)
+    known = {f"*{one.family.name}" for one in state.beside}
+    columns = {f: c for f in every if (c := body.columns(f, state.commands, state.slopes)) is not None}
+    for family, own in columns.items():
+        body.add(level, family.name, own)
+    level.close(np.ascontiguousarray(body.modes(state.residual)))
+    found = before = np.asarray(level.losses(names, ridges))
+    for family in taken:
+        if family in columns and f"*{family.name}" not in known:
+            loss, ridge = _tuned(level, names, ridges, family.name)
+            if loss.sum() < before.sum():
+                before, names, ridges = loss, [*names, family.name], [*ridges, ridge]
+    rows = []
+    for family, own in columns.items():
+        if family in taken:
+            continue
+        loss, ridge = _tuned(level, names, ridges, family.name)
+        theta = level.theta([*names, family.name], [*ridges, ridge])[-1]
+        numbers = level.freedom([*names, family.name], [*ridges, ridge], family.name)
+        shift = np.where(np.isfinite(body.record.seen), own.shift(theta), np.nan)
+        rows.append(Representative(family, theta, ridge, loss, numbers, own, body.record.rms_mm(shift)))
+    rows.sort(key=lambda r: float(r.loss.sum()))
+    return Ranking(level, names, ridges, found, before, rows, _static(body, level, names, ridges, rows))
+
+
+def _static(
+    body: Body, level: _core.Level, names: list[str], ridges: list[float], rows: Sequence[Representative]
+) -> Floats:
+    """Return what all static families explain together, (K, F) mm."""
+    static = [row for row in rows if row.family.kind == "static"]
+    out = np.zeros_like(body.record.seen)
+    if static:
+        blocks = [*names, *(row.family.name for row in static)]
+        theta = level.theta(blocks, [*ridges, *(row.ridge for row in static)])
+        for row, own in zip(static, theta[len(names) :]):
+            out += row.columns.shift(np.asarray(own))
+    return out
+
+
+def _tuned(level: _core.Level, names: list[str], ridges: list[float], name: str) -> tuple[Floats, float]:
+    """Return the held-out loss with one block more, and the strength of its ridge that makes it least."""
+    tried = [(np.asarray(level.losses([*names, name], [*ridges, ridge])), ridge) for ridge in RIDGES]
+    return min(tried, key=lambda pair: float(pair[0].sum()))
+
+
+def seen_commands(part: Record, commands: Floats) -> Floats:
+    """Return effective commands (T, C) at the seen times, (K, C)."""
+    t = np.asarray(part.run.t, float)
+    rows = [np.interp(part.t_seen, t, column) for column in commands.T]
+    return np.ascontiguousarray(np.reshape(rows, (commands.shape[1], part.frames)).T)
+
+
+def _numbers(values: object, count: int) -> Floats | None:
+    """Return what a run declares as one number a sample (T,)."""
+    return None if values is None else np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), (count,)))
+
+
+def _vectors(values: object, count: int) -> Floats | None:
+    """Return what a run declares as one vector a sample (T, 3)."""
+    return None if values is None else np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), (count, 3)))

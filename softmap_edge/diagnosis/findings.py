@@ -1,0 +1,265 @@
+"""What a diagnosis consists of, as plain frozen records that become the document softmap.diagnosis/2 and come back.
+
+Units: mm, s. Pinned by tests/test_document.py.
+"""
+
+from __future__ import annotations
+
+import math
+import types
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from softmap_edge.errors import ReportError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Number:
+    """A fitted parameter: value, one standard deviation, unit, whether it stands at a bound, its case in words."""
+
+    value: float
+    sigma: float | None = None
+    unit: str = ""
+    at_bound: bool = False
+    meaning: str | None = None
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """By how much an effect moves the body, mm RMS over the places: on the fitted run, and on a held-out one."""
+
+    fitted: float | None = None
+    held_out: float | None = None
+
+
+@dataclass(frozen=True)
+class Refitted:
+    """Numbers of the model itself that were fitted along with an effect, and the error (F,) mm that it has then."""
+
+    params: dict[str, Number]
+    error_mm: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect that the model lacks, or a fault of the measurement.
+
+    `probability` is that of this effect, or an equivalent one, being present; below one half it is a candidate.
+    `share` is its share of the explained error.
+    """
+
+    name: str
+    params: dict[str, Number]
+    family: str = ""
+    stage: str = ""
+    displacement_mm: Displacement = Displacement()
+    share: float | None = None
+    probability: float | None = None
+    refitted: Refitted | None = None
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A set of effects that explains the data as well: in the place of `member`, and why it cannot be excluded."""
+
+    effects: tuple[str, ...] = ()
+    why: str = ""
+    member: str = ""
+    family: str = ""
+
+
+@dataclass(frozen=True)
+class FamilyFinding:
+    """A family of effects that was detected.
+
+    `law` is "resolved" (`effects` name it), "open" (`effects` and `generic` list laws that fit alike) or "unknown" (no
+    known law does what the family does). `share` is its share of the explained loss, `law_share` what of that the best
+    known law explains.
+    """
+
+    name: str
+    kind: str
+    law: str
+    effects: tuple[str, ...]
+    share: float
+    moved_mm: float
+    law_share: float | None = None
+    generic: tuple[str, ...] = ()
+    alternatives: tuple[str, ...] = ()  # other families that cannot be distinguished here
+
+
+@dataclass(frozen=True)
+class Untestable:
+    """An effect that this run cannot show, or cannot distinguish from another: why, and what to record."""
+
+    name: str
+    why: str = ""
+    experiment: str = ""
+    minutes: float = 0.0
+
+
+@dataclass(frozen=True)
+class Rung:
+    """A step of the error ladder: what was added, and the held-out error then."""
+
+    added: str
+    value: float
+
+
+@dataclass(frozen=True)
+class ErrorLadder:
+    """Held-out RMS errors: the model, a static baseline, effects one by one, both; and the floors."""
+
+    model: float | None = None
+    static_residual: float | None = None
+    ladder: tuple[Rung, ...] = ()
+    with_static_residual: float | None = None
+    per_fold: tuple[float, ...] = ()
+    kind: str = "held-out rms"
+    unit: str = "mm"
+    noise_floor: float | None = None
+    model_floor: float | None = None
+    floor: float | None = None
+    floor_kind: str = ""
+    held_out_on: str = ""
+
+    @property
+    def after(self) -> float:
+        """The error with all effects added; NaN where it is not known."""
+        return self.ladder[-1].value if self.ladder else self.before
+
+    @property
+    def before(self) -> float:
+        """The error of the model alone; NaN where it is not known."""
+        return math.nan if self.model is None else self.model
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What is left after all that was found: beyond the noise, mm RMS; chi²/n; what predicts it on held-out blocks."""
+
+    rms_mm: float | None = None
+    chi2_per_n: float | None = None
+    blocked_r2: float | None = None
+    predicted_by: str | None = None
+
+
+@dataclass(frozen=True)
+class Bin:
+    """The error in one class of frames, mm RMS."""
+
+    label: str
+    low: float | None
+    high: float | None
+    n: int
+    rms_mm: float
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where the error is, by condition, before and after."""
+
+    before: dict[str, tuple[Bin, ...]] = field(default_factory=dict)
+    after: dict[str, tuple[Bin, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class NextBlock:
+    """What to record next, the minutes it takes, what it settles, and the simulated separation if there is one."""
+
+    block: str
+    minutes: float | None = None
+    settles: tuple[str, ...] = ()
+    separation: float | None = None
+
+
+@dataclass(frozen=True)
+class ServoEffect:
+    """An effect between command and encoder."""
+
+    name: str
+    params: dict[str, Number]
+
+
+@dataclass(frozen=True)
+class ServoError:
+    """Held-out RMS error of a servo against its command, and with its effects."""
+
+    model: float
+    value: float
+
+
+@dataclass(frozen=True)
+class ServoFinding:
+    """What lies between command and encoder of one channel, and the held-out error before and after."""
+
+    channel: int
+    unit: str
+    effects: tuple[ServoEffect, ...]
+    error: ServoError
+
+
+def plain(value: Any) -> Any:
+    """Return records as dictionaries and lists, ready for JSON; what is not there (None by default) is left out."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {
+            f.name: plain(getattr(value, f.name))
+            for f in fields(value)
+            if not (f.name in ("refitted", "meaning") and getattr(value, f.name) is None)
+        }
+    if isinstance(value, Mapping):
+        return {key: plain(one) for key, one in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [plain(one) for one in value]
+    return value
+
+
+def read(kind: type[T], document: Any, where: str) -> T:
+    """Return the record that a part of a document holds; unknown keys are passed over.
+
+    Raises:
+        ReportError: a missing or mistyped key; `where` names the place.
+    """
+    if not isinstance(document, Mapping):
+        raise ReportError(
+            f"damaged diagnosis: {where} is {type(document).__name__}, expected an object; diagnose again"
+        )
+    hints, values = get_type_hints(kind), {}
+    for f in fields(kind):  # type: ignore[arg-type]
+        if f.name in document:
+            values[f.name] = _value(hints[f.name], document[f.name], f"{where}.{f.name}")
+        elif f.default is MISSING and f.default_factory is MISSING:
+            raise ReportError(f"damaged diagnosis: {where} has no '{f.name}'; diagnose again")
+    return kind(**values)
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    """Return a value of a document as its annotation wants it."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in inner:
+            return None
+        return _value(next(kind for kind in inner if kind is not type(None)), value, where)
+    if origin is tuple:
+        rows = _typed(list, value, where)
+        return tuple(_value(inner[0], row, f"{where}[{i}]") for i, row in enumerate(rows))
+    if origin is dict:
+        return {str(key): _value(inner[1], one, f"{where}.{key}") for key, one in _typed(Mapping, value, where).items()}
+    if isinstance(hint, type) and is_dataclass(hint):
+        return read(hint, value, where)
+    if hint is float:
+        found = float(_typed((int, float), value, where))
+        if not math.isfinite(found):
+            raise ReportError(f"damaged diagnosis: {where} is {found}, no finite value; diagnose again")
+        return found
+    return value if hint is Any else _typed(hint, value, where)
+
+
+def _typed(kind: Any, value: Any, where: str) -> Any:
+    wrong = isinstance(value, bool) and kind is not bool
+    if wrong or not isinstance(value, kind):
+        raise ReportError(f"damaged diagnosis: {where} is {type(value).__name__}; diagnose again")
+    return value

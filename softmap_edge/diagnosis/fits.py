@@ -1,0 +1,162 @@
+"""Fits of sets of effects on one problem, each made once: parameters, cross-validation, what each member does.
+
+A set is fitted from the best of a few starts of its newest member, with the others where a smaller set left them.
+Units: mm. Pinned by tests/test_fits.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.fit import Fit, Problem, Space
+
+Floats = NDArray[np.float64]
+Key = tuple[frozenset[str], frozenset[str]]  # effects, and those of them with a number for each channel
+
+INSTANTS = 16  # places in time at which something may have happened
+DESCENTS = 2  # starts of a member that are followed to their end
+APART = 0.5  # of a scale: two starts that lie nearer to each other are one
+GRID = (0.15, 0.35, 0.65, 0.85)  # of a logarithmic scale, where an effect is looked for beside its start
+
+
+class Fits:
+    """The sets of effects fitted on one problem."""
+
+    def __init__(self, problem: Problem, candidates: Sequence[str]) -> None:
+        self.problem, self.candidates = problem, list(candidates)
+        self.null = problem.null()
+        self._fits: dict[Key, Fit] = {(frozenset(), frozenset()): self.null}
+        self._losses: dict[Key, tuple[Floats, Floats, Floats]] = {}
+        self._shifts: dict[tuple[Key, str], Floats] = {}
+
+    def get(self, effects: Collection[str], split: Collection[str] = ()) -> Fit:
+        """Return the fit of a set of effects; those in `split` have a number for each channel in place of one."""
+        key = frozenset(effects), frozenset(split) & frozenset(effects)
+        if key not in self._fits:
+            self._fits[key] = self._split(key) if key[1] else self._grown(key[0])
+        return self._fits[key]
+
+    def without(self, fit: Fit, effect: str) -> Fit:
+        """Return the fit of the same set without one effect."""
+        return self.get([e for e in fit.effects if e != effect], fit.space.split)
+
+    def _split(self, key: Key) -> Fit:
+        """Fit a set with numbers for each channel, from where the numbers for all of them are best."""
+        effects, split = key
+        shared = self.get(effects, split - {max(split)})
+        space = self.problem.space(shared.effects, split=split)
+        known = dict(zip(shared.space.free_labels, shared.x))
+        start = [known[name] if name in known else known[name.split("[")[0]] for name in space.free_labels]
+        return self.problem.fit(shared.effects, [np.array(start)], split=split)
+
+    def _grown(self, key: frozenset[str]) -> Fit:
+        """Fit a set from the nearest smaller one that is known, else from that without its last member."""
+        none: frozenset[str] = frozenset()
+        known = [self._fits[key - {e}, none] for e in sorted(key) if (key - {e}, none) in self._fits]
+        ordered = sorted(key, key=self.candidates.index)
+        parent = min(known, key=lambda f: f.cost) if known else self.get(ordered[:-1])
+        added = next(iter(key - set(parent.effects)))
+        space = self.problem.space((*parent.effects, added))
+        points = np.stack([_joined(space, parent, added, start) for start in starts(self.problem, added)])
+        costs = self.problem.costs(self.problem.at(space, points), points)[0]
+        order = [int(i) for i in np.argsort(costs, kind="stable")]
+        followed = [points[order[0]]]
+        for i in order[1:]:
+            if len(followed) < DESCENTS and all(np.max(np.abs(points[i] - p)) > APART for p in followed):
+                followed.append(points[i])
+        return self.problem.fit((*parent.effects, added), followed)
+
+    def dispersion(self, fit: Fit) -> float:
+        """Return leftover chi² per number, at least 1."""
+        return max(1.0, fit.chi2 / max(1.0, self.problem.numbers - len(fit.x)))
+
+    def losses(self, fit: Fit) -> tuple[Floats, Floats, Floats]:
+        """Return held-out losses (folds,), plain and whitened, and the fold predictions (folds, K, F)."""
+        key = _key(fit)
+        if key not in self._losses:
+            predictions = self.problem.fold_predictions(fit)
+            self._losses[key] = (*self.problem.fold_losses(predictions), predictions)
+        return self._losses[key]
+
+    def held_out_mm(self, fit: Fit) -> float:
+        """Return the RMS distance in mm over the places on blocks that trained nothing."""
+        return self.problem.held_out_mm(self.losses(fit)[2])
+
+    def displacement(self, fit: Fit, effect: str) -> Floats:
+        """Return the feature differences (K, F) mm that `effect` makes within a fit."""
+        key = _key(fit), effect
+        if key not in self._shifts:
+            kept = [e for e in fit.effects if e != effect]
+            split = frozenset(fit.space.split) - {effect}
+            space, params = self.problem.space(kept, split=split), fit.params
+            without = np.array([[params[label] for label in space.labels]])
+            self._shifts[key] = np.asarray(
+                fit.predicted - self.problem.record.predict(space.names, space.full(without))[0]
+            )
+        return self._shifts[key]
+
+    def share(self, fit: Fit, member: str) -> float:
+        """Return which share of the explained misfit a member carries, on held-out blocks or on the objective."""
+        rest = self.without(fit, member)
+        plain = [float(self.losses(f)[0].sum()) for f in (self.null, rest, fit)]
+        pairs = ((plain[1] - plain[2], plain[0] - plain[2]), (rest.cost - fit.cost, self.null.cost - fit.cost))
+        return max(part / total if total > 0.0 else 0.0 for part, total in pairs)
+
+
+def _key(fit: Fit) -> Key:
+    return frozenset(fit.effects), frozenset(fit.space.split)
+
+
+def starts(problem: Problem, effect: str) -> list[Floats]:
+    """Return scaled starting points of one effect: as declared, with other signs, along log scales, in time.
+
+    Every combination of whole numbers is a start of its own. Tendons that fall slack put a kink at home, where the
+    slope on one side says nothing about the other.
+    """
+    space = problem.space((effect,), free=(effect,))
+    if space.integer.any():
+        return _whole_numbers(space)
+    points = [space.start.copy()]
+    for i in np.flatnonzero(space.instant):
+        low, high = space.values(space.low)[i], space.values(space.high)[i]
+        for share in (np.arange(INSTANTS) + 0.5) / INSTANTS:
+            values = space.values(space.start)
+            values[i] = low + share * (high - low)
+            points.append(space.scaled(values))
+    for i in np.flatnonzero(space.log & space.declared & ~space.instant):
+        for share in GRID:
+            point = space.start.copy()
+            point[i] = space.low[i] + share * (space.high[i] - space.low[i])
+            points.append(point)
+    signed = (~space.log & (space.low < 0))[space.declared]
+    if signed.all():
+        every_other = np.where(np.arange(len(space.start)) % 2, -space.start, space.start)
+        flipped = [-space.start, every_other, -every_other][: 3 if len(signed) > 1 else 1]
+        points += [np.clip(point, space.low, space.high) for point in flipped]
+    return points
+
+
+def _joined(space: Space, parent: Fit, effect: str, start: Floats) -> Floats:
+    """Return joint coordinates (P,): the parent's own where it has them, `start` for `effect`."""
+    x = np.zeros(len(space.free_labels))
+    old = dict(zip(parent.space.free_labels, parent.x))
+    new = [i for i, label in enumerate(space.free_labels) if label.split(".")[0] == effect]
+    for i, label in enumerate(space.free_labels):
+        x[i] = old.get(label, 0.0)
+    x[new] = start
+    return np.clip(x, space.low, space.high)
+
+
+def _whole_numbers(space: Space) -> list[Floats]:
+    """Return every combination of the whole numbers of an effect, but that where all are at their null."""
+    values = space.values(space.start)
+    rows = [
+        [float(k) for k in range(round(low), round(high) + 1)] if whole else [value]
+        for value, whole, low, high in zip(values, space.integer, space.values(space.low), space.values(space.high))
+    ]
+    points = [space.scaled(np.array(point)) for point in product(*rows)]
+    return [p for p in points if np.any(np.abs(p - space.scaled(space.null))[space.integer] > 1e-9)]

@@ -1,0 +1,278 @@
+"""Jitter of the frame of reference with a memory, estimated between visits of one pose.
+
+    y = q(pose) + trend(t) + J(t) + e           six rigid coordinates of a settled frame, about the base
+    J   Ornstein-Uhlenbeck, one memory τ, covariance (6, 6);  e  white, known from what no rigid motion explains
+    trend: 1, t, t² of each run: a smooth trend over the run is drift or creep, not jitter
+
+The coordinates are fitted beside the motions that commands cause (the modes of a smooth map from commands to shapes),
+so that play, creep and every other effect on the drive cancel out. Memory and variances are those of highest likelihood
+in the eigenbasis of the detrended correlation (Lindstrom & Bates 1988, doi:10.1080/01621459.1988.10478693): two numbers
+for turns and shifts alike in all directions, one more for each axis that clearly differs.
+Units: mm, rad, s. Limits: fewer than nine features, or poses not visited again, show no jitter; a memory beyond an
+eighth of the run is a trend. Pinned by tests/test_jitter.py with jitter of known covariance and memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.conditions import Conditions
+from softmap_edge.diagnosis.repeats import LEAST_DWELL, RUN, drift, filled, poses, rows_of
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+RIGID = 6
+MEMORIES = (0.0, 0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 20.0, 40.0)  # s: memories that are tried; 0 is new in each frame
+LONGEST = 0.125  # of the duration: a longer memory is a trend
+SIZES = np.r_[0.0, np.geomspace(1e-2, 1e4, 61)]  # variances that are tried, in units of the white part
+REVISITS = 4  # visits beyond the first of each pose below which nothing is estimated
+FRAMES = 300  # settled frames at most that the likelihood is taken on
+CLEAR = 12.0  # log-likelihood that jitter must gain: seven numbers are fitted (chi² 24 of 7: 1 in 1000)
+AXIS, KEPT = 3.3, 5.0  # that an axis of its own variance must gain (1 in 100), and a memory
+STRONG = 2.0  # variances of the white part that jitter without a memory must have in some axis
+COMMANDED, LEAST_MODE = 4, 0.005  # modes of what commands do at most, and the least against the first
+UNSEEN = 1e-9  # of the white variance: what a turn that the points do not show is given
+RIGIDLY, FARTHEST = 3.0, 300.0  # mm RMS that the frame, and commanded motion, may move the points: what they do not
+# show, as a turn of markers on one line, stays near zero and does not blow up
+SPARE = 2  # features that must be left to show the white part
+DEGREE, MANY = 3, 3  # of the smooth map, and the channels above which it has no products
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Rigid jitter of the frame: covariance (6, 6) of turns (rad) and shifts (mm) about the base, and its memory s.
+
+    `revisits` are the visits beyond the first of each pose that show it.
+    """
+
+    covariance: Floats
+    memory_s: float
+    revisits: int
+
+    def of_features(self, features: Floats, positions: Mask) -> Floats:
+        """Return its mean covariance (F, F) mm² over features (K, F) mm of which `positions` (V,) are places."""
+        columns = rigid(features, positions)  # (K, F, 6)
+        flat = np.swapaxes(columns, 0, 1).reshape(features.shape[1], -1)
+        moved = np.swapaxes(columns @ self.covariance, 0, 1).reshape(features.shape[1], -1)
+        return np.asarray(moved @ flat.T / max(1, len(features)))
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Coordinates (n, m) of frames: six rigid ones, and those along what commands do.
+
+    `white` (n, m, m) is their covariance by white noise, `columns` (n, F, m) what each does to the features.
+    """
+
+    values: Floats
+    white: Floats
+    columns: Floats
+
+    @property
+    def rigid(self) -> Floats:
+        """Turns (rad) and shifts (mm), (n, 6)."""
+        return self.values[:, :RIGID]
+
+    @property
+    def commanded(self) -> Floats:
+        """Scores (n, b) mm of the commanded modes."""
+        return self.values[:, RIGID:]
+
+    @property
+    def explained(self) -> Floats:
+        """What all coordinates do to the features, (n, F) mm."""
+        return np.asarray((self.columns @ self.values[:, :, None])[:, :, 0])
+
+
+def rigid(features: Floats, positions: Mask) -> Floats:
+    """Return what turns (rad) and shifts (mm) about the base do to features (K, F) mm, (K, F, 6).
+
+    Directions turn with the frame and do not shift.
+    """
+    vectors = features.reshape(len(features), -1, 3)
+    out = np.zeros((*vectors.shape, RIGID))
+    x, y, z = np.moveaxis(vectors, 2, 0)
+    out[:, :, 1, 0], out[:, :, 2, 0] = -z, y
+    out[:, :, 0, 1], out[:, :, 2, 1] = z, -x
+    out[:, :, 0, 2], out[:, :, 1, 2] = -y, x
+    out[:, :, :, 3:] = np.where(positions[:, None, None], np.eye(3), 0.0)
+    return out.reshape(len(features), -1, RIGID)
+
+
+def commanded_modes(seen: Floats, command: Floats, most: int = COMMANDED) -> Floats:
+    """Return orthonormal modes (b, F) of what commands (K, C) do to features (K, F): of a smooth map fitted to them."""
+    columns = polynomial(command)
+    if columns.shape[1] < 2 or len(seen) < 2 * columns.shape[1]:
+        return np.zeros((0, seen.shape[1]))
+    known = filled(seen)
+    smooth = columns @ np.linalg.lstsq(columns, known, rcond=None)[0]
+    _, size, modes = np.linalg.svd(smooth - smooth.mean(axis=0), full_matrices=False)
+    count = int((size > LEAST_MODE * size[0]).sum()) if len(size) and size[0] > 0 else 0
+    return np.asarray(modes[: min(count, most)])
+
+
+def polynomial(command: Floats) -> Floats:
+    """Return the monomials (K, m) of commands (K, C) scaled to ±1, up to cubic; for many channels without products."""
+    span = np.ptp(command, axis=0) if len(command) else np.zeros(command.shape[1])
+    x = command[:, span > 0]
+    x = 2.0 * (x - x.min(axis=0, initial=np.inf)) / span[span > 0] - 1.0 if len(command) else x
+    one = np.ones((len(command), 1))
+    if x.shape[1] > MANY:
+        return np.concatenate([one, x, x**2, x**3], axis=1)
+    sets = [c for n in range(1, DEGREE + 1) for c in combinations_with_replacement(range(x.shape[1]), n)]
+    return np.concatenate([one, *(np.prod(x[:, list(c)], axis=1, keepdims=True) for c in sets)], axis=1)
+
+
+def coordinates(values: Floats, seen: Floats, positions: Mask, modes: Floats, white: Floats) -> Coordinates:
+    """Return the coordinates of values (n, F) of frames whose features are `seen` (n, F).
+
+    Args:
+        values: deviations, mm. seen: features, mm: they say what a turn does.
+        positions: (V,). modes: (b, F), from `commanded_modes`. white: variance (F,) mm² that weighs the features.
+    """
+    along = np.broadcast_to(modes.T, (len(values), *modes.T.shape))
+    columns = np.concatenate([rigid(seen, positions), along], axis=2)  # (n, F, 6 + b)
+    scale = np.maximum(np.sqrt(np.mean(columns**2, axis=(0, 1))), 1e-12)
+    weighted = columns / scale / np.sqrt(white)[:, None]
+    prior = np.r_[np.full(RIGID, RIGIDLY), np.full(len(modes), FARTHEST)] ** -2.0
+    gram = np.swapaxes(weighted, 1, 2) @ weighted + np.diag(prior)
+    inverse = np.linalg.solve(gram, np.swapaxes(weighted, 1, 2))  # (n, 6 + b, F)
+    found = np.einsum("nmf,nf->nm", inverse, values / np.sqrt(white)) / scale
+    covariance = inverse @ np.swapaxes(inverse, 1, 2) / np.outer(scale, scale)
+    return Coordinates(found, covariance, columns)
+
+
+def white_variance(values: Floats, seen: Floats, positions: Mask, modes: Floats, dwell: Ints) -> Floats | None:
+    """Return the variance (F,) mm² of values (K, F) in dwells that neither rigid motion nor commands explain.
+
+    None where too few features or frames are left to show it.
+    """
+    left = values.shape[1] - RIGID - len(modes)
+    if left < SPARE:
+        return None
+    total, degrees = np.zeros(values.shape[1]), 0
+    flat = np.ones(values.shape[1])
+    for frames in rows_of(dwell, LEAST_DWELL):
+        part, shape = filled(values[frames]), filled(seen[frames])
+        part = part - drift(len(part)) @ (drift(len(part)).T @ part)
+        found = coordinates(part, shape, positions, modes, flat)
+        total += np.sum((part - found.explained) ** 2, axis=0)
+        degrees += len(frames) - drift(len(frames)).shape[1]
+    if not degrees:
+        return None
+    pooled = float(total.mean()) / degrees * values.shape[1] / left
+    own = total / degrees * values.shape[1] / left
+    return np.asarray(np.maximum(0.5 * own + 0.5 * pooled, 1e-8))
+
+
+def frame_jitter(
+    values: Floats, seen: Floats, positions: Mask, state: Conditions, dwell: Ints, modes: Floats, white: Floats
+) -> Jitter | None:
+    """Estimate the jitter of the frame between visits of the same poses; None where the run does not show any.
+
+    Args:
+        values: features minus what a model predicts, or the features themselves, (K, F) mm.
+        seen: features (K, F) mm. positions: (V,). state: conditions of the frames. dwell: (K,), -1 elsewhere.
+        modes, white: from `commanded_modes` and `white_variance`.
+    """
+    groups = poses(state, dwell)
+    revisits = sum(len(pose) - 1 for pose in groups)
+    if revisits < REVISITS:
+        return None
+    rows, pose = _thinned(groups)
+    apart, shapes = (_about(filled(every)[rows], pose) for every in (values, seen))
+    found = coordinates(apart[0], shapes[1], positions, modes, white)
+    root = _root(found.white[:, :RIGID, :RIGID].mean(axis=0), shapes[1])
+    flat = np.linalg.solve(root, found.rigid.T).T  # white part of unit variance
+    t, run = state.time[rows], dwell[rows] >> RUN
+    free = _detrending(t, pose, run)  # (n, n - p), orthonormal: what is left of groups and trends
+    y = free.T @ flat
+    axes = np.linalg.eigh(y.T @ y)[1]
+    seen_as = np.linalg.solve(root, np.eye(RIGID)).T @ axes  # (6, 6): what each axis sees of turns and shifts
+    parts = np.stack([np.sum(seen_as[half] ** 2, axis=0) for half in (slice(0, 3), slice(3, 6))], axis=1)
+    likely = [(*_likelihood(y @ axes, free, t, run, tau, parts), tau) for tau in _memories(t, run)]
+    fresh, kept = likely[0], max(likely, key=lambda one: one[0])
+    gain, sizes, memory = kept if kept[0] > fresh[0] + KEPT else fresh
+    if gain < CLEAR or (memory == 0.0 and sizes.max() < STRONG):  # what is new in each frame shows in dwells anyway
+        return None
+    turn = root @ axes
+    return Jitter((turn * sizes) @ turn.T, memory, revisits)
+
+
+def _root(noise: Floats, shapes: Floats) -> Floats:
+    """Return the Cholesky factor of the white covariance (6, 6), also where a turn is not seen: markers on one line."""
+    radius = float(np.sqrt(np.mean(shapes**2)))
+    scale = np.r_[np.full(3, radius), np.ones(3)]
+    alike = noise * np.outer(scale, scale)  # mm²
+    return np.asarray(np.linalg.cholesky(alike + UNSEEN * np.trace(alike) * np.eye(RIGID)) / scale[:, None])
+
+
+def _thinned(groups: Sequence[Sequence[NDArray[np.intp]]]) -> tuple[NDArray[np.intp], Ints]:
+    """Return the frames of all visits, thinned to FRAMES of them, and the pose of each."""
+    rows = np.concatenate([np.concatenate(list(pose)) for pose in groups])
+    which = np.concatenate([np.full(sum(map(len, pose)), i) for i, pose in enumerate(groups)])
+    order = np.argsort(rows)
+    keep = order[np.unique(np.linspace(0, len(rows) - 1, min(FRAMES, len(rows))).astype(int))]
+    return rows[keep], which[keep]
+
+
+def _about(values: Floats, pose: Ints) -> tuple[Floats, Floats]:
+    """Return values (n, F) about the mean of their pose, and that mean (n, F)."""
+    mean = np.stack([values[pose == p].mean(axis=0) for p in range(int(pose.max()) + 1)])[pose]
+    return values - mean, mean
+
+
+def _detrending(t: Floats, pose: Ints, run: Ints) -> Floats:
+    """Return an orthonormal basis (n, m) of what no pose's own mean and no run's quadratic in time explains."""
+    columns = [(pose == p).astype(float) for p in np.unique(pose)]
+    for one in np.unique(run):
+        s = (t - t[run == one].mean()) / max(float(np.ptp(t[run == one])), 1e-9) * (run == one)
+        columns += [s, s * s]
+    basis = np.stack(columns, axis=1)
+    left, size, _ = np.linalg.svd(basis, full_matrices=True)
+    return np.asarray(left[:, int((size > 1e-9 * size[0]).sum()) :])
+
+
+def _memories(t: Floats, run: Ints) -> list[float]:
+    longest = LONGEST * max(float(np.ptp(t[run == one])) for one in np.unique(run))
+    return [tau for tau in MEMORIES if tau <= longest or tau == 0.0]
+
+
+def _likelihood(y: Floats, free: Floats, t: Floats, run: Ints, tau: float, parts: Floats) -> tuple[float, Floats]:
+    """Return the gain in log-likelihood over white noise of y (m, 6) with a memory, and the variance (6,) of each axis.
+
+    An axis has the variance that jitter alike in all directions gives it, `parts` (6, 2) of turns and of shifts, unless
+    its own is clearly more likely: alone, an axis that is badly seen would often be nothing or all noise.
+    """
+    between = np.abs(t[:, None] - t[None, :])
+    apart = np.exp(-between / tau) * (run[:, None] == run[None, :]) if tau else np.eye(len(t))
+    values, vectors = np.linalg.eigh(free.T @ apart @ free)
+    power = (vectors.T @ y) ** 2  # (m, 6)
+    spread = 1.0 + SIZES[:, None] * np.maximum(values, 0.0)  # (s, m)
+    gain = -0.5 * np.log(spread).sum(axis=1)[:, None] - 0.5 * (1.0 / spread - 1.0) @ power  # (s, 6)
+    axis = np.arange(y.shape[1])
+    alike = _alike(gain, parts)  # (6,)
+    own = np.argmax(gain, axis=0)
+    expected = np.array([np.interp(alike[i], SIZES, gain[:, i]) for i in axis])
+    apart_from = gain[own, axis] - expected > AXIS
+    return float(np.where(apart_from, gain[own, axis], expected).sum()), np.where(apart_from, SIZES[own], alike)
+
+
+def _alike(gain: Floats, parts: Floats) -> Floats:
+    """Return the variances (6,) of jitter that is alike in all directions, from the gains (s, 6) of SIZES."""
+    unit = np.maximum(parts.max(axis=0), 1e-300)  # what the axis that sees most of turns, or of shifts, sees
+    best, found = 0.0, np.zeros(len(parts))
+    for turn in SIZES[::2] / unit[0]:
+        sizes = parts[:, 0] * turn + parts[:, 1] * (SIZES[::2, None] / unit[1])  # (s, 6)
+        total = sum(np.interp(sizes[:, i], SIZES, gain[:, i]) for i in range(len(parts)))
+        one = int(np.argmax(total))
+        if float(np.asarray(total)[one]) > best:
+            best, found = float(np.asarray(total)[one]), sizes[one]
+    return found

@@ -1,0 +1,246 @@
+"""Level 2 of a diagnosis: which law of a family it is, with what the family can do as the measure.
+
+The family's members are fitted on top of what was found; beside them pairs of members, the same law with a number for
+each channel, and for static maps generic laws that are nobody's effect. A law *reaches* if it leaves no more than the
+best of all, the representative included, up to one standard error or the tolerance of its form. If nobody reaches, the
+law is unknown; if a generic law with as few numbers does, it is open. Pinned by tests/test_two_levels.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.decision import difference, form_of, reaches
+from softmap_edge.diagnosis.evidence import at_bound
+from softmap_edge.diagnosis.families import (
+    Body,
+    Columns,
+    Commands,
+    Family,
+    Representative,
+    State,
+    about_itself,
+    linearised,
+    seen_commands,
+)
+from softmap_edge.diagnosis.fit import Fit
+from softmap_edge.diagnosis.fits import Fits
+from softmap_edge.folds import GAP
+
+Floats = NDArray[np.float64]
+Curve = Callable[[Floats], Floats]
+
+WINDING = "eccentric_pulley"  # whose five numbers make it many smooth maps
+PAIRED = 3  # members of which pairs are tried
+GENERIC: dict[str, tuple[Curve, ...]] = {
+    "u|u|": (lambda x: x * np.abs(x),),
+    "u³": (lambda x: x**3,),
+    "u, u|u|": (lambda x: x, lambda x: x * np.abs(x)),
+    "u, u³": (lambda x: x, lambda x: x**3),
+    "u, u², u³": (lambda x: x, lambda x: x**2, lambda x: x**3),
+}
+GENERIC_RIDGE = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """A law that may stand for a family: its effects and fit (none of a generic law), held-out loss, free numbers."""
+
+    name: str
+    effects: tuple[str, ...]
+    fit: Fit | None
+    loss: Floats  # (folds,)
+    numbers: int
+    bounds: tuple[str, ...] = ()  # labels of numbers that stand at a bound
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What level 2 says of a family.
+
+    `law` is the law that stands for it, or the best candidate where the law is `open` because generic laws do as well;
+    without one the representative stays. `equals` are members that reach with as few numbers.
+    """
+
+    family: Family
+    representative: Representative
+    before: Floats  # (folds,) held-out loss without the family
+    law: Law | None
+    equals: tuple[Law, ...]
+    open: bool
+    reaching: tuple[Law, ...]
+    tried: tuple[Law, ...]
+
+    @property
+    def resolved(self) -> bool:
+        """Whether one law of the library stands for the family."""
+        return self.law is not None and not self.open
+
+    @property
+    def loss(self) -> Floats:
+        """The held-out loss (folds,) of what is taken: the law, else the representative."""
+        return self.representative.loss if self.law is None else self.law.loss
+
+    @property
+    def numbers(self) -> float:
+        """How many free numbers what is taken has."""
+        return self.representative.numbers if self.law is None else self.law.numbers
+
+
+def answered(state: State, fits: Fits, rough: Representative, before: Floats, pairs: bool) -> Answer:
+    """Ask a family for its law, for `pairs` of its members too where nothing else is left to explain."""
+    representative, _ = linearised(state, rough)
+    asked = _Asked(state, fits, representative, before)
+    laws = asked.generic() if representative.family.name == "static map" else []
+    members = asked.members()
+    laws += members
+    if not asked.any_reaches(members):
+        laws += asked.for_each_channel(members)
+    if pairs and not asked.any_reaches(laws):
+        laws += asked.pairs(laws)
+    return asked.judged(laws)
+
+
+def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, split: Collection[str] = ()) -> Law:
+    """Fit effects on top of what was found and judge them on held-out folds; `before` is the loss (folds,) without.
+
+    Those in `split` have a number for each channel.
+
+    What happens once in a fold cannot be known from the others: there a law is as good as none.
+    """
+    body, fit = state.body, fits.get((*state.fit.effects, *effects), (*state.fit.space.split, *split))
+    level = body.level()
+    names, ridges = state.blocks(level, fit)
+    level.close(np.ascontiguousarray(fit.modes))
+    own = np.array([label.split(".")[0] in effects for label in fit.space.free_labels], bool)
+    bounds = [label for label, mine, bound in zip(fit.space.free_labels, own, at_bound(fit)) if mine and bound]
+    loss = np.array(level.losses(names, ridges))
+    for instant in fit.space.values(fit.x)[own & fit.space.instant]:
+        for i, (_, test) in enumerate(body.problem.folds):
+            since = body.record.t_seen[test] - float(body.parts[0].run.t[0])
+            if np.min(np.abs(since - instant)) <= 2.0 * GAP:
+                loss[i] = min(loss[i], before[i])
+    name = " + ".join(f"{e} for each channel" if e in split else e for e in effects)
+    return Law(name, effects, fit, loss, int(own.sum()), tuple(bounds))
+
+
+class _Asked:
+    """One family that is asked for its law about one state."""
+
+    def __init__(self, state: State, fits: Fits, representative: Representative, before: Floats) -> None:
+        self.state, self.fits, self.representative, self.before = state, fits, representative, before
+        self.body: Body = state.body
+        static = representative.family.kind == "static"
+        self.form = form_of(static, representative.moved_mm, self.body.ordinary_mm)
+
+    def members(self) -> list[Law]:
+        """Fit each member of the family on top of what was found."""
+        names = [n for n in self.representative.family.members if n in self.fits.candidates]
+        return [law_of(self.state, self.fits, (n,), self.before) for n in names if n not in self.state.fit.effects]
+
+    def for_each_channel(self, members: list[Law]) -> list[Law]:
+        """Fit members with a number for each channel where they have one for all."""
+        laws = [law_of(self.state, self.fits, law.effects, self.before, law.effects) for law in members]
+        return [law for law, shared in zip(laws, members) if law.numbers > shared.numbers]
+
+    def pairs(self, laws: list[Law]) -> list[Law]:
+        """Fit the pairs of the best members, as they are best."""
+        best: dict[tuple[str, ...], Law] = {}
+        for law in sorted((law for law in laws if law.effects), key=lambda law: float(law.loss.sum())):
+            best.setdefault(law.effects, law)
+        found = []
+        for a, b in combinations(list(best.values())[:PAIRED], 2):
+            split = [e for law in (a, b) if law.fit is not None for e in law.effects if e in law.fit.space.split]
+            found.append(law_of(self.state, self.fits, (*a.effects, *b.effects), self.before, split))
+        return found
+
+    def generic(self) -> list[Law]:
+        """Fit laws of a static map that are nobody's effect, with one set of numbers and with one for each channel."""
+        laws = []
+        for name, curves in GENERIC.items():
+            laws.append(self._generic(f"{name} on each channel", curves, False))
+            if len(curves) == 1 and len(self.body.half) > 1:
+                laws.append(self._generic(f"{name} on all channels", curves, True))
+        return laws
+
+    def _generic(self, name: str, curves: Sequence[Curve], shared: bool) -> Law:
+        """Fit u + Σ θ · curve(u), with the same θ for all channels or with one for each."""
+        body, state = self.body, self.state
+        channels = len(body.half)
+
+        def moves(theta: Floats) -> tuple[Commands, Floats]:
+            each = np.repeat(theta[:, None], channels, axis=1) if shared else theta.reshape(channels, -1).T
+            out = [v + sum(t * body.half * c((v - body.middle) / body.half) for t, c in zip(each, curves))
+                   for v in state.commands]  # fmt: skip
+            return [np.ascontiguousarray(v) for v in out], np.zeros(())
+
+        seen = np.concatenate([seen_commands(p, v) for p, v in zip(body.parts, state.commands)])
+        x = (seen - body.middle) / body.half
+        weight = np.stack([h * curve(column) for column, h in zip(x.T, body.half) for curve in curves])
+        which = np.repeat(np.arange(channels), len(curves))
+
+        def columns(slopes: Floats) -> Columns:
+            if not shared:
+                return Columns(slopes, which, weight, len(weight))
+            together = np.sum(slopes * weight[:, :, None], axis=0)[None]
+            return Columns(together, np.zeros(1, np.intp), np.ones((1, len(x))), 1)
+
+        count = len(curves) if shared else len(weight)
+        loss = about_itself(state, columns, np.zeros(count), GENERIC_RIDGE, moves)[1]
+        return Law(name, (), None, loss, count)
+
+    def any_reaches(self, laws: list[Law]) -> bool:
+        """Whether one of the laws does what the family can do."""
+        explained = float(self.before.sum() - self.representative.loss.sum())
+        return any(reaches(law.loss, self.representative.loss, explained, self.form) for law in laws)
+
+    def judged(self, laws: list[Law]) -> Answer:
+        """Say which law it is, given all that were tried."""
+        losses = [self.representative.loss, *(law.loss for law in laws)]
+        best = min(losses, key=lambda loss: float(loss.sum()))
+        explained = float(self.before.sum() - best.sum())
+        able = sorted((law for law in laws if reaches(law.loss, best, explained, self.form)), key=_simplest)
+        unseen = [law for law in able if WINDING in law.effects and not self._winds(law)]
+        named = [law for law in able if law.effects and law not in unseen]
+        generic = [law for law in able if not law.effects]
+        is_open = bool(unseen) and not named or any(law.numbers <= named[0].numbers for law in generic if named)
+        is_open |= bool(generic) and not named
+        candidates = [*named, *unseen] if is_open else named
+        same = self._equal(candidates, 0.5 * self.form * explained)
+        tried = tuple(sorted(laws, key=lambda one: float(one.loss.sum())))
+        return Answer(
+            self.representative.family, self.representative, self.before, same[0] if same else None, tuple(same[1:]),
+            is_open, tuple(able), tried,
+        )  # fmt: skip
+
+    def _equal(self, candidates: list[Law], worth: float) -> list[Law]:
+        """Return the simplest of the laws and those that do as well with as few numbers, the first to act first."""
+        if not candidates:
+            return []
+        first, *others = candidates
+        equals = [
+            law
+            for law in others
+            if not set(first.effects) < set(law.effects)
+            and law.numbers <= first.numbers
+            and float(law.loss.sum() - first.loss.sum()) <= max(worth, difference(law.loss, first.loss).error)
+        ]
+        return sorted([first, *equals], key=lambda law: (law.numbers, self._stage(law)))
+
+    def _stage(self, law: Law) -> int:
+        return max(self.fits.candidates.index(effect) for effect in law.effects)
+
+    def _winds(self, law: Law) -> bool:
+        """Whether an eccentric pulley is seen: alone and over a full turn. All else of a sine is any smooth map."""
+        assert law.fit is not None
+        turn = 2.0 * np.pi * law.fit.params[f"{WINDING}.radius"]
+        return law.effects == (WINDING,) and bool(turn <= 2.0 * float(np.median(self.body.half)))
+
+
+def _simplest(law: Law) -> tuple[int, float]:
+    return law.numbers, float(law.loss.sum())

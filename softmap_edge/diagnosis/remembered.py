@@ -1,0 +1,80 @@
+"""Whether a strong memory explains what looks like a fault of the measurement.
+
+A play makes plateaus, a smaller stroke and a late motion, as a camera that hangs, a command in another unit and a wrong
+clock do. So before such a fault is claimed the model is asked with a play of each width in front of it:
+
+    share = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²          s seen, p predicted points behind a play
+    free  = (Σ s p)² / (Σ s² Σ p²)                           the same with the best scale, about the means
+
+Limit: one gap for all channels, in half of their median range. Pinned by tests/test_remembered.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+    from softmap_edge.run import Run
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Gaps in half ranges of the commands: at 2 nothing would move.
+GAPS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0, 1.15, 1.3, 1.45, 1.6, 1.7, 1.8, 1.85, 1.9, 1.95)
+PLAY = "backlash"
+CAUGHT = 0.25  # of the squares that the last step alone leaves of a jump: what the whole way leaves is less
+
+
+@dataclass(frozen=True)
+class Remembered:
+    """What a play in front of the model explains of the motion at best: as it is, and at any scale (`free`)."""
+
+    share: float
+    free: float
+
+
+def remembered(model: Model, run: Run, seen: Floats, visible: Mask) -> Remembered:
+    """Return how much of the motion of points (K, N, 3) the model explains behind a play of the best width."""
+    spans = np.ptp(model.commands(run), axis=0)
+    if PLAY in model.chain_names or not np.any(spans > 0):
+        return Remembered(-np.inf, 0.0)
+    half = 0.5 * float(np.median(spans[spans > 0]))
+    names, s = (PLAY, *model.chain_names), centred(seen, visible)
+    power, best, free = max(float(np.sum(s**2)), 1e-300), -np.inf, 0.0
+    for gap in GAPS:
+        behind = model.with_effects(names, model.params | {f"{PLAY}.gap": gap * half})
+        p = centred(np.asarray(behind.predict(run), float), visible)
+        both, size = float(np.sum(s * p)), max(float(np.sum(p**2)), 1e-300)
+        best = max(best, 1.0 - float(np.sum((s - p) ** 2)) / power)
+        free = max(free, max(both, 0.0) ** 2 / (power * size))
+    return Remembered(best, free)
+
+
+def centred(points: Floats, visible: Mask) -> Floats:
+    """Return points (K, N, 3) about the mean of each over the frames that show it; 0 where one was not seen."""
+    shown = np.where(visible[..., None], points, 0.0)
+    mean = shown.sum(axis=0) / np.maximum(visible.sum(axis=0), 1)[:, None]
+    return np.where(visible[..., None], shown - mean, 0.0)
+
+
+def catches_up(begins: list[tuple[int, int, int]], seen: Floats, visible: Mask, predicted: Floats) -> bool:
+    """Return whether points jump, after pictures that repeat, by all that the model moved meanwhile.
+
+    After a plateau of a play they go on from where they stood, by the last step at most.
+
+    Args:
+        begins: for each stretch its first frame, its last repetition and the frame after it.
+        seen, predicted: points (K, N, 3) mm. visible: (K, N).
+    """
+    whole = last = 0.0
+    for first, repeated, after in begins:
+        both = visible[first] & visible[after]
+        jump = (seen[after] - seen[first])[both]
+        whole += float(np.sum((jump - (predicted[after] - predicted[first])[both]) ** 2))
+        last += float(np.sum((jump - (predicted[after] - predicted[repeated])[both]) ** 2))
+    return whole < CAUGHT * last

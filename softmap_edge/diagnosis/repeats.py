@@ -1,0 +1,128 @@
+"""Repeats of a run: dwells, their scatter about a drift, visits of one pose in several dwells.
+
+    dwell      frames of one uninterrupted stay at one command, from SETTLED s after the last motion
+    scatter    what a dwell leaves of a quadratic in time (a line where it is short): creep in a dwell is not noise
+    pose       dwells of one command within SAME of its range, in one orientation and under one load
+
+`check`, `compare` and `diagnose` take their noise from these. Units: mm, s. Limit: what stays constant through a dwell
+is seen only between visits of one pose (`jitter.py`). Pinned by tests/test_noise.py and tests/test_repeats.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.conditions import NEAR, Conditions
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SETTLED = 0.5  # s after the last motion from which a frame counts as a repeat
+LEAST_DWELL, LONG_DWELL = 3, 6  # frames of a dwell that show noise beside a drift, and beside one that bends
+SAME = 0.01  # of the range of a command: closer than this counts as the same command
+RUN = 40  # bits of a dwell's number below the number of its run (`records.py`)
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """How dwells scatter: sum of squares (F, F) mm², its degrees of freedom, and the correlation of neighbours."""
+
+    squares: Floats
+    degrees: int
+    rho: float
+
+
+def settled_dwells(state: Conditions) -> Ints:
+    """Return which dwell (K,) each frame belongs to once it has settled; -1 for all others."""
+    return np.where(state.dwell >= SETTLED, state.visit, -1)
+
+
+def rows_of(dwell: Ints, least: int = 1) -> list[NDArray[np.intp]]:
+    """Return the frames of each dwell (K,) that has at least so many, in time."""
+    order = np.argsort(dwell, kind="stable")
+    cuts = np.flatnonzero(np.diff(dwell[order])) + 1
+    return [rows for rows in np.split(order, cuts) if len(rows) >= least and dwell[rows[0]] >= 0]
+
+
+def undrifted(dwell: Floats) -> tuple[Floats, int]:
+    """Return what a dwell (K, F) scatters about a quadratic in time, a line where it is short, and what that fits.
+
+    Creep within a dwell is not noise.
+    """
+    basis = drift(len(dwell))
+    return np.asarray(dwell - basis @ (basis.T @ dwell)), basis.shape[1]
+
+
+@lru_cache(maxsize=256)
+def drift(frames: int) -> Floats:
+    """Return the orthonormal drift (K, order) that a dwell of so many frames is allowed."""
+    tau, order = np.linspace(-1.0, 1.0, frames), 3 if frames >= LONG_DWELL else 2
+    return np.asarray(np.linalg.qr(np.vander(tau, order))[0])
+
+
+def dwell_scatter(values: Floats, dwell: Ints) -> Scatter:
+    """Return how values (K, F) mm scatter about the drift of each dwell (K,); what is NaN counts for nothing."""
+    features = values.shape[1]
+    scatter, degrees, lag = np.zeros((features, features)), 0, [0.0, 0.0]
+    inside = dwell >= 0
+    shown = np.maximum(np.isfinite(values[inside]).mean(axis=0), 1e-3) if inside.any() else np.ones(features)
+    for frames in rows_of(dwell, LEAST_DWELL):
+        rest, order = undrifted(filled(values[frames]))
+        rest = np.where(np.isfinite(values[frames]), rest, 0.0)
+        scatter += rest.T @ rest
+        degrees += len(frames) - order
+        lag[0] += float(np.sum(rest[1:] * rest[:-1])) + float(np.sum(rest**2)) * order / len(frames)
+        lag[1] += float(np.sum(rest**2))
+    return Scatter(scatter / np.sqrt(np.outer(shown, shown)), degrees, lag[0] / max(lag[1], 1e-300))
+
+
+def dwell_degrees(dwell: Ints) -> int:
+    """Return the degrees of freedom of the scatter of dwells (K,)."""
+    return sum(len(rows) - drift(len(rows)).shape[1] for rows in rows_of(dwell, LEAST_DWELL))
+
+
+def filled(values: Floats) -> Floats:
+    """Return values (K, F) with what was not seen between what was seen before and after: no jump.
+
+    A marker that is hidden now and then would else be as noisy as the model is wrong there.
+    """
+    if np.isfinite(values).all():
+        return values
+    out, frames = np.zeros_like(values), np.arange(len(values))
+    for column, row in zip(values.T, out.T):
+        seen = np.isfinite(column)
+        row[:] = np.interp(frames, frames[seen], column[seen]) if seen.any() else 0.0
+    return out
+
+
+def poses(state: Conditions, dwell: Ints) -> list[list[NDArray[np.intp]]]:
+    """Return the poses that were visited in two dwells or more: of each, the frames of every visit.
+
+    Dwells of several runs are never one pose: each run's base stands on its own.
+    """
+    visits = rows_of(dwell)
+    span = np.ptp(state.command, axis=0) if len(state.command) else np.zeros(0)
+    scale = np.where(span > 0, SAME * span, 1.0)
+    centres: list[tuple[Floats, Floats, int]] = []
+    found: list[list[NDArray[np.intp]]] = []
+    for rows in visits:
+        place = np.median(state.command[rows], axis=0) / scale
+        lean = np.zeros(3) if state.gravity is None else state.gravity[rows[0]]
+        run = int(dwell[rows[0]]) >> RUN
+        for known, (where, gravity, one) in enumerate(centres):
+            if one == run and np.all(np.abs(place - where) <= 1.0) and _same_way(lean, gravity):
+                found[known].append(rows)
+                break
+        else:
+            centres.append((place, lean, run))
+            found.append([rows])
+    return [pose for pose in found if len(pose) > 1]
+
+
+def _same_way(one: Floats, other: Floats) -> bool:
+    size = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return size == 0.0 or float(one @ other) > NEAR * size

@@ -1,0 +1,107 @@
+"""What a diagnosis found, in the words of its two levels: each family of effects, its law, and how much both explain.
+
+A line for people (`Memory: backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel 1`), the facts beside it, and both
+for a terminal and for a page. Documents of schema 1 hold no families. Pinned by tests/test_loop_figure.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from softmap_edge.report.in_unit import PLACES
+from softmap_edge.report.numbers import folded, mm, number, percent
+from softmap_edge.report.style import escaped, section
+
+TITLE = "What the model lacks: the family of effects, then its law"
+PAGE_NOTE = (
+    "A family holds all effects that depend on the same inputs. Its share is that of the error that everything found "
+    "explains; the law's share is what the best known law explains of what the family can do at most."
+)
+Row = Mapping[str, Any]
+
+
+def family_line(row: Row, findings: Sequence[Row]) -> str:
+    """Return a detected family and its law as one line.
+
+    Args:
+        row: an entry of `families` of a diagnosis document.
+        findings: the entries of `effects` and `faults`, for the fitted numbers of the law.
+
+    Returns:
+        str: no line break, no full stop.
+    """
+    name, effects = str(row.get("name", "?")), [str(one) for one in row.get("effects") or []]
+    law = row.get("law")
+    if law == "unknown":
+        return f"Unknown law of the family {name}"
+    if law == "open":
+        fits = [*effects, *map(str, row.get("generic") or [])]
+        what = "Static, non-linear map of the commands" if name == "static map" else _capital(name)
+        return f"{what}; law open" + (f": {', '.join(fits)}" if fits else "")
+    known = {str(one.get("name")): one for one in findings}
+    laws = [_law(one, known[one].get("params") or {}) for one in effects if one in known]
+    alike = [one for one in effects if one not in known]
+    return f"{_capital(name)}: {', or '.join([*([' and '.join(laws)] if laws else []), *alike]) or '?'}"
+
+
+def _capital(name: str) -> str:
+    return name[:1].upper() + name[1:]
+
+
+def _law(effect: str, params: Mapping[str, Row]) -> str:
+    """Return an effect with its numbers: 'backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel 1'."""
+    groups: dict[str, list[str]] = {}
+    for label, value in params.items():
+        name, _, index = label.split(".")[-1].partition("[")
+        unit = "" if value.get("unit") in (None, "1") else f" {value['unit']}"
+        on = f" on channel {index.rstrip(']')}" if index else ""
+        groups.setdefault(name, []).append(f"{mm(value.get('value'))}{unit}{on}")
+    return ", ".join([effect, *(f"{name} {' and '.join(values)}" for name, values in groups.items())])
+
+
+def family_facts(row: Row, unit: str) -> list[str]:
+    """Return what is known beside the line of a family: shares, displacement, what it cannot be distinguished from."""
+    facts = [f"{percent(row.get('share'))} of the explained error"]
+    if number(row.get("moved_mm")) is not None:
+        facts.append(f"{mm(row['moved_mm'])} {unit} RMS")
+    if number(row.get("law_share")) is not None:
+        which = "its law" if row.get("law") == "resolved" else "the best known law"
+        facts.append(f"{which} explains {percent(row['law_share'])} of what the family can do")
+    if others := [str(one) for one in row.get("alternatives") or []]:
+        facts.append(f"cannot be distinguished here from: {', '.join(others)}")
+    return facts
+
+
+def family_lines(document: Mapping[str, Any], unit: str) -> list[str]:
+    """Return the block on families of a report for a terminal; nothing where none was detected."""
+    rows = document.get("families") or []
+    lines = ["", TITLE] if rows else []
+    for row in rows:
+        first, *rest = folded(family_line(row, _findings(document)), 4)
+        lines += [f"  · {first.lstrip()}", *rest, *folded(" · ".join(family_facts(row, unit)), 6)]
+    return lines
+
+
+def family_section(document: Mapping[str, Any], unit: str) -> str:
+    """Return the part of a page on families; nothing where none was detected."""
+    rows = document.get("families") or []
+    if not rows:
+        return ""
+    titles = (
+        "family and law", "share of the<br>explained error", "the law explains<br>of the family",
+        f"moves {'the body' if unit == PLACES else 'the output'},<br>{escaped(unit)} RMS, fitted",
+        "cannot be distinguished<br>here from",
+    )  # fmt: skip
+    head = "".join(f"<th>{title}</th>" for title in titles)
+    body = "".join(
+        f"<tr><td><b>{escaped(family_line(row, _findings(document)))}</b></td><td>{percent(row.get('share'))}</td>"
+        f"<td>{percent(row.get('law_share'))}</td><td>{mm(row.get('moved_mm'))}</td>"
+        f"<td>{escaped(', '.join(map(str, row.get('alternatives') or [])) or 'none')}</td></tr>"
+        for row in rows
+    )
+    return section(TITLE, f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>", PAGE_NOTE)
+
+
+def _findings(document: Mapping[str, Any]) -> list[Row]:
+    return [*(document.get("effects") or []), *(document.get("faults") or [])]

@@ -1,0 +1,109 @@
+"""Judged by family: first family, claims on nothing, false identifications, a known law beside an unknown one."""
+
+import pytest
+
+from benches.bank.answers import answer_for, fits_family, matches
+from benches.bank.judge import table
+from benches.bank.judge_family import by_family, names_alike
+from benches.bank.judge_learned import together
+
+ALIKE = {name: {name} for name in ("backlash", "friction", "gain", "eccentric_pulley", "latency", "creep", "dead_zone")}
+ALIKE["gain"].add("tendon_stretch")
+
+
+def truth(*hidden, background=0.2):
+    answers = [answer_for(name, name != "smooth_map").to_dict() for name in hidden]
+    for name, answer in zip(hidden, answers):
+        if name == "smooth_map":
+            answer |= {"families": ["static map"], "verdicts": ["partly_explained", "ambiguous"]}
+    verdicts = answers[0]["verdicts"] if len(answers) == 1 else ["ambiguous", "partly_explained"]
+    return {
+        "hidden": list(hidden), "answers": answers, "also": [], "background_mm": background,
+        "verdicts": verdicts if hidden else ["nothing", "cannot_tell"],
+    }  # fmt: skip
+
+
+def said(*effects, verdict="identified", families=None, faults=(), p=0.9):
+    entries = [{"name": name, "probability": p} for name in effects]
+    document = {"verdict": verdict, "effects": entries, "faults": [{"name": n, "probability": p} for n in faults]}
+    return document if families is None else document | {"families": [{"name": f} for f in families]}
+
+
+def told(hidden, document):
+    about = truth(*hidden)
+    return by_family(document, about, names_alike(ALIKE, about))
+
+
+def test_the_first_family_has_to_be_that_of_the_law():
+    assert told(["backlash"], said("backlash", families=["memory", "time"]))["family_right"]
+    assert not told(["backlash"], said("backlash", families=["time", "memory"]))["family_right"]
+    assert told(["backlash"], said("backlash"))["family_right"] is False  # none are told today
+    assert told([], said(verdict="nothing", families=[]))["family_right"] is None
+    pair = ["backlash", "gain"]
+    assert told(pair, said(*pair, families=["static_map", "memory"]))["family_right"]
+    assert not told(pair, said(*pair, families=["memory", "memory"]))["family_right"]
+    assert fits_family("Static_Map", {"families": ["static map"]})
+
+
+def test_a_claim_on_nothing_is_a_name_or_an_open_map_above_the_background():
+    assert not told([], said(verdict="nothing"))["claimed"] and told([], said("gain"))["claimed"]
+    assert not told([], said("gain", verdict="ambiguous", p=0.3))["claimed"]  # a candidate
+    assert told([], said(verdict="measurement_fault", faults=["mount"]))["claimed"]
+    open_map = said(verdict="ambiguous", families=["static map"])
+    assert told([], open_map)["claimed"]
+    for size, claimed in ((0.1, False), (0.3, True)):
+        document = open_map | {"families": [{"name": "static map", "moved_mm": size}]}
+        assert told([], document)["claimed"] is claimed
+    assert not told([], said(verdict="nothing", families=["memory"]))["claimed"]
+
+
+def test_an_identified_map_is_false_and_an_open_one_is_right():
+    pulley = told(["smooth_map"], said("eccentric_pulley"))
+    assert pulley["false_identified"] and not pulley["answered"]
+    left = told(["smooth_map"], said("eccentric_pulley", verdict="ambiguous", families=["static map"], p=0.4))
+    assert not left["false_identified"] and left["answered"] and left["family_right"]
+    assert not told(["gain"], said("tendon_stretch"))["false_identified"]  # declared alike
+    assert told(["backlash"], said("backlash", "gain"))["false_identified"]
+    assert not told(["smooth_map"], said(verdict="nothing"))["answered"]
+
+
+def test_a_known_law_beside_an_unknown_one_is_named_and_the_rest_left_open():
+    both = ["backlash", "smooth_map"]
+    assert told(both, said("backlash", verdict="partly_explained"))["beside"]
+    assert not told(both, said("backlash"))["beside"] and not told(both, said("gain", verdict="ambiguous"))["beside"]
+    assert not told(both, said("backlash", "gain", verdict="partly_explained"))["beside"]
+    assert told(["backlash"], said("backlash"))["beside"] is None
+
+
+def test_names_may_be_patterns():
+    assert matches("guide_friction", ("friction", "*_friction")) and not matches("backlash", ("friction", "*_friction"))
+    about = truth("body_friction")
+    assert names_alike(ALIKE, about)["body_friction"] >= {"friction"}
+    assert names_alike(ALIKE, truth("smooth_map"))["smooth_map"] == {"unknown smooth_map"}
+
+
+def test_what_the_model_learned_counts_before_what_is_diagnosed():
+    document = together(("backlash",), said(verdict="nothing") | {"rivals": []})
+    assert [e["name"] for e in document["effects"]] == ["backlash"] and document["verdict"] == "identified"
+    assert document["families"] == [{"name": "memory"}]
+    document = together((), said("creep", families=["creep"]))
+    assert document["verdict"] == "identified" and [f["name"] for f in document["families"]] == ["creep"]
+    assert together(("latency",), said("creep", verdict="ambiguous"))["verdict"] == "ambiguous"
+
+
+def test_the_table_counts_what_is_scored():
+    base = {
+        "first": True, "exact": True, "inside": True, "flagged": False, "in_library": True, "claims": [], "fall": 0.9,
+        "seen": "vertices", "equivalent": True, "seconds": 1.0, "truth_seconds": 2.0, "beside": None,
+        "identified": True, "claimed": True, "answered": True, "not_testable": [], "named": ["gain"],
+    }  # fmt: skip
+    rows = [
+        base | {"kind": "single", "scored": True, "family_right": True, "false_identified": False},
+        base | {"kind": "single", "scored": False, "family_right": False, "false_identified": True},
+        base | {"kind": "null", "scored": True, "family_right": None, "false_identified": True, "claimed": True},
+    ]
+    found = {m["measure"]: (m["value"], m["n"]) for m in table(rows)}
+    assert found["single, twice its background: right name first"] == (1.0, 1)
+    assert found["single, twice its background: right family"] == (1.0, 1)
+    assert found["'identified' that is false"] == (pytest.approx(2 / 3), 3)
+    assert found["nothing hidden, a name or an open map claimed"] == (1.0, 1)

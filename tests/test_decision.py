@@ -1,0 +1,291 @@
+"""The rules of decision: comparisons of held-out losses, and each constant by a case that turns when it is moved far.
+
+Losses are given as rows of folds, so that what each rule asks is seen at a glance. The cases at the end run a whole
+diagnosis of the built-in finger, once with the constant as it is and once with it moved.
+"""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from test_diagnosis import finger_run
+
+from softmap_edge import builtin_model, diagnose
+from softmap_edge.diagnosis import conclusion, decision, search, wording
+from softmap_edge.diagnosis.decision import difference, form_of, near, reaches, seen_to_fall
+from softmap_edge.diagnosis.findings import Alternative, Number
+
+
+def folds(*values):
+    return np.array(values, float)
+
+
+FLAT = np.full(8, 100.0)
+
+
+# --- comparisons --------------------------------------------------------------------------------
+
+
+def test_a_difference_is_paired_fold_by_fold():
+    """A fold that is hard for both hypotheses adds nothing to the error."""
+    before, after = folds(110, 1010, 60), folds(100, 1000, 50)
+    found = difference(before, after)
+    assert (found.fall, found.error, found.share) == (30.0, 0.0, 1.0)
+    spread = difference(folds(10, 30), folds(0, 0))
+    assert spread.fall == 40.0 and spread.error == pytest.approx(np.sqrt(200.0) * np.sqrt(2.0))
+    assert difference(folds(5.0), folds(1.0)).error == np.inf  # one fold is no evidence
+    same = difference(FLAT, FLAT)
+    assert (same.fall, same.error, same.share) == (0.0, 0.0, 0.0)
+
+
+def test_a_fold_that_does_not_show_an_effect_speaks_for_neither_side():
+    """Four blocks of one channel alone, in which nothing is coupled, do not outvote four that need the coupling."""
+
+    def seen(*after):
+        return seen_to_fall(difference(FLAT, folds(*after)))
+
+    assert seen(101, 59, 35, 100, 101, 48, 35, 100)
+    assert difference(FLAT, folds(101, 59, 35, 100, 101, 48, 35, 100)).share == 1.0
+    assert not seen(20, 130, 130, 130, 100, 100, 100, 100)  # one falls, three rise
+    assert not seen(101, 101, 102, 101, 100, 103, 101, 100)  # it does harm everywhere
+    assert seen(99, 99, 99, 99, 98, 99, 98, 99)
+    assert not seen(*FLAT)
+
+
+def test_a_rare_event_counts_by_the_folds_that_show_it():
+    """What happens once moves one fold or two: its fall is not beyond one standard error, but none rises."""
+    once = difference(FLAT, folds(10, 100, 100, 100, 100, 100, 100, 100))
+    assert once.fall <= once.error and once.share == 1.0 and seen_to_fall(once)
+    twice = difference(FLAT, folds(10, 190, 100, 100, 100, 100, 100, 100))
+    assert not seen_to_fall(twice)
+
+
+def test_near_is_within_the_form_or_within_the_scatter_that_folds_do_not_agree_on():
+    null, best = FLAT, np.full(8, 50.0)
+    assert near(best, best, null) and near(best + 1.0, best, null)  # 8 of 400 behind
+    assert not near(best + 10.0, best, null)  # 80 behind, in every fold
+    scattered = best + folds(-10, -10, -10, 50, 0, 0, 0, 20)
+    assert near(scattered, best, null)  # 40 behind, less than its error, and ahead in three folds
+    agreed = best + folds(5, 5, 5, 5, 5, 5, 50, -30)
+    assert 50.0 < difference(agreed, best).error and not near(agreed, best, null)  # as near, but behind in seven of eight
+
+
+def test_a_law_reaches_within_one_standard_error_or_its_form():
+    best = np.full(8, 20.0)
+    assert reaches(best, best, 640.0) and reaches(best * 1.09, best, 640.0) and not reaches(best * 1.2, best, 640.0)
+    assert reaches(best * 1.2, best, 640.0, form=0.06)
+    assert reaches(folds(10, 30, 10, 60, 20, 20, 20, 20), best, 640.0)
+    assert reaches(best * 0.5, best, 640.0)  # what is better reaches
+
+
+def test_a_static_law_need_not_explain_ordinary_imperfections():
+    assert form_of(False, 1.0, 0.5) == decision.FORM
+    assert form_of(True, 2.0, 0.0) == decision.FORM
+    assert form_of(True, 2.0, 0.5) == pytest.approx(0.0625)  # their share of the mean square
+    assert form_of(True, 0.5, 0.5) == decision.FORM_MOST  # and never more
+    assert form_of(True, 0.0, 0.3) == decision.FORM_MOST
+
+
+# --- constants of the comparisons, each moved to both sides -------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high", "question", "expected"),
+    [
+        ("FORM", 0.001, 0.2, lambda: [near(np.full(8, b), np.full(8, 20.0), FLAT) for b in (21.0, 25.0)], [True, False]),
+        ("FORM_MOST", 0.02, 0.9, lambda: [form_of(True, 1.0, r) >= 0.1 for r in (0.35, 0.8)]
+         + [form_of(True, 1.0, 0.8) > 0.5], [True, True, False]),
+        ("FOLDS", 0.3, 0.9, lambda: [seen_to_fall(difference(FLAT, folds(*row))) for row in (
+            (10, 10, 10, 10, 10, 110, 110, 100), (10, 10, 10, 120, 120, 120, 120, 100))], [True, False]),
+        ("FOLD_SHOWS", 0.0, 5.0, lambda: [difference(FLAT, folds(10, 101, 101, 101, 20, 101, 101, 30)).share == 1.0,
+                                           difference(FLAT, folds(10, 150, 20, 30, 40, 50, 60, 70)).share < 1.0],
+         [True, True]),
+        ("AGREE", 0.5, 1.01, lambda: [near(50.0 + folds(*row), np.full(8, 50.0), FLAT) for row in (
+            (5, 5, 5, 5, 5, 5, 50, -30), (-10, -10, -10, 1, 1, 1, 1, 50))], [False, True]),
+    ],
+)  # fmt: skip
+def test_comparisons_turn_when_their_constant_is_moved(monkeypatch, name, low, high, question, expected):
+    assert question() == expected
+    defaults = reaches.__defaults__
+    assert defaults == (decision.FORM,)  # the one default that is a constant
+    for moved in (low, high):
+        monkeypatch.setattr(decision, name, moved)
+        assert question() != expected, f"{name} = {moved} decides the same"
+
+
+# --- acceptance of a family ---------------------------------------------------------------------
+
+
+def accepted(fall=600.0, before=800.0, numbers=100.0, moved=1.0, kind="memory", later=False, **more):
+    """Whether a family is accepted whose loss falls by `fall` in eight even folds."""
+    static = more.get("static_mm", 3.0)
+    record = SimpleNamespace(
+        positions=None, form_mm=more.get("form", 0.0), seen=np.zeros((1, 3)),
+        rms_mm=lambda _: static,
+    )  # fmt: skip
+    noise = SimpleNamespace(replicates=True, rms_mm=lambda _: more.get("noise", 0.0))
+    state = SimpleNamespace(
+        body=SimpleNamespace(problem=SimpleNamespace(record=record, noise=noise, numbers=numbers), record=record,
+                             ordinary_mm=more.get("ordinary", 0.3)),
+    )  # fmt: skip
+    ranking = SimpleNamespace(before=np.full(8, before / 8), static=np.zeros((1, 3)))
+    row = SimpleNamespace(loss=np.full(8, (before - fall) / 8), moved_mm=moved, family=SimpleNamespace(kind=kind))
+    return search._accepted(row, ranking, state, later, more.get("visible", decision.VISIBLE_MM))
+
+
+def test_a_family_is_accepted_by_its_fall_and_by_what_it_moves():
+    assert accepted()
+    assert not accepted(fall=-1.0) and not accepted(moved=0.05) and not accepted(moved=0.2, visible=0.3)
+    assert not accepted(noise=4.0) and not accepted(kind="static", form=2.0)  # below noise, below the model's error
+    assert accepted(kind="memory", form=2.0)  # which has no memory
+
+
+@pytest.mark.parametrize(
+    ("name", "moved", "case"),
+    [
+        ("FALL", 0.9, dict(fall=600.0)),
+        ("FALL", 0.0, dict(fall=4.0, numbers=1e4)),
+        ("FALL_FIRST", 0.95, dict(fall=600.0)),
+        ("FALL_FIRST", 0.01, dict(fall=60.0)),
+        ("FALL_NEXT", 0.95, dict(fall=600.0, later=True)),
+        ("FALL_NEXT", 0.01, dict(fall=60.0, later=True)),
+        ("ABOVE_NOISE", 0.0, dict(fall=130.0, numbers=300.0)),
+        ("ABOVE_NOISE", 8.0, dict(fall=60.0)),
+        ("DOMINATES", 11.0, dict(kind="static")),
+        ("DOMINATES", 0.1, dict(kind="static", static_mm=0.4)),
+    ],
+)
+def test_acceptance_turns_when_its_constant_is_moved(monkeypatch, name, moved, case):
+    now = accepted(**case)
+    monkeypatch.setattr(decision, name, moved)
+    assert accepted(**case) != now
+
+
+def test_a_later_family_has_to_explain_more():
+    case = dict(fall=170.0, before=800.0, numbers=100.0)
+    assert accepted(**case) and not accepted(**case, later=True)
+    assert decision.FALL_NEXT > decision.FALL_FIRST
+
+
+def test_what_is_visible_moves_the_body_by_more_than_a_camera_s_floor(monkeypatch):
+    run = finger_run(["backlash"], {"backlash.gap": 0.15}, noise=0.02)
+    assert diagnose(builtin_model(), run).effects == ()
+    monkeypatch.setattr(search.search, "__defaults__", (None, 0.01))
+    assert [e.name for e in diagnose(builtin_model(), run).effects] == ["backlash"]
+
+
+# --- odds ---------------------------------------------------------------------------------------
+
+
+def probability(alternatives=0, bound=False, unknown=False, reaching=None):
+    others = [Alternative(("lag",), "", "gain")] * alternatives + [Alternative(("lag",), "", "creep")]
+    step = None if reaching is None else SimpleNamespace(answer=SimpleNamespace(open=True, reaching=[0] * reaching))
+    numbers = {"gain.factor": Number(0.1, at_bound=bound)}
+    return conclusion._probability(step, "gain", numbers, others, unknown)
+
+
+def test_a_name_is_as_likely_as_what_speaks_against_it_allows():
+    assert probability() == pytest.approx(1 / 1.03)
+    assert probability(1) == pytest.approx(1 / 1.53) and probability(2) == pytest.approx(1 / 2.03)
+    assert probability(bound=True) == probability(unknown=True) == probability(1)
+    assert probability(reaching=2) == pytest.approx(1 / 4.03)  # a candidate of an open law
+    assert probability(1) > 0.5 > probability(2) > probability(2, bound=True) > probability(2, True, True)
+
+
+@pytest.mark.parametrize(
+    ("name", "moved", "case"),
+    [
+        ("ODDS_BASE", 1.0, {}), ("ODDS_BASE", 0.0, {}),
+        ("ODDS_ALTERNATIVE", 0.05, {"alternatives": 2}), ("ODDS_ALTERNATIVE", 2.0, {"alternatives": 1}),
+        ("ODDS_BOUND", 0.0, {"bound": True}), ("ODDS_BOUND", 2.0, {"bound": True}),
+        ("ODDS_UNKNOWN", 0.0, {"unknown": True}), ("ODDS_UNKNOWN", 2.0, {"unknown": True}),
+        ("ODDS_OPEN", 0.0, {"reaching": 1}), ("ODDS_OPEN", 9.0, {"reaching": 1}),
+    ],
+)  # fmt: skip
+def test_probabilities_follow_the_odds(monkeypatch, name, moved, case):
+    """By more than the 3 % to which probabilities are calibrated."""
+    before = probability(**case)
+    monkeypatch.setattr(decision, name, moved)
+    assert abs(probability(**case) - before) >= 0.028
+
+
+# --- whole diagnoses ----------------------------------------------------------------------------
+
+
+def wavy(u):
+    """A smooth static map and what no column of a family holds, of ordinary size."""
+    return u + 0.25 * np.sin(1.9 * u)
+
+
+@pytest.fixture
+def moved(monkeypatch):
+    """Diagnose with constants as they are, and with some of them moved."""
+
+    def both(run, effects, **constants):
+        model = builtin_model()
+        now = diagnose(model, run, effects=effects)
+        for name, value in constants.items():
+            monkeypatch.setattr(decision, name, value)
+        return now, diagnose(model, run, effects=effects)
+
+    return both
+
+
+def test_ordinary_imperfections_are_a_level_and_no_discovery(moved):
+    """Smooth imperfections of 0.3 mm of a motion of 10 mm are left alone; a robot without any would claim them."""
+    now, then = moved(finger_run(acting=lambda u: u + 0.003 * u**2), ["gain", "offset", "asymmetry"], ORDINARY=0.0)
+    assert not now.families and now.verdict in ("nothing", "cannot_tell")
+    assert then.families and then.families[0].kind == "static"
+
+
+def test_what_is_left_of_the_error_beyond_a_tenth_is_unknown(moved):
+    """Half of a play and a delay that is no candidate."""
+    late = lambda u: np.concatenate([np.tile(u[:1], (6, 1)), u])[: len(u)]  # noqa: E731
+    run = finger_run(["backlash"], {"backlash.gap": 1.5}, acting=late)
+    now, then = moved(run, ["backlash"], LEFT=10.0, MOST=1)
+    assert now.verdict == "partly_explained"
+    assert then.verdict != "partly_explained" or then.families[0].law == "unknown"
+
+
+def test_at_most_four_families_are_taken(moved):
+    hidden = {"backlash.gap": 1.5, "creep.strength": 0.2, "creep.tau": 15.0}
+    run = finger_run(["backlash", "creep"], hidden)
+    now, then = moved(run, ["backlash", "creep"], MOST=1)
+    assert len(now.families) == 2 and len(then.families) == 1 and then.verdict == "partly_explained"
+
+
+def test_something_far_beyond_the_model_s_error_is_unknown_though_no_family_falls(moved):
+    run = finger_run()
+    points = run.vertices.copy()
+    points[40:120:7] += np.random.default_rng(1).normal(size=(len(points[40:120:7]), 1, 3)) * 6.0
+    now, then = moved(replace(run, vertices=points), ["gain", "backlash"], UNKNOWN_TIMES=1e3)
+    assert now.verdict == "partly_explained" and "Something unknown is missing" in now.sentence
+    assert then.verdict in ("nothing", "cannot_tell")
+
+
+def test_servos_are_exchanged_only_where_the_model_is_far_off(moved):
+    run = finger_run(acting=lambda u: u[:, ::-1])
+    now, then = moved(run, ["servo_swap", "gain"], MISWIRED=1e3)
+    assert [f.name for f in now.faults] == ["servo_swap"] and not then.faults
+
+
+def test_an_effect_of_the_same_form_is_an_alternative_where_it_explains_enough(moved):
+    run = finger_run(acting=lambda u: u * [0.85, 0.85])
+    now, then = moved(run, ["gain", "tendon_stretch"], STANDS_FOR=2.0)
+    assert [a.effects for a in now.alternatives] == [("tendon_stretch",)] and then.alternatives == ()
+
+
+def test_gross_faults_are_the_verdict_and_small_ones_stand_beside():
+    """Wording has one factor of its own: from twice as far as any physics a fault leads."""
+    assert wording.GROSS == 2.0 and 0.1 < wording.UNTESTABLE_SHARE < 0.9
+
+
+def test_each_constant_of_the_decision_has_its_reason_beside_it():
+    lines = Path(decision.__file__).read_text(encoding="utf-8").splitlines()
+    constants = [(above, line) for above, line in zip(lines, lines[1:]) if re.match(r"[A-Z][A-Z_, ]+ = ", line)]
+    assert len(constants) > 10
+    for above, line in constants:
+        assert "#" in line or above.startswith("#"), line
