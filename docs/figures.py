@@ -91,7 +91,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "error_over_time.svg").write_bytes(over_time(seen))
     (args.out / "error_on_the_body.png").write_bytes(body(seen))
-    (args.out / "error_ladder.svg").write_bytes(ladder_bars(found.error))
+    (args.out / "error_ladder.svg").write_bytes(ladder_bars(found.to_dict()["error"]))
     (args.out / "protocol.svg").write_bytes(plan(standard_protocol(model.channels)))
     if (folder := find("moe_finger")) is None:
         print("mesh.svg is not drawn anew: the mesh is absent (make data brings it)")

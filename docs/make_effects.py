@@ -43,6 +43,10 @@ stands for all channels until they are given or fitted apart. One *per pair* has
 not moved. The path from command to camera is `command → transmission → material → shape → sensing`; a chain is always
 composed in this order. Each picture shows one recording, without the effect and with it.
 
+Values in mm of command are for commands of ±16 mm; on a robot with another range they are as large a share of it. Where
+the data ask for it a fit goes beyond the search range: *at most 2 half ranges* is twice the largest command, *1 length*
+the weight at the tip that would move it aside by the length of the body, were its answer linear.
+
 Loads move a finger by its fields, which are taken at constant tension of its tendons; the tendons then answer by
 falling slack or taut, a complementarity problem solved at every frame (`rust/cables.rs`). What large loads, and changes
 of the modulus, do beyond that comes from second derivatives (`rust/second.rs`). On the built-in finger, with them and
@@ -211,7 +215,7 @@ def _section(effect: dict[str, Any]) -> str:
         facts += "; a fault of the measurement, not of the robot"
     parameters = [
         f"| `{effect['name']}.{p['name']}`{_each(p)} | {p['unit']} | {p['null']:g} "
-        f"| {p['start']:g} | {p['low']:g} to {p['high']:g}{' (log)' if p['log'] else ''} | {p['doc']} |"
+        f"| {p['start']:g} | {p['low']:g} to {p['high']:g}{' (log)' if p['log'] else ''}{_reach(p)} | {p['doc']} |"
         for p in effect["parameters"]
     ]
     return "\n".join(
@@ -236,6 +240,11 @@ def _section(effect: dict[str, Any]) -> str:
             "",
         ]
     )
+
+
+def _reach(parameter: dict[str, Any]) -> str:
+    half, lengths = parameter["half_ranges"], parameter["lengths"]
+    return f", at most {half:g} half ranges" if half else f", at most {lengths:g} lengths" if lengths else ""
 
 
 def _each(parameter: dict[str, Any]) -> str:

@@ -26,12 +26,12 @@ pub struct Job<'a> {
     pub cameras: Vec<Camera>,
     /// Clock of each group.
     pub clock: Vec<usize>,
-    /// Group (sets with equal channel parameters, clock and numbers of the prior) of each set, how many sets are in
+    /// Group (sets with equal parameters of what acts, clock and numbers of the prior) of each set, how many sets are in
     /// it, and what bends in it.
     pub group: Vec<usize>,
     pub members: Vec<usize>,
     pub bodies: Vec<Body>,
-    /// u_eff (groups, K, C) at the seen times.
+    /// u_eff and what shape effects remember of it, (groups, K, C + M) at the seen times.
     pub acting: Vec<f64>,
 }
 
@@ -53,7 +53,7 @@ impl<'a> Job<'a> {
         for b in 0..sets {
             let set = &params[b * width..(b + 1) * width];
             let (late, factors) = (chain.late(set), chain.factors(set));
-            let key = set[..chain.channel_width()]
+            let key = set[..chain.acting_width()]
                 .iter()
                 .chain([&late])
                 .chain(factors.iter().map(|(_, factor)| factor))
@@ -131,9 +131,18 @@ impl Body {
 impl Job<'_> {
     /// u_eff (C,) of a group at a seen frame.
     pub fn at(&self, group: usize, k: usize) -> &[f64] {
-        let channels = self.chain.channels();
-        let start = (group * self.frames + k) * channels;
-        &self.acting[start..start + channels]
+        &self.row(group, k)[..self.chain.channels()]
+    }
+
+    /// What the shape effects remember (M,) of a group at a seen frame.
+    pub fn remembered(&self, group: usize, k: usize) -> &[f64] {
+        &self.row(group, k)[self.chain.channels()..]
+    }
+
+    fn row(&self, group: usize, k: usize) -> &[f64] {
+        let width = self.chain.channels() + self.chain.remembered();
+        let start = (group * self.frames + k) * width;
+        &self.acting[start..start + width]
     }
 
     /// The world (K,) at the frames of a parameter set.

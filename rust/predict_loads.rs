@@ -165,19 +165,22 @@ impl Predictor {
     pub(super) fn coefficients(&self, job: &Job, b: usize, k: usize) -> Result<Coefficients> {
         let width = job.chain.width();
         let set = &job.params[b * width..(b + 1) * width];
-        self.loads_at(job.chain, set, job.at(job.group[b], k), job.context(b, k))
+        let group = job.group[b];
+        let (u, remembered) = (job.at(group, k), job.remembered(group, k));
+        self.loads_at(job.chain, set, u, remembered, job.context(b, k))
     }
 
-    /// Coefficients of the fields where `u` acts, what the context declares among them; a field that is wanted but absent is
+    /// Coefficients of the fields where `u` acts after what is `remembered`, what the context declares among them; a field that is wanted but absent is
     /// an error.
     pub(super) fn loads_at(
         &self,
         chain: &Chain,
         params: &[f64],
         u: &[f64],
+        remembered: &[f64],
         context: &Context,
     ) -> Result<Coefficients> {
-        let mut sum = chain.coefficients(params, u, context);
+        let mut sum = chain.coefficients(params, u, remembered, context);
         if self.declared {
             let force = weight(context.load, context.gravity);
             for i in 0..3 {

@@ -22,9 +22,9 @@ impl Predictor {
         let sets = chain.sets(params)?;
         self.agrees(chain, conditions, t_seen)?;
         let job = Job::new(&self.body, chain, params, sets, u, conditions, t_seen)?;
-        let width = t_seen.len() * chain.channels();
-        let group = |g: &usize| &job.acting[g * width..(g + 1) * width];
-        Ok(job.group.iter().flat_map(group).copied().collect())
+        let groups = job.group.iter();
+        let frames = groups.flat_map(|g| (0..t_seen.len()).map(move |k| (*g, k)));
+        Ok(frames.flat_map(|(g, k)| job.at(g, k)).copied().collect())
     }
 
     /// Slopes (C, K, V, 3) of the frames over what acts, `step` (C,) to both sides, for one parameter set (P,).
@@ -51,7 +51,7 @@ impl Predictor {
         self.agrees(chain, conditions, t_seen)?;
         let (channels, frames) = (chain.channels(), t_seen.len());
         let job = Job::new(&self.body, chain, params, 1, u, conditions, t_seen)?;
-        let sides = 2 * channels;
+        let (sides, width) = (2 * channels, channels + chain.remembered());
         let mut acting = Vec::with_capacity(sides * job.acting.len());
         for side in 0..sides {
             let moved = side / 2;
@@ -61,7 +61,7 @@ impl Predictor {
                 -step[moved]
             };
             let each = job.acting.iter().enumerate();
-            acting.extend(each.map(|(i, u)| u + if i % channels == moved { by } else { 0.0 }));
+            acting.extend(each.map(|(i, u)| u + if i % width == moved { by } else { 0.0 }));
         }
         let all = params.repeat(sides);
         let about = Job {

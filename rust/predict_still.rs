@@ -1,7 +1,8 @@
 //! A predictor in a world that stays as it is, as a shape: what inverse kinematics asks.
 //!
 //! out = prior(u) + Σ c_k(u)·field_k(u) + …, u what acts on the body; nothing is sensed. Slopes of the prior are its own; those
-//! of what loads do are central differences over [`STEP`] to both sides, which loads change slowly over.
+//! of what loads do are central differences over [`STEP`] to both sides, which loads change slowly over. Shape effects with a
+//! memory have none of it here: they are as at rest.
 
 use super::Predictor;
 use super::job::Body;
@@ -19,6 +20,8 @@ struct Still {
     body: Body,
     chain: Chain,
     params: Vec<f64>,
+    /// What the chain's shape effects remember (M,): nothing.
+    relaxed: Vec<f64>,
     context: Context,
 }
 
@@ -40,13 +43,14 @@ pub fn still(
         )));
     }
     // What is missing is said here, at home and to both sides of it; elsewhere it would be left out.
+    let relaxed = vec![0.0; chain.remembered()];
     let mut loaded = false;
     for side in 0..=2 * channels {
         let mut u = vec![0.0; channels];
         if let Some(side) = side.checked_sub(1) {
             u[side / 2] = if side % 2 == 0 { 1.0 } else { -1.0 };
         }
-        let loads = predictor.loads_at(chain, params, &u, &context)?;
+        let loads = predictor.loads_at(chain, params, &u, &relaxed, &context)?;
         loaded |= loads.iter().any(|c| *c != 0.0);
     }
     if !loaded {
@@ -57,6 +61,7 @@ pub fn still(
         body,
         chain: chain.clone(),
         params: params.to_vec(),
+        relaxed,
         context,
     }))
 }
@@ -64,9 +69,9 @@ pub fn still(
 impl Still {
     /// Add what loads do at `u` to `out`.
     fn load(&self, u: &[f64], out: &mut [f64], by: f64) {
-        let asked = self
-            .predictor
-            .loads_at(&self.chain, &self.params, u, &self.context);
+        let asked =
+            self.predictor
+                .loads_at(&self.chain, &self.params, u, &self.relaxed, &self.context);
         let Ok(loads) = asked else { return };
         let mut scratch = self.predictor.scratch();
         let mut moved = vec![0.0; out.len()];

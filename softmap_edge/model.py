@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 TIP_PER_NEWTON = 0.1  # where stiffness is not known: 1 N across the tip moves it by this share of the length
+NEWTON_PER_GRAM = 9.80665e-3  # standard gravity, exact by convention
 NOMINAL = "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
 BEFORE = ("numbers_before", "error_before_mm")  # arrays of a prior whose numbers were changed with an effect
 KEPT_VIEWS = 4  # as many as runs that are diagnosed together may differ in
@@ -114,6 +115,18 @@ class Model:
     def along(self) -> Floats:
         """Place (N,) mm of each vertex along the body."""
         return self.lie.along
+
+    @cached_property
+    def weight_per_length(self) -> float:
+        """The weight (g) at the tip that would move it aside by the length of the body, were its answer linear.
+
+        0 without fields. Where the stiffness is not known it is in the model's own scale of loads.
+        """
+        sideways = [self.fields[name] for name in ("tip_force_x", "tip_force_y") if name in self.fields]
+        home = np.zeros((1, self.channels))
+        moved = [field.evaluate(home).reshape(-1, 3)[self.tip_indices].mean(axis=0) for field in sideways]  # mm/N
+        most = max((float(np.linalg.norm(one)) for one in moved), default=0.0)
+        return float(np.ptp(self.along)) / most / NEWTON_PER_GRAM if most > 0 else 0.0
 
     @cached_property
     def feature_map(self) -> FeatureMap:

@@ -71,6 +71,7 @@ class Chain:
         self.units = [p["unit"] for _, p in rows]
         for key in ("null", "start", "low", "high"):
             setattr(self, key, np.array([float(p[key]) for _, p in rows]))
+        self.half_ranges = self.lengths = np.zeros(len(rows))
         self.log = np.array([p["log"] for _, p in rows], bool)
         self.integer = self.instant = np.zeros(len(rows), bool)
 

@@ -193,6 +193,13 @@ def gradient_coefficients(p, gravity, u):
     return coefficients(len(gravity), **values)
 
 
+def body_friction_coefficients(p, gravity, u):
+    """What a stop holds is what a play of the same half-width lets slip; as a share of that it is the relay."""
+    held = u - np.stack([slot(column, p["width"]) for column in u.T], axis=1)
+    loading = np.einsum("kc,kc->k", u / np.maximum(np.linalg.norm(u, axis=1), 1e-300)[:, None], held / p["width"])
+    return loading[:, None] * gradient_coefficients({"gradient": p["amount"]}, gravity, u)
+
+
 def obstacle_coefficients(p, gravity, u):
     towards = np.array([np.cos(np.deg2rad(p["heading"])), np.sin(np.deg2rad(p["heading"])), 0.0])
     normal = -np.cos(np.deg2rad(p["tilt"])) * towards - np.sin(np.deg2rad(p["tilt"])) * HOME
@@ -301,6 +308,8 @@ ORACLES = {
     "routing": lambda p, g, u: coefficients(len(g), routing_0=p["phase"][0], routing_1=p["phase"][1]),
     "gravity": gravity_coefficients,
     "payload": payload_coefficients,
+    "body_friction": body_friction_coefficients,
+    "stiffness": lambda p, g, u: coefficients(len(g), **{f"stiff_{k}": p["amount"] for k in range(len(MIDDLES))}),
     "stiffness_gradient": gradient_coefficients,
     "stiff_section": lambda p, g, u: p["amount"] * section(p["centre"], p["width"], len(g)),
     "one_sided_stiffness": lambda p, g, u: coefficients(len(g), stiff_x=p["x"], stiff_y=p["y"]),

@@ -5,7 +5,6 @@ diagnosis of the built-in finger, once with the constant as it is and once with 
 """
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -75,8 +74,8 @@ def test_near_is_within_the_form_or_within_the_scatter_that_folds_do_not_agree_o
 
 def test_a_law_reaches_within_one_standard_error_or_its_form():
     best = np.full(8, 20.0)
-    assert reaches(best, best, 640.0) and reaches(best * 1.09, best, 640.0) and not reaches(best * 1.2, best, 640.0)
-    assert reaches(best * 1.2, best, 640.0, form=0.06)
+    assert reaches(best, best, 640.0) and reaches(best * 1.09, best, 640.0) and not reaches(best * 1.4, best, 640.0)
+    assert reaches(best * 1.4, best, 640.0, form=0.11)
     assert reaches(folds(10, 30, 10, 60, 20, 20, 20, 20), best, 640.0)
     assert reaches(best * 0.5, best, 640.0)  # what is better reaches
 
@@ -171,7 +170,7 @@ def test_a_later_family_has_to_explain_more():
 
 
 def test_what_is_visible_moves_the_body_by_more_than_a_camera_s_floor(monkeypatch):
-    run = finger_run(["backlash"], {"backlash.gap": 0.15}, noise=0.02)
+    run = finger_run(["backlash"], {"backlash.gap": 0.08}, noise=0.02)
     assert diagnose(builtin_model(), run).effects == ()
     monkeypatch.setattr(search.search, "__defaults__", (None, 0.01))
     assert [e.name for e in diagnose(builtin_model(), run).effects] == ["backlash"]
@@ -215,9 +214,9 @@ def test_probabilities_follow_the_odds(monkeypatch, name, moved, case):
 # --- whole diagnoses ----------------------------------------------------------------------------
 
 
-def wavy(u):
-    """A smooth static map and what no column of a family holds, of ordinary size."""
-    return u + 0.25 * np.sin(1.9 * u)
+def imperfect(u):
+    """Many small things at once: a scale, an offset, a wave, a cross term; 0.3 mm RMS together, and none dominates."""
+    return 1.01 * u + [0.1, -0.1] + 0.12 * np.sin(0.9 * u) + 0.003 * u[:, ::-1] ** 2
 
 
 @pytest.fixture
@@ -235,8 +234,8 @@ def moved(monkeypatch):
 
 
 def test_ordinary_imperfections_are_a_level_and_no_discovery(moved):
-    """Smooth imperfections of 0.3 mm of a motion of 10 mm are left alone; a robot without any would claim them."""
-    now, then = moved(finger_run(acting=lambda u: u + 0.003 * u**2), ["gain", "offset", "asymmetry"], ORDINARY=0.0)
+    """On a motion of 10 mm they are left alone; of a robot without any they would be a discovery."""
+    now, then = moved(finger_run(acting=imperfect), ["gain", "offset", "asymmetry"], ORDINARY=0.0)
     assert not now.families and now.verdict in ("nothing", "cannot_tell")
     assert then.families and then.families[0].kind == "static"
 
@@ -258,10 +257,8 @@ def test_at_most_four_families_are_taken(moved):
 
 
 def test_something_far_beyond_the_model_s_error_is_unknown_though_no_family_falls(moved):
-    run = finger_run()
-    points = run.vertices.copy()
-    points[40:120:7] += np.random.default_rng(1).normal(size=(len(points[40:120:7]), 1, 3)) * 6.0
-    now, then = moved(replace(run, vertices=points), ["gain", "backlash"], UNKNOWN_TIMES=1e3)
+    run = finger_run(acting=lambda u: u + 2.0 * np.sin(1.5 * u[:, ::-1]))  # 3.4 waves in the range: no column has them
+    now, then = moved(run, ["gain", "backlash"], UNKNOWN_TIMES=1e3)
     assert now.verdict == "partly_explained" and "Something unknown is missing" in now.sentence
     assert then.verdict in ("nothing", "cannot_tell")
 

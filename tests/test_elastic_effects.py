@@ -98,7 +98,7 @@ def test_tendons_that_run_elsewhere_are_found_on_a_rod():
     assert [effect.name for effect in found.effects] == ["routing"], found.sentence
     phase = [found.effects[0].params[f"routing.phase[{c}]"].value for c in range(2)]
     assert phase == pytest.approx([8.0, 0.0], abs=0.8)  # linear in the angle
-    assert found.error["ladder"][-1]["value"] < 0.3 * found.error["model"]
+    assert found.error.after < 0.3 * found.error.before
     assert not set(ROUTING) & set(ElasticParameters(arm().layout, arm().start, 1.0).fields())
 
 
@@ -115,7 +115,7 @@ def test_a_gradient_of_stiffness_is_found_on_a_rod_that_was_taken_for_even():
         learn_model(seen, robot=even), seen, effects=["stiffness_gradient", "offset", "payload", "backlash"]
     )
     assert [effect.name for effect in found.effects] == ["stiffness_gradient"], found.sentence
-    assert found.error["ladder"][-1]["value"] < 0.4 * found.error["model"]
+    assert found.error.after < 0.4 * found.error.before
 
 
 @pytest.fixture(scope="module")
@@ -134,8 +134,8 @@ def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(taken_for_r
     found = diagnose(model, worn, effects=LAWS)
     assert [effect.name for effect in found.effects] == ["slack"] and found.verdict == "identified", found.sentence
     entry = found.effects[0]
-    assert entry["params"]["slack.ratio"]["value"] < 0.02 and "slack.stiffness[0]" in entry["refitted"]["params"]
-    assert found.error["ladder"][-1]["value"] < 0.1 * before
+    assert entry.params["slack.ratio"].value < 0.02 and "slack.stiffness[0]" in entry.refitted.params
+    assert found.error.after < 0.1 * before
     numbers, truth = ElasticParameters.from_arrays(found.model.arrays["prior"]).numbers, arm()
     for kind in ("angle", "radius", "stiffness", "length"):
         place = truth.layout.places()[kind]
@@ -183,7 +183,7 @@ def test_a_law_that_the_model_does_not_have_is_a_question_only_if_asked(run, lea
     cables = learned_model(run, learned)
     assert cables.lacking("slack") == ["slack"] and taken_for_rods[1].lacking("slack") == []
     assert builtin_model().lacking("slack") == ["slack"]
-    named = [item["name"] for item in diagnose(cables, run, effects=["slack", "lag"]).not_testable]
+    named = [item.name for item in diagnose(cables, run, effects=["slack", "lag"]).not_testable]
     assert "slack" in named
     with pytest.raises(SoftmapError, match="'slack' of the prior"):
         cables.with_effects(["slack"], {"slack.ratio": 0.5}).predict(run)

@@ -149,12 +149,12 @@ def test_the_facts_name_both_shares_and_what_cannot_be_distinguished():
     facts = family_facts(family(alternatives=["delay", "rate"]), "mm")
     assert facts == [
         "72 % of the explained error",
-        "1.30 mm RMS",
+        "1.30 mm RMS (fitted)",
         "its law explains 98 % of what the family can do",
         "cannot be distinguished here from: delay, rate",
     ]
     unknown = family_facts(family(law="unknown", effects=(), law_share=0.41), "N")
-    assert unknown[1:] == ["1.30 N RMS", "the best known law explains 41 % of what the family can do"]
+    assert unknown[1:] == ["1.30 N RMS (fitted)", "the best known law explains 41 % of what the family can do"]
     assert family_facts(family(law_share=None), "mm") == facts[:2]
 
 
@@ -163,7 +163,10 @@ def test_text_and_page_name_family_and_law(tmp_path):
     text = diagnosis_text(found)
     together = " ".join(text.split())
     assert "Memory: backlash, gap 1.39 mm on channel 0 and 0.770 mm on channel 1" in together
-    assert "72 % of the explained error · 1.30 mm RMS" in together and "Unknown law of the family rate" in together
+    assert (
+        "72 % of the explained error · 1.30 mm RMS (fitted)" in together
+        and "Unknown law of the family rate" in together
+    )
     assert max(map(len, text.splitlines())) <= 100
     page = write_html(tmp_path / "p.html", diagnosis=found).read_text()
     assert "Memory: backlash, gap 1.39 mm on channel 0" in page and "<td>72 %</td><td>98 %</td>" in page

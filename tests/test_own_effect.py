@@ -258,7 +258,7 @@ def test_it_is_a_candidate_and_its_numbers_are_found(off_centre_run):
     assert params["off_centre_pulley.a[0]"] == pytest.approx(0.8, abs=0.03)
     assert params["off_centre_pulley.radius"] == pytest.approx(5.0, rel=0.03)
     assert found.made_from["python_effects"] == {"off_centre_pulley": loaded()["off_centre_pulley"].sha256}
-    assert found.error["ladder"][-1]["value"] < 0.6 * without.error["ladder"][-1]["value"]
+    assert found.error.after < 0.6 * without.error.after
     weak = builtin_model().with_effects(["off_centre_pulley"], {"off_centre_pulley.a[0]": 0.2})
     assert refit(weak, off_centre_run)[0].params["off_centre_pulley.a[1]"] == pytest.approx(0.8, abs=0.03)
 

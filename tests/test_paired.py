@@ -41,7 +41,7 @@ def test_what_acts_in_both_runs_cancels_out_and_the_payload_of_one_is_named_alon
     assert alone.made_from["reference"] is None
     assert paired.effects[0].params["payload.mass"].value == pytest.approx(14.0, rel=0.15)
     error = paired.error
-    assert error["model"] < 0.7 * alone.error["model"] and error["ladder"][-1]["value"] < 0.4 * error["model"]
+    assert error.before < 0.7 * alone.error.before and error.after < 0.4 * error.before
 
 
 def test_a_static_error_of_the_model_goes_away_with_the_reference():
@@ -53,7 +53,7 @@ def test_a_static_error_of_the_model_goes_away_with_the_reference():
     paired = diagnose(Arm(), run, library=LIBRARY, reference=reference)
     assert names(paired) == ["payload"] and paired.verdict == "identified"
     value = paired.effects[0].params["payload.mass"]
-    assert abs(value["value"] - 60.0) < 3 * value["sigma"] + 0.5
+    assert abs(value.value - 60.0) < 3 * value.sigma + 0.5
     alone = diagnose(Arm(), run, library=LIBRARY)
     assert names(alone) != ["payload"]
     assert diagnose(Arm(), again, library=LIBRARY, reference=reference).verdict == "nothing"
@@ -69,7 +69,7 @@ def test_the_noise_is_that_of_a_difference():
     other = clean.vertices + 0.25 * np.random.default_rng(7).normal(size=run.vertices.shape)
     reference = replace(run, vertices=other)
     alone, paired = (diagnose(MODEL, run, effects=["offset", "payload"], reference=r) for r in (None, reference))
-    assert paired.error["noise_floor"] == pytest.approx(np.sqrt(2) * alone.error["noise_floor"], rel=0.1)
+    assert paired.error.noise_floor == pytest.approx(np.sqrt(2) * alone.error.noise_floor, rel=0.1)
     assert paired.verdict == "nothing"
 
 
@@ -126,10 +126,10 @@ def test_the_judge_is_relative_to_a_reference_of_its_own_commands():
     loaded = replace_noise(loaded, 9)
     found = diagnose(Arm(), run, loaded, library=LIBRARY, reference=[reference, free])
     error = found.error
-    assert names(found) == ["payload"] and error["held_out_on"] == "an independent run, relative to the reference"
-    assert error["model"] > 1.0 and error["ladder"][-1]["value"] < 0.15  # 0.05 a coordinate
+    assert names(found) == ["payload"] and error.held_out_on == "an independent run, relative to the reference"
+    assert error.before > 1.0 and error.after < 0.15  # 0.05 a coordinate
     raw = diagnose(Arm(), run, loaded, library=LIBRARY).error
-    assert raw["ladder"][-1]["value"] > 0.3
+    assert raw.after > 0.3
     with pytest.raises(SoftmapError, match=r"the held-out run is judged .* channel . differs by .*--held-out out"):
         diagnose(Arm(), run, loaded, library=LIBRARY, reference=reference)
     with pytest.raises(SoftmapError, match="none of the 2 reference runs stands for this run"):

@@ -26,7 +26,7 @@ pair = pytest.fixture(scope="module")(compared)
 def test_page_holds_pictures_and_loads_nothing(pair, tmp_path):
     run, worse, better, before, after = pair
     text = page(write_html(tmp_path / "page.html", [before, after], DIAGNOSIS, series(run, worse, better)))
-    assert text.count("data:image/") == 6  # sheet, where, ladder, time, body, tip
+    assert text.count("data:image/") == 7  # loop, sheet, where, ladder, time, body, tip
     outside = re.sub(r'src="data:image/[^"]*"', "", text)
     assert not re.search(r"https?://|<script|<link|<iframe|url\(|@import|\bon\w+=", outside)
     assert "default-src 'none'" in outside

@@ -204,9 +204,9 @@ def test_where_the_run_is_too_poor_to_tell_it_says_what_it_may_be(adapted):
     assert diagnose(MODEL, run).verdict == "nothing"
     found = diagnose(adapted[0], run)
     assert found.verdict == "cannot_tell" and not named(found)
-    open_ones = {row["name"]: row for row in found.not_testable}
-    assert found.not_testable[0].name == "payload" and "may be it" in open_ones["payload"]["why"]
-    assert open_ones["payload"]["experiment"] == "another orientation" == found.next[0]["block"]
+    open_ones = {row.name: row for row in found.not_testable}
+    assert found.not_testable[0].name == "payload" and "may be it" in open_ones["payload"].why
+    assert open_ones["payload"].experiment == "another orientation" == found.next[0].block
     assert "it may hide payload" in found.sentence
     assert found.made_from["residual"]["may_be"][0][0] == "payload"
 

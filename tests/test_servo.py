@@ -26,26 +26,26 @@ def test_servo_delay_is_not_the_tendon_s():
     run = replace(seen, present=present)
     found = diagnose(builtin_model(), run, effects=["latency", "lag", "gain", "backlash", "hysteresis"])
     assert [e.name for e in found.effects] == ["backlash"]
-    assert [row["channel"] for row in found.servo] == [0, 1]
+    assert [row.channel for row in found.servo] == [0, 1]
     for row in found.servo:
-        assert [e["name"] for e in row["effects"]] == ["latency"] and row["unit"] == "mm"
-        value = row["effects"][0]["params"]["latency.delay"]
-        assert abs(value["value"] - 0.18) < 0.01
-        assert row["error"]["value"] < 0.1 * row["error"]["model"]
+        assert [e.name for e in row.effects] == ["latency"] and row.unit == "mm"
+        value = row.effects[0].params["latency.delay"]
+        assert abs(value.value - 0.18) < 0.01
+        assert row.error.value < 0.1 * row.error.model
 
     assert re.search(r"channel 1: latency.delay 0.1(8|79)", str(found))
     again = Diagnosis.from_dict(found.to_dict())
     assert again.servo == found.servo
     older = {k: v for k, v in found.to_dict().items() if k != "servo"}
-    assert Diagnosis.from_dict(older).servo == []
+    assert Diagnosis.from_dict(older).servo == ()
 
 
 def test_each_servo_for_itself_and_silence():
     run = finger_run()
     mixed = np.stack([encoders(run, [0.0, 0.0])[:, 0], encoders(run, [0.3, 0.3], 0.8)[:, 1]], axis=1)
     first, second = servos(replace(run, present=mixed), ["latency", "lag", "gain", "offset"])
-    assert first["effects"] == [] and first["error"]["model"] < STEP
-    assert {e["name"] for e in second["effects"]} == {"latency", "gain"}
+    assert first.effects == () and first.error.model < STEP
+    assert {e.name for e in second.effects} == {"latency", "gain"}
     still = np.full_like(mixed, 3.0)
     assert servos(replace(run, present=still), ["latency"]) == [] and servos(run, ["latency"]) == []
 
@@ -54,4 +54,4 @@ def test_encoders_of_any_of_several_runs_are_read():
     run = replace(finger_run(), command_unit="mm")
     told = replace(run, present=encoders(run, [0.18, 0.18]))
     found = diagnose(builtin_model(), [run, told], effects=["latency", "lag"])
-    assert [row["effects"][0]["name"] for row in found.servo] == ["latency", "latency"]
+    assert [row.effects[0].name for row in found.servo] == ["latency", "latency"]

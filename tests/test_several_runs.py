@@ -72,7 +72,7 @@ def test_shared_effect_and_a_camera_frame_for_each_run():
     runs = [turned(run, 2.0, [0.0, 1.0, 0.0]), turned(run, -3.0, [1.5, 0.0, 0.0])]
     found = diagnose(builtin_model(), runs, effects=["backlash", "hysteresis", "gain", "mount"])
     assert [e.name for e in found.effects] == ["backlash"] and [f.name for f in found.faults] == ["mount"]
-    params = {k: p["value"] for k, p in found.faults[0].params.items()}
+    params = {k: p.value for k, p in found.faults[0].params.items()}
     assert params["mount.turn_z"] == pytest.approx(2.0, abs=0.3) and params["mount.turn_z@2"] == pytest.approx(
         -3.0, abs=0.3
     )

@@ -90,14 +90,14 @@ def test_the_unloaded_run_as_the_model_gives_the_same_answer_with_more_power(pag
 
     names = page[1]
     alone, paired = names["found"], names["paired"]
-    mine, other = ({e["name"]: e for e in d.effects} for d in (alone, paired))
+    mine, other = ({e.name: e for e in d.effects} for d in (alone, paired))
     assert set(other) == {"payload", "offset"} <= set(mine)
     said = set(other) | {name for rival in paired.alternatives for name in rival.effects}
     assert "gain" in said and paired.made_from["reference"]["share"] == 0.0
-    before, after = zip(*((d.error["model"], d.error["ladder"][-1]["value"]) for d in (alone, paired)))
+    before, after = zip(*((d.error.before, d.error.after) for d in (alone, paired)))
     assert 1.0 - after[1] / before[1] > 1.0 - after[0] / before[0] + 0.05
-    masses = [e["payload"]["params"]["payload.mass"] for e in (mine, other)]
-    clear = [mass["value"] / mass["sigma"] for mass in masses]
+    masses = [e["payload"].params["payload.mass"] for e in (mine, other)]
+    clear = [mass.value / mass.sigma for mass in masses]
     assert clear[1] > clear[0]
     rows = {
         "held-out error on blocks, before and after, mm": [before[0], after[0], before[1], after[1]],

@@ -30,7 +30,8 @@ pub static EFFECT: Effect = Effect {
             4.0,
             "full free play (half-width = gap/2)",
         )
-        .shared()],
+        .shared()
+        .reaching(Reach::HalfRanges(2.0))],
     },
     law: Law::Channel(&Backlash),
 };

@@ -15,6 +15,8 @@ struct Link {
     effect: &'static Effect,
     params: Range<usize>,
     state: Range<usize>,
+    /// Where what a shape effect remembers lies in what the chain's shape effects remember.
+    remembered: Range<usize>,
 }
 
 /// Effects composed in stage order for a number of channels.
@@ -24,6 +26,7 @@ pub struct Chain {
     channels: usize,
     width: usize,
     memory: usize,
+    remembered: usize,
 }
 
 /// No tendon robot has more; beyond, a count is a mistake that would ask for all the memory there is.
@@ -57,7 +60,7 @@ impl Chain {
                 )));
             }
         }
-        let (mut width, mut memory) = (0, HEAD);
+        let (mut width, mut memory, mut shapes) = (0, HEAD, 0);
         let chosen = registry()
             .into_iter()
             .filter(|effect| names.iter().any(|name| name == effect.declaration.name));
@@ -69,11 +72,17 @@ impl Chain {
                     _ => 0,
                 };
                 let state = memory..memory + size;
-                (width, memory) = (params.end, state.end);
+                let kept = match effect.law {
+                    Law::Remembering(law) => law.memory(channels),
+                    _ => 0,
+                };
+                let remembered = shapes..shapes + kept;
+                (width, memory, shapes) = (params.end, state.end, remembered.end);
                 Link {
                     effect,
                     params,
                     state,
+                    remembered,
                 }
             })
             .collect();
@@ -82,6 +91,7 @@ impl Chain {
             channels,
             width,
             memory,
+            remembered: shapes,
         })
     }
 
@@ -182,10 +192,18 @@ impl Chain {
             .try_for_each(|(link, law)| law.check(&params[link.params.clone()]))
     }
 
-    /// The first parameters that belong to channel effects (they come first in stage order).
-    pub fn channel_width(&self) -> usize {
-        let of_channels = |link: &&Link| link.effect.law.role() == "channel";
-        let links = self.links.iter().filter(of_channels);
+    /// How many numbers the shape effects remember, M.
+    pub fn remembered(&self) -> usize {
+        self.remembered
+    }
+
+    /// The first parameters, on which what acts and what is remembered depend: those of channel effects, which come first
+    /// in stage order, and of shape effects with a memory.
+    pub fn acting_width(&self) -> usize {
+        let acts = |link: &&Link| {
+            link.effect.law.role() == "channel" || matches!(link.effect.law, Law::Remembering(_))
+        };
+        let links = self.links.iter().filter(acts);
         links.map(|link| link.params.end).max().unwrap_or(0)
     }
 
@@ -273,12 +291,25 @@ impl Chain {
         Ok(params.len() / self.width)
     }
 
-    /// Coefficients that the shape effects add at the command `u` (C,) that acts, in one context.
-    pub fn coefficients(&self, params: &[f64], u: &[f64], context: &Context) -> Coefficients {
+    /// Coefficients that the shape effects add at the command `u` (C,) that acts, with what they have `remembered` (M,), in
+    /// one context.
+    pub fn coefficients(
+        &self,
+        params: &[f64],
+        u: &[f64],
+        remembered: &[f64],
+        context: &Context,
+    ) -> Coefficients {
         let mut out = [0.0; CONTACT + 8];
         for link in &self.links {
-            if let Law::Shape(law) = link.effect.law {
-                law.add(&params[link.params.clone()], u, context, &mut out);
+            let params = &params[link.params.clone()];
+            match link.effect.law {
+                Law::Shape(law) => law.add(params, u, context, &mut out),
+                Law::Remembering(law) => {
+                    let own = &remembered[link.remembered.clone()];
+                    law.add(params, u, own, context, &mut out);
+                }
+                _ => {}
             }
         }
         out
@@ -288,13 +319,13 @@ impl Chain {
     pub fn fields(&self) -> Vec<(usize, &'static str)> {
         let mut used = vec![];
         for link in &self.links {
-            if let Law::Shape(law) = link.effect.law {
-                used.extend(
-                    law.fields(self.channels)
-                        .into_iter()
-                        .map(|field| (field, link.effect.declaration.name)),
-                );
-            }
+            let fields = match link.effect.law {
+                Law::Shape(law) => law.fields(self.channels),
+                Law::Remembering(law) => law.fields(self.channels),
+                _ => vec![],
+            };
+            let name = link.effect.declaration.name;
+            used.extend(fields.into_iter().map(|field| (field, name)));
         }
         used
     }

@@ -15,14 +15,21 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    fn read(self, record: &[f64], channels: usize) {
-        let rows = self.acting.chunks_exact_mut(channels);
+    /// Read records (T, n) of n numbers each, side by side.
+    fn read(self, records: &[(&[f64], usize)]) {
+        let width = records.iter().map(|(_, n)| n).sum();
+        let rows = self.acting.chunks_exact_mut(width);
         for (row, (k, share)) in rows.zip(self.places) {
-            row.copy_from_slice(&record[k * channels..(k + 1) * channels]);
-            if *share != 0.0 {
-                let next = &record[(k + 1) * channels..(k + 2) * channels];
-                let pairs = row.iter_mut().zip(next);
-                pairs.for_each(|(a, b)| *a += share * (b - *a));
+            let mut at = 0;
+            for (record, n) in records {
+                let row = &mut row[at..at + n];
+                at += n;
+                row.copy_from_slice(&record[k * n..(k + 1) * n]);
+                if *share != 0.0 {
+                    let next = &record[(k + 1) * n..(k + 2) * n];
+                    let pairs = row.iter_mut().zip(next);
+                    pairs.for_each(|(a, b)| *a += share * (b - *a));
+                }
             }
         }
     }
@@ -149,8 +156,9 @@ impl Chain {
         Ok(out)
     }
 
-    /// What acts, (B, K, C), from equilibrium with `u[0]`: for each set at its own K `places`, each a sample and the share
-    /// of the way to the next one. Sets whose first effects have the same numbers go through those together.
+    /// What acts and what the shape effects remember of it, (B, K, C + M), from equilibrium with `u[0]`: for each set at its
+    /// own K `places`, each a sample and the share of the way to the next one. Sets whose first effects have the same
+    /// numbers go through those together.
     pub fn acting(
         &self,
         params: &[f64],
@@ -162,9 +170,9 @@ impl Chain {
         let frames = places.first().map_or(0, |places| places.len());
         let mut out = zeros(
             "what acts (parameter sets, frames, channels)",
-            &[places.len(), frames, self.channels],
+            &[places.len(), frames, self.channels + self.remembered],
         )?;
-        let width = frames * self.channels;
+        let width = frames * (self.channels + self.remembered);
         if width == 0 {
             return Ok(out);
         }
@@ -175,26 +183,32 @@ impl Chain {
             places,
         });
         let held = u[..self.channels].to_vec();
-        self.branch(&self.links, sets.collect(), u, held, conditions)?;
+        self.branch(&self.links, sets.collect(), u, held, &[], conditions)?;
         Ok(out)
     }
 
-    /// Take a record, and what it is held at before, through the effects `left`, for each of `sets`.
+    /// Take a record, and what it is held at before, through the effects `left`, for each of `sets`; `remembered` is what the
+    /// shape effects before them keep of it, (T, M) each.
     fn branch(
         &self,
         left: &[Link],
         sets: Vec<Reader>,
         record: &[f64],
         held: Vec<f64>,
+        remembered: &[(&[f64], usize)],
         conditions: &Conditions,
     ) -> Result<()> {
         let Some((link, left)) = left.split_first() else {
-            sets.into_par_iter()
-                .for_each(|set| set.read(record, self.channels));
+            let records = [&[(record, self.channels)], remembered].concat();
+            sets.into_par_iter().for_each(|set| set.read(&records));
             return Ok(());
         };
-        if !matches!(link.effect.law, Law::Channel(_) | Law::Record(_)) {
-            return self.branch(left, sets, record, held, conditions);
+        let acts = matches!(
+            link.effect.law,
+            Law::Channel(_) | Law::Record(_) | Law::Remembering(_)
+        );
+        if !acts {
+            return self.branch(left, sets, record, held, remembered, conditions);
         }
         let numbers = |set: &Reader| {
             let own = &set.params[link.params.clone()];
@@ -209,12 +223,50 @@ impl Chain {
             }
         }
         alike.into_par_iter().try_for_each(|(_, sets)| {
+            let params = sets[0].params;
+            if let Law::Remembering(law) = link.effect.law {
+                let count = link.remembered.len();
+                let mut kept = vec![0.0; conditions.len() * count];
+                law.remember(
+                    &params[link.params.clone()],
+                    record,
+                    self.channels,
+                    &mut kept,
+                );
+                let remembered = [remembered, &[(&kept[..], count)]].concat();
+                return self.branch(left, sets, record, held.clone(), &remembered, conditions);
+            }
             let (mut record, mut held) = (record.to_vec(), held.clone());
             let mut memory = vec![0.0; link.state.len()];
-            let (params, held_at) = (sets[0].params, Some(&mut held[..]));
+            let held_at = Some(&mut held[..]);
             self.pass(link, params, &mut record, &mut memory, conditions, held_at)?;
-            self.branch(left, sets, &record, held, conditions)
+            self.branch(left, sets, &record, held, remembered, conditions)
         })
+    }
+
+    /// What the shape effects remember (T, M) of a record (T, C) of what acts.
+    pub fn remember(&self, params: &[f64], record: &[f64], samples: usize) -> Vec<f64> {
+        let mut out = vec![0.0; samples * self.remembered];
+        for link in &self.links {
+            let Law::Remembering(law) = link.effect.law else {
+                continue;
+            };
+            let count = link.remembered.len();
+            let mut kept = vec![0.0; samples * count];
+            if count > 0 && samples > 0 {
+                law.remember(
+                    &params[link.params.clone()],
+                    record,
+                    self.channels,
+                    &mut kept,
+                );
+            }
+            let rows = out.chunks_exact_mut(self.remembered.max(1));
+            for (row, kept) in rows.zip(kept.chunks_exact(count.max(1))) {
+                row[link.remembered.clone()].copy_from_slice(kept);
+            }
+        }
+        out
     }
 
     /// Refuse commands that are not (T, C).

@@ -31,7 +31,8 @@ pub static EFFECT: Effect = Effect {
             4.0,
             "command on each side of zero that moves nothing",
         )
-        .shared()],
+        .shared()
+        .reaching(Reach::HalfRanges(1.0))],
     },
     law: Law::Channel(&DeadZone),
 };

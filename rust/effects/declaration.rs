@@ -57,10 +57,23 @@ pub struct Parameter {
     pub integer: bool,
     /// A time within the run: it lies so far from its ends that both sides of it are seen.
     pub instant: bool,
+    /// How far beyond `high` a fit may go where the data ask for it.
+    pub reach: Reach,
     /// For a whole number that counts something of the channels: the highest that means anything.
     pub most: Option<fn(usize) -> usize>,
     /// For a whole number that stands for a case: what it means, for a number of channels.
     pub meaning: Option<fn(f64, usize) -> String>,
+}
+
+/// How far a fit may go beyond the plausible range of a parameter, in a measure of the robot itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Reach {
+    /// Not at all.
+    High,
+    /// So many times half the range of the commands.
+    HalfRanges(f64),
+    /// A weight that would move the tip aside by so many lengths of the body, were its answer linear.
+    Lengths(f64),
 }
 
 /// What a parameter has a number for.
@@ -112,6 +125,7 @@ impl Parameter {
             each: Each::Robot,
             integer: false,
             instant: false,
+            reach: Reach::High,
             most: None,
             meaning: None,
         }
@@ -144,6 +158,12 @@ impl Parameter {
     /// A time within the run.
     pub const fn instant(mut self) -> Parameter {
         self.instant = true;
+        self
+    }
+
+    /// A fit may go so far beyond `high`.
+    pub const fn reaching(mut self, reach: Reach) -> Parameter {
+        self.reach = reach;
         self
     }
 
@@ -272,6 +292,30 @@ pub trait ShapeEffect: Sync {
     fn add(&self, params: &[f64], u: &[f64], context: &Context, out: &mut Coefficients);
 }
 
+/// Coefficients of shape fields that depend on what acted before. The memory is of whole records and belongs to the shape:
+/// where a state is asked for by itself, at rest, there is none of it.
+pub trait RememberingEffect: Sync {
+    /// As of [`ShapeEffect`].
+    fn fields(&self, channels: usize) -> Vec<usize>;
+
+    /// How many numbers it remembers at every sample on a robot of so many channels.
+    fn memory(&self, channels: usize) -> usize;
+
+    /// Write them (T, M) to `out` for a whole record `samples` (T, C) of what acts, T and C at least 1. It begins in
+    /// equilibrium with its first sample.
+    fn remember(&self, params: &[f64], samples: &[f64], channels: usize, out: &mut [f64]);
+
+    /// Add the effect's coefficients to `out`, at the command `u` (C,) that acts and what is `remembered` (M,) then.
+    fn add(
+        &self,
+        params: &[f64],
+        u: &[f64],
+        remembered: &[f64],
+        context: &Context,
+        out: &mut Coefficients,
+    );
+}
+
 /// A change of what is seen.
 pub trait SensingEffect: Sync {
     /// Move `points` (V, 3) in place; where `positions` is false the vector is a direction, which no shift moves.
@@ -306,6 +350,8 @@ pub enum Law {
     /// A channel effect too, of a user.
     Record(&'static dyn RecordEffect),
     Shape(&'static dyn ShapeEffect),
+    /// A shape effect too, with a memory.
+    Remembering(&'static dyn RememberingEffect),
     Sensing(&'static dyn SensingEffect),
     Prior(&'static dyn PriorEffect),
 }
@@ -314,7 +360,7 @@ impl Law {
     pub fn role(&self) -> &'static str {
         match self {
             Law::Channel(_) | Law::Record(_) => "channel",
-            Law::Shape(_) => "shape",
+            Law::Shape(_) | Law::Remembering(_) => "shape",
             Law::Sensing(_) => "sensing",
             Law::Prior(_) => "prior",
         }

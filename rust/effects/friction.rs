@@ -45,7 +45,8 @@ pub static EFFECT: Effect = Effect {
                 10.0,
                 "pull at home, as a shortening",
             )
-            .shared(),
+            .shared()
+            .reaching(Reach::HalfRanges(2.0)),
         ],
     },
     law: Law::Channel(&Friction),

@@ -44,7 +44,8 @@ pub static EFFECT: Effect = Effect {
                 0.3,
                 10.0,
                 "motion after which nothing more is held back",
-            ),
+            )
+            .reaching(Reach::HalfRanges(2.0)),
             Parameter::new(
                 "shape",
                 "1",

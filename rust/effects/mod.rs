@@ -46,10 +46,12 @@ registry! {
     mullins
     thermal_softening
     asymmetry
+    body_friction
     tendon_stretch
     routing
     gravity
     payload
+    stiffness
     stiffness_gradient
     stiff_section
     one_sided_stiffness

@@ -119,7 +119,7 @@ mod tests {
         let names = ["creep", "twice", "gain"].map(String::from);
         let chain = Chain::new(&names, 1).unwrap();
         assert_eq!(chain.names(), ["gain", "twice", "creep"]);
-        assert_eq!(chain.channel_width(), chain.width());
+        assert_eq!(chain.acting_width(), chain.width());
         let world = || Conditions::new(vec![0.0, 5.0], vec![[0.0; 3]], vec![0.0], vec![0.0]);
         // gain 1, doubled, and creep that has settled under the doubled command.
         let params = [1.0, 1.0, 0.5, 10.0, 3.0];

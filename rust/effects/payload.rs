@@ -31,7 +31,8 @@ pub static EFFECT: Effect = Effect {
             0.0,
             150.0,
             "mass at the tip on top of the declared load",
-        )],
+        )
+        .reaching(Reach::Lengths(1.0))],
     },
     law: Law::Shape(&Payload),
 };

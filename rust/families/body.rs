@@ -8,6 +8,7 @@ pub static FAMILY: Family = Family {
     doc: "Stiffness, rest shape or tendon routing differ from the model, so the shape along the body is wrong.",
     mimics: &["static map", "coupling", "static shape"],
     members: &[
+        "stiffness",
         "stiffness_gradient",
         "stiff_section",
         "one_sided_stiffness",

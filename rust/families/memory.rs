@@ -12,7 +12,7 @@ pub static FAMILY: Family = Family {
     kind: Kind::Memory,
     doc: "Loading and unloading give different shapes at the same command, at any speed: backlash, friction or hysteresis.",
     mimics: &["delay", "rate", "creep"],
-    members: &["backlash", "friction", "hysteresis"],
+    members: &["backlash", "friction", "hysteresis", "body_friction"],
     columns: Some(columns),
     signals: Some(signals),
     ..NOTHING

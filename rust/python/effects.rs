@@ -3,7 +3,7 @@
 use super::arrays::{Floats, floats};
 use super::at_work;
 use crate::Error;
-use crate::effects::{Chain, Conditions, Context, Parameter};
+use crate::effects::{Chain, Conditions, Context, Parameter, Reach};
 use crate::loads::{self, Coefficients};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
@@ -87,6 +87,24 @@ impl PyChain {
     #[getter]
     fn high<'py>(&self, py: Python<'py>) -> Row<'py> {
         self.column(py, |p| p.highest(self.chain.channels()))
+    }
+
+    /// How far a fit may go beyond `high`, in halves of the range of the commands; 0 where not in those.
+    #[getter]
+    fn half_ranges<'py>(&self, py: Python<'py>) -> Row<'py> {
+        self.column(py, |p| match p.reach {
+            Reach::HalfRanges(times) => times,
+            _ => 0.0,
+        })
+    }
+
+    /// The same in weights that would move the tip aside by the length of the body.
+    #[getter]
+    fn lengths<'py>(&self, py: Python<'py>) -> Row<'py> {
+        self.column(py, |p| match p.reach {
+            Reach::Lengths(times) => times,
+            _ => 0.0,
+        })
     }
 
     #[getter]
@@ -246,7 +264,7 @@ impl PyChain {
     }
 
     /// Coefficients (B, K, F + 9) of `FIELDS`, of the cables' compliance and of an obstacle (`loads.rs`) that the shape effects add, for gravity (K, 3),
-    /// load (K,) g and the command (K, C) that acts.
+    /// load (K,) g and the command (K, C) that acts, of which effects with a memory take the rows for a record.
     #[pyo3(signature = (params, gravity, load=None, temperature=None, u=None))]
     fn coefficients<'py>(
         &self,
@@ -271,11 +289,14 @@ impl PyChain {
         self.chain.sets(&params.data)?;
         let width = self.chain.width();
         let mut out = Vec::with_capacity(params.shape[0] * frames * WIDTH);
+        let kept = self.chain.remembered();
         for b in 0..params.shape[0] {
+            let set = &params.data[b * width..(b + 1) * width];
+            let remembered = self.chain.remember(set, &u, frames);
             for k in 0..frames {
-                let set = &params.data[b * width..(b + 1) * width];
                 let u = &u[k * channels..(k + 1) * channels];
-                out.extend(self.chain.coefficients(set, u, &world.at(k)));
+                let own = &remembered[k * kept..(k + 1) * kept];
+                out.extend(self.chain.coefficients(set, u, own, &world.at(k)));
             }
         }
         out.into_pyarray(py)

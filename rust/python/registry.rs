@@ -1,6 +1,6 @@
 //! Binding of the effect registry.
 
-use crate::effects::{Each, Kind, Law, Parameter, registry};
+use crate::effects::{Each, Kind, Law, Parameter, Reach, registry};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::collections::HashMap;
@@ -21,6 +21,7 @@ pub fn effects<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
             "effect"
         };
         entry.set_item("kind", kind)?;
+        entry.set_item("remembers", matches!(effect.law, Law::Remembering(_)))?;
         entry.set_item("own", matches!(effect.law, Law::Record(_)))?;
         entry.set_item("formula", d.formula)?;
         entry.set_item("doc", d.doc)?;
@@ -53,6 +54,13 @@ fn parameter<'py>(py: Python<'py>, p: &Parameter) -> PyResult<Bound<'py, PyDict>
     )?;
     entry.set_item("shared", p.each == Each::Shared)?;
     entry.set_item("per_pair", p.each == Each::Pair)?;
+    let (half_ranges, lengths) = match p.reach {
+        Reach::High => (0.0, 0.0),
+        Reach::HalfRanges(times) => (times, 0.0),
+        Reach::Lengths(times) => (0.0, times),
+    };
+    entry.set_item("half_ranges", half_ranges)?;
+    entry.set_item("lengths", lengths)?;
     entry.set_item("integer", p.integer)?;
     entry.set_item("instant", p.instant)?;
     entry.set_item("doc", p.doc)?;

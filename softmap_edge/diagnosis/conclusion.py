@@ -102,9 +102,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     if verdict == "nothing" and behind:
         verdict, hidden = "cannot_tell", behind
     hint = outcome.hint.family.name if outcome.hint is not None else ""
-    sentence = sentence_of(
-        verdict, physics, faults, families, alternatives, left, hidden, error, context.demoted, hint
-    )
+    sentence = sentence_of(verdict, physics, faults, families, alternatives, left, hidden, error, context.demoted, hint)
     return {
         "verdict": verdict,
         "sentence": sentence
@@ -334,12 +332,14 @@ def _twins(
         why = f"{twin} and {member} look alike under the conditions of this run"
         if twin in fit.effects or twin not in (*fits.candidates, *never):
             continue
-        if twin in fits.candidates and by != "orientation":  # forms of loads are too far off to exclude one
+        if twin in fits.candidates:
             other = fits.get({*fit.effects, twin} - {member}, fit.space.split)
             rest = fits.without(fit, member)
             before, mine, theirs = (float(fits.losses(f)[0].sum()) for f in (rest, fit, other))
-            if (before - theirs) < rule.STANDS_FOR * (before - mine):
+            done = (before - theirs) / max(before - mine, 1e-300)
+            if by != "orientation" and done < rule.STANDS_FOR:  # forms of loads are too far off to exclude one
                 continue
+            why += f"; fitted here it does {100.0 * min(max(done, 0.0), 1.0):.0f} % of it"
         elif twin in never:
             why += "; it was not tried"
         found.append((twin, why))

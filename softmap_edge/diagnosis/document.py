@@ -29,6 +29,7 @@ from softmap_edge.diagnosis.findings import (
     plain,
     read,
 )
+from softmap_edge.diagnosis.layout import ranges_of
 from softmap_edge.errors import ReportError, SoftmapError, brief
 from softmap_edge.whole_file import read_document
 
@@ -140,7 +141,8 @@ class Diagnosis:
         """Return the fitted parameters of one effect, all of them and none beyond its bounds."""
         params, chain = self.params_of(name), _core.Chain([name], model.channels)
         values = valued(chain, params, np.full(len(chain.labels), np.nan))
-        for i, (value, low, high) in enumerate(zip(values, chain.low, chain.high)):
+        ranges = ranges_of(model, _core, chain)
+        for i, (value, low, high) in enumerate(zip(values, ranges.low, ranges.limit)):
             room = 1e-6 * (high - low)
             label = chain.labels[i] if chain.labels[i] in params else chain.group_labels[i]
             if label not in params:

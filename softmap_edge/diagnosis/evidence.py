@@ -87,9 +87,9 @@ def strongest(problem: Problem, name: str) -> Floats:
     whichever moves the body more.
     """
     space = problem.space((name,))
-    far = 0.5 * np.where(space.high > 0, space.high, space.low)  # some are absent at their high end
+    far = 0.5 * np.where(space.usual_high > 0, space.usual_high, space.low)  # some are absent at their high end
     middle = np.where(space.log, space.start, far)
-    high = np.where(space.log, np.minimum(0.5, space.high), far)
+    high = np.where(space.log, np.minimum(0.5, space.usual_high), far)
     middle, high = (np.where(space.declared, p, 0.0) for p in (middle, high))
     points = np.stack([np.clip(p, space.low, space.high) for p in (middle, high)])
     own = problem.space(())

@@ -57,7 +57,7 @@ class Space:
         layout = record.layout(own + tuple(e for e in effects if e not in own), split)
         self.split, self.full = tuple(split), layout.full
         self.names, self.labels, self.units = layout.names, layout.labels, layout.units
-        null, start, low, high = layout.null, layout.start, layout.low, layout.high
+        null, start, low, high, limit = layout.null, layout.start, layout.low, layout.high, layout.limit
         wanted = set(free or effects)
         told = [label.split("@")[0] not in record.untold for label in self.labels]
         self.free = np.array([i for i, s in enumerate(self.labels) if s.split(".")[0] in wanted and told[i]], int)
@@ -69,7 +69,8 @@ class Space:
         with np.errstate(divide="ignore", invalid="ignore"):
             octave = np.where(self.log, 0.5 * np.log(high[self.free] / low[self.free]), 1.0)
         self._scale = np.where(self.log, octave, np.maximum(linear, 1e-12))
-        self.low, self.high = self.scaled(low[self.free]), self.scaled(high[self.free])
+        self.low, self.high = self.scaled(low[self.free]), self.scaled(limit[self.free])
+        self.usual_high = self.scaled(high[self.free])  # the end of the plausible range; fits may go on to `high`
         self.start = self.scaled(start[self.free])
         self.null = null[self.free]
 

@@ -26,6 +26,16 @@ REACH_MM = 16.0  # of the finger whose commands the declared bounds in mm were c
 PER_RUN = ("mount", "camera_drift", "clock_shift")
 
 
+@dataclass(frozen=True, eq=False)
+class Ranges:
+    """Where fits of a chain on one robot begin and search (P,), and the `limit` to which they may go beyond `high`."""
+
+    start: Floats
+    low: Floats
+    high: Floats
+    limit: Floats
+
+
 @dataclass(frozen=True)
 class Layout:
     """The parameters of a chain as a record has them: arrays (L,), and where each run's own chain finds its numbers.
@@ -41,6 +51,7 @@ class Layout:
     start: Floats
     low: Floats
     high: Floats
+    limit: Floats  # beyond `high` where a parameter may be larger than is plausible
     log: NDArray[np.bool_]
     integer: NDArray[np.bool_]
     instant: NDArray[np.bool_]  # times within the run
@@ -92,7 +103,7 @@ def layout_of(
     names: Sequence[str],
     chain: Any,
     changes: Sequence[Any],
-    factor: Floats,
+    ranges: Ranges,
     runs: int,
     seconds: tuple[float, float],
     split: Collection[str] = (),
@@ -102,7 +113,7 @@ def layout_of(
     Args:
         names: the effects. chain: the compiled chain of them.
         changes: numbers of the prior that are open with them.
-        factor: what multiplies declared starts and bounds (P,), from `per_mm`.
+        ranges: where its numbers are searched on this robot, from `ranges_of`.
         runs: how many there are.
         seconds: between which an instant has enough of every run on both sides.
         split: effects whose shared parameters have a number for each channel.
@@ -121,10 +132,10 @@ def layout_of(
     each = [(chain.labels if alone[i] else chain.group_labels)[i] + run for i, run in zip(source, suffix)]
     labels, first, spread = _firsts(each)
     source, groups = [source[i] for i in first], [chain.group_labels[source[i]] + suffix[i] for i in first]
-    start, low, high = ((factor * np.asarray(x, float))[source] for x in (chain.start, chain.low, chain.high))
+    start, low, high, limit = (a[source] for a in (ranges.start, ranges.low, ranges.high, ranges.limit))
     within = np.asarray(chain.instant, bool)[source]
     if np.any(within) and seconds[0] < seconds[1]:
-        low, high = np.where(within, seconds[0], low), np.where(within, seconds[1], high)
+        low, (high, limit) = np.where(within, seconds[0], low), (np.where(within, seconds[1], a) for a in (high, limit))
         start = np.clip(start, low, high)
     null = np.asarray(chain.null, float)[source]
     integer = np.asarray(chain.integer, bool)[source]
@@ -136,12 +147,12 @@ def layout_of(
         labels, units = labels + [c.label for c in changes], units + [c.unit for c in changes]
         groups = groups + [c.label for c in changes]
         null, start = (np.append(a, [c.null for c in changes]) for a in (null, start))
-        low, high = np.append(low, [c.low for c in changes]), np.append(high, [c.high for c in changes])
+        low = np.append(low, [c.low for c in changes])
+        high, limit = (np.append(a, [c.high for c in changes]) for a in (high, limit))
         log = np.append(log, np.array([c.factor for c in changes], bool))
         integer, within = (np.append(a, np.zeros(len(changes), bool)) for a in (integer, within))
-    return Layout(
-        tuple(names), labels, groups, units, null, start, low, high, log, integer, within, spread, columns, declared
-    )
+    flags = (log, integer, within)
+    return Layout(tuple(names), labels, groups, units, null, start, low, high, limit, *flags, spread, columns, declared)
 
 
 def _alone(chain: Any, i: int, split: Collection[str]) -> bool:
@@ -156,18 +167,27 @@ def _firsts(labels: Sequence[str]) -> tuple[list[str], list[int], NDArray[np.int
     return list(place), [first[label] for label in place], np.array([place[label] for label in labels], np.intp)
 
 
-def per_mm(model: Any, library: Any, chain: Any) -> Floats:
-    """Return by what (P,) to multiply declared starts and bounds: those in mm of command, where commands are not mm.
+def ranges_of(model: Any, library: Any, chain: Any) -> Ranges:
+    """Return where fits of a chain search on this robot.
 
-    They are declared for tendons that move by REACH_MM to each side. A drive in degrees, radians or ticks moves by
-    another number, and its play may be that many times larger.
+    What is declared in mm of command is meant for tendons that move by REACH_MM to each side; of a robot whose commands
+    have another range, in whatever unit, it is as large a share. Where the data ask for it a fit may go further: to a
+    number of half ranges, or to a weight by how much it moves this body, in the model's own scale of loads.
     """
-    factor, reach = np.ones(len(chain.labels)), np.asarray(getattr(model, "command_range", np.zeros((0, 2))), float)
-    if getattr(model, "command_unit", "mm") in ("mm", "N") or not len(reach):
-        return factor
-    half = float(np.median(0.5 * np.ptp(reach, axis=1)))
+    half = _half_range(model)
     in_commands = {e["name"] for e in library.effects() if e["role"] == "channel"}
     commanded = [
         unit.startswith("mm") and label.split(".")[0] in in_commands for label, unit in zip(chain.labels, chain.units)
     ]
-    return np.where(commanded, half / REACH_MM, factor) if half > 0 else factor
+    factor = np.where(commanded, half / REACH_MM, 1.0)
+    start, low, high = (factor * np.asarray(x, float) for x in (chain.start, chain.low, chain.high))
+    weight = getattr(model, "weight_per_length", 0.0)
+    farthest = np.maximum(np.asarray(chain.half_ranges) * half, np.asarray(chain.lengths) * weight)
+    return Ranges(start, low, high, np.maximum(high, farthest))
+
+
+def _half_range(model: Any) -> float:
+    """Return half the range of a model's commands, in their unit; REACH_MM of one that has none."""
+    reach = np.asarray(getattr(model, "command_range", np.zeros((0, 2))), float)
+    half = float(np.median(0.5 * np.ptp(reach, axis=1))) if len(reach) else 0.0
+    return half if half > 0 else REACH_MM

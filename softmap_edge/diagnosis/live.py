@@ -2,7 +2,8 @@
 
 Positions of the servos come period by period, frames as they arrive. The chain of effects is advanced by the new
 periods alone and remembers all that came before; a frame waits until positions of its time are there, and is compared
-with the shape of what acts then: the error is that of the whole run. What acted is kept for `KEPT` s.
+with the shape of what acts then: the error is that of the whole run. What acted is kept for `KEPT` s; a
+shape that remembers what acted knows no more.
 Known limit: an effect of the user's own cannot be advanced; with one all positions are kept and rolled out each time.
 Pinned by tests/test_live.py.
 """
@@ -77,6 +78,8 @@ class Live:
                 "the bundle holds no calibration of the servos, so their ticks mean nothing to it; `softmap calibrate`"
             )
         self._acts, self._shape = _advancing(model), _shape(model)
+        remembering = {entry["name"] for entry in _core.effects() if entry["remembers"]}
+        self._remembers = not remembering.isdisjoint(model.chain_names)
         self._model, self._clock = model, HostClock(late)
         shift = dict(model.params).get("clock_shift.late", 0.0)
         self._ahead = max(0.0, -shift)  # s by which positions have to be ahead of a frame
@@ -155,7 +158,7 @@ class Live:
         if not shown.any():
             return
         begin, end = np.searchsorted(self._t, [seen_at[0] - AROUND, seen_at[-1] + AROUND])
-        near = slice(max(int(begin) - 1, 0), int(end) + 1)
+        near = slice(0 if self._remembers else max(int(begin) - 1, 0), int(end) + 1)
         if self._first < seen_at[0]:  # drift is counted from the first frame: it is there, and shows nothing
             seen_at = np.concatenate([[self._first], seen_at])
             points = np.concatenate([np.zeros_like(points[:1]), points])

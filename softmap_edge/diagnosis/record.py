@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.chain_labels import differing, named
 from softmap_edge.diagnosis.conditions import Conditions, conditions
-from softmap_edge.diagnosis.layout import Layout, layout_of, per_mm
+from softmap_edge.diagnosis.layout import Layout, layout_of, ranges_of
 from softmap_edge.diagnosis.paired import Replay, pair
 from softmap_edge.errors import SoftmapError
 from softmap_edge.ticks import converted
@@ -174,8 +174,8 @@ class Record:
         key = (tuple(names), runs, apart)
         if key not in self._layouts:
             chain = self.library.Chain(list(names), self.model.channels)
-            factor = per_mm(self.model, self.library, chain)
-            self._layouts[key] = layout_of(names, chain, self._changes(names), factor, runs, self._within, apart)
+            ranges = ranges_of(self.model, self.library, chain)
+            self._layouts[key] = layout_of(names, chain, self._changes(names), ranges, runs, self._within, apart)
         return self._layouts[key]
 
     @cached_property

@@ -189,10 +189,14 @@ class Kinematics:
 
     @property
     def undone(self) -> list[str]:
-        """The model's effects that commands undo; of the others, delays without a preview, a plan expects what they
-        leave."""
-        delays = {entry["name"] for entry in _core.effects() if entry["family"] == "delay"}
-        return [name for name in self.model.chain_names if name in PREVIEWED or name not in delays]
+        """The model's effects that commands compensate.
+
+        Of delays without a preview a plan expects what they leave. A shape that remembers what acted before is solved
+        as it is at rest.
+        """
+        entries = _core.effects()
+        left = {entry["name"] for entry in entries if entry["family"] == "delay" or entry["remembers"]}
+        return [name for name in self.model.chain_names if name in PREVIEWED or name not in left]
 
     def _apart(self, places: Floats, targets: Floats) -> Floats:
         """Return the distances (T,) mm along the axes that count."""

@@ -64,7 +64,7 @@ def family_facts(row: Row, unit: str) -> list[str]:
     """Return what is known beside the line of a family: shares, displacement, what it cannot be distinguished from."""
     facts = [f"{percent(row.get('share'))} of the explained error"]
     if number(row.get("moved_mm")) is not None:
-        facts.append(f"{mm(row['moved_mm'])} {unit} RMS")
+        facts.append(f"{mm(row['moved_mm'])} {unit} RMS (fitted)")
     if number(row.get("law_share")) is not None:
         which = "its law" if row.get("law") == "resolved" else "the best known law"
         facts.append(f"{which} explains {percent(row['law_share'])} of what the family can do")

@@ -252,23 +252,11 @@ def _time(story: Story, figures: ModuleType) -> str:
 
 
 def _loops(story: Story) -> str:
-    if story.series is None or not story.series.loops or not (_remembers(story) or not story.places):
+    if story.series is None:
         return ""
-    from softmap_edge.report.loop_figure import loops
+    from softmap_edge.report.loop_figure import loop_section
 
-    what = "Tip" if story.places else "Output"
-    image = picture(loops(story.series, story.unit), f"{what} against command, measured and predicted")
-    note = f"The cycle with the largest error before, {escaped(story.unit)} (faint: all that was measured)"
-    if story.places:
-        note += (
-            ". The tip's displacement in the direction in which that command moves it, from where it is at command 0"
-        )
-    return section(f"{what} against command: the loop", image, f"{note}{_short(story)}.")
-
-
-def _remembers(story: Story) -> bool:
-    """Whether a family was detected whose error depends on the history of the commands: memory, delay, creep …"""
-    return any(row.get("kind") == "memory" for row in (story.diagnosis or {}).get("families") or [])
+    return loop_section(story.series, story.unit, story.diagnosis, _short(story))
 
 
 def _things(story: Story) -> str:

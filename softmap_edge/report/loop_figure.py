@@ -5,6 +5,9 @@ Pinned by tests/test_output.py and tests/test_loop_figure.py. Needs matplotlib.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,11 +16,34 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.series import Loop, Series
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, PALE, STYLE, WIDE, clean, svg
+from softmap_edge.report.in_unit import PLACES
+from softmap_edge.report.style import escaped, picture, section
 
 Floats = NDArray[np.float64]
 
 TURN = 0.2  # of the range of a command: smaller moves back are no cycle
 MOST_LOOPS = 6  # of a run with many outputs or commands
+
+
+def loop_section(series: Series, unit: str, diagnosis: Mapping[str, Any] | None, kind: str) -> str:
+    """Return the part of a page with the loops: of outputs always, of a body where a family with memory was detected.
+
+    Args:
+        series: of the run that the page shows. unit: of its errors.
+        diagnosis: the document, or None. kind: what to add to the caption.
+    """
+    body = unit == PLACES
+    remembers = any(row.get("kind") == "memory" for row in (diagnosis or {}).get("families") or [])
+    if not series.loops or (body and not remembers):
+        return ""
+    what = "Tip" if body else "Output"
+    image = picture(loops(series, unit), f"{what} against command, measured and predicted")
+    note = f"The cycle with the largest error before, {escaped(unit)} (faint: all that was measured)"
+    if body:
+        note += (
+            ". The tip's displacement along the direction in which the command moves it; 0 is where it is at command 0"
+        )
+    return section(f"{what} against command: the loop", image, f"{note}{kind}.")
 
 
 def loops(series: Series, unit: str) -> bytes:

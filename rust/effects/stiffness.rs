@@ -1,0 +1,57 @@
+//! Stiffness: the whole body is softer or stiffer than the model's.
+//!
+//! `ln E(s) = ln E₀ + amount`, the same for every stretch of the body: the coefficient of each field stiff_k is `amount`. Under
+//! tendons whose shortening is given, a uniform modulus hardly changes the shape (0.13 mm at −30 %) while nothing else loads
+//! the body; a weight, a lean and cables that stretch show it.
+//! The search is from half the modulus to twice it, in which a run without weight or lean cannot show it.
+//! Limit: as for one stretch, second order (`second.rs`). A body without fields of its modulus has none of it.
+
+use super::conditions::Context;
+use super::declaration::*;
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "stiffness",
+        family: "body stiffness",
+        stage: Stage::Shape,
+        kind: Kind::Effect,
+        formula: "ln E(s) = ln E₀ + amount  on stiff_0 … stiff_6",
+        doc: "The whole body is softer or stiffer than the model: another batch of silicone, a cure at another temperature, age.",
+        signature: "A sag that differs from the model's where the body leans or carries a load; next to nothing without one, \
+                    for tendons of given length bend a soft body as far as a stiff one.",
+        reference: "Field of the simulator: one assembly of the residual with the changed design and one back-substitution; tensions by complementarity.",
+        experiment: ("the same moves with and without a known load, leaning", 3.0),
+        // A soft body under an unknown weight is a stiff one under a larger; one that stretches its cables less bends more.
+        alike: &[
+            ("gravity", "load"),
+            ("payload", "load"),
+            ("gain", "load"),
+            ("tendon_stretch", "load"),
+        ],
+        needs: &[],
+        parameters: &[Parameter::new(
+            "amount",
+            "1",
+            0.0,
+            -0.2,
+            -0.7,
+            0.7,
+            "logarithm of the modulus over the model's",
+        )],
+    },
+    law: Law::Shape(&Stiffness),
+};
+
+struct Stiffness;
+
+impl ShapeEffect for Stiffness {
+    fn fields(&self, _channels: usize) -> Vec<usize> {
+        (STIFF..STIFF + HATS).collect()
+    }
+
+    fn add(&self, params: &[f64], _u: &[f64], _context: &Context, out: &mut Coefficients) {
+        for out in &mut out[STIFF..STIFF + HATS] {
+            *out += params[0];
+        }
+    }
+}
