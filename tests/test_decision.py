@@ -69,7 +69,9 @@ def test_near_is_within_the_form_or_within_the_scatter_that_folds_do_not_agree_o
     scattered = best + folds(-10, -10, -10, 50, 0, 0, 0, 20)
     assert near(scattered, best, null)  # 40 behind, less than its error, and ahead in three folds
     agreed = best + folds(5, 5, 5, 5, 5, 5, 50, -30)
-    assert 50.0 < difference(agreed, best).error and not near(agreed, best, null)  # as near, but behind in seven of eight
+    assert difference(agreed, best).error > 50.0 and not near(
+        agreed, best, null
+    )  # as near, but behind in seven of eight
 
 
 def test_a_law_reaches_within_one_standard_error_or_its_form():

@@ -79,7 +79,9 @@ def test_an_effect_that_does_nothing_here_cannot_be_tested():
 
 
 def test_what_nobody_explains_is_claimed():
-    found = diagnose(builtin_model(), run_of(lambda u: u + 1.2 * np.sin(1.5 * u[:, ::-1])), effects=["gain", "backlash"])
+    found = diagnose(
+        builtin_model(), run_of(lambda u: u + 1.2 * np.sin(1.5 * u[:, ::-1])), effects=["gain", "backlash"]
+    )
     assert found.verdict == "partly_explained" and found.effects == ()
     silent = diagnose(builtin_model(), run_of(lambda u: u), effects=["gain", "backlash"])
     assert silent.verdict in ("nothing", "cannot_tell")
@@ -89,7 +91,9 @@ def test_a_name_is_as_sure_as_what_could_stand_in_its_place():
     """A delay of the command and a late camera are one answer to one question, whichever fits better."""
     late = lambda u: np.concatenate([np.tile(u[:1], (8, 1)), u])[: len(u)]  # noqa: E731
     found = diagnose(builtin_model(), run_of(late), effects=FEW)
-    assert [e.name for e in found.effects] == ["latency"] and ("clock_shift",) in [a.effects for a in found.alternatives]
+    assert [e.name for e in found.effects] == ["latency"] and ("clock_shift",) in [
+        a.effects for a in found.alternatives
+    ]
     others = len(found.alternatives)
     assert found.effects[0].probability == pytest.approx(1 / (1 + ODDS_BASE + ODDS_ALTERNATIVE * others))
 

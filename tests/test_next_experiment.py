@@ -92,7 +92,9 @@ def test_the_block_that_an_engineer_would_pick(hidden, other, picked):
     name = next(iter(hidden)).split(".")[0]
     run = played(BLOCKS["circle"].plan(LIMITS), hidden)
     stated = {label: {"value": v, "sigma": 0.1, "unit": "1"} for label, v in hidden.items()}
-    found = document(effects=[{"name": name, "params": stated}], alternatives=[{"effects": [other], "why": "for the test"}])
+    found = document(
+        effects=[{"name": name, "params": stated}], alternatives=[{"effects": [other], "why": "for the test"}]
+    )
     best = next_experiment(MODEL, found, [run])[0]
     assert best.block == picked and best.settles == [name, other]
 
@@ -113,7 +115,9 @@ def test_what_a_grid_cannot_show_is_shown_by_a_fast_triangle():
 
 
 def test_what_no_block_settles_is_left_to_what_the_library_says():
-    found = document(effects=[{"name": "offset", "params": {}}], alternatives=[{"effects": ["offset", "mount"], "why": ""}])
+    found = document(
+        effects=[{"name": "offset", "params": {}}], alternatives=[{"effects": ["offset", "mount"], "why": ""}]
+    )
     ranked = next_experiment(MODEL, found, [played(plan(chosen(UPRIGHT), LIMITS))])
     open_ones = [e for e in ranked if e.plan is None]
     assert all(e.separation is None and e.settles for e in open_ones)

@@ -249,7 +249,10 @@ FAMILIES = {
 def test_every_error_in_a_sentence_says_rms_and_fitted_or_held_out(verdict, named, family):
     physics = [Finding("backlash", {})] if named else []
     left = Unexplained(rms_mm=0.4, chi2_per_n=1.9, blocked_r2=0.5, predicted_by="speed")
-    told = sentence_of(verdict, physics, [], FAMILIES[family], [], left, [], ERROR, []) + f" {OwnMisfit(('gain',), 2.0, 1.0)}."
+    told = (
+        sentence_of(verdict, physics, [], FAMILIES[family], [], left, [], ERROR, [])
+        + f" {OwnMisfit(('gain',), 2.0, 1.0)}."
+    )
     assert not re.findall(r"\d mm(?! RMS)", told)
     errors = [part for part in re.split(r"[;:.] ", told) if "mm RMS" in part]
     sizes = [part for part in errors if "family memory" in part or "law open" in part]  # of an effect, no error
@@ -277,7 +280,8 @@ def test_a_sentence_names_what_was_found_in_words_of_both_levels():
 
 def test_every_error_of_a_report_says_rms_and_fitted_or_held_out():
     lines = diagnosis_text(DIAGNOSIS | {"sentence": ""}).splitlines()
-    named = [line for line in lines if re.search(r"\d mm", line) and "±" not in line]
+    errors = [line for line in lines if "±" not in line and not line.startswith("  · Memory: ")]  # the rest: parameters
+    named = [line for line in errors if re.search(r"\d mm", line)]
     assert len(named) >= 3 and all("RMS" in line for line in named), named
     assert "probability 97 % (fitted)" in diagnosis_text(DIAGNOSIS)
     bare = DIAGNOSIS | {"effects": [entry | {"probability": None} for entry in DIAGNOSIS["effects"]]}

@@ -6,7 +6,7 @@ Nothing is searched here. Units: mm. Pinned by tests/test_diagnosis.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -83,6 +83,8 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit, registry) if h.name not in {b.name for b in hidden}]
     unknown = any(s.answer.law is None and not s.answer.open for s in standing) or _left(outcome, standing)
+    if context.own is not None and context.own.after_mm <= fits.held_out_mm(fit):
+        unknown = False  # other numbers of the model's own effects explain what is left
     unknown = unknown or bool(problem.noise.moving)
     findings = [_finding(outcome, fit, name, context, alternatives, unknown, registry) for name in order]
     faults = tuple(f for f in findings if registry[f.name]["kind"] == "fault")
@@ -149,7 +151,8 @@ def _family(outcome: Outcome, step: Step) -> FamilyFinding:
     laws = [law for law in answer.tried if law.effects]
     best = min((float(law.loss.sum()) for law in laws), default=None)
     named = [answer.law] if answer.law is not None else []
-    effects = [e for law in (*named, *answer.equals) for e in law.effects]
+    others = () if answer.resolved else answer.equals
+    effects = [e for law in (*named, *others) for e in law.effects]
     return FamilyFinding(
         answer.family.name, answer.family.kind,
         "resolved" if answer.resolved else "open" if answer.open else "unknown",

@@ -86,7 +86,7 @@ def _effect_lines(row: Mapping[str, Any], place_unit: str) -> list[str]:
     held = shift.get("held_out")
     facts = [
         *([] if row.get("probability") is None else [f"probability {percent(row['probability'])} (fitted)"]),
-        f"{percent(row.get('share'))} of the explained error (fitted)",
+        f"{percent(row.get('share'))} of the explained error",
         f"moves {moved_by(place_unit)} by {mm(shift.get('fitted'))} {place_unit} RMS (fitted)"
         + ("" if held is None else f", {mm(held)} {place_unit} RMS (held out)"),
     ]
@@ -208,6 +208,8 @@ def _unexplained_lines(left: Mapping[str, Any], unit: str) -> list[str]:
     facts = [f"{mm(left.get('rms_mm'))} {unit} RMS beyond the noise (fitted)"]
     facts += [f"chi²/n {chi:.3g} (fitted; 1 is noise alone)"] if isinstance(chi, (int, float)) else []
     facts += [f"predictable share R² {r2:.2g} (held-out blocks)"] if isinstance(r2, (int, float)) else []
+    ordinary = number(left.get("ordinary_mm"))
+    facts += [f"ordinary imperfections of this robot: {mm(ordinary)} {unit} RMS, no discovery"] if ordinary else []
     by = left.get("predicted_by")
     named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "")
     facts += [f"follows {named}"] if named else []

@@ -140,12 +140,14 @@ class Drive:
     @cached_property
     def commanded(self) -> Floats:
         """The commands (n, C) at the seen times, before any effect."""
-        return np.concatenate([record.read(record.u[None])[0] for record in self.records])
+        read: list[Floats] = [record.read(record.u[None])[0] for record in self.records]
+        return np.concatenate(read)
 
     @property
     def middle(self) -> Floats:
         """Middle (C,) of each channel's range."""
-        return np.asarray(0.5 * (self.commands.min(axis=0) + self.commands.max(axis=0)), float)
+        middle: Floats = 0.5 * (self.commands.min(axis=0) + self.commands.max(axis=0))
+        return middle
 
     @property
     def half(self) -> Floats:
