@@ -95,7 +95,8 @@ def rods(free: Run) -> dict[str, float]:
         rod = learn(free, source, BLOCKS, GAP_S)
         tip = float(np.sqrt((rod.residuals[:, -1] ** 2).sum(axis=1).mean()))
         found |= {f"{source}: rod, cross-validation, mm": rod.error_mm, f"{source}: at the tip, mm": tip}
-        found |= {f"{source}: {label}, s": value for label, value in rod.chain_params.items()}
+        numbers = [number for one in rod.learned_in for number in one.params]
+        found |= {f"{source}: {number.label}, {number.unit}": number.value for number in numbers}
         if source == "goal":
             (frames,) = rod.frames
             seen = free.t_seen[frames]

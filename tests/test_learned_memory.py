@@ -103,6 +103,14 @@ def test_a_static_law_that_no_polynomial_holds_is_no_memory():
     assert learn(Run(t=t, command=u, t_seen=t[::3], markers=markers)).chain_names == ()
 
 
+def test_a_frame_that_drifts_is_reported_and_no_effect_stands_in_for_it():
+    run = recorded(noise=0.02)
+    wandered = np.cumsum(np.random.default_rng(8).normal(0.0, 0.02, (len(run.t_seen), 1, 3)), axis=0)
+    drifting = learn(replace(run, markers=run.markers + wandered))
+    assert drifting.chain_names == () and drifting.learned_in == ()
+    assert any("the run shows" in note and "time" in note and "not in the model" in note for note in drifting.notes)
+
+
 @pytest.mark.parametrize("gaps", [(1.4, 0.8)])
 def test_unequal_play_of_a_robot_from_its_csv_gets_a_number_for_each_servo(gaps, tmp_path, capsys):
     """From the logs of a motion capture whose frame is turned and shifted, and whose robot is loose in both servos."""

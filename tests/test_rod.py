@@ -271,7 +271,7 @@ def test_play_is_sought_in_the_size_of_the_drive(truth, unit, size):
     found = diagnose(learn_model(log(0.0, 120.0)), log(0.8, 120.0))
     assert found.verdict == "identified" and [e.name for e in found.effects] == ["backlash"]
     gap = found.effects[0].params["backlash.gap"]
-    assert gap["value"] == pytest.approx(0.8 * size, rel=0.03) and gap["unit"] == unit and not gap["at_bound"]
+    assert gap.value == pytest.approx(0.8 * size, rel=0.03) and gap.unit == unit and not gap.at_bound
 
 
 def test_tendons_that_add_up_to_zero_are_reported(truth):

@@ -8,8 +8,9 @@ Where they do as well as the best family, they join the map, and the families ar
 
 Level 2. The members of the families that fall are fitted with the static map solved again (`law.py`), with one number
 for all channels and with a number per channel. A law *reaches* if it does as well as the best of all, representatives
-included. The fewest numbers win; the other laws that reach are its alternatives. The law joins the chain, what it
-leaves of the commands takes their place, and the families are asked again.
+included. The fewest numbers win; the other laws that reach are its alternatives. A law that does not reach, or stands
+at a bound, is only reported if it is weak or if a family without laws is near: it would only stand in for something
+else. The law joins the chain, what it leaves of the commands takes their place, and the families are asked again.
 
 Several runs: each run whose commands the others cover is also held out whole. That judges between families that draw
 the same loop at one amplitude and speed. Limits: laws act in series with the map; a rate alone has no law in the
@@ -192,8 +193,10 @@ class _Search:
             self._only_seen(near, now, False)
             return None
         step = self._chosen(near, good, now, best.losses)
-        if self.members is not None and step.family.name not in self.members:
-            self._only_seen(near, now, True)
+        elsewhere = self.members is not None and step.family.name not in self.members
+        stands_in = step.certainty == "open" and (step.weak or any(not one.family.members for one in near))
+        if elsewhere or stands_in:
+            self._only_seen(near, now, elsewhere)
             return None
         return step
 

@@ -20,6 +20,7 @@ from softmap_edge.rod.regression import Record
 Floats = NDArray[np.float64]
 
 CONTROL = "static map"
+LAWLESS = (CONTROL, "time")
 FAST = ("delay", "rate")  # families that only frames close in time can show
 TIMED = (*FAST, "creep", "time")  # families that a log without time cannot show
 
@@ -53,10 +54,13 @@ class Family:
 
 
 def families() -> tuple[Family, ...]:
-    """Return the families that have signals; the members of the control are left to the map."""
+    """Return the families that have signals.
+
+    The members of the control are left to the map. A change with time is no memory of a robot and is only reported.
+    """
     on_commands = {effect["name"] for effect in _core.effects() if effect["role"] == "channel" and not effect["needs"]}
     return tuple(
-        Family(one["name"], () if one["name"] == CONTROL else tuple(m for m in one["members"] if m in on_commands))
+        Family(one["name"], () if one["name"] in LAWLESS else tuple(m for m in one["members"] if m in on_commands))
         for one in _core.families()
         if one["signals"]
     )
