@@ -223,7 +223,11 @@ class Recording(SimpleNamespace):
     """What a diagnosis uses of a run, with the features themselves in place of vertices."""
 
     hash = Run.hash
-    output, timeless = None, False
+    output, timeless, extra = None, False, {}
+
+    @property
+    def frames(self):
+        return len(self.t_seen)
 
     def at(self, rows):
         """Return the run with some of its frames."""

@@ -345,21 +345,6 @@ def test_what_a_model_has_already_may_be_wrong_in_its_numbers():
     assert found.verdict == "nothing" and "refit" not in found.sentence
 
 
-def test_what_is_unknown_beside_an_effect_stays_unknown_when_that_is_in_the_model():
-    """The same leftover is called the same, whether its neighbour was just found or is in the model already."""
-    crossed = lambda u: u + 0.02 * np.stack([u[:, 1] ** 2, 0.0 * u[:, 0]], axis=1)  # noqa: E731
-    found = diagnose(
-        builtin_model(), finger_run(["gain"], {"gain.factor[0]": 1.15, "gain.factor[1]": 1.12}, acting=crossed)
-    )
-    assert named(found) == {"gain"} and found.verdict == "partly_explained"
-    again = diagnose(
-        found.model, finger_run(["gain"], {"gain.factor[0]": 1.15, "gain.factor[1]": 1.12}, acting=crossed)
-    )
-    assert again.verdict == found.verdict and not named(again)
-    assert [f.name for f in again.families] == [f.name for f in found.families if f.law == "unknown"] == ["coupling"]
-    assert again.unexplained.rms_mm == pytest.approx(found.unexplained.rms_mm, rel=0.1)
-
-
 def test_what_is_less_likely_than_not_is_not_identified():
     run = finger_run(["gain"], {"gain.factor[0]": 1.15, "gain.factor[1]": 1.1})
     few = run.at(np.sort(np.random.default_rng(0).choice(run.frames, 12, replace=False)))

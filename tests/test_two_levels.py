@@ -119,6 +119,11 @@ def test_a_known_play_is_found_beside_an_unknown_coupling():
     assert found.effects[0].params["backlash.gap"].value == pytest.approx(1.2, rel=0.1)
     laws = {family.name: family.law for family in found.families}
     assert laws == {"memory": "resolved", "coupling": "unknown"}
+    # Once the play is in the model, what is left is called the same.
+    again = diagnose(found.model, run)
+    assert again.verdict == "partly_explained" and not names(again)
+    assert [(family.name, family.law) for family in again.families] == [("coupling", "unknown")]
+    assert again.unexplained.rms_mm == pytest.approx(found.unexplained.rms_mm, abs=0.05)
 
 
 # --- level 1 ------------------------------------------------------------------------------------

@@ -31,6 +31,7 @@ from softmap_edge.diagnosis.families import (
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import WINDING, Answer, Law, answered, law_of
+from softmap_edge.diagnosis.record import Record
 
 Floats = NDArray[np.float64]
 
@@ -83,7 +84,8 @@ class Outcome:
         in_loss = (self.loss.sum() - noise) / max(float(self.null.sum()) - noise, 0.25 * noise)
         own = max(record.form_mm**2 + self.ordinary_mm**2, problem.noise.rms_mm(record.positions) ** 2)
         start = record.rms_mm(record.seen - self.fits.null.predicted) ** 2
-        now = record.rms_mm(self.state.residual - self.state.ordinary) ** 2
+        residual = self.state.residual  # whitened as it is, what imperfections explain may be more in mm
+        now = min(record.rms_mm(residual), record.rms_mm(residual - self.state.ordinary)) ** 2
         return float(max(0.0, in_loss, (now - own) / max(start - own, own)))
 
 
@@ -214,7 +216,7 @@ def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
     They are asked for only where the model is off by a good part of the motion.
     """
     record = state.body.record
-    off, motion = record.rms_mm(state.residual), record.rms_mm(record.seen - np.nanmean(record.seen, axis=0))
+    off, motion = record.rms_mm(state.residual), _motion_mm(record)
     if "servo_swap" not in fits.candidates or off < rule.MISWIRED * motion or not ranking.rows:
         return None
     law = law_of(state, fits, ("servo_swap",), ranking.found)
@@ -318,6 +320,13 @@ def _accepted(row: Representative, ranking: Ranking, state: State, later: bool, 
     return row.moved_mm >= max(visible, float(noise), state.body.record.form_mm if static else 0.0)
 
 
+def _motion_mm(record: Record) -> float:
+    """Return how far the body moves about its mean, mm RMS; what is never seen has no mean and does not count."""
+    seen = np.isfinite(record.seen)
+    mean = np.where(seen, record.seen, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    return record.rms_mm(record.seen - mean)
+
+
 def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
     """Return the level of the robot's ordinary static imperfections, mm RMS.
 
@@ -342,8 +351,7 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
     shifts = crossed + [own.shift(np.asarray(level.theta([n], [rule.RIDGES[0]])[0])) for n, own in singles.items()]
     pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
     left, moved = min(pairs, default=(total, 0.0))
-    count = np.maximum(seen.sum(axis=0), 1)  # what is never seen has no mean and does not count
-    motion = record.rms_mm(record.seen - np.where(seen, record.seen, 0.0).sum(axis=0) / count)
+    motion = _motion_mm(record)
     return float(min(left if moved >= rule.DOMINATES * left else total, rule.ORDINARY * motion))
 
 
