@@ -10,9 +10,9 @@ from test_diagnosis import finger_run
 
 from softmap_edge import builtin_model, diagnose, next_experiment
 from softmap_edge.cli import main
+from softmap_edge.diagnosis.findings import Alternative
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import Records
-from softmap_edge.diagnosis.findings import Alternative
 from softmap_edge.errors import SoftmapError
 from softmap_edge.protocol import standard_protocol
 from softmap_edge.truth import Secret, Truth

@@ -102,7 +102,8 @@ def search(
         progress: hears a line per family.
         visible: least RMS displacement that counts, mm or the unit of what is seen.
     """
-    every, tell = families(), progress or (lambda _: None)
+    own = {e["name"]: e["family"] for e in problem.record.library.effects() if e.get("own")}
+    every, tell = families(own), progress or (lambda _: None)
     body, fits = Body(problem, candidates), Fits(problem, candidates)
     state = State(body, fits.null)
     outcome: Outcome | None = None
