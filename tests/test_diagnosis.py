@@ -14,8 +14,8 @@ from arm import LIBRARY, Arm, protocol, record_run
 
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model
-from softmap_edge.diagnosis import decision
 from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.diagnosis import decision
 from softmap_edge.diagnosis.diagnose import diagnose, refit
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import SoftmapError

@@ -6,7 +6,7 @@ Nothing is searched here. Units: mm. Pinned by tests/test_diagnosis.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -151,7 +151,8 @@ def _family(outcome: Outcome, step: Step) -> FamilyFinding:
     laws = [law for law in answer.tried if law.effects]
     best = min((float(law.loss.sum()) for law in laws), default=None)
     named = [answer.law] if answer.law is not None else []
-    effects = [e for law in (*named, *answer.equals) for e in law.effects]
+    others = () if answer.resolved else answer.equals
+    effects = [e for law in (*named, *others) for e in law.effects]
     return FamilyFinding(
         answer.family.name, answer.family.kind,
         "resolved" if answer.resolved else "open" if answer.open else "unknown",

@@ -128,6 +128,7 @@ class Body:
         self.middle, self.half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-6)
         self.step = np.maximum(SLOPE * self.record.spread, 1e-3)
         self.weights = np.ascontiguousarray(problem.gain * problem.whitener.project.T)
+        self.own = [e["name"] for e in self.record.library.effects() if e["own"]]  # a user's, of any family
         self.ordinary_mm = 0.0  # static imperfections of the robot, RMS
         self._signatures: dict[str, Floats] = {}
 

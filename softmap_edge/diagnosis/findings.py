@@ -145,6 +145,7 @@ class Unexplained:
     chi2_per_n: float | None = None
     blocked_r2: float | None = None
     predicted_by: str | None = None
+    ordinary_mm: float | None = None  # ordinary static imperfections of the robot, which are no discovery
 
 
 @dataclass(frozen=True)

@@ -140,7 +140,7 @@ class _Asked:
 
     def members(self) -> list[Law]:
         """Fit each member of the family on top of what was found."""
-        names = [n for n in self.representative.family.members if n in self.fits.candidates]
+        names = [n for n in (*self.representative.family.members, *self.body.own) if n in self.fits.candidates]
         return [law_of(self.state, self.fits, (n,), self.before) for n in names if n not in self.state.fit.effects]
 
     def for_each_channel(self, members: list[Law]) -> list[Law]:

@@ -208,6 +208,8 @@ def _unexplained_lines(left: Mapping[str, Any], unit: str) -> list[str]:
     facts = [f"{mm(left.get('rms_mm'))} {unit} RMS beyond the noise (fitted)"]
     facts += [f"chi²/n {chi:.3g} (fitted; 1 is noise alone)"] if isinstance(chi, (int, float)) else []
     facts += [f"predictable share R² {r2:.2g} (held-out blocks)"] if isinstance(r2, (int, float)) else []
+    ordinary = number(left.get("ordinary_mm"))
+    facts += [f"ordinary imperfections of this robot: {mm(ordinary)} {unit} RMS, no discovery"] if ordinary else []
     by = left.get("predicted_by")
     named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "")
     facts += [f"follows {named}"] if named else []
