@@ -9,7 +9,7 @@ Pinned by tests/test_two_levels.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -65,22 +65,12 @@ class Family:
     needs: tuple[str, ...]  # what a run must declare
 
 
-def families(own: Mapping[str, str] | None = None) -> tuple[Family, ...]:
-    """Return the families of the registry, in its order.
-
-    Args:
-        own: a user's own effects, and the family that each declares; of a family that the registry lacks, an effect
-            may be the law of any.
-    """
+def families() -> tuple[Family, ...]:
+    """Return the families of the registry, in its order."""
     listed = ("members", "fields", "mimics", "needs")
-    rows = _core.families()
-    names = {row["name"] for row in rows}
-    found = []
-    for row in rows:
-        joined = tuple(e for e, declared in (own or {}).items() if declared == row["name"] or declared not in names)
-        family = Family(row["name"], row["kind"], row["doc"], *(tuple(row[key]) for key in listed))
-        found.append(replace(family, members=(*family.members, *joined)))
-    return tuple(found)
+    return tuple(
+        Family(row["name"], row["kind"], row["doc"], *(tuple(row[key]) for key in listed)) for row in _core.families()
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,8 +102,7 @@ def search(
         progress: hears a line per family.
         visible: least RMS displacement that counts, mm or the unit of what is seen.
     """
-    own = {e["name"]: e["family"] for e in problem.record.library.effects() if e.get("own")}
-    every, tell = families(own), progress or (lambda _: None)
+    every, tell = families(), progress or (lambda _: None)
     body, fits = Body(problem, candidates), Fits(problem, candidates)
     state = State(body, fits.null)
     outcome: Outcome | None = None
@@ -286,6 +285,8 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
         outcome.hint = best if gain > 0.1 * float(ranking.before.sum()) else None
         return None
     tied = [row for row in able if near(row.loss, able[0].loss, ranking.before) or _ordinary_apart(row, able[0], state)]
+    if any(row.family.name == CATCH_ALL for row in tied):  # a law may do what a spline does not do quite as well
+        tied += [row for row in able if row.family.kind == "static" and row not in tied]
     answers = [answered(state, fits, row, ranking.found, pairs=False) for row in tied]
     above = max(0.0, float(ranking.found.sum()) - rule.ABOVE_NOISE * state.body.problem.numbers)
     least = max(rule.FALL_FIRST * above, rule.FALL * float(ranking.found.sum()))
@@ -294,9 +295,16 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
         return None
     best_loss = min((a.loss for a in answers), key=lambda loss: float(loss.sum()))
     answers = [a for a in answers if near(a.loss, best_loss, ranking.found)]  # a law may do far more than its family
-    answers.sort(key=lambda a: (not a.resolved, _order(a.family), a.numbers, float(a.loss.sum())))
-    first, *rest = answers
+    first, *rest = sorted(answers, key=lambda a: (
+        not a.resolved, _beaten(a, answers), _order(a.family), a.numbers, float(a.loss.sum())
+    ))  # fmt: skip
     return Step(first, tuple(a for a in rest if _stands_beside(a, first, ranking, state)))
+
+
+def _beaten(one: Answer, others: Sequence[Answer]) -> bool:
+    """Whether a law with no more numbers is seen to leave less: then simplicity is no reason to take this one."""
+    laws = [a for a in others if a.resolved and a.numbers <= one.numbers]
+    return any(seen_to_fall(difference(one.loss, law.loss)) for law in laws)
 
 
 def _ordinary_apart(one: Representative, other: Representative, state: State) -> bool:
