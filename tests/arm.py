@@ -27,7 +27,7 @@ def parameter(name, unit, null, start, low, high, per_channel=False):
 def entry(name, family, stage, role, kind, parameters):
     return dict(
         name=name, family=family, stage=stage, role=role, formula="", doc="", signature="", reference="the test's own",
-        needs=[], kind=kind, parameters=parameters,
+        needs=[], kind=kind, parameters=parameters, own=False,
         experiment=REGISTRY[name]["experiment"], alike=REGISTRY[name]["alike"],
     )  # fmt: skip
 

@@ -96,7 +96,8 @@ def test_a_static_law_need_not_explain_ordinary_imperfections():
 @pytest.mark.parametrize(
     ("name", "low", "high", "question", "expected"),
     [
-        ("FORM", 0.001, 0.2, lambda: [near(np.full(8, b), np.full(8, 20.0), FLAT) for b in (21, 25)], [True, False]),
+        ("FORM", 0.001, 0.2, lambda: [near(np.full(8, b), np.full(8, 20.0), FLAT) for b in (21.0, 25.0)],
+         [True, False]),
         ("FORM_MOST", 0.02, 0.9, lambda: [form_of(True, 1.0, r) >= 0.1 for r in (0.35, 0.8)]
          + [form_of(True, 1.0, 0.8) > 0.5], [True, True, False]),
         ("FOLDS", 0.3, 0.9, lambda: [seen_to_fall(difference(FLAT, folds(*row))) for row in (

@@ -44,7 +44,7 @@ WHOLE = Diagnosis(
     not_testable=(Untestable("thermal_softening", "no temperature", "a warm-up", 15.0),),
     where=Where({"speed": (Bin("still", None, 1.0, 9, 1.0),)}, {"speed": (Bin("still", None, 1.0, 9, 0.2),)}),
     error=ErrorLadder(2.4, 1.9, (Rung("backlash", 0.9),), 0.3, (0.2, 0.4), noise_floor=0.1, model_floor=0.2, floor=0.2),
-    unexplained=Unexplained(0.21, 1.8, 0.22, "dwell"),
+    unexplained=Unexplained(0.21, 1.8, 0.22, "dwell", 0.24),
     next=(NextBlock("staircase", 2.5, ("creep",), 42.0),),
     made_from={"seed": 1, "run": "abc"},
     servo=(ServoFinding(1, "mm", (ServoEffect("latency", {"latency.delay": Number(0.18)}),), ServoError(0.4, 0.1)),),

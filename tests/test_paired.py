@@ -10,6 +10,7 @@ from test_diagnosis import finger_run
 
 from softmap_edge import builtin_model, diagnose, next_experiment
 from softmap_edge.cli import main
+from softmap_edge.diagnosis.findings import Alternative
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import Records
 from softmap_edge.errors import SoftmapError
@@ -152,8 +153,8 @@ def test_the_next_experiment_is_chosen_for_a_difference():
     run, free = finger_run(["payload"], {"payload.mass": 9.0}), finger_run()
     found = diagnose(MODEL, run, effects=["payload", "gravity", "offset"], reference=free)
     assert any("recorded twice" in remark for remark in found.remarks)
-    open_one = [{"effects": ["gravity"], "why": "for the test"}]
-    found = replace(found, alternatives=open_one, not_testable=[])
+    open_one = (Alternative(("gravity",), "for the test"),)
+    found = replace(found, alternatives=open_one, not_testable=())
     paired = next_experiment(MODEL, found, [run], references=[free])[0]
     assert paired.block == "another orientation" and set(paired.settles) == {"payload", "gravity"}
     told = found.made_from

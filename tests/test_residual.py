@@ -222,7 +222,7 @@ def test_a_weight_of_another_finger_is_never_nothing(hidden):
     run = of_another_finger(hidden)
     found = diagnose(learn_residual(MODEL, run)[0], run, effects=SOME)
     said = named(found) | {name for rival in found.alternatives for name in rival.effects}
-    said |= {row.name for row in found.not_testable if "may be it" in row["why"]}
+    said |= {row.name for row in found.not_testable if "may be it" in row.why}
     assert hidden in said and found.verdict in ("identified", "ambiguous", "cannot_tell"), found.sentence
 
 

@@ -78,7 +78,9 @@ impl Series {
                 half[c]
             )));
         }
-        let mut orientations = orientations.or_else(|| orientation.clone()).unwrap_or_default();
+        let mut orientations = orientations
+            .or_else(|| orientation.clone())
+            .unwrap_or_default();
         orientations.sort_unstable();
         orientations.dedup();
         let channel =

@@ -83,7 +83,15 @@ impl PySeries {
             Some(value) => Some(integers("orientations", &value)?),
         };
         let (middle, half) = (row("middle", middle)?, row("half", half)?);
-        let series = Series::new(&v.data, t, &middle, half, temperature, orientation, orientations)?;
+        let series = Series::new(
+            &v.data,
+            t,
+            &middle,
+            half,
+            temperature,
+            orientation,
+            orientations,
+        )?;
         Ok(PySeries { series })
     }
 

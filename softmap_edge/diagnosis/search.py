@@ -84,7 +84,8 @@ class Outcome:
         in_loss = (self.loss.sum() - noise) / max(float(self.null.sum()) - noise, 0.25 * noise)
         own = max(record.form_mm**2 + self.ordinary_mm**2, problem.noise.rms_mm(record.positions) ** 2)
         start = record.rms_mm(record.seen - self.fits.null.predicted) ** 2
-        now = record.rms_mm(self.state.residual - self.state.ordinary) ** 2
+        residual = self.state.residual  # whitened as it is, what imperfections explain may be more in mm
+        now = min(record.rms_mm(residual), record.rms_mm(residual - self.state.ordinary)) ** 2
         return float(max(0.0, in_loss, (now - own) / max(start - own, own)))
 
 
@@ -127,8 +128,15 @@ def search(
     outcome.state = state
     _ask_together(outcome)
     _ask_again(outcome)
-    outcome.loss = ranked(outcome.state, [], []).found
+    outcome.loss = _loss(outcome)
     return outcome
+
+
+def _loss(outcome: Outcome) -> Floats:
+    """Return the held-out loss (folds,) of what was found, with families of imperfections beside it if they help."""
+    state = outcome.state
+    ways = [state, State(state.body, state.fit, state.beside)] if state.background else [state]
+    return min((ranked(way, [], []).found for way in ways), key=lambda loss: float(loss.sum()))
 
 
 def _ask_together(outcome: Outcome) -> None:
@@ -277,6 +285,8 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
         outcome.hint = best if gain > 0.1 * float(ranking.before.sum()) else None
         return None
     tied = [row for row in able if near(row.loss, able[0].loss, ranking.before) or _ordinary_apart(row, able[0], state)]
+    if any(row.family.name == CATCH_ALL for row in tied):  # a law may do what a spline does not do quite as well
+        tied += [row for row in able if row.family.kind == "static" and row not in tied]
     answers = [answered(state, fits, row, ranking.found, pairs=False) for row in tied]
     above = max(0.0, float(ranking.found.sum()) - rule.ABOVE_NOISE * state.body.problem.numbers)
     least = max(rule.FALL_FIRST * above, rule.FALL * float(ranking.found.sum()))
@@ -285,9 +295,16 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
         return None
     best_loss = min((a.loss for a in answers), key=lambda loss: float(loss.sum()))
     answers = [a for a in answers if near(a.loss, best_loss, ranking.found)]  # a law may do far more than its family
-    answers.sort(key=lambda a: (not a.resolved, _order(a.family), a.numbers, float(a.loss.sum())))
-    first, *rest = answers
+    first, *rest = sorted(answers, key=lambda a: (
+        not a.resolved, _beaten(a, answers), _order(a.family), a.numbers, float(a.loss.sum())
+    ))  # fmt: skip
     return Step(first, tuple(a for a in rest if _stands_beside(a, first, ranking, state)))
+
+
+def _beaten(one: Answer, others: Sequence[Answer]) -> bool:
+    """Whether a law with no more numbers is seen to leave less: then simplicity is no reason to take this one."""
+    laws = [a for a in others if a.resolved and a.numbers <= one.numbers]
+    return any(seen_to_fall(difference(one.loss, law.loss)) for law in laws)
 
 
 def _ordinary_apart(one: Representative, other: Representative, state: State) -> bool:
