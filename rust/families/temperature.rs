@@ -55,7 +55,10 @@ fn columns(series: &Series, channel: usize, emit: Emit) {
         }
         emit(&out);
     }
-    let z: Vec<f64> = temperature.iter().map(|t| (t - mean) / (high - low)).collect();
+    let z: Vec<f64> = temperature
+        .iter()
+        .map(|t| (t - mean) / (high - low))
+        .collect();
     let mut passed = vec![0.0; z.len()];
     for tau in LATE {
         pole(&z, &series.dt, tau, &mut passed);
