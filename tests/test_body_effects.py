@@ -60,7 +60,7 @@ def test_stiffness_is_recovered_under_a_load_and_not_testable_without():
     assert unseen(moved, float(np.linalg.norm(white))) is None
     hanging = loaded_run((), {}, 0.0, (0.0, 0.0, 1.0))
     moved, white = shown(problem_of(record_of(MODEL, hanging), ["stiffness", "gain"]), "stiffness")
-    assert "would move the centreline by 0.0" in str(unseen(moved, float(np.linalg.norm(white))))
+    assert "moves the centreline by only 0.0" in str(unseen(moved, float(np.linalg.norm(white))))
 
 
 # --- friction along the body -----------------------------------------------------------------------------------------

@@ -135,9 +135,9 @@ def test_without_time_no_delay_or_rate_is_looked_for(damper: Path) -> None:
     model, run = load_bundle(damper / "model"), Run.load(damper / "fit.npz")
     found = diagnose(model, run)
     timed = {"latency", "lag", "rate_limit", "creep", "tendon_creep", "clock_shift"}
-    why = {row["name"]: row["why"] for row in found.not_testable}
+    why = {row.name: row.why for row in found.not_testable}
     assert {name for name in timed if "no time" in why.get(name, "")} == timed
-    assert not timed & {row["name"] for row in found.effects}
+    assert not timed & {row.name for row in found.effects}
 
 
 def test_an_affine_output_is_learned_exactly_and_kept_by_a_bundle(tmp_path: Path) -> None:

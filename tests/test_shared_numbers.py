@@ -14,6 +14,7 @@ from softmap_edge import _core, builtin_model, refit
 from softmap_edge.bundle import load_bundle, save_bundle
 from softmap_edge.chain_labels import named, valued
 from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.findings import Finding, Number
 from softmap_edge.diagnosis.fit import STEP, Problem
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.records import record_of
@@ -145,9 +146,8 @@ def test_a_bundle_with_one_number_is_read_and_written_back_the_same(tmp_path):
 
 
 def diagnosis(params: dict[str, float]) -> Diagnosis:
-    entry = {"name": "backlash", "params": {label: {"value": value} for label, value in params.items()}}
-    parts = {"where": {}, "error": {}, "unexplained": {}, "made_from": {}}
-    return Diagnosis("identified", "", [entry], [], [], [], next=[], **parts)
+    entry = Finding("backlash", {label: Number(value) for label, value in params.items()})
+    return Diagnosis("identified", effects=(entry,))
 
 
 def test_a_diagnosis_adds_one_number_or_one_for_each_channel():
