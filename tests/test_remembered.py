@@ -100,7 +100,7 @@ def test_a_camera_that_hangs_is_still_found(count, noise):
 def test_a_robot_that_stands_still_is_a_fault_of_the_measurement(motion):
     t, u = motion()
     found = diagnose(MODEL, seen_by(t, u, 0.0 * u, 0.25), effects=["backlash", "gain", "payload"])
-    assert found.verdict == "measurement_fault" and found.effects == []
+    assert found.verdict == "measurement_fault" and found.effects == ()
     assert "The robot does not follow its commands" in found.sentence and "drive is engaged" in found.sentence
 
 
