@@ -260,7 +260,7 @@ def test_at_most_four_families_are_taken(moved):
 
 
 def test_something_far_beyond_the_model_s_error_is_unknown_though_no_family_falls(moved):
-    run = finger_run(acting=lambda u: u + 2.0 * np.sin(1.5 * u[:, ::-1]))  # 3.4 waves in the range: no column has them
+    run = finger_run(acting=lambda u: u + 2.0 * np.sin(3.0 * u[:, ::-1]))  # no column has so many waves
     now, then = moved(run, ["gain", "backlash"], UNKNOWN_TIMES=1e3)
     assert now.verdict == "partly_explained" and not now.effects and "remain unexplained" in now.sentence
     assert then.verdict in ("nothing", "cannot_tell")

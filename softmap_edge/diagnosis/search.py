@@ -375,6 +375,8 @@ def _stands_beside(other: Answer, first: Answer, ranking: Ranking, state: State)
     """Whether another family cannot be told from the first one."""
     if other.resolved and first.resolved:
         return near(other.loss, first.loss, ranking.before) and other.numbers <= first.numbers + 2
+    if first.resolved and first.family.kind == "static" and other.family.name == CATCH_ALL:
+        return False  # it can be any static law, this one too
     reference = first.loss if first.resolved else first.representative.loss
     if not near(other.representative.loss, reference, ranking.before):
         return False
