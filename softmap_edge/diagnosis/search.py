@@ -77,6 +77,11 @@ class Outcome:
         return self.state.fit
 
     @property
+    def open(self) -> int:
+        """How many families have no law."""
+        return sum(not step.answer.resolved for step in self.steps)
+
+    @property
     def left(self) -> float:
         """Share that is left of what stood above the noise, in loss or in mean square, the larger."""
         problem, record = self.body.problem, self.body.record
@@ -102,34 +107,38 @@ def search(
         progress: hears a line per family.
         visible: least RMS displacement that counts, mm or the unit of what is seen.
     """
-    every, tell = families(), progress or (lambda _: None)
+    tell = progress or (lambda _: None)
     body, fits = Body(problem, candidates), Fits(problem, candidates)
     state = State(body, fits.null)
-    outcome: Outcome | None = None
-    while outcome is None or len(outcome.steps) < rule.MOST:
-        taken = [step.family for step in outcome.steps] if outcome else []
-        ranking = ranked(state, every, taken)
-        if problem.record.model.kind != "rod":  # a rod's own error is its noise
-            body.ordinary_mm = ordinary(state, ranking, every)
-        if outcome is None:
-            outcome = Outcome(body, fits, fits, state, ranking.found, ranking.found)
-        if _is_ordinary(ranking, state):
-            state = State(body, state.fit, state.beside, [f for f in every if f.name in BACKGROUND])
-            ranking = ranked(state, [f for f in every if f.kind != "static"], taken)
-        outcome.loss = ranking.found
-        step = None if outcome.steps else _miswired(ranking, state, fits)
-        step = step or _next(ranking, state, fits, outcome, visible)
-        if step is None:
-            break
-        tell(f"{len(taken) + 1}: {step.family.name}, {step.answer.law.name if step.answer.law else 'law open'}")
-        outcome.steps.append(step)
-        state, fits = _taken(state, fits, step.answer)
-        outcome.state, outcome.fits = state, fits
-    outcome.state = state
-    _ask_together(outcome)
+    null = ranked(state, [], []).found
+    outcome = Outcome(body, fits, fits, state, null, null)
+    _one_by_one(outcome, tell, visible)
+    outcome = _reconsidered(outcome, tell, visible)
     _ask_again(outcome)
     outcome.loss = _loss(outcome)
     return outcome
+
+
+def _one_by_one(outcome: Outcome, tell: Callable[[str], None], visible: float) -> None:
+    """Take families on top of what was found until none is accepted."""
+    body, every, more = outcome.body, families(), True
+    while more and len(outcome.steps) < rule.MOST:
+        state, taken = outcome.state, [step.family for step in outcome.steps]
+        ranking = ranked(state, every, taken)
+        if body.record.model.kind != "rod":  # a rod's own error is its noise
+            body.ordinary_mm = ordinary(state, ranking, every)
+        if _is_ordinary(ranking, state):
+            state = State(body, state.fit, state.beside, [f for f in every if f.name in BACKGROUND])
+            ranking = ranked(state, [f for f in every if f.kind != "static"], taken)
+        outcome.state, outcome.loss = state, ranking.found
+        step = None if outcome.steps else _miswired(ranking, state, outcome.fits)
+        step = step or _next(ranking, state, outcome.fits, outcome, visible)
+        more = step is not None
+        if step is not None:
+            law = step.answer.law
+            tell(f"{len(taken) + 1}: {step.family.name}, {law.name if law else 'law open'}")
+            outcome.steps.append(step)
+            outcome.state, outcome.fits = _taken(state, outcome.fits, step.answer)
 
 
 def _loss(outcome: Outcome) -> Floats:
@@ -139,42 +148,99 @@ def _loss(outcome: Outcome) -> Floats:
     return min((ranked(way, [], []).found for way in ways), key=lambda loss: float(loss.sum()))
 
 
-def _ask_together(outcome: Outcome) -> None:
-    """Try laws of several families at once where one was asked before the others were known, and has none.
+def _reconsidered(outcome: Outcome, tell: Callable[[str], None], visible: float) -> Outcome:
+    """Return what two laws at once explain, and what comes after them, where that stands for what was found so far.
 
-    They stand if together they leave no more than the representatives do.
+    A first family that takes the share of another one keeps it; two laws at once share what is theirs.
     """
-    open_ones = [i for i, step in enumerate(outcome.steps) if step.answer.law is None]
-    if not 2 <= len(open_ones) <= rule.ASKED:
-        return
-    state = State(outcome.body, outcome.fit, (), outcome.state.background)
-    now, fits = ranked(outcome.state, [], []).found, outcome.plain
-    before = ranked(state, [], []).found
-    choices = [_singles(outcome.steps[i].answer)[: rule.ASKED] for i in open_ones]
-    tried = []
-    for laws in product(*choices):
-        split = [e for law in laws if law.fit is not None for e in law.effects if e in law.fit.space.split]
-        effects = tuple(e for law in laws for e in law.effects)
-        if len(set(effects)) == len(effects):
-            tried.append((laws, law_of(state, fits, effects, before, split)))
-    best = min(tried, key=lambda pair: float(pair[1].loss.sum()), default=None)
-    if best is None or not rule.reaches(best[1].loss, now, float(outcome.null.sum() - now.sum())):
-        return
-    for i, law in zip(open_ones, best[0]):
-        answer = outcome.steps[i].answer
-        together = replace(law, fit=best[1].fit, loss=best[1].loss)
-        outcome.steps[i] = Step(replace(answer, law=together, equals=(), reaching=(together,)), outcome.steps[i].others)
-    assert best[1].fit is not None
-    outcome.state, outcome.fits = State(outcome.body, best[1].fit, (), state.background), fits
+    steps = outcome.steps
+    if not steps or any(step.family.name == "wiring" for step in steps):
+        return outcome
+    if len(steps) == 1 and steps[0].answer.resolved and outcome.left <= rule.LEFT:
+        return outcome
+    outcome.loss, ordinary_mm = _loss(outcome), outcome.body.ordinary_mm
+    other = _with_two(outcome)
+    if other is not None:
+        _one_by_one(other, tell, visible)
+        other.loss = _loss(other)
+        if _stands_for(other, outcome):
+            return other
+    outcome.body.ordinary_mm = ordinary_mm
+    return outcome
 
 
-def _singles(answer: Answer) -> list[Law]:
-    """Return the single laws of a family that were tried, each effect as it was best."""
-    best: dict[tuple[str, ...], Law] = {}
-    for law in answer.tried:
-        if len(law.effects) == 1:
-            best.setdefault(law.effects, law)
-    return list(best.values())
+def _stands_for(other: Outcome, outcome: Outcome) -> bool:
+    """Whether one outcome stands for another: it leaves far less, or no more with more laws and no more families."""
+    above = max(0.0, float(outcome.loss.sum()) - rule.ABOVE_NOISE * outcome.body.problem.numbers)
+    fall = difference(outcome.loss, other.loss)
+    if seen_to_fall(fall) and fall.fall > rule.FALL_NEXT * above and other.open <= outcome.open:
+        return True
+    if len(other.steps) > len(outcome.steps) or other.open > outcome.open:
+        return False
+    fewer = other.open < outcome.open or len(other.steps) < len(outcome.steps)
+    return fewer and rule.reaches(other.loss, outcome.loss, float(outcome.null.sum() - outcome.loss.sum()))
+
+
+def _with_two(outcome: Outcome) -> Outcome | None:
+    """Return the two laws that leave least together as an outcome, each asked with the other in place.
+
+    Nothing stands for ordinary imperfections meanwhile: it would take the share of static laws.
+    """
+    body, plain = outcome.body, outcome.plain
+    pairs = _two_laws(outcome)
+    if not pairs:
+        return None
+    pair, most = pairs[0], float(outcome.null.sum() - outcome.loss.sum())
+    together = rule.reaches(pair.loss, outcome.loss, most)  # then neither may be off for itself
+    other = Outcome(body, plain, plain, outcome.state, outcome.null, outcome.loss)
+    for name in pair.effects:
+        state = State(body, plain.get([e for e in pair.effects if e != name]))
+        answer = _in_place(state, plain, name)
+        if answer is not None and not answer.resolved and together:
+            own = [law for law in answer.tried if law.effects == (name,)]
+            answer = replace(answer, law=own[0], equals=(), open=False) if own else answer
+        if answer is None or answer.law is None:
+            return None
+        other.steps.append(Step(answer, ()))
+    laws = [step.answer.law for step in other.steps if step.answer.law is not None]
+    split = [e for law in laws if law.fit is not None for e in law.effects if e in law.fit.space.split]
+    other.state = State(body, plain.get([e for law in laws for e in law.effects], split))
+    return other
+
+
+def _in_place(without: State, fits: Fits, name: str) -> Answer | None:
+    """Ask the family of an effect for its law about all the others."""
+    home = next(f for f in families() if name in f.members)
+    ranking = ranked(without, [home], [])
+    if not ranking.rows:
+        return None
+    return answered(without, fits, ranking.rows[0], ranking.found, pairs=False)
+
+
+def _two_laws(outcome: Outcome) -> list[Law]:
+    """Return pairs of laws of all families, those that leave least together first."""
+    body, fits, before = outcome.body, outcome.plain, outcome.null
+    null = State(body, fits.null)
+    singles = [law_of(null, fits, (name,), before) for name in fits.candidates if name != "servo_swap"]
+    singles.sort(key=lambda law: float(law.loss.sum()))
+    found: list[tuple[Law, State, Ranking, Representative]] = []
+    for first in singles[: rule.FIRSTS]:
+        assert first.fit is not None
+        state = State(body, first.fit)
+        ranking = ranked(state, families(), [])
+        found += [(first, state, ranking, row) for row in ranking.rows]
+    pairs: dict[frozenset[str], Law] = {}
+    for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[: rule.SECONDS]:
+        for name in row.family.members:
+            both = frozenset((*first.effects, name))
+            if name in fits.candidates and len(both) == 2 and both not in pairs:
+                law = law_of(state, fits, (name,), ranking.found)
+                pairs[both] = replace(law, effects=(*first.effects, name), numbers=first.numbers + law.numbers)
+    order = sorted(pairs.values(), key=lambda law: float(law.loss.sum()))
+    plain = [law for law in order if WINDING not in law.effects]  # its five numbers do for many smooth maps
+    if order and plain and near(plain[0].loss, order[0].loss, before):
+        order = plain
+    return order
 
 
 def _ask_again(outcome: Outcome) -> None:
