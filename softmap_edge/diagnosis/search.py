@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -171,14 +170,19 @@ def _reconsidered(outcome: Outcome, tell: Callable[[str], None], visible: float)
 
 def _stands_for(other: Outcome, outcome: Outcome) -> bool:
     """Whether one outcome stands for another: it leaves far less, or no more with more laws and no more families."""
-    above = max(0.0, float(outcome.loss.sum()) - rule.ABOVE_NOISE * outcome.body.problem.numbers)
-    fall = difference(outcome.loss, other.loss)
-    if seen_to_fall(fall) and fall.fall > rule.FALL_NEXT * above and other.open <= outcome.open:
+    if _falls_on(outcome.loss, other.loss, outcome.body) and other.open <= outcome.open:
         return True
     if len(other.steps) > len(outcome.steps) or other.open > outcome.open:
         return False
     fewer = other.open < outcome.open or len(other.steps) < len(outcome.steps)
     return fewer and rule.reaches(other.loss, outcome.loss, float(outcome.null.sum() - outcome.loss.sum()))
+
+
+def _falls_on(before: Floats, after: Floats, body: Body, share: float = rule.FALL_NEXT) -> bool:
+    """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise."""
+    fall, total = difference(before, after), float(before.sum())
+    above = max(0.0, total - rule.ABOVE_NOISE * body.problem.numbers)
+    return seen_to_fall(fall) and fall.fall >= max(rule.FALL * total, share * above)
 
 
 def _with_two(outcome: Outcome) -> Outcome | None:
@@ -196,10 +200,10 @@ def _with_two(outcome: Outcome) -> Outcome | None:
     for name in pair.effects:
         state = State(body, plain.get([e for e in pair.effects if e != name]))
         answer = _in_place(state, plain, name)
-        if answer is not None and not answer.resolved and together:
-            own = [law for law in answer.tried if law.effects == (name,)]
-            answer = replace(answer, law=own[0], equals=(), open=False) if own else answer
-        if answer is None or answer.law is None:
+        if answer is not None and answer.law is None and together:
+            best = answer.tried[0]  # a law that is nobody's effect would leave it open
+            answer = replace(answer, law=best, equals=()) if best.effects == (name,) else answer
+        if answer is None or answer.law is None or not _falls_on(answer.before, answer.law.loss, body):
             return None
         other.steps.append(Step(answer, ()))
     laws = [step.answer.law for step in other.steps if step.answer.law is not None]
@@ -208,10 +212,14 @@ def _with_two(outcome: Outcome) -> Outcome | None:
     return other
 
 
+def _home(effect: str) -> Family:
+    """Return the first family that an effect may be a law of."""
+    return next(f for f in families() if effect in f.members)
+
+
 def _in_place(without: State, fits: Fits, name: str) -> Answer | None:
     """Ask the family of an effect for its law about all the others."""
-    home = next(f for f in families() if name in f.members)
-    ranking = ranked(without, [home], [])
+    ranking = ranked(without, [_home(name)], [])
     if not ranking.rows:
         return None
     return answered(without, fits, ranking.rows[0], ranking.found, pairs=False)
@@ -221,7 +229,8 @@ def _two_laws(outcome: Outcome) -> list[Law]:
     """Return pairs of laws of all families, those that leave least together first."""
     body, fits, before = outcome.body, outcome.plain, outcome.null
     null = State(body, fits.null)
-    singles = [law_of(null, fits, (name,), before) for name in fits.candidates if name != "servo_swap"]
+    named = {name for family in families() for name in family.members}
+    singles = [law_of(null, fits, (name,), before) for name in fits.candidates if name in named]
     singles.sort(key=lambda law: float(law.loss.sum()))
     found: list[tuple[Law, State, Ranking, Representative]] = []
     for first in singles[: rule.FIRSTS]:
@@ -233,7 +242,8 @@ def _two_laws(outcome: Outcome) -> list[Law]:
     for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[: rule.SECONDS]:
         for name in row.family.members:
             both = frozenset((*first.effects, name))
-            if name in fits.candidates and len(both) == 2 and both not in pairs:
+            apart = _home(first.effects[0]) != _home(name)  # two laws of one family are what it asks for itself
+            if name in fits.candidates and apart and both not in pairs:
                 law = law_of(state, fits, (name,), ranking.found)
                 pairs[both] = replace(law, effects=(*first.effects, name), numbers=first.numbers + law.numbers)
     order = sorted(pairs.values(), key=lambda law: float(law.loss.sum()))
@@ -388,12 +398,8 @@ def _order(family: Family) -> int:
 
 def _accepted(row: Representative, ranking: Ranking, state: State, later: bool, visible: float) -> bool:
     """Whether a family is seen: its loss falls far enough, in enough folds, and it moves the body far enough."""
-    problem, before = state.body.problem, float(ranking.before.sum())
-    fall = difference(ranking.before, row.loss)
-    above = max(0.0, before - rule.ABOVE_NOISE * problem.numbers)
-    if not (seen_to_fall(fall) and fall.fall >= rule.FALL * before):
-        return False
-    if fall.fall < (rule.FALL_NEXT if later else rule.FALL_FIRST) * above:
+    problem = state.body.problem
+    if not _falls_on(ranking.before, row.loss, state.body, rule.FALL_NEXT if later else rule.FALL_FIRST):
         return False
     noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0) if problem.noise.replicates else 0.0
     static = row.family.kind == "static"
