@@ -32,8 +32,7 @@ UNKNOWN_TIMES = 2.5  # times the model's own error, or the noise, that must be l
 MISWIRED = 0.2  # of the motion: servos are exchanged only where the model is off by so much
 STANDS_FOR = 0.6  # of what a member explains: an effect of the same form that explains less is no alternative
 ASKED = 3  # families whose laws are asked where the best representative is not accepted
-FIRSTS = 6  # laws beside which a second one is looked for
-SECONDS = 10  # families beside such a law that are asked for the second one
+TOGETHER = 6  # laws beside which a second one is looked for, and families that are asked for it
 MOST = 4  # families
 # Odds against a name: always, for each alternative, for a number at its bound, beside something unknown, for open laws.
 ODDS_BASE, ODDS_ALTERNATIVE, ODDS_BOUND, ODDS_UNKNOWN, ODDS_OPEN = 0.03, 0.5, 0.5, 0.5, 1.0

@@ -153,7 +153,7 @@ def _reconsidered(outcome: Outcome, tell: Callable[[str], None], visible: float)
     A first family that takes the share of another one keeps it; two laws at once share what is theirs.
     """
     steps = outcome.steps
-    if not steps or any(step.family.name == "wiring" for step in steps):
+    if not steps or rule.MOST < 2 or any(step.family.name == "wiring" for step in steps):
         return outcome
     if len(steps) == 1 and steps[0].answer.resolved and outcome.left <= rule.LEFT:
         return outcome
@@ -233,13 +233,13 @@ def _two_laws(outcome: Outcome) -> list[Law]:
     singles = [law_of(null, fits, (name,), before) for name in fits.candidates if name in named]
     singles.sort(key=lambda law: float(law.loss.sum()))
     found: list[tuple[Law, State, Ranking, Representative]] = []
-    for first in singles[: rule.FIRSTS]:
+    for first in singles[: rule.TOGETHER]:
         assert first.fit is not None
         state = State(body, first.fit)
         ranking = ranked(state, families(), [])
         found += [(first, state, ranking, row) for row in ranking.rows]
     pairs: dict[frozenset[str], Law] = {}
-    for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[: rule.SECONDS]:
+    for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[: rule.TOGETHER]:
         for name in row.family.members:
             both = frozenset((*first.effects, name))
             apart = _home(first.effects[0]) != _home(name)  # two laws of one family are what it asks for itself
