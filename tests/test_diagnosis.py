@@ -379,7 +379,7 @@ def test_what_lies_beyond_a_bound_is_never_identified():
     if found.effects:
         assert found.effects[0].params["latency.delay"].at_bound
         assert "latency.delay is at its bound of 0.5 s" in found.sentence
-        assert found.effects[0].probability <= 1 / (1 + decision.ODDS_BOUND)  # what acts is not among the laws
+        assert found.effects[0].probability <= 1 / (1 + decision.ODDS_DOUBT)  # what acts is not among the laws
 
 
 def test_what_lies_far_beyond_a_bound_is_an_unknown_law_of_its_family():

@@ -8,7 +8,7 @@ import pytest
 
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model
-from softmap_edge.diagnosis.decision import ODDS_ALTERNATIVE, ODDS_BASE
+from softmap_edge.diagnosis.decision import ODDS_BASE, ODDS_DOUBT
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.evidence import (
     _static,
@@ -95,7 +95,7 @@ def test_a_name_is_as_sure_as_what_could_stand_in_its_place():
         a.effects for a in found.alternatives
     ]
     others = len(found.alternatives)
-    assert found.effects[0].probability == pytest.approx(1 / (1 + ODDS_BASE + ODDS_ALTERNATIVE * others))
+    assert found.effects[0].probability == pytest.approx(1 / (1 + ODDS_BASE + ODDS_DOUBT * others))
 
 
 def test_what_is_alike_by_form_is_no_alternative_where_it_leaves_twice_as_much():

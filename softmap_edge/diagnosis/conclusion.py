@@ -203,10 +203,10 @@ def _probability(
     unknown: bool,
 ) -> float:
     """Return the probability that an effect, or an equivalent one, is present, from the odds against it."""
-    odds = rule.ODDS_BASE + rule.ODDS_ALTERNATIVE * sum(a.member == name for a in alternatives)
-    odds += rule.ODDS_BOUND * any(p.at_bound for p in numbers.values()) + rule.ODDS_UNKNOWN * unknown
+    doubts = sum(a.member == name for a in alternatives) + any(p.at_bound for p in numbers.values()) + unknown
+    odds = rule.ODDS_BASE + rule.ODDS_DOUBT * doubts
     if step is not None and step.answer.open:
-        odds += rule.ODDS_OPEN + len(step.answer.reaching)
+        odds += 1.0 + len(step.answer.reaching)  # each law that fits is as likely, and so is one that nobody tried
     return 1.0 / (1.0 + odds)
 
 

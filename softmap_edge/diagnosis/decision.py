@@ -23,20 +23,14 @@ AGREE = 0.85  # of the folds: so many agree that a difference within one standar
 ABOVE_NOISE = 1.3  # times the number of whitened numbers: noise alone rarely leaves more
 VISIBLE_MM = 0.12  # least displacement of the centreline
 ORDINARY = 0.04  # of the motion (RMS): what imperfections of an ordinary robot amount to at most
-DOMINATES = 2.0  # times the other imperfections that a static effect must move the body
-CATCHES = 2.0  # times as much as any other family that a free static shape must explain to be taken first
+DOMINATES = 2.0  # times as much as all else of its kind: what a static effect, or a free static shape, must amount to
 MIMIC = 0.9  # R² from which what one family does is what others can do
-CONFOUNDED = 0.95  # R² from which a condition cannot be told from time
 LEFT = 0.1  # share of the loss, or of the mean square, above which something unknown is left
 UNKNOWN_TIMES = 2.5  # times the model's own error, or the noise, that must be left for an unaccepted family to count
 MISWIRED = 0.2  # of the motion: servos are exchanged only where the model is off by so much
 STANDS_FOR = 0.6  # of what a member explains: an effect of the same form that explains less is no alternative
-ASKED = 3  # families whose laws are asked where the best representative is not accepted
-TOGETHER = 6  # laws beside which a second one is looked for, and families that are asked for it
-MOST = 4  # families
-# Odds against a name: always, for each alternative, for a number at its bound, beside something unknown, for open laws.
-ODDS_BASE, ODDS_ALTERNATIVE, ODDS_BOUND, ODDS_UNKNOWN, ODDS_OPEN = 0.03, 0.5, 0.5, 0.5, 1.0
-RIDGES = (0.3, 10.0, 300.0, 1e4)  # strengths of the ridge that cross-validation chooses from
+ODDS_BASE = 0.03  # odds against every name
+ODDS_DOUBT = 0.5  # the same for each alternative, for a number at its bound, beside something unknown
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.diagnosis.decision import RIDGES
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.record import SLOPE, Record
 
@@ -34,6 +33,7 @@ AT_BOUND = 1e-6  # of the scale of a parameter
 FREE_MM = 0.9  # mm RMS of the body that one such column moves it by
 BACKGROUND_RIDGE = 10.0  # of families that explain ordinary imperfections
 FARTHEST = 3.0  # half ranges from the middle that a representative may move commands
+RIDGES = (0.3, 10.0, 300.0, 1e4)  # strengths of the ridge that cross-validation chooses from
 LINEARISED = 2  # times that a representative is linearised about itself
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
 from softmap_edge.diagnosis.families import (
+    RIDGES,
     Body,
     Columns,
     Family,
@@ -36,6 +37,9 @@ Floats = NDArray[np.float64]
 
 CATCH_ALL = "static shape"  # can be any static law; taken where no other family is
 BACKGROUND = ("static map", "static shape", "frame", "load")  # what ordinary imperfections look like
+MOST = 4  # families that are taken
+ASKED = 3  # families whose laws are asked where the best representative is not accepted
+TOGETHER = 6  # laws beside which a second one is looked for, and families that are asked for it
 SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken
 
 
@@ -121,7 +125,7 @@ def search(
 def _one_by_one(outcome: Outcome, tell: Callable[[str], None], visible: float) -> None:
     """Take families on top of what was found until none is accepted."""
     body, every, more = outcome.body, families(), True
-    while more and len(outcome.steps) < rule.MOST:
+    while more and len(outcome.steps) < MOST:
         state, taken = outcome.state, [step.family for step in outcome.steps]
         ranking = ranked(state, every, taken)
         if body.record.model.kind != "rod":  # a rod's own error is its noise
@@ -153,7 +157,7 @@ def _reconsidered(outcome: Outcome, tell: Callable[[str], None], visible: float)
     A first family that takes the share of another one keeps it; two laws at once share what is theirs.
     """
     steps = outcome.steps
-    if not steps or rule.MOST < 2 or any(step.family.name == "wiring" for step in steps):
+    if not steps or MOST < 2 or any(step.family.name == "wiring" for step in steps):
         return outcome
     if len(steps) == 1 and steps[0].answer.resolved and outcome.left <= rule.LEFT:
         return outcome
@@ -233,13 +237,13 @@ def _two_laws(outcome: Outcome) -> list[Law]:
     singles = [law_of(null, fits, (name,), before) for name in fits.candidates if name in named]
     singles.sort(key=lambda law: float(law.loss.sum()))
     found: list[tuple[Law, State, Ranking, Representative]] = []
-    for first in singles[: rule.TOGETHER]:
+    for first in singles[:TOGETHER]:
         assert first.fit is not None
         state = State(body, first.fit)
         ranking = ranked(state, families(), [])
         found += [(first, state, ranking, row) for row in ranking.rows]
     pairs: dict[frozenset[str], Law] = {}
-    for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[: rule.TOGETHER]:
+    for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[:TOGETHER]:
         for name in row.family.members:
             both = frozenset((*first.effects, name))
             apart = _home(first.effects[0]) != _home(name)  # two laws of one family are what it asks for itself
@@ -309,7 +313,7 @@ def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
     family = Family("wiring", "static", "Servos are exchanged or turn the other way.", ("servo_swap",), (), (), ())
     none = Columns(np.zeros((0, *record.seen.shape)), np.zeros(0, np.intp), np.zeros((0, len(record))), 0)
     moved = record.rms_mm(fits.displacement(fits.get(law.effects), "servo_swap"))
-    stand_in = Representative(family, np.zeros(0), rule.RIDGES[0], law.loss, 0.0, none, moved)
+    stand_in = Representative(family, np.zeros(0), RIDGES[0], law.loss, 0.0, none, moved)
     return Step(Answer(family, stand_in, ranking.found, law, (), False, (law,), (law,)), ())
 
 
@@ -347,12 +351,12 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     later = bool(outcome.steps)
     rows = sorted(ranking.rows, key=lambda row: (row.family.name == CATCH_ALL, float(row.loss.sum())))
     gains = [float(ranking.before.sum() - row.loss.sum()) for row in rows]
-    if rows[-1].family.name == CATCH_ALL and gains[-1] > rule.CATCHES * gains[0]:
+    if rows[-1].family.name == CATCH_ALL and gains[-1] > rule.DOMINATES * gains[0]:
         rows = [rows[-1], *rows[:-1]]
     able = [row for row in rows if _accepted(row, ranking, state, later, visible)]
     best = rows[0]
     if best not in able:  # what happens once, or only far from any column, no representative may show
-        by_law = [_by_law(row, ranking, state, fits) for row in rows[: rule.ASKED]]
+        by_law = [_by_law(row, ranking, state, fits) for row in rows[:ASKED]]
         able = [row for row in by_law if _accepted(row, ranking, state, later, visible)]
         best = min((best, *able), key=lambda row: float(row.loss.sum()))
         able.sort(key=lambda row: float(row.loss.sum()))
@@ -436,7 +440,7 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
 
     total = size(ranking.static)
     crossed = [row.columns.shift(row.theta) for row in ranking.rows if row.family.name == "coupling"]
-    shifts = crossed + [own.shift(np.asarray(level.theta([n], [rule.RIDGES[0]])[0])) for n, own in singles.items()]
+    shifts = crossed + [own.shift(np.asarray(level.theta([n], [RIDGES[0]])[0])) for n, own in singles.items()]
     pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
     left, moved = min(pairs, default=(total, 0.0))
     motion = _motion_mm(record)
@@ -467,6 +471,6 @@ def _does_the_same(other: Answer, first: Answer, ranking: Ranking, state: State)
             rows.append(body.modes(columns.base)[columns.which] * columns.weight[:, :, None])
     x = np.concatenate(rows).reshape(sum(map(len, rows)), -1)
     gram = x @ x.T
-    gram.flat[:: len(gram) + 1] += rule.RIDGES[0]
+    gram.flat[:: len(gram) + 1] += RIDGES[0]
     z = target.ravel()
     return bool(1.0 - np.sum((z - np.linalg.solve(gram, x @ z) @ x) ** 2) / max(float(z @ z), 1e-300) > rule.MIMIC)
