@@ -257,6 +257,15 @@ def test_at_most_four_families_are_taken(moved):
     assert len(now.families) == 2 and len(then.families) == 1 and then.verdict == "partly_explained"
 
 
+def test_two_laws_of_two_families_are_found_together(moved):
+    """One after the other, a free static shape takes the share of both and none is named."""
+    run = finger_run(["gain", "mount"], {"gain.factor[0]": 0.8, "gain.factor[1]": 0.8, "mount.shift_x": 2.0})
+    now, then = moved(run, None, TOGETHER=0)
+    assert {e.name for e in (*now.faults, *now.effects)} == {"gain", "mount"}
+    assert now.error.after < 0.3 * now.error.before
+    assert not then.faults and not then.effects
+
+
 def test_something_far_beyond_the_model_s_error_is_unknown_though_no_family_falls(moved):
     run = finger_run(acting=lambda u: u + 2.0 * np.sin(3.0 * u[:, ::-1]))  # no column has so many waves
     now, then = moved(run, ["gain", "backlash"], UNKNOWN_TIMES=1e3)
@@ -274,6 +283,12 @@ def test_an_effect_of_the_same_form_is_an_alternative_where_it_explains_enough(m
     run = finger_run(acting=lambda u: u * [0.85, 0.85])
     now, then = moved(run, ["gain", "tendon_stretch"], STANDS_FOR=2.0)
     assert [a.effects for a in now.alternatives] == [("tendon_stretch",)] and then.alternatives == ()
+
+
+def test_a_family_that_does_what_a_static_map_does_is_no_alternative_to_it(moved):
+    """A slow change can look like a gain where large commands are held long."""
+    now, then = moved(finger_run(acting=lambda u: u * [0.85, 0.85]), None, MIMIC=2.0)
+    assert now.families[0].alternatives == () and then.families[0].alternatives
 
 
 def test_gross_faults_are_the_verdict_and_small_ones_stand_beside():

@@ -228,6 +228,15 @@ def test_members_that_do_as_well_are_equals_and_the_first_to_act_comes_first():
     assert pair.law.name == "gain" and pair.equals == ()  # a larger set is no equal of its part
 
 
+def test_a_body_that_settles_late_does_not_move_at_rest_once_its_lag_is_known():
+    found = diagnose(builtin_model(), finger_run(["lag"], {"lag.tau": 0.5}))
+    assert found.verdict == "identified" and [e.name for e in found.effects] == ["lag"]
+    assert "while the commands stand" not in found.sentence
+    rest = [e["name"] for e in _core.effects() if e["family"] != "delay" and e["name"] not in ("lag", "creep")]
+    left = diagnose(builtin_model(), finger_run(["lag"], {"lag.tau": 0.5}), effects=rest)
+    assert left.verdict == "partly_explained"
+
+
 @pytest.mark.parametrize(("radius", "resolved"), [(3.0, True), (3.2, False), (8.0, False)])
 def test_an_eccentric_pulley_counts_only_where_a_full_turn_is_seen(radius, resolved):
     """The range is 20 mm: a turn of 2π·3 mm is within it. Less of a sine is any smooth map."""

@@ -40,6 +40,7 @@ from softmap_edge.diagnosis.findings import (
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.masked import Masked
+from softmap_edge.diagnosis.noise import motion_left
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import Outcome, Step
 from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, verdict_of
@@ -85,7 +86,10 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     unknown = any(s.answer.law is None and not s.answer.open for s in standing) or _left(outcome, standing)
     if context.own is not None and context.own.after_mm <= fits.held_out_mm(fit):
         unknown = False  # other numbers of the model's own effects explain what is left
-    unknown = unknown or bool(problem.noise.moving)
+    moving = problem.noise.moving
+    if moving and order:  # what settles late moves at rest too, until it is explained
+        moving = motion_left(residual, record.seen, record.positions, record.t_seen, record.state).found
+    unknown = unknown or bool(moving)
     findings = [_finding(outcome, fit, name, context, alternatives, unknown, registry) for name in order]
     faults = tuple(f for f in findings if registry[f.name]["kind"] == "fault")
     physics = tuple(f for f in findings if registry[f.name]["kind"] != "fault")
@@ -109,7 +113,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
         "verdict": verdict,
         "sentence": sentence
         + "".join(f" But {doubt}." for doubt in doubts)
-        + "".join(f" Moreover, {motion}." for motion in problem.noise.moving)
+        + "".join(f" Moreover, {motion}." for motion in moving)
         + ("" if context.masked is None else f" {context.masked}."),
         "effects": physics,
         "faults": faults,

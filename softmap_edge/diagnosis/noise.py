@@ -32,7 +32,7 @@ from softmap_edge.diagnosis.jitter import (
     white_variance,
 )
 from softmap_edge.diagnosis.memoryless import Repeats
-from softmap_edge.diagnosis.motion_at_rest import MotionAtRest, motion_at_rest
+from softmap_edge.diagnosis.motion_at_rest import AtRest, MotionAtRest, motion_at_rest
 from softmap_edge.diagnosis.repeats import (
     LEAST_DWELL,
     Scatter,
@@ -104,6 +104,12 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
         covariance = _shrunk(found.squares / found.degrees, found.degrees)
         return Noise(covariance, _told(found.degrees), _inflation(found.rho), True)
     return Noise(_high_frequency(filled(residual), t_seen), "high-frequency part of the run (no replicates)", 1.0)
+
+
+def motion_left(residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions) -> AtRest:
+    """Return what the body does at rest beyond what a residual (K, F) mm was taken from; arguments as below."""
+    modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
+    return motion_at_rest(residual, seen, positions, t_seen, state.command, settled_dwells(state), modes)
 
 
 def measure_noise(
