@@ -88,7 +88,8 @@ def motion_at_rest(
         positions: (V,). t: (K,) s. command: (K, C). dwell: (K,), -1 elsewhere. modes: (b, F), from `commanded_modes`.
 
     Returns:
-        AtRest: nothing found where dwells are too few to show it.
+        AtRest: nothing found where dwells are too few to show it, or where more than the whole range of the commands
+        would have to move the body so.
     """
     white = white_variance(values, seen, positions, modes, dwell)
     scores = _scores(values, seen, positions, modes, dwell, white)
@@ -109,7 +110,8 @@ def motion_at_rest(
     if irregular is not None and scores is not None and irregular[0] > sum(one.rms_mm for one in found):
         size, pattern = irregular  # less than the line is what its shape changes from pose to pose
         found.append(MotionAtRest(size, None, _channels(pattern, seen, command), len(scores.dwells)))
-    return AtRest(tuple(found), rest, irregular is not None)
+    able = tuple(one for one in found if np.all(np.array(one.channels) <= np.ptp(command, axis=0)))
+    return AtRest(able, rest, irregular is not None)
 
 
 def _scores(

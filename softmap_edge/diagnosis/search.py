@@ -152,24 +152,35 @@ def _loss(outcome: Outcome) -> Floats:
 
 
 def _reconsidered(outcome: Outcome, tell: Callable[[str], None], visible: float) -> Outcome:
-    """Return what two laws at once explain, and what comes after them, where that stands for what was found so far.
+    """Return what one law or two at once explain, and what comes after, where that stands for what was found so far.
 
     A first family that takes the share of another one keeps it; two laws at once share what is theirs.
     """
     steps = outcome.steps
     if not steps or MOST < 2 or any(step.family.name == "wiring" for step in steps):
         return outcome
-    if len(steps) == 1 and steps[0].answer.resolved and outcome.left <= rule.LEFT:
+    clear = len(steps) == 1 and steps[0].answer.resolved and not steps[0].others
+    if clear and outcome.left <= rule.LEFT:
         return outcome
     outcome.loss, ordinary_mm = _loss(outcome), outcome.body.ordinary_mm
-    other = _with_two(outcome)
+    other = _with_few(outcome)
     if other is not None:
         _one_by_one(other, tell, visible)
         other.loss = _loss(other)
         if _stands_for(other, outcome):
-            return other
+            return _with_others(other, outcome)
     outcome.body.ordinary_mm = ordinary_mm
     return outcome
+
+
+def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
+    """Return an outcome of one law with the families beside it that stood in its place and do as well."""
+    if len(other.steps) == len(outcome.steps) == 1:
+        (new,), (old,) = other.steps, outcome.steps
+        beside = [a for a in (old.answer, *old.others) if a.family != new.family]
+        near_it = [a for a in beside if near(a.loss, new.answer.loss, outcome.null)]
+        other.steps[0] = Step(new.answer, (*new.others, *near_it))
+    return other
 
 
 def _stands_for(other: Outcome, outcome: Outcome) -> bool:
@@ -189,20 +200,20 @@ def _falls_on(before: Floats, after: Floats, body: Body, share: float = rule.FAL
     return seen_to_fall(fall) and fall.fall >= max(rule.FALL * total, share * above)
 
 
-def _with_two(outcome: Outcome) -> Outcome | None:
-    """Return the two laws that leave least together as an outcome, each asked with the other in place.
+def _with_few(outcome: Outcome) -> Outcome | None:
+    """Return the one law or two that leave least together as an outcome, each asked with the other in place.
 
     Nothing stands for ordinary imperfections meanwhile: it would take the share of static laws.
     """
     body, plain = outcome.body, outcome.plain
-    pairs = _two_laws(outcome)
-    if not pairs:
+    few = _few_laws(outcome)
+    if few is None:
         return None
-    pair, most = pairs[0], float(outcome.null.sum() - outcome.loss.sum())
-    together = rule.reaches(pair.loss, outcome.loss, most)  # then neither may be off for itself
+    most = float(outcome.null.sum() - outcome.loss.sum())
+    together = rule.reaches(few.loss, outcome.loss, most)  # then neither may be off for itself
     other = Outcome(body, plain, plain, outcome.state, outcome.null, outcome.loss)
-    for name in pair.effects:
-        state = State(body, plain.get([e for e in pair.effects if e != name]))
+    for name in few.effects:
+        state = State(body, plain.get([e for e in few.effects if e != name]))
         answer = _in_place(state, plain, name)
         if answer is not None and answer.law is None and together:
             best = answer.tried[0]  # a law that is nobody's effect would leave it open
@@ -229,8 +240,8 @@ def _in_place(without: State, fits: Fits, name: str) -> Answer | None:
     return answered(without, fits, ranking.rows[0], ranking.found, pairs=False)
 
 
-def _two_laws(outcome: Outcome) -> list[Law]:
-    """Return pairs of laws of all families, those that leave least together first."""
+def _few_laws(outcome: Outcome) -> Law | None:
+    """Return the law, or the two laws of different families, that leave least; one if a second adds too little."""
     body, fits, before = outcome.body, outcome.plain, outcome.null
     null = State(body, fits.null)
     named = {name for family in families() for name in family.members}
@@ -250,11 +261,17 @@ def _two_laws(outcome: Outcome) -> list[Law]:
             if name in fits.candidates and apart and both not in pairs:
                 law = law_of(state, fits, (name,), ranking.found)
                 pairs[both] = replace(law, effects=(*first.effects, name), numbers=first.numbers + law.numbers)
-    order = sorted(pairs.values(), key=lambda law: float(law.loss.sum()))
-    plain = [law for law in order if WINDING not in law.effects]  # its five numbers do for many smooth maps
-    if order and plain and near(plain[0].loss, order[0].loss, before):
+    one, two = _least(singles, before), _least(list(pairs.values()), before)
+    return two if one is None or (two is not None and _falls_on(one.loss, two.loss, body)) else one
+
+
+def _least(laws: Sequence[Law], before: Floats) -> Law | None:
+    """Return the law that leaves least; one with an eccentric pulley, which does for many maps, only if it must be."""
+    order = sorted(laws, key=lambda law: float(law.loss.sum()))
+    plain = [law for law in order if WINDING not in law.effects]
+    if plain and near(plain[0].loss, order[0].loss, before):
         order = plain
-    return order
+    return order[0] if order else None
 
 
 def _ask_again(outcome: Outcome) -> None:
