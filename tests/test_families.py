@@ -266,13 +266,23 @@ def test_conditions_that_do_not_vary_give_no_columns():
         assert np.array_equal(_core.Bank(name, 2).applied(series, np.zeros(0)), p.v)
 
 
+def test_a_body_without_channels_has_fields_alone():
+    """A beam that is only weighed: nothing is commanded, and its shape is compared all the same."""
+    t = np.linspace(0.0, 5.0, 20)
+    series = _core.Series(np.zeros((20, 0)), t, np.zeros(0), np.zeros(0))
+    for row in _core.families():
+        bank = _core.Bank(row["name"], 0)
+        which, found = bank.columns(series, t)
+        assert which.shape == (0,) and found.shape == (0, 20)
+        assert bank.applied(series, np.zeros(0)).shape == (20, 0)
+    assert _core.Bank("load", 0).modulation(series, t).shape[0] >= 1
+
+
 def test_invalid_input_is_rejected():
     p = Plain(2)
     refused = lambda match: pytest.raises(CoreError, match=match)  # noqa: E731
     with refused('unknown family "slope"; available: static map, coupling'):
         _core.Bank("slope", 2)
-    with refused("at least one channel"):
-        _core.Bank("memory", 0)
     with refused("the series has 2 channels, but the bank has 3"):
         _core.Bank("memory", 3).columns(p.series, p.at)
     with refused('theta has 3 weights, but family "memory" has 32 columns'):

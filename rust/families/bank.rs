@@ -16,7 +16,7 @@ pub struct Bank {
 }
 
 impl Bank {
-    /// Create the bank of a family.
+    /// Create the bank of a family; a body without channels has columns of its fields alone.
     pub fn new(name: &str, channels: usize) -> Result<Bank> {
         let family = find(name).ok_or_else(|| {
             let names: Vec<&str> = REGISTRY.iter().map(|family| family.name).collect();
@@ -25,9 +25,6 @@ impl Bank {
                 names.join(", ")
             ))
         })?;
-        if channels == 0 {
-            return Err(invalid("a bank needs at least one channel"));
-        }
         Ok(Bank { family, channels })
     }
 

@@ -40,9 +40,9 @@ impl Series {
         orientations: Option<Vec<i64>>,
     ) -> Result<Series> {
         let (samples, channels) = (t.len(), half.len());
-        if samples < 2 || channels == 0 || v.len() != samples * channels {
+        if samples < 2 || v.len() != samples * channels {
             return Err(invalid(format!(
-                "v has {} numbers for t of {samples} samples and {channels} channels; give (T, C) with T ≥ 2 and C ≥ 1",
+                "v has {} numbers for t of {samples} samples and {channels} channels; give (T, C) with T ≥ 2",
                 v.len()
             )));
         }

@@ -149,7 +149,7 @@ class Body:
     def slopes(self, commands: Commands) -> Floats:
         """Return the slopes (C, K, F) of the features over effective commands."""
         rows = [p.model.slopes_at(seen_commands(p, v), self.step, p.run) for p, v in zip(self.parts, commands)]
-        return np.concatenate([row.reshape(len(self.half), p.frames, -1) for row, p in zip(rows, self.parts)], axis=1)
+        return np.concatenate([row.reshape(len(self.half), *p.seen.shape) for row, p in zip(rows, self.parts)], axis=1)
 
     def modes(self, difference: Floats) -> Floats:
         """Return feature differences (..., K, F) as modes (..., K, M); what is not seen, or not known, is none."""
