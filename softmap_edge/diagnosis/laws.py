@@ -94,7 +94,7 @@ class Answer:
 
 def answered(state: State, fits: Fits, rough: Representative, before: Floats, pairs: bool) -> Answer:
     """Ask a family for its law, for `pairs` of its members too where nothing else is left to explain."""
-    representative, _ = linearised(state, rough)
+    representative = linearised(state, rough)[0] if len(rough.theta) else rough
     asked = _Asked(state, fits, representative, before)
     laws = asked.generic() if representative.family.name == "static map" else []
     members = asked.members()

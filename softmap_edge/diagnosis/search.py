@@ -157,13 +157,13 @@ def _reconsidered(outcome: Outcome, tell: Callable[[str], None], visible: float)
     A first family that takes the share of another one keeps it; two laws at once share what is theirs.
     """
     steps = outcome.steps
-    if not steps or MOST < 2 or any(step.family.name == "wiring" for step in steps):
+    if not steps or MOST < 2 or _one_pose(outcome.body) or any(step.family.name == "wiring" for step in steps):
         return outcome
     clear = len(steps) == 1 and steps[0].answer.resolved and not steps[0].others
     if clear and outcome.left <= rule.LEFT:
         return outcome
     outcome.loss, ordinary_mm = _loss(outcome), outcome.body.ordinary_mm
-    other = _with_few(outcome)
+    other = _with_few(outcome, visible)
     if other is not None:
         _one_by_one(other, tell, visible)
         other.loss = _loss(other)
@@ -200,7 +200,7 @@ def _falls_on(before: Floats, after: Floats, body: Body, share: float = rule.FAL
     return seen_to_fall(fall) and fall.fall >= max(rule.FALL * total, share * above)
 
 
-def _with_few(outcome: Outcome) -> Outcome | None:
+def _with_few(outcome: Outcome, visible: float) -> Outcome | None:
     """Return the one law or two that leave least together as an outcome, each asked with the other in place.
 
     Nothing stands for ordinary imperfections meanwhile: it would take the share of static laws.
@@ -219,6 +219,8 @@ def _with_few(outcome: Outcome) -> Outcome | None:
             best = answer.tried[0]  # a law that is nobody's effect would leave it open
             answer = replace(answer, law=best, equals=()) if best.effects == (name,) else answer
         if answer is None or answer.law is None or not _falls_on(answer.before, answer.law.loss, body):
+            return None
+        if len(few.effects) > 1 and answer.representative.moved_mm < visible:
             return None
         other.steps.append(Step(answer, ()))
     laws = [step.answer.law for step in other.steps if step.answer.law is not None]
@@ -314,6 +316,11 @@ def _shifted(problem: Problem, shift: Floats) -> Problem:
     return moved
 
 
+def _one_pose(body: Body) -> bool:
+    """Whether the commands never change: one shape is seen, and two laws are one too many."""
+    return not np.any(np.ptp(body.record.command, axis=0))
+
+
 def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
     """Return exchanged or turned servos as a step where they explain as much as the best family without a free number.
 
@@ -328,17 +335,29 @@ def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
     if law.loss.sum() > best.loss.sum() + rule.FORM * (ranking.found.sum() - best.loss.sum()):
         return None
     family = Family("wiring", "static", "Servos are exchanged or turn the other way.", ("servo_swap",), (), (), ())
-    none = Columns(np.zeros((0, *record.seen.shape)), np.zeros(0, np.intp), np.zeros((0, len(record))), 0)
-    moved = record.rms_mm(fits.displacement(fits.get(law.effects), "servo_swap"))
-    stand_in = Representative(family, np.zeros(0), RIDGES[0], law.loss, 0.0, none, moved)
+    stand_in = _stand_in(family, law, fits)
     return Step(Answer(family, stand_in, ranking.found, law, (), False, (law,), (law,)), ())
+
+
+def _stand_in(family: Family, law: Law, fits: Fits) -> Representative:
+    """Return a law in the place of the representative of its family."""
+    record = fits.problem.record
+    none = Columns(np.zeros((0, *record.seen.shape)), np.zeros(0, np.intp), np.zeros((0, len(record))), 0)
+    assert law.fit is not None
+    moved = record.rms_mm(fits.displacement(law.fit, law.effects[0]))
+    return Representative(family, np.zeros(0), RIDGES[0], law.loss, law.numbers, none, moved)
+
+
+def _best_law(family: Family, ranking: Ranking, state: State, fits: Fits) -> Law | None:
+    """Return the single law of a family that leaves least on top of what was found."""
+    names = [n for n in family.members if n in fits.candidates and n not in state.fit.effects]
+    laws = [law_of(state, fits, (name,), ranking.found) for name in names]
+    return min(laws, key=lambda law: float(law.loss.sum()), default=None)
 
 
 def _by_law(row: Representative, ranking: Ranking, state: State, fits: Fits) -> Representative:
     """Return a family with its best single law in the place of its representative, where that leaves less."""
-    names = [n for n in row.family.members if n in fits.candidates and n not in state.fit.effects]
-    laws = [law_of(state, fits, (name,), ranking.found) for name in names]
-    best = min(laws, key=lambda law: float(law.loss.sum()), default=None)
+    best = _best_law(row.family, ranking, state, fits)
     if best is None or best.fit is None or best.loss.sum() >= row.loss.sum():
         return row
     moved = state.body.record.rms_mm(fits.displacement(best.fit, best.effects[0]))
@@ -366,7 +385,13 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     if not ranking.rows:
         return None
     later = bool(outcome.steps)
-    rows = sorted(ranking.rows, key=lambda row: (row.family.name == CATCH_ALL, float(row.loss.sum())))
+    every = ranking.rows
+    if _one_pose(state.body):  # any free shape does here: only laws can be compared
+        laws = [(row.family, _best_law(row.family, ranking, state, fits)) for row in every]
+        every = [_stand_in(family, law, fits) for family, law in laws if law is not None]
+    if not every:
+        return None
+    rows = sorted(every, key=lambda row: (row.family.name == CATCH_ALL, float(row.loss.sum())))
     gains = [float(ranking.before.sum() - row.loss.sum()) for row in rows]
     if rows[-1].family.name == CATCH_ALL and gains[-1] > rule.DOMINATES * gains[0]:
         rows = [rows[-1], *rows[:-1]]
