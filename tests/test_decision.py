@@ -257,12 +257,14 @@ def test_at_most_four_families_are_taken(moved):
     assert len(now.families) == 2 and len(then.families) == 1 and then.verdict == "partly_explained"
 
 
-def test_two_laws_of_two_families_are_found_together(moved):
+def test_two_laws_of_two_families_are_found_together(monkeypatch):
     """One after the other, a free static shape takes the share of both and none is named."""
     run = finger_run(["gain", "mount"], {"gain.factor[0]": 0.8, "gain.factor[1]": 0.8, "mount.shift_x": 2.0})
-    now, then = moved(run, None, TOGETHER=0)
+    now = diagnose(builtin_model(), run)
     assert {e.name for e in (*now.faults, *now.effects)} == {"gain", "mount"}
     assert now.error.after < 0.3 * now.error.before
+    monkeypatch.setattr(search, "_reconsidered", lambda outcome, tell, visible: outcome)
+    then = diagnose(builtin_model(), run)
     assert not then.faults and not then.effects
 
 
