@@ -165,9 +165,11 @@ def _reconsidered(outcome: Outcome, tell: Callable[[str], None], visible: float)
     outcome.loss, ordinary_mm = _loss(outcome), outcome.body.ordinary_mm
     other = _with_few(outcome, visible)
     if other is not None:
+        other.loss = _loss(other)
+        stands = _stands_for(other, outcome)
         _one_by_one(other, tell, visible)
         other.loss = _loss(other)
-        if _stands_for(other, outcome):
+        if stands or _stands_for(other, outcome):
             return _with_others(other, outcome)
     outcome.body.ordinary_mm = ordinary_mm
     return outcome
@@ -184,12 +186,10 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
 
 
 def _stands_for(other: Outcome, outcome: Outcome) -> bool:
-    """Whether one outcome stands for another: it leaves far less, or no more with more laws and no more families."""
+    """Whether one outcome stands for another: it leaves far less, or no more with more of its families resolved."""
     if _falls_on(outcome.loss, other.loss, outcome.body) and other.open <= outcome.open:
         return True
-    if len(other.steps) > len(outcome.steps) or other.open > outcome.open:
-        return False
-    fewer = other.open < outcome.open or len(other.steps) < len(outcome.steps)
+    fewer = other.open < outcome.open or (other.open == outcome.open and len(other.steps) < len(outcome.steps))
     return fewer and rule.reaches(other.loss, outcome.loss, float(outcome.null.sum() - outcome.loss.sum()))
 
 
@@ -451,7 +451,9 @@ def _accepted(row: Representative, ranking: Ranking, state: State, later: bool, 
     static = row.family.kind == "static"
     if static and not _beyond_ordinary(ranking, state):
         return False
-    return row.moved_mm >= max(visible, float(noise), state.body.record.form_mm if static else 0.0)
+    record = state.body.record
+    own = record.form_mm if static and record.model.kind != "rod" else 0.0  # a rod's own error is in its noise
+    return row.moved_mm >= max(visible, float(noise), own)
 
 
 def _motion_mm(record: Record) -> float:
