@@ -126,7 +126,7 @@ def accepted(fall=600.0, before=800.0, numbers=100.0, moved=1.0, kind="memory", 
     static = more.get("static_mm", 3.0)
     record = SimpleNamespace(
         positions=None, form_mm=more.get("form", 0.0), seen=np.zeros((1, 3)),
-        rms_mm=lambda _: static,
+        rms_mm=lambda _: static, model=SimpleNamespace(kind=more.get("model", "table")),
     )  # fmt: skip
     noise = SimpleNamespace(replicates=True, rms_mm=lambda _: more.get("noise", 0.0))
     state = SimpleNamespace(
@@ -143,13 +143,15 @@ def test_a_family_is_accepted_by_its_fall_and_by_what_it_moves():
     assert not accepted(fall=-1.0) and not accepted(moved=0.05) and not accepted(moved=0.2, visible=0.3)
     assert not accepted(noise=4.0) and not accepted(kind="static", form=2.0)  # below noise, below the model's error
     assert accepted(kind="memory", form=2.0)  # which has no memory
+    assert accepted(kind="static", form=2.0, model="rod")  # whose own error is in its noise
+    assert not accepted(numbers=801.0)  # what noise alone may leave has no cause
 
 
 @pytest.mark.parametrize(
     ("name", "moved", "case"),
     [
         ("FALL", 0.9, dict(fall=600.0)),
-        ("FALL", 0.0, dict(fall=4.0, numbers=1e4)),
+        ("FALL", 0.0, dict(fall=4.0, numbers=790.0)),
         ("FALL_FIRST", 0.95, dict(fall=600.0)),
         ("FALL_FIRST", 0.01, dict(fall=60.0)),
         ("FALL_NEXT", 0.95, dict(fall=600.0, later=True)),
