@@ -14,7 +14,7 @@ from test_diagnosis import finger_run
 
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.diagnosis import conclusion, decision, search, wording
-from softmap_edge.diagnosis.decision import difference, form_of, near, reaches, seen_to_fall
+from softmap_edge.diagnosis.decision import difference, form_of, leaves_cause, near, reaches, seen_to_fall
 from softmap_edge.diagnosis.findings import Alternative, Number
 
 
@@ -80,6 +80,14 @@ def test_a_law_reaches_within_one_standard_error_or_its_form():
     assert reaches(best * 1.4, best, 640.0, form=0.11)
     assert reaches(folds(10, 30, 10, 60, 20, 20, 20, 20), best, 640.0)
     assert reaches(best * 0.5, best, 640.0)  # what is better reaches
+
+
+def test_what_leaves_more_than_noise_is_no_equal_of_what_leaves_noise():
+    noise = np.full(8, 10.0)
+    assert leaves_cause(noise * 1.4, noise, 80.0) and leaves_cause(noise * 1.4, noise, 70.0)
+    assert not leaves_cause(noise * 1.2, noise, 80.0)  # noise may be as much
+    assert not leaves_cause(noise * 1.4, noise, 50.0)  # the best leaves more than noise, too: both forms may be off
+    assert leaves_cause(noise * 0.5, noise * 0.1, 80.0)  # the noise is less than was told
 
 
 def test_a_static_law_need_not_explain_ordinary_imperfections():

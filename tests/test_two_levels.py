@@ -190,7 +190,7 @@ def judged(*laws, representative=100.0, before=1000.0, half=10.0):
         family=SimpleNamespace(name="static map"), loss=np.full(8, representative / 8), numbers=9.0
     )
     asked.fits = SimpleNamespace(candidates=["gain", "offset", "asymmetry", "eccentric_pulley"])
-    asked.body = SimpleNamespace(half=np.array([half]))
+    asked.body = SimpleNamespace(half=np.array([half]), problem=SimpleNamespace(numbers=60.0))
     return asked.judged(list(laws))
 
 

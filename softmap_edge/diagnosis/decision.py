@@ -65,6 +65,12 @@ def near(loss: Floats, best: Floats, null: Floats) -> bool:
     return behind <= difference(loss, best).error and not agree
 
 
+def leaves_cause(loss: Floats, best: Floats, numbers: float) -> bool:
+    """Whether a hypothesis leaves more than noise, where the best leaves no more than the noise of so many numbers."""
+    more = bool(best.sum() <= ABOVE_NOISE * numbers and loss.sum() > ABOVE_NOISE * best.sum())
+    return more and seen_to_fall(difference(loss, best))
+
+
 def reaches(loss: Floats, best: Floats, explained: float, form: float = FORM) -> bool:
     """Whether a law leaves no more than the best of its family, up to one standard error or its form's tolerance."""
     return float(loss.sum() - best.sum()) <= max(difference(loss, best).error, form * explained)

@@ -38,7 +38,8 @@ SIGNS = tuple(signs for signs in product((1.0, -1.0), repeat=3) if min(signs) < 
 def strange(document: Mapping[str, Any], loaded: bool = False) -> bool:
     """Return whether gravity makes no sense in a diagnosis, of runs that declare a load or not.
 
-    Its numbers end at their bounds, what is left goes by orientation, or a dead load leaves most of the error.
+    Its numbers end at their bounds, what is left goes by orientation, a dead load leaves most of the error or has no
+    law of the library, or something was found in a run that declares a load.
     """
     at_bound = any(
         entry["name"] == "gravity" and any(p["at_bound"] for p in entry["params"].values())
@@ -49,7 +50,8 @@ def strange(document: Mapping[str, Any], loaded: bool = False) -> bool:
     error = document["error"]
     after = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
     poor = (loaded or bool(weights)) and after > POOR * error["model"] and document["unexplained"]["chi2_per_n"] > MUCH
-    return at_bound or left or poor
+    lawless = any(family["name"] == "load" and family["law"] != "resolved" for family in document["families"])
+    return at_bound or left or poor or lawless or (loaded and document["verdict"] != "nothing")
 
 
 def wrong_sign(record: Record, error: float, again: Callable[[Sequence[Run]], float]) -> str | None:

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.decision import difference, form_of, reaches
+from softmap_edge.diagnosis.decision import difference, form_of, leaves_cause, reaches
 from softmap_edge.diagnosis.evidence import at_bound
 from softmap_edge.diagnosis.families import (
     Body,
@@ -228,6 +228,7 @@ class _Asked:
             for law in others
             if not set(first.effects) < set(law.effects)
             and law.numbers <= first.numbers
+            and not leaves_cause(law.loss, first.loss, self.body.problem.numbers)
             and float(law.loss.sum() - first.loss.sum()) <= max(worth, difference(law.loss, first.loss).error)
         ]
         return sorted([first, *equals], key=lambda law: (law.numbers, self._stage(law)))

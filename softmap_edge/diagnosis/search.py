@@ -180,7 +180,9 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
     if len(other.steps) == len(outcome.steps) == 1:
         (new,), (old,) = other.steps, outcome.steps
         beside = [a for a in (old.answer, *old.others) if a.family != new.family]
-        near_it = [a for a in beside if near(a.loss, new.answer.loss, outcome.null)]
+        numbers = outcome.body.problem.numbers
+        near_it = [a for a in beside if near(a.loss, new.answer.loss, outcome.null)
+                   and not rule.leaves_cause(a.loss, new.answer.loss, numbers)]  # fmt: skip
         other.steps[0] = Step(new.answer, (*new.others, *near_it))
     return other
 
@@ -496,7 +498,9 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
 
 
 def _stands_beside(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
-    """Whether another family cannot be told from the first one."""
+    """Whether a family cannot be told from the first one: not if it leaves more than noise, and the first does not."""
+    if rule.leaves_cause(other.loss, first.loss, state.body.problem.numbers):
+        return False
     if other.resolved and first.resolved:
         return near(other.loss, first.loss, ranking.before) and other.numbers <= first.numbers + 2
     if first.resolved and first.family.kind == "static" and other.family.name == CATCH_ALL:
