@@ -49,11 +49,11 @@ def test_all_together_agree_with_the_oracles_in_stage_order(body):
             x = ORACLES[name](own[name], x, t)
 
         def see(moments, x=x, own=own):
-            def at(rows):
+            def seen_of(rows):
                 return np.stack([np.interp(moments, t, column) for column in rows.T], axis=1)
 
-            seen_gravity, acting = at(gravity), at(x)
-            kept = {name: [at(remembers(own[name], x))] for name, remembers in REMEMBERED.items()}
+            seen_gravity, acting = seen_of(gravity), seen_of(x)
+            kept = {name: [seen_of(remembers(own[name], x))] for name, remembers in REMEMBERED.items()}
             shapes = BY_ROLE["shape"]
             coefficients = sum(ORACLES[name](own[name], seen_gravity, acting, *kept.get(name, [])) for name in shapes)
             coefficients[:, :3] += seen_gravity - HOME
