@@ -21,12 +21,10 @@ import scipy
 from benches import diagnosis_time, geometry, inverse, level, loop, network, teleop
 from benches.peer_elastic import markers as peer_markers
 from benches.peer_newton import NumpySolid
-from benches.peer_rollout import NUMBERS as PEER_NUMBERS
-from benches.peer_rollout import backlash_and_creep
+from benches.peer_rollout import EFFECTS, backlash_and_creep, numbers
 from benches.row import ratio, side_by_side
 from softmap_edge import __version__, _core
 from softmap_edge.bundle import builtin_model
-from softmap_edge.chain_labels import grouped
 from softmap_edge.rod.robot import Robot
 from softmap_edge.run import Run
 from softmap_edge.solid.finger import Finger
@@ -111,12 +109,10 @@ def rollouts() -> dict[str, object]:
     rng = np.random.default_rng(0)
     t = np.arange(2000) * 0.02
     u = 8 * np.sin(0.7 * t[:, None] + [0.0, 1.0]) * np.sin(0.1 * t)[:, None]
-    chain = _core.Chain(["backlash", "creep"], 2)
-    at = {label: k for k, label in enumerate(dict.fromkeys(chain.group_labels))}
-    start = np.asarray(chain.start)[[members[0] for members in grouped(chain).values()]]
-    params = start * rng.uniform(0.9, 1.1, (51, len(start)))  # each shared number once
-    numbers = [params[:, at[name]].copy() for name in PEER_NUMBERS]
-    ours_s, peer_s = side_by_side(lambda: chain.rollout(params, u, t), lambda: backlash_and_creep(*numbers, u, t))
+    chain = _core.Chain(EFFECTS, 2)
+    params = np.asarray(chain.start) * rng.uniform(0.9, 1.1, (51, len(chain.start)))
+    own = numbers(chain, params)
+    ours_s, peer_s = side_by_side(lambda: chain.rollout(params, u, t), lambda: backlash_and_creep(*own, u, t))
     return ratio("rollouts of two effects, 51 × 2000 steps", ours_s, peer_s, "NumPy", "wanted ≥ 8")
 
 

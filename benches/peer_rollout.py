@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
-NUMBERS = ("backlash.gap", "creep.strength", "creep.tau", "creep.spread")
+EFFECTS = ["backlash", "creep"]
+
+
+def numbers(chain, params):
+    """Return the numbers of a chain of both effects for `backlash_and_creep`, copied from `params` (B, P)."""
+    groups = np.array(chain.group_labels)
+    gap, strength, tau, spread = (
+        params[:, groups == label].copy() for label in ("backlash.gap", "creep.strength", "creep.tau", "creep.spread")
+    )
+    return gap, strength, tau[:, 0], spread[:, 0]
 
 
 def backlash_and_creep(gap, strength, tau, spread, u, t):
-    """Return (B, T, C) mm: play of full width `gap` (B,) mm, then `strength` (B,) times the mean of two relaxations.
+    """Return (B, T, C) mm: play of full width `gap` (B, C) mm, then `strength` (B, C) times two relaxations' mean.
 
     Their times `tau · spread` and `tau / spread` (B,) are in s.
     """
-    half, strength = gap[:, None] / 2, strength[:, None]
+    half = gap / 2
     times = np.stack([tau * spread, tau / spread])  # (2, B)
     out = np.empty((len(gap), *u.shape))
     played = np.broadcast_to(u[0], (len(gap), u.shape[1])).copy()

@@ -193,10 +193,15 @@ def gradient_coefficients(p, gravity, u):
     return coefficients(len(gravity), **values)
 
 
-def body_friction_coefficients(p, gravity, u):
-    """What a stop holds is what a play of the same half-width lets slip; as a share of that it is the relay."""
-    held = u - np.stack([slot(column, p["width"]) for column in u.T], axis=1)
-    loading = np.einsum("kc,kc->k", u / np.maximum(np.linalg.norm(u, axis=1), 1e-300)[:, None], held / p["width"])
+def relays(p, u):
+    """What a stop holds is what a play of the same half-width lets slip; as a share of that it is the relay (T, C)."""
+    return (u - np.stack([slot(column, p["width"]) for column in u.T], axis=1)) / p["width"]
+
+
+def body_friction_coefficients(p, gravity, u, remembered=None):
+    """The relays (K, C) are those `remembered` at the frames of a longer record, or each row of `u` is a sample."""
+    relay = relays(p, u) if remembered is None else remembered
+    loading = np.einsum("kc,kc->k", u / np.maximum(np.linalg.norm(u, axis=1), 1e-300)[:, None], relay)
     return loading[:, None] * gradient_coefficients({"gradient": p["amount"]}, gravity, u)
 
 
@@ -323,6 +328,10 @@ ORACLES = {
     "camera_drift": drifted,
     "clock_shift": lambda p, see, positions, t: see(t - p["late"]),
 }
+
+
+# What a shape effect remembers of all the commands that act: it is read at the frames, as the commands are.
+REMEMBERED = {"body_friction": relays}
 
 
 def named(name, params, channels):

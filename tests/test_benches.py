@@ -7,7 +7,7 @@ from benches import geometry, inverse, level, network
 from benches.__main__ import nine_tendons
 from benches.peer_elastic import markers
 from benches.peer_newton import NumpySolid
-from benches.peer_rollout import NUMBERS, backlash_and_creep
+from benches.peer_rollout import EFFECTS, backlash_and_creep, numbers
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model
 from softmap_edge.solid.finger import Finger
@@ -27,11 +27,10 @@ def test_the_numpy_solid_takes_the_same_newton_step():
 def test_the_numpy_rollout_gives_the_same_records():
     t = np.arange(400) * 0.02
     u = 8 * np.sin(0.7 * t[:, None] + [0.0, 1.0])
-    chain = _core.Chain(["backlash", "creep"], 2)
-    params = np.stack([chain.start, 1.1 * np.asarray(chain.start)])
-    at = {label: k for k, label in enumerate(chain.labels)}
-    numbers = [params[:, at[name]].copy() for name in NUMBERS]
-    ours, theirs = chain.rollout(params, u, t), backlash_and_creep(*numbers, u, t)
+    chain = _core.Chain(EFFECTS, 2)
+    start = np.asarray(chain.start)
+    params = np.stack([start, 1.1 * start, start * np.linspace(0.7, 1.3, len(start))])  # the last: apart per channel
+    ours, theirs = chain.rollout(params, u, t), backlash_and_creep(*numbers(chain, params), u, t)
     assert np.abs(ours - u).max() > 0.1 and np.abs(ours - theirs).max() < 1e-9
 
 

@@ -38,7 +38,7 @@ def test_demo_prints_one_document(tmp_path, capsys):
     assert document["schema"] == "softmap.demo/1"
     assert [hidden["name"] for hidden in document["hidden"]] == ["backlash"]
     assert all(1.0 <= hidden["displacement_mm"] <= 4.0 and hidden["params"] for hidden in document["hidden"])
-    assert document["diagnosis"]["schema"] == "softmap.diagnosis/1"
+    assert document["diagnosis"]["schema"] == "softmap.diagnosis/2"
     assert document["before_mm"] > document["after_mm"] > 0.9 * document["floor_mm"] > 0
 
 

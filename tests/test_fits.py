@@ -126,3 +126,18 @@ def test_a_limit_that_is_hardly_reached_is_found():
     found = fits.get(["saturation"])
     assert found.cost < 0.5 * fits.null.cost and found.space.values(found.x) == pytest.approx(most, rel=0.02)
     assert fits.get(["gain"]).cost > 2.0 * found.cost
+
+
+@pytest.mark.parametrize("signs", [(-1, -1, -1, 1), (1, -1, -1, -1), (-1, 1, 1, -1)])
+def test_a_pulley_is_found_whatever_its_signs(signs):
+    """A radius is compared with the signs that suit it: with others the right one would look worst."""
+    sine, cosine = np.array([1.5, 1.2]) * signs[:2], np.array([0.8, 1.3]) * signs[2:]
+    radius = 2.2
+    fits = finger_fits(
+        lambda u: u + sine * np.sin(u / radius) + cosine * (np.cos(u / radius) - 1.0), ["gain", "eccentric_pulley"]
+    )
+    found = fits.get(["eccentric_pulley"]).params
+    assert found["eccentric_pulley.radius"] == pytest.approx(radius, rel=0.02)
+    for channel in range(2):
+        assert found[f"eccentric_pulley.sine[{channel}]"] == pytest.approx(sine[channel], abs=0.1)
+        assert found[f"eccentric_pulley.cosine[{channel}]"] == pytest.approx(cosine[channel], abs=0.1)

@@ -268,7 +268,7 @@ def use_diagnosis(path):
     found = Diagnosis.load(path)
     str(found)
     for entry in found.effects:
-        builtin_model().with_effects([entry["name"]], found.params_of(entry["name"]))
+        builtin_model().with_effects([entry.name], found.params_of(entry.name))
 
 
 def use_commands(path):

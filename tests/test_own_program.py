@@ -40,8 +40,9 @@ def test_the_programs_of_the_page_run_one_after_another(tmp_path, monkeypatch, c
     assert main(["compare", "seen.mcap", "--bundle", "finger", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["error"]["rms_mm"] > 0.5, "it hides something"
-    assert main(["diagnose", "seen.mcap", "--bundle", "finger"]) == 0
+    assert main(["diagnose", "seen.mcap", "--bundle", "finger", "--out", "lacks.json"]) == 0
     assert "The model lacks" in capsys.readouterr().out
+    assert [effect["name"] for effect in json.loads(Path("lacks.json").read_text())["effects"]] == ["backlash"]
     assert names["found"].distance.max() < 0.01
     at = names["robot"].calibration.commands(names["robot"].position)
     assert np.abs(at).max() < 0.3, "slack at the end"

@@ -101,7 +101,7 @@ def test_two_bundles_have_one_page_that_shows_the_fall(story, capsys):
 
 def test_a_diagnosis_has_its_page(story, capsys):
     page, document = written(story, capsys, "diagnose", story / "run.npz", "--effects", "backlash,lag,gain")
-    assert_whole(page, pictures=6)  # and the ladder
+    assert_whole(page, pictures=7)  # and the ladder, and the loop over the command
     assert [e["name"] for e in document["effects"]] == ["backlash"]
     assert document["verdict"] in page.text and " ".join(document["sentence"].split()) in page.text
     gap = document["effects"][0]["params"]["backlash.gap"]

@@ -19,7 +19,7 @@ from bodies import (
     turning,
     warming,
 )
-from laws import BY_ROLE, EFFECTS, ORACLES, named, values
+from laws import BY_ROLE, EFFECTS, ORACLES, REMEMBERED, named, values
 
 from softmap_edge import _core
 from softmap_edge.errors import CoreError
@@ -49,9 +49,13 @@ def test_all_together_agree_with_the_oracles_in_stage_order(body):
             x = ORACLES[name](own[name], x, t)
 
         def see(moments, x=x, own=own):
-            seen_gravity = np.stack([np.interp(moments, t, g) for g in gravity.T], axis=1)
-            acting = np.stack([np.interp(moments, t, column) for column in x.T], axis=1)
-            coefficients = sum(ORACLES[name](own[name], seen_gravity, acting) for name in BY_ROLE["shape"])
+            def seen_of(rows):
+                return np.stack([np.interp(moments, t, column) for column in rows.T], axis=1)
+
+            seen_gravity, acting = seen_of(gravity), seen_of(x)
+            kept = {name: [seen_of(remembers(own[name], x))] for name, remembers in REMEMBERED.items()}
+            shapes = BY_ROLE["shape"]
+            coefficients = sum(ORACLES[name](own[name], seen_gravity, acting, *kept.get(name, [])) for name in shapes)
             coefficients[:, :3] += seen_gravity - HOME
             coefficients[:, 3:6] += 9.80665e-3 * np.interp(moments, t, load)[:, None] * seen_gravity
             frames = tabulated(finger).evaluate(acting)
@@ -98,17 +102,19 @@ def test_a_changed_number_makes_another_prior_loads_and_slopes_included():
 
 def test_labels_units_and_scales():
     chain = _core.Chain(["backlash", "gain"], 2)
-    assert chain.labels == ["gain.factor[0]", "gain.factor[1]", "backlash.gap"]
-    assert chain.units == ["1", "1", "mm"]
-    assert list(chain.null) == [1.0, 1.0, 0.0] and list(chain.log) == [True, True, True]
+    assert chain.labels == ["gain.factor[0]", "gain.factor[1]", "backlash.gap[0]", "backlash.gap[1]"]
+    assert chain.group_labels == ["gain.factor[0]", "gain.factor[1]", "backlash.gap", "backlash.gap"]
+    assert chain.units == ["1", "1", "mm", "mm"]
+    assert list(chain.null) == [1.0, 1.0, 0.0, 0.0] and list(chain.log) == [True] * 4
 
 
 def test_a_batch_equals_its_members_whatever_they_share(body):
     chain = _core.Chain(["backlash", "payload", "mount"], 2)
     t, u = record(2, samples=200)
     sets = np.tile(values(chain, "start"), (12, 1))
-    sets[1:9] += 0.1 * np.eye(8)
-    sets[9, 0] = 1.0
+    count = len(chain.labels)
+    sets[1 : 1 + count] += 0.1 * np.eye(count)
+    sets[1 + count, 0] = 1.0
     batch = body.predict(chain, sets, _core.Inputs(u, t, t[::3], turning(200)))
     for params, frames in zip(sets, batch):
         np.testing.assert_array_equal(
@@ -207,7 +213,7 @@ def wrong_calls():
         "an effect twice": (lambda: _core.Chain(["lag", "lag"], 2), "twice"),
         "nan in u": (lambda: chain.rollout(p, bad, t), "u holds NaN"),
         "nan in params": (lambda: chain.rollout(p * np.nan, u, t), "params holds NaN"),
-        "wrong params": (lambda: chain.rollout(p[:, :1], u, t), "P = 2"),
+        "wrong params": (lambda: chain.rollout(p[:, :1], u, t), "P = 3"),
         "flat params": (lambda: chain.rollout(p[0], u, t), "params"),
         "wrong channels": (lambda: chain.rollout(p, u[:, :1], t), "C = 2"),
         "short t": (lambda: chain.rollout(p, u, t[:3]), "T = 3"),

@@ -12,6 +12,7 @@ from softmap_edge import Run, builtin_model
 from softmap_edge.camera.frames import Frame
 from softmap_edge.cli import main
 from softmap_edge.commands.robot import plain_map
+from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import RunError
 from softmap_edge.experiment.kept import LATELY, Keeper, keeping, read_kept, seen_file
 from softmap_edge.experiment.recorded import open_run
@@ -71,7 +72,11 @@ def test_verbs_take_it_as_any_run(tracked, tmp_path, capsys):
     # Servos are seen where they stand; the model is right but for the noise.
     assert json.loads(capsys.readouterr().out)["error"]["rms_mm"] < 0.35
     assert main(["diagnose", file, "--out", f"{out}.json"]) == 0
-    assert "Verdict: nothing above the floor" in capsys.readouterr().out
+    assert "Nothing above the floor is seen" in capsys.readouterr().out
+    found = Diagnosis.load(f"{out}.json")
+    assert not (found.effects or found.faults or found.families or found.alternatives)
+    # Small circles of 4 s, hanging: a third of all effects would not show.
+    assert found.verdict == "cannot_tell" and {"body_friction", "stiffness"} < {h.name for h in found.not_testable}
     for words in (
         ["show", file],
         ["check", file],

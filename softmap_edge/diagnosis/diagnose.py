@@ -22,13 +22,13 @@ from softmap_edge.diagnosis.declared import strange, wrong_load, wrong_sign
 from softmap_edge.diagnosis.document import Diagnosis, with_error
 from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unseen
 from softmap_edge.diagnosis.findings import plain
-from softmap_edge.diagnosis.fit import Fit
+from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.masked import masked
 from softmap_edge.diagnosis.prepare import candidates_of, problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
-from softmap_edge.diagnosis.search import search
+from softmap_edge.diagnosis.search import Outcome, search
 from softmap_edge.diagnosis.servo import servos
 from softmap_edge.diagnosis.sound import sound_record, stray
 from softmap_edge.diagnosis.wording import OwnMisfit
@@ -87,8 +87,7 @@ def diagnose(
     record, remarks = sound_record(model, run, library, reference)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = candidates_of(record, registry, effects)
-    problem = problem_of(record, candidates)
-    outcome = search(problem, candidates, progress)
+    problem, outcome = _searched(record, candidates, progress)
     other = None if held_out is None else _validation(model, held_out, library, reference)
     fit = outcome.fit
     demoted: list[str] = []
@@ -192,6 +191,23 @@ def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]
                 twins += [other] if other not in twins else []
         found[name] = _showing(name, why is None, moved, size[name], why, twins, experiment(registry, name))
     return [found[name] for name in registry if name in found]
+
+
+def _searched(
+    record: Record, candidates: Sequence[str], progress: Callable[[str], None] | None
+) -> tuple[Problem, Outcome]:
+    """Search a record for what its model lacks.
+
+    What a residual had learned is an effect if laws of the library explain it. Only if they do not may it be the
+    model's own error.
+    """
+    if record.static is not None and record.model.kind != "rod":
+        problem = problem_of(record, candidates, residual=False)
+        outcome = search(problem, candidates, progress)
+        if outcome.steps and not outcome.open:
+            return problem, outcome
+    problem = problem_of(record, candidates)
+    return problem, search(problem, candidates, progress)
 
 
 def _showing(

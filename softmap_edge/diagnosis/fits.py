@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.fit import Fit, Problem, Space
+from softmap_edge.diagnosis.fit import STEP, Fit, Problem, Space
 
 Floats = NDArray[np.float64]
 Key = tuple[frozenset[str], frozenset[str]]  # effects, and those of them with a number for each channel
@@ -62,6 +62,7 @@ class Fits:
         added = next(iter(key - set(parent.effects)))
         space = self.problem.space((*parent.effects, added))
         points = np.stack([_joined(space, parent, added, start) for start in starts(self.problem, added)])
+        points = _with_signs(self.problem, space, points, added)
         costs = self.problem.costs(self.problem.at(space, points), points)[0]
         order = [int(i) for i in np.argsort(costs, kind="stable")]
         followed = [points[order[0]]]
@@ -138,6 +139,29 @@ def starts(problem: Problem, effect: str) -> list[Floats]:
         flipped = [-space.start, every_other, -every_other][: 3 if len(signed) > 1 else 1]
         points += [np.clip(point, space.low, space.high) for point in flipped]
     return points
+
+
+def _with_signs(problem: Problem, space: Space, points: Floats, effect: str) -> Floats:
+    """Return starts (S, P) of an effect with its signed numbers where one linear step takes them.
+
+    The place of an effect (a radius, an instant, a section) is compared from start to start. With a wrong sign the
+    right place looks worst.
+    """
+    own = np.array([label.split(".")[0] == effect for label in space.free_labels], bool)
+    places = own & (space.log | space.instant)
+    signed = np.flatnonzero(own & ~space.log & ~space.instant & ~space.integer & (space.low < 0))
+    if not places.any() or not len(signed):
+        return points
+    found = points.copy()
+    for point in found:
+        modes = problem.at(space, point[None])[0]
+        step = np.where(point + STEP > space.high, -STEP, STEP)[signed]
+        moved = np.tile(point, (len(signed), 1))
+        moved[np.arange(len(signed)), signed] += step
+        slopes = problem.white((problem.at(space, moved) - modes) / step[:, None, None])
+        curvature = slopes @ slopes.T + np.eye(len(signed))
+        point[signed] -= np.linalg.solve(curvature, slopes @ problem.white(modes) + point[signed])
+    return np.asarray(np.clip(found, space.low, space.high))
 
 
 def _joined(space: Space, parent: Fit, effect: str, start: Floats) -> Floats:

@@ -1,8 +1,9 @@
 """What a model's residual may be hiding: static effects that look like it, and that the run does not speak against.
 
-A diagnosis takes the residual out, and lets a static field of its size stand for nothing (`problem_of`: form error in
-the same directions; a rod's error is noise), since it may be the model's own error or an effect. What the run tells
-through memory, orientation or load is then found as ever. Here the residual itself is diagnosed: each effect is fitted
+A diagnosis takes the residual out. If laws of the library explain what it had learned they are named. If they do not,
+a static field of its size stands for nothing (`problem_of`: form error in the same directions; a rod's error is noise),
+since it may be the model's own error or an effect. What the run tells through memory, orientation or load is then found
+as ever. Here the residual itself is diagnosed: each effect is fitted
 to it alone. One that explains HIDES of its mean square, and with the numbers of that fit makes the misfit of the run
 no larger, may be what was learned; no more can be said without a run in which the two differ. A residual within the
 model's own error, or one that takes no error off this run, hides nothing.

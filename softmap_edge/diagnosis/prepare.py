@@ -83,8 +83,10 @@ def candidates_of(
     return [n for n in names if n not in out], impossible
 
 
-def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = None) -> Problem:
+def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = None, residual: bool = True) -> Problem:
     """Measure the noise (if none is given), set up the form error and look along the candidates' signatures.
+
+    Where a residual was taken out, the model may err by as much, unless `residual` is false.
 
     Raises:
         SoftmapError: fewer than 8 frames.
@@ -103,7 +105,7 @@ def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = 
         form = np.zeros((record.features, record.features))
     else:
         form = form_covariance(record.form_error, record.positions, record.section)
-        if record.static is not None:  # a residual may be the model's own error or an effect: both are allowed for
+        if residual and record.static is not None:  # it may be the model's own error or an effect: allow for both
             form = form + record.static.T @ record.static / len(record)
     return Problem(record, noise, whitener(noise, form, stack, kernel))
 
