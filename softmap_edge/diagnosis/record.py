@@ -31,6 +31,7 @@ Forms = Callable[[Sequence[str], Floats], Floats]
 CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
 SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
 ROLLS = ("mount.turn_z",)  # what clouds of a round finger do not tell: there turned tendons look the same
+FRAME = tuple(f"mount.{kind}_{axis}" for kind in ("turn", "shift") for axis in "xyz")  # as in `frame_sigma`
 ENDS = 0.05  # of a run: what happens nearer to its ends is seen from one side only
 
 
@@ -106,7 +107,7 @@ class Record:
 
     def _forget(self) -> None:
         """Forget what was found out about other frames."""
-        for name in ("state", "leaning", "_inputs"):
+        for name in ("state", "leaning", "frame_mm", "_inputs"):
             self.__dict__.pop(name, None)
 
     def spread_rows(self, most: int) -> NDArray[np.intp]:
@@ -290,6 +291,21 @@ class Record:
     def form_mm(self) -> float:
         """Return the model's own held-out error in mm RMS over the places."""
         return float(np.sqrt(np.mean(np.sum(self.form_error[self.positions] ** 2, axis=1))))
+
+    @cached_property
+    def frame_mm(self) -> float:
+        """How far the points may be off by what the alignment leaves open of the frame (`frame_sigma`), mm RMS."""
+        sigma = self.run.frame_sigma
+        if sigma is None or "mount" not in {e["name"] for e in self.library.effects()}:
+            return 0.0
+        own = tuple(self.model.chain_names)
+        names = own if "mount" in own else (*own, "mount")
+        layout = self.layout(names)
+        at = layout.values(dict(zip(self.layout(own).labels, map(float, self.own()))), layout.null)
+        labels = np.array(layout.labels)
+        moved = [at + each * (labels == label) for label, each in zip(FRAME, np.asarray(sigma, float))]
+        seen = self.predict(names, np.stack([at, *moved]))
+        return float(np.sqrt(sum(self.rms_mm(one - seen[0]) ** 2 for one in seen[1:])))
 
     def __len__(self) -> int:
         return int(self.frames)

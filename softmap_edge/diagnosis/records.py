@@ -127,6 +127,12 @@ class Records(Record):
         rows = [part.load for part in self.parts]
         return None if all(r is None for r in rows) else np.concatenate([np.zeros(1) if r is None else r for r in rows])
 
+    @cached_property
+    def frame_mm(self) -> float:
+        """How far the points may be off by what the alignments leave open of the frames, mm RMS."""
+        squares = [part.frames * part.frame_mm**2 for part in self.parts]
+        return float(np.sqrt(sum(squares) / max(1, self.frames)))
+
     def missing(self, wanted: Sequence[str]) -> list[str]:
         """Return which of the fields that an effect needs some run does not declare."""
         return [name for name in wanted if any(part.missing([name]) for part in self.parts)]

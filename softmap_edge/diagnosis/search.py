@@ -294,7 +294,8 @@ def _ask_again(outcome: Outcome) -> None:
             shift = State(state.body, state.fit, others).shift
             fits = Fits(_shifted(outcome.plain.problem, shift), outcome.plain.candidates)
         fit = fits.get(state.fit.effects, state.fit.space.split)
-        without = State(state.body, fit, others, state.background)
+        mimics = family.kind == "static"  # what stands for ordinary imperfections would take all of its share
+        without = State(state.body, fit, others, () if mimics else state.background)
         ranking = ranked(without, [family], [])
         if not ranking.rows:
             continue
@@ -494,7 +495,8 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
     pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
     left, moved = min(pairs, default=(total, 0.0))
     motion = _motion_mm(record)
-    return float(min(left if moved >= rule.DOMINATES * left else total, rule.ORDINARY * motion))
+    level_mm = min(left if moved >= rule.DOMINATES * left else total, rule.ORDINARY * motion)
+    return float(max(level_mm, record.frame_mm))  # a frame is as ordinary as its alignment says
 
 
 def _stands_beside(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
