@@ -176,14 +176,23 @@ def _reconsidered(outcome: Outcome, tell: Callable[[str], None], visible: float)
 
 
 def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
-    """Return an outcome of one law with the families beside it that stood in its place and do as well."""
-    if len(other.steps) == len(outcome.steps) == 1:
-        (new,), (old,) = other.steps, outcome.steps
-        beside = [a for a in (old.answer, *old.others) if a.family != new.family]
-        numbers = outcome.body.problem.numbers
-        near_it = [a for a in beside if near(a.loss, new.answer.loss, outcome.null)
-                   and not rule.leaves_cause(a.loss, new.answer.loss, numbers)]  # fmt: skip
-        other.steps[0] = Step(new.answer, (*new.others, *near_it))
+    """Return an outcome with what stands beside each law: families that do as well, those it replaces among them."""
+    laws = [law for step in other.steps if (law := step.answer.law) is not None and law.fit is not None]
+    if len(laws) < len(other.steps):
+        return other
+    split = [e for law in laws for e in law.effects if law.fit is not None and e in law.fit.space.split]
+    known = {step.family for step in (*other.steps, *outcome.steps)}
+    for i, (step, own) in enumerate(zip(other.steps, laws)):
+        rest = [e for law in laws if law is not own for e in law.effects]
+        state = State(other.body, other.plain.get(rest, split))
+        ranking = ranked(state, [f for f in families() if f not in known or f == step.family], [])
+        rows = [row for row in ranking.rows if row.family != step.family]
+        rows = [row for row in rows if near(row.loss, step.answer.loss, ranking.found)][:ASKED]
+        beside = [answered(state, other.plain, row, ranking.found, pairs=False) for row in rows]
+        if len(other.steps) == len(outcome.steps) == 1:
+            beside += [a for a in (outcome.steps[0].answer, *outcome.steps[0].others) if a.family != step.family]
+        others = {a.family: a for a in beside if _stands_beside(a, step.answer, ranking, state)}
+        other.steps[i] = Step(step.answer, tuple(others.values()))
     return other
 
 
