@@ -181,7 +181,7 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
     if len(laws) < len(other.steps):
         return other
     split = [e for law in laws for e in law.effects if law.fit is not None and e in law.fit.space.split]
-    known = {step.family for step in (*other.steps, *outcome.steps)}
+    known = {step.family for step in other.steps}
     for i, (step, own) in enumerate(zip(other.steps, laws)):
         rest = [e for law in laws if law is not own for e in law.effects]
         state = State(other.body, other.plain.get(rest, split))
@@ -191,6 +191,7 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
         beside = [answered(state, other.plain, row, ranking.found, pairs=False) for row in rows]
         if len(other.steps) == len(outcome.steps) == 1:
             beside += [a for a in (outcome.steps[0].answer, *outcome.steps[0].others) if a.family != step.family]
+        beside = [a for a in beside if a.law is None or a.law.effects != own.effects]
         others = {a.family: a for a in beside if _stands_beside(a, step.answer, ranking, state)}
         other.steps[i] = Step(step.answer, tuple(others.values()))
     return other
@@ -207,12 +208,12 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
 def _falls_on(before: Floats, after: Floats, body: Body, share: float = rule.FALL_NEXT) -> bool:
     """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise.
 
-    A rod errs as much on a run in which nothing has changed: within that error it is a share of the whole.
+    Where no more than noise stands, noise is told too large or nothing is missing: it is a share of the whole.
     """
     fall, total = difference(before, after), float(before.sum())
-    within = body.record.model.kind == "rod" and total <= body.problem.numbers
-    above = total if within else max(0.0, total - rule.ABOVE_NOISE * body.problem.numbers)
-    return seen_to_fall(fall) and fall.fall >= max(rule.FALL * total, share * above)
+    least = rule.FALL_FIRST * total if total <= body.problem.numbers else rule.FALL * total
+    above = max(0.0, total - rule.ABOVE_NOISE * body.problem.numbers)
+    return seen_to_fall(fall) and fall.fall >= max(least, share * above)
 
 
 def _with_few(outcome: Outcome, visible: float) -> Outcome | None:
