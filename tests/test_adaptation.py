@@ -82,7 +82,7 @@ def test_the_document_holds_every_step(adapted):
     assert [row["way"] for row in document["error"]["ways"]] == list(WAYS)
     assert document["error"]["fall_share"] == pytest.approx(adapted.fall)
     assert document["calibration"]["schema"] == "softmap.calibration/1"
-    assert document["diagnosis"]["schema"] == "softmap.diagnosis/1"
+    assert document["diagnosis"]["schema"] == "softmap.diagnosis/2"
     assert document["residual"]["kept"] and document["effects"] == adapted.model.params
     assert all(way in str(adapted) for way in WAYS)
 

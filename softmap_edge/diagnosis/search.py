@@ -3,7 +3,8 @@
     rank families about what is known -> accept the best -> ask those near it for their laws -> take one -> again
 
 If the best family is not accepted none is: the next best would only stand in for it. A resolved law joins the fit, an
-unresolved family stays beside it as its representative. Pinned by tests/test_two_levels.py.
+unresolved family stays beside it as its representative. Where that leaves a family open, one law or two of different
+families are looked for at once, and stand if they leave no more. Pinned by tests/test_two_levels.py, test_decision.py.
 """
 
 from __future__ import annotations
