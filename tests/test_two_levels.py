@@ -224,6 +224,8 @@ def test_a_law_that_is_better_than_the_representative_is_the_measure():
 def test_members_that_do_as_well_are_equals_and_the_first_to_act_comes_first():
     found = judged(law("offset", 102, 1), law("gain", 103, 1))
     assert found.resolved and found.law.name == "gain" and [one.name for one in found.equals] == ["offset"]
+    better = judged(law("offset", 100, 1), law("gain", 104, 1))  # by more than a family has to fall
+    assert better.law.name == "offset" and [one.name for one in better.equals] == ["gain"]
     pair = judged(law("gain", 101, 2), law("gain+offset", 102, 2))
     assert pair.law.name == "gain" and pair.equals == ()  # a larger set is no equal of its part
 

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.decision import difference, form_of, leaves_cause, reaches
+from softmap_edge.diagnosis.decision import FALL, difference, form_of, leaves_cause, reaches, seen_to_fall
 from softmap_edge.diagnosis.evidence import at_bound
 from softmap_edge.diagnosis.families import (
     Body,
@@ -219,7 +219,7 @@ class _Asked:
         )  # fmt: skip
 
     def _equal(self, candidates: list[Law], worth: float) -> list[Law]:
-        """Return the simplest of the laws and those that do as well with as few numbers, the first to act first."""
+        """Return the simplest of the laws and its equals with as few numbers: the best, then the first to act."""
         if not candidates:
             return []
         first, *others = candidates
@@ -231,7 +231,12 @@ class _Asked:
             and not leaves_cause(law.loss, first.loss, self.body.problem.numbers)
             and float(law.loss.sum() - first.loss.sum()) <= max(worth, difference(law.loss, first.loss).error)
         ]
-        return sorted([first, *equals], key=lambda law: (law.numbers, self._stage(law)))
+
+        def beaten(law: Law) -> bool:
+            fall = difference(law.loss, first.loss)
+            return seen_to_fall(fall) and fall.fall >= FALL * float(law.loss.sum())
+
+        return sorted([first, *equals], key=lambda law: (law.numbers, beaten(law), self._stage(law)))
 
     def _stage(self, law: Law) -> int:
         return max(self.fits.candidates.index(effect) for effect in law.effects)
