@@ -223,7 +223,7 @@ class Recording(SimpleNamespace):
     """What a diagnosis uses of a run, with the features themselves in place of vertices."""
 
     hash = Run.hash
-    output, timeless, extra = None, False, {}
+    output, timeless, frame_sigma, extra = None, False, None, {}
 
     @property
     def frames(self):
