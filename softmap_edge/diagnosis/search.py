@@ -425,6 +425,10 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
         outcome.hint = best if gain > 0.1 * float(ranking.before.sum()) else None
         return None
     tied = [row for row in able if near(row.loss, able[0].loss, ranking.before) or _ordinary_apart(row, able[0], state)]
+    one_pose = _one_pose(state.body)  # in which imperfections of the robot cannot be told from its law
+    if one_pose:
+        explained = float(ranking.before.sum() - able[0].loss.sum())
+        tied = [row for row in able if rule.reaches(row.loss, able[0].loss, explained, rule.FORM_MOST)]
     if any(row.family.name == CATCH_ALL for row in tied):  # a law may do what a spline does not do quite as well
         tied += [row for row in able if row.family.kind == "static" and row not in tied]
     answers = [answered(state, fits, row, ranking.found, pairs=False) for row in tied]
@@ -434,7 +438,8 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     if not answers:
         return None
     best_loss = min((a.loss for a in answers), key=lambda loss: float(loss.sum()))
-    answers = [a for a in answers if near(a.loss, best_loss, ranking.found)]  # a law may do far more than its family
+    if not one_pose:  # a law may do far more than its family
+        answers = [a for a in answers if near(a.loss, best_loss, ranking.found)]
     first, *rest = sorted(answers, key=lambda a: (
         not a.resolved, _beaten(a, answers), _order(a.family), a.numbers, float(a.loss.sum())
     ))  # fmt: skip
