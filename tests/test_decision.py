@@ -152,6 +152,9 @@ def test_a_family_is_accepted_by_its_fall_and_by_what_it_moves():
     assert not accepted(noise=4.0) and not accepted(kind="static", form=2.0)  # below noise, below the model's error
     assert accepted(kind="memory", form=2.0)  # which has no memory
     assert accepted(kind="static", form=2.0, model="rod")  # whose own error is in its noise
+    small = dict(fall=200.0, numbers=100.0)
+    assert accepted(**small, kind="static") and accepted(**small, model="rod")
+    assert not accepted(**small, kind="static", model="rod")  # as small may be what it errs on any run
     assert not accepted(fall=100.0, numbers=801.0) and accepted(numbers=801.0)  # a share of the whole, within noise
 
 

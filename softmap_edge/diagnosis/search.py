@@ -474,9 +474,10 @@ def _accepted(row: Representative, ranking: Ranking, state: State, later: bool, 
     static = row.family.kind == "static"
     if static and not _beyond_ordinary(ranking, state):
         return False
-    record = state.body.record
-    own = record.form_mm if static and record.model.kind != "rod" else 0.0  # a rod's own error is in its noise
-    return row.moved_mm >= max(visible, float(noise), own)
+    record, rod = state.body.record, state.body.record.model.kind == "rod"
+    if static and rod and difference(ranking.before, row.loss).fall < rule.FALL_NEXT * float(ranking.before.sum()):
+        return False  # what a rod errs on any run is static too, and in its noise
+    return row.moved_mm >= max(visible, float(noise), record.form_mm if static and not rod else 0.0)
 
 
 def _motion_mm(record: Record) -> float:
