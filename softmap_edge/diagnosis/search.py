@@ -157,8 +157,9 @@ def _reconsidered(outcome: Outcome, tell: Callable[[str], None], visible: float)
 
     A first family that takes the share of another one keeps it; two laws at once share what is theirs.
     """
-    steps = outcome.steps
-    if not steps or MOST < 2 or _one_pose(outcome.body) or any(step.family.name == "wiring" for step in steps):
+    steps, rod = outcome.steps, outcome.body.record.model.kind == "rod"
+    hinted = bool(steps) or (rod and outcome.hint is not None)  # one family alone is small beside a rod's own error
+    if not hinted or MOST < 2 or _one_pose(outcome.body) or any(step.family.name == "wiring" for step in steps):
         return outcome
     clear = len(steps) == 1 and steps[0].answer.resolved and not steps[0].others
     if clear and outcome.left <= rule.LEFT:
