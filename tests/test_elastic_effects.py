@@ -197,9 +197,15 @@ def test_changes_of_another_rod_are_refused(taken_for_rods):
         model.with_effects(["slack"], {"slack.ratio": 0.5, "slack.stiffness[0]": -1.0})
     found = diagnose(model, worn, effects=["slack"]).to_dict()
     assert "14 numbers of the model itself" in str(Diagnosis.from_dict(found))
-    for damaged in ([1.0], None, "much", [-1.0] * 9):
-        found["effects"][0]["refitted"]["error_mm"] = damaged
-        with pytest.raises(SoftmapError, match="not of this model|damaged diagnosis"):
+    wrong = "not of this model"
+    for error, match in (
+        ([1.0], wrong),
+        ([-1.0] * 9, wrong),
+        (None, "error_mm is NoneType"),
+        ("much", "error_mm is str"),
+    ):
+        found["effects"][0]["refitted"]["error_mm"] = error
+        with pytest.raises(SoftmapError, match=match):
             Diagnosis.from_dict(found).added(model, ["slack"])
     found["effects"][0]["refitted"]["params"] = {"slack.radius": 3}
     with pytest.raises(SoftmapError, match="damaged diagnosis"):

@@ -136,7 +136,11 @@ def test_the_second_is_a_memory_whose_members_are_not_told_apart(page, logs):
     named = {effect["name"] for effect in found["effects"]}
     assert found["verdict"] == "partly_explained" and found["made_from"]["demoted"] == ["anchor_slip"]
     assert named | rivals == {"latency", "lag", "clock_shift", "friction"} and len(named) == 1
-    assert after <= 6.1 and f"{found['unexplained']['rms_mm']:.1f} mm of error remain" in PAGE and f"{before:.1f} → {after:.1f} mm" in PAGE
+    assert (
+        after <= 6.1
+        and f"{found['unexplained']['rms_mm']:.1f} mm of error remain" in PAGE
+        and f"{before:.1f} → {after:.1f} mm" in PAGE
+    )
     after = load_bundle(page / "memory.bundle")
     assert after.kind == "rod" and after.channels == 9 and after.made_from["robot"] == "ftdcr-v4"
     assert tdcr.error(after, logs[2]) <= 6.3

@@ -67,7 +67,8 @@ def test_the_load_is_named_with_its_rival_and_never_in_grams(page):
     document = page[1]["found"].to_dict()
     effects = {entry["name"]: entry for entry in document["effects"]}
     assert {"payload", "offset"} <= set(effects)
-    assert any("payload" not in rival["effects"] for rival in document["alternatives"])
+    sets = [set(one["effects"]) for one in document["alternatives"]]
+    assert all(one in sets for one in ({"gravity", "offset"}, {"stiffness", "offset"}, {"payload", "pre_curve"}))
     units = {p["unit"] for entry in [*document["effects"], *document["faults"]] for p in entry["params"].values()}
     assert not units & {"g", "kg", "N"} and '"unit": "g"' not in json.dumps(document)
     assert effects["payload"]["params"]["payload.mass"]["unit"] == "of the model's own load scale"
@@ -166,8 +167,9 @@ def test_the_encoders_tell_the_drive_apart(page):
     told = page[1]["found"].to_dict()["servo"]
     assert [servo["channel"] for servo in told] == list(range(6))
     for servo in told:
-        (effect,) = servo["effects"]
-        name, wanted = ("lag.tau", 0.26) if servo["channel"] == 2 else ("latency.delay", 0.21)
-        assert effect["params"][name]["value"] == pytest.approx(wanted, abs=0.015)
-        assert 5.5 < servo["error"]["model"] < 15.5 and 0.8 < servo["error"]["value"] < 1.25
-    assert "0.21 s between command and encoder on five motors, on the third a lag of 0.25 to 0.27 s" in PAGE
+        found = {effect["name"]: effect["params"] for effect in servo["effects"]}
+        assert set(found) == ({"latency", "gain"} if servo["channel"] == 2 else {"latency"})
+        assert found["latency"]["latency.delay"]["value"] == pytest.approx(0.213, abs=0.005)
+        assert 5.5 < servo["error"]["model"] < 15.5 and 0.65 < servo["error"]["value"] < 1.05
+    assert told[2]["effects"][1]["params"]["gain.factor[0]"]["value"] == pytest.approx(0.80, abs=0.01)
+    assert "is 0.21 to 0.22 s" in PAGE and "by 0.80 of its commands" in PAGE

@@ -133,7 +133,8 @@ def _servo(run: Run, channel: int, candidates: list[str]) -> ServoFinding | None
     signature[..., 0] = 1.0
     problem = Problem(record, noise, whitener(noise, form, signature, kernel))
     outcome = search(problem, candidates, visible=max(step, VISIBLE * span))
-    fit, fits = outcome.fit, outcome.plain
+    fits = outcome.plain  # as they are without what has no law
+    fit = fits.get(outcome.fit.effects, outcome.fit.space.split)
     sigma = problem.uncertainty(fit, fits.dispersion(fit)) if len(fit.x) else np.zeros(0)
     effects = tuple(ServoEffect(e, parameters(record, fit, sigma, (e,))) for e in fit.effects)
     error = ServoError(fits.held_out_mm(fits.null), fits.held_out_mm(fit))
