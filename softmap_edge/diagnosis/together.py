@@ -104,9 +104,11 @@ def _with_few(outcome: Outcome, visible: float) -> Outcome | None:
         if answer is not None and answer.law is None and together:
             best = answer.tried[0]  # a generic law would leave it open
             answer = replace(answer, law=best, equals=()) if best.effects == (name,) else answer
-        if answer is None or answer.law is None or not falls_on(answer.before, answer.law.loss, body):
+        if answer is None or answer.law is None or answer.law.fit is None:
             return None
-        if len(few.effects) > 1 and answer.representative.moved_mm < visible:
+        if not falls_on(answer.before, answer.law.loss, body):
+            return None
+        if body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0])) < visible:
             return None
         other.steps.append(Step(answer, ()))
     laws = [step.answer.law for step in other.steps if step.answer.law is not None]
