@@ -14,7 +14,7 @@ from test_diagnosis import finger_run
 
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.diagnosis import acceptance, conclusion, decision, search, wording
-from softmap_edge.diagnosis.decision import difference, form_of, leaves_cause, near, reaches, seen_to_fall
+from softmap_edge.diagnosis.decision import clears, difference, form_of, leaves_cause, near, reaches, seen_to_fall
 from softmap_edge.diagnosis.findings import Alternative, Number
 
 
@@ -88,6 +88,13 @@ def test_what_leaves_more_than_noise_is_no_equal_of_what_leaves_noise():
     assert not leaves_cause(noise * 1.2, noise, 80.0)  # noise may be as much
     assert not leaves_cause(noise * 1.4, noise, 50.0)  # the best leaves more than noise, too: both forms may be off
     assert leaves_cause(noise * 0.5, noise * 0.1, 80.0)  # the noise is less than was told
+
+
+def test_a_law_that_leaves_noise_is_seen_to_leave_less_than_free_columns():
+    noise, scatter = np.full(8, 10.0), np.array([1.0, 3.0, 1.0, 2.0, 1.0, 2.0, 3.0, 1.0])
+    assert clears(noise, noise + scatter, 80.0) and clears(noise, noise + scatter, 70.0)
+    assert not clears(noise, noise + scatter, 50.0)  # the law itself leaves more than noise
+    assert not clears(noise, noise + scatter * [1, -1, 1, -1, 1, -1, 1, -1], 80.0)  # not seen
 
 
 def test_a_static_law_need_not_explain_ordinary_imperfections():
@@ -301,9 +308,11 @@ def test_an_effect_of_the_same_form_is_an_alternative_where_it_explains_enough(m
 
 
 def test_a_family_that_does_what_a_static_map_does_is_no_alternative_to_it(moved):
-    """A slow change can look like a gain where large commands are held long."""
-    now, then = moved(finger_run(acting=lambda u: u * [0.85, 0.85]), None, MIMIC=2.0)
-    assert now.families[0].alternatives == () and then.families[0].alternatives
+    """A slow change can look like a gain where large commands are held long, and the gain leaves more than noise."""
+    run = finger_run(acting=lambda u: u * [0.85, 0.85] + 0.05 * np.sin(u[:, ::-1]))
+    now, then = moved(run, None, MIMIC=2.0)
+    assert [f.name for f in now.families] == ["static map"]
+    assert now.families[0].alternatives == () and "creep" in then.families[0].alternatives
 
 
 def test_gross_faults_are_the_verdict_and_small_ones_stand_beside():

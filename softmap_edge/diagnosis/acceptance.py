@@ -117,6 +117,8 @@ def indistinct(other: Answer, first: Answer, ranking: Ranking, state: State) -> 
         return False
     if other.resolved and first.resolved:
         return near(other.loss, first.loss, ranking.before) and other.numbers <= first.numbers + 2
+    if first.resolved and rule.clears(first.loss, other.loss, state.body.problem.numbers):
+        return False  # free columns, with more numbers, leave more than a law that leaves noise
     if first.resolved and first.family.kind == "static" and other.family.name == CATCH_ALL:
         return False  # it can be any static law, this one too
     reference = first.loss if first.resolved else first.representative.loss

@@ -279,7 +279,7 @@ def _alternatives(
     dropped = set(context.demoted)
 
     def add(one: Alternative) -> None:
-        known = any(set(one.effects) == set(a.effects) and one.family == a.family for a in found)
+        known = any(set(one.effects) == set(a.effects) and one.family in ("", a.family) for a in found)
         same = set(one.effects) == set(fit.effects) and not one.family
         if not known and not dropped & set(one.effects) and not same:
             found.append(one)

@@ -1,7 +1,7 @@
 """Every constant of the decision between families and between laws, and the comparisons that use them.
 
-A family or a law is judged by its loss on held-out folds, paired fold by fold. What each constant is for stands beside
-it; `tests/test_decision.py` pins each.
+A family or a law is compared by its loss on held-out folds, fold by fold. Each constant has its reason in a comment;
+`tests/test_decision.py` pins each.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 FORM = 0.05  # of the explained loss: what the form of a law may be off (0.22 of its amplitude, squared)
-FORM_MOST = 0.15  # the same where ordinary imperfections stand beside a static law
+FORM_MOST = 0.15  # the same for a static law, which need not explain ordinary imperfections
 FALL = 0.03  # least relative fall of the held-out loss for a family
 FALL_FIRST, FALL_NEXT = 0.2, 0.3  # of the loss above the noise: least fall of the first family and of later ones
 FOLDS = 0.6  # of the folds that show a family: in so many its loss must fall
 FOLD_SHOWS = 0.1  # of the mean change of a fold's loss: a fold that changes by less shows nothing
-AGREE = 0.85  # of the folds: so many agree that a difference within one standard error is one
-ABOVE_NOISE = 1.3  # times the number of whitened numbers: noise alone rarely leaves more
+AGREE = 0.85  # share of the folds that must agree before a difference within one standard error counts
+ABOVE_NOISE = 1.3  # times the number of whitened numbers: noise alone rarely exceeds it
 VISIBLE_MM = 0.12  # least displacement of the centreline
 ORDINARY = 0.04  # of the motion (RMS): what imperfections of an ordinary robot amount to at most
 DOMINATES = 2.0  # times as much as all else of its kind: what a static effect, or a free static shape, must amount to
-MIMIC = 0.9  # R² from which what one family does is what others can do
-LEFT = 0.1  # share of the loss, or of the mean square, above which something unknown is left
-UNKNOWN_TIMES = 2.5  # times the model's own error, or the noise, that must be left for an unaccepted family to count
+MIMIC = 0.9  # R² of a family's effect on the columns of others, from which it adds nothing to them
+LEFT = 0.1  # unexplained share of the loss, or of the mean square, above which an unknown effect is reported
+UNKNOWN_TIMES = 2.5  # times model error or noise: unexplained error at which a family counts that was not accepted
 MISWIRED = 0.2  # of the motion: servos are exchanged only where the model is off by so much
 STANDS_FOR = 0.6  # of what a member explains: an effect of the same form that explains less is no alternative
 ODDS_BASE = 0.03  # odds against every name
-ODDS_DOUBT = 0.5  # the same for each alternative, for a number at its bound, beside something unknown
+ODDS_DOUBT = 0.5  # the same for each alternative, for a number at its bound, and for an unknown effect alongside
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,14 @@ def near(loss: Floats, best: Floats, null: Floats) -> bool:
     return behind <= difference(loss, best).error and not agree
 
 
+def clears(loss: Floats, other: Floats, numbers: float) -> bool:
+    """Whether a hypothesis leaves no more than the noise of so many numbers, and is seen to leave less than another."""
+    return bool(loss.sum() <= ABOVE_NOISE * numbers) and seen_to_fall(difference(other, loss))
+
+
 def leaves_cause(loss: Floats, best: Floats, numbers: float) -> bool:
     """Whether a hypothesis leaves more than noise, where the best leaves no more than the noise of so many numbers."""
-    more = bool(best.sum() <= ABOVE_NOISE * numbers and loss.sum() > ABOVE_NOISE * best.sum())
-    return more and seen_to_fall(difference(loss, best))
+    return bool(loss.sum() > ABOVE_NOISE * best.sum()) and clears(best, loss, numbers)
 
 
 def reaches(loss: Floats, best: Floats, explained: float, form: float = FORM) -> bool:
