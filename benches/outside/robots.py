@@ -37,7 +37,7 @@ def trunk(folder: Path) -> Case:
 
     return Case(
         name="Trunk, 100 g", about=text("trunk"), values=places, fit=fit, held={"held": held}, model=model, law=law,
-        law_name="dead load and offset, 7 numbers", unit="mm", expected="dead load first, offset beside it",
+        law_name="dead load and offset, 7 numbers", unit="mm", expected="dead load first, then the offset",
         lags=(0, 1, 2, 4),
     )  # fmt: skip
 

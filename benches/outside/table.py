@@ -85,7 +85,7 @@ def page(rows: Sequence[Row], cases: dict[str, Case], skipped: dict[str, str]) -
         found += f"\n## {row.name}\n\n{cases[row.name].about}\n\n{_paragraph(row)}\n"
         if row.library:
             found += (
-                "\nEach memory law of the library beside a refitted static map, held-out NRMSE:\n\n"
+                "\nEach memory law of the library with a refitted static map, held-out NRMSE:\n\n"
                 + "\n".join(_library(row))
                 + "\n"
             )

@@ -20,10 +20,10 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Shape,
         kind: Kind::Effect,
         formula: "ln E(s) = ln E₀ + amount · Σ z_c u_c/|u| · (s − 1/2),  z = s/width,  s = clamp(s + Δu, ±width)  on stiff_0 … stiff_6",
-        doc: "Cables rub along the body: while they are drawn in, tension is lost towards the tip, while they are paid out it is \
-              kept there.",
-        signature: "A loop between there and back in the shape, not in the command: more bend at the base on the way out, more \
-                    at the tip on the way back.",
+        doc: "Cables rub along the body: while they are drawn in, the tension falls towards the tip; while they are paid out, the \
+              tip keeps it.",
+        signature: "A loop between loading and unloading in the shape, not in the command: more bend at the base while loading, \
+                    more at the tip while unloading.",
         reference: "Tendon friction along a body: Kato and others, IEEE/ASME Trans. Mechatronics 21 (2016) 2209; play and stop: Krasnosel'skii and Pokrovskii 1989.",
         experiment: ("full range up and back, points all along the body", 1.5),
         alike: &[],

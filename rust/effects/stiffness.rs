@@ -16,9 +16,9 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Shape,
         kind: Kind::Effect,
         formula: "ln E(s) = ln E₀ + amount  on stiff_0 … stiff_6",
-        doc: "The whole body is softer or stiffer than the model: another batch of silicone, a cure at another temperature, age.",
-        signature: "A sag that differs from the model's where the body leans or carries a load; next to nothing without one, \
-                    for tendons of given length bend a soft body as far as a stiff one.",
+        doc: "The complete body is softer or stiffer than the model: another batch of silicone, a cure at another temperature, age.",
+        signature: "A sag that differs from the model's where the body leans or carries a load. Without a load there is almost no \
+                    difference: tendons of given length bend a soft body as far as a stiff one.",
         reference: "Field of the simulator: one assembly of the residual with the changed design and one back-substitution; tensions by complementarity.",
         experiment: ("the same moves with and without a known load, leaning", 3.0),
         // A soft body under an unknown weight is a stiff one under a larger; one that stretches its cables less bends more.
