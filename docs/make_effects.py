@@ -39,14 +39,14 @@ At its null values an effect is absent. A fit searches from *low* to *high* (on 
 positive) and begins at *start*. A parameter marked *per channel* has one value for each command: `gain.factor[0]`,
 `gain.factor[1]`. One marked *shared* does too (`backlash.gap[0]`, `backlash.gap[1]`), but one number, `backlash.gap`,
 is used for all channels until they are given or fitted separately. One *per pair* has one for each ordered pair of
-channels (of neighbours, beyond four channels): `coupling.factor[0,1]`, the channel that is moved first. A *whole* number
-is tried at integer values and not optimised. The path from command to camera is
+channels (of neighbours, beyond four channels): `coupling.factor[0,1]`, the channel that is moved first. A *whole*
+number is tried at integer values and not optimised. The path from command to camera is
 `command → transmission → material → shape → sensing`; a chain is always composed in this order. Each picture shows one
 recording, without the effect and with it.
 
 Values in mm of command are for commands of ±16 mm. On a robot with another range they scale with the range. A fit goes
-beyond the search range where the data require it. *At most 2 half ranges* is twice the largest command. *At most 1 length*
-is the weight at the tip that would move it sideways by the length of the body if the answer were linear.
+beyond the search range where the data require it. *At most 2 half ranges* is twice the largest command. *At most 1
+length* is the weight at the tip that would move it sideways by the length of the body if the answer were linear.
 
 Loads move a finger by its fields, which are taken at constant tension of its tendons; the tendons then answer by
 falling slack or taut, a complementarity problem solved at every frame (`rust/cables.rs`). What large loads, and changes
