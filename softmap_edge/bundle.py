@@ -265,7 +265,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         from softmap_edge.rod.learn import rod_from_arrays
 
         prior, fields = rod_from_arrays(arrays["prior"])
-        Coverage.from_arrays(arrays["prior"], manifest["channels"])  # or says what is wrong with it
+        Coverage.from_arrays(arrays["prior"], manifest["channels"])  # or reports what is wrong with it
         cables = second = None
     rest = template.rest
     if prior.size != rest.size:

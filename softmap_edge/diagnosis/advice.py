@@ -186,7 +186,7 @@ def _channels(u: Floats) -> Iterator[Word]:
         text = f"anything about channel {named}: it never moves"
         yield Word("channels", False, text, "move it to both ends of its range and back", float(len(still)))
     alive = np.flatnonzero(span > 1e-9 * span.max())
-    tied = [group for group in tied_channels(u) if len(group.channels) > 2]  # a pair is told by its correlation
+    tied = [group for group in tied_channels(u) if len(group.channels) > 2]  # a pair is reported by its correlation
     for group in tied:
         text = f"what one channel of a group does by itself (gain, play, friction): {group}"
         yield Word("channels", False, text, group.remedy, float(len(group.channels)))
