@@ -138,10 +138,10 @@ class Run:
     def of_outputs(
         cls, values: ArrayLike, unit: str, names: Sequence[str] = (), *, t_seen: ArrayLike, **recorded: Any
     ) -> Run:
-        """Return a run of outputs that are no places: forces, angles, levels.
+        """Return a run of outputs other than places: forces, angles, levels.
 
         Args:
-            values: what was measured, shape (K, Q), in `unit`; NaN where an output has no value.
+            values: measured values, shape (K, Q), in `unit`; NaN where an output has no value.
             unit: of all outputs, as reports print it.
             names: of the outputs; numbered without them.
             t_seen: (K,) s.
@@ -236,7 +236,7 @@ class Run:
 
     @property
     def outputs(self) -> Array:
-        """(K, Q) what was measured, in `output.unit`; NaN where an output has no value.
+        """(K, Q) measured values, in `output.unit`; NaN where an output has no value.
 
         Raises:
             RunError: the run is one of places.

@@ -89,8 +89,7 @@ class Layout:
 
 
 def _found(params: Mapping[str, float], label: str, group: str) -> float | None:
-    """Return a parameter by its label, by that of the first run, or by that of all channels; else the channels' value.
-    """
+    """Return a parameter by its label, that of the first run, or that of all channels; else the channels' value."""
     for name in (label, label.split("@")[0], group):
         if name in params:
             return params[name]

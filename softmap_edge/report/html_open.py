@@ -1,4 +1,4 @@
-"""What a diagnosis leaves open, as HTML: servos, alternatives, what is not testable, what to record."""
+"""Open points of a diagnosis as HTML: servos, alternatives, effects that are not testable, what to record next."""
 
 from __future__ import annotations
 
