@@ -1,14 +1,15 @@
 //! Body friction: cables that rub along the body, so that its shape depends on the direction of motion.
 //!
-//! Friction takes tension from a cable on its way to the tip while it is drawn in, and adds it while it is paid out. So the
-//! same command leaves more bend near the base while the finger is loaded, and more near the tip while it is unloaded:
-//! `ln E(s) = ln E₀ + amount·l·(s − ½)`, `l = Σ z_c·u_c/|u|`, as a stiffness gradient that changes with the direction. `z_c` is a relay
-//! of each command that acts, smoothed by a stop operator: `s_c ← clamp(s_c + Δu_c, ±width)`, `z_c = s_c/width`; 1 while the
-//! channel is loaded, −1 after it has come back by twice `width`. Memory starts relaxed, `z_c = 0`. mm. A delay or a play of the command
-//! cannot express this: it moves along the body, not in time. The relay belongs to the shape: what commands to send is
-//! solved without it (z = 0), so the control loop does not compensate this effect.
-//! Limit: one gradient along the body: it explains 58 % of what capstan friction on a rod does. Source of the relay:
-//! M. A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis (1989).
+//! Friction reduces the tension of a cable towards the tip while it is drawn in, and keeps it while it is paid out. So
+//! the same command gives more bend near the base while the finger is loaded, and more near the tip while it is
+//! unloaded: `ln E(s) = ln E₀ + amount·l·(s − ½)`, `l = Σ z_c·u_c/|u|`, a stiffness gradient that changes with the
+//! direction. `z_c` is a relay of each effective command, smoothed by a stop operator: `s_c ← clamp(s_c + Δu_c,
+//! ±width)`, `z_c = s_c/width`. It is 1 while the channel is loaded, and −1 after a reversal of twice `width`. Memory
+//! starts relaxed, `z_c = 0`. Units: mm. A delay or a play of the command cannot express this effect, because it acts
+//! along the body, not in time. The relay belongs to the shape: inverse kinematics ignores it (z = 0), so the control
+//! loop does not compensate this effect.
+//! Limit: one gradient along the body explains 58 % of the effect of capstan friction on a rod. Source of the relay: M.
+//! A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis (1989).
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -54,7 +55,7 @@ pub static EFFECT: Effect = Effect {
 
 struct BodyFriction;
 
-/// Narrowest relay, mm, so that a width of nothing is a step and no division by zero.
+/// Narrowest relay, mm: a width of zero is then a step and not a division by zero.
 const NARROW: f64 = 1e-6;
 
 impl RememberingEffect for BodyFriction {

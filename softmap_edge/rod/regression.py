@@ -161,7 +161,7 @@ class Drive:
         return np.concatenate([r.read(chain.rollout(sets, r.u, r.t)) for r in self.records], axis=1)
 
     def acting(self, names: Sequence[str], params: Mapping[str, float]) -> Floats:
-        """Return effective commands (n, C) of a chain of `names` with its parameters by label; others keep their null."""
+        """Return effective commands (n, C) of a chain of `names`, its parameters by label; others keep their null."""
         if not names:
             return self.commanded
         chain = _core.Chain(list(names), self.channels)
