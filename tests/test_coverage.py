@@ -1,4 +1,4 @@
-"""Where a learned model has seen commands: leverage knows of combinations, where a box per channel does not."""
+"""Commands that taught a model: leverage covers combinations of channels, a box per channel does not."""
 
 from dataclasses import replace
 

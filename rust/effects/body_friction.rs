@@ -1,6 +1,6 @@
 //! Body friction: cables that rub along the body, so that its shape depends on the direction of motion.
 //!
-//! Friction reduces the tension of a cable towards the tip while it is drawn in, and keeps it while it is paid out. So
+//! Friction reduces the tension of a cable towards the tip while it is drawn in, and raises it while it is paid out. So
 //! the same command gives more bend near the base while the finger is loaded, and more near the tip while it is
 //! unloaded: `ln E(s) = ln E₀ + amount·l·(s − ½)`, `l = Σ z_c·u_c/|u|`, a stiffness gradient that changes with the
 //! direction. `z_c` is a relay of each effective command, smoothed by a stop operator: `s_c ← clamp(s_c + Δu_c,
@@ -8,8 +8,8 @@
 //! starts relaxed, `z_c = 0`. Units: mm. A delay or a play of the command cannot express this effect, because it acts
 //! along the body, not in time. The relay belongs to the shape: inverse kinematics ignores it (z = 0), so the control
 //! loop does not compensate this effect.
-//! Limit: one gradient along the body explains 58 % of the effect of capstan friction on a rod. Source of the relay: M.
-//! A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis (1989).
+//! Limit: one gradient along the body explains 58 % of the effect of capstan friction on a rod.
+//! Source of the relay: M. A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis (1989).
 
 use super::conditions::Context;
 use super::declaration::*;
