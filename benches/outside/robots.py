@@ -1,4 +1,4 @@
-"""Robots on which we measured what is missing: a trunk with 100 g, nine tendons that fall slack, a loaded beam."""
+"""Robots with measured missing physics: a trunk with 100 g, nine tendons that fall slack, a loaded beam."""
 
 from __future__ import annotations
 
