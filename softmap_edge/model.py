@@ -210,7 +210,7 @@ class Model:
         params = spread(chain, np.asarray(params, float))
         if params.shape != (len(chain.labels),):
             groups = list(dict.fromkeys(chain.group_labels))
-            raise SoftmapError(f"{len(groups)} parameters wanted ({', '.join(groups)}), got {params.shape}")
+            raise SoftmapError(f"{len(groups)} parameters expected ({', '.join(groups)}), got {params.shape}")
         if not np.isfinite(params).all():
             wrong = next(label for label, value in named(chain, params).items() if not np.isfinite(value))
             raise SoftmapError(f"{wrong} is not a finite number; give one")

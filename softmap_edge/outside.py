@@ -72,8 +72,8 @@ def _uncovered(model: Model, run: Run) -> list[str]:
     return [
         f"{count} of {len(u)} frames ({100 * count / len(u):.0f} %) are unlike what '{model.robot}' was learned from "
         f"(leverage up to {float(coverage.excess(u).max()):.3g} times the largest there): "
-        f"{where or 'each channel stays within its range, but they were not moved together so'}; it extrapolates, and "
-        "its errors there are not known"
+        f"{where or 'each channel stays within its range, but they were never moved together like this'}; "
+        "the model extrapolates, and its errors there are unknown"
     ]
 
 

@@ -64,7 +64,7 @@ def test_a_run_that_leaves_them_is_warned_of_in_one_line():
     reach = 0.6 * together.command_range[:, 1].min()
     apart = reach * np.stack([np.sin(t), -np.sin(t)], axis=1)
     (said,) = beyond(together, run_of(apart, t))
-    assert "they were not moved together so" in said and "goes from" not in said
+    assert "they were never moved together like this" in said and "goes from" not in said
 
 
 def test_it_travels_with_the_bundle_and_is_read_as_a_strangers_file(tmp_path):

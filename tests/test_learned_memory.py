@@ -232,7 +232,7 @@ def test_learn_prints_what_it_put_into_the_chain(loose, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "backlash: memory, law identified, held-out error" in said and "backlash.gap" in said and "±" in said
     assert main(["learn", str(tmp_path / "run.npz"), "--out", str(tmp_path / "map"), "--static"]) == 0
-    assert "not looked for (--static)" in capsys.readouterr().out
+    assert "not tested (--static)" in capsys.readouterr().out
     assert load_bundle(tmp_path / "map").chain_names == () and load_bundle(tmp_path / "map").learned_in == ()
 
 

@@ -72,12 +72,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--kinds", default=",".join(KINDS), help="some of the kinds, with commas")
     parser.add_argument("--parts", default=",".join("/".join(p) for p in PARTS), help="slice/level, with commas")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes at a time")
-    parser.add_argument("--out", type=Path, default=Path("out/bank"), help="folder of the judged cases")
+    parser.add_argument("--out", type=Path, default=Path("out/bank"), help="folder of the scored cases")
     parser.add_argument("--cases", type=Path, help="folder of the cases that were made (OUT/cases)")
     step = parser.add_mutually_exclusive_group()
     step.add_argument("--make", action="store_true", help="only make the cases")
-    step.add_argument("--judge", action="store_true", help="only judge cases that are made")
-    step.add_argument("--table", action="store_true", help="only print what is there")
+    step.add_argument("--judge", action="store_true", help="only diagnose and score cases that are made")
+    step.add_argument("--table", action="store_true", help="only print the table")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
     parts, kinds = [tuple(p.split("/")) for p in args.parts.split(",")], args.kinds.split(",")
@@ -125,7 +125,7 @@ def _judge(wanted: list[Task], cases: Path, out: Path, jobs: int, only_made: boo
 
     wanted = [task for task in wanted if not only_made or Kept(cases / name_of(task)).is_made]
     left = [(task, str(cases), str(out), now) for task in wanted if not finished(task)]
-    print(f"{len(wanted)} cases, {len(left)} to judge, {jobs} at a time → {out}", file=sys.stderr)
+    print(f"{len(wanted)} cases, {len(left)} to score, {jobs} at a time → {out}", file=sys.stderr)
     _each(judge if only_made else work, left, jobs, lambda row: f"{row['hidden']} → {row['named']} {row['verdict']}")
 
 

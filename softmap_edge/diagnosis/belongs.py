@@ -145,7 +145,7 @@ def still(seen: Floats, visible: Mask, expected: Floats, length: float) -> str |
         return None
     return (
         f"The robot does not follow its commands: they should move its points by {wanted:.3g} mm RMS, and the points "
-        f"move by {got:.2g} mm RMS, of which {100 * abs(along):.1f} % go with the commands. No effect is named. Check "
+        f"move by {got:.2g} mm RMS, of which {100 * abs(along):.1f} % follow the commands. No effect is named. Check "
         "that the drive is engaged (power, torque, tendons attached), and that the frames are of this recording."
     )
 

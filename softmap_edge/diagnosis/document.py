@@ -40,7 +40,7 @@ SCHEMA, BEFORE = "softmap.diagnosis/2", "softmap.diagnosis/1"
 VERDICTS = {
     "identified": "identified",
     "ambiguous": "ambiguous: more than one explanation fits",
-    "partly_explained": "partly explained: something unknown is left",
+    "partly_explained": "partly explained: an unknown error remains",
     "nothing": "nothing above the floor",
     "cannot_tell": "these data cannot tell",
     "measurement_fault": "measurement fault",

@@ -116,7 +116,7 @@ def replicates(state: Conditions, seen: Floats, visible: Mask) -> PointNoise | N
     if sum(len(group) - 1 for group in groups) >= MIN_PAIRS:
         value = _within(groups, seen, visible)
         if value is not None:
-            text = f"{len(groups)} commands seen repeatedly; what the robot remembers counts as noise here: {BOUND}"
+            text = f"{len(groups)} commands seen repeatedly; memory of the robot counts as noise here: {BOUND}"
             return PointNoise(value, text, True)
     return None
 

@@ -69,7 +69,7 @@ class Layout:
         """Return the full sets (..., N) of parameter sets (..., L); full sets unchanged."""
         width = params.shape[-1]
         if width not in (len(self.labels), len(self.spread)):
-            raise SoftmapError(f"{len(self.labels)} parameters wanted ({', '.join(self.labels)}), got {width}")
+            raise SoftmapError(f"{len(self.labels)} parameters expected ({', '.join(self.labels)}), got {width}")
         return params if width == len(self.spread) else params[..., self.spread]
 
     def values(self, params: Mapping[str, float], absent: Floats | None = None) -> Floats:

@@ -221,7 +221,7 @@ def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats, measured: No
     own, source = form_error.ravel() ** 2, "the model's own held-out error"
     if repeats is not None:
         static = np.maximum(np.nanmean(residual**2, axis=0) - repeats.variance, 0.0)
-        own, source = np.minimum(own, static), "the part of the model's own error that repeats"
+        own, source = np.minimum(own, static), "the repeatable part of the model's own error"
     inflation = max(1.0, 2.0 * tau / period)
     fast = float(np.trace(measured.covariance))
     mixed = (fast * measured.inflation + float(own.sum()) * inflation) / (fast + float(own.sum()))

@@ -132,7 +132,7 @@ def _memoryless_lines(comparison: Comparison, scale: float) -> list[str]:
     """Return the floor of all models without memory, and the data that show it."""
     floor = comparison.memoryless
     if floor is None:
-        return folded("floor without memory: too few repeated poses to tell", 2)
+        return folded("floor without memory: too few repeated poses to estimate it", 2)
     return [
         f"  {'no memory':<12}{mm(floor.mm):>7}  {bar(floor.mm, scale)}",
         *folded(

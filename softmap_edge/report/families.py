@@ -15,8 +15,8 @@ from softmap_edge.report.style import escaped, section
 
 TITLE = "What the model lacks: the family of effects, then its law"
 PAGE_NOTE = (
-    "A family holds all effects that depend on the same inputs. Its share is that of the error that everything found "
-    "explains; the law's share is what the best known law explains of what the family can do at most."
+    "A family holds all effects that depend on the same inputs. Its share is its part of the explained error. The "
+    "law's share compares the best known law with the flexible representative of the family."
 )
 Row = Mapping[str, Any]
 

@@ -40,7 +40,7 @@ def loop_section(series: Series, unit: str, diagnosis: Mapping[str, Any] | None,
         return ""
     what = "Tip" if body else "Output"
     image = picture(loops(series, unit), f"{what} against command, measured and predicted")
-    note = f"The cycle with the largest error before, {escaped(unit)} (faint: all that was measured)"
+    note = f"The cycle with the largest error before, {escaped(unit)} (faint: all measurements)"
     if body:
         note += (
             ". The tip's displacement along the direction in which the command moves it; 0 is where it is at command 0"

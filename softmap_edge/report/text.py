@@ -45,7 +45,7 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
     lines += _ladder_lines(document.get("error") or {})
     servos = [servo_row(row) for row in document.get("servo") or []]
     lines += _list_lines("Servos: between command and encoder", servos, ": ".join)
-    lines += _list_lines("Alternatives: what explains these data as well", document["alternatives"], _alternative)
+    lines += _list_lines("Alternatives: other explanations of these data", document["alternatives"], _alternative)
     lines += _list_lines("Not testable with these data", untestable_rows(document), _untestable)
     lines += _list_lines("About the run", document.get("remarks"), tamed)
     lines += _unexplained_lines(document.get("unexplained") or {}, unit)

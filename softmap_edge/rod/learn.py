@@ -193,13 +193,13 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
     notes += _dependent(commands, unit)
     if error > USELESS * stray:
         notes.append(
-            f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of always answering the "
+            f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of a constant "
             "mean pose: the commands do not explain these markers, or the run is too short"
         )
     elif error > POOR * stray:
         notes.append(
-            f"the held-out error of {error:.2f} mm RMS is much of the {stray:.2f} mm RMS of always answering the mean "
-            "pose: the mapping may miss a command or have a wrong rate, or the run is short"
+            f"the held-out error of {error:.2f} mm RMS is a large part of the {stray:.2f} mm RMS of a constant "
+            "mean pose: the mapping may miss a command or have a wrong rate, or the run is short"
         )
     vague = [number.label for number in fitted.numbers if number.note]
     if vague:
@@ -227,8 +227,8 @@ def _dependent(commands: Floats, unit: str) -> list[str]:
         terms = " ".join(_term(float(w), int(moving[c]) + 1) for c, w in zip(used, weights[used]))
         sums.append(f"{terms.removeprefix('+ ')} stays at {level:.3g} {unit}")
     return [
-        f"the commands move in {len(moving) - int(still.sum())} of {len(moving)} directions ({'; '.join(sums)}): what "
-        "belongs to one of these commands alone cannot be learned; move each alone, or keep to such moves"
+        f"the commands move in {len(moving) - int(still.sum())} of {len(moving)} directions ({'; '.join(sums)}): "
+        "effects of one of these commands alone cannot be learned; move each alone, or keep to such moves"
     ]
 
 

@@ -337,7 +337,7 @@ class _Search:
         names, after = " or ".join(one.family.name for one in near), self._rms(near[0].losses)
         why = "is left to the diagnosis" if forbidden else "has no law in the library that reaches it"
         self.notes.append(
-            f"the run shows {names} beside the static map (held-out error {self._rms(now):.2f} to {after:.2f} "
+            f"the run shows {names} besides the static map (held-out error {self._rms(now):.2f} to {after:.2f} "
             f"mm RMS), which {why}: it is not in the model"
         )
 

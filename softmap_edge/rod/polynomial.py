@@ -128,7 +128,7 @@ def _degrees(seen: Seen, smallest: int, degree: int | None) -> tuple[int, ...]:
     degrees = degrees if channels > 1 else degrees[-1:]
     if not degrees:
         raise RunError(
-            f"{len(seen.t)} usable frames leave {smallest} to learn from beside a block, too few for a polynomial "
+            f"{len(seen.t)} usable frames leave {smallest} to learn from outside a block, too few for a polynomial "
             f"of {channels} commands; record longer, use fewer blocks or a smaller gap_s"
         )
     return degrees
