@@ -13,7 +13,7 @@ import pytest
 from test_diagnosis import finger_run
 
 from softmap_edge import builtin_model, diagnose
-from softmap_edge.diagnosis import conclusion, decision, search, wording
+from softmap_edge.diagnosis import acceptance, conclusion, decision, search, wording
 from softmap_edge.diagnosis.decision import difference, form_of, leaves_cause, near, reaches, seen_to_fall
 from softmap_edge.diagnosis.findings import Alternative, Number
 
@@ -143,7 +143,7 @@ def accepted(fall=600.0, before=800.0, numbers=100.0, moved=1.0, kind="memory", 
     )  # fmt: skip
     ranking = SimpleNamespace(before=np.full(8, before / 8), static=np.zeros((1, 3)))
     row = SimpleNamespace(loss=np.full(8, (before - fall) / 8), moved_mm=moved, family=SimpleNamespace(kind=kind))
-    return search._accepted(row, ranking, state, later, more.get("visible", decision.VISIBLE_MM))
+    return acceptance.accepted(row, ranking, state, later, more.get("visible", decision.VISIBLE_MM))
 
 
 def test_a_family_is_accepted_by_its_fall_and_by_what_it_moves():
@@ -276,7 +276,7 @@ def test_two_laws_of_two_families_are_found_together(monkeypatch):
     now = diagnose(builtin_model(), run)
     assert {e.name for e in (*now.faults, *now.effects)} == {"gain", "mount"}
     assert now.error.after < 0.3 * now.error.before
-    monkeypatch.setattr(search, "_reconsidered", lambda outcome, tell, visible: outcome)
+    monkeypatch.setattr(search, "reconsidered", lambda outcome, more, visible: outcome)
     then = diagnose(builtin_model(), run)
     assert not then.faults and not then.effects
 

@@ -41,8 +41,8 @@ from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.masked import Masked
 from softmap_edge.diagnosis.noise import motion_left
+from softmap_edge.diagnosis.outcome import Outcome, Step
 from softmap_edge.diagnosis.record import Record
-from softmap_edge.diagnosis.search import Outcome, Step
 from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, verdict_of
 from softmap_edge.folds import labelled
 from softmap_edge.own_effect import hashes

@@ -25,10 +25,11 @@ from softmap_edge.diagnosis.findings import plain
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.masked import masked
+from softmap_edge.diagnosis.outcome import Outcome
 from softmap_edge.diagnosis.prepare import candidates_of, problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
-from softmap_edge.diagnosis.search import Outcome, search
+from softmap_edge.diagnosis.search import search
 from softmap_edge.diagnosis.servo import servos
 from softmap_edge.diagnosis.sound import sound_record, stray
 from softmap_edge.diagnosis.wording import OwnMisfit

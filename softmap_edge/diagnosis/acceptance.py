@@ -1,0 +1,142 @@
+"""When a family counts: its fall on held-out folds, ordinary imperfections, and what it cannot be distinguished from.
+
+Units: mm. Pinned by tests/test_decision.py and tests/test_two_levels.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis import decision as rule
+from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
+from softmap_edge.diagnosis.families import RIDGES, Body, Family, Ranking, Representative, State, families
+from softmap_edge.diagnosis.laws import WINDING, Answer
+from softmap_edge.diagnosis.record import Record
+
+Floats = NDArray[np.float64]
+
+CATCH_ALL = "static shape"  # it can stand for any static law, so it is taken only where no other family is
+ASKED = 3  # near families whose laws are tried
+SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken
+
+
+def falls_on(before: Floats, after: Floats, body: Body, share: float = rule.FALL_NEXT) -> bool:
+    """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise.
+
+    Where the loss is no more than noise, the noise is estimated too large or nothing is missing. Then the share is of
+    the complete loss.
+    """
+    fall, total = difference(before, after), float(before.sum())
+    least = rule.FALL_FIRST * total if total <= body.problem.numbers else rule.FALL * total
+    above = max(0.0, total - rule.ABOVE_NOISE * body.problem.numbers)
+    return seen_to_fall(fall) and fall.fall >= max(least, share * above)
+
+
+def accepted(row: Representative, ranking: Ranking, state: State, later: bool, visible: float) -> bool:
+    """Whether a family is accepted: its loss falls far enough, in enough folds, and its effect size is visible."""
+    problem = state.body.problem
+    if not falls_on(ranking.before, row.loss, state.body, rule.FALL_NEXT if later else rule.FALL_FIRST):
+        return False
+    noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0) if problem.noise.replicates else 0.0
+    static = row.family.kind == "static"
+    if static and not beyond_ordinary(ranking, state):
+        return False
+    record, rod = state.body.record, state.body.record.model.kind == "rod"
+    if static and rod and difference(ranking.before, row.loss).fall < rule.FALL_NEXT * float(ranking.before.sum()):
+        return False  # a rod's own error is static too, and part of its noise
+    return row.moved_mm >= max(visible, float(noise), record.form_mm if static and not rod else 0.0)
+
+
+def is_ordinary(ranking: Ranking, state: State) -> bool:
+    """Whether the best family is static, and all static misfit no more than ordinary imperfections may be."""
+    best = ranking.rows[0].family.kind if ranking.rows else ""
+    return best == "static" and state.body.ordinary_mm > 0.0 and not beyond_ordinary(ranking, state)
+
+
+def beyond_ordinary(ranking: Ranking, state: State) -> bool:
+    """Whether the static misfit is more than ordinary imperfections of the robot."""
+    return _static_mm(ranking, state) >= rule.DOMINATES * state.body.ordinary_mm
+
+
+def _static_mm(ranking: Ranking, state: State) -> float:
+    record = state.body.record
+    return record.rms_mm(np.where(np.isfinite(record.seen), ranking.static, np.nan))
+
+
+def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
+    """Return the level of the robot's ordinary static imperfections, mm RMS.
+
+    Where one effect dominates the static misfit, it is the rest of it; else it is all of it, the sum of many small
+    imperfections. It is limited to a share of the motion: anything larger is an effect.
+    """
+    body, record = state.body, state.body.record
+    seen, level = np.isfinite(record.seen), state.body.level()
+    static = [f for f in every if f.kind == "static"]
+    names = dict.fromkeys(e for f in static for e in f.members if e in body.candidates and e != WINDING)
+    singles = {name: own for name in names if (own := body.single(name)) is not None}
+    singles |= body.curves(state.commands, state.slopes)
+    for name, own in singles.items():
+        body.add(level, name, own)
+    level.close(np.ascontiguousarray(body.modes(state.residual)))
+
+    def size(shift: Floats) -> float:
+        return record.rms_mm(np.where(seen, shift, np.nan))
+
+    total = size(ranking.static)
+    crossed = [row.columns.shift(row.theta) for row in ranking.rows if row.family.name == "coupling"]
+    shifts = crossed + [own.shift(np.asarray(level.theta([n], [RIDGES[0]])[0])) for n, own in singles.items()]
+    pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
+    left, moved = min(pairs, default=(total, 0.0))
+    motion = motion_mm(record)
+    level_mm = min(left if moved >= rule.DOMINATES * left else total, rule.ORDINARY * motion)
+    return float(max(level_mm, record.frame_mm))  # a frame is as ordinary as its alignment says
+
+
+def motion_mm(record: Record) -> float:
+    """Return how far the body moves about its mean, mm RMS; features that are never seen do not count."""
+    seen = np.isfinite(record.seen)
+    mean = np.where(seen, record.seen, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    return record.rms_mm(record.seen - mean)
+
+
+def one_pose(body: Body) -> bool:
+    """Whether the commands never change: one shape is seen, and two laws are one too many."""
+    return not np.any(np.ptp(body.record.command, axis=0))
+
+
+def order_of(family: Family) -> int:
+    return 0 if family.name == "static map" else SIMPLER[family.kind]
+
+
+def indistinct(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
+    """Whether a family cannot be distinguished from the first one; if only it leaves more than noise, it can."""
+    if rule.leaves_cause(other.loss, first.loss, state.body.problem.numbers):
+        return False
+    if other.resolved and first.resolved:
+        return near(other.loss, first.loss, ranking.before) and other.numbers <= first.numbers + 2
+    if first.resolved and first.family.kind == "static" and other.family.name == CATCH_ALL:
+        return False  # it can be any static law, this one too
+    reference = first.loss if first.resolved else first.representative.loss
+    if not near(other.representative.loss, reference, ranking.before):
+        return False
+    return not (order_of(first.family) < order_of(other.family) and _does_the_same(other, first, ranking, state))
+
+
+def _does_the_same(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
+    """Whether what a family does here is what a static map of the commands, or the first one, can do as well."""
+    body = state.body
+    theta = ranking.level.theta([*ranking.names, other.family.name], [*ranking.ridges, other.representative.ridge])[-1]
+    target = np.asarray(ranking.level.fitted(other.family.name, theta))
+    names = dict.fromkeys(("static map", "coupling", first.family.name))
+    rows = []
+    for family in families():
+        if family.name in names and (columns := body.columns(family, state.commands, state.slopes)) is not None:
+            rows.append(body.modes(columns.base)[columns.which] * columns.weight[:, :, None])
+    x = np.concatenate(rows).reshape(sum(map(len, rows)), -1)
+    gram = x @ x.T
+    gram.flat[:: len(gram) + 1] += RIDGES[0]
+    z = target.ravel()
+    return bool(1.0 - np.sum((z - np.linalg.solve(gram, x @ z) @ x) ** 2) / max(float(z @ z), 1e-300) > rule.MIMIC)

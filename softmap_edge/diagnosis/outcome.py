@@ -1,0 +1,100 @@
+"""What a search holds and returns: the families it took, their joint fit, and the representatives alongside.
+
+A resolved law joins the fit. A family without a law stays as its representative: what that explains is taken off what
+is seen before the next fit. Pinned by tests/test_two_levels.py.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis import decision as rule
+from softmap_edge.diagnosis.families import Body, Family, Representative, State, ranked
+from softmap_edge.diagnosis.fit import Fit, Problem
+from softmap_edge.diagnosis.fits import Fits
+from softmap_edge.diagnosis.laws import Answer
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One family that was taken: its answer at level 2, and the families that this run cannot distinguish from it."""
+
+    answer: Answer
+    others: tuple[Answer, ...]
+
+    @property
+    def family(self) -> Family:
+        """The family."""
+        return self.answer.family
+
+
+@dataclass(eq=False)
+class Outcome:
+    """What a search found: its steps in order, the joint fit with the representatives alongside, and a hint at more."""
+
+    body: Body
+    fits: Fits
+    plain: Fits  # without the representatives
+    state: State
+    null: Floats  # (folds,) held-out loss of the model alone
+    loss: Floats  # (folds,) held-out loss of what was found
+    steps: list[Step] = field(default_factory=list)
+    hint: Representative | None = None  # the best family, if it was not accepted but falls
+
+    @property
+    def ordinary_mm(self) -> float:
+        """Ordinary static imperfections of the robot, RMS, apart from what was found."""
+        return self.body.ordinary_mm
+
+    @property
+    def fit(self) -> Fit:
+        """The laws that were found, fitted together."""
+        return self.state.fit
+
+    @property
+    def open(self) -> int:
+        """How many families have no law."""
+        return sum(not step.answer.resolved for step in self.steps)
+
+    @property
+    def left(self) -> float:
+        """Unexplained share of what stood above the noise, in loss or in mean square, whichever is larger."""
+        problem, record = self.body.problem, self.body.record
+        noise = rule.ABOVE_NOISE * problem.numbers
+        in_loss = (self.loss.sum() - noise) / max(float(self.null.sum()) - noise, 0.25 * noise)
+        own = max(record.form_mm**2 + self.ordinary_mm**2, problem.noise.rms_mm(record.positions) ** 2)
+        start = record.rms_mm(record.seen - self.fits.null.predicted) ** 2
+        residual = self.state.residual  # it is whitened: in mm, imperfections may explain more than is there
+        now = min(record.rms_mm(residual), record.rms_mm(residual - self.state.ordinary)) ** 2
+        return float(max(0.0, in_loss, (now - own) / max(start - own, own)))
+
+
+def held_out_loss(outcome: Outcome) -> Floats:
+    """Return the held-out loss (folds,) of what was found, with the families of imperfections where they lower it."""
+    state = outcome.state
+    ways = [state, State(state.body, state.fit, state.beside)] if state.background else [state]
+    return min((ranked(way, [], []).found for way in ways), key=lambda loss: float(loss.sum()))
+
+
+def with_family(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
+    """Return state and fits with a family taken: its law joins the fit, or else its representative stands alongside."""
+    if answer.law is not None and answer.law.fit is not None:
+        return State(state.body, answer.law.fit, state.beside, state.background), fits
+    beside = (*state.beside, answer.representative)
+    there = State(state.body, state.fit, beside)
+    fits = Fits(shifted(state.body.problem, there.shift), fits.candidates)
+    return State(state.body, fits.get(state.fit.effects, state.fit.space.split), beside, state.background), fits
+
+
+def shifted(problem: Problem, shift: Floats) -> Problem:
+    """Return a problem with a shift (K, F) mm taken off what is seen."""
+    moved = copy(problem)
+    moved.record = copy(problem.record)
+    moved.record.seen = problem.record.seen - shift
+    return moved
