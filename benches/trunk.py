@@ -111,7 +111,7 @@ def table(run: Run) -> Iterator[dict[str, float | str]]:
 
 
 def inputs(run: Run, rod: LearnedRod) -> Floats:
-    """Return what drives the rod at its frames (n, C): commands after the effects that were found."""
+    """Return the effective commands of the rod at its frames (n, C), after the learned effects."""
     (frames,) = rod.frames
     drive = Drive(Record(run.commands(rod.input), run.t, run.t_seen[frames]))
     return drive.acting(rod.chain_names, rod.chain_params)

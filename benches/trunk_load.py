@@ -31,7 +31,7 @@ HALVES = {
     "second half": ((73.0, 151.0), (75.0, 135.0), (137.0, 151.0)),
     "first half": ((-1.0, 77.0), (0.0, 60.0), (62.0, 75.0)),
 }
-OTHER_DRIVE = {"latency.delay": 0.175, "lag.tau": 0.05}  # s, which the page names as the rival of a pure delay
+OTHER_DRIVE = {"latency.delay": 0.175, "lag.tau": 0.05}  # s, which the page names as an alternative to a pure delay
 SETS: tuple[tuple[str, ...], ...] = (
     (),
     ("offset",),

@@ -38,14 +38,15 @@ A Python file does as well, everywhere but in the control loop: [own_effect.md](
 At its null values an effect is absent. A fit searches from *low* to *high* (on a logarithmic scale where *low* is
 positive) and begins at *start*. A parameter marked *per channel* has one value for each command: `gain.factor[0]`,
 `gain.factor[1]`. One marked *shared* does too (`backlash.gap[0]`, `backlash.gap[1]`), but one number, `backlash.gap`,
-stands for all channels until they are given or fitted apart. One *per pair* has one for each ordered pair of channels
-(of neighbours, beyond four channels), the one that is moved first: `coupling.factor[0,1]`. A *whole* number is tried,
-not moved. The path from command to camera is `command → transmission → material → shape → sensing`; a chain is always
-composed in this order. Each picture shows one recording, without the effect and with it.
+is used for all channels until they are given or fitted separately. One *per pair* has one for each ordered pair of
+channels (of neighbours, beyond four channels): `coupling.factor[0,1]`, the channel that is moved first. A *whole*
+number is tried at integer values and not optimised. The path from command to camera is
+`command → transmission → material → shape → sensing`; a chain is always composed in this order. Each picture shows one
+recording, without the effect and with it.
 
-Values in mm of command are for commands of ±16 mm; on a robot with another range they are as large a share of it. Where
-the data ask for it a fit goes beyond the search range: *at most 2 half ranges* is twice the largest command, *1 length*
-the weight at the tip that would move it aside by the length of the body, were its answer linear.
+Values in mm of command are for commands of ±16 mm. On a robot with another range they scale with the range. A fit goes
+beyond the search range where the data require it. *At most 2 half ranges* is twice the largest command. *At most 1
+length* is the weight at the tip that would move it sideways by the length of the body if the answer were linear.
 
 Loads move a finger by its fields, which are taken at constant tension of its tendons; the tendons then answer by
 falling slack or taut, a complementarity problem solved at every frame (`rust/cables.rs`). What large loads, and changes

@@ -26,12 +26,12 @@ pub struct Job<'a> {
     pub cameras: Vec<Camera>,
     /// Clock of each group.
     pub clock: Vec<usize>,
-    /// Group (sets with equal parameters of what acts, clock and numbers of the prior) of each set, how many sets are in
-    /// it, and what bends in it.
+    /// Group of each set (sets with equal parameters of effective commands, clock and numbers of the prior), number of
+    /// sets in it, and its bending.
     pub group: Vec<usize>,
     pub members: Vec<usize>,
     pub bodies: Vec<Body>,
-    /// u_eff and what shape effects remember of it, (groups, K, C + M) at the seen times.
+    /// u_eff and the memory of the shape effects, (groups, K, C + M) at the seen times.
     pub acting: Vec<f64>,
 }
 
@@ -134,7 +134,7 @@ impl Job<'_> {
         &self.row(group, k)[..self.chain.channels()]
     }
 
-    /// What the shape effects remember (M,) of a group at a seen frame.
+    /// The memory of the shape effects (M,) of a group at a seen frame.
     pub fn remembered(&self, group: usize, k: usize) -> &[f64] {
         &self.row(group, k)[self.chain.channels()..]
     }

@@ -170,8 +170,8 @@ impl Predictor {
         self.loads_at(job.chain, set, u, remembered, job.context(b, k))
     }
 
-    /// Coefficients of the fields where `u` acts after what is `remembered`, what the context declares among them; a field that is wanted but absent is
-    /// an error.
+    /// Coefficients of the fields at the effective command `u` with the memory `remembered`, including those that the
+    /// context declares; a required field that is absent is an error.
     pub(super) fn loads_at(
         &self,
         chain: &Chain,

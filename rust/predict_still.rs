@@ -1,8 +1,8 @@
-//! A predictor in a world that stays as it is, as a shape: what inverse kinematics asks.
+//! A predictor under constant conditions, as a shape: the model of inverse kinematics.
 //!
-//! out = prior(u) + Σ c_k(u)·field_k(u) + …, u what acts on the body; nothing is sensed. Slopes of the prior are its own; those
-//! of what loads do are central differences over [`STEP`] to both sides, which loads change slowly over. Shape effects with a
-//! memory have none of it here: they are as at rest.
+//! out = prior(u) + Σ c_k(u)·field_k(u) + …, u the effective command at the body; nothing is sensed. Slopes of the
+//! prior are its own. Slopes of the loads' answers are central differences over [`STEP`] to both sides, because they
+//! change slowly. Shape effects with a memory are taken at rest, without memory.
 
 use super::Predictor;
 use super::job::Body;
@@ -20,7 +20,7 @@ struct Still {
     body: Body,
     chain: Chain,
     params: Vec<f64>,
-    /// What the chain's shape effects remember (M,): nothing.
+    /// Memory of the chain's shape effects (M,): none.
     relaxed: Vec<f64>,
     context: Context,
 }

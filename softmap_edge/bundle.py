@@ -7,17 +7,17 @@ prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattere
 template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh;
                 handles, where not all vertices are
 fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands; `second_…`
-                what loads do beyond
+                the second order of the loads
 effects.json    the chain: names and parameters
 prior.onnx      a trained prior; `prior.npz` then holds how its tendons pull. A graph that only onnxruntime reads
-                becomes a table of what that makes of it (`network.elsewhere`)
-residual.npz    what was learned on top of the prior (`softmap adapt`), if anything: as a scattered family, or as
+                becomes a table of its outputs (`network.elsewhere`)
+residual.npz    the residual learned on top of the prior (`softmap adapt`), if any: as a scattered family, or as
 residual.onnx   a network
-NAME_step       beside an array of whole numbers NAME in an archive: NAME counts these steps
-NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run only where whoever
-                loads the bundle has loaded that very file before (`load_effect`), or says so when asked
-calibration.json   what the ticks of the servos are in commands (`softmap calibrate`), if that is known
-safety.toml     what the finger may be asked (`safety.py`); may be edited: another hash than the manifest's is told, and
+NAME_step       next to an array of whole numbers NAME in an archive: NAME counts these steps
+NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run only if the user
+                has loaded the same file before (`load_effect`) or confirms it
+calibration.json   the map from servo ticks to commands (`softmap calibrate`), if it is known
+safety.toml     limits of the finger (`safety.py`); may be edited: another hash than the manifest's is reported, and
                 every limit is checked whatever its hash
 """
 
@@ -265,7 +265,7 @@ def _model(folder: Path, manifest: dict[str, Any]) -> Model:
         from softmap_edge.rod.learn import rod_from_arrays
 
         prior, fields = rod_from_arrays(arrays["prior"])
-        Coverage.from_arrays(arrays["prior"], manifest["channels"])  # or says what is wrong with it
+        Coverage.from_arrays(arrays["prior"], manifest["channels"])  # or reports what is wrong with it
         cables = second = None
     rest = template.rest
     if prior.size != rest.size:

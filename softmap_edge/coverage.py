@@ -1,10 +1,11 @@
-"""Where a learned model has seen commands: the leverage of a quadratic in what acts, in place of a box per channel.
+"""Commands that taught a learned model, by the leverage of a quadratic in the effective commands.
 
     h(v) = φᵀ (ΦᵀΦ/n + ε)⁻¹ φ,   φ = [1, q, q², q_i q_j],   q = (v − middle)/half
 
-h/n is the diagonal of the hat matrix of that regression: a prediction's variance there, in units of the noise's. A
-command whose channels are each within their range, but which were never moved together, has a large h. Directions that
-the runs never moved count as far as ε allows. The limit is the largest h of the frames that taught the model.
+h/n is the diagonal of the hat matrix of this regression: the variance of a prediction there, in units of the noise
+variance. h is large for a command whose channels are each within their range but were never moved together. For
+directions that the runs never moved, ε sets the tolerance. The limit is the largest h of the frames that taught the
+model.
 Source: Hoaglin and Welsch, The American Statistician 32 (1978) 17. Pinned by tests/test_coverage.py.
 """
 
@@ -21,13 +22,13 @@ from softmap_edge.errors import SoftmapError
 
 Floats = NDArray[np.float64]
 
-EPSILON = 1e-5  # of a feature's mean square: leaving a direction that never moved by 1 % of the range counts by 10
+EPSILON = 1e-5  # of a feature's mean square: 1 % of the range along a direction that never moved counts as 10
 LARGER = 1.5  # times the largest leverage: a single channel reaches it 10 % of its half range beyond
 
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """What taught a model: `middle` and `half` (C,) of what acted, `root` (F, F), `most` (1,); h = |φ root|² ≤ most."""
+    """Commands that taught a model: `middle` and `half` (C,), `root` (F, F), `most` (1,); h = |φ root|² ≤ most."""
 
     middle: Floats
     half: Floats
@@ -36,7 +37,7 @@ class Coverage:
 
     @classmethod
     def of(cls, acting: Floats) -> Coverage:
-        """Return the coverage of what acted (n, C) while a model was learned."""
+        """Return the coverage of the effective commands (n, C) that taught a model."""
         low, high = acting.min(axis=0), acting.max(axis=0)
         half = np.where(high > low, 0.5 * (high - low), 1.0)
         features = _features((acting - 0.5 * (low + high)) / half)
@@ -45,7 +46,7 @@ class Coverage:
         return cls(0.5 * (low + high), half, root, np.array([float(((features @ root) ** 2).sum(axis=1).max())]))
 
     def excess(self, acting: Floats) -> Floats:
-        """Return the leverage (n,) of what acts (n, C) over the largest that taught the model."""
+        """Return the leverage (n,) of effective commands (n, C), relative to the largest that taught the model."""
         features = _features((acting - self.middle) / self.half)
         return np.asarray(((features @ self.root) ** 2).sum(axis=1) / self.most[0])
 
@@ -54,15 +55,15 @@ class Coverage:
         return np.asarray(self.excess(acting) > LARGER)
 
     def to_arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return the arrays that stand in `prior.npz`."""
+        """Return the arrays as `prior.npz` holds them."""
         return {f"coverage_{name}": getattr(self, name) for name in ("middle", "half", "root", "most")}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], channels: int) -> Coverage | None:
-        """Read the arrays of `prior.npz`; None where there are none.
+        """Read the arrays of `prior.npz`; return None if it has none.
 
         Raises:
-            SoftmapError: some are missing, or do not fit a model of that many channels.
+            SoftmapError: arrays are missing, or do not fit a model of that many channels.
         """
         if not any(name.startswith("coverage_") for name in arrays):
             return None

@@ -1,7 +1,7 @@
-"""What a learned model holds beside its static map: effects that were in the robot while it was learned.
+"""Effects that a learned model holds with its static map: they were in the robot while it was learned.
 
-`softmap learn` writes one record for each effect that it put into the chain. They stand in the manifest of a bundle,
-under `made_from.learned_in`, and are checked like any untrusted file when they are read. `Model.learned_in` returns
+`softmap learn` writes one record for each effect that it adds to the chain. The records stand in the manifest of a
+bundle, under `made_from.learned_in`, and are checked like any untrusted file on reading. `Model.learned_in` returns
 them. Pinned by tests/test_learned_in.py.
 """
 
@@ -37,7 +37,7 @@ class LearnedNumber:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another effect, or a family without a law of its own (`name` is empty), and its held-out error in mm RMS."""
+    """Another effect, or a family without a law (`name` is empty), and its held-out error in mm RMS."""
 
     name: str
     family: str
@@ -51,9 +51,10 @@ class Alternative:
 class LearnedIn:
     """An effect that a model was learned with.
 
-    `name` is the effect in the chain. `law` is `identified`, `ambiguous` (weak evidence, or an alternative of another
-    family or with as few numbers fits as well) or `open` (a number stands at its bound, or no law of the library fits
-    as well as the family can). `before_mm` and `after_mm` are held-out errors, RMS, without the effect and with it.
+    `name` is the effect in the chain. `law` is one of three. `identified`: no alternative fits. `ambiguous`: the
+    evidence is weak, or an alternative of another family, or with as few numbers, fits as well. `open`: a number is at
+    its bound, or no law of the library fits as well as the family. `before_mm` and `after_mm` are held-out errors, RMS,
+    without and with the effect.
     """
 
     name: str
@@ -80,7 +81,7 @@ class LearnedIn:
         """Read a record of a manifest.
 
         Raises:
-            SoftmapError: a key is unknown or missing, or a value is not what it should be.
+            SoftmapError: a key is unknown or missing, or a value has the wrong type or range.
         """
         values = _checked(cls, document)
         if values["law"] not in get_args(Law):
@@ -91,7 +92,7 @@ class LearnedIn:
 
 
 def read_learned_in(document: object) -> tuple[LearnedIn, ...]:
-    """Return the records of a manifest's `made_from.learned_in`; none where it is missing.
+    """Return the records of a manifest's `made_from.learned_in`; none if it is missing.
 
     Raises:
         SoftmapError: it is not a list of at most 32 records, or one of them is not a record.

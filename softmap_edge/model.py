@@ -1,10 +1,10 @@
-"""The model: what turns commands into shapes. Comparison, diagnosis and control see only this face.
+"""The model: the map from commands to shapes. Comparison, diagnosis and control use only this interface.
 
     command ─chain of effects─> u_eff ─prior f(u_eff) + Σ cₖ·Sₖ(u_eff)─sensing effects─> points
 
-The prior is a table or a scattered family (a sweep) or a rod (fitted to a run); whoever uses a model cannot tell which.
-Parameters of effects live in one place, `chain_params`, in the order of `chain.labels`; by label (`chain_labels`) one
-number stands for all channels while they have the same.
+The prior is a table or a scattered family (a sweep) or a rod (fitted to a run); users of a model see no difference.
+Parameters of effects are kept in one place, `chain_params`, in the order of `chain.labels`. By label (`chain_labels`)
+one number is used for all channels while their numbers are equal.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Model:
     residual: Shape | None = None  # commands (n, C) to flattened points (n, 3N) mm
     calibration: Calibration | None = None  # of the servos: what a run's ticks are in commands
     handles: NDArray[np.int64] | None = None
-    output: Output | None = None  # what the markers stand for, of a model of forces, angles, levels
+    output: Output | None = None  # meaning of the markers, for a model of forces, angles, levels
     safety: Safety | None = None  # what the finger may be asked; a model of before has none
     _views: dict[tuple[bytes, bool], views.View] = field(default_factory=dict, init=False, repr=False)
 
@@ -118,9 +118,9 @@ class Model:
 
     @cached_property
     def weight_per_length(self) -> float:
-        """The weight (g) at the tip that would move it aside by the length of the body, were its answer linear.
+        """The weight (g) at the tip that would move it sideways by the length of the body if the answer were linear.
 
-        0 without fields. Where the stiffness is not known it is in the model's own scale of loads.
+        0 without fields. If the stiffness is not known, it is in the model's own scale of loads.
         """
         sideways = [self.fields[name] for name in ("tip_force_x", "tip_force_y") if name in self.fields]
         home = np.zeros((1, self.channels))
@@ -140,7 +140,7 @@ class Model:
 
     @cached_property
     def learned_in(self) -> tuple[LearnedIn, ...]:
-        """What was in the robot while the model was learned (`softmap learn`); none for a model of a simulator."""
+        """Effects that were in the robot while the model was learned (`softmap learn`); none for a simulator."""
         return read_learned_in(self.made_from.get("learned_in"))
 
     def taught_by(self, run: Run) -> bool:
@@ -149,7 +149,7 @@ class Model:
 
     @cached_property
     def coverage(self) -> Coverage | None:
-        """Where a learned model has seen commands; None where that was not kept."""
+        """The commands that taught a learned model; None if they were not kept."""
         return Coverage.from_arrays(self.arrays.get("prior", {}), self.channels)
 
     @property
@@ -190,11 +190,11 @@ class Model:
     def with_effects(self, names: Sequence[str], params: Floats | Mapping[str, float]) -> Model:
         """Return a model whose chain holds exactly `names` with `params` (in chain order, or by label).
 
-        A parameter that channels share may be given once (`backlash.gap`) or for each (`backlash.gap[1]`); in chain
-        order all of them are given once, or all for each channel.
+        A parameter that channels share may be given once (`backlash.gap`) or for each channel (`backlash.gap[1]`). In
+        chain order either all of them are given once, or all for each channel.
 
-        By label, `params` may hold changes of the prior's numbers as well (`changes`). Without an effect that changes
-        its law the prior has the numbers that it had before one was added.
+        By label, `params` may also hold changes of the prior's numbers (`changes`). Without an effect that changes its
+        law, the prior has the numbers from before such an effect was added.
         """
         chain = _core.Chain(list(names), self.channels)
         if isinstance(params, Mapping):
@@ -210,7 +210,7 @@ class Model:
         params = spread(chain, np.asarray(params, float))
         if params.shape != (len(chain.labels),):
             groups = list(dict.fromkeys(chain.group_labels))
-            raise SoftmapError(f"{len(groups)} parameters wanted ({', '.join(groups)}), got {params.shape}")
+            raise SoftmapError(f"{len(groups)} parameters expected ({', '.join(groups)}), got {params.shape}")
         if not np.isfinite(params).all():
             wrong = next(label for label, value in named(chain, params).items() if not np.isfinite(value))
             raise SoftmapError(f"{wrong} is not a finite number; give one")
@@ -377,7 +377,7 @@ class Model:
         return predictor.slopes(chain, np.zeros((1, 0)), self._inputs_at(effective, run), np.asarray(step, float))
 
     def _inputs_at(self, effective: Floats, run: Run) -> _core.Inputs:
-        """Return what the core takes where each seen frame has an effective command of its own."""
+        """Return the core's inputs with one effective command for each seen frame."""
         seen = np.ascontiguousarray(run.t_seen, float)
         at = np.clip(np.searchsorted(np.asarray(run.t, float), seen, side="right") - 1, 0, len(run.t) - 1)
         gravity = np.broadcast_to(self.gravity_reference if run.gravity is None else run.gravity, (len(run.t), 3))

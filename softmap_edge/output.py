@@ -1,8 +1,8 @@
-"""Outputs of any kind: a force, an angle, a level in place of the places of a body.
+"""Outputs of any kind: a force, an angle or a level in place of the positions of a body.
 
 A run of outputs has no geometry. Each output is carried as one marker on a straight line of markers, `mm_per_unit` mm
-along x for one unit of the output, so that every part of the program that takes markers takes it. Reports turn the
-figures back (`Output.value`). Pinned by tests/test_output.py.
+along x for one unit of the output. So every function that takes markers works on it. Reports convert the figures back
+(`Output.value`). Pinned by tests/test_output.py.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from softmap_edge.errors import RunError
 Floats = NDArray[np.float64]
 
 LENGTH_MM = 500.0  # of the line of markers: five times its motion, so that a chord's angle is linear in the output
-RANGE_MM = 100.0  # that the range of the outputs becomes: the motion of a usual finger, whatever the unit
-FARTHEST = 3.0  # ranges from zero: beyond, the angle of a chord says little about the output
+RANGE_MM = 100.0  # range of the outputs inside: the motion of a usual finger, in any unit
+FARTHEST = 3.0  # ranges from zero: beyond, the angle of a chord hardly depends on the output
 DIGITS = 2  # of mm_per_unit: runs of one machine that differ little get the same scale
 MOST = 64  # outputs of a run
 _SCALES = (1e-12, 1e12)  # mm per unit: from pascals to gigapascals
@@ -28,12 +28,12 @@ _SCALES = (1e-12, 1e12)  # mm per unit: from pascals to gigapascals
 
 @dataclass(frozen=True)
 class Output:
-    """What the markers of a run stand for.
+    """The meaning of the markers of a run of outputs.
 
     Attributes:
         names: of the outputs, in the order of the markers.
         unit: of all of them, as reports print it (N, deg, V).
-        mm_per_unit: mm along x that stand for one unit.
+        mm_per_unit: mm along x for one unit.
 
     Raises:
         RunError: a name, the unit or the scale cannot be used.
@@ -77,12 +77,12 @@ class Output:
         return points
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as documents and manifests have it."""
+        """Return the record as documents and manifests hold it."""
         return asdict(self) | {"names": list(self.names)}
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Output:
-        """Read what `to_dict` gave.
+        """Read the result of `to_dict`.
 
         Raises:
             RunError: an entry is missing or of the wrong kind.
@@ -94,7 +94,7 @@ class Output:
 
 
 def output_of(values: ArrayLike, unit: str, names: tuple[str, ...] = ()) -> Output:
-    """Return how outputs (K, Q) in `unit` are carried: the largest range becomes `RANGE_MM`.
+    """Return the scale that carries outputs (K, Q) in `unit`: the largest range becomes `RANGE_MM`.
 
     Raises:
         RunError: no output moves, or a value is not finite.
@@ -115,7 +115,7 @@ def output_of(values: ArrayLike, unit: str, names: tuple[str, ...] = ()) -> Outp
 
 
 def acts_on_outputs(effect: Mapping[str, Any]) -> bool:
-    """Return whether an effect of the registry can act on outputs: on what is commanded, or on the clock.
+    """Return whether an effect of the registry can act on outputs: on the command, or on the clock.
 
     Loads, shapes, obstacles and camera frames belong to a body.
     """
@@ -123,7 +123,7 @@ def acts_on_outputs(effect: Mapping[str, Any]) -> bool:
 
 
 def needs_time(effect: Mapping[str, Any]) -> bool:
-    """Return whether an effect of the registry is a delay, a rate or a time constant, which rows alone do not show."""
+    """Return whether an effect of the registry is a delay, a rate or a time constant, which needs times."""
     units = [p["unit"] for p in effect["parameters"] if p["name"] != "at"]  # an instant is a row as well
     return any(unit == "s" or unit.endswith(("/s", "/min")) for unit in units)
 

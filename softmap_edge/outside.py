@@ -1,7 +1,8 @@
-"""Where a run leaves what a model was made from: commands, shapes, loads that are not applied, points out of reach.
+"""Find commands, shapes, loads and points of a run that lie outside the data of its model.
 
-A trained prior and a residual tell in `made_from` which commands taught them (`span`); those that act are compared. A
-learned rod keeps the leverage of what taught it (`coverage.py`), which knows of combinations of channels as well.
+The `made_from` of a trained prior and of a residual holds the commands that taught them (`span`); effective commands
+are compared with it. A learned rod keeps the leverage of its commands (`coverage.py`), which covers combinations of
+channels as well.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def beyond(model: Model, run: Run) -> list[str]:
 
 
 def _uncovered(model: Model, run: Run) -> list[str]:
-    """Return a sentence where what acts is unlike all that a learned model was made from."""
+    """Return a sentence if the effective commands are unlike all that taught a learned model."""
     coverage, unit = model.coverage, model.command_unit
     if coverage is None or not run.frames:
         return []
@@ -71,8 +72,8 @@ def _uncovered(model: Model, run: Run) -> list[str]:
     return [
         f"{count} of {len(u)} frames ({100 * count / len(u):.0f} %) are unlike what '{model.robot}' was learned from "
         f"(leverage up to {float(coverage.excess(u).max()):.3g} times the largest there): "
-        f"{where or 'each channel stays within its range, but they were not moved together so'}; it extrapolates, and "
-        "its errors there are not known"
+        f"{where or 'each channel stays within its range, but they were never moved together like this'}; "
+        "the model extrapolates, and its errors there are unknown"
     ]
 
 

@@ -257,7 +257,7 @@ def _parameter(where: str, given: Any) -> dict[str, Any]:
     for key in _SWITCHES:
         if not isinstance(found[key], bool):
             raise EffectError(f"{where}: {label}: {key} is {found[key]!r:.40}, expected True or False")
-    found["per_channel"] |= found["shared"]  # one number for each channel, however they are fitted
+    found["per_channel"] |= found["shared"]  # one number for each channel, shared or not in a fit
     for key in _NUMBERS:
         value = found[key]
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):

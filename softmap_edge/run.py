@@ -87,24 +87,24 @@ class Run:
     Attributes:
         t: (T,) s, strictly increasing.
         t_seen: (K,) s, strictly increasing, on the clock of `t`.
-        command, ticks: (T, C) what was commanded, in `command_unit` (mm of shortening) or in servo ticks;
+        command, ticks: (T, C) commands, in `command_unit` (mm of shortening) or in servo ticks;
             one of the two.
-        present, present_ticks: (T, C) what the encoders said, in `command_unit` or in ticks.
+        present, present_ticks: (T, C) encoder positions, in `command_unit` or in ticks.
         current, temperature, load: (T, C) mA, (T,) °C, (T,) g; the last two may be given as one number.
         gravity: (3,) or (T, 3) unit vector in the base frame.
         vertices, markers: (K, N, 3) mm; or `points` (P, 3) mm, cloud k being `points[start[k]:start[k + 1]]`.
         visible: (K, N) bool. sigma: () or (K, N) mm, one standard deviation. block: (K,) integer or text
             labels.
         marker_rest: (M, 3) mm, the markers of the straight robot. robot: its name.
-        frame: (3, 4) [R | mm], what took the points from where they were recorded to the base frame (`softmap align`);
+        frame: (3, 4) [R | mm], transform of the points from the recorded frame to the base frame (`softmap align`);
             frame_sigma: (6,) its standard deviations, deg and mm, about the axes of the base frame.
         cameras: (A, 3, 4) [R | mm], the pose of each camera, from the base frame to its own, in which it looks along z.
-        output: what the markers stand for, where they are no places but forces, angles, levels (`of_outputs`).
+        output: meaning of the markers, if they are forces, angles or levels and not places (`of_outputs`).
         timeless: whether `t` counts rows, because the log has no time: nothing about rates can be learned from it.
-        extra: fields that this version does not know, kept as they are.
+        extra: unknown fields, kept as they are.
 
     Raises:
-        RunError: a field is not as above; the message names it, what it is and what was expected.
+        RunError: a field is not as above; the message gives its name, its value and the expected one.
     """
 
     t: Array
@@ -138,10 +138,10 @@ class Run:
     def of_outputs(
         cls, values: ArrayLike, unit: str, names: Sequence[str] = (), *, t_seen: ArrayLike, **recorded: Any
     ) -> Run:
-        """Return a run of outputs that are no places: forces, angles, levels.
+        """Return a run of outputs other than places: forces, angles, levels.
 
         Args:
-            values: what was measured, shape (K, Q), in `unit`; NaN where an output has no value.
+            values: measured values, shape (K, Q), in `unit`; NaN where an output has no value.
             unit: of all outputs, as reports print it.
             names: of the outputs; numbered without them.
             t_seen: (K,) s.
@@ -236,7 +236,7 @@ class Run:
 
     @property
     def outputs(self) -> Array:
-        """(K, Q) what was measured, in `output.unit`; NaN where an output has no value.
+        """(K, Q) measured values, in `output.unit`; NaN where an output has no value.
 
         Raises:
             RunError: the run is one of places.

@@ -128,7 +128,7 @@ def text(name: str, value: NDArray[Any]) -> str:
 
 
 def outputs_from(stored: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """Take the fields of outputs out of what a file holds; return those of a run that they make.
+    """Replace the fields of outputs in a file by those of a run; return these.
 
     A file may hold `output` (K, Q) in `output_unit`, as a person writes it, in place of markers and their scale.
 
@@ -155,7 +155,7 @@ def outputs_from(stored: dict[str, NDArray[Any]]) -> dict[str, Any]:
 
 
 def stored_outputs(run: Run) -> dict[str, NDArray[Any]]:
-    """Return the fields in which a file keeps what the markers stand for, and that there is no time."""
+    """Return the fields in which a file keeps the meaning of the markers, and that there is no time."""
     found: dict[str, NDArray[Any]] = {"timeless": np.asarray(True)} if run.timeless else {}
     if run.output is None:
         return found

@@ -27,11 +27,11 @@ SAME_PLACE = 0.02  # of a channel's range
 
 
 def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
-    """Return what a run holds, with units in the keys; `missing` and `warnings` are sentences.
+    """Return the contents of a run, with units in the keys; `missing` and `warnings` are sentences.
 
     `collinear` are the conditions that cannot be separated from time or the commands (`collinear.Collinear`, `text`).
     `can_tell` and `cannot_tell` are lists of `{about, tells, text, remedy, minutes}` (`advice.Word`). A `model` with a
-    calibration says what the ticks of the run are in commands. Raises CalibrationError where it is of other servos.
+    calibration converts the ticks of the run to commands. Raises CalibrationError if it belongs to other servos.
     """
     run = converted(model, recorded)
     kind = next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None)
@@ -155,7 +155,7 @@ def _extent(seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> list[list[flo
 
 
 def _outputs(run: Run) -> dict[str, Any] | None:
-    """What the outputs of a run are and their ranges, in their unit."""
+    """The outputs of a run and their ranges, in their unit."""
     if run.output is None:
         return None
     rows = run.outputs

@@ -204,12 +204,12 @@ class Calibration:
 
 
 def converted(model: Any, run: Run) -> Run:
-    """Return the run with its ticks as commands, by the calibration of the model; as it is where either is missing.
+    """Return the run with its ticks as commands, by the calibration of the model; unchanged if either is missing.
 
     Args:
-        model: perhaps with a `calibration`; or learned from ticks, which it takes as commands.
-        run: `ticks` become `command`, `present_ticks` become `present` unless the run has that; what was seen is the
-            same array.
+        model: with or without a `calibration`; or learned from ticks, which it takes as commands.
+        run: `ticks` become `command`, `present_ticks` become `present` unless the run has that; the measured points are
+            the same array.
 
     Raises:
         CalibrationError: the run has another number of servos than the calibration.

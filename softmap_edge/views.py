@@ -103,7 +103,7 @@ def seen_points(model: Model, run: Run) -> Floats:
 
 
 def in_scale_of(model: Model, run: Run, seen: Floats) -> Floats:
-    """Return the markers of a run of outputs in the scale of the model's own; places stay as they are.
+    """Return the markers of a run of outputs in the scale of the model's own; places are unchanged.
 
     Raises:
         RunError: one of the two is of outputs and the other is not, or they are of other outputs.

@@ -81,7 +81,7 @@ class Chain:
 
 
 def acted(names, params, u, t):
-    """What effects make of commands (T, 2) at full rate, (B, T, 2), for parameters (B, P)."""
+    """Effective commands (B, T, 2) of commands (T, 2) at full rate, for parameters (B, P)."""
     column = {label: params[:, i] for i, label in enumerate(Chain(names, 2).labels)}
     u = np.broadcast_to(u, (len(params), *u.shape)).copy()
     dt = t[1] - t[0]
@@ -174,7 +174,7 @@ class Arm:
         )  # fmt: skip
 
     def acting(self, names, params, run):
-        """Commands (B, K, 2) that act when the arm is seen, between samples on a straight line."""
+        """Effective commands (B, K, 2) at the seen times, between samples on a straight line."""
         u = acted(names, params, run.command, run.t)
         rows = [[np.interp(run.t_seen, run.t, column) for column in one.T] for one in u]
         return np.moveaxis(np.array(rows), 1, 2)

@@ -1,6 +1,6 @@
-"""A bending marker rod of its own formula: circle arcs, markers beside the line, seen in dwells and moves.
+"""A bending marker rod with its own formula: circle arcs, markers off the line, seen in dwells and moves.
 
-Nothing of the product's own laws is in it. Units: mm, s, rad.
+It uses none of the library's laws. Units: mm, s, rad.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def visits(places, rng, rate=2.0, dwell=6.0, move=2.0):
 
 
 def tour(rng, rounds=6):
-    """Return places (n, 2) mm: home and four others, again and again in another order."""
+    """Return places (n, 2) mm: home and four others, several times in different order."""
     others = np.array([[9.0, 0], [-9, 0], [0, 9], [0, -9]])
     return [p for _ in range(rounds) for p in ([0.0, 0.0], *others[rng.permutation(4)])]
 
@@ -69,5 +69,5 @@ def at(t, command, seen):
 
 
 def record(t, command, seen, **more):
-    """The fields of a run that conditions look at."""
+    """The fields of a run that `conditions` reads."""
     return SimpleNamespace(t=t, t_seen=seen, **({"gravity": None, "temperature": None} | more))

@@ -18,7 +18,7 @@ LONG = [
 ]  # fmt: skip
 
 
-# Files of which some tests fail while the diagnosis moves to two levels; the list says why, and must become empty.
+# Files in which some tests fail during the change to two levels; the list gives the reasons, and must become empty.
 LISTED = Path(__file__).with_name("in_progress.txt").read_text(encoding="utf-8").splitlines()
 IN_PROGRESS = {line for line in LISTED if line and not line.startswith("#")}
 

@@ -41,7 +41,7 @@ def relaxed(u, t, tau):
 
 
 def each(law):
-    """The law (p, u (T,), t) of one channel for all, each with its own number where `p` has one."""
+    """The law (p, u (T,), t) of one channel for all channels, each with its own number where `p` has one."""
 
     def channels(p, u, t):
         own = [{k: v[c] if np.ndim(v) else v for k, v in p.items()} for c in range(u.shape[1])]
@@ -194,12 +194,12 @@ def gradient_coefficients(p, gravity, u):
 
 
 def relays(p, u):
-    """What a stop holds is what a play of the same half-width lets slip; as a share of that it is the relay (T, C)."""
+    """The relay (T, C): the elongation of a stop (input minus play of the same half-width), as a share of the width."""
     return (u - np.stack([slot(column, p["width"]) for column in u.T], axis=1)) / p["width"]
 
 
 def body_friction_coefficients(p, gravity, u, remembered=None):
-    """The relays (K, C) are those `remembered` at the frames of a longer record, or each row of `u` is a sample."""
+    """The relays (K, C): those `remembered` at the frames of a longer record, or one for each row of `u`."""
     relay = relays(p, u) if remembered is None else remembered
     loading = np.einsum("kc,kc->k", u / np.maximum(np.linalg.norm(u, axis=1), 1e-300)[:, None], relay)
     return loading[:, None] * gradient_coefficients({"gradient": p["amount"]}, gravity, u)
@@ -330,7 +330,7 @@ ORACLES = {
 }
 
 
-# What a shape effect remembers of all the commands that act: it is read at the frames, as the commands are.
+# Memory of a shape effect for all effective commands: it is read at the frames, like the commands.
 REMEMBERED = {"body_friction": relays}
 
 

@@ -47,8 +47,8 @@ def adapted(recorded):
 def test_physics_first_and_a_residual_on_the_rest_beat_either_alone(adapted):
     stood, residual, physics, both = (adapted.error[way] for way in WAYS)
     assert max(physics, residual) < 0.85 * stood and both < 0.5 * min(physics, residual)
-    # Friction remembers: no function of the command mends it. Turned tendons of 0.5 mm are an ordinary imperfection of
-    # a finger that moves by 10 mm, which no diagnosis names and the residual learns.
+    # Friction has memory: no function of the command corrects it. Turned tendons of 0.5 mm are an ordinary imperfection
+    # of a finger that moves by 10 mm; no diagnosis names it, and the residual learns it.
     assert residual > 0.6 * stood and both < 0.35 * stood
     assert set(adapted.model.chain_names) & {"hysteresis", "friction", "backlash"}
 

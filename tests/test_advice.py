@@ -257,7 +257,7 @@ def test_every_candidate_has_its_line(bundle, tmp_path, capsys):
     alike = {name: set(row["alike"]) for name, row in found.items() if row["alike"]}
     assert alike["latency"] == {"clock_shift"} and alike["clock_shift"] == {"latency"}
     loads = alike.get("gravity", set()) | alike.get("payload", set())
-    assert loads <= {"stiffness"}  # two orientations tell loads apart; softness under them needs another load
+    assert loads <= {"stiffness"}  # two orientations separate loads; softness under them needs another load
     assert main(["check", str(tmp_path / "run.npz"), "--bundle", bundle]) == 0
     text = capsys.readouterr().out
     assert all((f"+ {name}" in text) == (name not in hidden) for name in found)

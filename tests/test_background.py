@@ -1,4 +1,4 @@
-"""The level of ordinary imperfections: a known static misfit comes back, memory and noise are none."""
+"""The level of ordinary imperfections: a known static misfit is recovered, memory and noise do not count."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def blank(model, **change):
 
 
 def level(model, moved, seed=0):
-    """The level that is found where the finger is moved by (K, N, 3) mm, and what it truly is over section middles."""
+    """The estimated level for a finger moved by (K, N, 3) mm, and its true level over section middles."""
     run = blank(model)
     rng = np.random.default_rng(seed)
     clean = model.predict(run)
@@ -36,7 +36,7 @@ def level(model, moved, seed=0):
 
 @pytest.mark.parametrize("size", [0.15, 0.4])
 def test_a_static_misfit_comes_back_with_its_error(size):
-    """Not a polynomial: what a tanh of one command and the orientation do along the body."""
+    """Not a polynomial: the displacement along the body by a tanh of one command and the orientation."""
     model, p = builtin_model(), standard_protocol()
     u = np.stack([np.interp(p.t_seen, p.t, c) for c in p.command.T], axis=1)
     lean = p.gravity[np.searchsorted(p.t, p.t_seen, side="right") - 1, 0]
@@ -57,7 +57,7 @@ def test_nothing_static_is_no_level():
 
 @pytest.mark.parametrize(("name", "params"), [("backlash", {"backlash.gap": 1.5}), ("lag", {"lag.tau": 0.15})])
 def test_memory_is_hardly_static(name, params):
-    """A loop has a middle: a play that starts in its middle leaves a part of its misfit to the command alone."""
+    """A loop has a middle: for a play that starts there, a part of the misfit depends on the command alone."""
     model = builtin_model()
     moved = model.with_effects((name,), params).predict(blank(model)) - model.predict(blank(model))
     found, true = level(model, moved)

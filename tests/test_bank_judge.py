@@ -1,4 +1,4 @@
-"""Judged by family: first family, claims on nothing, false identifications, a known law beside an unknown one."""
+"""Scores by family: first family, claims on nulls, false identifications, a known law together with an unknown one."""
 
 import pytest
 
@@ -37,7 +37,7 @@ def told(hidden, document):
 def test_the_first_family_has_to_be_that_of_the_law():
     assert told(["backlash"], said("backlash", families=["memory", "time"]))["family_right"]
     assert not told(["backlash"], said("backlash", families=["time", "memory"]))["family_right"]
-    assert told(["backlash"], said("backlash"))["family_right"] is False  # none are told today
+    assert told(["backlash"], said("backlash"))["family_right"] is False  # none are reported today
     assert told([], said(verdict="nothing", families=[]))["family_right"] is None
     pair = ["backlash", "gain"]
     assert told(pair, said(*pair, families=["static_map", "memory"]))["family_right"]

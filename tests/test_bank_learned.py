@@ -1,4 +1,4 @@
-"""The slice *learned*: recordings of one robot whose law was always there, in the frame of a motion capture."""
+"""The slice *learned*: recordings of one robot whose law was always present, in the frame of a motion capture."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def test_a_capture_moves_and_turns_the_frame_and_nothing_else():
     apart = [np.linalg.norm(p[:, :, None] - p[:, None], axis=3) for p in (points, out)]
     assert np.allclose(*apart) and np.abs(out - points).max() > 5.0
     up = law.seen(np.array([[[0.0, 0.0, 100.0], [0.0, 0.0, 0.0]]]), np.zeros(1))[0]
-    assert np.degrees(np.arccos((up[0] - up[1])[2] / 100.0)) < 8.0  # z stays about the axis
+    assert np.degrees(np.arccos((up[0] - up[1])[2] / 100.0)) < 8.0  # z is still about the axis
 
 
 def test_two_reference_runs_differ_in_size_and_speed_and_the_judge_is_another_kind():

@@ -1,4 +1,4 @@
-"""The slice *odd*: many smooth maps that are no affine ones, laws that do what they say, traps with an answer."""
+"""The slice *odd*: many smooth maps that are not affine, laws that follow their formula, traps with a right answer."""
 
 import numpy as np
 import pytest
@@ -101,7 +101,7 @@ def test_laws_are_what_their_formulas_say():
     assert np.all(gain[T < 30.0] == u[T < 30.0]) and gain[-1] == pytest.approx(1.2 * u[-1])
     for course in ("ramp", "step", "exponential"):
         assert profile(course, T)[0] == 0.0 and profile(course, T)[-1] > 0.98
-    assert np.all(BendingNoise((1.0, 1.0), 20.0, 3).drive(plain, u)[0] == u[0])  # it begins where it should
+    assert np.all(BendingNoise((1.0, 1.0), 20.0, 3).drive(plain, u)[0] == u[0])  # it begins at the command
 
 
 def test_traps_have_an_answer_and_a_temperature_goes_with_time_only_by_chance():

@@ -1,4 +1,4 @@
-"""The slice *shop*: friction along the body is hysteretic in shape, imperfections are as large as they should be."""
+"""The slice *shop*: friction along the body is hysteretic in shape, and imperfections have their stated size."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def test_friction_gives_the_base_more_of_the_bend_while_loading_and_less_while_u
     share = along(np.full(4, 0.3), 0.01, 0.2, past_of(u, [5.0, 15.0]), guessed)
     loading, unloading = share[:, 0]  # of the cable that is pulled
     assert np.all(np.diff(loading) <= 0.0) and loading[-1] < 0.9 and unloading[-1] > 1.0 / 0.9
-    assert share[0, 2, -1] > 1.0  # the cable opposite is let out: it slides the other way
+    assert share[0, 2, -1] > 1.0  # the opposite cable is paid out: it slides the other way
     loads, design = hanging(np.tile([5.0, 0.0], (2, 1))), finger(1)
     plain = settle(design, loads, guessed(loads.pull))
     found = dragged(design, replace(loads, tension=share), plain)
@@ -91,7 +91,7 @@ def test_laws_of_the_shop_are_what_their_formulas_say():
     pull = np.concatenate([ramp, -ramp], axis=1)
     held = SheathFriction((0.1, 0.2, 0.1, 0.1), 2.0).pull(record, pull)
     assert pull[450, :2] - held[450, :2] == pytest.approx([0.1 * 11, 0.2 * 11], rel=1e-2)
-    assert held[450, 2] - pull[450, 2] == pytest.approx(0.1 * 2.0, rel=1e-2)  # it is let out
+    assert held[450, 2] - pull[450, 2] == pytest.approx(0.1 * 2.0, rel=1e-2)  # it is paid out
     drums = CableDrums((0.1, 0.0, 0.2, 0.0), 75.0).pull(record, pull)
     assert drums[450] - pull[450] == pytest.approx([0.1 * 9.0, 0.0, -0.2 * 9.0, 0.0], rel=5e-3, abs=1e-9)
     wound = Winding((0.3, 0.0), (0.0, 0.0), (0.0, 0.5), 4.0, (0.5, 0.0, 0.0, 0.0)).drive(record, ramp)

@@ -1,4 +1,4 @@
-"""Cases are made once: kept as files, found again by what made them, judged from what lies there."""
+"""Cases are made once: kept as files, found again by the digest of their code, scored from these files."""
 
 import json
 
@@ -28,7 +28,7 @@ def test_a_case_that_is_kept_is_the_one_that_was_made(kept_case):
     assert truth["hidden"] == [] and truth["verdicts"] == ["nothing", "cannot_tell"] and truth["runs"] == ["first"]
     assert truth["background_mm"] == pytest.approx(mine.background_mm(), abs=1e-4) and truth["made_by"] == made_by()
     assert kept_case.is_current and kept_case.folder.name == name_of(TASK) == truth["case"]
-    assert [path.name for path in kept_case.folder.parent.iterdir()] == [name_of(TASK)]  # nothing half made
+    assert [path.name for path in kept_case.folder.parent.iterdir()] == [name_of(TASK)]  # no partial files
 
 
 def test_only_what_makes_a_case_makes_it_again(kept_case, monkeypatch, tmp_path):
@@ -95,12 +95,12 @@ def test_making_and_judging_are_two_steps_and_go_on_where_they_were_stopped(tmp_
 
     assert "3 cases, 3 to make" in said("--make")[1] and "3 cases, 0 to make" in said("--make")[1]
     out, err = said("--judge")
-    assert "3 to judge" in err and "3 rows" in out and "0 to judge" in said("--judge")[1]
+    assert "3 to score" in err and "3 rows" in out and "0 to score" in said("--judge")[1]
     folder = tmp_path / "cases" / "development-shop-floor-null-0001"
     truth = json.loads((folder / "truth.json").read_text())
     (folder / "truth.json").write_text(json.dumps(truth | {"made_by": "an older bank"}))
-    assert "1 to judge" in said("--judge")[1] and "0 to judge" in said("--judge")[1]  # as it lies there
-    assert "3 cases, 1 to make" in said("--make")[1] and "1 to judge" in said()[1]
+    assert "1 to score" in said("--judge")[1] and "0 to score" in said("--judge")[1]  # from the files
+    assert "3 cases, 1 to make" in said("--make")[1] and "1 to score" in said()[1]
 
 
 def test_what_is_right_for_a_run_follows_from_its_laws():

@@ -1,4 +1,4 @@
-"""Markers on the base bound where it stands and how far it moves, with honest standard deviations."""
+"""Markers on the base bound its position and its motion, with correct standard deviations."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ PLACE = np.array([[40.0, 0, 2], [-20, 35, 0], [-20, -35, 1], [0, 50, -3]])
 
 
 def turned(points, turn_deg, shift_mm):
-    """Rotation by exponential of a cross product, written anew: about the axis, by its length."""
+    """Rotation by the exponential of a cross product, independent of the library: about the axis, by its length."""
     angle = np.radians(np.linalg.norm(turn_deg))
     axis = np.asarray(turn_deg) / max(np.linalg.norm(turn_deg), 1e-12)
     cross = np.cross(np.eye(3), axis)
@@ -36,7 +36,7 @@ def test_a_misaligned_base_is_measured_against_another_run():
 
 
 def test_a_base_that_stands_excludes_a_turn():
-    """The runs of one day: a mount turned by 1.8° cannot be where the markers of the base say 0.0 ± 0.05°."""
+    """Runs of one day: a mount turned by 1.8° contradicts base markers that show 0.0 ± 0.05°."""
     found = base_motion(run(seed=2), run(seed=3))
     assert found.allows([0, 0, 0], [0, 0, 0]) and not found.allows([0, 0, 0], [1.8, 0, 0])
 

@@ -29,7 +29,7 @@ def test_the_numpy_rollout_gives_the_same_records():
     u = 8 * np.sin(0.7 * t[:, None] + [0.0, 1.0])
     chain = _core.Chain(EFFECTS, 2)
     start = np.asarray(chain.start)
-    params = np.stack([start, 1.1 * start, start * np.linspace(0.7, 1.3, len(start))])  # the last: apart per channel
+    params = np.stack([start, 1.1 * start, start * np.linspace(0.7, 1.3, len(start))])  # the last differs per channel
     ours, theirs = chain.rollout(params, u, t), backlash_and_creep(*numbers(chain, params), u, t)
     assert np.abs(ours - u).max() > 0.1 and np.abs(ours - theirs).max() < 1e-9
 

@@ -1,4 +1,4 @@
-"""A body that is softer all along, and cables that rub along it: effects of the shape that need a load or a memory."""
+"""A softer body, and cables that rub along it: effects of the shape that need a load or a memory."""
 
 from dataclasses import replace
 
@@ -67,7 +67,7 @@ def test_stiffness_is_recovered_under_a_load_and_not_testable_without():
 
 
 def loading(run: Run, width: float) -> np.ndarray:
-    """How far the relays of all channels load the body (K,) at the seen times, read linearly as commands are."""
+    """The load of the body by the relays of all channels (K,) at the seen times, read linearly as commands are."""
     relay = np.stack([(u - slot(u, width)) / width for u in run.command.T], axis=1)
     z, u = (np.stack([np.interp(run.t_seen, run.t, c) for c in a.T], axis=1) for a in (relay, run.command))
     return np.sum(z * u, axis=1) / np.linalg.norm(u, axis=1)
@@ -121,7 +121,7 @@ def test_batches_slopes_and_what_acts_know_the_memory():
     acts = MODEL.acting(names, sets, run)
     assert acts.shape == (3, run.frames, 2)
     np.testing.assert_array_equal(acts, MODEL.acting(("gain",), sets[:, :2], run))
-    # Slopes over what acts leave the memory where it is: those of the gradient that it amounts to.
+    # Slopes over the effective commands leave the memory unchanged: they are those of the equivalent gradient.
     share, k = loading(run, 1.3), 40
     steps = np.array([0.05, 0.05])
     slopes = MODEL.slopes(("body_friction",), sets[0, 2:4], steps, run)[:, k]
@@ -153,7 +153,7 @@ def test_bundles_keep_it_and_plans_say_that_they_do_not_compensate_it(tmp_path):
 
 
 def test_a_fit_goes_beyond_what_is_plausible_as_far_as_the_robot_reaches():
-    """A play of 6 mm of commands of ±16 mm, and 170 g at the tip: further than 4 mm and 150 g, which are plausible."""
+    """A play of 6 mm of commands of ±16 mm, and 170 g at the tip: beyond the plausible 4 mm and 150 g."""
     run = finger_run(["backlash"], {"backlash.gap": 6.0})
     problem = problem_of(record_of(MODEL, run), ["backlash"])
     space = problem.space(("backlash",))

@@ -1,4 +1,4 @@
-"""Conditions that follow time or the commands are reported, those that come back are not; tied channels are found."""
+"""Conditions that follow time or the commands are reported, those that return are not; tied channels are found."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_warming_up_and_cooling_down_is_not_time(share):
 def test_temperature_that_wanders_or_stays_is_not_confounded():
     rng = np.random.default_rng(3)
     assert found(temperature=rng.uniform(15.0, 40.0, len(P.t))) == set()
-    assert found(temperature=22.0 + 0.02 * np.sin(P.t)) == set()  # no change that could do anything
+    assert found(temperature=22.0 + 0.02 * np.sin(P.t)) == set()  # a change too small to have an effect
     assert found(temperature=25.0 + 5.0 * np.sin(2 * np.pi * P.t / 70.0)) == set()
 
 
@@ -89,7 +89,7 @@ def test_check_reports_them():
 
 
 def tendons(count, seed=0):
-    """Groups of three tendons at 120° that add up to zero, as an arm is driven: (T, 3 count)."""
+    """Groups of three tendons at 120° that add up to zero, as on an arm: (T, 3 count)."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 60.0, 0.05)
     angle = np.radians([0.0, 120.0, 240.0])

@@ -1,4 +1,4 @@
-"""Where a learned model has seen commands: leverage knows of combinations, where a box per channel does not."""
+"""Commands that taught a model: leverage covers combinations of channels, a box per channel does not."""
 
 from dataclasses import replace
 
@@ -59,12 +59,12 @@ def test_a_run_that_leaves_them_is_warned_of_in_one_line():
     model, t = learn_model(recorded(seconds=60.0)), np.arange(0.0, 30.0, 0.02)
     assert beyond(model, run_of(wander(t + 3.0, 9.0), t)) == []
     (farther,) = beyond(model, run_of(wander(t, 15.0), t))
-    assert "channel 0 goes from" in farther and "it extrapolates" in farther and "leverage up to" in farther
+    assert "channel 0 goes from" in farther and "extrapolates" in farther and "leverage up to" in farther
     together = learn_model(run_of(np.repeat(wander(t)[:, :1], 2, axis=1) + 0.3 * wander(t + 9.0), t))
     reach = 0.6 * together.command_range[:, 1].min()
     apart = reach * np.stack([np.sin(t), -np.sin(t)], axis=1)
     (said,) = beyond(together, run_of(apart, t))
-    assert "they were not moved together so" in said and "goes from" not in said
+    assert "they were never moved together like this" in said and "goes from" not in said
 
 
 def test_it_travels_with_the_bundle_and_is_read_as_a_strangers_file(tmp_path):

@@ -1,7 +1,7 @@
-"""The rules of decision: comparisons of held-out losses, and each constant by a case that turns when it is moved far.
+"""The rules of decision: comparisons of held-out losses, and for each constant a case that fails if it is changed much.
 
-Losses are given as rows of folds, so that what each rule asks is seen at a glance. The cases at the end run a whole
-diagnosis of the built-in finger, once with the constant as it is and once with it moved.
+Losses are given as rows of folds, so that each rule is easy to read. The cases at the end run a complete diagnosis of
+the built-in finger, once with the constant unchanged and once with it changed.
 """
 
 import re
@@ -41,7 +41,7 @@ def test_a_difference_is_paired_fold_by_fold():
 
 
 def test_a_fold_that_does_not_show_an_effect_speaks_for_neither_side():
-    """Four blocks of one channel alone, in which nothing is coupled, do not outvote four that need the coupling."""
+    """Four blocks of one channel alone, without coupling, do not outvote four blocks that need the coupling."""
 
     def seen(*after):
         return seen_to_fall(difference(FLAT, folds(*after)))
@@ -49,13 +49,13 @@ def test_a_fold_that_does_not_show_an_effect_speaks_for_neither_side():
     assert seen(101, 59, 35, 100, 101, 48, 35, 100)
     assert difference(FLAT, folds(101, 59, 35, 100, 101, 48, 35, 100)).share == 1.0
     assert not seen(20, 130, 130, 130, 100, 100, 100, 100)  # one falls, three rise
-    assert not seen(101, 101, 102, 101, 100, 103, 101, 100)  # it does harm everywhere
+    assert not seen(101, 101, 102, 101, 100, 103, 101, 100)  # it is worse everywhere
     assert seen(99, 99, 99, 99, 98, 99, 98, 99)
     assert not seen(*FLAT)
 
 
 def test_a_rare_event_counts_by_the_folds_that_show_it():
-    """What happens once moves one fold or two: its fall is not beyond one standard error, but none rises."""
+    """A single event affects one fold or two: its fall is within one standard error, but no fold rises."""
     once = difference(FLAT, folds(10, 100, 100, 100, 100, 100, 100, 100))
     assert once.fall <= once.error and once.share == 1.0 and seen_to_fall(once)
     twice = difference(FLAT, folds(10, 190, 100, 100, 100, 100, 100, 100))
@@ -79,15 +79,15 @@ def test_a_law_reaches_within_one_standard_error_or_its_form():
     assert reaches(best, best, 640.0) and reaches(best * 1.09, best, 640.0) and not reaches(best * 1.4, best, 640.0)
     assert reaches(best * 1.4, best, 640.0, form=0.11)
     assert reaches(folds(10, 30, 10, 60, 20, 20, 20, 20), best, 640.0)
-    assert reaches(best * 0.5, best, 640.0)  # what is better reaches
+    assert reaches(best * 0.5, best, 640.0)  # a lower loss reaches
 
 
 def test_what_leaves_more_than_noise_is_no_equal_of_what_leaves_noise():
     noise = np.full(8, 10.0)
     assert leaves_cause(noise * 1.4, noise, 80.0) and leaves_cause(noise * 1.4, noise, 70.0)
-    assert not leaves_cause(noise * 1.2, noise, 80.0)  # noise may be as much
+    assert not leaves_cause(noise * 1.2, noise, 80.0)  # noise may be as large
     assert not leaves_cause(noise * 1.4, noise, 50.0)  # the best leaves more than noise, too: both forms may be off
-    assert leaves_cause(noise * 0.5, noise * 0.1, 80.0)  # the noise is less than was told
+    assert leaves_cause(noise * 0.5, noise * 0.1, 80.0)  # the noise is smaller than stated
 
 
 def test_a_law_that_leaves_noise_is_seen_to_leave_less_than_free_columns():
@@ -105,7 +105,7 @@ def test_a_static_law_need_not_explain_ordinary_imperfections():
     assert form_of(True, 0.0, 0.3) == decision.FORM_MOST
 
 
-# --- constants of the comparisons, each moved to both sides -------------------------------------
+# --- constants of the comparisons, each changed in both directions ---------------------------------
 
 
 @pytest.mark.parametrize(
@@ -161,8 +161,8 @@ def test_a_family_is_accepted_by_its_fall_and_by_what_it_moves():
     assert accepted(kind="static", form=2.0, model="rod")  # whose own error is in its noise
     small = dict(fall=200.0, numbers=100.0)
     assert accepted(**small, kind="static") and accepted(**small, model="rod")
-    assert not accepted(**small, kind="static", model="rod")  # as small may be what it errs on any run
-    assert not accepted(fall=100.0, numbers=801.0) and accepted(numbers=801.0)  # a share of the whole, within noise
+    assert not accepted(**small, kind="static", model="rod")  # a rod may err as much on any run
+    assert not accepted(fall=100.0, numbers=801.0) and accepted(numbers=801.0)  # a share of all loss, within noise
 
 
 @pytest.mark.parametrize(
@@ -226,23 +226,23 @@ def test_a_name_is_as_likely_as_what_speaks_against_it_allows():
     ],
 )  # fmt: skip
 def test_probabilities_follow_the_odds(monkeypatch, name, moved, case):
-    """By more than the 3 % to which probabilities are calibrated."""
+    """By more than the 3 % of the calibration of probabilities."""
     before = probability(**case)
     monkeypatch.setattr(decision, name, moved)
     assert abs(probability(**case) - before) >= 0.028
 
 
-# --- whole diagnoses ----------------------------------------------------------------------------
+# --- complete diagnoses -------------------------------------------------------------------------
 
 
 def imperfect(u):
-    """Many small things at once: a scale, an offset, a wave, a cross term; 0.3 mm RMS together, and none dominates."""
+    """Many small errors at once: a scale, an offset, a wave, a cross term; 0.3 mm RMS together, and none dominates."""
     return 1.01 * u + [0.1, -0.1] + 0.12 * np.sin(0.9 * u) + 0.003 * u[:, ::-1] ** 2
 
 
 @pytest.fixture
 def moved(monkeypatch):
-    """Diagnose with constants as they are, and with some of them moved."""
+    """Diagnose with constants as they are, and with some of them changed."""
 
     def both(run, effects, **constants):
         model = builtin_model()
@@ -255,14 +255,14 @@ def moved(monkeypatch):
 
 
 def test_ordinary_imperfections_are_a_level_and_no_discovery(moved):
-    """On a motion of 10 mm they are left alone; of a robot without any they would be a discovery."""
+    """On a motion of 10 mm they are ignored; for a robot without imperfections they would be a discovery."""
     now, then = moved(finger_run(acting=imperfect), ["gain", "offset", "asymmetry"], ORDINARY=0.0)
     assert not now.families and now.verdict in ("nothing", "cannot_tell")
     assert then.families and then.families[0].kind == "static"
 
 
 def test_what_is_left_of_the_error_beyond_a_tenth_is_unknown(moved):
-    """Half of a play and a delay that is no candidate."""
+    """Half of a play, and a delay that is not a candidate."""
     late = lambda u: np.concatenate([np.tile(u[:1], (6, 1)), u])[: len(u)]  # noqa: E731
     run = finger_run(["backlash"], {"backlash.gap": 1.5}, acting=late)
     now, then = moved(run, ["backlash"], LEFT=10.0, MOST=1)
@@ -278,7 +278,7 @@ def test_at_most_four_families_are_taken(moved):
 
 
 def test_two_laws_of_two_families_are_found_together(monkeypatch):
-    """One after the other, a free static shape takes the share of both and none is named."""
+    """One after the other, a free static shape absorbs the share of both and none is named."""
     run = finger_run(["gain", "mount"], {"gain.factor[0]": 0.8, "gain.factor[1]": 0.8, "mount.shift_x": 2.0})
     now = diagnose(builtin_model(), run)
     assert {e.name for e in (*now.faults, *now.effects)} == {"gain", "mount"}
@@ -316,7 +316,7 @@ def test_a_family_that_does_what_a_static_map_does_is_no_alternative_to_it(moved
 
 
 def test_gross_faults_are_the_verdict_and_small_ones_stand_beside():
-    """Wording has one factor of its own: from twice as far as any physics a fault leads."""
+    """Wording has one factor of its own: a fault leads if it moves the body more than twice as far as any physics."""
     assert wording.GROSS == 2.0 and 0.1 < wording.UNTESTABLE_SHARE < 0.9
 
 

@@ -1,4 +1,4 @@
-"""The page of the bank lists every constant of the decision; the page of words explains every verdict and family."""
+"""The page of the bank lists every constant of the decision; the glossary explains every verdict and family."""
 
 import re
 from pathlib import Path

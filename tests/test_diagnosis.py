@@ -91,7 +91,7 @@ def test_form_error_is_not_physics(monkeypatch):
     for seed in range(2):
         found = diagnosed({}, seed=seed, warp=0.3)
         assert not named(found) & {"latency", "backlash", "creep"}
-    # Of a model that believes to err nowhere, on a robot without imperfections, the same error is a discovery.
+    # For a model with zero model error, on a robot without imperfections, the same error is a discovery.
     monkeypatch.setattr(decision, "ORDINARY", 0.0)
     assert any(diagnosed({}, Arm(form=1e-3), seed=seed, warp=0.3).families for seed in range(2))
 
@@ -250,7 +250,7 @@ LAWS = {
 
 @pytest.mark.parametrize("name", LAWS)
 def test_what_no_effect_explains_is_no_effect(name):
-    """A static law is named where the library has it; without it nothing that takes its place is identified."""
+    """A static law is named if the library has it; without it no replacement is identified."""
     run = finger_run(acting=LAWS[name])
     whole = diagnose(builtin_model(), run)
     assert whole.verdict == "identified" and named(whole) == {name}
@@ -382,22 +382,22 @@ def test_what_nobody_asked_for_is_no_rival():
 
 
 def late(samples):
-    """Commands that act so many samples of 20 ms after they were sent."""
+    """Effective commands that are so many samples of 20 ms late."""
     return lambda u: np.concatenate([np.tile(u[:1], (samples, 1)), u])[: len(u)]
 
 
 def test_what_lies_beyond_a_bound_is_never_identified():
-    """0.56 s of delay where the library allows 0.5: the bound says so."""
+    """0.56 s of delay where the library allows 0.5: the number is at its bound, and this is reported."""
     found = diagnose(builtin_model(), finger_run(acting=late(28)), effects=["latency", "gain", "backlash"])
     assert found.verdict != "identified"
     if found.effects:
         assert found.effects[0].params["latency.delay"].at_bound
         assert "latency.delay is at its bound of 0.5 s" in found.sentence
-        assert found.effects[0].probability <= 1 / (1 + decision.ODDS_DOUBT)  # what acts is not among the laws
+        assert found.effects[0].probability <= 1 / (1 + decision.ODDS_DOUBT)  # the true law is not in the library
 
 
 def test_what_lies_far_beyond_a_bound_is_an_unknown_law_of_its_family():
-    """A second of delay, twice what the library allows, is no robot that does not follow its commands."""
+    """A second of delay, twice the library's limit, still counts as a robot that follows its commands."""
     found = diagnose(builtin_model(), finger_run(acting=late(50)))
     assert found.verdict == "partly_explained" and not found.faults
     assert (found.families[0].name, found.families[0].law) == ("delay", "unknown")

@@ -1,4 +1,4 @@
-"""The document of a diagnosis: a round trip loses nothing, the schema before is read, what is damaged is refused."""
+"""The document of a diagnosis: a round trip loses nothing, the earlier schema is read, damaged files are refused."""
 
 import copy
 import dataclasses
@@ -58,7 +58,7 @@ def fresh():
 
 
 def test_a_round_trip_loses_nothing():
-    """Every field of every record is set to something that is not its default, and comes back."""
+    """Every field of every record is set to a value that is not its default, and is read back."""
     back = Diagnosis.from_dict(fresh())
     for field in dataclasses.fields(Diagnosis):
         if field.name != "model":
@@ -81,7 +81,7 @@ def test_unknown_keys_are_passed_over():
 
 
 def test_the_schema_before_is_read():
-    """A document as the version before wrote it: rivals, no families, an experiment beside each rival."""
+    """A document as the earlier version wrote it: rivals, no families, an experiment for each rival."""
     old = fresh() | {"schema": BEFORE}
     old["rivals"] = [{"member": "backlash", "effects": ["friction"], "why": "near", "experiment": ["loops", 2.0]}]
     for key in ("alternatives", "families"):
@@ -149,7 +149,7 @@ def test_a_damaged_document_gives_one_error_that_says_where(where, value, match)
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 10**400], ids=["nan", "inf", "-inf", "googol"])
 def test_numbers_that_are_not_finite_are_refused(value, tmp_path):
-    """JSON of Python knows NaN and whole numbers beyond any float; a fit knows neither."""
+    """Python's JSON allows NaN and integers beyond any float; a fit has neither."""
     for where in (
         ("effects", 0, "params", "backlash.gap", "value"), ("effects", 0, "params", "backlash.gap", "sigma"),
         ("error", "model"), ("error", "per_fold", 0), ("families", 0, "moved_mm"), ("unexplained", "chi2_per_n"),
@@ -164,7 +164,7 @@ def test_numbers_that_are_not_finite_are_refused(value, tmp_path):
 
 
 def test_every_leaf_in_turn_becomes_junk():
-    """The document is read, or refused with one error: no exception of Python, no silence about what is needed."""
+    """The document is read, or refused with one error: no other exception, and missing entries are reported."""
     refused = 0
     for where in leaves(fresh()):
         for junk in ("x", None, [], {}, -1):

@@ -1,4 +1,4 @@
-"""What a finished search is worth: bounds, what looks alike, what is left, how sure a name is, the static baseline."""
+"""Evidence of a finished search: bounds, equivalent effects, unexplained error, probabilities, the static baseline."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -28,7 +28,7 @@ FEW = ["gain", "latency", "clock_shift", "backlash", "creep", "mount"]
 
 
 def run_of(acting, noise=0.25):
-    """A run of the built-in finger on which another command acts."""
+    """A run of the built-in finger with another effective command."""
     shown, model = standard_protocol(2), builtin_model()
     rest = np.broadcast_to(model.rest, (shown.frames, *model.rest.shape))
     run = Run(shown.t, shown.command, shown.t_seen, vertices=rest, gravity=shown.gravity, robot=model.robot)
@@ -65,7 +65,7 @@ def test_ends_by_nature_are_no_bounds():
 
 
 def test_an_effect_that_does_nothing_here_cannot_be_tested():
-    """Delays show while the robot moves; a run of long dwells hides them, and what is fitted is not asked again."""
+    """Delays show while the robot moves; a run of long dwells hides them, and fitted effects are not tested again."""
     registry = {e["name"]: e for e in _core.effects()}
     fits = fits_of(lambda u: 1.12 * u, ["gain", "latency"])
     assert not_testable(fits, fits.null, registry) == []

@@ -267,7 +267,7 @@ def test_conditions_that_do_not_vary_give_no_columns():
 
 
 def test_a_body_without_channels_has_fields_alone():
-    """A beam that is only weighed: nothing is commanded, and its shape is compared all the same."""
+    """A beam under weight alone: nothing is commanded, and its shape is still compared."""
     t = np.linspace(0.0, 5.0, 20)
     series = _core.Series(np.zeros((20, 0)), t, np.zeros(0), np.zeros(0))
     for row in _core.families():
@@ -304,7 +304,7 @@ def test_invalid_input_is_rejected():
 
 
 def test_orientations_of_other_runs_keep_their_columns():
-    """Of two runs that are fitted together each is seen in one orientation: their columns are the same ones."""
+    """Two runs are fitted together, each seen in one orientation: they have the same columns."""
     p, bank = Plain(2), _core.Bank("load", 2)
     codes, zeros = np.array([4, 7]), np.zeros(len(p.t), int)
     one, other = (_core.Series(p.v, p.t, p.middle, p.half, orientation=zeros + c, orientations=codes) for c in codes)

@@ -1,4 +1,4 @@
-"""Fits of sets of effects: each made once, from starts that find what is hidden, with what each member does."""
+"""Fits of sets of effects: each made once, from starts that find the hidden effects, with the share of each member."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def arm_fits(hidden):
 
 
 def finger_fits(acting, names, noise=0.2):
-    """Fits on a run of the built-in finger on which another command acts."""
+    """Fits on a run of the built-in finger with another effective command."""
     protocol, model = standard_protocol(), builtin_model()
     rest = np.broadcast_to(model.rest, (protocol.frames, *model.rest.shape))
     points = model.predict(Run(protocol.t, acting(protocol.command), protocol.t_seen, vertices=rest))
@@ -59,7 +59,7 @@ def test_a_set_is_fitted_once_whatever_the_order_of_its_names(monkeypatch):
     monkeypatch.setattr(fits.problem, "fit", lambda effects, *a, **k: made.append(effects) or fit(effects, *a, **k))
     pair = fits.get(["gain", "backlash"])
     assert fits.get(("backlash", "gain")) is pair and fits.get(frozenset(pair.effects)) is pair
-    assert len(made) == 2  # the pair, and one member that it grew from
+    assert len(made) == 2  # the pair, and one member that it was built from
     assert fits.get([]) is fits.null and fits.without(fits.get(["gain"]), "gain") is fits.null
     assert fits.losses(pair)[2] is fits.losses(pair)[2]
 
@@ -71,9 +71,9 @@ def test_what_a_member_does_and_its_share_of_what_is_explained():
     assert fits.problem.record.rms_mm(done) > 0.3
     params = fits.problem.record.layout(("payload",)).values({"payload.mass": both.params["payload.mass"]})
     alone = fits.problem.record.predict(("payload",), params[None])[0] - fits.null.predicted
-    assert np.abs(done - alone).max() < 0.2 * np.abs(alone).max()  # the load does the same behind a play
+    assert np.abs(done - alone).max() < 0.2 * np.abs(alone).max()  # the load has the same effect behind a play
     shares = [fits.share(both, name) for name in both.effects]
-    assert all(0.2 < share < 1.2 for share in shares)  # beyond 1 where without it the rest does harm
+    assert all(0.2 < share < 1.2 for share in shares)  # above 1 if the others do harm without it
     assert fits.share(fits.get(["backlash", "payload", "latency"]), "latency") < 0.02
 
 
@@ -106,7 +106,7 @@ def test_every_wiring_is_a_start():
     fits = finger_fits(lambda u: u[:, ::-1], ["servo_swap"])
     space = fits.problem.space(("servo_swap",))
     ways = {int(space.values(start)[0]) for start in starts(fits.problem, "servo_swap")}
-    assert ways == {1, 2, 3}  # a sign of either channel, and the two exchanged
+    assert ways == {1, 2, 3}  # the sign of either channel, and the two exchanged
     assert fits.get(["servo_swap"]).params["servo_swap.case"] == 3.0
 
 
@@ -120,7 +120,7 @@ def test_what_happens_once_is_looked_for_at_instants_all_over_the_run():
 
 
 def test_a_limit_that_is_hardly_reached_is_found():
-    """From the declared start of 8 mm every step is worse than nothing; nearer to no limit at all one is not."""
+    """From the declared start of 8 mm every step makes the fit worse; a start closer to no limit improves it."""
     most = 0.93 * np.abs(standard_protocol().command).max()
     fits = finger_fits(lambda u: np.clip(u, -most, most), ["saturation", "gain"])
     found = fits.get(["saturation"])
@@ -130,7 +130,7 @@ def test_a_limit_that_is_hardly_reached_is_found():
 
 @pytest.mark.parametrize("signs", [(-1, -1, -1, 1), (1, -1, -1, -1), (-1, 1, 1, -1)])
 def test_a_pulley_is_found_whatever_its_signs(signs):
-    """A radius is compared with the signs that suit it: with others the right one would look worst."""
+    """A radius is compared at the signs that fit it: at other signs the right one would look worst."""
     sine, cosine = np.array([1.5, 1.2]) * signs[:2], np.array([0.8, 1.3]) * signs[2:]
     radius = 2.2
     fits = finger_fits(

@@ -47,7 +47,7 @@ def test_public_names_are_loaded_late_and_unknown_ones_are_told():
         softmap_edge.nonsense  # noqa: B018
 
 
-LONGEST = 600  # lines: beyond, a file rarely holds one idea
+LONGEST = 600  # lines: a longer file rarely holds one idea
 
 
 def test_no_file_is_longer_than_a_reader_can_hold_in_mind():

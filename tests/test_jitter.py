@@ -1,4 +1,4 @@
-"""Jitter of the frame with a memory: its covariance and memory come back, and effects of the drive are not jitter."""
+"""Jitter of the frame with a memory: its covariance and memory are recovered, effects of the drive are not jitter."""
 
 import numpy as np
 import pytest
@@ -87,7 +87,7 @@ def test_memory_of_the_drive_is_no_jitter(acting):
 
 
 def test_a_trend_over_the_run_is_no_jitter():
-    """The frame turns by 0.5° and shifts by 0.6 mm over the run, steadily: that is drift, and stays to be found."""
+    """The frame turns by 0.5° and shifts by 0.6 mm over the run, steadily: this drift is not removed as jitter."""
     for seed in range(3):
         rng = np.random.default_rng(seed)
         t, command, seen = visits(tour(rng), rng)
@@ -100,7 +100,7 @@ def test_a_trend_over_the_run_is_no_jitter():
 
 
 def test_slow_jitter_goes_into_the_noise_and_its_frames_count_for_less():
-    """Dwells alone see a sixth of it; whitened, what jitter and noise leave has the variance that is counted."""
+    """Dwells alone show a sixth of it; whitened, the remainder of jitter and noise has the stated variance."""
     ratio, blind, counted = [], [], []
     for seed in range(8):
         seen, own, state = seen_by(seed, 0.2, 0.3, 10.0)
@@ -124,7 +124,7 @@ def test_slow_jitter_goes_into_the_noise_and_its_frames_count_for_less():
 
 
 def test_an_effect_along_the_jitter_is_found_where_it_is_larger():
-    """A base that is 1.5 mm aside, under jitter of 0.3 mm and 10 s memory: 5 standard deviations and more."""
+    """A base that is 1.5 mm off, under jitter of 0.3 mm and 10 s memory: 5 standard deviations and more."""
     seen, own, state = seen_by(3, 0.2, 0.3, 10.0)
     positions = np.ones(8, bool)
     noise = measure_noise(seen - own, seen, positions, state.time, state)
@@ -138,11 +138,11 @@ def test_an_effect_along_the_jitter_is_found_where_it_is_larger():
     signature, residual = white.modes(shift).ravel(), white.modes(seen + shift - own).ravel()
     size = float(signature @ signature)
     assert float(signature @ residual) / size == pytest.approx(1.0, abs=0.3)
-    assert 5.0 < np.sqrt(size) < 0.3 * 1.5 / WHITE * np.sqrt(len(seen) * 8)  # counted as independent it would be
+    assert 5.0 < np.sqrt(size) < 0.3 * 1.5 / WHITE * np.sqrt(len(seen) * 8)  # more if frames counted as independent
 
 
 def test_markers_on_one_line_show_their_other_axes():
-    """No turn about the line is seen: it must not make the others unknown, nor be large itself."""
+    """No turn about the line is seen: this must not make the others unknown, nor be large itself."""
     sizes, true = [], []
     for seed in range(6):
         rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""What a model was learned with is a typed record, saved with the bundle and read as a stranger's file."""
+"""The effects that a model was learned with are typed records, saved with the bundle and read as an untrusted file."""
 
 import json
 

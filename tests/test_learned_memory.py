@@ -1,4 +1,4 @@
-"""A memory that was always in the robot: `learn` names it, with numbers and alternatives, or leaves it out if asked.
+"""A memory that was always in the robot: `learn` names it, with numbers and alternatives, or omits it on request.
 
 The truth is simulated apart from the effect library, or was recorded by others (`../shared/data/memory`).
 """
@@ -26,13 +26,13 @@ DEGREE_MM = np.pi * 100.0 / 180.0  # of the 100 mm circle of the ViO-Com files
 
 
 def wander(t, size=10.0):
-    """Two commands (T, 2) that turn round at many places and never repeat within a minute."""
+    """Two commands (T, 2) that reverse at many places and never repeat within a minute."""
     x = 0.6 * np.sin(0.7 * t) + 0.4 * np.sin(1.9 * t + 1)
     return size * np.stack([x, 0.6 * np.sin(0.9 * t + 2) + 0.4 * np.sin(2.3 * t)], axis=1)
 
 
 def play(u, gaps):
-    """What is left of commands (T, C) behind gaps (C,): whoever pulls must first cross the gap."""
+    """Commands (T, C) behind gaps (C,): the drive must first cross the gap."""
     at, out = u[0].copy(), np.empty_like(u)
     for i, now in enumerate(u):
         for c, gap in enumerate(gaps):
@@ -76,7 +76,7 @@ def test_play_that_was_always_there_is_named_with_its_numbers(found):
     (one,) = found.learned_in
     assert (one.name, one.family, one.law) == ("backlash", "memory", "identified")
     assert found.chain_names == ("backlash",)
-    assert {other.name for other in one.alternatives} <= {"hysteresis"}  # which needs three numbers for as much
+    assert {other.name for other in one.alternatives} <= {"hysteresis"}  # which needs three numbers for the same share
     (gap,) = one.params
     assert gap.value == pytest.approx(1.4, rel=0.03) and abs(gap.value - 1.4) < 4 * gap.sigma
     assert gap.unit == "mm" and not gap.at_bound
@@ -95,7 +95,7 @@ def test_a_robot_without_memory_gets_nothing_into_its_chain(seed):
 
 
 def test_a_static_law_that_no_polynomial_holds_is_no_memory():
-    """A dead zone of 4 mm: the map is wrong everywhere, and still nothing is remembered."""
+    """A dead zone of 4 mm: the map is wrong everywhere, but no memory is found."""
     t = np.arange(0.0, 90.0, 0.02)
     u = wander(t)
     markers = arc(np.sign(u) * np.maximum(np.abs(u) - 2.0, 0.0))[::3]
@@ -113,7 +113,7 @@ def test_a_frame_that_drifts_is_reported_and_no_effect_stands_in_for_it():
 
 @pytest.mark.parametrize("gaps", [(1.4, 0.8)])
 def test_unequal_play_of_a_robot_from_its_csv_gets_a_number_for_each_servo(gaps, tmp_path, capsys):
-    """From the logs of a motion capture whose frame is turned and shifted, and whose robot is loose in both servos."""
+    """From the logs of a motion capture whose frame is turned and shifted, of a robot with play in both servos."""
     run = recorded(gaps, seconds=120.0, seed=5)
     turn = np.array([[0.0, 0.8, 0.6], [0.0, -0.6, 0.8], [1.0, 0.0, 0.0]])  # the arm lies along the capture's x
     assert np.linalg.det(turn) == pytest.approx(1.0)
@@ -151,19 +151,19 @@ def swing(period, seed, late=0.2, seconds=60.0):
 
 
 def test_a_second_run_of_another_speed_judges_between_families():
-    """A sine of one speed draws an ellipse that delay, creep and memory all draw; with another speed only one does."""
+    """Delay, creep and memory all draw an ellipse for a sine of one speed; for a second speed only one of them does."""
     one, other = swing(12.0, 1), swing(3.0, 2)
     (alone,), both = learn(one).learned_in, learn([one, other])
     assert alone.law == "ambiguous" and {"creep", "rate"} <= {rival.family for rival in alone.alternatives}
     (told,) = both.learned_in
     assert (told.name, told.law) == ("latency", "identified")
     assert told.params[0].value == pytest.approx(0.2, abs=0.005)
-    assert [rival.name for rival in told.alternatives] == ["clock_shift"]  # which no run distinguishes
+    assert [rival.name for rival in told.alternatives] == ["clock_shift"]  # no run distinguishes it
     assert both.made_from["runs"] == [one.hash(), other.hash()]
 
 
 def test_memory_begins_anew_in_each_run():
-    """Two halves of a run, the second one recorded after the command had been left elsewhere."""
+    """Two halves of a run, the second recorded after the command had been moved in between."""
     first, second = (
         recorded((1.4, 1.4), seconds=50.0),
         recorded((1.4, 1.4), seconds=50.0, drive=lambda t: wander(t + 77)),
@@ -181,7 +181,7 @@ def test_memory_begins_anew_in_each_run():
 
 
 def test_the_map_is_solved_again_for_every_law():
-    """With the true play the map is exact; at any other gap it is not: the projected loss has its least there."""
+    """With the true play the map is exact; at any other gap it is not: the projected loss has its minimum there."""
     run = recorded((1.4, 1.4), noise=0.0)
     seen = observe([run], None, (), 20.0)
     static = StaticMap(seen.markers.reshape(len(seen.markers), -1), search_folds(seen), 3)
@@ -204,7 +204,7 @@ def test_held_out_losses_are_those_of_a_plain_refit():
     for train, test in static.parts:
         weights = np.linalg.lstsq(columns[train], static.targets[train], rcond=None)[0]
         plain.append(((columns[test] @ weights - static.targets[test]) ** 2).sum())
-    np.testing.assert_allclose(static.losses(u), plain, rtol=2e-3)  # its ridge is small and not zero
+    np.testing.assert_allclose(static.losses(u), plain, rtol=2e-3)  # its ridge is small but not zero
 
 
 def test_families_bring_only_effects_that_act_on_commands():
@@ -232,7 +232,7 @@ def test_learn_prints_what_it_put_into_the_chain(loose, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "backlash: memory, law identified, held-out error" in said and "backlash.gap" in said and "±" in said
     assert main(["learn", str(tmp_path / "run.npz"), "--out", str(tmp_path / "map"), "--static"]) == 0
-    assert "not looked for (--static)" in capsys.readouterr().out
+    assert "not tested (--static)" in capsys.readouterr().out
     assert load_bundle(tmp_path / "map").chain_names == () and load_bundle(tmp_path / "map").learned_in == ()
 
 

@@ -48,7 +48,7 @@ class Plain:
 
 
 def kernel_of(command, rank, strongest=50.0):
-    """Return a kernel none of whose pairs falls below the threshold of 1e-4 at which the core skips them."""
+    """Return a kernel with no pair below the threshold of 1e-4 at which the core skips pairs."""
     found = command_kernel(command, np.ptp(command, axis=0))
     rank = min(rank, len(found.strength))
     return Kernel(found.basis[:, :rank], np.geomspace(strongest, 0.1, rank))

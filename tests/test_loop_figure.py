@@ -88,7 +88,7 @@ def test_a_cycle_in_which_the_other_commands_stand_still_is_shown_first():
     assert alone.stop <= 83 and np.ptp(u[alone, 1]) == 0.0
     assert any_cycle.stop > 83
     both = Loop("tip, channel 0", u[82:, 0], wrong[82:], np.zeros(82), None, u[82:, 1:])
-    assert worst_cycle(both).stop > worst_cycle(both).start + 10  # no such cycle: any will do
+    assert worst_cycle(both).stop > worst_cycle(both).start + 10  # no such cycle: any cycle is right
 
 
 def test_commands_that_stand_still_and_tips_that_are_not_seen_have_no_loop():
@@ -173,7 +173,7 @@ def test_text_and_page_name_family_and_law(tmp_path):
 
 
 def test_a_document_without_families_has_no_such_part(tmp_path):
-    """Schema 1 has none; nothing is made up for it."""
+    """Schema 1 has none, and none are invented."""
     old = diagnosis() | {"schema": "softmap.diagnosis/1", "families": []}
     assert "family of effects" not in diagnosis_text(old)
     assert "family of effects" not in write_html(tmp_path / "p.html", diagnosis=old).read_text()

@@ -1,4 +1,4 @@
-"""The floor of models without memory: half a loop, whatever map is fitted; noise alone gives the noise."""
+"""The floor of models without memory: half a loop, whatever map is fitted; for noise alone it is the noise."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from softmap_edge.diagnosis.memoryless import repeats_of
 
 
 def sines(play, noise, seed=0, channels=2, gravity=None):
-    """Sines of growing size on one channel, the other at rest: every command is met again on both ways."""
+    """Sines of growing size on one channel, the other at rest: every command is repeated in both directions."""
     t = np.arange(0.0, 120.0, 0.02)
     u = np.zeros((len(t), channels))
     u[:, 0] = (4.0 + 6.0 * t / 120.0) * np.sin(2 * np.pi * t / 8.0)
@@ -24,7 +24,7 @@ def sines(play, noise, seed=0, channels=2, gravity=None):
 
 
 def best_static(values, command, degree=15):
-    """What the best polynomial of the first command leaves, fitted to the very same frames: RMS mm."""
+    """The error of the best polynomial of the first command, fitted to the same frames: RMS mm."""
     x = command[:, 0] / np.abs(command[:, 0]).max()
     basis = np.polynomial.legendre.legvander(x, degree)
     left = values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
@@ -58,7 +58,7 @@ def test_another_orientation_is_another_pose():
     t = np.arange(0.0, 120.0, 0.02)
     gravity = np.where((t < 60.0)[:, None], [0.0, 0.0, 1.0], [0.6, 0.0, 0.8])
     values, state = sines(0.0, 0.1, gravity=gravity)
-    values = values + 3.0 * state.gravity[:, :1]  # what the orientation does is no memory
+    values = values + 3.0 * state.gravity[:, :1]  # a function of the orientation is no memory
     assert repeats_of(values, state).mm < 0.3
 
 

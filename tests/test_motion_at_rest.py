@@ -12,7 +12,7 @@ from softmap_edge.diagnosis.repeats import settled_dwells
 
 
 def run(seed, acting, white=0.1):
-    """A tour on which `acting(t_seen, command, rng)` reaches the body; features, prediction, conditions."""
+    """A tour with effective commands `acting(t_seen, command, rng)`; features, prediction, conditions."""
     rng = np.random.default_rng(seed)
     t, command, seen = visits(tour(rng, 5), rng)
     u = at(t, command, seen)
@@ -44,7 +44,7 @@ def test_a_hum_is_found_with_size_frequency_and_channel(channel, size, frequency
     assert len(motion) == 1 and motion[0].frequency_hz == pytest.approx(frequency, abs=0.01)
     rest = settled_dwells(state) >= 0
     true = np.sqrt(np.mean(np.sum(moved[rest] ** 2, axis=2)))
-    assert motion[0].rms_mm == pytest.approx(true, rel=0.25)  # its shape changes from pose to pose
+    assert motion[0].rms_mm == pytest.approx(true, rel=0.25)  # its shape differs between poses
     assert np.argmax(motion[0].channels) == channel
     assert motion[0].channels[channel] == pytest.approx(size / np.sqrt(2), rel=0.4)  # of one slope for all poses
     assert f"at {frequency:.2g} Hz, as channel {channel} would move it" in str(motion[0])

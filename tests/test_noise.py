@@ -169,14 +169,14 @@ def test_rod_noise_counts_correlated_frames_once():
 
 
 def test_what_does_not_repeat_is_no_error_of_a_rods_map():
-    """A residual that is all memory: the same command, two shapes. The map's own error cannot hide it."""
+    """A residual that is all memory: the same command, two shapes. The map's own error cannot absorb it."""
     rng = np.random.default_rng(7)
     branch = np.sign(np.sin(np.arange(1200) * 0.05))[:, None] * np.ones(9)
     residual = 2.0 * branch + 0.1 * rng.normal(size=(1200, 9))
     memory = Repeats(np.full(9, 4.0), poses=20, passages=60, frames=600)
     hidden, seen = rods(residual, 2.0), rods(residual, 2.0, memory)
     assert hidden.rms_mm(np.ones(3, bool)) > 3.4 and seen.rms_mm(np.ones(3, bool)) < 0.5
-    static = replace(memory, variance=np.full(9, 0.01))  # poses that repeat: then it is the map's own error
+    static = replace(memory, variance=np.full(9, 0.01))  # poses that repeat: then it is model error
     assert rods(residual, 2.0, static).rms_mm(np.ones(3, bool)) > 3.4
 
 
@@ -208,11 +208,11 @@ def test_what_a_lean_makes_is_another_error_in_another_orientation():
     assert left["orientation"][1] < 0.05 * left["command"][1]
 
 
-# --- the whole, on the simulated finger -------------------------------------------------------------
+# --- the complete model, on the simulated finger ------------------------------------------------------
 
 
 def chi2(vertices, protocol):
-    """Chi² per number of the built-in model on a run in which nothing is hidden, and the noise."""
+    """Chi² per number of the built-in model on a run without a hidden effect, and the noise."""
     run = Run(t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen,
               block=protocol.block, vertices=vertices, command_unit="mm")  # fmt: skip
     record = Record(builtin_model(), run)

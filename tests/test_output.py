@@ -36,7 +36,7 @@ def softmap(*argv: object) -> subprocess.CompletedProcess[str]:
 
 
 def stop(x: np.ndarray) -> np.ndarray:
-    """Return the force (N) of a spring beside a dry-friction element that slips, by the law itself."""
+    """Return the force (N) of a spring in parallel with a dry-friction element that slips, from the law itself."""
     force, held = np.empty_like(x), 0.0
     for k, step in enumerate(np.diff(x, prepend=x[0])):
         held = np.clip(held + step, -SLIP, SLIP)
@@ -141,7 +141,7 @@ def test_without_time_no_delay_or_rate_is_looked_for(damper: Path) -> None:
 
 
 def test_an_affine_output_is_learned_exactly_and_kept_by_a_bundle(tmp_path: Path) -> None:
-    """The chord of a marker is an angle: its polynomial reaches an affine output within 2e-4 of the range."""
+    """The chord of a marker is an angle: its polynomial fits an affine output within 2e-4 of the range."""
     x = moves(3)
     run = Run.of_outputs(7.5 * x[:, None] - 4.0, "N", ["force"], t=np.arange(1200) / 20, t_seen=np.arange(1200) / 20,
                          command=x[:, None])  # fmt: skip

@@ -1,4 +1,4 @@
-"""The bench of outside data measures what it says: derivatives, laws, errors and peers against exact answers."""
+"""The benchmark on outside data is correct: derivatives, laws, errors and peers against exact answers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def lagged_run(seed: int, back: int, rows: int = 900) -> Run:
-    """Return a run whose output is the command `back` rows earlier, squared into a static map."""
+    """Return a run whose output is a quadratic static map of the command `back` rows earlier."""
     t = np.arange(rows) / 20.0
     rng = np.random.default_rng(seed)
     u = np.convolve(rng.normal(size=rows + 60), np.hanning(40) / 20.0, "valid")[:rows]
@@ -60,7 +60,7 @@ def test_a_sweep_is_derived_within_its_ends():
 
 
 def test_play_and_stop_add_up_to_what_goes_in():
-    """A stop of slip g/2 is what a play of gap g leaves, from a common start: Brokate and Sprekels, 1996."""
+    """A stop of slip g/2 is the input minus a play of gap g, from a common start: Brokate and Sprekels, 1996."""
     x = 5.0 * np.sin(np.linspace(0.0, 20.0, 3000)) * np.linspace(0.2, 1.0, 3000)
     np.testing.assert_allclose(play(x, 3.0) + stop(x, 1.5) + x[0] - play(x, 3.0)[0], x, atol=1e-12)
 

@@ -1,4 +1,4 @@
-"""docs/own_effect.md as its reader runs it: something unknown is left, a file of one's own explains it.
+"""docs/own_effect.md as its reader runs it: an unknown error remains, and the user's own effect explains it.
 
 The finger is that of off_centre.py: solved by finite elements, with exact winding, which no effect of any form is.
 """

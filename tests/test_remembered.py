@@ -1,4 +1,4 @@
-"""A strong memory is no fault: plateaus hang no camera, a late sine is no clock, a small stroke no other unit."""
+"""A strong memory is no fault: plateaus are no hanging camera, a late sine no clock, a small stroke no other unit."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ GAPS = [0.5, 1.0, 1.5, 1.9]  # in half ranges
 
 
 def played(u, gap):
-    """A play written anew: what reaches the body, (T, C)."""
+    """A play, independent of the library: the command that reaches the body, (T, C)."""
     y = np.zeros_like(u)
     for k in range(1, len(u)):
         y[k] = np.clip(y[k - 1], u[k] - gap / 2, u[k] + gap / 2)

@@ -255,7 +255,7 @@ def test_every_error_in_a_sentence_says_rms_and_fitted_or_held_out(verdict, name
     )
     assert not re.findall(r"\d mm(?! RMS)", told)
     errors = [part for part in re.split(r"[;:.] ", told) if "mm RMS" in part]
-    sizes = [part for part in errors if "family memory" in part or "law open" in part]  # of an effect, no error
+    sizes = [part for part in errors if "family memory" in part or "law open" in part]  # of an effect, not an error
     assert all("fitted" in part or "held" in part for part in errors if part not in sizes), told
 
 
@@ -275,12 +275,12 @@ def test_a_sentence_names_what_was_found_in_words_of_both_levels():
     both = told("ambiguous", "open", [Finding("backlash", {})])
     assert both.startswith("The model lacks backlash; and a static, non-linear map of the commands")
     candidate = told("ambiguous", "open", [Finding("gain", {})])
-    assert "lacks" not in candidate  # a candidate of an open law is nothing that the model lacks
+    assert "lacks" not in candidate  # a candidate of an open law is no missing effect
 
 
 def test_every_error_of_a_report_says_rms_and_fitted_or_held_out():
     lines = diagnosis_text(DIAGNOSIS | {"sentence": ""}).splitlines()
-    errors = [line for line in lines if "±" not in line and not line.startswith("  · Memory: ")]  # the rest: parameters
+    errors = [line for line in lines if "±" not in line and not line.startswith("  · Memory: ")]  # others: parameters
     named = [line for line in errors if re.search(r"\d mm", line)]
     assert len(named) >= 3 and all("RMS" in line for line in named), named
     assert "probability 97 % (fitted)" in diagnosis_text(DIAGNOSIS)

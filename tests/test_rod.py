@@ -275,7 +275,7 @@ def test_play_is_sought_in_the_size_of_the_drive(truth, unit, size):
 
 
 def test_tendons_that_add_up_to_zero_are_reported(truth):
-    """Three tendons drive two directions: what one does alone cannot be learned, and learning works all the same."""
+    """Three tendons drive two directions: the effect of one alone cannot be learned, but learning still works."""
     t = np.arange(0.0, 60.0, 0.02)
     two = commands(t)
     three = np.column_stack([two, -two.sum(axis=1)])
@@ -301,7 +301,7 @@ def test_a_robot_is_learned_from_the_ticks_of_its_servos(truth, tmp_path, capsys
     assert main(["learn", npz, "--out", bundle]) == 0
     run, model = Run.load(npz), load_bundle(bundle)
     assert run.command is None and model.command_unit == "ticks"
-    # The proposal guesses where the clamp is, and chords from elsewhere have angles that are no polynomials.
+    # The proposal guesses the clamp, and chords from another point have angles that are no polynomials.
     assert np.sqrt(((model.predict(run) - run.markers) ** 2).sum(-1).mean()) < 0.3
     assert main(["compare", npz, "--bundle", bundle]) == 0
     capsys.readouterr()

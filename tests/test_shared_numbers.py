@@ -1,4 +1,4 @@
-"""Numbers that channels share: one label for all of them until they are given or fitted apart."""
+"""Numbers that channels share: one label for all of them until they are given or fitted separately."""
 
 import hashlib
 import json
@@ -35,7 +35,7 @@ def moved(channels: int = 2) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    """A run of the built-in finger with two different plays, free of noise but for that of the camera."""
+    """A run of the built-in finger with two different plays, without noise except that of the camera."""
     run = finger_run(["backlash"], GAPS)
     return problem_of(record_of(MODEL, run), ["backlash", "friction", "hysteresis"])
 
@@ -58,7 +58,7 @@ def test_amounts_of_channels_are_shared():
 
 @pytest.mark.parametrize("name", SHARED)
 def test_each_channel_reads_its_own_number(name):
-    """A chain of three channels with other numbers each does what three chains of one channel do."""
+    """A chain of three channels with different numbers gives the same as three chains of one channel."""
     t, u = moved(3)
     chain, alone = _core.Chain([name], 3), _core.Chain([name], 1)
     params = random_params(chain, 5)
@@ -68,7 +68,7 @@ def test_each_channel_reads_its_own_number(name):
         np.testing.assert_array_equal(alone.rollout(own[None], u[:, c : c + 1], t)[0, :, 0], out[:, c])
     rolled = np.concatenate([np.roll(np.flatnonzero(chain.tie == group), 1) for group in np.unique(chain.tie)])
     turned = chain.rollout(params[rolled][None], u, t)[0]
-    assert np.abs(turned - out).max() > 1e-3  # which channel has which number matters
+    assert np.abs(turned - out).max() > 1e-3  # the order of the numbers matters
 
 
 @pytest.mark.parametrize("name", SHARED)
@@ -154,7 +154,7 @@ def test_a_diagnosis_adds_one_number_or_one_for_each_channel():
     assert diagnosis({"backlash.gap": 0.9}).added(MODEL, ["backlash"]).params == {"backlash.gap": 0.9}
     apart = diagnosis(GAPS).added(MODEL, ["backlash"])
     assert apart.params == GAPS
-    # What is added replaces what the model had, whichever label that has.
+    # An added effect replaces the one of the model, whichever label that has.
     assert diagnosis({"backlash.gap": 0.9}).added(apart, ["backlash"]).params == {"backlash.gap": 0.9}
     with pytest.raises(SoftmapError, match="no backlash.gap"):
         diagnosis({"backlash.gap[0]": 1.4}).added(MODEL, ["backlash"])
@@ -173,7 +173,7 @@ def test_two_plays_are_fitted_apart_where_that_is_asked_for(problem):
     apart = problem.fit(("backlash",), [space.start], split=("backlash",))
     assert apart.space.free_labels == list(GAPS) and apart.space.count == 2
     assert apart.params == pytest.approx(GAPS, rel=0.02)
-    assert tied.chi2 > 2.0 * apart.chi2  # one number cannot do it
+    assert tied.chi2 > 2.0 * apart.chi2  # one number cannot explain it
     sigma = problem.uncertainty(apart, 1.0)
     assert sigma.shape == (2,) and np.all((sigma > 0) & (sigma < 0.05))
     model = MODEL.with_effects(("backlash",), apart.params)
@@ -197,7 +197,7 @@ def test_the_slopes_of_what_is_tied_are_the_sum_of_those_of_its_channels(problem
 
 
 def test_a_fit_goes_on_from_the_numbers_that_the_model_has(problem):
-    """Channels that differ in the model stay apart without being asked for."""
+    """Channels that differ in the model stay separate without a request."""
     model = MODEL.with_effects(["backlash"], {"backlash.gap[0]": 1.0, "backlash.gap[1]": 0.6})
     better, report = refit(model, problem.record.run)
     assert better.params == pytest.approx(GAPS, rel=0.02)

@@ -130,7 +130,7 @@ def test_from_two_sided_tendons_the_first_answer_is_slack(page, logs):
 
 
 def test_the_second_is_a_memory_whose_members_are_not_told_apart(page, logs):
-    """An anchor that slips is dropped: the error on the unseen run did not fall."""
+    """A slipping anchor is dropped: the error on the unseen run did not fall."""
     found, before, after = document(page, "tdcr.json")
     rivals = {name for rival in found["alternatives"] for name in rival["effects"]}
     named = {effect["name"] for effect in found["effects"]}

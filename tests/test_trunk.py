@@ -152,7 +152,7 @@ def test_the_proposal_differs_from_the_example_in_what_the_page_says(page):
 
 
 def test_what_is_claimed_without_a_load_is_listed_on_the_page(folder):
-    """Nothing, in both halves: a rod's own error on moves of another minute is no effect."""
+    """Nothing, in both halves: a rod's model error on moves of another minute is no effect."""
     table = PAGE.split("## 7. ")[1].split("## 8. ")[0]
     rows = re.findall(r"^\| [\d to]+ s \|(.*)\|(.*)\|(.*)\|$", table, re.MULTILINE)
     halves = list(trunk_load.without_load(trunk_load.read(folder, trunk_load.FREE)))

@@ -1,8 +1,8 @@
-"""Two levels: the family that is missing is found first, then its law; what nobody has is named as unknown or open.
+"""Two levels: the missing family is found first, then its law; laws outside the library are unknown or open.
 
-Runs are of the built-in finger with the standard protocol and camera noise of 0.25 mm a coordinate; laws that are
-hidden act on the command and are written here, apart from the library. The rules of level 2 are tested on laws given as
-rows of held-out losses.
+Runs are of the built-in finger with the standard protocol and camera noise of 0.25 mm a coordinate. Hidden laws act on
+the command and are written here, apart from the library. The rules of level 2 are tested on laws given as rows of
+held-out losses.
 """
 
 from types import SimpleNamespace
@@ -31,7 +31,7 @@ def played(u, gaps):
 
 
 def crossed(u):
-    """The second channel pulls on the first, more the farther it is."""
+    """The second channel pulls on the first, more at large commands."""
     return u + 0.02 * np.stack([u[:, 1] ** 2, 0.0 * u[:, 0]], axis=1)
 
 
@@ -40,11 +40,11 @@ def names(found):
 
 
 def claims(found):
-    """What is said to be lacking: names that are more likely than not."""
+    """The reported missing effects: names that are more likely than not."""
     return {e.name for e in (*found.effects, *found.faults) if e.probability is None or e.probability >= 0.5}
 
 
-# --- what is hidden -----------------------------------------------------------------------------
+# --- hidden laws --------------------------------------------------------------------------------
 
 
 def test_nothing_hidden_nothing_found():
@@ -62,7 +62,7 @@ def test_play_is_named_with_its_gap():
     assert (family.name, family.kind, family.law, family.effects) == ("memory", "memory", "resolved", ("backlash",))
     assert family.share > 0.9 and family.law_share > 0.9 and family.moved_mm > 0.2
     assert found.error.after < 0.4 * found.error.before and found.error.after < 1.2 * found.error.floor
-    # Without it nobody stands in its place, and the error stays.
+    # Without it no other effect takes its place, and the error remains.
     others = [e["name"] for e in _core.effects() if e["name"] not in MEMORY]
     without = diagnose(MODEL, run, effects=others)
     assert without.verdict == "partly_explained" and not claims(without)
@@ -94,7 +94,7 @@ def test_a_smooth_odd_map_is_a_static_map_whose_law_is_open(name):
 
 
 def test_a_law_of_the_library_is_no_open_map():
-    """What is open is the law, and not every static map: a dead zone and a gain have a law each."""
+    """The law is open, not every static map: a dead zone and a gain have one law each."""
     for law, name in (
         (lambda u: np.sign(u) * np.maximum(np.abs(u) - 1.0, 0.0), "dead_zone"),
         (lambda u: u * [1.12, 0.9], "gain"),
@@ -119,7 +119,7 @@ def test_a_known_play_is_found_beside_an_unknown_coupling():
     assert found.effects[0].params["backlash.gap"].value == pytest.approx(1.2, rel=0.1)
     laws = {family.name: family.law for family in found.families}
     assert laws == {"memory": "resolved", "coupling": "unknown"}
-    # Once the play is in the model, what is left is called the same.
+    # With the play in the model, the remainder has the same name.
     again = diagnose(found.model, run)
     assert again.verdict == "partly_explained" and not names(again)
     assert [(family.name, family.law) for family in again.families] == [("coupling", "unknown")]
@@ -131,7 +131,7 @@ def test_a_known_play_is_found_beside_an_unknown_coupling():
 
 @pytest.fixture(scope="module")
 def play():
-    """A play of 1.2 mm as level 1 sees it: body, state and ranking."""
+    """A play of 1.2 mm at level 1: body, state and ranking."""
     effects = ["gain", "backlash", "latency", "creep", "coupling", "mount"]
     problem = problem_of(Record(MODEL, finger_run(acting=lambda u: played(u, [1.2, 1.2]))), effects)
     fits = Fits(problem, effects)
@@ -145,11 +145,11 @@ def test_the_family_of_what_is_hidden_falls_furthest(play):
     assert {row.family.name for row in ranking.rows} >= {"static map", "coupling", "delay", "creep", "frame"}
     second = ranking.rows[1]
     assert ranking.rows[0].loss.sum() < 0.7 * second.loss.sum() < ranking.before.sum()
-    np.testing.assert_array_equal(ranking.before, ranking.found)  # nothing was taken yet
+    np.testing.assert_array_equal(ranking.before, ranking.found)  # no family is accepted yet
 
 
 def test_a_representative_that_is_linearised_about_itself_does_what_the_law_does(play):
-    """It has no kink and no law, and comes within 15 % of the play that it stands for."""
+    """It has no kink and no law, and comes within 15 % of the play that it represents."""
     fits, state, ranking = play
     rough = ranking.rows[0]
     found, shift = linearised(state, rough)
@@ -183,7 +183,7 @@ def law(name, loss, numbers, **params):
 
 
 def judged(*laws, representative=100.0, before=1000.0, half=10.0):
-    """What level 2 says of a static map whose representative leaves `representative` of `before`."""
+    """The answer of level 2 for a static map whose representative leaves `representative` of `before`."""
     asked = object.__new__(_Asked)
     asked.form, asked.before = 0.025, np.full(8, before / 8)
     asked.representative = SimpleNamespace(
@@ -216,7 +216,7 @@ def test_a_generic_law_that_is_as_simple_opens_it():
 
 
 def test_a_law_that_is_better_than_the_representative_is_the_measure():
-    """What the family can do is not all that can be done: a kink is no spline."""
+    """The representative is not the optimum: a spline has no kink."""
     found = judged(law("gain", 100, 1), law("asymmetry", 20, 2))
     assert found.law.name == "asymmetry" and found.equals == ()
 
@@ -224,10 +224,10 @@ def test_a_law_that_is_better_than_the_representative_is_the_measure():
 def test_members_that_do_as_well_are_equals_and_the_first_to_act_comes_first():
     found = judged(law("offset", 102, 1), law("gain", 103, 1))
     assert found.resolved and found.law.name == "gain" and [one.name for one in found.equals] == ["offset"]
-    better = judged(law("offset", 100, 1), law("gain", 104, 1))  # by more than a family has to fall
+    better = judged(law("offset", 100, 1), law("gain", 104, 1))  # by more than the least fall of a family
     assert better.law.name == "offset" and [one.name for one in better.equals] == ["gain"]
     pair = judged(law("gain", 101, 2), law("gain+offset", 102, 2))
-    assert pair.law.name == "gain" and pair.equals == ()  # a larger set is no equal of its part
+    assert pair.law.name == "gain" and pair.equals == ()  # a larger set is no alternative to its part
 
 
 def test_a_body_that_settles_late_does_not_move_at_rest_once_its_lag_is_known():
@@ -241,7 +241,7 @@ def test_a_body_that_settles_late_does_not_move_at_rest_once_its_lag_is_known():
 
 @pytest.mark.parametrize(("radius", "resolved"), [(3.0, True), (3.2, False), (8.0, False)])
 def test_an_eccentric_pulley_counts_only_where_a_full_turn_is_seen(radius, resolved):
-    """The range is 20 mm: a turn of 2π·3 mm is within it. Less of a sine is any smooth map."""
+    """The range is 20 mm: a turn of 2π·3 mm is within it. A smaller part of a sine is any smooth map."""
     found = judged(law("eccentric_pulley", 101, 5, **{"eccentric_pulley.radius": radius}))
     assert found.resolved == resolved and found.open == (not resolved)
     assert found.law.name == "eccentric_pulley"

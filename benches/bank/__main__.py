@@ -1,11 +1,11 @@
-"""Run the bank: make cases once, diagnose and judge them, write one small JSON a case, print the table.
+"""Run the bank: make cases once, diagnose and score them, write one small JSON a case, print the table.
 
 python -m benches.bank --share 0.1            a tenth of the development seeds
 python -m benches.bank --seeds reporting      all, on seeds on which no threshold was set (docs/bank.md)
-python -m benches.bank --make                 only make the cases; --judge: only judge those that are made
-python -m benches.bank --table                what is there already
+python -m benches.bank --make                 only make the cases; --judge: only score those that are made
+python -m benches.bank --table                print the table of the rows that exist
 
-It goes on where it was stopped. After a change of the diagnosis only the diagnosis is repeated.
+An interrupted run continues where it stopped. After a change of the diagnosis only the diagnosis is repeated.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ KINDS = (*SIZES, "trap")
 
 
 def size(part: Part, kind: str, share: float) -> int:
-    """Return how many cases of a kind a part of the bank has."""
+    """Return the number of cases of a kind in a part of the bank."""
     full = SLICES[part].get(kind, 0) if part in SLICES else SIZES.get(kind, 0) * SHARES[part]
     return round(full * share)
 
@@ -72,12 +72,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--kinds", default=",".join(KINDS), help="some of the kinds, with commas")
     parser.add_argument("--parts", default=",".join("/".join(p) for p in PARTS), help="slice/level, with commas")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes at a time")
-    parser.add_argument("--out", type=Path, default=Path("out/bank"), help="folder of the judged cases")
+    parser.add_argument("--out", type=Path, default=Path("out/bank"), help="folder of the scored cases")
     parser.add_argument("--cases", type=Path, help="folder of the cases that were made (OUT/cases)")
     step = parser.add_mutually_exclusive_group()
     step.add_argument("--make", action="store_true", help="only make the cases")
-    step.add_argument("--judge", action="store_true", help="only judge cases that are made")
-    step.add_argument("--table", action="store_true", help="only print what is there")
+    step.add_argument("--judge", action="store_true", help="only diagnose and score cases that are made")
+    step.add_argument("--table", action="store_true", help="only print the table")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
     parts, kinds = [tuple(p.split("/")) for p in args.parts.split(",")], args.kinds.split(",")
@@ -104,14 +104,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _make(wanted: list[Task], cases: Path, jobs: int) -> None:
-    """Make the cases that are not there."""
+    """Make the missing cases."""
     left = [(task, str(cases), "", "") for task in wanted if not Kept(cases / name_of(task)).is_current]
     print(f"{len(wanted)} cases, {len(left)} to make, {jobs} at a time → {cases}", file=sys.stderr)
     _each(make, left, jobs, lambda row: f"{row['hidden']} {row['seconds']} s")
 
 
 def _judge(wanted: list[Task], cases: Path, out: Path, jobs: int, only_made: bool) -> None:
-    """Judge what has no row of this code, as it is made; what is not there is made first unless `only_made`."""
+    """Diagnose and score the cases without a row of this code; make missing cases first unless `only_made`."""
     now = code()
 
     def finished(task: Task) -> bool:
@@ -125,7 +125,7 @@ def _judge(wanted: list[Task], cases: Path, out: Path, jobs: int, only_made: boo
 
     wanted = [task for task in wanted if not only_made or Kept(cases / name_of(task)).is_made]
     left = [(task, str(cases), str(out), now) for task in wanted if not finished(task)]
-    print(f"{len(wanted)} cases, {len(left)} to judge, {jobs} at a time → {out}", file=sys.stderr)
+    print(f"{len(wanted)} cases, {len(left)} to score, {jobs} at a time → {out}", file=sys.stderr)
     _each(judge if only_made else work, left, jobs, lambda row: f"{row['hidden']} → {row['named']} {row['verdict']}")
 
 

@@ -1,8 +1,8 @@
-"""Which answers are right for a hidden law: families, names of effects, verdicts.
+"""The right answers for a hidden law: families, names of effects, verdicts.
 
-A finger of slices A and B hides laws that are called as the library calls them; those of the other slices say here what
-they are. Names are patterns of `fnmatch`: what a library may come to call friction along the body has not been decided.
-`FAMILY` names those of DISCOVERY §7; a law that two of them describe has both.
+The hidden laws of slices A and B have the library's names. Those of the other slices define their answers here. Names
+are patterns of `fnmatch`, because the library's name of friction along the body was not decided. `FAMILY` holds the
+families of DISCOVERY §7; a law that two of them describe has both.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ LAW_OPEN: Names = ("partly_explained", "ambiguous")
 
 @dataclass(frozen=True)
 class Answer:
-    """What is right for one hidden law: any of `families`, any of `names` (none: no name of the library is), what may
-    be named beside it, and the verdicts.
+    """The right answer for one hidden law: any of `families`, any of `names` (none: no name of the library is right),
+    names that are allowed in addition, and the verdicts.
     """
 
     families: Names
@@ -53,12 +53,12 @@ class Answer:
     verdicts: Names = LAW_OPEN
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
+        """Return the answer as JSON data."""
         return {key: list(value) for key, value in asdict(self).items()}
 
 
 def answer_for(law: str, known: bool = True) -> Answer:
-    """Return what is right for a law by its name; `known` to the library."""
+    """Return the right answer for a law by its name; `known` to the library."""
     if not known:
         return Answer(FAMILY.get(law, ()), verdicts=UNKNOWN_VERDICTS)
     return Answer(FAMILY.get(law, ()), NAMES.get(law, (law,)), ALSO.get(law, ()), ("identified", "ambiguous"))
@@ -70,5 +70,5 @@ def matches(name: str, patterns: Names | list[str]) -> bool:
 
 
 def fits_family(said: str, right: Mapping[str, Any]) -> bool:
-    """Return whether a family that was `said` is one of a stored answer."""
+    """Return whether a reported family is one of a stored answer."""
     return said.lower().replace("_", " ") in right["families"]

@@ -1,4 +1,4 @@
-"""The two bodies of the bank behind one face: the Cosserat rod (slices A, shop, odd); finite elements (slice B)."""
+"""The two bodies of the bank with one interface: the Cosserat rod (slices A, shop, odd); finite elements (slice B)."""
 
 from __future__ import annotations
 

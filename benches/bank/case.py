@@ -41,7 +41,7 @@ PAIRS = 4  # pairs that are drawn until each law does something beside the other
 
 
 def temperature(t: Floats) -> Floats:
-    """Return what the run says of the room (T,) °C: it warms by 9 K, halts, and cools again by half, slowly."""
+    """Return the declared room temperature (T,) °C: it warms by 9 K, halts, and cools again by half, slowly."""
     knots = np.array([0.0, 0.15, 0.4, 0.55, 0.75, 1.0]) * max(float(t[-1]), 1.0)
     return np.asarray(np.interp(t, knots, [22.0, 22.0, 31.0, 31.0, 25.0, 27.0]))
 
@@ -59,7 +59,7 @@ class Case:
     moved_mm: tuple[float, ...]  # by each hidden law alone, section centroids
     seed: int
     marked: bool  # seen by markers, not as a surface
-    answers: tuple[Answer, ...] = ()  # what is right for each hidden law, or for the run as a whole
+    answers: tuple[Answer, ...] = ()  # the right answer for each hidden law, or for the complete run
     room: Callable[[Floats], Floats] = temperature  # (T,) s to °C, as the run declares it
 
     @property
@@ -86,7 +86,7 @@ class Case:
         return "clouds" if self.level.clouds else "markers" if self.marked else "vertices"
 
     def background_mm(self) -> float:
-        """Return how far what is always there moves the section centroids on the standard protocol, in mm RMS."""
+        """Return the displacement of the section centroids by the background on the standard protocol, in mm RMS."""
         protocol, every = standard_protocol(2), 2 * self.body.every
         own = seen(self.body, self.small, protocol, False, every=every, room=self.room)
         return rms(sections(own - seen(self.body, (), protocol, False, every=every), self.body.place))
@@ -126,7 +126,7 @@ def stream(seeds: str, slice_: str, level: str, kind: str, number: int) -> np.ra
 
 
 def place_of(law: Law) -> int:
-    """Return where in the chain from command to camera a law acts."""
+    """Return the place of a law in the chain from command to camera."""
     order = list(LAWS) + list(UNKNOWN)
     return order.index(law.NAME) if law.NAME in order else len(order)
 
@@ -247,7 +247,7 @@ def each_moves(laws: Sequence[Law], body: Body, level: Level) -> bool:
 
 
 def drawn(kind: type[Law], body: Body, level: Level, rng: np.random.Generator) -> tuple[Law, float]:
-    """Draw a law and scale it until it moves the section centroids as far as the level wants, in mm RMS."""
+    """Draw a law and scale it until it moves the section centroids by the level's target, in mm RMS."""
     low, high = level.moves_mm
     best: tuple[Law, float] | None = None
     plain = seen(body, (), standard_protocol(2), False, every=body.every, rough=not kind.SHAPE)
@@ -265,18 +265,19 @@ def drawn(kind: type[Law], body: Body, level: Level, rng: np.random.Generator) -
 def strengthened(
     character: Law, target: float, body: Body, plain: Floats, room: Callable[[Floats], Floats] = temperature
 ) -> tuple[Law, float]:
-    """Return a law as strong as it takes to move the section centroids by `target` mm RMS, and how far it does.
+    """Return a law scaled to move the section centroids by `target` mm RMS, and its displacement.
 
-    `plain` are the points that the finger without it has on the standard protocol, every `body.every`-th frame, rough
-    where the law leaves the body as it is. A twist turns sections without moving their centres: there the points count.
+    `plain` are the points of the finger without the law on the standard protocol, every `body.every`-th frame, rough
+    where the law leaves the body unchanged. A twist turns sections without moving their centres; for it the points
+    count.
     """
     protocol, gross = standard_protocol(2), not character.STRONG or character.NAME in GROSS
-    strength, tried = 1.0, [(0.0, 0.0)]  # strengths, and how far they move the sections
+    strength, tried = 1.0, [(0.0, 0.0)]  # strengths, and their displacements of the sections
     for _ in range(1 if gross else 7):
         acting, rough = (character.scaled(strength),), not character.SHAPE
         try:
             there = seen(body, acting, protocol, False, every=body.every, rough=rough, room=room)
-        except ArithmeticError:  # so strong that the body buckles
+        except ArithmeticError:  # at this strength the body buckles
             strength *= 0.6
             continue
         moved = there - plain

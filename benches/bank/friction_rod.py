@@ -1,17 +1,18 @@
-"""Friction of the cables in their guides, all along the body: hysteretic in shape, not in the command.
+"""Friction of the cables in their guides along the body: hysteretic in shape, not in the command.
 
-A cable that slides towards the base over guide i hands on less tension to the segment beyond; one that slides back
-hands on more:
+A cable that slides towards the base over guide i passes less tension to the segment beyond. One that slides back passes
+more:
 
     T_{i+1} = T_i exp(−(μ θ_i + μ₀) z_i),     z' = x'/δ (1 − z sgn x'),     x_i = −Σ_{j≥i} ℓ_j
 
-θ_i is the angle by which the cable is bent there, μ₀ a hole that is tight, ℓ_j the lengths of its segments and x_i how
-far it has slid (Dahl: a little gives before it slides). While the finger is loaded the base gets more of the bend, so
-that the tip is ahead; after a reversal the guides let go one after another from the base. The tension obeys
-k (Σ ℓ − Σ ℓ⁰ + d) = T₀ Σ ℓ_j T_j/T₀ / Σ ℓ, and the nodes are in balance with T_j: there is no energy to fall, so plain
-Newton steps from the frictionless rod. Limit: the slides are those of the finger without friction. With those of the
-finger with friction (`passes`) the order in which guides let go after a reversal is a little different: a quarter of
-what friction moves at μ = 0.1. Units: mm, N, rad. Pinned by tests/test_bank_shop.py.
+θ_i is the bending angle of the cable at the guide, μ₀ a tight hole, ℓ_j the lengths of its segments and x_i its slide
+(Dahl: it yields a little before it slides). While the finger is loaded the base bends more, so that the tip leads.
+After a reversal the guides let go one after another from the base. The tension obeys k (Σ ℓ − Σ ℓ⁰ + d) = T₀ Σ ℓ_j
+T_j/T₀ / Σ ℓ, and the nodes are in balance with T_j. There is no energy to minimise, so plain Newton steps start from
+the frictionless rod.
+Limit: the slides are those of the finger without friction. With those of the finger with friction (`passes`) the guides
+let go in a slightly different order after a reversal: a quarter of the displacement by friction at μ = 0.1.
+Units: mm, N, rad. Pinned by tests/test_bank_shop.py.
 """
 
 from __future__ import annotations
@@ -29,14 +30,15 @@ from benches.bank.section import Design, finger
 
 EVERY_S = 0.1  # of the path along which slides are followed
 STEPS = 80
-WHOLE = 15  # of them that are taken whole: later ones would go to and fro between a cable that is taut and that hangs
+WHOLE = 15  # of them in full; later steps would alternate between a taut and a slack cable
 LONGEST = (3.0, 0.1)  # mm and rad of one node in one step
 
 
 def dragged(design: Design, loads: Loads, start: Poses) -> Poses:
-    """Return rods in balance under cables whose tension is other along the way (`loads.tension`), from near ones.
+    """Return rods in balance under cables whose tension varies along them (`loads.tension`), from a near state.
 
-    Raises ArithmeticError: a rod does not settle.
+    Raises:
+        ArithmeticError: a rod does not settle.
     """
     x, frame, tension = start.x.copy(), start.frame.copy(), start.tension.copy()
     error, open_ = np.full(len(x), np.inf), np.arange(len(x))
@@ -64,10 +66,15 @@ def dragged(design: Design, loads: Loads, start: Poses) -> Poses:
 def along(
     mu: Floats, tight: float, give_mm: float, past: Past, guess: Callable[[Floats], Poses], passes: int = 0
 ) -> Floats:
-    """Return the tension (K, 4, segments) along the cables at the seen frames, in parts of that at the base.
+    """Return the tension (K, 4, segments) along the cables at the seen frames, relative to that at the base.
 
-    Args: `mu` (4,) of each cable, `tight` of each guide, `give_mm` before a cable slides, `past` of the cables,
-    `guess` from pulls (P, 4) mm to about where the plain finger is; `passes` along the path with friction.
+    Args:
+        mu: friction (4,) of each cable.
+        tight: of each guide.
+        give_mm: yield before a cable slides, mm.
+        past: history of the cables.
+        guess: from pulls (P, 4) mm to about the state of the plain finger.
+        passes: along the path with friction.
     """
     keep = max(1, round(EVERY_S / (past.t[1] - past.t[0])))
     t, pull, gravity = past.t[::keep], past.pull[::keep], past.gravity[::keep]
@@ -87,7 +94,7 @@ def along(
 
 
 def _shares(design: Design, poses: Poses, mu: Floats, tight: float, give_mm: float) -> Floats:
-    """Return the tension (P, 4, segments) along the cables over a path of poses, in parts of that at the base."""
+    """Return the tension (P, 4, segments) along the cables over a path of poses, relative to that at the base."""
     line = np.diff(guides(design, poses.x, poses.frame), axis=2)
     span = np.linalg.norm(line, axis=3)
     way = line / span[..., None]

@@ -1,13 +1,13 @@
-"""What is never quite right with a finger from a workshop: several small static things at once, 0.2 to 0.4 mm in all.
+"""Imperfections of a finger from a workshop: several small static errors at once, 0.2 to 0.4 mm in all.
 
-    clamp       turned and shifted              curl        curved a little at rest
-    lengths     each cable cut a little otherwise   drums   each winds a little otherwise
+    clamp       turned and shifted              curl        slightly curved at rest
+    lengths     each cable has its own length   drums       each has its own radius
     winding     u + a sin(u/R + φ) + b sin(2u/R + ψ) + c u|u|/R: rope over rope on a drum that is not round
-    rubber      modulus that wanders along the body and from side to side
+    rubber      modulus that varies along the body and from side to side
 
-and a trace of memory that every drive has (play of 0.02 mm, half a percent of creep). The static ones are drawn at
-sizes that move the finger alike, and scaled together. Units: mm, degrees. Randomness only from the generator
-that is given. Pinned by tests/test_bank_shop.py.
+A trace of memory, as in every drive, is added (play of 0.02 mm, half a percent of creep). The static errors are drawn
+at sizes of equal displacement, and scaled together.
+Units: mm, degrees. Randomness only from the given generator. Pinned by tests/test_bank_shop.py.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def static(rng: np.random.Generator, channels: int) -> tuple[Law, ...]:
 
 
 def traces(rng: np.random.Generator, channels: int) -> tuple[Law, ...]:
-    """Draw the memory that every drive has a trace of."""
+    """Draw the trace of memory of every drive."""
     gap = tuple(rng.uniform(0.005, 0.015, channels))
     compliance = tuple(rng.uniform(0.002, 0.005, channels))
     return Gear(gap, 0.002), Prony(compliance, float(rng.uniform(4, 8)), (0.3, 0.4, 0.3))

@@ -1,9 +1,9 @@
-"""What a diagnosis is worth by family: which kind of law it is, whether anything is claimed, whether a claim is false.
+"""Score a diagnosis by family: the family of the law, whether anything is claimed, whether a claim is false.
 
 The document's `families` are a list of {name, …}, strongest first; a document without them names none. *Claimed* is a
-name that is more likely than not, or a static map above the finger's own background whose law is left open. A verdict
-is *falsely identified* if it is `identified` and names something that is not right for what is hidden. What is right
-stands in the truth of a case: `answers`, one for each hidden law (`answers.py`). Pinned by tests/test_bank_judge.py.
+name that is more likely than not, or a static map above the finger's own background whose law is open. A verdict is
+*falsely identified* if it is `identified` and names something that is not right for the hidden law. The right answers
+stand in the truth of a case: `answers`, one for each hidden law (`answers.py`). Pinned by tests/test_bank_judge.py.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from benches.bank.answers import fits_family, matches
 
 SURE = 0.5  # probability from which a name is more than a candidate
 STATIC = "static map"
-SIZES = ("moved_mm", "displacement_mm", "size_mm")  # keys under which a family may give how far it moves the finger
+SIZES = ("moved_mm", "displacement_mm", "size_mm")  # keys under which a family may give its displacement of the finger
 
 
 def names_alike(alike: Mapping[str, set[str]], truth: Mapping[str, Any]) -> dict[str, set[str]]:
@@ -28,7 +28,7 @@ def names_alike(alike: Mapping[str, set[str]], truth: Mapping[str, Any]) -> dict
 
 
 def by_family(document: Mapping[str, Any], truth: Mapping[str, Any], like: Mapping[str, set[str]]) -> dict[str, Any]:
-    """Return what a diagnosis `document` says by family, and what of it is right.
+    """Return the score of a diagnosis `document` by family.
 
     Args:
         document: of the diagnosis.
@@ -59,7 +59,7 @@ def by_family(document: Mapping[str, Any], truth: Mapping[str, Any], like: Mappi
 def _beside(
     named: list[str], wrong: list[str], truth: Mapping[str, Any], like: Mapping[str, set[str]], answered: bool
 ) -> bool | None:
-    """Return whether the known law beside an unknown one is named and the rest left open; None without such a pair."""
+    """Return whether the known law of a pair is named and the rest left open; None without an unknown law."""
     known = [name for name, answer in zip(truth["hidden"], truth["answers"]) if answer["names"]]
     if not known or len(known) == len(truth["hidden"]):
         return None
@@ -67,7 +67,7 @@ def _beside(
 
 
 def _family_right(said: list[str], answers: list[dict[str, Any]]) -> bool | None:
-    """Return whether the first family is that of the law, of several laws each has one; None where there is none."""
+    """Return whether the first families are those of the hidden laws, one each; None where there is none."""
     wanted = [answer for answer in answers if answer["families"]]
     if not wanted:
         return None
@@ -83,7 +83,7 @@ def _family_right(said: list[str], answers: list[dict[str, Any]]) -> bool | None
 
 
 def _open_map(family: Mapping[str, Any], background_mm: float, named: bool) -> bool:
-    """Return whether a static map is said to be there above the background with its law left open."""
+    """Return whether a static map above the background is reported with its law open."""
     if str(family["name"]).lower().replace("_", " ") != STATIC or named:
         return False
     sizes = [float(family[key]) for key in SIZES if family.get(key) is not None]

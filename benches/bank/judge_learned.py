@@ -1,7 +1,7 @@
-"""How an answer about a robot is judged whose law was always there, and whose model is learned from its recordings.
+"""Score an answer about a robot whose law was always present, with a model learned from its recordings.
 
-What is named is what `learn` put into the chain of the model, then what the diagnosis of another run adds: for a memory
-that was always there both are right. Units: mm, s. Pinned by tests/test_bank_learned.py.
+The named effects are those that `learn` added to the chain of the model, then those that the diagnosis of another run
+adds. For a memory that was always present both are right. Units: mm, s. Pinned by tests/test_bank_learned.py.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def judge_learned(case: Kept) -> dict[str, Any]:
-    """Learn a model from the reference runs of a case, diagnose another run with it, and judge both together."""
+    """Learn a model from the reference runs of a case, diagnose another run with it, and score both together."""
     from softmap_edge import _core
     from softmap_edge.diagnosis.diagnose import diagnose
 
@@ -58,7 +58,7 @@ def taught(case: Kept) -> Model:
 
 
 def together(chain: tuple[str, ...], document: dict[str, Any]) -> dict[str, Any]:
-    """Return a diagnosis with what the model learned put before what it names."""
+    """Return a diagnosis with the learned effects put before its own."""
     learned = [{"name": name, "share": 2.0 - 0.01 * k, "probability": 1.0} for k, name in enumerate(chain)]
     families = [{"name": FAMILY[name][0]} for name in chain if name in FAMILY]
     silent = not document["effects"] and document["verdict"] in ("nothing", "cannot_tell")

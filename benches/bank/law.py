@@ -25,7 +25,7 @@ Numbers = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Record:
-    """What a law may know: t (T,) s, the command u (T, C) mm that was sent, temperature (T,) °C, gravity (T, 3) g."""
+    """The inputs of a law: t (T,) s, the command u (T, C) mm, temperature (T,) °C, gravity (T, 3) g."""
 
     t: Floats
     u: Floats
@@ -35,7 +35,7 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """How the cables came to where they are at the seen frames.
+    """History of the cables up to the seen frames.
 
     `t` (T,) s with even steps, `pull` (T, 4) mm, `gravity` (T, 3) g; `taken` (K,) s, when the frames were exposed.
     """
@@ -86,7 +86,7 @@ class Law:
         return loads
 
     def tension(self, past: Past) -> Floats | None:
-        """Return the tension (K, 4, segments) along each cable at the seen frames, in parts of that at its base."""
+        """Return the tension (K, 4, segments) along each cable at the seen frames, relative to that at its base."""
         return None
 
     def seen(self, points: Floats, t: Floats) -> Floats:

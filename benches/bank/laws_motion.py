@@ -1,17 +1,17 @@
-"""Laws of motion that no library has: other memories, and other answers to speed.
+"""Laws of motion that are in no library: other memories, and other responses to speed.
 
     hum              A sin(2π f t) on one channel, 0.13 to 3 Hz
-    stick_slip       the drive stands until it is w behind, then jumps to where it should be, but for a rest
+    stick_slip       the drive stands until it is w behind, then jumps almost to its target
     overshoot        y = u + a (u − play(u))
     stribeck         −F sgn(v) (1 + 2 e^{−(v/v₀)²})/3, smoothed at rest
     speedy_play      play whose gap grows with speed
-    snap             a buckled guide: a shift that trips at one command and back at another
+    snap             a buckled guide: a shift that trips at one command and returns at another
     hooked           play of one channel drags the other
     fading_memory    u (1 + a e^{−path/p}), the path since the last reversal: a gain that recovers after a turn
     rate_square      u − c v|v|
     rate_bend        u − c v |u|
 
-Units: s, mm. Randomness only from the generator that is given. Pinned by tests/test_bank_odd.py.
+Units: s, mm. Randomness only from the given generator. Pinned by tests/test_bank_odd.py.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def played(u: Floats, half: Floats) -> Floats:
 
 
 def some(rng: np.random.Generator, channels: int) -> Numbers:
-    """Draw one channel that acts alone, or all with other strengths."""
+    """Draw one channel that acts alone, or all with different strengths."""
     size = rng.uniform(0.4, 1.0, channels) if rng.uniform() < 0.5 else np.eye(channels)[int(rng.integers(channels))]
     return tuple(size / size.max())
 
@@ -75,7 +75,7 @@ class Hum(Law):
 
 @dataclass(frozen=True)
 class StickSlip(Law):
-    """y stands while |u − y| ≤ w, else jumps to u, but for `rest` of the gap."""
+    """y stands while |u − y| ≤ w, else jumps to u, except for `rest` of the gap."""
 
     NAME, STRONG = "stick_slip", ("width_mm",)
     width_mm: Numbers
@@ -178,7 +178,7 @@ class Snap(Law):
 
 @dataclass(frozen=True)
 class Hooked(Law):
-    """u_c + a (u_d − play(u_d, w)): what one channel's play holds back pulls at the other."""
+    """u_c + a (u_d − play(u_d, w)): the part held back by one channel's play pulls at the other."""
 
     NAME, STRONG = "hooked", ("share",)
     share: Numbers

@@ -1,13 +1,12 @@
-"""Drifts, chance, other robots and drives that are off; and all laws that no library has, in the order of the cases.
+"""Drifts, chance, other robots and drives that are off; and the list of all laws outside the library, in case order.
 
-    frame_noise      the frame wanders, with a memory or without end
-    bending_noise    the body bends by itself, with a memory or without end
+    frame_noise      the frame wanders, with a memory or as a random walk
+    bending_noise    the body bends irregularly, with a memory or as a random walk
     timely_gain      gain along a line, a step or an exponential in time
     other_modulus, longer_body, mixed_channels   another robot than the model's
     still, stuck     the drive is off, or off for a part of the run
 
-Units: s, mm. Randomness only from the generator that is given, or from a stored seed. Pinned by
-tests/test_bank_odd.py.
+Units: s, mm. Randomness only from the given generator, or from a stored seed. Pinned by tests/test_bank_odd.py.
 """
 
 from __future__ import annotations
@@ -48,9 +47,9 @@ from benches.bank.section import Design
 
 
 def wandering(t: Floats, memory_s: float, count: int, seed: int) -> Floats:
-    """Return `count` Ornstein-Uhlenbeck processes of variance 1 at t (T,) s, from zero; without end for infinity.
+    """Return `count` Ornstein-Uhlenbeck processes of variance 1 at t (T,) s, from zero; a walk for infinite memory.
 
-    A walk without end has the variance t/100 s.
+    A walk has the variance t/100 s.
     """
     rng = np.random.default_rng(seed)
     gap = np.diff(t, prepend=t[0])
@@ -86,7 +85,7 @@ class FrameNoise(Law):
 
 @dataclass(frozen=True)
 class BendingNoise(Law):
-    """The body bends by itself, as if commands wandered."""
+    """The body bends irregularly, as if commands wandered."""
 
     NAME, STRONG = "bending_noise", ("size_mm",)
     size_mm: Numbers
@@ -144,7 +143,7 @@ class OtherModulus(Law):
 
 @dataclass(frozen=True)
 class LongerBody(Law):
-    """A body that was drawn longer by a share, thinner by its root."""
+    """A body that is longer by a share, and thinner by its root."""
 
     NAME, STRONG, SHAPE = "longer_body", ("more",), True
     more: float
@@ -159,7 +158,7 @@ class LongerBody(Law):
 
 @dataclass(frozen=True)
 class MixedChannels(Law):
-    """The horns stand turned: each servo drives a bit of the other's pair."""
+    """The horns are turned: each servo drives a part of the other's pair."""
 
     NAME, STRONG = "mixed_channels", ("turn_deg",)
     turn_deg: float
@@ -189,7 +188,7 @@ class Still(Law):
 
 @dataclass(frozen=True)
 class Stuck(Law):
-    """The drive stands where it was for a part of the run, then goes on."""
+    """The drive stands still for a part of the run, then continues."""
 
     NAME, STRONG = "stuck", ()
     start: float

@@ -52,7 +52,7 @@ def unequal(rng: np.random.Generator, count: int, least: float = 0.15) -> Number
 
 @dataclass(frozen=True)
 class WornGear(Law):
-    """Play of each servo; its half gap is w (1 + 0.2 cos(y/R + φ)) where the gear stands at y."""
+    """Play of each servo; its half gap is w (1 + 0.2 cos(y/R + φ)) at the gear's position y."""
 
     NAME, STRONG, LIMIT = "backlash", ("half_gap_mm",), 6.0
     half_gap_mm: Numbers
@@ -101,7 +101,7 @@ class SheathFriction(Law):
 
 @dataclass(frozen=True)
 class GuideFriction(Law):
-    """Capstan after capstan along the body, each cable with another μ."""
+    """Capstan after capstan along the body, each cable with a different μ."""
 
     NAME, STRONG, SHAPE, LIMIT = "body_friction", ("mu", "tight"), True, 3.5
     mu: Numbers
@@ -119,7 +119,7 @@ class GuideFriction(Law):
 
 @dataclass(frozen=True)
 class UnevenWen(BoucWen):
-    """Bouc-Wen, another share for each servo."""
+    """Bouc-Wen, a different share for each servo."""
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
@@ -129,7 +129,7 @@ class UnevenWen(BoucWen):
 
 @dataclass(frozen=True)
 class UnevenSlack(LongCables):
-    """Cables that are too long at rest, each by another length."""
+    """Cables that are too long at rest, each by a different length."""
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
@@ -165,7 +165,7 @@ class CableDrums(Law):
 
 @dataclass(frozen=True)
 class UnevenStretch(SoftCables):
-    """Four cables, each softer by another factor."""
+    """Four cables, each softer by a different factor."""
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
@@ -174,7 +174,7 @@ class UnevenStretch(SoftCables):
 
 @dataclass(frozen=True)
 class CutLengths(Horns):
-    """Four cables, each cut to another length."""
+    """Four cables, each cut to a different length."""
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
@@ -215,7 +215,7 @@ class WeakServo(Law):
 
 @dataclass(frozen=True)
 class UnevenProny(Prony):
-    """Creep by three terms, another compliance for each channel."""
+    """Creep by three terms, a different compliance for each channel."""
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
@@ -226,7 +226,7 @@ class UnevenProny(Prony):
 
 @dataclass(frozen=True)
 class UnevenCableCreep(CableCreep):
-    """Each cable another loss."""
+    """A different loss for each cable."""
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:
@@ -245,7 +245,7 @@ class UnevenStops(Stops):
 
 @dataclass(frozen=True)
 class OneWayDrag(Drag):
-    """One guide drags its neighbour, hardly the other way round."""
+    """One guide drags its neighbour; there is hardly any drag in the other direction."""
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> Self:

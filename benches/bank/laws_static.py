@@ -1,9 +1,9 @@
-"""Smooth static maps of the command that no library has: 15 forms, each on both channels, on one, or with other signs.
+"""Smooth static maps of the command in no library: 15 forms, each on both channels, on one, or with other signs.
 
-u + a h f(u/h; b, φ), h = 12 mm: a is how much, b > 0 how sharp, φ a phase. Each is zero at home. `bent` is the share
-that offsets and gains cannot do: it is what makes a map a map, and it is what is scaled.
+u + a h f(u/h; b, φ), h = 12 mm: a is the amount, b > 0 the sharpness, φ a phase. Each is zero at home. `bent` is the
+part that offsets and gains cannot represent. It makes a map non-linear, and it is what is scaled.
 
-Units: mm. Randomness only from the generator that is given. Pinned by tests/test_bank_odd.py.
+Units: mm. Randomness only from the given generator. Pinned by tests/test_bank_odd.py.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ CROSSED: dict[str, Callable[[Floats, Floats, float], Floats]] = {
 
 
 def bent(plain: Floats, mapped: Floats) -> float:
-    """Return the share of mapped − plain (T, C) mm that offsets and gains of the channels cannot do, in RMS."""
+    """Return the part of mapped − plain (T, C) mm that offsets and gains of the channels cannot represent, in RMS."""
     more = mapped - plain
     left = np.empty_like(more)
     for c, (u, d) in enumerate(zip(plain.T, more.T)):
@@ -121,7 +121,7 @@ class SmoothMap(Law):
         return cls.of(int(rng.integers(60)), rng, channels)
 
     def scaled(self, s: float) -> Self:
-        """Return the same map, s times as strong, or as strong as it may be and still rise."""
+        """Return the same map, s times as strong, or at the largest strength at which it still rises."""
         law = super().scaled(s)
         while not rises(law):
             law = Law.scaled(law, 0.9)

@@ -1,4 +1,4 @@
-"""Laws of heat, wear and mounting that no library has.
+"""Laws of heat, wear and mounting that are in no library.
 
     warm_creep       creep whose strength follows the temperature
     bimetal          an offset that follows the temperature of the body
@@ -7,11 +7,11 @@
     fatigue          gain that falls with the path travelled
     torn             one cable tears at one instant
     clutch           the drum slips a little each time it is pulled beyond a limit, and stays there
-    mounted_gain     other gains in the other mounting
-    held             the servo takes a new command twice a second only
+    mounted_gain     different gains in the second mounting
+    held             the servo takes a new command only twice a second
     steps            commands rounded to a grid
 
-Units: s, mm, °C. Randomness only from the generator that is given. Pinned by tests/test_bank_odd.py.
+Units: s, mm, °C. Randomness only from the given generator. Pinned by tests/test_bank_odd.py.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class Torn(Law):
 
 @dataclass(frozen=True)
 class Clutch(Law):
-    """y = u − s, s follows so that |y| stays below a limit: a drum that slips and does not come back by itself."""
+    """y = u − s, s follows so that |y| stays below a limit: a drum that slips and does not return."""
 
     NAME, STRONG, LIMIT = "clutch", ("lost_mm",), 9.0
     lost_mm: Numbers  # of a reach of 12 mm

@@ -1,11 +1,11 @@
-"""Slice *learned*: robots whose law was always there, and whose model is learned from their own recordings.
+"""Slice *learned*: robots whose law was always present, and whose model is learned from their own recordings.
 
-A finger with play, friction, slack, creep or lag, and the static imperfections of slice *shop*, is seen by five balls
-along its body in the frame of a motion capture: turned about its axis by any angle, tilted by some degrees, with an
-origin that is some millimetres off. A model is learned from a reference run (level *one*), or from that and a second
-run of half the size and twice the speed (level *two*); then a run of another kind is diagnosed. One orientation, 22 °C.
-A law without memory (slack) is part of a static map that is learned: there nothing is left to be named. The background
-of a finger is what a cubic map of the commands leaves of it, without its law.
+A finger has play, friction, slack, creep or lag, and the static imperfections of slice *shop*. A motion capture sees it
+by five balls along its body. Its frame is turned about the axis by any angle, tilted by some degrees, and has an origin
+that is some millimetres off. A model is learned from a reference run (level *one*), or from that and a second run of
+half the size and twice the speed (level *two*). Then a run of another kind is diagnosed. One orientation, 22 °C. A law
+without memory (slack) is part of a learned static map, so nothing remains to be named. The background of a finger is
+the error of a cubic map of the commands, fitted to it without its law.
 Units: mm, s, degrees. A case is a pure function of (seeds, level, kind, number). Pinned by tests/test_bank_learned.py.
 """
 
@@ -56,7 +56,7 @@ COUPLES: tuple[tuple[type[Law], type[Law]], ...] = (
 WITH_MEMORY = ("stick_slip", "overshoot", "stribeck", "speedy_play", "hooked", "fading_memory", "rate_square", "snap",
                "big_creep", "clutch", "rate_bend")  # fmt: skip
 STRANGE = tuple(law for law in UNKNOWN_LAWS if law.NAME in WITH_MEMORY)
-ABSORBED = ("dead_zone",)  # laws without memory: a static map that is learned has them
+ABSORBED = ("dead_zone",)  # laws without memory: a learned static map contains them
 
 
 class BalledBody(RodBody):
@@ -99,12 +99,17 @@ class Capture(Law):
 
 
 def warm(t: Floats) -> Floats:
-    """Return the temperature (T,) of an even room, °C."""
+    """Return the temperature (T,) of a room of constant temperature, °C."""
     return np.full(len(t), 22.0)
 
 
 def learned_case(seeds: str, level: str, kind: str, number: int) -> tuple[Case, dict[str, Run]]:
-    """Make a case and its runs. Raises KeyError for an unknown kind, ArithmeticError if a body does not settle."""
+    """Make a case and its runs.
+
+    Raises:
+        KeyError: the kind is unknown.
+        ArithmeticError: a body does not settle.
+    """
     rng = stream(seeds, "learned", level, kind, number)
     small = imperfections(body_of("shop"), float(rng.uniform(*BACKGROUND_MM)), rng)
     found = sorted((_strong(law, rng) for law in _wanted(kind, number)), key=lambda pair: place_of(pair[0]))
@@ -121,7 +126,7 @@ def learned_case(seeds: str, level: str, kind: str, number: int) -> tuple[Case, 
 
 
 def uncubed_mm(mine: Case, number: int) -> float:
-    """Return what a cubic of the commands leaves of a finger without its law: section centroids, mm RMS."""
+    """Return the error of a cubic of the commands for a finger without its law: section centroids, mm RMS."""
     protocol, every = reference(number, 1.0, 1.0, 90.0), 5
     points = seen(mine.body, mine.small, protocol, False, every=every, room=mine.room)
     x, y = (np.interp(protocol.t_seen[::every], protocol.t, u) / REACH for u in protocol.command.T)
@@ -194,7 +199,7 @@ def targets(number: int, size: float, speed: float, seconds: float) -> Protocol:
 
 
 def circles(number: int, seconds: float) -> Protocol:
-    """Return a run of circles that grow and shrink, one way and the other."""
+    """Return a run of circles that grow and shrink, in both directions."""
     rng = np.random.default_rng([number, 3])
     t = np.arange(0.0, seconds, 1.0 / RATE)
     size = REACH * 0.9 * np.sin(np.pi * t / seconds) * (0.8 + 0.2 * np.cos(2 * np.pi * t / 11.0))

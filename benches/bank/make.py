@@ -1,6 +1,6 @@
 """Make a case once: its runs and the truth about it (`store.py` keeps them).
 
-Units: mm, s. A case that cannot be made says why when it is asked for. Pinned by tests/test_bank_store.py.
+Units: mm, s. A case that cannot be made reports the reason when it is requested. Pinned by tests/test_bank_store.py.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from benches.bank.shop import shop_case
 from benches.bank.store import Kept, Task, keep
 from softmap_edge.run import Run
 
-SCORED = 2.0  # times its own background that a single has to move the finger to be scored
+SCORED = 2.0  # times its background by which a single must move the finger to be scored
 
 
 def made(task: Task, root: Path) -> Kept:
@@ -36,7 +36,7 @@ def made(task: Task, root: Path) -> Kept:
 
 
 def _case(task: Task) -> Case:
-    """Return a case of a slice whose model is known beforehand."""
+    """Return a case of a slice whose model is known in advance."""
     seeds, slice_, level, kind, number = task
     if slice_ == "shop":
         return shop_case(seeds, level, kind, number)
@@ -44,7 +44,7 @@ def _case(task: Task) -> Case:
 
 
 def _runs(mine: Case, kind: str, number: int) -> dict[str, Run]:
-    """Return the runs of a case: what is diagnosed, what was asked for, what judges and its twin."""
+    """Return the runs of a case: the diagnosed run, a requested second run, the validation run and its twin."""
 
     def recorded(told: str) -> Run:
         protocol = protocol_of(told, mine.hidden, number)
@@ -62,7 +62,7 @@ def _runs(mine: Case, kind: str, number: int) -> dict[str, Run]:
 
 
 def truth_of(mine: Case, background_mm: float) -> dict[str, Any]:
-    """Return what is hidden in a case and what is right to say of it."""
+    """Return the hidden laws of a case and the right answers."""
     moved = [float(mm) for mm in mine.moved_mm]
     return {
         **mine.to_dict(),
@@ -80,7 +80,7 @@ def truth_of(mine: Case, background_mm: float) -> dict[str, Any]:
 
 
 def verdicts(kind: str, answers: tuple[Answer, ...]) -> tuple[str, ...]:
-    """Return the verdicts that are right for the whole run."""
+    """Return the verdicts that are right for the complete run."""
     if not answers:
         return ("nothing", "cannot_tell")
     if kind in ("untestable", "removed"):

@@ -19,8 +19,8 @@ def newton_step(
     stiffness: Floats,
     drawn: Floats | None = None,
 ) -> Floats:
-    """Return the Newton step (B, n, 6): −(K + Σ k d lᵀ)⁻¹ f over the taut cables, K block-tridiagonal, d = l if not
-    `drawn` otherwise.
+    """Return the Newton step (B, n, 6): −(K + Σ k d lᵀ)⁻¹ f over the taut cables, K block-tridiagonal, d = l unless
+    `drawn` is given.
     """
     below, diagonal, above = blocks
     drawn = (lengths if drawn is None else drawn) * taut[:, None, None, :]

@@ -1,11 +1,11 @@
-"""Slice *odd*: what makes a diagnosis claim too much. Smooth maps, drifts, chance, other robots, robots that stand.
+"""Slice *odd*: causes of false claims. Smooth maps, drifts, chance, other robots, robots that stand.
 
-    null       nothing is hidden: clean, with background, with heavy tails, with slow jitter, with bodies that bend by
-               themselves, with frames laid elsewhere, with a temperature that jumps about and does nothing
+    null       nothing is hidden: clean, with background, with heavy tails, with slow jitter, with bodies that bend
+               irregularly, with displaced frames, with a temperature that jumps and has no effect
     single     a law of the library under one of those conditions
-    pair       a law of the library beside a map or a law that no library has
-    unknown    level *maps*: a smooth static map or a cross term; level *real*: a law that no library has
-    trap       a drift, a temperature that goes with time by chance, another robot than the model's, a drive that is off
+    pair       a law of the library together with a map or a law that is in no library
+    unknown    level *maps*: a smooth static map or a cross term; level *real*: a law that is in no library
+    trap       a drift, a temperature that follows time by chance, another robot than the model's, a drive that is off
 
 Units: mm, s, °C. A case is a pure function of (seeds, level, kind, number). Pinned by tests/test_bank_odd.py.
 """
@@ -43,7 +43,7 @@ from softmap_edge.protocol import standard_protocol
 
 Room = Callable[[Floats], Floats]
 
-BENT_MM = (0.5, 1.5)  # by which what offsets and gains cannot do of a map moves the section centroids
+BENT_MM = (0.5, 1.5)  # RMS of the section centroids by the part of a map that offsets and gains cannot represent
 CROSSED = 5  # one of so many maps is a cross term
 EASY = replace(LEVELS["easy"], background=0.0)
 REAL = replace(LEVELS["real"], moves_mm=(0.8, 2.5))
@@ -58,7 +58,12 @@ KNOWN = {**DRIVE, **BODY}
 
 
 def odd_case(seeds: str, level: str, kind: str, number: int) -> Case:
-    """Make a case. Raises KeyError for an unknown kind, ArithmeticError if a body does not settle."""
+    """Make a case.
+
+    Raises:
+        KeyError: the kind is unknown.
+        ArithmeticError: a body does not settle.
+    """
     rng = stream(seeds, "odd", level, kind, number)
     body, hardness, room = body_of("odd"), _level(kind, number, rng), _room(kind, number)
     small: tuple[Law, ...] = background(hardness, rng, body.channels) if hardness.background else ()
@@ -73,7 +78,7 @@ def odd_case(seeds: str, level: str, kind: str, number: int) -> Case:
 
 
 def _level(kind: str, number: int, rng: np.random.Generator) -> Level:
-    """Return the camera and the background of a case: nulls and singles go round, the others are drawn."""
+    """Return the camera and the background of a case: in turn for nulls and singles, drawn for the others."""
     slow = replace(REAL, shiver_mm=0.10, shiver_deg=0.05, memory_s=float(rng.uniform(4.0, 12.0)))
     tails = replace(REAL, point_mm=0.15, tails=2.3)
     kinds = [EASY, REAL, tails, slow, REAL, replace(REAL, lost=0.03), REAL]
@@ -82,7 +87,7 @@ def _level(kind: str, number: int, rng: np.random.Generator) -> Level:
 
 
 def _restless(kind: str, number: int, body: Body, rng: np.random.Generator) -> tuple[Law, ...]:
-    """Return the noise of bodies that bend by themselves: 0.15 to 0.4 mm of command, from frame to frame."""
+    """Return the noise of bodies that bend irregularly: 0.15 to 0.4 mm of command, from frame to frame."""
     if kind not in ("null", "single") or number % 7 != 4:
         return ()
     size = tuple(rng.uniform(0.15, 0.4, body.channels) * (1.0 if kind == "null" else 0.5))
@@ -90,7 +95,7 @@ def _restless(kind: str, number: int, body: Body, rng: np.random.Generator) -> t
 
 
 def _room(kind: str, number: int) -> Room:
-    """Return what the run declares of the temperature."""
+    """Return the temperature that the run declares."""
     if kind in ("null", "single") and number % 7 == 6 and not (kind == "single" and _needs_heat(number)):
         return partial(_jumping, seed=number)
     if kind == "trap" and number % len(TRAPS) in HEATED:
@@ -103,13 +108,13 @@ def _needs_heat(number: int) -> bool:
 
 
 def _jumping(t: Floats, seed: int) -> Floats:
-    """Return temperatures (T,) °C that jump about every 7 s and mean nothing."""
+    """Return temperatures (T,) °C that jump about every 7 s and have no effect."""
     levels = np.random.default_rng([seed, 31]).uniform(15.0, 45.0, 2000)
     return np.asarray(levels[np.clip((t / 7.0).astype(int), 0, 1999)])
 
 
 def _by_chance(t: Floats, course: str) -> Floats:
-    """Return a temperature (T,) °C that goes as the gain does, by chance."""
+    """Return a temperature (T,) °C that follows the gain by chance."""
     return np.asarray(20.0 + 10.0 * profile(course, t))
 
 
@@ -117,7 +122,7 @@ Hidden = tuple[Law, float, Answer]
 
 
 def _hidden(level: str, kind: str, number: int, body: Body, hard: Level, rng: np.random.Generator) -> list[Hidden]:
-    """Return what a case hides, how far it moves the finger, and what is right to say of it."""
+    """Return the hidden laws of a case, their displacement of the finger, and the right answers."""
     if kind == "null":
         return []
     if kind == "single":
@@ -133,14 +138,14 @@ def _hidden(level: str, kind: str, number: int, body: Body, hard: Level, rng: np
 
 
 def _known(name: str, body: Body, hard: Level, rng: np.random.Generator) -> Hidden:
-    """Draw a law of the library; a pulley that turns one and a half times at least."""
+    """Draw a law of the library; a pulley turns one and a half times at least."""
     kind = SmallPulley if name == "eccentric_pulley" else KNOWN[name]
     law, moved = drawn(kind, body, hard, rng)
     return law, moved, answer_for(name)
 
 
 class SmallPulley(OffCentre):
-    """An eccentric spool of which the range of the protocol is 1.5 turns and more."""
+    """An eccentric spool for which the range of the protocol is 1.5 turns and more."""
 
     @classmethod
     def draw(cls, rng: np.random.Generator, channels: int) -> SmallPulley:
@@ -148,13 +153,13 @@ class SmallPulley(OffCentre):
 
 
 def _strange(number: int, body: Body, hard: Level, rng: np.random.Generator) -> Hidden:
-    """Draw a law that no library has."""
+    """Draw a law that is in no library."""
     law, moved = drawn(UNKNOWN_LAWS[number % len(UNKNOWN_LAWS)], body, hard, rng)
     return law, moved, Answer(unknown_family(law))
 
 
 def mapped(number: int, body: Body, rng: np.random.Generator) -> Hidden:
-    """Draw a smooth map (four of five) or a cross term, scaled by what offsets and gains cannot do of it."""
+    """Draw a smooth map (four of five) or a cross term, scaled by the part that offsets and gains cannot represent."""
     crossed = number % CROSSED == CROSSED - 1
     count = number // CROSSED if crossed else number - number // CROSSED
     law: Law = CrossTerm.of(count, rng, body.channels) if crossed else SmoothMap.of(count, rng, body.channels)
@@ -166,7 +171,7 @@ def mapped(number: int, body: Body, rng: np.random.Generator) -> Hidden:
 
 
 def curved_share(law: Law) -> float:
-    """Return the share of a map, on commands of the standard protocol, that offsets and gains cannot do."""
+    """Return the share of a map that offsets and gains cannot represent, on commands of the standard protocol."""
     protocol = standard_protocol(2)
     record = Record(protocol.t, protocol.command, temperature(protocol.t), protocol.gravity)
     u = law.drive(record, protocol.command)
@@ -234,7 +239,7 @@ def _stuck(body: Body, rng: np.random.Generator) -> Hidden:
 
 
 def _gross(law: Law, answer: Answer, body: Body) -> Hidden:
-    """Return a law as large as it is, and how far it moves the finger."""
+    """Return a law at its full size, and its displacement of the finger."""
     plain = seen(body, (), standard_protocol(2), False, every=body.every, rough=not law.SHAPE)
     there = seen(body, (law,), standard_protocol(2), False, every=body.every, rough=not law.SHAPE)
     return law, rms(sections(there - plain, body.place)), answer
@@ -244,4 +249,4 @@ TRAPS: tuple[Trap, ...] = (
     _frame, _timely("ramp"), _bending, _still, _modulus, _timely("step"), _mixed, _stuck, _longer,
     _timely("exponential"),
 )  # fmt: skip
-HEATED = (1, 5, 9)  # of the traps: those of which the temperature goes as the gain does
+HEATED = (1, 5, 9)  # of the traps: those whose temperature follows the gain

@@ -37,10 +37,10 @@ WALL = 2.0  # N/mm of each node that is pressed into an obstacle
 
 @dataclass(frozen=True, eq=False)
 class Loads:
-    """What acts on each of B rods: `pull` (B, 4) mm of shortening of the cables, `gravity` (B, 3) g, `tip` (B, 3) N.
+    """The loads on each of B rods: `pull` (B, 4) mm of shortening of the cables, `gravity` (B, 3) g, `tip` (B, 3) N.
 
-    `plane` (normal (3,), place mm) is an obstacle: what of the rod's surface lies beyond normal·x = place is pushed
-    back. `tension` (B, 4, m-1) is that of each cable along its segments, in parts of that at the base; None is 1.
+    `plane` (normal (3,), place mm) is an obstacle: the rod's surface beyond normal·x = place is pushed back. `tension`
+    (B, 4, m-1) is that of each cable along its segments, relative to that at the base; None is 1.
     """
 
     pull: Floats
@@ -265,7 +265,7 @@ def own_lengths(design: Design) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """What acts on the free nodes of B rods: `slope` (B, n, 6) of the energy, its tangent `blocks` (below, diagonal,
+    """The forces on the free nodes of B rods: `slope` (B, n, 6) of the energy, its tangent `blocks` (below, diagonal,
     above) (B, n, 6, 6) without the cables' own stiffness, slopes (B, n, 6, 4) of the cables' `lengths`, the same
     `drawn` by the tension of each segment, and the tension `pull` (B, 4) N at the base.
     """
@@ -286,7 +286,7 @@ def assembled(
 
 
 def balance(design: Design, loads: Loads, x: Floats, frame: Floats) -> Balance:
-    """Return what acts on rods at places x (B, n+1, 3) and frames (B, n+1, 3, 3)."""
+    """Return the forces on rods at places x (B, n+1, 3) and frames (B, n+1, 3, 3)."""
     middle, theta, chord, strain = _strains(design, x, frame)
     _, sigma, law = _section(design, strain)
     local, force = _element(design.length, theta, chord, sigma, law)
@@ -352,8 +352,8 @@ def _element(length: Floats, theta: Floats, chord: Floats, sigma: Floats, law: F
 
 
 def _cables(design: Design, loads: Loads, x: Floats, frame: Floats, ends: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return tension (B, 4) N, slopes (B, n+1, 6, 4) of the cables' lengths, and the same weighed by the tension of
-    each segment; add what taut lines do to `ends`.
+    """Return tension (B, 4) N, slopes (B, n+1, 6, 4) of the cables' lengths, and the same weighted by the tension of
+    each segment; add the contributions of taut lines to `ends`.
     """
     m = design.guide.shape[1]
     arm = np.einsum("bmij,cmj->bcmi", frame[:, :m], design.guide)

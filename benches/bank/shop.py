@@ -1,8 +1,9 @@
-"""Slice *shop*: fingers as a workshop makes them, with laws for each servo and each cable, before a slow camera.
+"""Slice *shop*: fingers as a workshop makes them, with laws for each servo and each cable, seen by a slow camera.
 
-Every finger has static imperfections of 0.2 to 0.4 mm RMS of its section centroids (`imperfect.py`), the frame jitters
-with a memory of 3 to 10 s, and a hidden law moves the finger 2.2 to 6 times as far as the imperfections do. A law that
-cannot reach that at a plausible strength is as strong as plausible, and is not scored below twice the background.
+Every finger has static imperfections of 0.2 to 0.4 mm RMS of its section centroids (`imperfect.py`). The frame jitters
+with a memory of 3 to 10 s. A hidden law moves the finger 2.2 to 6 times as far as the imperfections do. A law that
+cannot reach that size at a plausible strength gets its largest plausible strength, and is not scored below twice the
+background.
 Units: mm, s. A case is a pure function of (seeds, level, kind, number). Pinned by tests/test_bank_shop.py.
 """
 
@@ -36,7 +37,12 @@ STRANGE: tuple[type[Law], ...] = (
 
 
 def shop_case(seeds: str, level: str, kind: str, number: int) -> Case:
-    """Make a case. Raises KeyError for an unknown kind, ArithmeticError if a body does not settle."""
+    """Make a case.
+
+    Raises:
+        KeyError: the kind is unknown.
+        ArithmeticError: a body does not settle.
+    """
     rng = stream(seeds, "shop", level, kind, number)
     body = body_of("shop")
     wanted = float(rng.uniform(*BACKGROUND_MM))
@@ -70,7 +76,7 @@ def imperfections(body: Body, wanted_mm: float, rng: np.random.Generator) -> tup
 
 
 def hidden_laws(kind: str, number: int, body: Body, level: Level, rng: np.random.Generator) -> list[tuple[Law, float]]:
-    """Draw what a case hides, in the order of the chain: singles and unknown laws go round, pairs are drawn."""
+    """Draw the hidden laws of a case, in the order of the chain: singles and unknown laws in turn, pairs at random."""
     for _ in range(PAIRS):
         if kind == "null":
             return []
@@ -88,14 +94,14 @@ def hidden_laws(kind: str, number: int, body: Body, level: Level, rng: np.random
 
 
 def answer_of(law: Law) -> Answer:
-    """Return what is right for a hidden law of this slice."""
+    """Return the right answer for a hidden law of this slice."""
     if type(law) in SHOP:
         return answer_for(law.NAME)
     return Answer(unknown_family(law))
 
 
 def unknown_family(law: Law) -> tuple[str, ...]:
-    """Return the families that a law which no library has is of."""
+    """Return the families of a law that is in no library."""
     return ODD_FAMILY.get(law.NAME) or FAMILY.get(law.NAME, ())
 
 

@@ -1,12 +1,12 @@
-"""What was made of a case, kept as files: its runs, and the truth about it. Diagnosing and judging read them.
+"""The files of a case: its runs, and the truth about it. Diagnosis and scoring read them.
 
-    ROOT/<case>/truth.json    what is hidden, what is right to say of it, how far it moves the finger, `made_by`
+    ROOT/<case>/truth.json    hidden laws, right answers, displacement of the finger, `made_by`
     ROOT/<case>/first.npz     the run that is diagnosed        whole.npz   a second one, for rivals
-    ROOT/<case>/judge.npz     a run of another kind            twin.npz    the same of the finger that hides nothing
+    ROOT/<case>/judge.npz     a run of another kind            twin.npz    the same of the finger without the law
     ROOT/<case>/taught.npz    runs from which a model is learned (`taught_2.npz` of other size and speed)
 
-`made_by` is a digest of the bank's own code and of what it makes cases from (protocols, the bundle), not of the
-diagnosis: a case that is there for the same digest is not made again. Pinned by tests/test_bank_store.py.
+`made_by` is a digest of the bank's own code and of its inputs (protocols, the bundle), not of the diagnosis. A case
+with the same digest is not made again. Pinned by tests/test_bank_store.py.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Kept:
 
     @cached_property
     def truth(self) -> dict[str, Any]:
-        """Return what is hidden and what is right to say of it."""
+        """Return the hidden laws and the right answers."""
         return dict(json.loads((self.folder / "truth.json").read_text(encoding="utf-8")))
 
     def run(self, name: str = "first") -> Run:
@@ -44,17 +44,17 @@ class Kept:
 
     @property
     def runs(self) -> tuple[str, ...]:
-        """Return the names of the runs that there are."""
+        """Return the names of the stored runs."""
         return tuple(self.truth["runs"])
 
     @property
     def is_made(self) -> bool:
-        """Return whether the case is there."""
+        """Return whether the case is stored."""
         return (self.folder / "truth.json").exists()
 
     @property
     def is_current(self) -> bool:
-        """Return whether the case is there, made by the code as it is."""
+        """Return whether the case is stored and was made by the present code."""
         return self.is_made and bool(self.truth["made_by"] == made_by())
 
 
@@ -65,7 +65,7 @@ def name_of(task: Task) -> str:
 
 
 def keep(task: Task, root: Path, truth: Mapping[str, Any], runs: Mapping[str, Run]) -> Kept:
-    """Write a case: its runs, then the truth, in a folder that appears as a whole."""
+    """Write a case: its runs, then the truth, in a folder that appears at once."""
     folder, half = root / name_of(task), root / f".{name_of(task)}.{os.getpid()}"
     shutil.rmtree(half, ignore_errors=True)
     half.mkdir(parents=True)
@@ -81,7 +81,7 @@ def keep(task: Task, root: Path, truth: Mapping[str, Any], runs: Mapping[str, Ru
 
 @lru_cache(maxsize=1)
 def made_by() -> str:
-    """Return a digest of what makes cases: the bank but for its judges, the protocols, the bundle."""
+    """Return a digest of the code that makes cases: the bank without its scoring, the protocols, the bundle."""
     import softmap_edge
 
     own, package = Path(__file__).parent, Path(softmap_edge.__file__).parent

@@ -21,11 +21,11 @@ from benches.bank.rotations import turn
 
 @dataclass(frozen=True)
 class Level:
-    """How hard it is: σ of a point and of the frame, share of points hidden, background, how far a law moves.
+    """Difficulty: σ of a point and of the frame, share of points hidden, background, displacement by a law.
 
-    `clouds`: cameras see clouds of what is told here (`clouds.py`); their noise, outliers and holes come on top.
-    `memory_s` of the shivering frame; `tails`: degrees of freedom of Student's noise, 0 for a Gaussian; `lost`: share
-    of frames that are laid elsewhere by some 10 mm.
+    `clouds`: cameras see the points described here as clouds (`clouds.py`); their noise, outliers and holes come on
+    top. `memory_s` of the shivering frame; `tails`: degrees of freedom of Student's noise, 0 for a Gaussian; `lost`:
+    share of frames that are displaced by some 10 mm.
     """
 
     name: str

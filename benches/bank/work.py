@@ -1,4 +1,4 @@
-"""One case from beginning to end: made once and kept, diagnosed, judged, one small JSON. What the processes call."""
+"""One case from beginning to end: made once and stored, diagnosed, scored, one small JSON. The processes call this."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from benches.bank.store import JUDGING, Kept, Task, name_of
 if TYPE_CHECKING:
     from softmap_edge.run import Run
 
-Job = tuple[Task, str, str, str]  # a case, the folders of cases and of rows, the digest of what judges
+Job = tuple[Task, str, str, str]  # a case, the folders of cases and of rows, the digest of the scoring code
 
 
 def kept(task: Task, out: Path) -> Path:
-    """Return the file of a judged case."""
+    """Return the file of a scored case."""
     return out / f"{name_of(task)}.json"
 
 
 def code() -> str:
-    """Return a digest of what diagnoses and judges: a case that other code judged is judged again."""
+    """Return a digest of the diagnosis and of the scoring: a case that other code scored is scored again."""
     import softmap_edge
 
     digest = hashlib.sha256()
@@ -38,7 +38,7 @@ def code() -> str:
 
 
 def make(job: Job) -> dict[str, Any]:
-    """Make a case if it is not there; return its name, and what failed."""
+    """Make a case if it is missing; return its name, and the failure if any."""
     from benches.bank.make import made
 
     task, cases = job[0], Path(job[1])
@@ -51,13 +51,13 @@ def make(job: Job) -> dict[str, Any]:
 
 
 def work(job: Job) -> dict[str, Any]:
-    """Make a case if it is not there, and judge it. One that fails says so in its row, and is tried again."""
+    """Make a case if it is missing, and score it. A failure is written into its row, and the case is tried again."""
     row = make(job)
     return written(row, job) if "failed" in row else judge(job)
 
 
 def judge(job: Job) -> dict[str, Any]:
-    """Judge a case that was made, and write its row."""
+    """Score a case that was made, and write its row."""
     task, cases = job[0], Path(job[1])
     try:
         row = judge_case(Kept(cases / name_of(task)))
@@ -67,7 +67,7 @@ def judge(job: Job) -> dict[str, Any]:
 
 
 def written(row: dict[str, Any], job: Job) -> dict[str, Any]:
-    """Write a row, marked with what judged it, and return it."""
+    """Write a row, marked with the digest of the scoring code, and return it."""
     task, _, out, judged_by = job
     row = row | dict(zip(("seeds", "slice", "level", "kind", "number"), task)) | {"code": judged_by}
     path = kept(task, Path(out))
@@ -78,7 +78,7 @@ def written(row: dict[str, Any], job: Job) -> dict[str, Any]:
 
 
 def judge_case(case: Kept) -> dict[str, Any]:
-    """Diagnose a case that was made, and judge what is said of it."""
+    """Diagnose a case that was made, and score the diagnosis."""
     if case.truth["slice"] == "learned":
         from benches.bank.judge_learned import judge_learned
 
@@ -87,7 +87,7 @@ def judge_case(case: Kept) -> dict[str, Any]:
 
 
 def judge_modelled(case: Kept) -> dict[str, Any]:
-    """Diagnose a case with the model of its body, and judge it."""
+    """Diagnose a case with the model of its body, and score it."""
     from benches.bank.bodies import body_of
     from benches.bank.judge import alike, judged
     from benches.bank.judge_family import by_family, names_alike
@@ -122,7 +122,7 @@ def judge_modelled(case: Kept) -> dict[str, Any]:
 
 
 def off(model: Any, run: Run) -> float:
-    """Return how far (mm RMS) a model is from the points that a run shows."""
+    """Return the RMS error (mm) of a model on the points of a run."""
     from benches.bank.watch import rms
 
     points = run.vertices if run.vertices is not None else run.markers
@@ -130,7 +130,7 @@ def off(model: Any, run: Run) -> float:
 
 
 def fallen(case: Kept, before: Any, after: Any) -> tuple[dict[str, float], float | None]:
-    """Return the errors (mm) on a run of another kind, and the share of what is removable that is gone."""
+    """Return the errors (mm) on a run of another kind, and the share of the removable error that is gone."""
     judge = case.run("judge")
     error = {"before": off(before, judge), "after": off(after, judge), "floor": off(before, case.run("twin"))}
     removable = error["before"] - error["floor"]

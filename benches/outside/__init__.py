@@ -1,1 +1,1 @@
-"""Outside data with known answers: our answer beside what general methods reach (`make outside`)."""
+"""Outside data with known answers: our answer compared with general methods (`make outside`)."""

@@ -60,7 +60,7 @@ def main() -> int:
 
 
 def _cases(only: str, skipped: dict[str, str]) -> Iterator[Case]:
-    """Yield the cases of the sets that are there; those that are not go into `skipped`."""
+    """Yield the cases of the sets that are present; absent ones go into `skipped`."""
     for name, (data, make) in SETS.items():
         if only.lower() not in name.lower():
             continue

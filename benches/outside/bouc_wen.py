@@ -2,10 +2,10 @@
 
     r = u − m ÿ,  m = 2 kg;   r = k y + c ẏ + z,   ż = α ẏ − β (γ |ẏ| |z|^(ν−1) z + δ ẏ |z|^ν)
 
-ÿ comes from the FFT of the mean of the four estimation periods, lines above `BAND_HZ` left out (they hold noise). The
-validation sets are not fitted: r is derived from their own displacement, of the sweep without `EDGE_S` at its ends.
-The structure rings at tens of Hz and our effects live at the pace of a finger, so a run counts `SLOWED` s for one of
-the log. Displacements are in mm, forces in N.
+ÿ comes from the FFT of the mean of the four estimation periods, without lines above `BAND_HZ` (they hold noise). The
+validation sets are not fitted: r is derived from their own displacement, for the sweep without `EDGE_S` at its ends.
+The structure rings at tens of Hz, and our effects have the pace of a finger, so a run counts `SLOWED` s for one of the
+log. Displacements are in mm, forces in N.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ RATE_HZ, MASS, PERIOD = 750.0, 2.0, 8192
 BAND_HZ, EDGE_S = 250.0, 1.0
 FINER = 4  # rows of the command for one sample: 750 Hz are five samples of the fastest cycle
 SLOWED = 40.0
-FRAMES = 2048  # of a run that are looked at
+FRAMES = 2048  # of a run that are used
 
 
 def case(folder: Path) -> Case:
@@ -61,7 +61,7 @@ def _signal(file: Path) -> Floats:
 
 
 def _run(force: Floats, displacement: Floats, periodic: bool) -> Run:
-    """Return displacement and restoring force as a run; of a periodic one, a whole period goes before what is seen."""
+    """Return displacement and restoring force as a run; a periodic one is preceded by one complete period."""
     count = len(displacement)
     acceleration, fine = _derivative(displacement, periodic), _finer(displacement, periodic)
     restoring = force - MASS * acceleration
@@ -78,13 +78,13 @@ def _run(force: Floats, displacement: Floats, periodic: bool) -> Run:
 
 
 def _mirrored(x: Floats) -> Floats:
-    """Return a signal and its mirror about its ends, odd, so that neither it nor its slope jumps."""
+    """Return a signal and its odd mirror about its ends, so that neither it nor its slope jumps."""
     line = np.linspace(x[0], x[-1], len(x))
     return np.concatenate([x - line, -(x - line)[-2:0:-1]])
 
 
 def _derivative(x: Floats, periodic: bool) -> Floats:
-    """Return the second derivative of a signal, of its lines up to `BAND_HZ`."""
+    """Return the second derivative of a signal, from its lines up to `BAND_HZ`."""
     wave = x if periodic else _mirrored(x)
     hertz = np.fft.rfftfreq(len(wave), 1.0 / RATE_HZ)
     lines = np.where(hertz <= BAND_HZ, -((2 * np.pi * hertz) ** 2), 0.0) * np.fft.rfft(wave)
@@ -92,7 +92,7 @@ def _derivative(x: Floats, periodic: bool) -> Floats:
 
 
 def _finer(x: Floats, periodic: bool) -> Floats:
-    """Return a signal at `FINER` times its rate, exact for what is periodic and band-limited."""
+    """Return a signal at `FINER` times its rate, exact for periodic band-limited signals."""
     wave = x if periodic else _mirrored(x)
     lines = np.fft.rfft(wave)
     lines[np.fft.rfftfreq(len(wave), 1.0 / RATE_HZ) > BAND_HZ] = 0.0
@@ -107,7 +107,7 @@ def _finer(x: Floats, periodic: bool) -> Floats:
 
 # --- the law itself --------------------------------------------------------------------------
 def fitted_law(fit: Run, held: Mapping[str, Run]) -> dict[str, Floats]:
-    """Return what the law of the benchmark predicts, its six numbers fitted by least squares to the estimation run.
+    """Return the prediction of the benchmark's law, its six numbers fitted by least squares to the estimation run.
 
     γ, δ, ν are searched, k, c, α solved for at each step.
     """

@@ -1,4 +1,4 @@
-"""What a row of the table is made from: one data set, its runs, and the law that is known to be right."""
+"""The inputs of a row of the table: one data set, its runs, and the law that is known to be right."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from benches.data import ROOT
 from softmap_edge import Model, Run
 
 Floats = NDArray[np.float64]
-BLOCKS = "blocks of the run"  # what validates where there is no other run: those of the diagnosis
+BLOCKS = "blocks of the run"  # the validation data where there is no other run: those of the diagnosis
 
-Law = Callable[[], Mapping[str, Floats]]  # what the right law, fitted by hand, predicts on each held-out run (K, Q)
+Law = Callable[[], Mapping[str, Floats]]  # predictions of the right law, fitted by hand, on each held-out run (K, Q)
 
 
 @dataclass(frozen=True)
@@ -26,18 +26,18 @@ class Case:
 
     Attributes:
         name: of the row.
-        about: a paragraph for the page: what the data are, what is known to be missing, what was left out.
-        values: makes (K, Q) of markers (K, M, 3): what peers learn and errors count; outputs stay as they are.
+        about: a paragraph for the page: the data, the known missing physics, omissions.
+        values: makes (K, Q) of markers (K, M, 3): the targets of peers and errors; outputs stay as they are.
         fit: the run that is learned from and diagnosed.
-        held: runs that only validate, by name; without one the held-out blocks of the diagnosis do.
+        held: runs that only validate, by name; without one, the held-out blocks of the diagnosis are used.
         model: makes the model before the diagnosis.
-        law: fits the right law by hand, in (K, Q) of `targets`; None where nobody knows it.
+        law: fits the right law by hand, in (K, Q) of `targets`; None where it is unknown.
         law_name: of that law.
         unit: of the errors; "NRMSE" divides by the standard deviation of the held-out outputs.
         lags: rows of the fit run by which the peers see the commands late.
-        expected: what a right answer names, for the page.
+        expected: the right answer, for the page.
         diagnose: whether our diagnosis runs at all; else the row has peers and laws only.
-        moving: whether commands move, without which no peer can be trained.
+        moving: whether commands move; otherwise no peer can be trained.
         per_library_law: whether each memory law of the library is fitted as well.
     """
 
@@ -85,18 +85,18 @@ def along_x(markers: Floats) -> Floats:
 
 
 def targets(case: Case, run: Run) -> Floats:
-    """Return what was measured in a run, (K, Q): outputs in their unit, else the coordinates of the case."""
+    """Return the measurements of a run, (K, Q): outputs in their unit, else the coordinates of the case."""
     return run.outputs if run.output is not None else case.values(np.asarray(run.markers, float))
 
 
 def predicted(case: Case, model: Model, run: Run) -> Floats:
-    """Return what a model predicts of a run, (K, Q), as `targets` has it."""
+    """Return a model's prediction of a run, (K, Q), like `targets`."""
     points = np.asarray(model.predict(run), float)
     return case.values(points) if model.output is None else model.output.values(points)
 
 
 def error(case: Case, run: Run, answer: Floats) -> float:
-    """Return the error of a prediction (K, Q): NRMSE over the standard deviation of what was measured, or mm.
+    """Return the error of a prediction (K, Q): NRMSE over the standard deviation of the measurement, or mm.
 
     In mm it is the RMS distance of the markers that were seen.
     """

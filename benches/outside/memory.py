@@ -1,4 +1,4 @@
-"""Machines whose memory was always there: a tendon-sheath joint at two bends (ViO-Com), a friction damper (ARTS)."""
+"""Machines whose memory was always present: a tendon-sheath joint at two bends (ViO-Com), a friction damper (ARTS)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Our answer on a data set: what the model learned, what the diagnosis names, the held-out error before and after.
+"""Our answer on a data set: learned effects, effects named by the diagnosis, the held-out error before and after.
 
-Only the public interface is used (`learn_model`, `diagnose`, `Model.predict`, `Model.acting`): the row follows the
+Only the public interface is used (`learn_model`, `diagnose`, `Model.predict`, `Model.acting`), so the row follows the
 product.
 """
 
@@ -26,10 +26,10 @@ STARTS = (0.15, 0.5)  # of each number's range
 
 @dataclass(frozen=True)
 class Answer:
-    """What we say of a data set.
+    """Our answer on a data set.
 
     Attributes:
-        learned: what the model's own chain holds, with numbers.
+        learned: the effects of the model's own chain, with numbers.
         verdict: one of the six words, or "–" without a diagnosis.
         families: found, by name and share where a document has them.
         names: of effects and faults, with their probability and numbers.
@@ -81,9 +81,10 @@ def _number(label: str, value: dict[str, Any]) -> str:
 
 
 def library_laws(case: Case, model: Model) -> dict[str, dict[str, float]]:
-    """Return the held-out error of each memory law of the library beside a refitted static map, by its name.
+    """Return the held-out error of each memory law of the library with a refitted static map, by its name.
 
-    The output is a cubic of the command and a cubic of what the law makes of it; the law's numbers by least squares.
+    The output is a cubic of the command plus a cubic of the law's output; the law's numbers are fitted by least
+    squares.
     """
     found = {"no law": _law_error(case, model, None)}
     for effect in _core.effects():

@@ -1,7 +1,7 @@
-"""General methods on the same held-out runs: what each reaches with the run and the model that our diagnosis gets.
+"""General methods on the same held-out runs, with the same run and model as our diagnosis.
 
-Each learns what the model misses on the run (seen − predicted) from the commands, at once or at several earlier
-times, and is validated as we are. None sees a measured output of a held-out run, so every figure is one of simulation.
+Each learns the error of the model on the run (seen − predicted) from the commands, at once or at several earlier times,
+and is validated in the same way. None sees a measured output of a held-out run, so every figure is one of simulation.
 Settings are the libraries' own unless named below; draws use `SEED`; everything runs on one thread.
 """
 
@@ -27,7 +27,7 @@ from softmap_edge import Model, Run
 Floats = NDArray[np.float64]
 
 SEED = 1
-PROCESS_FRAMES, TUNED_ON = 800, 300  # frames a Gaussian process learns from, and those its kernel is tuned on
+PROCESS_FRAMES, TUNED_ON = 800, 300  # frames for a Gaussian process to learn from, and to tune its kernel on
 HIDDEN, STEPS, RATE = 32, 400, 1e-2  # of the network: two layers, full batches
 STATES = 3  # components of the residual that SINDy integrates
 SPARSE, RIDGE = 1e-3, 1e-2  # threshold and ridge of SINDy, on scaled features
@@ -87,7 +87,7 @@ def _process(x: Floats, y: Floats) -> Predict:
 
 
 def _static(case: Case, train: Floats) -> dict[str, Floats]:
-    """A network of the present command: what is possible without memory."""
+    """A network of the present command: the limit without memory."""
     torch.manual_seed(SEED)
     torch.set_num_threads(1)
     now = (0,)
@@ -111,8 +111,8 @@ def _static(case: Case, train: Floats) -> dict[str, Floats]:
 def _sindy(case: Case, train: Floats) -> dict[str, Floats]:
     """A sparse polynomial map of the residual's next value: of itself, the command, its rate and |rate|.
 
-    The rate and its size are the memory features: a Bouc–Wen force is a polynomial of degree two in them. It goes from
-    frame to frame and starts at the mean residual. Where it diverges, the mean residual is the answer.
+    The rate and its size are the memory features: a Bouc–Wen force is a polynomial of degree two in them. The map is
+    iterated from frame to frame and starts at the mean residual. Where it diverges, the mean residual is the answer.
     """
     parts = _components(train)
     states = parts.transform(train)

@@ -1,6 +1,6 @@
-"""Play and stop, the two laws that memory is built from, and least squares beside a static map: laws by hand.
+"""Play and stop, the two building blocks of memory, and least squares with a static map: laws by hand.
 
-play_g(x): follows x with a slack of g in all;   stop_s(x): follows x until it slips at ±s
+play_g(x): follows x with a total slack of g;   stop_s(x): follows x until it slips at ±s
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Columns = Callable[[Run, Floats], Floats]  # of a run, for the numbers that are 
 
 
 def play(x: Floats, gap: float) -> Floats:
-    """Return what a play of full gap `gap` makes of x (T,); it starts in the middle."""
+    """Return the output of a play of full gap `gap` for x (T,); it starts in the middle."""
     found, at, half = np.empty(len(x)), float(x[0]), 0.5 * gap
     for k, value in enumerate(x.tolist()):
         at = min(max(at, value - half), value + half)
@@ -52,7 +52,11 @@ def fitted(
     """Return predictions (K, Q) on held-out runs: numbers searched from several starts, weights solved for.
 
     Args:
-        columns: of a run and the searched numbers, (K, n). seen: (K, Q) of `fit`. starts, low, high: of the numbers.
+        columns: of a run and the searched numbers, (K, n).
+        seen: (K, Q) of `fit`.
+        starts: of the numbers.
+        low: lower bounds of the numbers.
+        high: upper bounds of the numbers.
     """
 
     def off(x: Floats) -> Floats:

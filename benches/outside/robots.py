@@ -1,4 +1,4 @@
-"""Robots on which we measured what is missing: a trunk with 100 g, nine tendons that fall slack, a loaded beam."""
+"""Robots with measured missing physics: a trunk with 100 g, nine tendons that fall slack, a loaded beam."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def trunk(folder: Path) -> Case:
 
     return Case(
         name="Trunk, 100 g", about=text("trunk"), values=places, fit=fit, held={"held": held}, model=model, law=law,
-        law_name="dead load and offset, 7 numbers", unit="mm", expected="dead load first, offset beside it",
+        law_name="dead load and offset, 7 numbers", unit="mm", expected="dead load first, then the offset",
         lags=(0, 1, 2, 4),
     )  # fmt: skip
 

@@ -22,7 +22,7 @@ PEERS = {
 
 @dataclass(frozen=True)
 class Row:
-    """What one data set gave: our answer, and held-out errors of the others by their name and held-out run."""
+    """The results on one data set: our answer, and held-out errors of the others by their name and held-out run."""
 
     name: str
     unit: str
@@ -85,7 +85,7 @@ def page(rows: Sequence[Row], cases: dict[str, Case], skipped: dict[str, str]) -
         found += f"\n## {row.name}\n\n{cases[row.name].about}\n\n{_paragraph(row)}\n"
         if row.library:
             found += (
-                "\nEach memory law of the library beside a refitted static map, held-out NRMSE:\n\n"
+                "\nEach memory law of the library with a refitted static map, held-out NRMSE:\n\n"
                 + "\n".join(_library(row))
                 + "\n"
             )
@@ -106,5 +106,5 @@ def _library(row: Row) -> list[str]:
 
 
 def machine() -> str:
-    """Return what the figures were made on, for the terminal."""
+    """Return the software and machine behind the figures, for the terminal."""
     return f"softmap-edge {__version__}, Python {platform.python_version()}, {platform.machine()}"

@@ -15,7 +15,7 @@ struct Link {
     effect: &'static Effect,
     params: Range<usize>,
     state: Range<usize>,
-    /// Where what a shape effect remembers lies in what the chain's shape effects remember.
+    /// Where the memory of a shape effect lies in the memory of all shape effects of the chain.
     remembered: Range<usize>,
 }
 
@@ -135,7 +135,7 @@ impl Chain {
         all
     }
 
-    /// The label (P,) that stands for all numbers of the group of each parameter: `backlash.gap` for `backlash.gap[0]`.
+    /// The label (P,) of the group of each parameter: `backlash.gap` for `backlash.gap[0]`.
     pub fn group_labels(&self) -> Vec<String> {
         let bare = |label: &str| label.split('[').next().unwrap_or_default().to_string();
         let all = self.parameters().into_iter();
@@ -146,7 +146,7 @@ impl Chain {
         .collect()
     }
 
-    /// The group (P,) of each parameter: the numbers of one shared parameter are one group, any other is one by itself.
+    /// The group (P,) of each parameter: the numbers of one shared parameter are one group, any other is its own group.
     pub fn tie(&self) -> Vec<usize> {
         let (mut groups, mut next) = (Vec::with_capacity(self.width), 0);
         for parameter in self
@@ -164,7 +164,8 @@ impl Chain {
         groups
     }
 
-    /// Parameters (B, P) of sets that give each shared parameter one number, (B, G) with one for each group of [`Chain::tie`].
+    /// Parameters (B, P) of sets with one number for each shared parameter, (B, G): one for each group of
+    /// [`Chain::tie`].
     pub fn spread(&self, params: &[f64], groups: usize) -> Vec<f64> {
         let tie = self.tie();
         let sets = params.chunks_exact(groups.max(1));
@@ -192,13 +193,13 @@ impl Chain {
             .try_for_each(|(link, law)| law.check(&params[link.params.clone()]))
     }
 
-    /// How many numbers the shape effects remember, M.
+    /// Size M of the memory of the shape effects.
     pub fn remembered(&self) -> usize {
         self.remembered
     }
 
-    /// The first parameters, on which what acts and what is remembered depend: those of channel effects, which come first
-    /// in stage order, and of shape effects with a memory.
+    /// The first parameters, which determine the effective commands and the memory: those of channel effects, which
+    /// come first in stage order, and of shape effects with a memory.
     pub fn acting_width(&self) -> usize {
         let acts = |link: &&Link| {
             link.effect.law.role() == "channel" || matches!(link.effect.law, Law::Remembering(_))
@@ -291,7 +292,7 @@ impl Chain {
         Ok(params.len() / self.width)
     }
 
-    /// Coefficients that the shape effects add at the command `u` (C,) that acts, with what they have `remembered` (M,), in
+    /// Coefficients that the shape effects add at the effective command `u` (C,) with the memory `remembered` (M,), in
     /// one context.
     pub fn coefficients(
         &self,

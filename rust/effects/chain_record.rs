@@ -156,9 +156,9 @@ impl Chain {
         Ok(out)
     }
 
-    /// What acts and what the shape effects remember of it, (B, K, C + M), from equilibrium with `u[0]`: for each set at its
-    /// own K `places`, each a sample and the share of the way to the next one. Sets whose first effects have the same
-    /// numbers go through those together.
+    /// Effective commands and the memory of the shape effects, (B, K, C + M), from equilibrium with `u[0]`: for each
+    /// set at its own K `places`, each a sample and the share of the way to the next one. Sets whose first effects have
+    /// the same numbers share the computation of these.
     pub fn acting(
         &self,
         params: &[f64],
@@ -187,8 +187,8 @@ impl Chain {
         Ok(out)
     }
 
-    /// Take a record, and what it is held at before, through the effects `left`, for each of `sets`; `remembered` is what the
-    /// shape effects before them keep of it, (T, M) each.
+    /// Take a record, and the value it is held at before, through the effects `left`, for each of `sets`; `remembered`
+    /// is the memory of the shape effects before them, (T, M) each.
     fn branch(
         &self,
         left: &[Link],
@@ -244,7 +244,7 @@ impl Chain {
         })
     }
 
-    /// What the shape effects remember (T, M) of a record (T, C) of what acts.
+    /// The memory of the shape effects (T, M) for a record (T, C) of effective commands.
     pub fn remember(&self, params: &[f64], record: &[f64], samples: usize) -> Vec<f64> {
         let mut out = vec![0.0; samples * self.remembered];
         for link in &self.links {

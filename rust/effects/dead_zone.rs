@@ -1,8 +1,7 @@
 //! Dead zone: around zero a command moves nothing, because slack is taken up first.
 //!
-//! `x = sign(u)·max(|u| − slack, 0)`, mm, without memory, for each channel; slack ≤ 0 is none. It acts on
-//! the command: the tendon that goes slack under a load is a law of the prior's own (`slack` of a rod), and no dead
-//! zone.
+//! `x = sign(u)·max(|u| − slack, 0)`, mm, without memory, for each channel; slack ≤ 0 is none. It acts on the command.
+//! A tendon that goes slack under a load is a law of the prior itself (`slack` of a rod), and not a dead zone.
 
 use super::conditions::Context;
 use super::declaration::*;

@@ -57,7 +57,7 @@ pub struct Parameter {
     pub integer: bool,
     /// A time within the run: it lies so far from its ends that both sides of it are seen.
     pub instant: bool,
-    /// How far beyond `high` a fit may go where the data ask for it.
+    /// How far beyond `high` a fit may go where the data require it.
     pub reach: Reach,
     /// For a whole number that counts something of the channels: the highest that means anything.
     pub most: Option<fn(usize) -> usize>,
@@ -72,7 +72,7 @@ pub enum Reach {
     High,
     /// So many times half the range of the commands.
     HalfRanges(f64),
-    /// A weight that would move the tip aside by so many lengths of the body, were its answer linear.
+    /// A weight that would move the tip sideways by so many lengths of the body if the answer were linear.
     Lengths(f64),
 }
 
@@ -81,8 +81,8 @@ pub enum Reach {
 pub enum Each {
     Robot,
     Channel,
-    /// One for each channel, all the same unless the data ask for more: fits move them together, and one label without
-    /// an index stands for all of them (`Chain::tie`).
+    /// One for each channel, all equal unless the data require more: fits move them together, and one label without an
+    /// index is used for all of them (`Chain::tie`).
     Shared,
     /// What [`pairs`] gives.
     Pair,
@@ -137,7 +137,7 @@ impl Parameter {
         self
     }
 
-    /// One number for each channel, the same for all unless told otherwise.
+    /// One number for each channel, equal for all unless they are set separately.
     pub const fn shared(mut self) -> Parameter {
         self.each = Each::Shared;
         self
@@ -292,20 +292,21 @@ pub trait ShapeEffect: Sync {
     fn add(&self, params: &[f64], u: &[f64], context: &Context, out: &mut Coefficients);
 }
 
-/// Coefficients of shape fields that depend on what acted before. The memory is of whole records and belongs to the shape:
-/// where a state is asked for by itself, at rest, there is none of it.
+/// Coefficients of shape fields that depend on earlier effective commands. The memory covers complete records and
+/// belongs to the shape. A single state at rest has no memory.
 pub trait RememberingEffect: Sync {
     /// As of [`ShapeEffect`].
     fn fields(&self, channels: usize) -> Vec<usize>;
 
-    /// How many numbers it remembers at every sample on a robot of so many channels.
+    /// Size of the memory at every sample on a robot of so many channels.
     fn memory(&self, channels: usize) -> usize;
 
-    /// Write them (T, M) to `out` for a whole record `samples` (T, C) of what acts, T and C at least 1. It begins in
-    /// equilibrium with its first sample.
+    /// Write the memory (T, M) to `out` for a complete record `samples` (T, C) of effective commands, T and C at least
+    /// 1. It begins in equilibrium with the first sample.
     fn remember(&self, params: &[f64], samples: &[f64], channels: usize, out: &mut [f64]);
 
-    /// Add the effect's coefficients to `out`, at the command `u` (C,) that acts and what is `remembered` (M,) then.
+    /// Add the effect's coefficients to `out`, at the effective command `u` (C,) and the memory `remembered` at that
+    /// time.
     fn add(
         &self,
         params: &[f64],

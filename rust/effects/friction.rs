@@ -1,9 +1,9 @@
 //! Friction along the tendon: the harder it is pulled, the further it must be pulled back before it moves.
 //!
-//! Play whose width grows with the pull, for elements along the tendon: `y_j = clamp(y_j, x − w_j, x + w_j)` with `w_j
-//! = mu·f_j·(|x| + preload)` and `f_j = (j − ½)/5`, j = 1…5, the share of the wrap that lies before the element; what
-//! acts is the mean over the elements. mm, for each channel; mu ≤ 0 is none. Memory starts centred, `y_j =
-//! x`. Both bounds of the play rise with x while mu < 1, so that it is exact for commands monotonic between samples.
+//! Play whose width grows with the pull, for elements along the tendon: `y_j = clamp(y_j, x − w_j, x + w_j)` with
+//! `w_j = mu·f_j·(|x| + preload)` and `f_j = (j − ½)/5`, j = 1…5, the share of the wrap that lies before the element.
+//! The effective command is the mean over the elements. mm, for each channel; mu ≤ 0 is none. Memory starts centred,
+//! `y_j = x`. Both bounds of the play rise with x while mu < 1, so it is exact for commands monotonic between samples.
 //! Limit: to first order in mu of the capstan's exponential; wrap and pull in proportion to the command.
 
 use super::conditions::Context;

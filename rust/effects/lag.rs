@@ -51,7 +51,8 @@ impl ChannelEffect for Lag {
         }
     }
 
-    /// As by steps; the weights of many samples are found together, once for all channels of one time constant.
+    /// The same as by steps; the weights of many samples are computed together, once for all channels of one time
+    /// constant.
     fn rollout(
         &self,
         params: &[f64],

@@ -46,8 +46,8 @@ pub static EFFECT: Effect = Effect {
 
 struct Latency;
 
-// State: samples kept so far, the read position of each channel (C), the first command (C), then per slot its time and
-// command. Positions count samples, as what is kept does.
+// State: number of stored samples, the read position of each channel (C), the first command (C), then per slot its time
+// and command. Positions count samples, like the store.
 const KEPT: usize = 0;
 const CURSOR: usize = 1;
 

@@ -1,7 +1,7 @@
-//! Saturation: the drive goes no further than its limits, which the model does not know.
+//! Saturation: the drive stops at its limits, which the model does not know.
 //!
-//! `x = min(max(u, −below), above)`, mm, without memory, for each channel; a limit of 0 or less is none. The
-//! search begins inside the usual stroke, since a limit beyond all commands has no slope.
+//! `x = min(max(u, −below), above)`, mm, without memory, for each channel; a limit of 0 or less is none. The search
+//! begins inside the usual stroke, since a limit beyond all commands has no slope.
 
 use super::conditions::Context;
 use super::declaration::*;

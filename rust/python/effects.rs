@@ -89,7 +89,7 @@ impl PyChain {
         self.column(py, |p| p.highest(self.chain.channels()))
     }
 
-    /// How far a fit may go beyond `high`, in halves of the range of the commands; 0 where not in those.
+    /// How far a fit may go beyond `high`, in halves of the range of the commands; 0 if it is not limited so.
     #[getter]
     fn half_ranges<'py>(&self, py: Python<'py>) -> Row<'py> {
         self.column(py, |p| match p.reach {
@@ -98,7 +98,7 @@ impl PyChain {
         })
     }
 
-    /// The same in weights that would move the tip aside by the length of the body.
+    /// The same in weights that would move the tip sideways by the length of the body.
     #[getter]
     fn lengths<'py>(&self, py: Python<'py>) -> Row<'py> {
         self.column(py, |p| match p.reach {
@@ -117,14 +117,14 @@ impl PyChain {
         self.column(py, |p| p.integer)
     }
 
-    /// The group (P,) of each parameter: numbers of one group are the same unless told otherwise.
+    /// The group (P,) of each parameter: numbers of one group are equal unless they are set separately.
     #[getter]
     fn tie<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
         let groups: Vec<i64> = self.chain.tie().into_iter().map(|g| g as i64).collect();
         groups.into_pyarray(py)
     }
 
-    /// The label (P,) that stands for all numbers of a parameter's group.
+    /// The label (P,) of a parameter's group.
     #[getter]
     fn group_labels(&self) -> Vec<String> {
         self.chain.group_labels()
@@ -263,8 +263,9 @@ impl PyChain {
         self.chain.numbers()
     }
 
-    /// Coefficients (B, K, F + 9) of `FIELDS`, of the cables' compliance and of an obstacle (`loads.rs`) that the shape effects add, for gravity (K, 3),
-    /// load (K,) g and the command (K, C) that acts, of which effects with a memory take the rows for a record.
+    /// Coefficients (B, K, F + 9) of `FIELDS`, of the cables' compliance and of an obstacle (`loads.rs`) that the shape
+    /// effects add, for gravity (K, 3), load (K,) g and the effective command (K, C). Effects with a memory take its
+    /// rows as a record.
     #[pyo3(signature = (params, gravity, load=None, temperature=None, u=None))]
     fn coefficients<'py>(
         &self,
@@ -385,7 +386,7 @@ impl PyChain {
     }
 }
 
-/// How many numbers a parameter set has that gives each shared parameter one; None where no parameter is shared.
+/// How many numbers a parameter set has with one number for each shared parameter; None if no parameter is shared.
 fn tied(chain: &Chain) -> Option<usize> {
     let groups = chain.tie().last().map_or(0, |last| last + 1);
     (groups < chain.width()).then_some(groups)

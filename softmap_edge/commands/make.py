@@ -142,9 +142,9 @@ def learn(args: argparse.Namespace) -> int:
 
 
 def _memory(learned: LearnedRod, static: bool) -> list[str]:
-    """Return what was found beside the static map, as lines."""
+    """Return the memory found with the static map, as lines."""
     if static:
-        return ["  memory: not looked for (--static); `softmap diagnose` names it from a run"]
+        return ["  memory: not tested (--static); `softmap diagnose` names it from a run"]
     if not learned.learned_in:
         return ["  memory: none found; the chain is empty"]
     return [f"  {line}" for one in learned.learned_in for line in str(one).splitlines()]

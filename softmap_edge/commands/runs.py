@@ -144,7 +144,7 @@ def show(args: argparse.Namespace) -> int:
     sweep = is_shape_sweep(path)
     run = None if sweep else open_run(path)
     arrays = read_npz(path, SweepError, LIMIT) if run is None else run.arrays()
-    if run is not None and run.output is not None:  # as they were measured, not as markers
+    if run is not None and run.output is not None:  # as measured, not as markers
         arrays = {"output" if name == "markers" else name: array for name, array in arrays.items()}
         arrays["output"] = run.outputs
     fields = [_field(name, array) for name, array in arrays.items()]

@@ -97,7 +97,7 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def diagnose(args: argparse.Namespace) -> int:
-    """Name the family of effects that a model lacks, and its law; return 0 whatever the verdict."""
+    """Name the family of effects that a model lacks, and its law; return 0 for every verdict."""
     from softmap_edge.diagnosis.diagnose import diagnose as find
     from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.report.progress import progress_lines

@@ -186,9 +186,9 @@ def _channels(u: Floats) -> Iterator[Word]:
         text = f"anything about channel {named}: it never moves"
         yield Word("channels", False, text, "move it to both ends of its range and back", float(len(still)))
     alive = np.flatnonzero(span > 1e-9 * span.max())
-    tied = [group for group in tied_channels(u) if len(group.channels) > 2]  # a pair is told by its correlation
+    tied = [group for group in tied_channels(u) if len(group.channels) > 2]  # a pair is reported by its correlation
     for group in tied:
-        text = f"what one channel of a group does by itself (gain, play, friction): {group}"
+        text = f"effects of one channel of a group alone (gain, play, friction): {group}"
         yield Word("channels", False, text, group.remedy, float(len(group.channels)))
     if len(alive) > 1 and not tied:
         r = np.abs(np.corrcoef(u[:, alive].T)) - np.eye(len(alive))
@@ -255,14 +255,14 @@ def _direction(state: Conditions) -> Word:
 def _temperature(run: Run) -> Word:
     remedy = "log a thermometer beside the silicone; warm it up by 5 °C while it moves, and let it cool down again"
     if run.temperature is None:
-        return Word("temperature", False, "softening by warmth from creep: no temperature is logged", remedy, 15.0)
+        return Word("temperature", False, "thermal softening from creep: no temperature is logged", remedy, 15.0)
     change = float(np.ptp(run.temperature))
     if change < WARMING:
-        text = f"softening by warmth from creep: the temperature changes by {change:.1f} °C only"
+        text = f"thermal softening from creep: the temperature changes by {change:.1f} °C only"
         return Word("temperature", False, text, remedy, 15.0)
     for confused in collinear_conditions(run):
         if confused.condition == "temperature":
             other = "drift over time" if confused.with_ == "time" else "effects of the commands"
-            text = f"softening by warmth from {other}: the temperature follows {confused.like}"
+            text = f"thermal softening from {other}: the temperature follows {confused.like}"
             return Word("temperature", False, text, confused.remedy, 15.0)
-    return Word("temperature", True, f"softening by warmth from creep: the temperature changes by {change:.1f} °C")
+    return Word("temperature", True, f"thermal softening from creep: the temperature changes by {change:.1f} °C")

@@ -1,11 +1,12 @@
-"""The level of ordinary static imperfections: what a run shows of a model's misfit that depends on the command alone.
+"""The level of ordinary static imperfections: the part of a model's misfit that depends on the command alone.
 
     r(k) = W c(u_k, lean_k) + …       c: monomials of the commands up to cubic, with those of the orientation
     level² = mean over held-out frames of |r|² − |r − W c|², over the places, mm²
 
-W is a ridge regression of all features at once, in units of the noise, fitted on the other blocks of the run: only what
-repeats counts, and memory, drift and noise do not. The level is a lower bound: what the columns cannot draw is missing.
-Units: mm. Limit: with more channels than three the columns hold no products. Pinned by tests/test_background.py.
+W is a ridge regression of all features at once, in units of the noise, fitted on the other blocks of the run. So only
+repeated errors count; memory, drift and noise do not. The level is a lower bound: errors outside the columns' span are
+missing.
+Units: mm. Limit: with more than three channels the columns hold no products. Pinned by tests/test_background.py.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ RIDGES = (0.3, 10.0, 300.0, 1e4)  # in units of the noise: variance 1 / ridge of
 
 @dataclass(frozen=True)
 class Background:
-    """Static misfit of a run: its level in mm RMS over the places, one standard deviation, and the ridge that held."""
+    """Static misfit of a run: its level in mm RMS over the places, one standard deviation, and the chosen ridge."""
 
     level_mm: float
     sigma_mm: float
@@ -38,13 +39,15 @@ class Background:
 
 
 def background(record: Record, predicted: Floats, noise: Noise) -> Background:
-    """Estimate the static misfit of a run that a prediction leaves.
+    """Estimate the static misfit of a prediction on a run.
 
     Args:
-        record: the run. predicted: features (K, F) mm, of the model alone or with what was found. noise: of the run.
+        record: the run.
+        predicted: features (K, F) mm, of the model alone or with the effects found so far.
+        noise: the noise of the run.
 
     Returns:
-        Background: 0 where no static map helps on blocks that it was not fitted to.
+        Background: level 0 if no static map lowers the error on held-out blocks.
 
     Raises:
         SoftmapError: fewer than 8 frames.
@@ -63,12 +66,12 @@ def background(record: Record, predicted: Floats, noise: Noise) -> Background:
 
 
 def _columns(record: Record) -> Floats:
-    """Return the columns (K, m) of the static map: monomials of the commands, and these times the orientation."""
+    """Return the columns (K, m) of the static map: monomials of the commands, and their products with orientation."""
     command = polynomial(record.command)
     lean = record.leaning[:, np.ptp(record.leaning, axis=0) > 1e-9] if len(record) else record.leaning
     lean = (lean - lean.mean(axis=0)) / np.maximum(lean.std(axis=0), 1e-12)
     _, size, axes = np.linalg.svd(lean, full_matrices=False) if lean.size else (0, np.zeros(0), np.zeros((0, 0)))
-    lean = lean @ axes[size > 1e-6 * size.max(initial=1.0)].T  # as many as there are orientations beside the first
+    lean = lean @ axes[size > 1e-6 * size.max(initial=1.0)].T  # one axis for each further orientation
     columns = np.concatenate([command, *(command * one[:, None] for one in lean.T)], axis=1)
     return np.asarray(columns / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12))
 
@@ -76,7 +79,7 @@ def _columns(record: Record) -> Floats:
 def _held_out(
     columns: Floats, residual: Floats, white: Floats, parts: Folds, ridge: float, record: Record
 ) -> tuple[Floats, Floats, int]:
-    """Return the falls (folds,) of the whitened and of the plain (mm²) held-out loss, and how many places count."""
+    """Return the falls (folds,) of the whitened and of the plain (mm²) held-out loss, and the number of places."""
     seen = np.isfinite(residual)
     clean = np.where(seen, residual, 0.0)
     whitened, plain, count = [], [], 0

@@ -1,11 +1,10 @@
-"""How far the base of a robot moved, from markers that are fixed to it: what bounds `mount` and `camera_drift`.
+"""Motion of the base of a robot, from markers that are fixed to it; it bounds `mount` and `camera_drift`.
 
     pose_k = argmin Σ |R x + s − b_k|²     base markers b_k on their reference x, about the origin
     moved  = RMS over frames of pose_k less its noise; placed = mean of pose_k, where the reference is another run
 
-Markers of a run that was aligned by them (`softmap align`) are where the frame puts them: `placed` is then what that
-alignment left. Units: mm, deg. Limit: three markers that are not on a line are needed for a turn.
-Pinned by tests/test_base_motion.py.
+If the run was aligned by these markers (`softmap align`), `placed` is the remaining error of that alignment.
+Units: mm, deg. Limit: a turn needs three markers that are not on a line. Pinned by tests/test_base_motion.py.
 """
 
 from __future__ import annotations
@@ -23,15 +22,15 @@ Floats = NDArray[np.float64]
 
 LEAST_MARKERS, LEAST_FRAMES = 3, 8
 WIDE = 0.05  # of their extent: base markers nearer to one line than this show no turn
-SLOW_FRAMES = 20.0  # frames of one mean that count as independent: frames near one another err alike
+SLOW_FRAMES = 20.0  # frames of one mean that count as independent: errors of neighbouring frames are correlated
 
 
 @dataclass(frozen=True)
 class BaseMotion:
     """Motion of the base against a reference, about the origin of the base frame, with one standard deviation.
 
-    `shift_mm`, `turn_deg` (3,) are the mean place against the reference (another run, or the run's first frames);
-    `moved_mm`, `turned_deg` are RMS over the frames about that mean, noise taken off.
+    `shift_mm`, `turn_deg` (3,) are the mean pose against the reference (another run, or the run's first frames).
+    `moved_mm`, `turned_deg` are RMS over the frames about that mean, with the noise subtracted.
     """
 
     shift_mm: tuple[float, float, float]
@@ -57,11 +56,12 @@ class BaseMotion:
 
 
 def base_motion(run: Run, reference: Run | None = None) -> BaseMotion | None:
-    """Measure how the base of a run stands and moves; None where its markers do not show it.
+    """Measure the pose and motion of the base of a run; return None if its markers do not show it.
 
     Args:
-        run: with `base_markers` (K, B, 3) mm. reference: a run with the same markers that the base is compared with,
-            as the one that a model was learned from; None compares with the first frames of the run itself.
+        run: a run with `base_markers` (K, B, 3) mm.
+        reference: a run with the same markers, for example the one that the model was learned from. None compares with
+            the first frames of the run itself.
 
     Returns:
         BaseMotion: None with fewer than three markers off one line, or fewer than eight frames that show them.
@@ -103,7 +103,7 @@ def _whole(points: Floats) -> Floats:
 
 
 def _sigma(place: Floats, noise: float) -> Floats:
-    """Return the standard deviation (6,) of one frame's turn (rad) and shift (mm) by white noise of the markers, mm."""
+    """Return the standard deviation (6,) of one frame's turn (rad) and shift (mm), from the markers' white noise."""
     x, y, z = place.T
     zero, one = np.zeros(len(place)), np.ones(len(place))
     rows = [

@@ -1,14 +1,14 @@
-"""Whether a run is one of this model's robot under these commands: units, frame, handedness, order of points, clocks.
+"""Check that a run belongs to this model's robot: units, frame, handedness, order of points, clocks.
 
-What is asked is gross, so that no missing physics can be meant: each limit lies beyond what any effect of the library
-does, and a memory as strong as a play over most of the range is no fault (`remembered.py`). A run that fails is refused
-with its numbers and the remedy; a fault that a diagnosis can fit (a base that is misaligned by 2 mm, a swapped servo, a
-clock 0.2 s late) passes.
+The checks are gross, so that missing physics passes: each limit lies beyond the reach of any effect of the library, and
+a memory as strong as a play over most of the range is no fault (`remembered.py`). A run that fails is refused, with its
+numbers and the remedy. A fault that a diagnosis can fit passes: a base that is misaligned by 2 mm, a swapped servo, a
+clock 0.2 s late.
 
     follows = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²     s seen, p predicted points, means over the frames
 
-Units: mm, s, deg. Limit: markers on one line have no handedness and no order. Pinned by tests/test_bad_runs.py
-and tests/test_wrongly_declared.py.
+Units: mm, s, deg. Limit: markers on one line have no handedness and no order. Pinned by tests/test_bad_runs.py and
+tests/test_wrongly_declared.py.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ FAR, STEADY = 1.5, 3.0  # times what is fitted as a mount, and the scatter over 
 BETTER = 0.5  # of the distance between seen and predicted that such a move must leave at most
 LARGER = 4.0  # times as far as the commands say, or as little: no gain is that wrong
 ALIKE = 0.8  # share of the motion that is followed where a cause is named
-STILL, ALONG = 0.08, 0.02  # of the expected motion: in all, and along it; a play of 1.9 half ranges leaves 0.05
+STILL, ALONG = 0.08, 0.02  # of the expected motion: in all, and along it; a play of 1.9 half ranges passes 0.05
 MOTION = 0.04  # of the body's length: less motion (RMS) says nothing about what drives it
 NEARLY = 0.1  # of the motion: explained as well as by another cause
 FOLLOWED = 0.6  # share of the motion below which a run is not one of these commands
@@ -127,10 +127,13 @@ def follows(left: Floats, seen: Floats, visible: Mask) -> float:
 
 
 def still(seen: Floats, visible: Mask, expected: Floats, length: float) -> str | None:
-    """Say so where the robot does not follow its commands at all.
+    """Report a robot that does not follow its commands at all.
 
     Args:
-        seen, expected: points (K, N, 3) mm. visible: (K, N). length: of the body, mm.
+        seen: measured points (K, N, 3) mm.
+        expected: predicted points (K, N, 3) mm.
+        visible: (K, N).
+        length: of the body, mm.
     """
     wanted = spread(expected, visible)
     if wanted < MOTION * length:
@@ -142,7 +145,7 @@ def still(seen: Floats, visible: Mask, expected: Floats, length: float) -> str |
         return None
     return (
         f"The robot does not follow its commands: they should move its points by {wanted:.3g} mm RMS, and the points "
-        f"move by {got:.2g} mm RMS, of which {100 * abs(along):.1f} % go with the commands. No effect is named. Check "
+        f"move by {got:.2g} mm RMS, of which {100 * abs(along):.1f} % follow the commands. No effect is named. Check "
         "that the drive is engaged (power, torque, tendons attached), and that the frames are of this recording."
     )
 
@@ -277,9 +280,9 @@ def _other_cause(model: Model, run: Run, seen: Floats, visible: Mask) -> None:
 
 
 def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tuple[float, float]:
-    """Return by how many s the frames are late, and which share of the motion the commands explain then.
+    """Return the delay of the frames in s, and the share of the motion that the commands explain with it.
 
-    A periodic command fits again a period later: of shifts that explain nearly as much the smallest counts.
+    A periodic command fits again a period later. Of shifts that explain nearly as much, return the smallest.
     """
     grid = np.linspace(run.t[0], run.t[-1], TIMES)
     blank: dict[str, Any] = {

@@ -1,12 +1,12 @@
-"""Which declared conditions of a run cannot be told from time or from the commands, and which channels are tied.
+"""Find conditions of a run that cannot be separated from time or from the commands, and tied channels.
 
     R² of a condition on (1, t), on (1, t, t²) where that is monotonic, on one exponential or on one step: time
     R² of a condition on a polynomial of the commands:                                              commands
 
-Both are adjusted for their number of columns; from CONFUSED on the run cannot separate the two. A condition that comes
-back, as after warming up and cooling down, is no parabola in time: drift is monotonic. Tied channels are the null
-space of the standardised commands, split into groups that share a null vector.
-Units: °C, g, V, s. Limit: a condition that follows the past of the commands (heat of the motors) is not tested.
+Both are adjusted for their number of columns. From CONFUSED on the run cannot separate the two. A condition that
+returns, such as a temperature that warms up and cools down, is not tested against a parabola in time, because drift is
+monotonic. Tied channels are the null space of the standardised commands, split into groups that share a null vector.
+Units: °C, g, V, s. Limit: a condition that follows earlier commands (heat of the motors) is not tested.
 Pinned by tests/test_collinear.py.
 """
 
@@ -25,7 +25,7 @@ from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
 
-CONFUSED = 0.95  # R² from which two influences are one in this run
+CONFUSED = 0.95  # R² from which two influences cannot be separated in this run
 TAUS = (0.1, 0.3, 1.0)  # of the duration: time constants of the exponentials that are tried
 STEPS = 60  # instants at which one step is tried
 DEGREE, MANY = 3, 3  # of the polynomial in the commands, and the channels above which it is linear with squares
@@ -39,17 +39,17 @@ REMEDY = {
     "load": {"time": "take the load off again and repeat", "commands": "repeat the same moves with each load"},
     "voltage": {"time": "return to the first voltage and repeat", "commands": "repeat the same moves at each voltage"},
 }
-TIED = 0.05  # singular value, of the standardised commands' largest, below which a direction never moves
-PART = 0.05  # of a null vector: a channel with less takes no part in it
+TIED = 0.05  # singular value, relative to the largest of the standardised commands, below which a direction never moves
+PART = 0.05  # of a null vector: a channel with less is not part of it
 NOTHING = 0.02  # of a channel's standard deviation: a sum that small is zero
-EQUAL = 0.05  # weights nearer to one another than this are equal
+EQUAL = 0.05  # weights closer than this are equal
 
 
 @dataclass(frozen=True)
 class Collinear:
     """A declared `condition` that this run cannot separate from time or the commands (`with_`), and how well it fits.
 
-    `like` says which law of `with_` the condition follows: "a line", "an exponential", "one step", "a polynomial".
+    `like` is the law of `with_` that the condition follows: "a line", "an exponential", "one step", "a polynomial".
     """
 
     condition: str
@@ -59,7 +59,7 @@ class Collinear:
 
     @property
     def remedy(self) -> str:
-        """What to record so that the two come apart."""
+        """What to record to separate the two."""
         return REMEDY[self.condition][self.with_]
 
     def __str__(self) -> str:
@@ -72,9 +72,9 @@ class Collinear:
 
 @dataclass(frozen=True)
 class TiedChannels:
-    """Channels of which fewer directions move than there are channels: what each does alone cannot be identified.
+    """Channels that move in fewer directions than there are channels: their separate effects cannot be identified.
 
-    `weights` are those of the sum that stays constant, largest 1, where there is one sum; else empty. `total` is that
+    `weights` are those of the sum that stays constant, largest 1, if there is one such sum; else empty. `total` is that
     sum, in the unit of the commands.
     """
 
@@ -128,7 +128,7 @@ def collinear_conditions(run: Run) -> list[Collinear]:
 
 
 def tied_channels(command: Floats) -> list[TiedChannels]:
-    """Return the groups of channels of commands (T, C) that move in fewer directions than they are; empty if none."""
+    """Return the groups of channels of commands (T, C) that move in fewer directions than they have channels."""
     spread = command.std(axis=0) if len(command) else np.zeros(command.shape[1])
     alive = np.flatnonzero(spread > 1e-9 * max(float(spread.max(initial=0.0)), 1e-300))
     if len(alive) < 2:
@@ -140,7 +140,7 @@ def tied_channels(command: Floats) -> list[TiedChannels]:
 
 
 def _tie(channels: NDArray[np.intp], null: Floats, command: Floats) -> TiedChannels:
-    """Return a group of channels with its null vectors (n, m) over standardised commands; `command` (T, m)."""
+    """Return a group of channels with its null vectors (n, m) of the standardised commands; `command` (T, m)."""
     _, singular, vectors = np.linalg.svd(null, full_matrices=False)
     dimension = int((singular > 0.5).sum())
     named = tuple(int(c) for c in channels)
@@ -154,7 +154,7 @@ def _tie(channels: NDArray[np.intp], null: Floats, command: Floats) -> TiedChann
 
 
 def _groups(projector: Floats) -> list[NDArray[np.intp]]:
-    """Return the connected groups of two or more channels of the projector (C, C) on the null space."""
+    """Return the connected groups of two or more channels in the projector (C, C) on the null space."""
     joined = np.abs(projector) > PART
     left, found = set(np.flatnonzero(np.diag(projector) > PART).tolist()), []
     while left:
@@ -195,7 +195,7 @@ def _conditions(run: Run) -> Iterator[tuple[str, Floats]]:
 
 
 def _time_fits(t: Floats, values: Floats) -> Iterator[tuple[float, str]]:
-    """Yield R² and the name of each law of time; the condition is (K, n)."""
+    """Yield R² and the name of each law of time for the condition (K, n)."""
     s = (t - t[0]) / max(float(t[-1] - t[0]), 1e-12)
     one = np.ones_like(s)
     yield _r2(np.stack([one, s], axis=1), values), "a line"
@@ -211,7 +211,7 @@ def _time_fits(t: Floats, values: Floats) -> Iterator[tuple[float, str]]:
 
 
 def _polynomial(command: Floats) -> Floats:
-    """Return the monomials (K, m) of commands (K, C), of degree 3 and for many channels squares; the 1 is first."""
+    """Return the monomials (K, m) of commands (K, C): degree 3, or up to squares for many channels; the 1 is first."""
     span = np.ptp(command, axis=0) if len(command) else np.zeros(command.shape[1])
     x = (command - command.mean(axis=0))[:, span > 0] / np.maximum(span[span > 0], 1e-12) if len(command) else command
     channels, one = x.shape[1], np.ones((len(command), 1))

@@ -49,9 +49,9 @@ class Bin:
 
 @dataclass(frozen=True)
 class MemorylessFloor:
-    """The error in mm RMS below which no model without memory can go, and what shows it.
+    """The error in mm RMS below which no model without memory can go, and the data that show it.
 
-    `poses` were met again, in so many `passages` and `frames`.
+    `poses` were visited again, in so many `passages` and `frames`.
     """
 
     mm: float
@@ -146,7 +146,7 @@ class Comparison:
             ) from None
 
 
-TIMED = ("speed", "dwell", "time")  # maps of the error that a log without time has not
+TIMED = ("speed", "dwell", "time")  # maps of the error that a log without time lacks
 ERROR_KEYS = ("rms_mm", "median_mm", "p95_mm", "max_mm", "tip_rms_mm")
 
 
@@ -327,7 +327,7 @@ def _length(value: Any) -> float:
 
 
 def _memoryless(entry: Any) -> MemorylessFloor | None:
-    """Read the floor of models without memory; documents of before have none."""
+    """Read the floor of models without memory; earlier documents have none."""
     if entry is None:
         return None
     return MemorylessFloor(float(entry["mm"]), *(int(entry[key]) for key in ("poses", "passages", "frames")))

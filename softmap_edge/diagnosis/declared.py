@@ -36,10 +36,11 @@ SIGNS = tuple(signs for signs in product((1.0, -1.0), repeat=3) if min(signs) < 
 
 
 def strange(document: Mapping[str, Any], loaded: bool = False) -> bool:
-    """Return whether gravity makes no sense in a diagnosis, of runs that declare a load or not.
+    """Return whether gravity is implausible in a diagnosis; runs may declare a load or not.
 
-    Its numbers end at their bounds, what is left goes by orientation, a dead load leaves most of the error or has no
-    law of the library, or something was found in a run that declares a load.
+    It is implausible if its numbers end at their bounds, or if the unexplained error depends on the orientation. It is
+    also implausible if a dead load leaves most of the error or has no law of the library, or if an effect was found in
+    a run that declares a load.
     """
     at_bound = any(
         entry["name"] == "gravity" and any(p["at_bound"] for p in entry["params"].values())

@@ -1,7 +1,7 @@
-"""The document softmap.diagnosis/2: what a diagnosis says, as an object that prints itself, reads and writes itself.
+"""The document softmap.diagnosis/2: the result of a diagnosis, as an object that prints, reads and writes itself.
 
-Documents of schema 1 are read as well. They come from files that nobody vouches for: everything is checked where it is
-read. Pinned by tests/test_diagnosis.py and tests/test_mutated_files.py.
+Documents of schema 1 are read as well. They come from untrusted files, so everything is checked on reading.
+Pinned by tests/test_diagnosis.py and tests/test_mutated_files.py.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ SCHEMA, BEFORE = "softmap.diagnosis/2", "softmap.diagnosis/1"
 VERDICTS = {
     "identified": "identified",
     "ambiguous": "ambiguous: more than one explanation fits",
-    "partly_explained": "partly explained: something unknown is left",
+    "partly_explained": "partly explained: an unknown error remains",
     "nothing": "nothing above the floor",
     "cannot_tell": "these data cannot tell",
     "measurement_fault": "measurement fault",
@@ -49,7 +49,7 @@ VERDICTS = {
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What a run says about a model; prints itself, and `to_dict()` is the document softmap.diagnosis/2.
+    """The result of a diagnosis; prints itself, and `to_dict()` is the document softmap.diagnosis/2.
 
     `model` is the model with the accepted effects added; None after `from_dict`.
     """

@@ -1,10 +1,10 @@
-"""What a finished search is worth: the error ladder, effects that this run cannot show, and structure that is left.
+"""Evidence for a finished search: the error ladder, effects that this run cannot show, structure in the remainder.
 
-Ladder: RMS distance in mm over the places (section centroids or markers), always on frames that trained nothing: blocks
-of time, or an independent run. A static residual is a ridge on a polynomial of the command; it is what a corrector
-without memory or physics could reach.
-Testability: whitened size of an effect's signature at a typical strength (see `strongest`) on this very run.
-Units: mm. Known limit: the ridge sees what is smooth in these conditions, not what happens once. Pinned by
+Ladder: RMS distance in mm over the places (section centroids or markers), always on frames that took no part in the
+fit: blocks of time, or an independent run. The static baseline is a ridge on a polynomial of the command. It is the
+limit of a corrector without memory or physics.
+Testability: whitened size of an effect's signature at a typical strength (see `strongest`) on this run.
+Units: mm. Known limit: the ridge detects smooth dependence on these conditions, not single events. Pinned by
 tests/test_diagnosis.py and tests/test_evidence.py.
 """
 
@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 
 DETECTABLE = 5.0  # whitened size (standard deviations) below which a signature counts as not shown
 RIDGE = 3.0  # ridge on standardised columns
-SEEN_R2 = 0.02  # from which a condition is named as what predicts a leftover
+SEEN_R2 = 0.02  # from which a condition is named as a predictor of the unexplained error
 STATIC_RIDGE = 0.03  # of a static residual, for each frame that trains it
 Errors = tuple[float, float, tuple[Rung, ...], float, tuple[float, ...]]
 
@@ -66,7 +66,7 @@ def not_testable(fits: Fits, fit: Fit, registry: dict[str, dict[str, Any]]) -> l
 
 
 def shown(problem: Problem, name: str) -> tuple[float, Floats]:
-    """Return how an effect of typical strength shows: mm RMS of the centreline, and its whitened signature (n,)."""
+    """Return the size of an effect of typical strength: mm RMS of the centreline, and its whitened signature (n,)."""
     signature = np.where(np.isfinite(problem.record.seen), strongest(problem, name), np.nan)
     return problem.record.rms_mm(signature), problem.white(problem.whitener.modes(signature) * problem.gain)
 
@@ -81,10 +81,10 @@ def unseen(moved: float, size: float) -> str | None:
 
 
 def strongest(problem: Problem, name: str) -> Floats:
-    """Return the feature difference (K, F) mm that an effect makes at a typical strength.
+    """Return the feature difference (K, F) mm of an effect at a typical strength.
 
-    That is half-way from null to the end of its range; on a logarithmic scale its start or half-way up from there,
-    whichever moves the body more.
+    This strength is half-way from null to the end of its range. On a logarithmic scale it is the start, or half-way up
+    from there, whichever moves the body more.
     """
     space = problem.space((name,))
     far = 0.5 * np.where(space.usual_high > 0, space.usual_high, space.low)  # some are absent at their high end
@@ -103,7 +103,7 @@ def strongest(problem: Problem, name: str) -> Floats:
 
 
 def leftover(problem: Problem, residual: Floats, numbers: int) -> Unexplained:
-    """Look for structure in what is left (K, F) mm after fitting so many numbers."""
+    """Look for structure in the unexplained error (K, F) mm after fitting so many numbers."""
     record = problem.record
     white = problem.whitener.shrink(problem.whitener.modes(residual) * problem.gain)
     chi2 = float(np.sum(white**2)) / max(1.0, problem.numbers - numbers)
@@ -119,8 +119,8 @@ def leftover(problem: Problem, residual: Floats, numbers: int) -> Unexplained:
 def at_bound(fit: Fit) -> NDArray[np.bool_]:
     """Return which free parameters (P,) are at a bound.
 
-    One where the effect ends (no payload, one creep time) is none, nor is the last of whole numbers, nor an end by
-    nature: nothing or all of a share, half a turn, an instant as short as it may be.
+    Not counted are a bound at which the effect is absent (no payload, one creep time), the largest of whole numbers,
+    and a natural limit: nothing or all of a share, half a turn, the shortest instant.
     """
     space = fit.space
     null, found = space.scaled(space.null), np.zeros(len(fit.x), bool)
@@ -194,7 +194,7 @@ def _blocked_r2(problem: Problem, columns: Floats, values: Floats) -> float:
 
 
 def ladder(fits: Fits, order: Sequence[str], split: Collection[str]) -> Errors:
-    """Return held-out errors in mm on blocks: model, static residual, effects one by one, with both; per fold."""
+    """Return held-out errors in mm on blocks: model, static baseline, effects one by one, with both; per fold."""
     problem, record = fits.problem, fits.problem.record
     steps = [fits.get(order[: i + 1], split) for i in range(len(order))]
     last = fits.losses(steps[-1] if steps else fits.null)[2]

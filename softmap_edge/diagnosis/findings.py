@@ -1,4 +1,4 @@
-"""What a diagnosis consists of, as plain frozen records that become the document softmap.diagnosis/2 and come back.
+"""The results of a diagnosis as frozen records, written to and read from the document softmap.diagnosis/2.
 
 Units: mm, s. Pinned by tests/test_document.py.
 """
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Number:
-    """A fitted parameter: value, one standard deviation, unit, whether it stands at a bound, its case in words."""
+    """A fitted parameter: value, one standard deviation, unit, whether it is at a bound, its case in words."""
 
     value: float
     sigma: float | None = None
@@ -29,7 +29,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Displacement:
-    """By how much an effect moves the body, mm RMS over the places: on the fitted run, and on a held-out one."""
+    """Effect size in mm RMS over the places: on the fitted run, and on a held-out one."""
 
     fitted: float | None = None
     held_out: float | None = None
@@ -37,7 +37,7 @@ class Displacement:
 
 @dataclass(frozen=True)
 class Refitted:
-    """Numbers of the model itself that were fitted along with an effect, and the error (F,) mm that it has then."""
+    """Numbers of the model itself that were fitted together with an effect, and the error (F,) mm of that fit."""
 
     params: dict[str, Number]
     error_mm: tuple[float, ...] = ()
@@ -47,8 +47,8 @@ class Refitted:
 class Finding:
     """An effect that the model lacks, or a fault of the measurement.
 
-    `probability` is that of this effect, or an equivalent one, being present; below one half it is a candidate.
-    `share` is its share of the explained error.
+    `probability` is the probability that this effect, or an equivalent one, is present. Below one half it is a
+    candidate. `share` is its share of the explained error.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Alternative:
-    """A set of effects that explains the data as well: in the place of `member`, and why it cannot be excluded."""
+    """A set of effects that explains the data as well, in place of `member`, and why it cannot be excluded."""
 
     effects: tuple[str, ...] = ()
     why: str = ""
@@ -75,9 +75,9 @@ class Alternative:
 class FamilyFinding:
     """A family of effects that was detected.
 
-    `law` is "resolved" (`effects` name it), "open" (`effects` and `generic` list laws that fit alike) or "unknown" (no
-    known law does what the family does). `share` is its share of the explained loss, `law_share` what of that the best
-    known law explains.
+    `law` is "resolved" (`effects` name it), "open" (`effects` and `generic` list laws that fit equally well) or
+    "unknown" (no known law explains as much as the family). `share` is its share of the explained loss; `law_share` is
+    the part of that share that the best known law explains.
     """
 
     name: str
@@ -103,7 +103,7 @@ class Untestable:
 
 @dataclass(frozen=True)
 class Rung:
-    """A step of the error ladder: what was added, and the held-out error then."""
+    """A step of the error ladder: the added effect, and the held-out error with it."""
 
     added: str
     value: float
@@ -139,7 +139,7 @@ class ErrorLadder:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What is left after all that was found: beyond the noise, mm RMS; chi²/n; what predicts it on held-out blocks."""
+    """The unexplained error: beyond the noise, mm RMS; chi²/n; conditions that predict it on held-out blocks."""
 
     rms_mm: float | None = None
     chi2_per_n: float | None = None
@@ -161,7 +161,7 @@ class Bin:
 
 @dataclass(frozen=True)
 class Where:
-    """Where the error is, by condition, before and after."""
+    """The error by condition, before and after."""
 
     before: dict[str, tuple[Bin, ...]] = field(default_factory=dict)
     after: dict[str, tuple[Bin, ...]] = field(default_factory=dict)
@@ -169,7 +169,7 @@ class Where:
 
 @dataclass(frozen=True)
 class NextBlock:
-    """What to record next, the minutes it takes, what it settles, and the simulated separation if there is one."""
+    """What to record next: the minutes it takes, what it resolves, and the simulated separation if there is one."""
 
     block: str
     minutes: float | None = None
@@ -195,7 +195,7 @@ class ServoError:
 
 @dataclass(frozen=True)
 class ServoFinding:
-    """What lies between command and encoder of one channel, and the held-out error before and after."""
+    """Effects between command and encoder of one channel, and the held-out error before and after."""
 
     channel: int
     unit: str
@@ -204,7 +204,7 @@ class ServoFinding:
 
 
 def plain(value: Any) -> Any:
-    """Return records as dictionaries and lists, ready for JSON; what is not there (None by default) is left out."""
+    """Return records as dictionaries and lists, ready for JSON; omit absent entries (None by default)."""
     if is_dataclass(value) and not isinstance(value, type):
         return {
             f.name: plain(getattr(value, f.name))
@@ -219,10 +219,10 @@ def plain(value: Any) -> Any:
 
 
 def read(kind: type[T], document: Any, where: str) -> T:
-    """Return the record that a part of a document holds; unknown keys are passed over.
+    """Return the record that a part of a document holds; ignore unknown keys.
 
     Raises:
-        ReportError: a missing or mistyped key; `where` names the place.
+        ReportError: a key is missing or mistyped; `where` names the place.
     """
     if not isinstance(document, Mapping):
         raise ReportError(
@@ -238,7 +238,7 @@ def read(kind: type[T], document: Any, where: str) -> T:
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
-    """Return a value of a document as its annotation wants it."""
+    """Return a value of a document as its annotated type."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         if value is None and type(None) in inner:

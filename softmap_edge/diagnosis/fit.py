@@ -40,8 +40,8 @@ LINEAR = 0.5  # of what its slopes promised a step must win for them to be carri
 class Space:
     """Scaled coordinates x of the free parameters of a chain; all other parameters stay at `base`.
 
-    A number that channels share is one coordinate, `backlash.gap`, that moves all of them; those of an effect in
-    `split` are one for each channel, `backlash.gap[0]`.
+    A number that channels share is one coordinate, `backlash.gap`, for all of them. For an effect in `split` there is
+    one for each channel, `backlash.gap[0]`.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class Space:
         return np.asarray(np.where(self.log, self._zero * np.exp(exponent), self._zero + stretched))
 
     def params(self, x: Floats) -> Floats:
-        """Return full parameter sets (B, N) of a batch x (B, P): what a record predicts from."""
+        """Return full parameter sets (B, N) of a batch x (B, P), the input of a record's prediction."""
         return self.full(self._sets(x))
 
     def named(self, x: Floats) -> dict[str, float]:
@@ -206,7 +206,7 @@ class Problem:
         return shrunk.reshape(*shrunk.shape[:-2], shrunk.shape[-2] * shrunk.shape[-1])
 
     def space(self, effects: Sequence[str], free: Sequence[str] = (), split: Collection[str] = ()) -> Space:
-        """Return the coordinates of a set of effects; made once. Those in `split` have a number for each channel."""
+        """Return the coordinates of a set of effects, cached. Effects in `split` have one number for each channel."""
         key = (tuple(effects), tuple(free), tuple(sorted(split)))
         if key not in self._spaces:
             self._spaces[key] = Space(self.record, effects, self.base, free, split)

@@ -1,15 +1,15 @@
-"""The noise floor of a run: how far a seen point is from its own mean when nothing but the camera changes.
+"""The noise floor of a run: distance of a seen point from its own mean while only the camera changes.
 
 1. frames of one dwell about its drift, and visits of one pose in other dwells for jitter of the frame (`noise.py`):
    the same estimate as that of `check` and `diagnose`
 2. else settled frames of the same command:       sqrt(pooled variance), where the robot's memory counts as noise:
                                                   an upper bound
-3. else roughness of the residual over the body:  what (1, x, y) times a polynomial of degree 5 in z leaves in a frame
+3. else roughness of the residual over the body:  remainder of (1, x, y) times a polynomial of degree 5 in z in a frame
 4. else second differences of the residual:       sqrt(mean |r(k) - (r(k-1) + r(k+1))/2|² / 1.5), an upper bound
 
 All in mm, over visible points, as a distance in space (root 3 times the noise of one coordinate).
-Known limits: noise that stays constant through a dwell shows in 1 only where poses are visited again; noise that moves
-the whole body is not seen by 3; motion that the model misses counts as noise in 4.
+Known limits: 1 detects noise that stays constant through a dwell only where poses are visited again; 3 does not detect
+noise that moves the complete body; 4 counts motion that the model misses as noise.
 Pinned by tests/test_compare.py with known noise.
 """
 
@@ -30,7 +30,7 @@ from softmap_edge.run import Run, known
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-POINTS = 40  # that show the noise of all
+POINTS = 40  # a sample that shows the noise of all points
 MIN_PAIRS = 15  # fewer replicates say nothing about the noise
 DEGREE = 5  # along the body, of the smooth part of a residual
 SAME = 0.01  # of the largest command: closer than this counts as the same command
@@ -75,7 +75,7 @@ def rms(squares: Floats) -> float:
 class PointNoise:
     """The noise of a point: `mm`, the RMS distance from its own mean, and the `source` it was estimated from.
 
-    `is_bound` says that it holds more than noise.
+    `is_bound` marks an upper bound, which holds more than noise.
     """
 
     mm: float
@@ -86,7 +86,7 @@ class PointNoise:
 def noise_of_points(run: Run) -> PointNoise | None:
     """Return the noise of a run's points from its repeats, None without enough of them.
 
-    `check`, `compare` and `diagnose` all give this number: it depends on the run alone.
+    `check`, `compare` and `diagnose` report this number: it depends on the run alone.
     """
     seen = next((s for s in (getattr(run, n, None) for n in ("vertices", "markers")) if s is not None), None)
     command = commanded(run)
@@ -97,7 +97,7 @@ def noise_of_points(run: Run) -> PointNoise | None:
 
 
 def commanded(run: Run) -> Floats:
-    """Return what was commanded (T, C), in the unit of the run or in ticks: it stands where encoders flicker."""
+    """Return the commands (T, C), in the unit of the run or in ticks: they are constant where encoders flicker."""
     rows = run.command if run.command is not None else getattr(run, "ticks", None)
     return np.zeros((len(run.t), 0)) if rows is None else np.asarray(rows, float)
 
@@ -116,21 +116,21 @@ def replicates(state: Conditions, seen: Floats, visible: Mask) -> PointNoise | N
     if sum(len(group) - 1 for group in groups) >= MIN_PAIRS:
         value = _within(groups, seen, visible)
         if value is not None:
-            text = f"{len(groups)} commands seen repeatedly; what the robot remembers counts as noise here: {BOUND}"
+            text = f"{len(groups)} commands seen repeatedly; memory of the robot counts as noise here: {BOUND}"
             return PointNoise(value, text, True)
     return None
 
 
 def some_points(visible: Mask) -> NDArray[np.intp]:
-    """Return some of the points, spread evenly over those that are seen most: they show the noise of all."""
+    """Return a sample of the points, spread evenly over those that are seen most."""
     often = np.flatnonzero(visible.sum(axis=0) >= 0.5 * visible.sum(axis=0).max(initial=0))
     return np.asarray(often[np.unique(np.linspace(0, len(often) - 1, min(len(often), POINTS)).astype(int))], np.intp)
 
 
 def memoryless_floor(run: Run, state: Conditions, seen: Floats, visible: Mask) -> Repeats | None:
-    """Return how far points (K, N, 3) are from themselves when a command is met again; None where too few are.
+    """Return the RMS scatter of points (K, N, 3) over repeats of a command; None where too few are repeated.
 
-    That is the floor of every model without memory on this run.
+    This is the floor of every model without memory on this run.
     """
     some = some_points(visible)
     values = np.where(visible[:, some, None], seen[:, some], np.nan).reshape(len(seen), -1)

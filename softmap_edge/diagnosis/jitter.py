@@ -1,15 +1,15 @@
 """Jitter of the frame of reference with a memory, estimated between visits of one pose.
 
     y = q(pose) + trend(t) + J(t) + e           six rigid coordinates of a settled frame, about the base
-    J   Ornstein-Uhlenbeck, one memory τ, covariance (6, 6);  e  white, known from what no rigid motion explains
+    J   Ornstein-Uhlenbeck, one memory τ, covariance (6, 6);  e  white, from the part that no rigid motion explains
     trend: 1, t, t² of each run: a smooth trend over the run is drift or creep, not jitter
 
-The coordinates are fitted beside the motions that commands cause (the modes of a smooth map from commands to shapes),
-so that play, creep and every other effect on the drive cancel out. Memory and variances are those of highest likelihood
-in the eigenbasis of the detrended correlation (Lindstrom & Bates 1988, doi:10.1080/01621459.1988.10478693): two numbers
-for turns and shifts alike in all directions, one more for each axis that clearly differs.
-Units: mm, rad, s. Limits: fewer than nine features, or poses not visited again, show no jitter; a memory beyond an
-eighth of the run is a trend. Pinned by tests/test_jitter.py with jitter of known covariance and memory.
+The coordinates are fitted together with the motions that commands cause (the modes of a smooth map from commands to
+shapes), so that play, creep and every other effect on the drive cancel out. Memory and variances are those of highest
+likelihood in the eigenbasis of the detrended correlation (Lindstrom & Bates 1988, doi:10.1080/01621459.1988.10478693):
+two numbers for turns and shifts alike in all directions, one more for each axis that clearly differs.
+Units: mm, rad, s. Limits: jitter is not detected with fewer than nine features or without revisited poses; a memory
+longer than an eighth of the run is a trend. Pinned by tests/test_jitter.py with jitter of known covariance and memory.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ MEMORIES = (0.0, 0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 20.0, 40.0)  # s: memories that 
 LONGEST = 0.125  # of the duration: a longer memory is a trend
 SIZES = np.r_[0.0, np.geomspace(1e-2, 1e4, 61)]  # variances that are tried, in units of the white part
 REVISITS = 4  # visits beyond the first of each pose below which nothing is estimated
-FRAMES = 300  # settled frames at most that the likelihood is taken on
-CLEAR = 12.0  # log-likelihood that jitter must gain: seven numbers are fitted (chi² 24 of 7: 1 in 1000)
-AXIS, KEPT = 3.3, 5.0  # that an axis of its own variance must gain (1 in 100), and a memory
+FRAMES = 300  # settled frames at most in the likelihood
+CLEAR = 12.0  # log-likelihood that jitter must gain; it fits seven numbers (chi² 24 of 7: 1 in 1000)
+AXIS, KEPT = 3.3, 5.0  # gain required for a separate variance of an axis (1 in 100), and for a memory
 STRONG = 2.0  # variances of the white part that jitter without a memory must have in some axis
-COMMANDED, LEAST_MODE = 4, 0.005  # modes of what commands do at most, and the least against the first
-UNSEEN = 1e-9  # of the white variance: what a turn that the points do not show is given
-RIGIDLY, FARTHEST = 3.0, 300.0  # mm RMS that the frame, and commanded motion, may move the points: what they do not
-# show, as a turn of markers on one line, stays near zero and does not blow up
-SPARE = 2  # features that must be left to show the white part
+COMMANDED, LEAST_MODE = 4, 0.005  # commanded modes at most, and the least size against the first
+UNSEEN = 1e-9  # of the white variance: for a turn that the points do not show
+RIGIDLY, FARTHEST = 3.0, 300.0  # mm RMS that the frame, and commanded motion, may move the points: a turn
+# that the points do not show, as of markers on one line, stays near zero and does not blow up
+SPARE = 2  # features that must remain to show the white part
 DEGREE, MANY = 3, 3  # of the smooth map, and the channels above which it has no products
 
 
@@ -49,7 +49,7 @@ DEGREE, MANY = 3, 3  # of the smooth map, and the channels above which it has no
 class Jitter:
     """Rigid jitter of the frame: covariance (6, 6) of turns (rad) and shifts (mm) about the base, and its memory s.
 
-    `revisits` are the visits beyond the first of each pose that show it.
+    `revisits` is the number of visits, beyond the first of each pose, that show it.
     """
 
     covariance: Floats
@@ -66,9 +66,9 @@ class Jitter:
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Coordinates (n, m) of frames: six rigid ones, and those along what commands do.
+    """Coordinates (n, m) of frames: six rigid ones, and those along the commanded modes.
 
-    `white` (n, m, m) is their covariance by white noise, `columns` (n, F, m) what each does to the features.
+    `white` (n, m, m) is their covariance by white noise, `columns` (n, F, m) the derivative of the features.
     """
 
     values: Floats
@@ -87,12 +87,12 @@ class Coordinates:
 
     @property
     def explained(self) -> Floats:
-        """What all coordinates do to the features, (n, F) mm."""
+        """The displacement of the features by all coordinates, (n, F) mm."""
         return np.asarray((self.columns @ self.values[:, :, None])[:, :, 0])
 
 
 def rigid(features: Floats, positions: Mask) -> Floats:
-    """Return what turns (rad) and shifts (mm) about the base do to features (K, F) mm, (K, F, 6).
+    """Return the derivatives of features (K, F) mm by turns (rad) and shifts (mm) about the base, (K, F, 6).
 
     Directions turn with the frame and do not shift.
     """
@@ -107,7 +107,7 @@ def rigid(features: Floats, positions: Mask) -> Floats:
 
 
 def commanded_modes(seen: Floats, command: Floats, most: int = COMMANDED) -> Floats:
-    """Return orthonormal modes (b, F) of what commands (K, C) do to features (K, F): of a smooth map fitted to them."""
+    """Return orthonormal modes (b, F) of a smooth map from commands (K, C) to features (K, F)."""
     columns = polynomial(command)
     if columns.shape[1] < 2 or len(seen) < 2 * columns.shape[1]:
         return np.zeros((0, seen.shape[1]))
@@ -134,8 +134,11 @@ def coordinates(values: Floats, seen: Floats, positions: Mask, modes: Floats, wh
     """Return the coordinates of values (n, F) of frames whose features are `seen` (n, F).
 
     Args:
-        values: deviations, mm. seen: features, mm: they say what a turn does.
-        positions: (V,). modes: (b, F), from `commanded_modes`. white: variance (F,) mm² that weighs the features.
+        values: deviations (n, F), mm.
+        seen: features (n, F), mm; they give the displacement by a turn.
+        positions: (V,), which features are places.
+        modes: (b, F), from `commanded_modes`.
+        white: variance (F,) mm² that weights the features.
     """
     along = np.broadcast_to(modes.T, (len(values), *modes.T.shape))
     columns = np.concatenate([rigid(seen, positions), along], axis=2)  # (n, F, 6 + b)
@@ -152,7 +155,7 @@ def coordinates(values: Floats, seen: Floats, positions: Mask, modes: Floats, wh
 def white_variance(values: Floats, seen: Floats, positions: Mask, modes: Floats, dwell: Ints) -> Floats | None:
     """Return the variance (F,) mm² of values (K, F) in dwells that neither rigid motion nor commands explain.
 
-    None where too few features or frames are left to show it.
+    Return None if too few features or frames remain to show it.
     """
     left = values.shape[1] - RIGID - len(modes)
     if left < SPARE:
@@ -178,9 +181,13 @@ def frame_jitter(
     """Estimate the jitter of the frame between visits of the same poses; None where the run does not show any.
 
     Args:
-        values: features minus what a model predicts, or the features themselves, (K, F) mm.
-        seen: features (K, F) mm. positions: (V,). state: conditions of the frames. dwell: (K,), -1 elsewhere.
-        modes, white: from `commanded_modes` and `white_variance`.
+        values: features minus the prediction of a model, or the features themselves, (K, F) mm.
+        seen: features (K, F) mm.
+        positions: (V,), which features are places.
+        state: conditions of the frames.
+        dwell: (K,) number of the dwell, -1 outside dwells.
+        modes: (b, F), from `commanded_modes`.
+        white: variance (F,) mm², from `white_variance`.
     """
     groups = poses(state, dwell)
     revisits = sum(len(pose) - 1 for pose in groups)
@@ -192,15 +199,15 @@ def frame_jitter(
     root = _root(found.white[:, :RIGID, :RIGID].mean(axis=0), shapes[1])
     flat = np.linalg.solve(root, found.rigid.T).T  # white part of unit variance
     t, run = state.time[rows], dwell[rows] >> RUN
-    free = _detrending(t, pose, run)  # (n, n - p), orthonormal: what is left of groups and trends
+    free = _detrending(t, pose, run)  # (n, n - p), orthonormal complement of groups and trends
     y = free.T @ flat
     axes = np.linalg.eigh(y.T @ y)[1]
-    seen_as = np.linalg.solve(root, np.eye(RIGID)).T @ axes  # (6, 6): what each axis sees of turns and shifts
+    seen_as = np.linalg.solve(root, np.eye(RIGID)).T @ axes  # (6, 6): turns and shifts along each axis
     parts = np.stack([np.sum(seen_as[half] ** 2, axis=0) for half in (slice(0, 3), slice(3, 6))], axis=1)
     likely = [(*_likelihood(y @ axes, free, t, run, tau, parts), tau) for tau in _memories(t, run)]
     fresh, kept = likely[0], max(likely, key=lambda one: one[0])
     gain, sizes, memory = kept if kept[0] > fresh[0] + KEPT else fresh
-    if gain < CLEAR or (memory == 0.0 and sizes.max() < STRONG):  # what is new in each frame shows in dwells anyway
+    if gain < CLEAR or (memory == 0.0 and sizes.max() < STRONG):  # new jitter in each frame shows in dwells anyway
         return None
     turn = root @ axes
     return Jitter((turn * sizes) @ turn.T, memory, revisits)
@@ -230,7 +237,7 @@ def _about(values: Floats, pose: Ints) -> tuple[Floats, Floats]:
 
 
 def _detrending(t: Floats, pose: Ints, run: Ints) -> Floats:
-    """Return an orthonormal basis (n, m) of what no pose's own mean and no run's quadratic in time explains."""
+    """Return an orthonormal basis (n, m) of the complement of all pose means and of each run's quadratic in time."""
     columns = [(pose == p).astype(float) for p in np.unique(pose)]
     for one in np.unique(run):
         s = (t - t[run == one].mean()) / max(float(np.ptp(t[run == one])), 1e-9) * (run == one)
@@ -248,8 +255,9 @@ def _memories(t: Floats, run: Ints) -> list[float]:
 def _likelihood(y: Floats, free: Floats, t: Floats, run: Ints, tau: float, parts: Floats) -> tuple[float, Floats]:
     """Return the gain in log-likelihood over white noise of y (m, 6) with a memory, and the variance (6,) of each axis.
 
-    An axis has the variance that jitter alike in all directions gives it, `parts` (6, 2) of turns and of shifts, unless
-    its own is clearly more likely: alone, an axis that is badly seen would often be nothing or all noise.
+    An axis has the variance of jitter that is alike in all directions, with `parts` (6, 2) of turns and of shifts. It
+    gets its own variance only if that is clearly more likely: alone, an axis that is badly seen would often be nothing
+    or all noise.
     """
     between = np.abs(t[:, None] - t[None, :])
     apart = np.exp(-between / tau) * (run[:, None] == run[None, :]) if tau else np.eye(len(t))
@@ -267,7 +275,7 @@ def _likelihood(y: Floats, free: Floats, t: Floats, run: Ints, tau: float, parts
 
 def _alike(gain: Floats, parts: Floats) -> Floats:
     """Return the variances (6,) of jitter that is alike in all directions, from the gains (s, 6) of SIZES."""
-    unit = np.maximum(parts.max(axis=0), 1e-300)  # what the axis that sees most of turns, or of shifts, sees
+    unit = np.maximum(parts.max(axis=0), 1e-300)  # the largest share of turns, or of shifts, in an axis
     best, found = 0.0, np.zeros(len(parts))
     for turn in SIZES[::2] / unit[0]:
         sizes = parts[:, 0] * turn + parts[:, 1] * (SIZES[::2, None] / unit[1])  # (s, 6)

@@ -1,11 +1,11 @@
-"""The parameters of a chain as a run has them: labels, units, nulls, starts and bounds, for one run or several.
+"""The parameters of a chain for a run: labels, units, nulls, starts and bounds, for one run or several.
 
-What belongs to a session rather than to the robot (PER_RUN: where the base stood in the camera's frame, how it drifted,
-how far the clocks were apart) has numbers of its own for each run, labelled `mount.turn_x@2` from the second on. Beside
-the parameters of effects stand the numbers of the prior that are open with them.
+Parameters of a session rather than of the robot (PER_RUN: the pose of the base in the camera's frame, its drift, the
+offset of the clocks) have separate numbers for each run, labelled `mount.turn_x@2` from the second on. The open numbers
+of the prior are listed with the parameters of effects.
 
-Numbers that channels share are one parameter of the layout, `backlash.gap`, unless the layout splits their effect:
-then each channel has its own, `backlash.gap[0]`. `spread` says where all numbers of the runs' chains stand in it.
+Numbers that channels share are one parameter of the layout, `backlash.gap`, unless the layout splits their effect. Then
+each channel has its own, `backlash.gap[0]`. `spread` maps the numbers of the runs' chains to the layout.
 Pinned by tests/test_fit.py, tests/test_several_runs.py and tests/test_shared_numbers.py.
 """
 
@@ -28,7 +28,7 @@ PER_RUN = ("mount", "camera_drift", "clock_shift")
 
 @dataclass(frozen=True, eq=False)
 class Ranges:
-    """Where fits of a chain on one robot begin and search (P,), and the `limit` to which they may go beyond `high`."""
+    """Start and search range (P,) of fits of a chain on a robot, and the `limit` that they may reach beyond `high`."""
 
     start: Floats
     low: Floats
@@ -38,25 +38,25 @@ class Ranges:
 
 @dataclass(frozen=True)
 class Layout:
-    """The parameters of a chain as a record has them: arrays (L,), and where each run's own chain finds its numbers.
+    """The parameters of a chain for a record: arrays (L,), and where each run's own chain finds its numbers.
 
-    All numbers of the runs' chains, those of each channel by itself, are a full set (N,).
+    A full set (N,) holds all numbers of the runs' chains, one for each channel.
     """
 
     names: tuple[str, ...]
     labels: list[str]
-    groups: list[str]  # labels that stand for all channels of a parameter; its own where it is not split
+    groups: list[str]  # labels for all channels of a parameter; its own label where it is not split
     units: list[str]
     null: Floats
     start: Floats
     low: Floats
     high: Floats
-    limit: Floats  # beyond `high` where a parameter may be larger than is plausible
+    limit: Floats  # beyond `high`, for parameters that may be larger than is plausible
     log: NDArray[np.bool_]
     integer: NDArray[np.bool_]
     instant: NDArray[np.bool_]  # times within the run
-    spread: NDArray[np.intp]  # parameter (N,) that each number of the full set is
-    columns: list[NDArray[np.intp]]  # of each run, (chain's P,) in the full set
+    spread: NDArray[np.intp]  # parameter (N,) of each number of the full set
+    columns: list[NDArray[np.intp]]  # (chain's P,) for each run: its places in the full set
     declared: NDArray[np.bool_]  # parameters of effects; the others are numbers of the prior that are open with them
 
     @property
@@ -69,16 +69,16 @@ class Layout:
         """Return the full sets (..., N) of parameter sets (..., L); full sets unchanged."""
         width = params.shape[-1]
         if width not in (len(self.labels), len(self.spread)):
-            raise SoftmapError(f"{len(self.labels)} parameters wanted ({', '.join(self.labels)}), got {width}")
+            raise SoftmapError(f"{len(self.labels)} parameters expected ({', '.join(self.labels)}), got {width}")
         return params if width == len(self.spread) else params[..., self.spread]
 
     def values(self, params: Mapping[str, float], absent: Floats | None = None) -> Floats:
-        """Return parameters (L,) by label; what only another run has is taken from its first.
+        """Return parameters (L,) by label; for numbers of another run, take those of its first run.
 
-        A label without an index stands for all channels. Where there is none, `absent` (L,) is taken.
+        A label without an index is used for all channels. Where there is none, `absent` (L,) is taken.
 
         Raises:
-            SoftmapError: no such parameter, or channels with different numbers where this layout has one for all.
+            SoftmapError: no such parameter, or channels have different numbers where this layout has one for all.
         """
         found = [_found(params, label, group) for label, group in zip(self.labels, self.groups)]
         if absent is not None:
@@ -89,7 +89,7 @@ class Layout:
 
 
 def _found(params: Mapping[str, float], label: str, group: str) -> float | None:
-    """Return a parameter by its label, that of the first run, that of all channels, or what all channels have."""
+    """Return a parameter by its label, that of the first run, or that of all channels; else the channels' value."""
     for name in (label, label.split("@")[0], group):
         if name in params:
             return params[name]
@@ -111,11 +111,12 @@ def layout_of(
     """Return the parameters of a chain of `names`, those of the effects in PER_RUN once for each of `runs`.
 
     Args:
-        names: the effects. chain: the compiled chain of them.
+        names: the effects.
+        chain: the compiled chain of them.
         changes: numbers of the prior that are open with them.
-        ranges: where its numbers are searched on this robot, from `ranges_of`.
-        runs: how many there are.
-        seconds: between which an instant has enough of every run on both sides.
+        ranges: search ranges of its numbers on this robot, from `ranges_of`.
+        runs: the number of runs.
+        seconds: interval in which an instant has enough of every run on both sides.
         split: effects whose shared parameters have a number for each channel.
     """
     count = len(chain.labels)
@@ -161,18 +162,18 @@ def _alone(chain: Any, i: int, split: Collection[str]) -> bool:
 
 
 def _firsts(labels: Sequence[str]) -> tuple[list[str], list[int], NDArray[np.intp]]:
-    """Return the different ones of `labels` in order, where each comes first, and which of them each label is."""
+    """Return the distinct `labels` in order, the first place of each, and the index of each label among them."""
     place = {label: k for k, label in enumerate(dict.fromkeys(labels))}
     first = {label: i for i, label in reversed([*enumerate(labels)])}
     return list(place), [first[label] for label in place], np.array([place[label] for label in labels], np.intp)
 
 
 def ranges_of(model: Any, library: Any, chain: Any) -> Ranges:
-    """Return where fits of a chain search on this robot.
+    """Return the search ranges of a chain's fits on this robot.
 
-    What is declared in mm of command is meant for tendons that move by REACH_MM to each side; of a robot whose commands
-    have another range, in whatever unit, it is as large a share. Where the data ask for it a fit may go further: to a
-    number of half ranges, or to a weight by how much it moves this body, in the model's own scale of loads.
+    Ranges declared in mm of command are for tendons that move by REACH_MM to each side. On a robot with another range,
+    in any unit, they scale with the range. Where the data require it a fit may go further: to a number of half ranges,
+    or to a weight given by its displacement of this body, in the model's own scale of loads.
     """
     half = _half_range(model)
     in_commands = {e["name"] for e in library.effects() if e["role"] == "channel"}
@@ -187,7 +188,7 @@ def ranges_of(model: Any, library: Any, chain: Any) -> Ranges:
 
 
 def _half_range(model: Any) -> float:
-    """Return half the range of a model's commands, in their unit; REACH_MM of one that has none."""
+    """Return half the range of a model's commands, in their unit; REACH_MM if the model has none."""
     reach = np.asarray(getattr(model, "command_range", np.zeros((0, 2))), float)
     half = float(np.median(0.5 * np.ptp(reach, axis=1))) if len(reach) else 0.0
     return half if half > 0 else REACH_MM

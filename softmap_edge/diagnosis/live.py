@@ -1,9 +1,9 @@
 """A model's error while a robot runs: of the newest frames, over the last seconds, and since the beginning.
 
-Positions of the servos come period by period, frames as they arrive. The chain of effects is advanced by the new
-periods alone and remembers all that came before; a frame waits until positions of its time are there, and is compared
-with the shape of what acts then: the error is that of the whole run. What acted is kept for `KEPT` s; a
-shape that remembers what acted knows no more.
+Positions of the servos arrive period by period, frames when they are ready. The chain of effects is advanced by the new
+periods alone and keeps its memory. A frame waits for the positions of its time, and is then compared with the shape at
+the effective commands, so the error is that of the complete run. Effective commands are kept for `KEPT` s; a shape with
+memory uses no more of them.
 Known limit: an effect of the user's own cannot be advanced; with one all positions are kept and rolled out each time.
 Pinned by tests/test_live.py.
 """

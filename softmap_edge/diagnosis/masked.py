@@ -1,12 +1,14 @@
-"""What a model's residual may be hiding: static effects that look like it, and that the run does not speak against.
+"""Effects that a model's residual may hide: static effects that look like it and do not contradict the run.
 
-A diagnosis takes the residual out. If laws of the library explain what it had learned they are named. If they do not,
-a static field of its size stands for nothing (`problem_of`: form error in the same directions; a rod's error is noise),
-since it may be the model's own error or an effect. What the run tells through memory, orientation or load is then found
-as ever. Here the residual itself is diagnosed: each effect is fitted
-to it alone. One that explains HIDES of its mean square, and with the numbers of that fit makes the misfit of the run
-no larger, may be what was learned; no more can be said without a run in which the two differ. A residual within the
-model's own error, or one that takes no error off this run, hides nothing.
+A diagnosis takes the residual out. If laws of the library explain the learned part, the diagnosis names them. If they
+do not, a static field of its size is no evidence, since it may be the model's own error or an effect (`problem_of`:
+form error in the same directions; a rod's error is noise). Effects that show in memory, orientation or load are then
+found as without it.
+
+This module diagnoses the residual itself: each effect is fitted to it alone. An effect may have been learned if it
+explains HIDES of the residual's mean square and does not increase the misfit of the run. More can be concluded only
+from a run in which the two differ. A residual within the model error, or one that does not lower the error of this run,
+hides nothing.
 Units: mm. Limit: effects are fitted to the residual one by one. Pinned by tests/test_residual.py.
 """
 

@@ -1,11 +1,11 @@
-"""The floor of every memoryless model: how far one pose is from itself when the same command is met again.
+"""The floor of every memoryless model: scatter of one pose over repeats of the same command.
 
     σ² = between passages of a cell + within passages      one-way analysis of variance, pooled over the cells
 
-A cell holds the frames of one command (within CELL of its range), orientation, load and temperature; a passage is an
-uninterrupted stay in it. What a smooth map of the commands does inside a cell is taken off first, so that the width of
-a cell does not count. Units: mm, °C, g. Limit: commands of many channels that never meet again show nothing.
-Pinned by tests/test_memoryless.py.
+A cell holds the frames of one command (within CELL of its range), orientation, load and temperature. A passage is an
+uninterrupted stay in it. A smooth map of the commands is subtracted inside a cell first, so that the width of a cell
+does not count.
+Units: mm, °C, g. Limit: commands of many channels that never repeat show nothing. Pinned by tests/test_memoryless.py.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ENOUGH = 8  # passages beyond the first of each cell
 
 @dataclass(frozen=True)
 class Repeats:
-    """What repeated poses show: variance (F,) mm² within a pose, and how many poses, passages and frames show it."""
+    """Scatter of repeated poses: variance (F,) mm² within a pose, and the numbers of poses, passages and frames."""
 
     variance: Floats
     poses: int
@@ -45,10 +45,12 @@ class Repeats:
 
 
 def repeats_of(values: Floats, state: Conditions, load: Floats | None = None) -> Repeats | None:
-    """Return how far poses are from themselves, None where too few commands are met again.
+    """Return the scatter of repeated poses; None where too few commands are repeated.
 
     Args:
-        values: (K, F) mm, NaN where unseen. state: conditions of the frames. load: (K,) g, where one is declared.
+        values: (K, F) mm, NaN where unseen.
+        state: conditions of the frames.
+        load: (K,) g, where one is declared.
     """
     if not len(values) or not state.command.shape[1]:
         return None

@@ -2,12 +2,12 @@
 
     s(t) = c(dwell) + d(dwell) t + a cos 2πft + b sin 2πft + e        score of a frame along a mode of commanded motion
 
-A line is one frequency with one phase over all dwells: of the variance that dwells leave of their drift it explains P,
-which noise reaches with probability (1 − P)^((n − 3)/2) for each mode and frequency (Scargle 1982,
-doi:10.1086/160554). Irregular motion is scatter along the commanded modes EXCESS times larger than noise that is alike
-in all directions would give there.
-Units: mm, s, Hz. Limits: fewer than SPARE features beside modes and rigid motion show lines only; motion slower than a
-dwell is not motion at rest. Pinned by tests/test_motion_at_rest.py.
+A line is one frequency with one phase over all dwells. It explains the share P of the variance in dwells after their
+drift is subtracted. Noise reaches P with probability (1 − P)^((n − 3)/2) for each mode and frequency (Scargle 1982,
+doi:10.1086/160554). Irregular motion is scatter along the commanded modes that is EXCESS times larger than isotropic
+noise would give there.
+Units: mm, s, Hz. Limits: with fewer than SPARE features besides modes and rigid motion only lines are found; motion
+slower than a dwell is not motion at rest. Pinned by tests/test_motion_at_rest.py.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ Mask = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 SLOWEST, FASTEST = 0.05, 5.0  # Hz
-FREQUENCIES, FINE, CHUNK = 8000, 0.25, 400  # tried at most, their distance times the duration, tried at once
-FRAMES = 600  # of dwells at most in the search for a line
+FREQUENCIES, FINE, CHUNK = 8000, 0.25, 400  # number tried at most, spacing times the duration, number tried at once
+FRAMES = 600  # of dwells, at most, in the search for a line
 CHANCE = 1e-4  # probability of a line in noise, over all frequencies and modes
-EXCESS = 4.0  # times the variance of noise: scatter along commanded modes from which the body itself moves
-LEAST_MM = 0.12  # mm RMS: less is no motion that matters
+EXCESS = 4.0  # times the variance of noise: scatter along commanded modes above this is motion of the body
+LEAST_MM = 0.12  # mm RMS: smaller motion is ignored
 ENOUGH = 15  # degrees of freedom
 
 
@@ -38,8 +38,8 @@ ENOUGH = 15  # degrees of freedom
 class MotionAtRest:
     """Motion of the body while the commands stand.
 
-    `rms_mm` over time and places; `frequency_hz` of a line, None where it is irregular; `channels` (C,) is the RMS of
-    the commands that would move the body so; `dwells` are those that show it.
+    `rms_mm` is over time and places. `frequency_hz` is that of a line, None where the motion is irregular. `channels`
+    (C,) is the RMS of the commands that would move the body in this way. `dwells` is the number of dwells that show it.
     """
 
     rms_mm: float
@@ -57,9 +57,10 @@ class MotionAtRest:
 
 @dataclass(frozen=True)
 class AtRest:
-    """What dwells show of the body's own motion.
+    """The body's own motion in dwells.
 
-    `found` says it, `values` (K, F) are without its lines, `irregular` says whether there is any beside these.
+    `found` describes it, `values` (K, F) are the values without its lines, `irregular` is set if there is any motion
+    besides these.
     """
 
     found: tuple[MotionAtRest, ...]
@@ -72,7 +73,7 @@ class _Scores:
     """Scores (n, b) of the settled frames along commanded modes, detrended in each dwell, in units of their noise."""
 
     rows: NDArray[np.intp]
-    dwells: list[NDArray[np.intp]]  # of each dwell, its places among the rows
+    dwells: list[NDArray[np.intp]]  # for each dwell, its places among the rows
     values: Floats
     sigma: Floats  # (b,) mm
     freedom: int
@@ -81,15 +82,20 @@ class _Scores:
 def motion_at_rest(
     values: Floats, seen: Floats, positions: Mask, t: Floats, command: Floats, dwell: Ints, modes: Floats
 ) -> AtRest:
-    """Find what moves the body along commanded modes while its commands stand.
+    """Find motion of the body along commanded modes while its commands stand.
 
     Args:
-        values: features minus what a model predicts, or the features themselves, (K, F) mm. seen: features (K, F) mm.
-        positions: (V,). t: (K,) s. command: (K, C). dwell: (K,), -1 elsewhere. modes: (b, F), from `commanded_modes`.
+        values: features minus the prediction of a model, or the features themselves, (K, F) mm.
+        seen: features (K, F) mm.
+        positions: (V,), which features are places.
+        t: (K,) s.
+        command: (K, C).
+        dwell: (K,) number of the dwell, -1 outside dwells.
+        modes: (b, F), from `commanded_modes`.
 
     Returns:
-        AtRest: nothing found where dwells are too few to show it, or where more than the whole range of the commands
-        would have to move the body so.
+        AtRest: nothing found where dwells are too few to show it, or where the commands would need more than their
+            complete range for such a motion.
     """
     white = white_variance(values, seen, positions, modes, dwell)
     scores = _scores(values, seen, positions, modes, dwell, white)
@@ -108,7 +114,7 @@ def motion_at_rest(
         scores = _scores(rest, seen, positions, modes, dwell, white)
     irregular = None if white is None or scores is None else _irregular(scores, modes, positions, white)
     if irregular is not None and scores is not None and irregular[0] > sum(one.rms_mm for one in found):
-        size, pattern = irregular  # less than the line is what its shape changes from pose to pose
+        size, pattern = irregular  # less than the line: it comes from the change of its shape between poses
         found.append(MotionAtRest(size, None, _channels(pattern, seen, command), len(scores.dwells)))
     able = tuple(one for one in found if np.all(np.array(one.channels) <= np.ptp(command, axis=0)))
     return AtRest(able, rest, irregular is not None)
@@ -148,7 +154,7 @@ def _wave(frequency: Floats, t: Floats) -> Floats:
 
 
 def _line(scores: _Scores, t: Floats, modes: Floats, positions: Mask) -> tuple[float, Floats] | None:
-    """Return the frequency (Hz) of a line and what its cosine and sine do to the features (2, F) mm, or None."""
+    """Return the frequency (Hz) of a line and the features' response to its cosine and sine (2, F) mm, or None."""
     ends = np.cumsum([len(d) for d in scores.dwells])
     kept = scores.dwells[: max(1, int(np.searchsorted(ends, FRAMES, side="right")))]
     count = int(ends[len(kept) - 1])
@@ -172,7 +178,7 @@ def _line(scores: _Scores, t: Floats, modes: Floats, positions: Mask) -> tuple[f
 
 @lru_cache(maxsize=256)
 def _level(frames: int) -> Floats:
-    """Return the orthonormal line (n, 2) that each dwell is allowed: slow lines would be lost in a parabola."""
+    """Return the orthonormal line (n, 2) that each dwell is allowed: a parabola would absorb slow lines."""
     return np.asarray(np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, frames), 2))[0])
 
 
@@ -189,7 +195,7 @@ def _detrended(columns: Floats, level: Floats) -> Floats:
 
 
 def _explained(frequency: Floats, t: Floats, values: Floats, level: Floats) -> Floats:
-    """Return the squares (f, b) that lines at frequencies (f,) explain of values (n, b)."""
+    """Return the squares (f, b) of values (n, b) that lines at frequencies (f,) explain."""
     wave = _detrended(_wave(frequency, t).reshape(len(t), -1), level).reshape(len(t), -1, 2)
     gram = np.einsum("nfi,nfj->fij", wave, wave) + 1e-9 * len(t) * np.eye(2)
     right = np.einsum("nfi,nb->fib", wave, values)
@@ -213,7 +219,7 @@ def _rms_mm(squares: Floats, positions: Mask) -> float:
 
 
 def _channels(pattern: Floats, seen: Floats, command: Floats) -> tuple[float, ...]:
-    """Return the RMS (C,) of the commands that would move the features as a pattern (n, F) mm does."""
+    """Return the RMS (C,) of the commands that would move the features by a pattern (n, F) mm."""
     span = np.ptp(command, axis=0)
     moved = np.flatnonzero(span > 0)
     x = command[:, moved] - command[:, moved].mean(axis=0)

@@ -1,4 +1,4 @@
-"""How far measurement and model may differ for no reason: camera noise, and the model's own error as a nuisance.
+"""The noise model: camera noise, and the model's own error as a nuisance.
 
     C = Σ ⊗ I + G ⊗ K(u, u)          features × frames
     Σ  noise covariance of a frame's features, from replicates (frames of one dwell), else from the high-frequency part
@@ -8,12 +8,12 @@
 
 Diagonalised: with Σ = L Lᵀ and spatial modes V (the span of the signatures), mode m has form variance s_m in units of
 noise, and C^(-1/2) = I + Q (diag(1/sqrt(1 + λ s_m)) - 1) Qᵀ over frames, K = Q diag(λ) Qᵀ. All is linear in the frames.
-Correlation in time is not filtered out; it inflates: n white numbers become n / inflation (AR(1): (1+ρ)/(1-ρ)).
-A jitter of the frame keeps longer than a dwell (`jitter.py`): its six directions are inflated by 2τ times the frames a
-second, all others are not. What the body does while its commands stand is no noise (`motion_at_rest.py`).
-Units: mm, s. Known limits: modes share one kernel length (0.4 of the command range); jitter shows only where poses are
-visited again. A rod's error is not smooth in six commands, so what of it repeats counts as noise correlated in time
-(`rod_noise`). Pinned by tests/test_noise.py.
+Correlation in time is not filtered out. It inflates: n white numbers become n / inflation (AR(1): (1+ρ)/(1-ρ)). A
+jitter of the frame lasts longer than a dwell (`jitter.py`). Its six directions are inflated by 2τ times the frames a
+second, all others are not. Motion of the body while its commands stand is not noise (`motion_at_rest.py`).
+Units: mm, s. Known limits: modes share one kernel length (0.4 of the command range); jitter is detected only where
+poses are visited again. A rod's error is not smooth in six commands, so its repeatable part counts as noise correlated
+in time (`rod_noise`). Pinned by tests/test_noise.py.
 """
 
 from __future__ import annotations
@@ -60,9 +60,9 @@ GEOMETRY = 300  # frames over which a jitter's covariance is averaged
 class Noise:
     """Noise of one frame's features: covariance (F, F) mm², its source, and the inflation by correlation in time.
 
-    `slow` (F, F) is the part of the covariance that a jitter of the frame adds, which keeps over `memory_s`: so many of
-    its frames (`slow_inflation`) count as one. `moving` is what the body does while its commands stand, which is no
-    noise and not in the covariance. `point_mm` is the noise of a point (RMS distance), as in `check` and `compare`.
+    `slow` (F, F) is the part of the covariance from a jitter of the frame with memory `memory_s`: `slow_inflation` of
+    its frames count as one. `moving` is the motion of the body while its commands stand; it is not noise and not in the
+    covariance. `point_mm` is the noise of a point (RMS distance), as in `check` and `compare`.
     """
 
     covariance: Floats
@@ -77,7 +77,7 @@ class Noise:
 
     @property
     def effective(self) -> Floats:
-        """The covariance (F, F) mm² that counts frames as if they were independent but for `inflation`."""
+        """The covariance (F, F) mm² with which frames count as independent, except for `inflation`."""
         if self.slow is None:
             return self.covariance
         return self.covariance + max(0.0, self.slow_inflation / self.inflation - 1.0) * self.slow
@@ -107,7 +107,7 @@ def estimate_noise(residual: Floats, t_seen: Floats, visit: NDArray[np.int64]) -
 
 
 def motion_left(residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions) -> AtRest:
-    """Return what the body does at rest beyond what a residual (K, F) mm was taken from; arguments as below."""
+    """Return the motion of the body at rest beyond the subtracted part of a residual (K, F) mm; arguments as below."""
     modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
     return motion_at_rest(residual, seen, positions, t_seen, state.command, settled_dwells(state), modes)
 
@@ -115,15 +115,18 @@ def motion_left(residual: Floats, seen: Floats, positions: Mask, t_seen: Floats,
 def measure_noise(
     residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions, point_mm: float | None = None
 ) -> Noise:
-    """Measure the noise of a run: within dwells, between visits of one pose, without what the body does at rest.
+    """Measure the noise of a run: within dwells, between visits of one pose, without motion of the body at rest.
 
     Args:
-        residual: measured minus predicted features (K, F) mm. seen: measured features (K, F) mm; both NaN where unseen.
-        positions: which features (V,) are places. t_seen: (K,) s. state: conditions of the frames.
+        residual: measured minus predicted features (K, F) mm, NaN where unseen.
+        seen: measured features (K, F) mm, NaN where unseen.
+        positions: which features (V,) are places.
+        t_seen: (K,) s.
+        state: conditions of the frames.
         point_mm: the noise of a point, where it is known.
 
     Returns:
-        Noise: as `estimate_noise` where the run is not seen to repeat itself.
+        Noise: from `estimate_noise` if the run does not repeat itself.
     """
     dwell = settled_dwells(state)
     plain = replace(estimate_noise(residual, t_seen, dwell), point_mm=point_mm)
@@ -165,16 +168,16 @@ def _spread(frames: int) -> NDArray[np.intp]:
 
 
 def _most_modes(features: int) -> int:
-    """Return how many commanded modes so many features can show beside a rigid motion and a rest."""
+    """Return how many commanded modes so many features can show, besides a rigid motion and a remainder."""
     return max(2, min(COMMANDED, features // 3 - 2))
 
 
 def _white_scatter(
     values: Floats, seen: Floats, positions: Mask, modes: Floats, white: Floats, dwell: NDArray[np.int64]
 ) -> Scatter:
-    """Return how dwells scatter without jitter of the frame and without motion of the body.
+    """Return the scatter of dwells without jitter of the frame and without motion of the body.
 
-    In the directions of both stands what the white part alone gives there.
+    In the directions of both, the scatter is that of the white part alone.
     """
     squares, degrees, lag = np.zeros((seen.shape[1],) * 2), 0, np.zeros(2)
     for frames in rows_of(dwell, LEAST_DWELL):
@@ -194,13 +197,16 @@ def _white_scatter(
 def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats, measured: Noise, repeats: Repeats | None) -> Noise:
     """Return the noise of a model whose own error (V, 3) mm is not smooth in its commands: both together.
 
-    Args:
-        residual: measured minus predicted features (K, F) mm. t_seen: (K,) s. form_error: the model's own.
-        measured: noise from repeats, revisits or high frequencies.
-        repeats: what poses that were seen again tell; of the own error counts only what is then a function of the
-            commands, the rest is memory or noise.
+    The correlation time of the model error comes from the residual: 1/e of its autocorrelation, by linear
+    interpolation.
 
-    The own error's correlation time comes from the residual: 1/e of its autocorrelation, linear interpolation.
+    Args:
+        residual: measured minus predicted features (K, F) mm.
+        t_seen: (K,) s.
+        form_error: the model's own error (V, 3) mm.
+        measured: noise from repeats, revisits or high frequencies.
+        repeats: scatter of poses that were seen again. Of the model error only the part that is then a function of the
+            commands counts; the rest is memory or noise.
     """
     clean = filled(residual)
     clean = clean - clean.mean(axis=0)
@@ -215,7 +221,7 @@ def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats, measured: No
     own, source = form_error.ravel() ** 2, "the model's own held-out error"
     if repeats is not None:
         static = np.maximum(np.nanmean(residual**2, axis=0) - repeats.variance, 0.0)
-        own, source = np.minimum(own, static), "the part of the model's own error that repeats"
+        own, source = np.minimum(own, static), "the repeatable part of the model's own error"
     inflation = max(1.0, 2.0 * tau / period)
     fast = float(np.trace(measured.covariance))
     mixed = (fast * measured.inflation + float(own.sum()) * inflation) / (fast + float(own.sum()))
@@ -298,7 +304,7 @@ class Whitener:
 
     @property
     def numbers(self) -> float:
-        """How many independent numbers a frame gives: the sum of squares that noise alone leaves of its modes."""
+        """Independent numbers of a frame: the sum of squares of its modes under noise alone."""
         return float(len(self.form) if self.level is None else self.level.sum())
 
     def modes(self, difference: Floats) -> Floats:
@@ -365,10 +371,10 @@ def _distance2(a: Floats, b: Floats) -> Floats:
 
 
 def _shrunk(covariance: Floats, degrees: int) -> Floats:
-    """Shrink towards the diagonal: an estimate from few replicates has directions of no variance at all.
+    """Shrink towards the diagonal: an estimate from few replicates has directions without variance.
 
-    By as much as oracle approximating shrinkage (Chen et al. 2010, doi:10.1109/TSP.2010.2053029) asks of the
-    correlations, and at least by the share of features among features and degrees of freedom.
+    The amount is that of oracle approximating shrinkage (Chen et al. 2010, doi:10.1109/TSP.2010.2053029) for the
+    correlations, and at least the share of features among features and degrees of freedom.
     """
     features = len(covariance)
     diagonal = np.diag(covariance).copy()

@@ -84,9 +84,9 @@ def candidates_of(
 
 
 def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = None, residual: bool = True) -> Problem:
-    """Measure the noise (if none is given), set up the form error and look along the candidates' signatures.
+    """Measure the noise (if none is given), set up the form error and whiten along the candidates' signatures.
 
-    Where a residual was taken out, the model may err by as much, unless `residual` is false.
+    If a residual was taken out, the model may err by as much, unless `residual` is false.
 
     Raises:
         SoftmapError: fewer than 8 frames.
@@ -111,7 +111,7 @@ def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = 
 
 
 def noise_of(record: Record, residual: Floats) -> Noise:
-    """Return the noise of a record, of what a model leaves of it (K, F) mm."""
+    """Return the noise of a record from a model's residual (K, F) mm."""
     points = [noise_of_points(run) for run in record.whole]
     known = [p.mm for p in points if p is not None]
     point = float(np.sqrt(np.mean(np.square(known)))) if known else None

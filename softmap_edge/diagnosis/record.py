@@ -163,9 +163,9 @@ class Record:
         return () if self.roll_seen else ROLLS
 
     def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
-        """Return the parameters of a chain of `names`; those of the effects in `split` have a number for each channel.
+        """Return the parameters of a chain of `names`; effects in `split` have a number for each channel.
 
-        So do those of the model's own effects in which channels differ already.
+        So have the model's own effects whose channels already differ.
         """
         return self._layout(names, 1, split)
 
@@ -263,13 +263,13 @@ class Record:
         return predict
 
     def acting(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return what acts on the shape, (B, K, C), for parameter sets as `predict` takes them."""
+        """Return the effective commands at the shape, (B, K, C), for parameter sets as `predict` takes them."""
         params = self.full(names, params)
         chain = np.ascontiguousarray(params[:, : params.shape[1] - len(self._changes(names))])
         return np.asarray(self.model.acting(tuple(names), chain, self.run, **self._inputs))
 
     def slopes(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the slopes (C, K, F) mm of the features over what acts, about one parameter set of `predict`."""
+        """Return the slopes (C, K, F) mm of features over effective commands, at one parameter set of `predict`."""
         step = np.maximum(SLOPE * self.spread, 1e-3)
         model, _, sets = self._models(names, self.full(names, params[None]))[0]
         slopes = model.slopes(tuple(names), sets[0], step, self.run, **self._inputs)
@@ -294,7 +294,7 @@ class Record:
 
     @cached_property
     def frame_mm(self) -> float:
-        """How far the points may be off by what the alignment leaves open of the frame (`frame_sigma`), mm RMS."""
+        """RMS error of the points from the uncertainty of the alignment's frame (`frame_sigma`), mm."""
         sigma = self.run.frame_sigma
         if sigma is None or "mount" not in {e["name"] for e in self.library.effects()}:
             return 0.0

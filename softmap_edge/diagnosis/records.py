@@ -129,7 +129,7 @@ class Records(Record):
 
     @cached_property
     def frame_mm(self) -> float:
-        """How far the points may be off by what the alignments leave open of the frames, mm RMS."""
+        """RMS error of the points from the uncertainty of the alignments' frames, mm."""
         squares = [part.frames * part.frame_mm**2 for part in self.parts]
         return float(np.sqrt(sum(squares) / max(1, self.frames)))
 
@@ -166,11 +166,11 @@ class Records(Record):
         return predict
 
     def acting(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return what acts on the shape, (B, ΣK, C), for parameter sets as `predict` takes them."""
+        """Return the effective commands at the shape, (B, ΣK, C), for parameter sets as `predict` takes them."""
         return np.concatenate([part.acting(names, own) for part, own in self._each(names, params)], axis=1)
 
     def slopes(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the slopes (C, ΣK, F) mm of the features over what acts, about one parameter set of `predict`."""
+        """Return the slopes (C, ΣK, F) mm of features over effective commands, at one parameter set of `predict`."""
         return np.concatenate([part.slopes(names, own) for part, own in self._each(names, params)], axis=1)
 
 

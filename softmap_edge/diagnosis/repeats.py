@@ -1,11 +1,12 @@
 """Repeats of a run: dwells, their scatter about a drift, visits of one pose in several dwells.
 
     dwell      frames of one uninterrupted stay at one command, from SETTLED s after the last motion
-    scatter    what a dwell leaves of a quadratic in time (a line where it is short): creep in a dwell is not noise
+    scatter    remainder of a dwell after a quadratic in time (a line where it is short): creep in a dwell is not noise
     pose       dwells of one command within SAME of its range, in one orientation and under one load
 
-`check`, `compare` and `diagnose` take their noise from these. Units: mm, s. Limit: what stays constant through a dwell
-is seen only between visits of one pose (`jitter.py`). Pinned by tests/test_noise.py and tests/test_repeats.py.
+`check`, `compare` and `diagnose` take their noise from these.
+Units: mm, s. Limit: noise that stays constant through a dwell is detected only between visits of one pose
+(`jitter.py`). Pinned by tests/test_noise.py and tests/test_repeats.py.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 SETTLED = 0.5  # s after the last motion from which a frame counts as a repeat
-LEAST_DWELL, LONG_DWELL = 3, 6  # frames of a dwell that show noise beside a drift, and beside one that bends
+LEAST_DWELL, LONG_DWELL = 3, 6  # frames of a dwell that show noise besides a linear, and a quadratic, drift
 SAME = 0.01  # of the range of a command: closer than this counts as the same command
 RUN = 40  # bits of a dwell's number below the number of its run (`records.py`)
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """How dwells scatter: sum of squares (F, F) mm², its degrees of freedom, and the correlation of neighbours."""
+    """Scatter of dwells: sum of squares (F, F) mm², its degrees of freedom, and the correlation of neighbours."""
 
     squares: Floats
     degrees: int
@@ -49,7 +50,7 @@ def rows_of(dwell: Ints, least: int = 1) -> list[NDArray[np.intp]]:
 
 
 def undrifted(dwell: Floats) -> tuple[Floats, int]:
-    """Return what a dwell (K, F) scatters about a quadratic in time, a line where it is short, and what that fits.
+    """Return the scatter of a dwell (K, F) about a quadratic in time, a line where it is short, and the fit.
 
     Creep within a dwell is not noise.
     """
@@ -65,7 +66,7 @@ def drift(frames: int) -> Floats:
 
 
 def dwell_scatter(values: Floats, dwell: Ints) -> Scatter:
-    """Return how values (K, F) mm scatter about the drift of each dwell (K,); what is NaN counts for nothing."""
+    """Return the scatter of values (K, F) mm about the drift of each dwell (K,); NaN counts for nothing."""
     features = values.shape[1]
     scatter, degrees, lag = np.zeros((features, features)), 0, [0.0, 0.0]
     inside = dwell >= 0
@@ -86,9 +87,9 @@ def dwell_degrees(dwell: Ints) -> int:
 
 
 def filled(values: Floats) -> Floats:
-    """Return values (K, F) with what was not seen between what was seen before and after: no jump.
+    """Return values (K, F) with unseen ones interpolated between earlier and later ones: no jump.
 
-    A marker that is hidden now and then would else be as noisy as the model is wrong there.
+    Otherwise a marker that is hidden now and then would seem as noisy as the model is wrong there.
     """
     if np.isfinite(values).all():
         return values
@@ -100,9 +101,9 @@ def filled(values: Floats) -> Floats:
 
 
 def poses(state: Conditions, dwell: Ints) -> list[list[NDArray[np.intp]]]:
-    """Return the poses that were visited in two dwells or more: of each, the frames of every visit.
+    """Return the poses that were visited in two dwells or more: the frames of every visit of each.
 
-    Dwells of several runs are never one pose: each run's base stands on its own.
+    Dwells of several runs are never one pose, because the base may stand differently in each run.
     """
     visits = rows_of(dwell)
     span = np.ptp(state.command, axis=0) if len(state.command) else np.zeros(0)

@@ -72,7 +72,7 @@ class Series:
     command: Floats  # (K, C) at the frames
     command_unit: str
     poses: list[Pose]
-    output: Output | None = None  # what the markers stand for, where they are no places
+    output: Output | None = None  # meaning of the markers, where they are no places
     loops: tuple[Loop, ...] = ()  # each output, or the tip along each command
     timeless: bool = False  # `t_seen` counts rows
 
@@ -157,11 +157,14 @@ def _loops(
 def tip_loops(command: Floats, seen: Floats, before: Floats, after: Floats | None) -> tuple[Loop, ...]:
     """Return the tip's displacement in the direction in which each command moves it, against that command.
 
-    A linear regression of the measured tip on all commands gives the directions and the tip at command 0, from which
-    displacements count. Commands that stand still, or do not move the tip, have no loop.
+    A linear regression of the measured tip on all commands gives the directions, and the tip at command 0 as the origin
+    of displacements. Commands that stand still, or do not move the tip, have no loop.
 
     Args:
-        command: (K, C). seen, before, after: the tip (K, 3) mm, NaN where it is not seen.
+        command: (K, C).
+        seen: the measured tip (K, 3) mm, NaN where it is not seen.
+        before: the predicted tip (K, 3) mm, before the diagnosis.
+        after: the predicted tip (K, 3) mm, after it.
     """
     known = np.isfinite(seen).all(axis=1) & np.isfinite(command).all(axis=1)
     design = np.column_stack([np.ones(len(command)), command])

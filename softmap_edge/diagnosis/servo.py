@@ -80,7 +80,7 @@ class Servo:
         return np.concatenate([effective, np.zeros((len(effective), 2))], axis=1)[:, None]
 
     def slopes_at(self, effective: Floats, step: Floats, run: Run) -> Floats:
-        """Return the slopes (1, K, 1, 3) of what is seen over the effective command."""
+        """Return the slopes (1, K, 1, 3) of the encoder's features over the effective command."""
         return self.slopes((), effective, step, run)
 
     def predict_features(self, names: tuple[str, ...], params: Floats, run: Run) -> Floats:
@@ -90,15 +90,15 @@ class Servo:
 
 
 def servos(run: Run, effects: list[str]) -> list[ServoFinding]:
-    """Find what lies between command and encoder.
+    """Find the effects between command and encoder.
 
     Args:
-        run: a run with commands (T, C) and, in the same unit, what the encoders said (T, C).
-        effects: names of the candidates; those that act on the command before the encoder are looked for.
+        run: a run with commands (T, C) and encoder positions (T, C) in the same unit.
+        effects: names of the candidates; those that act on the command before the encoder are tested.
 
     Returns:
-        list: what lies between command and encoder of each channel that moves, errors held out on blocks; empty where
-        the run has no commands or no encoders.
+        list: the effects between command and encoder of each channel that moves, with errors held out on blocks; empty
+            where the run has no commands or no encoders.
     """
     if run.command is None or run.present is None or not len(run.t):
         return []
@@ -133,7 +133,7 @@ def _servo(run: Run, channel: int, candidates: list[str]) -> ServoFinding | None
     signature[..., 0] = 1.0
     problem = Problem(record, noise, whitener(noise, form, signature, kernel))
     outcome = search(problem, candidates, visible=max(step, VISIBLE * span))
-    fits = outcome.plain  # as they are without what has no law
+    fits = outcome.plain  # without families that have no law
     fit = fits.get(outcome.fit.effects, outcome.fit.space.split)
     sigma = problem.uncertainty(fit, fits.dispersion(fit)) if len(fit.x) else np.zeros(0)
     effects = tuple(ServoEffect(e, parameters(record, fit, sigma, (e,))) for e in fit.effects)

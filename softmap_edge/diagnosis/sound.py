@@ -1,14 +1,16 @@
-"""Which frames and points of a run are no measurement: set aside before a fit, each with a remark that says so.
+"""Find frames and points of a run that are no measurement, and set them aside before a fit, each with a remark.
 
     late      seen when no command is known: outside the record of the commands, or in a gap of it that hides a move
     repeated  a picture equal to the one before, bit for bit, from a camera that hangs: it repeats itself while the
-              commands move, and then jumps to where the body is; after a plateau of a play a body goes on from there
+              commands move, and then jumps to where the body is; after a plateau of a play the body continues from
+                  there
     clipped   a coordinate exactly at the border of a picture or a box, for several poses: taken as not seen
-    astray    a point far from where the model has it, in this frame and not in those around: taken as not seen
+    astray    a point far from its prediction in this frame, but not in the neighbouring ones: taken as not seen
 
-A body that rests in a play and a model without noise repeat themselves too: nothing is set aside where no still pair of
-frames differs. Limits: two wrong frames in a row that agree are kept; a border that fewer than 3 % of the frames touch
-is not found. Units: mm, s. Pinned by tests/test_bad_runs.py.
+A body that rests in a play, and a model without noise, repeat themselves too. So nothing is set aside if no still pair
+of frames differs.
+Limits: two wrong frames in a row that agree are kept; a border that fewer than 3 % of the frames touch is not found.
+Units: mm, s. Pinned by tests/test_bad_runs.py.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ Mask = NDArray[np.bool_]
 GAP_SAMPLES, GAP = 10.0, 1.0  # usual steps, and s, beyond which a record of commands has a gap
 MOVED = 0.05  # of the range of a command, across a gap: what happened there is not known
 STEPPED = 0.01  # of the range of a command between two frames: a camera that works sees it
-SELDOM = 0.2  # of the pairs of frames at rest that may be equal in a camera with noise
+SELDOM = 0.2  # of the pairs of frames at rest that may be equal for a camera with noise
 SOON = 0.1  # of the usual time between pictures: no camera is that much faster once
 TOUCHED = 0.03  # of the frames that show a point exactly at its extreme: a border
 POSES = 5  # different places of points at a border: a body at rest has one
@@ -53,7 +55,7 @@ UNSTEADY, UNSTEADY_TIMES = 0.05, 4.0  # of all motion, and of the median dwell, 
 STILL = 0.8  # of all motion: more scatter in the dwells, and the robot does not move
 UNSTEADY_MOST, DWELLS = 0.3, 4  # of the dwells: more are how this robot is; fewer of them tell nothing
 WRONG_SIGMA = 5.0  # times the noise that repeats show, or as little
-REMEMBERED = 100  # frames on which a strong memory is asked for
+REMEMBERED = 100  # frames on which a strong memory is tested
 UNSEEN = 0.2  # of the points that may never be seen before a word is said
 
 
@@ -140,7 +142,7 @@ def sound_record(
 
 
 def stray(record: Record, predicted: Floats) -> str | None:
-    """Say so where the points do not move as the commands say, or not at all, whatever a fit allows for."""
+    """Report points that do not move, or do not move as commanded, whatever a fit allows for."""
     seen = record.seen.reshape(len(record), -1, 3)[:, record.positions]
     left = seen - predicted.reshape(len(record), -1, 3)[:, record.positions]
     visible = np.asarray(np.isfinite(seen).all(axis=2), np.bool_)
@@ -312,7 +314,7 @@ def _repeated(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) ->
 
 
 def _stretches(same: Mask) -> list[tuple[int, int]]:
-    """Return the first frame and the last repetition of each stretch of frames that repeat their forerunner."""
+    """Return the first frame and the last repetition of each stretch of repeated frames."""
     edges = np.flatnonzero(np.diff(np.r_[False, same, False].astype(int)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 

@@ -19,7 +19,7 @@ from softmap_edge.diagnosis.findings import (
 
 GROSS = 2.0  # times as far as any physics that faults must move the body for them to be the verdict
 UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "cannot tell"
-LEFT_R2 = 0.12  # from which a condition is named as what predicts a leftover
+LEFT_R2 = 0.12  # from which a condition is named as a predictor of the unexplained error
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,13 @@ def verdict_of(
     """Return the verdict.
 
     Args:
-        physics: effects that were found, or the faults where these may be physics. faults: faults of the measurement.
-        doubtful: whether anything speaks against what is named. unknown: whether something else is left.
-        detected: whether a family was. hidden: how many effects the run could not have shown, of `count` candidates.
+        physics: effects that were found, or the faults where these may be physics.
+        faults: faults of the measurement.
+        doubtful: whether there is evidence against a name.
+        unknown: whether an unexplained error remains.
+        detected: whether a family was detected.
+        hidden: number of effects that the run could not have shown.
+        count: number of candidates.
     """
     if unknown:
         return "partly_explained"
@@ -81,9 +85,9 @@ def sentence_of(
     demoted: Sequence[str],
     hint: str = "",
 ) -> str:
-    """Return the verdict as a sentence: what is named, alternatives, by how much the held-out error falls.
+    """Return the verdict as a sentence: named effects, alternatives, fall of the held-out error.
 
-    `hint` is the family that comes nearest where none is accepted.
+    `hint` is the nearest family where none is accepted.
     """
     fall = f"the held-out error falls from {error.before:.2f} to {error.after:.2f} mm RMS"
     lost = f" Dropped, because the error on {error.held_out_on} did not fall: {', '.join(demoted)}." if demoted else ""
@@ -113,7 +117,7 @@ def sentence_of(
 
 
 def _found(physics: Sequence[Finding], faults: Sequence[Finding], families: Sequence[FamilyFinding]) -> str:
-    """Return what was found: faults, named effects by family, families whose law is open or unknown."""
+    """Return the findings: faults, named effects by family, families whose law is open or unknown."""
     parts = [f"the measurement is at fault ({_names(faults)})"] if faults else []
     named = {f.name for f in (*physics, *faults)}
     settled = [f.name for f in physics if not any(f.name in g.effects and g.law != "resolved" for g in families)]
@@ -133,7 +137,7 @@ def _found(physics: Sequence[Finding], faults: Sequence[Finding], families: Sequ
 
 
 def _names(faults: Sequence[Finding]) -> str:
-    """Name faults, and what a case means where one has it."""
+    """Return the names of faults, with the meaning of a case where one has it."""
     return " + ".join(": ".join([f.name, *(p.meaning for p in f.params.values() if p.meaning)]) for f in faults)
 
 

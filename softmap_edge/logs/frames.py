@@ -70,7 +70,7 @@ def seen(
 
 
 def _outputs(table: LogTable, log: Log, measured: Measured, fields: dict[str, Any], notes: list[str]) -> Array:
-    """Return the times of rows with an output; `fields` gets the outputs, carried as markers, and their labels."""
+    """Return the times of rows with an output; add the outputs, carried as markers, and their labels to `fields`."""
     given = np.asarray(np.isfinite(table.numbers(measured.columns)).any(axis=1))
     if not given.any():
         raise RunError(f"{table.path}: no row has an output; check the columns of `output`")

@@ -97,7 +97,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
 
 
 def _timeless(mapping: Mapping, notes: list[str]) -> dict[str, Any]:
-    """Return the field that a run of a log without time has; raise RunError where times would have to be joined."""
+    """Return the field of a run whose log has no time; raise RunError where times would have to be joined."""
     if not any(log.clock.timeless for log in mapping.logs):
         return {}
     if len(mapping.logs) > 1:

@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 
 SCHEMA = "softmap.mapping/1"
 POINTS = ("markers", "base")
-NO_TIME = "none"  # the `time` of a log that has none: its rows count
-ROW_S = 0.05  # s that a row then stands for: the rate at which a model is learned, so that no row is left out
+NO_TIME = "none"  # the `time` of a log without time: its rows are counted
+ROW_S = 0.05  # s for each row of such a log: the rate at which a model is learned, so that no row is left out
 FILE = "file"  # the unit that the file itself states; mm where it states none
 LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}  # → mm
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}  # → s
@@ -60,7 +60,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Clock:
-    """How a log tells time: a column in a unit, a counter at a rate, the row number at a rate, or not at all."""
+    """The time of a log: a column in a unit, a counter at a rate, the row number at a rate, or none."""
 
     column: Column | None
     seconds: float

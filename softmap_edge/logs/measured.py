@@ -1,4 +1,4 @@
-"""The part of a mapping that names outputs which are no places (force, angle, level); and how columns are named.
+"""The part of a mapping that names outputs other than places (force, angle, level), and the names of columns.
 
 Pinned by tests/test_output.py.
 """
@@ -20,7 +20,7 @@ Column = str | int
 
 @dataclass(frozen=True)
 class Measured:
-    """Columns of outputs that are no places (force, angle, level): value · scale + offset, in `unit`."""
+    """Columns of outputs other than places (force, angle, level): value · scale + offset, in `unit`."""
 
     columns: tuple[Column, ...]
     names: tuple[str, ...]
@@ -30,7 +30,7 @@ class Measured:
 
 
 def measured_of(log: TomlTable) -> Measured | None:
-    """Return the outputs that a log names, if it names any."""
+    """Return the outputs that a log names, if any."""
     if "output" not in log.values:
         return None
     table = log.table("output")
@@ -53,7 +53,7 @@ def measured_of(log: TomlTable) -> Measured | None:
 
 
 def columns_of(table: TomlTable) -> list[Any]:
-    """Return the columns that a table names, nested lists in a row."""
+    """Return the columns that a table names, with nested lists flattened."""
     listed = table.get("columns", (list,), [])
     flat: list[Any] = [cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])]
     if not flat or not all(isinstance(cell, str | int) and not isinstance(cell, bool) for cell in flat):

@@ -191,8 +191,8 @@ class Kinematics:
     def undone(self) -> list[str]:
         """The model's effects that commands compensate.
 
-        Of delays without a preview a plan expects what they leave. A shape that remembers what acted before is solved
-        as it is at rest.
+        Delays without a preview are not compensated; a plan expects their error. A shape with memory is solved as if at
+        rest.
         """
         entries = _core.effects()
         left = {entry["name"] for entry in entries if entry["family"] == "delay" or entry["remembers"]}
@@ -204,7 +204,7 @@ class Kinematics:
 
     @property
     def delays(self) -> tuple[Floats, Floats]:
-        """Seconds (C,) by which the model's effects answer late: a pure delay, and a lag (its time constant)."""
+        """The delay of the model's effects in seconds (C,): a pure delay, and a lag (its time constant)."""
         there = _core.Chain(list(PREVIEWED), self.model.channels)
         values = valued(there, self.model.params, there.null)
         wanted = (f"{name}.{number}" for name, number in PREVIEWED.items())
@@ -236,7 +236,7 @@ class Kinematics:
 
 
 def early(acting: Floats, t: Floats, delay: Floats, lag: Floats) -> Floats:
-    """Return what is to be asked at `t` (T,) s so that `acting` (T, C) comes in time through delays and lags (C,) s.
+    """Return the command at `t` (T,) s that gives `acting` (T, C) in time through delays and lags (C,) s.
 
     u(t) = x(t + delay) + lag x'(t + delay), linear between samples, held beyond the last.
     """

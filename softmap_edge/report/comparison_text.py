@@ -129,10 +129,10 @@ def check_pair(before: Comparison, after: Comparison) -> None:
 
 
 def _memoryless_lines(comparison: Comparison, scale: float) -> list[str]:
-    """Return the floor that no model without memory can beat, and what shows it."""
+    """Return the floor of all models without memory, and the data that show it."""
     floor = comparison.memoryless
     if floor is None:
-        return folded("floor without memory: too few repeated poses to tell", 2)
+        return folded("floor without memory: too few repeated poses to estimate it", 2)
     return [
         f"  {'no memory':<12}{mm(floor.mm):>7}  {bar(floor.mm, scale)}",
         *folded(
@@ -149,7 +149,7 @@ def _top(comparisons: Sequence[Comparison]) -> float:
 
 
 def _distance(unit: str) -> str:
-    """What the figures of a comparison measure."""
+    """The quantity that the figures of a comparison measure."""
     what = "points" if unit == PLACES else "outputs"
     return f"Distance between predicted and measured {what}"
 

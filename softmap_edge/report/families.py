@@ -1,7 +1,7 @@
-"""What a diagnosis found, in the words of its two levels: each family of effects, its law, and how much both explain.
+"""The findings of a diagnosis in the terms of its two levels: each family, its law, and the share of both.
 
-A line for people (`Memory: backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel 1`), the facts beside it, and both
-for a terminal and for a page. Documents of schema 1 hold no families. Pinned by tests/test_loop_figure.py.
+A line for people (`Memory: backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel 1`) and the facts about it, for a
+terminal and for a page. Documents of schema 1 hold no families. Pinned by tests/test_loop_figure.py.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from softmap_edge.report.style import escaped, section
 
 TITLE = "What the model lacks: the family of effects, then its law"
 PAGE_NOTE = (
-    "A family holds all effects that depend on the same inputs. Its share is that of the error that everything found "
-    "explains; the law's share is what the best known law explains of what the family can do at most."
+    "A family holds all effects that depend on the same inputs. Its share is its part of the explained error. The "
+    "law's share compares the best known law with the flexible representative of the family."
 )
 Row = Mapping[str, Any]
 
@@ -61,7 +61,7 @@ def _law(effect: str, params: Mapping[str, Row]) -> str:
 
 
 def family_facts(row: Row, unit: str) -> list[str]:
-    """Return what is known beside the line of a family: shares, displacement, what it cannot be distinguished from."""
+    """Return the facts about a family, besides its line: shares, displacement, alternatives."""
     facts = [f"{percent(row.get('share'))} of the explained error"]
     if number(row.get("moved_mm")) is not None:
         facts.append(f"{mm(row['moved_mm'])} {unit} RMS (fitted)")
@@ -74,7 +74,7 @@ def family_facts(row: Row, unit: str) -> list[str]:
 
 
 def family_lines(document: Mapping[str, Any], unit: str) -> list[str]:
-    """Return the block on families of a report for a terminal; nothing where none was detected."""
+    """Return the section on families of a report for a terminal; nothing where none was detected."""
     rows = document.get("families") or []
     lines = ["", TITLE] if rows else []
     for row in rows:
@@ -84,7 +84,7 @@ def family_lines(document: Mapping[str, Any], unit: str) -> list[str]:
 
 
 def family_section(document: Mapping[str, Any], unit: str) -> str:
-    """Return the part of a page on families; nothing where none was detected."""
+    """Return the section on families of a page; nothing where none was detected."""
     rows = document.get("families") or []
     if not rows:
         return ""

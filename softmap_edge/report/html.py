@@ -71,8 +71,9 @@ def write_html(
         comparison: one comparison, or two of the same run (before, after).
         diagnosis: a Diagnosis or its document softmap.diagnosis/2 (or /1).
         series: errors over time and over the body (`compare.series`), for the pictures that need them.
-        ways: errors in mm RMS of a model made in several ways, by name, and what they were measured on (`adapt`).
-        floor: what no model can go below, mm, and what it is, where that is known better than from the camera's noise.
+        ways: errors in mm RMS of a model made in several ways, by name, and the run that they were measured on
+            (`adapt`).
+        floor: the lowest error that a model can reach, mm, and its name, if known better than from the camera's noise.
 
     Returns:
         Path: the file.
@@ -260,12 +261,12 @@ def _loops(story: Story) -> str:
 
 
 def _things(story: Story) -> str:
-    """What is compared: the points of a body, or outputs."""
+    """The compared quantity: the points of a body, or outputs."""
     return "points" if story.places else "outputs"
 
 
 def _noise(story: Story) -> str:
-    """What the floor is, in a sentence."""
+    """The meaning of the floor, in a sentence."""
     return "the camera's noise" if story.places else "the sensor's noise"
 
 

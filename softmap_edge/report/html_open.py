@@ -1,4 +1,4 @@
-"""What a diagnosis leaves open, as HTML: servos, alternatives, what is not testable, what to record."""
+"""Open points of a diagnosis as HTML: servos, alternatives, effects that are not testable, what to record next."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def open_questions(found: Mapping[str, Any]) -> str:
     steps = [(f"{row.get('block', '?')}", _settles(row)) for row in found.get("next") or []]
     parts = [
         _definitions("Servos: between command and encoder", [servo_row(row) for row in found.get("servo") or []]),
-        _definitions("Alternatives: what explains these data as well", alternatives),
+        _definitions("Alternatives: other explanations of these data", alternatives),
         _definitions("Not testable with these data", untestable),
         _definitions("Next experiment", steps),
         _remarks(found.get("remarks") or []),

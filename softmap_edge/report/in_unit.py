@@ -1,8 +1,7 @@
-"""Documents about outputs that are no places, with their figures in the output's own unit for a report.
+"""Documents about outputs other than places, with their figures in the output's own unit for a report.
 
-A comparison or diagnosis counts in the model's mm; `made_from.output` says how many of them stand for one unit. Numbers
-of commands (`1.39 mm on servo 1`) keep their unit: in sentences only what is said in mm RMS is an output's.
-Pinned by tests/test_output.py.
+A comparison or diagnosis counts in the model's mm; `made_from.output` holds the mm for one unit. Numbers of commands
+(`1.39 mm on servo 1`) keep their unit. In sentences only values in mm RMS are outputs. Pinned by tests/test_output.py.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ def unit_of(made_from: Mapping[str, Any]) -> str:
 
 
 def words_in_unit(text: str, output: Output | None) -> str:
-    """Return a sentence in which what is said in mm RMS is said in the output's unit."""
+    """Return a sentence with its values in mm RMS converted to the output's unit."""
     if output is None:
         return text
 
@@ -51,7 +50,7 @@ def words_in_unit(text: str, output: Output | None) -> str:
 
 
 def in_unit(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a diagnosis document with its figures in the unit of its output; as it is for places."""
+    """Return a diagnosis document with its figures in the unit of its output; unchanged for places."""
     output = output_of(document.get("made_from") or {})
     if output is None:
         return dict(document)
@@ -65,7 +64,7 @@ def in_unit(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _renamed(maps: Mapping[str, Any]) -> dict[str, Any]:
-    """Return maps of the error in which each output stands where a body has its sections."""
+    """Return maps of the error with one entry for each output in place of the sections of a body."""
     return {"output" if name == "section" else name: rows for name, rows in maps.items()}
 
 
@@ -73,7 +72,7 @@ _PLAIN = ("frames", "folds", "numbers")  # entries of `error` that are no length
 
 
 def _turned(value: Any, output: Output, key: str = "") -> Any:
-    """Return a part of a document with its lengths and sentences turned; what is fitted keeps its own unit."""
+    """Return a part of a document with its lengths and sentences converted; fitted numbers keep their unit."""
     if key in ("params", "refitted", "made_from", "servo"):
         return value
     if isinstance(value, Mapping):
@@ -92,7 +91,7 @@ def _value(value: Any, output: Output) -> Any:
 
 
 def comparison_in_unit(comparison: Comparison) -> Comparison:
-    """Return a comparison with its figures in the unit of its output; as it is for places."""
+    """Return a comparison with its figures in the unit of its output; unchanged for places."""
     output = output_of(comparison.made_from)
     if output is None:
         return comparison
@@ -112,7 +111,7 @@ def comparison_in_unit(comparison: Comparison) -> Comparison:
 
 
 def series_in_unit(series: Series) -> Series:
-    """Return the series of a run of outputs with its errors in their unit; as it is for places."""
+    """Return the series of a run of outputs with its errors in their unit; unchanged for places."""
     output = series.output
     if output is None:
         return series

@@ -21,16 +21,18 @@ from softmap_edge.report.style import escaped, picture, section
 
 Floats = NDArray[np.float64]
 
-TURN = 0.2  # of the range of a command: smaller moves back are no cycle
+TURN = 0.2  # of the range of a command: smaller reverse moves are no cycle
 MOST_LOOPS = 6  # of a run with many outputs or commands
 
 
 def loop_section(series: Series, unit: str, diagnosis: Mapping[str, Any] | None, kind: str) -> str:
-    """Return the part of a page with the loops: of outputs always, of a body where a family with memory was detected.
+    """Return the part of a page with the loops: always for outputs, for a body where a family with memory was detected.
 
     Args:
-        series: of the run that the page shows. unit: of its errors.
-        diagnosis: the document, or None. kind: what to add to the caption.
+        series: of the run that the page shows.
+        unit: of its errors.
+        diagnosis: the document, or None.
+        kind: an addition to the caption.
     """
     body = unit == PLACES
     remembers = any(row.get("kind") == "memory" for row in (diagnosis or {}).get("families") or [])
@@ -38,7 +40,7 @@ def loop_section(series: Series, unit: str, diagnosis: Mapping[str, Any] | None,
         return ""
     what = "Tip" if body else "Output"
     image = picture(loops(series, unit), f"{what} against command, measured and predicted")
-    note = f"The cycle with the largest error before, {escaped(unit)} (faint: all that was measured)"
+    note = f"The cycle with the largest error before, {escaped(unit)} (faint: all measurements)"
     if body:
         note += (
             ". The tip's displacement along the direction in which the command moves it; 0 is where it is at command 0"
@@ -49,8 +51,8 @@ def loop_section(series: Series, unit: str, diagnosis: Mapping[str, Any] | None,
 def loops(series: Series, unit: str) -> bytes:
     """Draw each output, or the tip (in `unit`), against its command, with the error below it, over one cycle (SVG).
 
-    Measured, and predicted before and after. The cycle is that with the largest error before; all that was measured
-    stands behind.
+    The curves are measured, predicted before, and predicted after. The cycle is that with the largest error before. All
+    measurements are drawn behind.
     """
     most = min(len(series.loops), MOST_LOOPS)
     columns = min(most, 2)
@@ -93,7 +95,7 @@ def _draw(upper: Axes, lower: Axes, loop: Loop, unit: str, command_unit: str) ->
 def worst_cycle(loop: Loop) -> slice:
     """Return the frames of the cycle of a command (three turns) with the largest error before; else all of them.
 
-    Cycles in which the other commands stand still come first: what others do is no loop of this command.
+    Cycles in which the other commands stand still come first: motion by other commands is no loop of this one.
     """
     turns = _turns(loop.command)
     squares = np.nan_to_num(loop.seen - loop.before) ** 2
@@ -105,7 +107,7 @@ def worst_cycle(loop: Loop) -> slice:
 
 
 def _turns(command: Floats) -> list[int]:
-    """Return the frames at which a command turns round by more than `TURN` of its range."""
+    """Return the frames at which a command reverses by more than `TURN` of its range."""
     least, turns, extreme, way = TURN * float(np.ptp(command)), list[int](), 0, 0.0
     for k, value in enumerate(command):
         if way == 0.0 and abs(value - command[0]) > least:

@@ -10,10 +10,11 @@ from softmap_edge.report.text import alternative_name
 
 
 def progress_lines(before: Mapping[str, Any] | None, after: Mapping[str, Any]) -> list[str]:
-    """Return what was open and what still is, for a terminal.
+    """Return the questions that were open and those that still are, for a terminal.
 
     Args:
-        before, after: documents softmap.diagnosis/2, earlier and later; without `before` only what is open now.
+        before: the earlier document softmap.diagnosis/2; None lists only what is open now.
+        after: the later document.
     """
     lines = [] if before is None else _open("Before", before)
     lines += _open("Now" if before is not None else "Open", after)

@@ -20,7 +20,7 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
     """Return the report of a diagnosis document.
 
     Args:
-        document: what `Diagnosis.to_dict()` gave, of this schema or the one before.
+        document: the result of `Diagnosis.to_dict()`, of this schema or the one before.
 
     Returns:
         str: lines of at most 100 columns.
@@ -45,7 +45,7 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
     lines += _ladder_lines(document.get("error") or {})
     servos = [servo_row(row) for row in document.get("servo") or []]
     lines += _list_lines("Servos: between command and encoder", servos, ": ".join)
-    lines += _list_lines("Alternatives: what explains these data as well", document["alternatives"], _alternative)
+    lines += _list_lines("Alternatives: other explanations of these data", document["alternatives"], _alternative)
     lines += _list_lines("Not testable with these data", untestable_rows(document), _untestable)
     lines += _list_lines("About the run", document.get("remarks"), tamed)
     lines += _unexplained_lines(document.get("unexplained") or {}, unit)
@@ -98,7 +98,7 @@ def _effect_lines(row: Mapping[str, Any], place_unit: str) -> list[str]:
 
 
 def moved_by(unit: str) -> str:
-    """What an effect moves, in a report whose figures have this unit."""
+    """The name of the moved quantity, in a report whose figures have this unit."""
     return "the body" if unit == PLACES else "the output"
 
 
@@ -169,7 +169,7 @@ def _list_lines(title: str, rows: Any, text: Any) -> list[str]:
 
 
 def alternative_name(row: Mapping[str, Any]) -> str:
-    """Return what an alternative is called: its effects, or the family of which no law is known."""
+    """Return the name of an alternative: its effects, or the family without a known law."""
     return " + ".join(map(str, row.get("effects") or [])) or str(row.get("family") or "?")
 
 

@@ -1,8 +1,8 @@
-"""Folds of a rod's cross-validation: blocks of time short enough that what is held out was also commanded elsewhere.
+"""Folds of a rod's cross-validation: blocks of time whose commands also occur elsewhere in the runs.
 
-A recording of one or two sweeps visits each command once or twice. A long block then holds all that was seen there, and
-its error tells how a polynomial extrapolates, not how well it predicts. So blocks are halved, and the gap beside them
-with them, until the rest covers them (`coverage.py`). Long recordings keep the blocks that they are given.
+A recording of one or two sweeps visits each command once or twice. A long block then holds all frames of its commands,
+and its error measures the extrapolation of a polynomial, not its accuracy. So blocks and the gaps next to them are
+halved until the rest covers them (`coverage.py`). Long recordings keep the given blocks.
 Pinned by tests/test_learned_memory.py.
 """
 
@@ -15,12 +15,12 @@ from softmap_edge.folds import FOLDS, GAP, Folds, folds, labelled, run_folds
 from softmap_edge.rod.reference_run import Seen
 
 UNCOVERED = 0.1  # share of the held-out frames that the others may leave uncovered
-MOST_GAP = 0.5  # of a block: more would leave a short run nothing to learn from
+MOST_GAP = 0.5  # of a block: more would leave too little of a short run to learn from
 MOST_BLOCKS, LEAST_FRAMES = 40, 4  # blocks of a run, and frames of a block
 
 
 def covered_folds(seen: Seen, blocks: int, gap_s: float) -> tuple[Folds, float]:
-    """Return folds of at least `blocks` blocks of time, and the gap (s, at most `gap_s`) beside each.
+    """Return folds of at least `blocks` blocks of time, and the gap (s, at most `gap_s`) next to each.
 
     Raises:
         RunError: too few frames.
@@ -35,7 +35,7 @@ def covered_folds(seen: Seen, blocks: int, gap_s: float) -> tuple[Folds, float]:
 
 
 def search_folds(seen: Seen) -> Folds:
-    """Return the folds of a search: whole labels, or blocks of time; and runs that the commands of the others cover."""
+    """Return the folds of a search: labels, or blocks of time; and runs that the commands of the others cover."""
     parts = run_folds(seen.t, seen.labels) if labelled(seen.labels) else covered_folds(seen, FOLDS, GAP)[0]
     for k in range(len(seen.runs)) if len(seen.runs) > 1 else ():
         inside = seen.number == k
@@ -46,7 +46,7 @@ def search_folds(seen: Seen) -> Folds:
 
 
 def _uncovered(seen: Seen, parts: Folds) -> float:
-    """Return the share of the held-out frames that the frames that train leave uncovered."""
+    """Return the share of the held-out frames that the training frames leave uncovered."""
     commands = seen.drive.commanded
     outside = [Coverage.of(commands[train]).outside(commands[test]) for train, test in parts if len(train)]
     return float(np.concatenate(outside).mean()) if outside else 0.0

@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Term = Callable[
     [Floats, bool], tuple[Floats, Floats]
-]  # x, slopes wanted → residuals (m,), their slopes (m, D) or (0, D)
+]  # x, whether slopes are needed → residuals (m,), their slopes (m, D) or (0, D)
 
 ITERATIONS = 60
-ENOUGH = 1e-7  # share of the sum of squares by which a step must lower it to be followed by another
+ENOUGH = 1e-7  # share of the sum of squares: a step that lowers it by less is the last one
 
 
 def descend(
     term: Term, x: Floats, low: Floats, high: Floats, iterations: int = ITERATIONS, enough: float = ENOUGH
 ) -> tuple[Floats, float]:
-    """Minimise the sum of squares of `term` within bounds; return where, and the sum."""
+    """Minimise the sum of squares of `term` within bounds; return the minimiser and the sum."""
     x = np.clip(x, low, high)
     residual = term(x, False)[0]
     cost, damping = float(residual @ residual), 1e-3
@@ -38,7 +38,7 @@ def descend(
             step = np.zeros(len(x))
             try:
                 step[free] = -np.linalg.solve(system[np.ix_(free, free)], gradient[free])
-            except np.linalg.LinAlgError:  # two numbers that do the same, and damping lost in round-off
+            except np.linalg.LinAlgError:  # two numbers with the same effect, and damping lost in round-off
                 damping *= 8.0
                 continue
             ahead = np.clip(x + step, low, high)

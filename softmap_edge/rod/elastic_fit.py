@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 STARTS = 4
-BESIDE_ROD = (1, 2)  # degrees of the polynomial that supports a described rod while its delay is sought
+BESIDE_ROD = (1, 2)  # degrees of the polynomial that supports a described rod while its delay is fitted
 MOST_SEEN, LEAST_FRAMES = 8000, 200  # markers times frames of a fit; more frames, but not these, are thinned evenly
 CHUNK = 4_000_000  # slopes by all numbers that are held at once
 EXACT = 1e-4  # mm: no camera sees better, so that a perfect fit is not infinitely sure
@@ -41,7 +41,7 @@ TRADED = 0.995  # correlation of two numbers from which the run tells them only 
 
 
 def fit_elastic(seen: Seen, robot: Robot, parts: Folds, seed: int, static: bool) -> Fitted:
-    """Fit the free numbers of an elastic rod, then the drive's delay where the log can tell it and not `static`.
+    """Fit the free numbers of an elastic rod, then the drive's delay if the log identifies it and not `static`.
 
     Raises:
         RunError: a fold leaves too little to fit the numbers from.
@@ -74,7 +74,7 @@ def fit_elastic(seen: Seen, robot: Robot, parts: Folds, seed: int, static: bool)
 
 
 def _memory(seen: Seen, robot: Robot, fitted: Floats, seed: int) -> Memory:
-    """Find the drive's delay beside the rod that was fitted to the commands, with a small polynomial in its support.
+    """Find the drive's delay with the rod that was fitted to the commands, supported by a small polynomial.
 
     Other memory is left to the diagnosis: the rod has laws of its own for slack and friction.
     """

@@ -2,11 +2,11 @@
 
     minimise over x:  Σ |seen − map solved at v(x)|²,   v(x) = rollout of the chain
 
-Numbers are searched in 0 … 1 over their range, by logarithm where the range is positive. Play is not smooth, so a
-scan of the held-out loss over the whole range comes first, then a bounded Levenberg-Marquardt from the best few.
-Ranges declared in mm are those of a drive of ±16 mm and grow with the drive. A gap may be nearly the whole range, and
-what is held back may be all of the motion, for an output may be a force. σ is the larger of the linearised fit's and
-of the jackknife's over the folds. Pinned by tests/test_learned_memory.py.
+Numbers are searched in 0 … 1 over their range, by logarithm where the range is positive. Play is not smooth. So a scan
+of the held-out loss over the complete range comes first, then a bounded Levenberg-Marquardt from the best few. Ranges
+declared in mm are those of a drive of ±16 mm and scale with the drive. A gap may be nearly the complete range, and the
+held-back share may be all of the motion, because an output may be a force. σ is the larger of that of the linearised
+fit and that of the jackknife over the folds. Pinned by tests/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 WIDEST = 1.95  # half ranges: a wider gap would never move what it drives
-HELD_BACK = 30.0  # share of the motion held back: from here on all that is left is what holds back
+HELD_BACK = 30.0  # share of the motion held back: at this value the held-back part is the complete response
 SCAN = 24  # sets for each number of a scan
-SCAN_ALONG = 12  # of one number while the others stay
+SCAN_ALONG = 12  # of one number while the others are fixed
 TOGETHER = 24  # sets rolled out at a time
 REFINED = 2  # of the scanned sets
-MOST_STEPS, ENOUGH = 15, 1e-4  # of a descent: play is not smooth, and what folds differ by is larger
+MOST_STEPS, ENOUGH = 15, 1e-4  # of a descent: play is not smooth, and the folds differ by more
 STEP = 1e-3  # of the range, for slopes: wider than the kinks of a play that is sampled
 BOUND = 1e-3  # of the range, from where a number counts as at its bound
 
@@ -104,7 +104,7 @@ def _range(effect: str, unit: str, low: float, high: float, half: float) -> tupl
 
 @dataclass(frozen=True, eq=False)
 class FittedLaw:
-    """A law with its free numbers x (D,) in 0 … 1, what acts (n, C), and its held-out loss (folds,) mm²."""
+    """A law with its free numbers x (D,) in 0 … 1, effective commands (n, C), and its held-out loss (folds,) mm²."""
 
     law: Law
     x: Floats
@@ -113,7 +113,7 @@ class FittedLaw:
 
     @property
     def params(self) -> dict[str, float]:
-        """The parameters by label, as a model has them."""
+        """The parameters by label, as a model holds them."""
         return named(self.law.chain, self.law.params(self.x))
 
     @property
@@ -128,13 +128,13 @@ class FittedLaw:
 
 
 class LawFit:
-    """What a law is fitted to: a drive, in its unit, and a static map that is solved again for every set of numbers."""
+    """The data of a law's fit: a drive, in its unit, and a static map that is solved again for every set of numbers."""
 
     def __init__(self, drive: Drive, static: StaticMap, seed: int, unit: str = "mm") -> None:
         self.drive, self.static, self.seed, self.unit = drive, static, seed, unit
 
     def scanned(self, law: Law, known: Mapping[str, float]) -> FittedLaw:
-        """Fit a law from a scan of the numbers that are not `known` by label; those that are start as they are."""
+        """Fit a law from a scan of all numbers but those `known` by label, which start at their value."""
         start = law.at(known)
         open_ = [i for i, label in enumerate(law.labels) if label not in known]
         sets = np.tile(start, (SCAN * max(1, len(open_)), 1))
@@ -151,7 +151,7 @@ class LawFit:
         return self.refined(law, sets[np.argsort(sums)[:REFINED]])
 
     def scanned_along(self, law: Law, start: Floats, i: int) -> Floats:
-        """Return `start` with its number `i` where a scan of its range fits best; the others are near their best."""
+        """Return `start` with its number `i` at the best value of a scan; the others are near their best."""
         sets = np.tile(start, (SCAN_ALONG + 1, 1))
         sets[1:, i] = np.linspace(0.0, 1.0, SCAN_ALONG)
         rolled = self.drive.rolled(law.chain, law.params(sets))
@@ -171,7 +171,7 @@ class LawFit:
         residual, slopes = self._term(law, None)(x, True)
         zero, one = np.zeros(len(x)), np.ones(len(x))
         variance = float(residual @ residual) / max(1, len(residual) - len(x))
-        information = slopes.T @ slopes / max(variance, 1e-12) + np.eye(len(x))  # as wide as the range where unseen
+        information = slopes.T @ slopes / max(variance, 1e-12) + np.eye(len(x))  # where unseen, as wide as the range
         linear = np.sqrt(np.diag(np.linalg.inv(information)))
         refits = np.stack(
             [descend(self._term(law, train), x, zero, one, MOST_STEPS, ENOUGH)[0] for train, _ in self.static.parts]

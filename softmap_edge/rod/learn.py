@@ -1,13 +1,12 @@
 """Fit a rod to reference runs: the prior of a robot that has no simulator. Seconds; numpy and the core only.
 
-Two rods (rust/rod/) turn commands into markers. Where the robot's tendons are described (`robot.py`) it is the elastic
-one, fitted by `elastic_fit.py`; else a chain of chords whose bending angles are a polynomial (`polynomial.py`).
-With either, the memory that was in the robot is found (`memory.py`): its law joins the chain by name, with its
-alternatives, and `static` leaves it out. Beside an elastic rod only delays join; other memory is reported.
-Degree, ridge and law are those with the lowest error; frames closer than `gap_s` to a block are not used to predict it.
-These few choices are made on the blocks that give the stated error, so it is slightly low; frames in `hold_out` are
-never looked at. tests/test_rod.py, tests/test_elastic.py and tests/test_learned_memory.py pin exact recovery and the
-error on real data.
+Two rods (rust/rod/) turn commands into markers. If the robot's tendons are described (`robot.py`), it is the elastic
+one, fitted by `elastic_fit.py`; else a chain of chords whose bending angles are a polynomial (`polynomial.py`). With
+both, the memory that was in the robot is found (`memory.py`): its law joins the chain by name, with its alternatives.
+`static` leaves it out. With an elastic rod only delays join; other memory is reported. Degree, ridge and law are those
+with the lowest error. Frames closer than `gap_s` to a block are not used to predict it. These few choices are made on
+the blocks that give the stated error, so it is slightly low. Frames in `hold_out` are never used. tests/test_rod.py,
+tests/test_elastic.py and tests/test_learned_memory.py pin exact recovery and the error on real data.
 """
 
 from __future__ import annotations
@@ -43,21 +42,20 @@ Arrays = dict[str, NDArray[np.generic]]
 
 RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
 USELESS = 0.8  # share of that straying from which a held-out error says that commands explain little
-DEPENDENT = 0.01  # of the largest singular value of the commands: a direction that moves less does not move
+DEPENDENT = 0.01  # of the largest singular value of the commands: a smaller direction does not move
 ROUNDED = 0.02  # weights below this in such a direction are encoders' rounding
 POOR = 0.4  # of the same: a rod that knows its commands leaves a tenth
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedRod:
-    """A rod fitted to a run, and how well it predicts what it has not seen.
+    """A rod fitted to runs, and its error on held-out frames.
 
-    `chain_names` and `chain_params` (by label) are the effects that belong in the bundle's chain; `learned_in` says of
-    each what it stands for, and what else was seen.
-    `error_mm` is the blocked cross-validation RMS over all markers, `per_fold_mm` (blocks,), `per_marker_mm` (K,);
-    `form_error` (K, 3) mm is its RMS by marker and axis; `residuals` (n, K, 3) mm (predicted − seen) at the `frames` of
-    each run; `coverage` says which commands they show;
-    `numbers` are what was fitted of an elastic rod; `notes` say what to beware of.
+    `chain_names` and `chain_params` (by label) are the effects of the bundle's chain. `learned_in` describes each of
+    them and its alternatives. `error_mm` is the blocked cross-validation RMS over all markers, `per_fold_mm` (blocks,),
+    `per_marker_mm` (K,). `form_error` (K, 3) mm is its RMS by marker and axis. `residuals` (n, K, 3) mm (predicted −
+    seen) are those at the `frames` of each run. `coverage` describes the commands of these frames. `numbers` are the
+    fitted numbers of an elastic rod; `notes` are warnings.
     """
 
     rod: Rod
@@ -113,12 +111,14 @@ def learn(
         runs: one or several of one robot, each with commands (T, C) and markers (K, M, 3) mm, base to tip, in the base
             frame (z along the rest axis). Memory begins in equilibrium in each.
         input: "goal" or "present"; None takes the present positions where every run has them.
-        blocks: contiguous blocks of the cross-validation, more where a short run would else hold out what it saw once;
-            an elastic rod takes the runs' `block` labels if they have any.
+        blocks: contiguous blocks of the cross-validation. A short run that visits its commands once gets more. An
+            elastic
+            rod uses the runs' `block` labels if they have any.
         gap_s: s, frames this close to a block are not used to predict it; at most half a block.
         hold_out: intervals (t0, t1) s whose frames are not used at all, in each run.
         base: (3,) mm, the point from which the first chord starts; None is the origin of the base frame. It is not
-            fitted: markers do not tell it (on the trunk any depth from 0 to 94 mm predicts equally well within 0.1 mm).
+            fitted, because markers do not identify it (on the trunk any depth from 0 to 94 mm predicts equally well
+            within 0.1 mm).
         degree: of the polynomial; None chooses among 1, 2, 3 (of one command up to 5).
         rate_hz: at most so many frames a second are used.
         robot: a description of the robot's tendons; with it the rod is elastic, without it a polynomial.
@@ -193,13 +193,13 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
     notes += _dependent(commands, unit)
     if error > USELESS * stray:
         notes.append(
-            f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of always answering the "
+            f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of a constant "
             "mean pose: the commands do not explain these markers, or the run is too short"
         )
     elif error > POOR * stray:
         notes.append(
-            f"the held-out error of {error:.2f} mm RMS is much of the {stray:.2f} mm RMS of always answering the mean "
-            "pose: the mapping may miss a command or have a wrong rate, or the run is short"
+            f"the held-out error of {error:.2f} mm RMS is a large part of the {stray:.2f} mm RMS of a constant "
+            "mean pose: the mapping may miss a command or have a wrong rate, or the run is short"
         )
     vague = [number.label for number in fitted.numbers if number.note]
     if vague:
@@ -211,7 +211,7 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
 
 
 def _dependent(commands: Floats, unit: str) -> list[str]:
-    """Return a sentence for each sum of commands that does not move, and what follows from it."""
+    """Return a sentence for each sum of commands that does not move, and its consequence."""
     half = 0.5 * np.ptp(commands, axis=0)
     moving = np.flatnonzero(half > 0)
     centred = (commands - commands.mean(axis=0))[:, moving] / half[moving]
@@ -227,8 +227,8 @@ def _dependent(commands: Floats, unit: str) -> list[str]:
         terms = " ".join(_term(float(w), int(moving[c]) + 1) for c, w in zip(used, weights[used]))
         sums.append(f"{terms.removeprefix('+ ')} stays at {level:.3g} {unit}")
     return [
-        f"the commands move in {len(moving) - int(still.sum())} of {len(moving)} directions ({'; '.join(sums)}): what "
-        "belongs to one of these commands alone cannot be learned; move each alone, or keep to such moves"
+        f"the commands move in {len(moving) - int(still.sum())} of {len(moving)} directions ({'; '.join(sums)}): "
+        "effects of one of these commands alone cannot be learned; move each alone, or keep to such moves"
     ]
 
 

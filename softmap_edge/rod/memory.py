@@ -1,20 +1,20 @@
-"""The memory that was in a robot while it was learned: which family first, by which law second.
+"""The memory that was in a robot while it was learned: first its family, then its law.
 
-Level 1. The signals of each family (`signals.py`) stand beside the static map as columns, with powers up to three
-where there are few channels. A family counts if it lowers the held-out loss by more than one paired standard error
-over the folds, in most folds, by a share of the loss and of what stands above the noise, and visibly. If the best
-family fails, none is taken: the next best would only stand in for it. The B-splines of the command are the control.
-Where they do as well as the best family, they join the map, and the families are judged beside them.
+Level 1. The signals of each family (`signals.py`) are added to the static map as columns, with powers up to three where
+there are few channels. A family counts if it lowers the held-out loss by more than one paired standard error over the
+folds, in most folds, by a share of the loss and of the loss above the noise, and visibly. If the best family fails,
+none is taken, because the next best would only replace it. The B-splines of the command are the control. If they do as
+well as the best family, they join the map, and the families are compared with this map.
 
 Level 2. The members of the families that fall are fitted with the static map solved again (`law.py`), with one number
 for all channels and with a number per channel. A law *reaches* if it does as well as the best of all, representatives
-included. The fewest numbers win; the other laws that reach are its alternatives. A law that does not reach, or stands
-at a bound, is only reported if it is weak or if a family without laws is near: it would only stand in for something
-else. The law joins the chain, what it leaves of the commands takes their place, and the families are asked again.
+included. The law with the fewest numbers wins; the other laws that reach are its alternatives. A law that does not
+reach, or that is at a bound, is only reported if it is weak or if a family without laws is near: it would only replace
+another cause. The law joins the chain, its effective commands replace the commands, and the families are tried again.
 
-Several runs: each run whose commands the others cover is also held out whole. That judges between families that draw
-the same loop at one amplitude and speed. Limits: laws act in series with the map; a rate alone has no law in the
-library. Pinned by tests/test_learned_memory.py.
+Several runs: each run whose commands the others cover is also held out as a block. This separates families that draw
+the same loop at one amplitude and speed.
+Limits: laws act in series with the map; a rate alone has no law in the library. Pinned by tests/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -36,27 +36,27 @@ from softmap_edge.rod.static_map import StaticMap
 
 Floats = NDArray[np.float64]
 
-FRAMES = 1500  # of a search; neighbouring frames say the same
-FEW_CHANNELS = 3  # up to here signals get powers, which more channels have too few frames for
+FRAMES = 1500  # of a search; neighbouring frames hold the same information
+FEW_CHANNELS = 3  # up to here signals get powers; with more channels there are too few frames
 POWERS = 3
-LEAST = 0.03  # of the loss that a family must explain: less is lost in how the folds were cut
-FIRST, LATER = 0.05, 0.3  # the same of what stands above the noise; later ones divide what the first left
+LEAST = 0.03  # of the loss that a family must explain: less is within the choice of folds
+FIRST, LATER = 0.05, 0.3  # the same of the loss above the noise; later ones divide the remainder of the first
 MOST_FOLDS = 0.6  # share of the folds in which it must
 FALL = 0.01  # of its loss by which a fold falls
-VISIBLE = 1e-3  # of the robot's length, RMS: less is below what a camera shows (0.12 mm of a finger of 120)
-FORM = 0.025  # of the explained loss: laws closer than this differ in form, not in truth
-AGREE, FOLDS_THAT_AGREE = 0.85, 5  # share of at least so many folds that decides between two though their mean does not
-SURE = 0.2  # of what stands above the noise that a law must explain to be identified
-PAIR = 0.8  # of what a law leaves above the noise: a second law of its family that explains less is form error
+VISIBLE = 1e-3  # of the robot's length, RMS: less is invisible to a camera (0.12 mm of a finger of 120)
+FORM = 0.025  # of the explained loss: laws closer than this differ by their form error only
+AGREE, FOLDS_THAT_AGREE = 0.85, 5  # share of at least so many folds that decides where the mean difference does not
+SURE = 0.2  # of the loss above the noise that a law must explain to be identified
+PAIR = 0.8  # of a law's remainder above the noise: a second law of its family that explains less is form error
 EACH = 0.05  # of the loss that a number per channel must explain more than one for all
-EACH_TRIED = 3  # laws, the best of one number for all, that are tried with a number per channel
+EACH_TRIED = 3  # best laws with one number for all that are tried with a number per channel
 MOST_LAWS = 3
 SHORT = 2  # effects that are named as the nearest where none reaches
 
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What was found: the chain and its parameters by label, a record of each part, the noise in mm, remarks."""
+    """The result: the chain and its parameters by label, a record of each part, the noise in mm, remarks."""
 
     names: tuple[str, ...] = ()
     params: Mapping[str, float] = field(default_factory=dict)
@@ -65,13 +65,13 @@ class Memory:
     notes: tuple[str, ...] = ()
 
     def acting(self, drive: Drive) -> Floats:
-        """Return what acts (n, C) at the seen times."""
+        """Return the effective commands (n, C) at the seen times."""
         return drive.acting(self.names, self.params)
 
 
 @dataclass(frozen=True, eq=False)
 class _Represented:
-    """A family with the held-out loss (folds,) that its signals beside the map reach."""
+    """A family with the held-out loss (folds,) of its signals together with the map."""
 
     family: Family
     losses: Floats
@@ -79,7 +79,7 @@ class _Represented:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """An effect `name` that may stand for a family, or a family without a law, with its held-out loss (folds,)."""
+    """An effect `name` that may be the law of a family, or a family without a law, with its held-out loss (folds,)."""
 
     family: Family
     name: str
@@ -94,15 +94,15 @@ class _Candidate:
 
     @property
     def numbers(self) -> int:
-        """How many free numbers it has."""
+        """The number of its free numbers."""
         return 0 if self.fitted is None else len(self.fitted.x)
 
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Effects that were taken together, the loss before them, and what came near them.
+    """Effects that were accepted together, the loss before them, and the alternatives.
 
-    They fall `short` if they do not reach the best of all, and are `weak` if they explain a small part of the loss.
+    They are `short` if they do not reach the best of all, and `weak` if they explain a small part of the loss.
     """
 
     family: Family
@@ -115,7 +115,7 @@ class _Found:
 
     @property
     def certainty(self) -> Certainty:
-        """Whether the law is identified: strong, nothing at a bound, no rival of another family or as few numbers."""
+        """Whether the law is identified: strong, not at a bound, no alternative of another family or as few numbers."""
         if self.short or self.fitted.bounded.any():
             return "open"
         own = len(self.fitted.x)
@@ -124,10 +124,12 @@ class _Found:
 
 
 def find_memory(seen: Seen, static: StaticMap, seed: int, members: Sequence[str] | None = None) -> Memory:
-    """Find the memory of a robot beside its static map.
+    """Find the memory of a robot together with its static map.
 
     Args:
-        seen: what was seen. static: of the same frames. seed: of the scans.
+        seen: the reference run.
+        static: the static map of the same frames.
+        seed: of the scans.
         members: the families whose laws may join the chain; None for all. Others are only reported.
     """
     return _Search(seen, static, seed, members).run()
@@ -138,7 +140,7 @@ class _Search:
         self.seen, self.static, self.members = seen, static, members
         self.fit, self.families = LawFit(seen.drive, static, seed, seen.unit), families()
         self.floor = self._noise() * len(static.targets) * static.targets.shape[1]
-        self.frames = sum(len(test) for _, test in static.parts) / len(static.targets)  # times each frame is judged
+        self.frames = sum(len(test) for _, test in static.parts) / len(static.targets)  # times a frame is held out
         self.notes: list[str] = []
 
     def run(self) -> Memory:
@@ -147,7 +149,7 @@ class _Search:
         while len(found) < MOST_LAWS:
             represented = self._represented(acting, found)
             if self._static_suffices(represented, acting, found):
-                self.static = replace(self.static, splined=True)  # the next families are judged beside this map
+                self.static = replace(self.static, splined=True)  # the next families are compared with this map
                 self.fit = LawFit(self.fit.drive, self.static, self.fit.seed, self.fit.unit)
                 continue
             step = self._step(represented, acting, found)
@@ -181,7 +183,7 @@ class _Search:
         return any(one.family.static and self._near(one.losses, best, now) for one in represented)
 
     def _step(self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]) -> _Found | None:
-        """Return the law that is to join those found, or None."""
+        """Return the law that is to join the chain, or None."""
         now, best = self.static.losses(acting), represented[0]
         if not self._falls(now, best.losses, LATER if found else FIRST):
             return None
@@ -201,10 +203,10 @@ class _Search:
         return step
 
     def _candidates(self, falling: Sequence[_Represented], found: Sequence[_Found]) -> list[_Candidate]:
-        """Return the fitted laws of all families that fall, beside those found.
+        """Return the fitted laws of all families that fall, with the laws found before.
 
-        The signals of one channel at a time may fall short of a law behind a map of many channels. So the members of
-        all families that fall are asked, not only those of the nearest.
+        The signals of one channel at a time may explain less than a law behind a map of many channels. So the members
+        of all families that fall are fitted, not only those of the nearest.
         """
         there = [name for one in found for name in one.names]
         alike = [
@@ -240,7 +242,7 @@ class _Search:
         return self.fit.scanned(law(names, self.seen.drive, self._apart(last)), last.numbers)
 
     def _paired(self, one: _Candidate) -> tuple[FittedLaw, str]:
-        """Return the law with a second member of its family where the two explain nearly all that the one leaves."""
+        """Return the law with a second member of its family if both explain nearly all of the first one's remainder."""
         fitted = one.law
         left = float(fitted.losses.sum()) - self.frames * self.floor
         best, second = fitted, ""
@@ -265,11 +267,11 @@ class _Search:
         return sorted({label.split(".")[0] for label in fitted.law.labels if "[" in label})
 
     def _each(self, candidate: _Candidate) -> _Candidate:
-        """Return a law with a number per channel of its newest effect, where the evidence asks for it."""
+        """Return a law with a number per channel of its newest effect, if the evidence requires it."""
         fitted, name = candidate.law, candidate.name
         other = law(fitted.law.names, self.seen.drive, [*self._apart(fitted), name])
         if len(other.labels) == len(fitted.law.labels):
-            return candidate  # one channel, or an effect whose numbers are the robot's
+            return candidate  # one channel, or an effect whose numbers belong to the robot
         start = other.at(fitted.numbers)
         starts = [start]
         for i, label in enumerate(other.labels):
@@ -284,7 +286,7 @@ class _Search:
     # --- evidence --------------------------------------------------------------------------------
 
     def _beside(self, family: Family, found: Sequence[_Found]) -> Floats:
-        """Return the columns (n, J) of a family: its signals about what acts, and their powers."""
+        """Return the columns (n, J) of a family: its signals about the effective commands, and their powers."""
         parts = []
         middle, half = self.seen.drive.middle, self.seen.drive.half
         powers = POWERS if self.seen.drive.channels <= FEW_CHANNELS and not family.static else 1
@@ -309,7 +311,7 @@ class _Search:
 
     @staticmethod
     def _near(one: Floats, best: Floats, before: Floats) -> bool:
-        """Whether a held-out loss cannot be told from the best one, form error forgiven."""
+        """Whether a held-out loss is equal to the best one, within its error and the form tolerance."""
         behind = one - best
         if behind.sum() <= FORM * float((before - best).sum()):
             return True
@@ -317,14 +319,16 @@ class _Search:
         return float(behind.sum()) <= _deviation(behind) and not decided
 
     def _noise(self) -> float:
-        """Return the variance of a target, mm², from its third differences between frames: what no map can explain."""
+        """Return the variance of a target, mm², from its third differences between frames: the part that no map can
+        explain.
+        """
         residual = self.static.residual(self.seen.drive.commanded)
         if len(residual) < 8:
             return 0.0
         square = (np.diff(residual, n=3, axis=0) ** 2).mean(axis=1)
         return float(np.median(square)) / 20.0  # 1 + 9 + 9 + 1; corners at reversals are few, so the median
 
-    # --- what is told ----------------------------------------------------------------------------
+    # --- report --------------------------------------------------------------------------------------
 
     def _rms(self, losses: Floats) -> float:
         return float(np.sqrt(losses.sum() / (self.frames * len(self.static.targets) * self.seen.markers.shape[1])))
@@ -333,7 +337,7 @@ class _Search:
         names, after = " or ".join(one.family.name for one in near), self._rms(near[0].losses)
         why = "is left to the diagnosis" if forbidden else "has no law in the library that reaches it"
         self.notes.append(
-            f"the run shows {names} beside the static map (held-out error {self._rms(now):.2f} to {after:.2f} "
+            f"the run shows {names} besides the static map (held-out error {self._rms(now):.2f} to {after:.2f} "
             f"mm RMS), which {why}: it is not in the model"
         )
 
@@ -364,7 +368,7 @@ def _deviation(differences: Floats) -> float:
 
 
 def refined_memory(memory: Memory, seen: Seen, static: StaticMap, seed: int) -> Memory:
-    """Return the memory with its numbers fitted again beside another map of the same targets."""
+    """Return the memory with its numbers fitted again with another map of the same targets."""
     if not memory.names:
         return memory
     each = sorted({label.split(".")[0] for one in memory.learned_in for label in _labels(one) if "[" in label})

@@ -28,9 +28,9 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
 DEGREES = (1, 2, 3)
-DEGREES_OF_ONE = (1, 2, 3, 4, 5)  # of a single command: the highest that the frames teach, without a ridge
+DEGREES_OF_ONE = (1, 2, 3, 4, 5)  # of a single command: the highest that the frames identify, without a ridge
 CUBIC = 3
-LEVEL, FAR_BELOW = 1e-6, 20.0  # of the range of markers: heights that stay so still are no body's; the base of outputs
+LEVEL, FAR_BELOW = 1e-6, 20.0  # of the range of markers: a height below this is constant, an output; base of outputs
 LOCK = 1.0  # the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
 
 
@@ -121,14 +121,14 @@ def fit_polynomial(
 
 
 def _degrees(seen: Seen, smallest: int, degree: int | None) -> tuple[int, ...]:
-    """Return the degrees that `smallest` frames can teach."""
+    """Return the degrees that `smallest` frames can identify."""
     channels = seen.drive.channels
     some = DEGREES if channels > 1 else DEGREES_OF_ONE
     degrees = tuple(d for d in (some if degree is None else (degree,)) if 2 * _terms(channels, d) < smallest)
     degrees = degrees if channels > 1 else degrees[-1:]
     if not degrees:
         raise RunError(
-            f"{len(seen.t)} usable frames leave {smallest} to learn from beside a block, too few for a polynomial "
+            f"{len(seen.t)} usable frames leave {smallest} to learn from outside a block, too few for a polynomial "
             f"of {channels} commands; record longer, use fewer blocks or a smaller gap_s"
         )
     return degrees
@@ -139,7 +139,7 @@ def _terms(channels: int, degree: int) -> int:
 
 
 def _memory(seen: Seen, thinned: Seen, fit: Regression, degrees: tuple[int, ...], seed: int) -> Memory:
-    """Find the memory beside the map that the commands alone would be given, or a richer one of few channels."""
+    """Find the memory with the map of the commands alone, or with a richer one for few channels."""
     chosen, _ = choose_degree(fit, seen.drive.commanded, degrees)
     richest = max(d for d in degrees if d <= max(chosen, CUBIC if seen.drive.channels <= FEW_CHANNELS else 1))
     few = Regression(thinned.markers, fit.base, search_folds(thinned))
@@ -147,16 +147,15 @@ def _memory(seen: Seen, thinned: Seen, fit: Regression, degrees: tuple[int, ...]
 
 
 def _plane(fit: Regression) -> Floats:
-    """Return chords turned into the plane (n, 2K) mm: of each marker Σ length × angle over the chords below it."""
+    """Return chords as plane coordinates (n, 2K) mm: for each marker Σ length × angle over the chords below it."""
     turned = fit.angles.reshape(len(fit.angles), -1, 2) * fit.lengths.mean(axis=0)[:, None]
     return np.asarray(np.cumsum(turned, axis=1).reshape(len(turned), -1))
 
 
 def _base(base: ArrayLike | None, markers: Floats) -> Floats:
-    """Return the point from which the first chord starts: what is given, the origin, or far below an output.
+    """Return the point from which the first chord starts: the given one, the origin, or far below an output.
 
-    Markers that keep their height stand for outputs and bend nothing: seen from far below, a chord's angle is linear in
-    them.
+    Markers of constant height are outputs and do not bend: seen from far below, a chord's angle is linear in them.
     """
     if base is None:
         wide = float(np.ptp(markers[..., :2], axis=0).max(initial=0.0))

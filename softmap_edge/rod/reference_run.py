@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 SLOW = 0.25  # s between frames from which a log tells nothing of delay and lag
-APART = 1000.0  # s between runs that are learned from together: further than any gap beside a block
+APART = 1000.0  # s between runs that are learned from together: more than any gap next to a block
 STILL = 0.005  # of the robot's length: markers that stray less from their mean teach nothing
 
 
@@ -61,7 +61,7 @@ class Number:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What of one run or of several is learned from.
+    """The data of one run or of several to learn from.
 
     `frames` (n_i,) of each run, their `markers` (n, K, 3) mm, and the commands behind them.
     """
@@ -95,7 +95,7 @@ class Seen:
 
     @property
     def seconds(self) -> float:
-        """How long the runs were seen, together."""
+        """The total seen duration of the runs."""
         spans = [float(np.ptp(run.t_seen[index])) for run, index in zip(self.runs, self.frames) if len(index)]
         return sum(spans)
 
@@ -110,7 +110,7 @@ class Seen:
 
     @property
     def slow(self) -> bool:
-        """Whether nothing is known of delay and lag: the log has no time, or its frames are too far apart."""
+        """Whether delay and lag are unknown: the log has no time, or its frames are too far apart."""
         return self.timeless or len(self.t) < 2 or float(np.median(np.diff(self.t))) > SLOW
 
     @property
@@ -132,7 +132,7 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A rod, what was found of its memory, its held-out residuals (n, K, 3) mm and the folds that gave them."""
+    """A rod, the memory found with it, its held-out residuals (n, K, 3) mm and the folds that gave them."""
 
     rod: Rod
     memory: Memory

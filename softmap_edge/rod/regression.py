@@ -1,7 +1,7 @@
 """The regression behind `learn`: chords to angles, ridge on a polynomial, blocked cross-validation.
 
-All is linear algebra on sums of products: the sums of all frames less those of the frames left out give every fold its
-system. What acts on the rod is computed by the effects themselves, so that what is fitted is what the chain will do.
+All is linear algebra on sums of products. The sums of all frames less those of the omitted frames give every fold its
+system. The effects themselves compute the effective commands, so the fit and the chain agree.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def rms(residuals: Floats) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """The commands of one run: `u` (T, C) at `t` (T,) s, asked for at `t_seen` (n,) s."""
+    """The commands of one run: `u` (T, C) at `t` (T,) s, evaluated at `t_seen` (n,) s."""
 
     u: Floats
     t: Floats
@@ -127,7 +127,7 @@ class Record:
 
 
 class Drive:
-    """The commands of one run or of several, as a chain of effects leaves them at the seen times.
+    """The commands of one run or of several, after a chain of effects, at the seen times.
 
     Memory begins in equilibrium in each run.
     """
@@ -156,12 +156,12 @@ class Drive:
         return np.asarray(np.where(half > 0, half, 1.0), float)
 
     def rolled(self, chain: _core.Chain, params: Floats) -> Floats:
-        """Return what acts (B, n, C) for parameter sets (B, P) of a chain."""
+        """Return effective commands (B, n, C) for parameter sets (B, P) of a chain."""
         sets = np.ascontiguousarray(params)
         return np.concatenate([r.read(chain.rollout(sets, r.u, r.t)) for r in self.records], axis=1)
 
     def acting(self, names: Sequence[str], params: Mapping[str, float]) -> Floats:
-        """Return what acts (n, C) under a chain of `names` with its parameters by label; others keep their null."""
+        """Return effective commands (n, C) of a chain of `names`, its parameters by label; others keep their null."""
         if not names:
             return self.commanded
         chain = _core.Chain(list(names), self.channels)

@@ -1,8 +1,8 @@
-"""Signals of the families of memory: what `learn` may set beside a static map.
+"""Signals of the families of memory, which `learn` may add to a static map.
 
-A *family* is everything that depends on the same history of the commands, without saying by which law. The families,
-their signals and their members among the effects are declared in the core (rust/families/): plays of many widths,
-shifts and poles, velocities, softening, time. The B-splines of the command, which remember nothing, are the control.
+A *family* is everything that depends on the same history of the commands, whatever its law. The families, their signals
+and their members among the effects are declared in the core (rust/families/): plays of many widths, shifts and poles,
+velocities, softening, time. The B-splines of the command, which have no memory, are the control.
 Limit: one channel at a time; products of channels are left to the laws. Pinned by tests/test_families.py and
 tests/test_learned_memory.py.
 """
@@ -34,7 +34,7 @@ class Family:
 
     @property
     def static(self) -> bool:
-        """Whether it is the control, which remembers nothing."""
+        """Whether it is the control, which has no memory."""
         return self.name == CONTROL
 
     @property
@@ -48,7 +48,7 @@ class Family:
         return self.name in TIMED
 
     def signals(self, record: Record, acting: Floats, middle: Floats, half: Floats) -> Floats:
-        """Return the signals (n, J) of what acts (T, C) in a run, at its seen times."""
+        """Return the signals (n, J) of the effective commands (T, C) in a run, at its seen times."""
         series = _core.Series(np.ascontiguousarray(acting), record.t, middle, half)
         return np.asarray(_core.Bank(self.name, acting.shape[1]).signals(series, record.t_seen, wide=True)[1].T)
 
@@ -67,7 +67,7 @@ def families() -> tuple[Family, ...]:
 
 
 def splines(acting: Floats, middle: Floats, half: Floats) -> Floats:
-    """Return the B-splines (n, J) of what acts (n, C), whatever was before."""
+    """Return the B-splines (n, J) of effective commands (n, C), without memory."""
     series = _core.Series(np.ascontiguousarray(acting), np.arange(float(len(acting))), middle, half)
     at = np.arange(float(len(acting)))
     return np.asarray(_core.Bank(CONTROL, acting.shape[1]).signals(series, at, wide=True)[1].T)

@@ -1,13 +1,13 @@
 """The static map that is solved again for every law of memory: a ridge on a polynomial (variable projection).
 
-    targets (n, q) ≈ base(v) + [1, monomials(v)] W,   v = what acts (n, C)
+    targets (n, q) ≈ base(v) + [1, monomials(v)] W,   v = effective commands (n, C)
 
-Targets are mm that stand for the markers: chords turned into the plane, Σ over the chords below of length × angle.
+Targets are mm that represent the markers: chords turned into the plane, Σ over the chords below of length × angle.
 Their squared error is about that of the markers. With a described rod they are the coordinates of the markers, and
-`base` is that rod. The *held-out loss* of a fold is the sum of squares over its frames, predicted from the other
-folds; folds stay whole because frames near each other are alike (`folds.py`). Laws are fitted with the `ridge` of the
-map, next to none while they are sought, and judged with the one of the lowest held-out loss. Source: variable
-projection, Golub and Pereyra 1973, doi:10.1137/0710036. Pinned by tests/test_learned_memory.py.
+`base` is that rod. The *held-out loss* of a fold is the sum of squares over its frames, predicted from the other folds.
+Folds stay contiguous because frames near each other are alike (`folds.py`). While laws are searched they are fitted
+with the map's `ridge`, which is almost zero; they are compared at the ridge of the lowest held-out loss.
+Source: variable projection, Golub and Pereyra 1973, doi:10.1137/0710036. Pinned by tests/test_learned_memory.py.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from softmap_edge.rod.signals import splines
 Floats = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-BESIDE = tuple(np.geomspace(1e-6, 1.0, 7).tolist())  # ridges of columns beside the map, for columns of unit spread
+BESIDE = tuple(np.geomspace(1e-6, 1.0, 7).tolist())  # ridges of columns added to the map, for columns of unit spread
 SPLINED = 1e-4  # ridge of the B-splines of a splined map
 STILL = 1e-9  # spread of a column that does not move
 FLOOR = 1e-9  # of a column's mean square, added to each system: columns that follow from others are shared evenly
@@ -34,7 +34,7 @@ FLOOR = 1e-9  # of a column's mean square, added to each system: columns that fo
 
 @dataclass(frozen=True, eq=False)
 class StaticMap:
-    """Targets (n, q) mm, the folds on which a map is judged, and the `degree` of its polynomial.
+    """Targets (n, q) mm, the folds of the cross-validation, and the `degree` of its polynomial.
 
     A `splined` map has B-splines of each channel as well.
     """
@@ -47,7 +47,7 @@ class StaticMap:
     base: Callable[[Floats], Floats] | None = None
 
     def left(self, acting: Floats) -> Floats:
-        """Return what the polynomial has to explain (n, q) mm where `acting` (n, C) acts."""
+        """Return the targets (n, q) mm of the polynomial at effective commands `acting` (n, C)."""
         return self.targets if self.base is None else self.targets - self.base(acting)
 
     def residual(self, acting: Floats, rows: Index | None = None) -> Floats:
@@ -60,7 +60,7 @@ class StaticMap:
         return np.asarray(targets - columns @ weights)
 
     def scanned(self, acting: Floats) -> float:
-        """Return the held-out loss mm² at the usual ridge: quick, and no map of few motions fits itself into it."""
+        """Return the held-out loss mm² at the usual ridge: quick, and a map of few motions cannot overfit."""
         columns, penalty = self._columns(acting)
         return float(_Folded(columns, self.left(acting), self.parts).losses(penalty).sum())
 
