@@ -31,6 +31,7 @@ from softmap_edge.diagnosis.findings import (
 )
 from softmap_edge.diagnosis.layout import ranges_of
 from softmap_edge.errors import ReportError, SoftmapError, brief
+from softmap_edge.learned_in import LearnedIn
 from softmap_edge.whole_file import read_document
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ class Diagnosis:
     next: tuple[NextBlock, ...] = ()
     made_from: dict[str, Any] = field(default_factory=dict)
     servo: tuple[ServoFinding, ...] = ()
+    learned_in: tuple[LearnedIn, ...] = ()  # effects that were in the robot while the model was learned
     remarks: tuple[str, ...] = ()  # on the run itself: what was set aside, what it cannot show
     model: Any = field(default=None, repr=False)  # a Model; callers of `diagnose` need not look for None
 

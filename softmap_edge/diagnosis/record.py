@@ -43,6 +43,7 @@ class Record:
     _leaning: Floats  # (K, d)
     roll_seen: bool  # whether frames tell what the body does about its own axis
     doubts: tuple[str, ...] = ()  # about the runs, sentences without a stop, which go with any verdict
+    remapped: bool = False  # whether a learned static map is solved again with every law
     static: Floats | None = None  # (K, F) mm, what the model's residual is here: it is taken out, `model` is without it
 
     def __init__(self, model: Any, run: Run, library: Any = None, reference: Run | Sequence[Run] | None = None) -> None:
