@@ -11,6 +11,7 @@ from test_learned_memory import recorded, wander
 
 from softmap_edge import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.taught import Taught
 from softmap_edge.errors import ReportError
 from softmap_edge.rod.learn import learn, learned_model
 
@@ -120,3 +121,10 @@ def test_the_page_shows_it_with_what_a_file_says_escaped(same):
     evil = replace(same, learned_in=(replace(same.learned_in[0], name="<script>"),))
     page = learned_section(evil.to_dict())
     assert "&lt;script&gt;" in page and "<script>" not in page and learned_section({}) == ""
+
+
+def test_a_described_rod_shows_static_effects_in_the_run_that_taught_it():
+    """The rod of a robot.toml has few numbers, so it does not follow every static effect."""
+    teacher = Taught(runs=(1,), free=False)
+    assert not teacher.remaps and "only as far as the rod of its robot.toml" in str(teacher)
+    assert Taught(runs=(1,), free=True).remaps

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from softmap_edge import _core
 from softmap_edge.diagnosis.conditions import orientations
 from softmap_edge.diagnosis.families import families
 from softmap_edge.diagnosis.findings import Finding, NextBlock, Untestable
@@ -31,10 +32,15 @@ AGAIN = "`softmap learn` without --static: the memory has bent the static map, s
 
 @dataclass(frozen=True)
 class Taught:
-    """Which of `count` runs taught the model (numbers from 1), whether it was learned with --static, and with what."""
+    """Which of `count` runs taught the model (numbers from 1), whether it was learned with --static, and with what.
+
+    A polynomial is a `free` map that follows any static effect. The rod of a `robot.toml` follows few of them, so static
+    effects show even in the runs that taught it.
+    """
 
     runs: tuple[int, ...] = ()
     count: int = 1
+    free: bool = False
     static: bool = False
     learned_in: tuple[str, ...] = ()
 
@@ -45,12 +51,18 @@ class Taught:
             return cls(count=len(runs))
         numbers = tuple(i for i, run in enumerate(runs, 1) if model.taught_by(run))
         names = tuple(one.name for one in model.learned_in)
-        return cls(numbers, len(runs), bool(model.made_from.get("static")), names)
+        free = isinstance(model.prior, _core.Rod)
+        return cls(numbers, len(runs), free, bool(model.made_from.get("static")), names)
 
     @property
     def all(self) -> bool:
         """Whether every run taught the model."""
         return len(self.runs) == self.count
+
+    @property
+    def remaps(self) -> bool:
+        """Whether the static map is solved again with every law, at least at first."""
+        return self.free and (self.all or self.static)
 
     def __str__(self) -> str:
         """Say which runs taught the model, what was learned in, and what they can still show."""
@@ -60,11 +72,12 @@ class Taught:
             memory = f"memory was learned as well: {', '.join(self.learned_in)} (in its chain)"
         else:
             memory = "memory was tested as well, and none was added to its chain"
-        if not self.all:
-            numbers = ", ".join(map(str, self.runs))
-            return f"run {numbers} taught the model: only the other runs can show a static effect; {memory}"
-        who = "this run" if self.count == 1 else "these runs"
+        who = "this run" if self.count == 1 else "these runs" if self.all else f"run {', '.join(map(str, self.runs))}"
         held = "its static map holds what was static then, so no static effect can show"
+        if not self.free:
+            held = "static effects can show only as far as the rod of its robot.toml does not follow them"
+        elif not self.all:
+            held = "only the other runs can show a static effect"
         return f"{who} taught the model: {held}; {memory}"
 
     def hidden(self, record: Record, candidates: Sequence[str]) -> list[Untestable]:
