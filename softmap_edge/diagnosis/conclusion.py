@@ -43,6 +43,7 @@ from softmap_edge.diagnosis.masked import Masked
 from softmap_edge.diagnosis.noise import motion_left
 from softmap_edge.diagnosis.outcome import Outcome, Step
 from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.spools import RADIUS
 from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, verdict_of
 from softmap_edge.folds import labelled
 from softmap_edge.own_effect import hashes
@@ -268,6 +269,9 @@ def parameters(
             chain = record.library.Chain([label.split(".")[0]], record.model.channels)
             meaning = dict(zip(chain.labels, chain.meanings([fit.params[own] for own in chain.labels])))[label] or None
         found[label] = Number(float(values[j]), float(sigma[j]), unit, bool(bound[j]), meaning)
+    if declared and record.spool is not None and RADIUS in fit.space.labels and RADIUS.split(".")[0] in names:
+        unit = getattr(record.model, "command_unit", "mm")
+        found[RADIUS] = Number(fit.params[RADIUS], record.spool.sigma, unit, False, None)
     return found
 
 

@@ -209,7 +209,7 @@ def _searched(
     """Search a record for what its model lacks.
 
     What a residual had learned is an effect if laws of the library explain it. Only if they do not may it be the
-    model's own error. A static map that was learned with --static is solved again, if a law of memory then explains the run.
+    model's own error. A map that was learned with --static is solved again, if a law of memory then explains the run.
     """
     if record.static is not None and record.model.kind != "rod":
         problem = problem_of(record, candidates, residual=False)
@@ -217,7 +217,7 @@ def _searched(
         if outcome.steps and not outcome.open:
             return problem, outcome
     problem = problem_of(record, candidates)
-    if teacher.all or teacher.static:
+    if teacher.remaps:
         record.remapped = True
         held = {h.name for h in teacher.hidden(record, candidates)}
         outcome = search(problem, [name for name in candidates if name not in held], progress)

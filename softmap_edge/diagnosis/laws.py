@@ -242,10 +242,14 @@ class _Asked:
         return max(self.fits.candidates.index(effect) for effect in law.effects)
 
     def _winds(self, law: Law) -> bool:
-        """Whether an eccentric pulley is seen: alone and over a full turn. All else of a sine is any smooth map."""
+        """Whether an eccentric pulley is seen: alone, and over a full turn or with a known radius of the spools.
+
+        All else of a sine is any smooth map.
+        """
         assert law.fit is not None
         turn = 2.0 * np.pi * law.fit.params[f"{WINDING}.radius"]
-        return law.effects == (WINDING,) and bool(turn <= 2.0 * float(np.median(self.body.half)))
+        seen = bool(turn <= 2.0 * float(np.median(self.body.half))) or self.body.record.spool is not None
+        return law.effects == (WINDING,) and seen
 
 
 def _simplest(law: Law) -> tuple[int, float]:

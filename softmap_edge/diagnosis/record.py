@@ -18,6 +18,7 @@ from softmap_edge.chain_labels import differing, named
 from softmap_edge.diagnosis.conditions import Conditions, conditions
 from softmap_edge.diagnosis.layout import Layout, layout_of, ranges_of
 from softmap_edge.diagnosis.paired import Replay, pair
+from softmap_edge.diagnosis.spools import RADIUS, Spool, spool_of, with_radius
 from softmap_edge.errors import SoftmapError
 from softmap_edge.ticks import converted
 from softmap_edge.views import laid
@@ -160,8 +161,13 @@ class Record:
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Parameters that nothing seen here tells, whatever the commands: they stay at what they are."""
-        return () if self.roll_seen else ROLLS
+        """Parameters that are not fitted: nothing seen here tells them, or they are known. They stay as they are."""
+        return (*(() if self.roll_seen else ROLLS), *(() if self.spool is None else (RADIUS,)))
+
+    @cached_property
+    def spool(self) -> Spool | None:
+        """The radius of the spools, if it is known."""
+        return spool_of(self.model, self.whole)
 
     def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
         """Return the parameters of a chain of `names`; effects in `split` have a number for each channel.
@@ -177,7 +183,8 @@ class Record:
         if key not in self._layouts:
             chain = self.library.Chain(list(names), self.model.channels)
             ranges = ranges_of(self.model, self.library, chain)
-            self._layouts[key] = layout_of(names, chain, self._changes(names), ranges, runs, self._within, apart)
+            made = layout_of(names, chain, self._changes(names), ranges, runs, self._within, apart)
+            self._layouts[key] = made if self.spool is None else with_radius(made, self.spool)
         return self._layouts[key]
 
     @cached_property

@@ -2,8 +2,8 @@
 
 A learned model was fitted to its runs. What was static in the robot then is part of its static map, so these runs show
 no static effect. `softmap learn` also puts the memory that it finds into the chain (`Model.learned_in`); with --static
-it leaves all memory to the diagnosis. That memory has bent the static map, so each law is judged with the map solved again
-(`Record.remapped`, `families.State`). Pinned by tests/test_taught.py.
+it leaves all memory to the diagnosis. That memory has bent the static map, so each law is judged with the map solved
+again (`Record.remapped`, `families.State`). Pinned by tests/test_taught.py.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ AGAIN = "`softmap learn` without --static: the memory has bent the static map, s
 class Taught:
     """Which of `count` runs taught the model (numbers from 1), whether it was learned with --static, and with what.
 
-    A polynomial is a `free` map that follows any static effect. The rod of a `robot.toml` follows few of them, so static
-    effects show even in the runs that taught it.
+    A polynomial is a `free` map that follows any static effect. The rod of a `robot.toml` follows few of them, so
+    static effects show even in the runs that taught it.
     """
 
     runs: tuple[int, ...] = ()
