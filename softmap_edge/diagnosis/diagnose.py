@@ -16,8 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.diagnosis.acceptance import motion_mm
 from softmap_edge.diagnosis.advice import asked
+from softmap_edge.diagnosis.base_motion import excluded
 from softmap_edge.diagnosis.conclusion import Context, conclude, parameters
+from softmap_edge.diagnosis.decision import ORDINARY, VISIBLE_MM
 from softmap_edge.diagnosis.declared import strange, wrong_load, wrong_sign
 from softmap_edge.diagnosis.document import Diagnosis, with_error
 from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unseen
@@ -89,6 +92,9 @@ def diagnose(
     record, remarks = sound_record(model, run, library, reference)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = candidates_of(record, registry, effects)
+    fixed = excluded(record.whole, record.bases, _reach(record), max(VISIBLE_MM, ORDINARY * motion_mm(record)))
+    candidates = [name for name in candidates if name not in fixed]
+    remarks += [text for name, text in fixed.items() if effects is None or name in effects]
     teacher = Taught.by(model, [run] if isinstance(run, Run) else run)
     problem, outcome = _searched(record, candidates, progress, teacher)
     held = teacher.hidden(record, candidates)
@@ -132,6 +138,12 @@ def diagnose(
     return Diagnosis(
         **values, learned_in=model.learned_in, servo=tuple(behind), remarks=tuple(remarks), model=found
     )  # fmt: skip
+
+
+def _reach(record: Record) -> float:
+    """Return the distance of the farthest seen place of the body from the origin, mm."""
+    places = record.seen.reshape(len(record), -1, 3)[:, record.positions]
+    return float(np.sqrt(np.nanmax(np.sum(places**2, axis=2), initial=0.0)))
 
 
 def _apart(run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequence[Run] | None) -> None:

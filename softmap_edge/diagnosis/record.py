@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.chain_labels import differing, named
+from softmap_edge.diagnosis.base_motion import FRAME, BaseMotion, base_of, bounded
 from softmap_edge.diagnosis.conditions import Conditions, conditions
 from softmap_edge.diagnosis.layout import Layout, layout_of, ranges_of
 from softmap_edge.diagnosis.paired import Replay, pair
@@ -32,7 +33,6 @@ Forms = Callable[[Sequence[str], Floats], Floats]
 CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
 SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
 ROLLS = ("mount.turn_z",)  # what clouds of a round finger do not tell: there turned tendons look the same
-FRAME = tuple(f"mount.{kind}_{axis}" for kind in ("turn", "shift") for axis in "xyz")  # as in `frame_sigma`
 ENDS = 0.05  # of a run: what happens nearer to its ends is seen from one side only
 
 
@@ -59,6 +59,7 @@ class Record:
         self.model, self.library = model.with_residual(None) if adapted else model, library
         self.whole: tuple[Run, ...] = (run,)
         self.replay: Replay | None = None
+        self.bases: tuple[BaseMotion | None, ...] = (base_of(model, converted(model, run), reference),)
         self._bind(run)
         if reference is not None:
             several = reference if isinstance(reference, Sequence) else [reference]
@@ -184,6 +185,7 @@ class Record:
             chain = self.library.Chain(list(names), self.model.channels)
             ranges = ranges_of(self.model, self.library, chain)
             made = layout_of(names, chain, self._changes(names), ranges, runs, self._within, apart)
+            made = bounded(made, self.bases)
             self._layouts[key] = made if self.spool is None else with_radius(made, self.spool)
         return self._layouts[key]
 
