@@ -64,13 +64,15 @@ class Family:
     fields: tuple[str, ...]  # effects whose signatures are among its columns
     mimics: tuple[str, ...]  # families that can look like it
     needs: tuple[str, ...]  # what a run must declare
+    experiment: tuple[str, float] = ("", 0.0)  # what separates it from families that look like it, and the minutes
 
 
 def families() -> tuple[Family, ...]:
     """Return the families of the registry, in its order."""
     listed = ("members", "fields", "mimics", "needs")
     return tuple(
-        Family(row["name"], row["kind"], row["doc"], *(tuple(row[key]) for key in listed)) for row in _core.families()
+        Family(row["name"], row["kind"], row["doc"], *(tuple(row[key]) for key in listed), tuple(row["experiment"]))
+        for row in _core.families()
     )
 
 
