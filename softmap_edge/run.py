@@ -31,7 +31,9 @@ Source = Literal["goal", "present"]
 MAX_NUMBERS = 1 << 26  # of a run: 40 000 frames of 548 vertices
 BASE_MARKERS = "base_markers"  # the field in which an import keeps markers (K, B, 3) mm that are fixed to the base
 ROLL_SEEN = "roll_seen"  # a field: whether a run shows what the body does about its own axis
-OURS = {BASE_MARKERS, ROLL_SEEN, "made_by", "made_from", "marker_labels"}  # fields of `extra` that our own verbs write
+SPOOL_RADIUS = "spool_radius_mm"  # the field in which an import keeps the radius of the spools of its mapping
+# Fields of `extra` that our own verbs write.
+OURS = {BASE_MARKERS, SPOOL_RADIUS, ROLL_SEEN, "made_by", "made_from", "marker_labels"}
 
 
 def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:

@@ -29,6 +29,8 @@ from softmap_edge.diagnosis.findings import (
     read,
 )
 from softmap_edge.errors import ReportError, SoftmapError
+from softmap_edge.learned_in import Alternative as LearnedAlternative
+from softmap_edge.learned_in import LearnedIn, LearnedNumber
 
 GAP = Number(0.62, 0.013, "mm", True, None)
 WHOLE = Diagnosis(
@@ -49,6 +51,10 @@ WHOLE = Diagnosis(
     made_from={"seed": 1, "run": "abc"},
     servo=(ServoFinding(1, "mm", (ServoEffect("latency", {"latency.delay": Number(0.18)}),), ServoError(0.4, 0.1)),),
     remarks=("frames 3 and 4 are left out",),
+    learned_in=(
+        LearnedIn("friction", "memory", "open", 3.1, 0.4, (LearnedNumber("friction.width", 0.2, 0.1, "mm", True),),
+                  (LearnedAlternative("", "rate", 0.5),)),
+    ),
 )  # fmt: skip
 TEXT = json.dumps(WHOLE.to_dict(), allow_nan=False)
 

@@ -75,7 +75,10 @@ def test_units_of_commands(tmp_path, unit, command_unit, extra, factor):
     mapping = ONE_LOG.replace('columns = ["a", "b"]', change).replace(
         'robot = "bench"', f'robot = "bench"\ncommand_unit = "{command_unit}"'
     )
-    assert imported(tmp_path, text, mapping).run.command == pytest.approx(table[:, 1:3] * factor)
+    run = imported(tmp_path, text, mapping).run
+    assert run.command == pytest.approx(table[:, 1:3] * factor)
+    radius = {"spool_radius_mm": float(extra.split("= ")[1])} if "spool" in extra else {}
+    assert {name: float(run.extra[name]) for name in ("spool_radius_mm",) if name in run.extra} == radius
 
 
 def test_signs_offsets_and_ticks(tmp_path):

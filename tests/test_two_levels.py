@@ -18,6 +18,7 @@ from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import Law, _Asked
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.spools import Spool
 from softmap_edge.protocol import standard_protocol
 
 MODEL = builtin_model()
@@ -185,7 +186,7 @@ def law(name, loss, numbers, **params):
     return Law(name, effects, fit, np.full(8, loss / 8), numbers)
 
 
-def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static"):
+def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static", spool=None):
     """The answer of level 2 for a family whose representative leaves `representative` of `before`."""
     asked = object.__new__(_Asked)
     asked.form, asked.before = 0.025, np.full(8, before / 8)
@@ -193,7 +194,9 @@ def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static")
         family=SimpleNamespace(name="static map", kind=kind), loss=np.full(8, representative / 8), numbers=9.0
     )
     asked.fits = SimpleNamespace(candidates=["gain", "offset", "asymmetry", "eccentric_pulley"])
-    asked.body = SimpleNamespace(half=np.array([half]), problem=SimpleNamespace(numbers=60.0))
+    asked.body = SimpleNamespace(
+        half=np.array([half]), problem=SimpleNamespace(numbers=60.0), record=SimpleNamespace(spool=spool)
+    )
     return asked.judged(list(laws))
 
 
@@ -281,5 +284,7 @@ def test_an_eccentric_pulley_counts_only_where_a_full_turn_is_seen(radius, resol
     found = judged(law("eccentric_pulley", 101, 5, **{"eccentric_pulley.radius": radius}))
     assert found.resolved == resolved and found.open == (not resolved)
     assert (found.law is not None) == resolved
+    known = judged(law("eccentric_pulley", 101, 4, **{"eccentric_pulley.radius": radius}), spool=Spool(radius, 0.1, ""))
+    assert known.resolved  # its period is not a free number
     beside = {"eccentric_pulley.radius": radius}
     assert judged(law("eccentric_pulley", 101, 5, **beside), law("gain", 102, 1)).law.name == "gain"

@@ -7,6 +7,7 @@ pub static FAMILY: Family = Family {
     name: "coupling",
     kind: Kind::Static,
     doc: "One channel also moves the others: the error is static and appears off the commanded axis.",
+    experiment: ("each channel alone, then the channels together", 2.0),
     mimics: &["static map", "body", "static shape"],
     members: &["coupling", "routing"],
     columns: Some(columns),

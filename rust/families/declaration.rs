@@ -54,6 +54,8 @@ pub struct Family {
     pub needs: &'static [&'static str],
     /// Families that can produce the same error where the run cannot distinguish them.
     pub mimics: &'static [&'static str],
+    /// Experiment that shows the family apart from those it can mimic, and its minutes; empty if there is none.
+    pub experiment: (&'static str, f64),
     /// Effects of the library that belong to the family.
     pub members: &'static [&'static str],
     pub columns: Option<Columns>,
@@ -72,6 +74,7 @@ pub const NOTHING: Family = Family {
     doc: "",
     needs: &[],
     mimics: &[],
+    experiment: ("", 0.0),
     members: &[],
     columns: None,
     signals: None,

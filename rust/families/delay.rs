@@ -8,6 +8,7 @@ pub static FAMILY: Family = Family {
     name: "delay",
     kind: Kind::Memory,
     doc: "The robot follows its command late: the error grows with speed and vanishes at rest.",
+    experiment: ("the same triangles at two speeds, slow and fast", 2.0),
     mimics: &["memory", "rate", "creep"],
     members: &["latency", "lag", "rate_limit", "clock_shift"],
     columns: Some(columns),

@@ -11,6 +11,7 @@ pub static FAMILY: Family = Family {
     name: "memory",
     kind: Kind::Memory,
     doc: "Loading and unloading give different shapes at the same command, at any speed: backlash, friction or hysteresis.",
+    experiment: ("triangles of growing size, up and back, at one speed", 2.0),
     mimics: &["delay", "rate", "creep"],
     members: &["backlash", "friction", "hysteresis", "body_friction"],
     columns: Some(columns),

@@ -65,6 +65,11 @@ mod tests {
             for other in family.mimics {
                 let back = find(other).map(|other| other.mimics.contains(&name));
                 assert_eq!(back, Some(true), "{name} mimics {other}");
+                let separated = find(other).is_some_and(|other| !other.experiment.0.is_empty());
+                assert!(
+                    separated || !family.experiment.0.is_empty(),
+                    "{name}: nothing separates it from {other}"
+                );
             }
             for effect in family.members.iter().chain(family.fields) {
                 assert!(

@@ -8,6 +8,7 @@ pub static FAMILY: Family = Family {
     name: "rate",
     kind: Kind::Memory,
     doc: "The shape at a command depends on the present speed and its sign, as in a viscous damper.",
+    experiment: ("the same triangles at three speeds", 2.0),
     mimics: &["memory", "delay", "creep"],
     columns: Some(columns),
     signals: Some(signals),

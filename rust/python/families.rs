@@ -34,6 +34,7 @@ pub fn families<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         entry.set_item("doc", family.doc)?;
         entry.set_item("needs", family.needs.to_vec())?;
         entry.set_item("mimics", family.mimics.to_vec())?;
+        entry.set_item("experiment", family.experiment)?;
         entry.set_item("members", family.members.to_vec())?;
         entry.set_item("columns", family.columns.is_some())?;
         entry.set_item("signals", family.signals.is_some())?;

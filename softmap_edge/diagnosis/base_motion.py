@@ -3,26 +3,41 @@
     pose_k = argmin Σ |R x + s − b_k|²     base markers b_k on their reference x, about the origin
     moved  = RMS over frames of pose_k less its noise; placed = mean of pose_k, where the reference is another run
 
-If the run was aligned by these markers (`softmap align`), `placed` is the remaining error of that alignment.
+If the run was aligned by these markers (`softmap align`), `placed` is the remaining error of that alignment. In a
+diagnosis the reference is the run of before (`--reference`), or the place that `softmap learn` kept in `made_from`.
+There the parameters of `mount` are fitted within SIGMAS of what the markers show. `mount` and `camera_drift` are no
+candidates where a base that the markers show at rest could not move the body visibly.
 Units: mm, deg. Limit: a turn needs three markers that are not on a line. Pinned by tests/test_base_motion.py.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.result import base_markers
 from softmap_edge.alignment.rigid import kabsch
+from softmap_edge.diagnosis.layout import Layout
 from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
 
+PLACES = "base_markers_mm"  # the entry of `made_from` that keeps where a learned model's base markers were
+FRAME = tuple(f"mount.{kind}_{axis}" for kind in ("turn", "shift") for axis in "xyz")
+SIGMAS = 3.0  # standard deviations within which the markers allow a pose of the base
+MOST_MARKERS = 64
 LEAST_MARKERS, LEAST_FRAMES = 3, 8
 WIDE = 0.05  # of their extent: base markers nearer to one line than this show no turn
 SLOW_FRAMES = 20.0  # frames of one mean that count as independent: errors of neighbouring frames are correlated
+
+
+def moved_at(shift_mm: float, turn_deg: float, reach_mm: float) -> float:
+    """Return by how much a shift and a turn of the base move a point at most, `reach_mm` from the origin, mm."""
+    return float(shift_mm + np.radians(turn_deg) * reach_mm)
 
 
 @dataclass(frozen=True)
@@ -49,7 +64,19 @@ class BaseMotion:
             f"{self.turned_deg:.2g}° RMS"
         )
 
-    def allows(self, shift_mm: Floats, turn_deg: Floats, sigmas: float = 3.0) -> bool:
+    def at_rest(self, reach_mm: float) -> float:
+        """Return how far a base at its place may still move the body, mm; infinite where the markers show it moved."""
+        if not self.allows(np.zeros(3), np.zeros(3)):
+            return float(np.inf)
+        shift, turn = np.linalg.norm(self.shift_sigma_mm), np.linalg.norm(self.turn_sigma_deg)
+        return SIGMAS * moved_at(float(shift), float(turn), reach_mm)
+
+    def interval(self) -> tuple[Floats, Floats]:
+        """Return the lowest and highest turn (deg) and shift (mm) that the markers allow, (6,) each, as in FRAME."""
+        pose, sigma = np.r_[self.turn_deg, self.shift_mm], np.r_[self.turn_sigma_deg, self.shift_sigma_mm]
+        return pose - SIGMAS * sigma, pose + SIGMAS * sigma
+
+    def allows(self, shift_mm: Floats, turn_deg: Floats, sigmas: float = SIGMAS) -> bool:
         """Return whether a misalignment (3,) mm and (3,) deg lies within so many standard deviations of the markers."""
         off = np.abs(np.r_[np.asarray(shift_mm) - self.shift_mm, np.asarray(turn_deg) - self.turn_deg])
         return bool(np.all(off <= sigmas * np.r_[self.shift_sigma_mm, self.turn_sigma_deg]))
@@ -70,14 +97,17 @@ def base_motion(run: Run, reference: Run | None = None) -> BaseMotion | None:
         AlignError: the field has another shape.
     """
     points = _whole(base_markers(run))
-    other = points if reference is None else _whole(base_markers(reference))
-    if (
-        points.shape[1:] != other.shape[1:]
-        or points.shape[1] < LEAST_MARKERS
-        or min(len(points), len(other)) < LEAST_FRAMES
-    ):
+    if reference is None:
+        begin = points[: max(LEAST_FRAMES, len(points) // 10)]
+        return _measured(points, begin.mean(axis=0), len(points)) if len(points) >= LEAST_FRAMES else None
+    other = _whole(base_markers(reference))
+    return _measured(points, other.mean(axis=0), len(other)) if len(other) >= LEAST_FRAMES else None
+
+
+def _measured(points: Floats, place: Floats, count: int) -> BaseMotion | None:
+    """Measure base markers (K, B, 3) mm against their mean `place` (B, 3) mm in so many other frames."""
+    if points.shape[1:] != place.shape or points.shape[1] < LEAST_MARKERS or len(points) < LEAST_FRAMES:
         return None
-    place = (other[: max(LEAST_FRAMES, len(other) // 10)] if reference is None else other).mean(axis=0)
     size = np.linalg.svd(place - place.mean(axis=0), compute_uv=False)
     if size[1] < WIDE * size[0]:
         return None
@@ -88,13 +118,83 @@ def base_motion(run: Run, reference: Run | None = None) -> BaseMotion | None:
     sigma = _sigma(place, np.sqrt(float(np.sum(left**2)) / (freedom * len(points))))
     mean, scatter = poses.mean(axis=0), poses.var(axis=0, ddof=1)
     own = np.maximum(scatter - sigma**2, 0.0)
-    error = np.sqrt(scatter / min(len(points), SLOW_FRAMES) + (sigma**2 / min(len(other), SLOW_FRAMES)))
+    error = np.sqrt(scatter / min(len(points), SLOW_FRAMES) + (sigma**2 / min(count, SLOW_FRAMES)))
     degrees = np.r_[np.full(3, 180.0 / np.pi), np.ones(3)]
     mean, own, error = mean * degrees, own * degrees**2, error * degrees
     return BaseMotion(
         _three(mean[3:]), _three(mean[:3]), _three(error[3:]), _three(error[:3]),
         float(np.sqrt(own[3:].sum())), float(np.sqrt(own[:3].sum())), len(points),
     )  # fmt: skip
+
+
+# --- what they allow in a diagnosis ---------------------------------------------------------------
+
+
+def kept_places(runs: Sequence[Run]) -> dict[str, Any]:
+    """Return where the base markers of the first run were, for the `made_from` of a model; {} without any."""
+    points = _whole(base_markers(runs[0]))
+    if points.shape[1] < LEAST_MARKERS or len(points) < LEAST_FRAMES:
+        return {}
+    return {PLACES: np.round(points.mean(axis=0), 4).tolist()}
+
+
+def base_of(model: Any, run: Run, reference: Run | Sequence[Run] | None = None) -> BaseMotion | None:
+    """Return the pose of a run's base against the reference run, or else against the runs that taught the model."""
+    if reference is not None:
+        several = reference if isinstance(reference, Sequence) else [reference]
+        return base_motion(run, several[0]) if len(several) == 1 else None
+    place = _place(getattr(model, "made_from", {}))
+    return None if place is None else _measured(_whole(base_markers(run)), place, int(SLOW_FRAMES))
+
+
+def bounded(layout: Layout, bases: Sequence[BaseMotion | None]) -> Layout:
+    """Return a layout in which `mount` of each run is searched only where the base markers allow it, or is absent."""
+    low, high, limit = layout.low.copy(), layout.high.copy(), layout.limit.copy()
+    start = layout.start.copy()
+    for number, base in enumerate(bases, 1):
+        if base is None:
+            continue
+        names = [label if number == 1 else f"{label}@{number}" for label in FRAME]
+        for name, least, most in zip(names, *base.interval()):
+            if name in layout.labels:
+                i = layout.labels.index(name)
+                low[i], high[i] = min(0.0, max(low[i], least)), max(0.0, min(high[i], most))
+                limit[i], start[i] = high[i], np.clip(start[i], low[i], high[i])
+    return replace(layout, low=low, high=high, limit=limit, start=start)
+
+
+def excluded(
+    runs: Sequence[Run], bases: Sequence[BaseMotion | None], reach_mm: float, least_mm: float
+) -> dict[str, str]:
+    """Return the effects of the frame that base markers exclude, and why: the base rests, to within what counts.
+
+    Args:
+        runs: the runs.
+        bases: the pose of the base in each, against its reference.
+        reach_mm: distance of the farthest point of the body from the origin.
+        least_mm: least displacement of the body that counts.
+    """
+    found = {}
+    at_rest = [base for base in bases if base is not None and base.at_rest(reach_mm) < least_mm]
+    if len(at_rest) == len(runs):
+        found["mount"] = f"a mount of {least_mm:.2g} mm at the body is excluded; {at_rest[0]}"
+    own = [base_motion(run) for run in runs]
+    still = [b for b in own if b is not None and moved_at(b.moved_mm, b.turned_deg, reach_mm) < least_mm]
+    if len(still) == len(runs):
+        moved = f"{still[0].moved_mm:.2g} mm and {still[0].turned_deg:.2g}° RMS"
+        found["camera_drift"] = f"camera_drift is excluded; base markers: the base moves by {moved} during the run"
+    return found
+
+
+def _place(made_from: Mapping[str, Any]) -> Floats | None:
+    """Return the places (B, 3) mm of base markers that a manifest keeps; None if it holds no such table."""
+    kept = made_from.get(PLACES)
+    if not isinstance(kept, list) or not LEAST_MARKERS <= len(kept) <= MOST_MARKERS:
+        return None
+    rows = [row for row in kept if isinstance(row, list) and len(row) == 3]
+    if len(rows) < len(kept) or not all(isinstance(x, int | float) and abs(x) < 1e6 for row in rows for x in row):
+        return None
+    return np.array(rows, float)
 
 
 def _whole(points: Floats) -> Floats:

@@ -44,6 +44,8 @@ from softmap_edge.diagnosis.motion_at_rest import MotionAtRest
 from softmap_edge.diagnosis.noise import motion_left
 from softmap_edge.diagnosis.outcome import Outcome, Step
 from softmap_edge.diagnosis.record import Record
+from softmap_edge.diagnosis.separate import separating
+from softmap_edge.diagnosis.spools import RADIUS
 from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, verdict_of
 from softmap_edge.folds import labelled
 from softmap_edge.own_effect import hashes
@@ -124,7 +126,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
         "where": Where(_where(record, record.seen - fits.null.predicted), _where(record, residual)),
         "error": error,
         "unexplained": left,
-        "next": (*_mended(faults), *_refit(context.own), *_next(alternatives, hidden, registry, order)),
+        "next": (*_mended(faults), *_refit(context.own), *_next(alternatives, hidden, registry, order, families)),
         "made_from": _made_from(outcome, order, context, registry),
     }
 
@@ -279,6 +281,9 @@ def parameters(
             chain = record.library.Chain([label.split(".")[0]], record.model.channels)
             meaning = dict(zip(chain.labels, chain.meanings([fit.params[own] for own in chain.labels])))[label] or None
         found[label] = Number(float(values[j]), float(sigma[j]), unit, bool(bound[j]), meaning)
+    if declared and record.spool is not None and RADIUS in fit.space.labels and RADIUS.split(".")[0] in names:
+        unit = getattr(record.model, "command_unit", "mm")
+        found[RADIUS] = Number(fit.params[RADIUS], record.spool.sigma, unit, False, None)
     return found
 
 
@@ -419,15 +424,25 @@ def _refit(own: OwnMisfit | None) -> list[NextBlock]:
 
 
 def _next(
-    alternatives: Sequence[Alternative], hidden: Sequence[Untestable], registry: Registry, named: Sequence[str]
+    alternatives: Sequence[Alternative],
+    hidden: Sequence[Untestable],
+    registry: Registry,
+    named: Sequence[str],
+    families: Sequence[FamilyFinding] = (),
 ) -> list[NextBlock]:
-    """Return the blocks that would settle what is open; the separation is simulated by `softmap next`."""
+    """Return the blocks that would settle what is open: between families first, then between laws.
+
+    The separation is simulated by `softmap next`.
+    """
     blocks: dict[str, tuple[float, list[str]]] = {}
 
     def add(block: str, minutes: float, names: Sequence[str]) -> None:
         settles = blocks.setdefault(block, (minutes, []))[1]
         settles += [n for n in names if n and n not in settles]
 
+    for pair in _near_families(families, alternatives):
+        if (block := separating(*pair)) is not None:
+            add(*block, pair)
     for one in alternatives:
         other = next((e for e in one.effects if e not in named), one.member)
         asked = one.member or other
@@ -436,6 +451,14 @@ def _next(
     for item in hidden:
         add(item.experiment, item.minutes, (item.name,))
     return [NextBlock(block, minutes, tuple(settles)) for block, (minutes, settles) in blocks.items()]
+
+
+def _near_families(families: Sequence[FamilyFinding], alternatives: Sequence[Alternative]) -> list[tuple[str, str]]:
+    """Return each family that was detected with each that cannot be distinguished from it."""
+    own = {effect: family.name for family in families for effect in family.effects}
+    pairs = [(family.name, other) for family in families for other in family.alternatives]
+    pairs += [(own[one.member], one.family) for one in alternatives if one.family and one.member in own]
+    return [pair for pair in dict.fromkeys(pairs) if pair[0] != pair[1]]
 
 
 def _made_from(outcome: Outcome, order: Sequence[str], context: Context, registry: Registry) -> dict[str, Any]:

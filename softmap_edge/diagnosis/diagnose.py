@@ -16,8 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.diagnosis.acceptance import motion_mm
 from softmap_edge.diagnosis.advice import asked
+from softmap_edge.diagnosis.base_motion import excluded
 from softmap_edge.diagnosis.conclusion import Context, conclude, parameters
+from softmap_edge.diagnosis.decision import ORDINARY, VISIBLE_MM
 from softmap_edge.diagnosis.declared import strange, wrong_load, wrong_sign
 from softmap_edge.diagnosis.document import Diagnosis, with_error
 from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unseen
@@ -32,14 +35,15 @@ from softmap_edge.diagnosis.records import record_of
 from softmap_edge.diagnosis.search import search
 from softmap_edge.diagnosis.servo import servos
 from softmap_edge.diagnosis.sound import sound_record, stray
+from softmap_edge.diagnosis.taught import Taught
 from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.errors import SoftmapError
 from softmap_edge.outside import BEYOND
+from softmap_edge.run import Run
 from softmap_edge.ticks import converted
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
-    from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
 
@@ -88,7 +92,13 @@ def diagnose(
     record, remarks = sound_record(model, run, library, reference)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = candidates_of(record, registry, effects)
-    problem, outcome = _searched(record, candidates, progress)
+    fixed = excluded(record.whole, record.bases, _reach(record), max(VISIBLE_MM, ORDINARY * motion_mm(record)))
+    candidates = [name for name in candidates if name not in fixed]
+    remarks += [text for name, text in fixed.items() if effects is None or name in effects]
+    teacher = Taught.by(model, [run] if isinstance(run, Run) else run)
+    problem, outcome = _searched(record, candidates, progress, teacher)
+    held = teacher.hidden(record, candidates)
+    candidates, impossible = [n for n in candidates if n not in {h.name for h in held}], [*impossible, *held]
     other = None if held_out is None else _validation(model, held_out, library, reference)
     fit = outcome.fit
     demoted: list[str] = []
@@ -118,11 +128,22 @@ def diagnose(
         values["made_from"] = {**values["made_from"], "output": model.output.to_dict()}
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     remarks += [] if record.replay is None else [TWICE]
+    remarks += [str(teacher)] if teacher.runs else []
+    values["next"] = (*(teacher.next(values["effects"]) if record.remapped else ()), *values["next"])
     whole = [converted(model, run) for run in record.whole]
     remarks += [] if library is not None else asked(whole, len(record), problem.noise.replicates)
     encoded = [run for run in whole if run.present is not None] if library is None else []
     behind = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
-    return Diagnosis(**values, servo=tuple(behind), remarks=tuple(remarks), model=with_error(found, values["effects"]))
+    found = with_error(found, values["effects"])
+    return Diagnosis(
+        **values, learned_in=model.learned_in, servo=tuple(behind), remarks=tuple(remarks), model=found
+    )  # fmt: skip
+
+
+def _reach(record: Record) -> float:
+    """Return the distance of the farthest seen place of the body from the origin, mm."""
+    places = record.seen.reshape(len(record), -1, 3)[:, record.positions]
+    return float(np.sqrt(np.nanmax(np.sum(places**2, axis=2), initial=0.0)))
 
 
 def _apart(run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequence[Run] | None) -> None:
@@ -195,12 +216,12 @@ def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]
 
 
 def _searched(
-    record: Record, candidates: Sequence[str], progress: Callable[[str], None] | None
+    record: Record, candidates: Sequence[str], progress: Callable[[str], None] | None, teacher: Taught
 ) -> tuple[Problem, Outcome]:
     """Search a record for what its model lacks.
 
     What a residual had learned is an effect if laws of the library explain it. Only if they do not may it be the
-    model's own error.
+    model's own error. A map that was learned with --static is solved again, if a law of memory then explains the run.
     """
     if record.static is not None and record.model.kind != "rod":
         problem = problem_of(record, candidates, residual=False)
@@ -208,6 +229,13 @@ def _searched(
         if outcome.steps and not outcome.open:
             return problem, outcome
     problem = problem_of(record, candidates)
+    if teacher.remaps:
+        record.remapped = True
+        held = {h.name for h in teacher.hidden(record, candidates)}
+        outcome = search(problem, [name for name in candidates if name not in held], progress)
+        if teacher.all or (outcome.steps and not outcome.open):
+            return problem, outcome
+        record.remapped = False
     return problem, search(problem, candidates, progress)
 
 

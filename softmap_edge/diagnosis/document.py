@@ -30,7 +30,9 @@ from softmap_edge.diagnosis.findings import (
     read,
 )
 from softmap_edge.diagnosis.layout import ranges_of
+from softmap_edge.diagnosis.spools import RADIUS
 from softmap_edge.errors import ReportError, SoftmapError, brief
+from softmap_edge.learned_in import LearnedIn
 from softmap_edge.whole_file import read_document
 
 if TYPE_CHECKING:
@@ -67,6 +69,7 @@ class Diagnosis:
     next: tuple[NextBlock, ...] = ()
     made_from: dict[str, Any] = field(default_factory=dict)
     servo: tuple[ServoFinding, ...] = ()
+    learned_in: tuple[LearnedIn, ...] = ()  # effects that were in the robot while the model was learned
     remarks: tuple[str, ...] = ()  # on the run itself: what was set aside, what it cannot show
     model: Any = field(default=None, repr=False)  # a Model; callers of `diagnose` need not look for None
 
@@ -147,7 +150,7 @@ class Diagnosis:
             label = chain.labels[i] if chain.labels[i] in params else chain.group_labels[i]
             if label not in params:
                 raise SoftmapError(f"the diagnosis has no {label}; it is not of this model, diagnose again")
-            if not low - room <= value <= high + room:
+            if not low - room <= value <= high + room and label != RADIUS:  # a known radius may be any
                 raise SoftmapError(
                     f"{label} is {value:.6g} in the diagnosis, allowed {low:.6g} to {high:.6g}; diagnose again"
                 )

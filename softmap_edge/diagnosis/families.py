@@ -31,6 +31,7 @@ PLACES = (0.2, 0.5, 0.8)  # of the range of a parameter that says where: signatu
 MODES = 8  # leading spatial modes of a free static shape
 AT_BOUND = 1e-6  # of the scale of a parameter
 FREE_MM = 0.9  # mm RMS of the body that one such column moves it by
+MAPPED = ("static map", "coupling")  # families that span a learned static map
 BACKGROUND_RIDGE = 10.0  # of families that explain ordinary imperfections
 FARTHEST = 3.0  # half ranges from the middle that a representative may move commands
 RIDGES = (0.3, 10.0, 300.0, 1e4)  # strengths of the ridge that cross-validation chooses from
@@ -63,13 +64,15 @@ class Family:
     fields: tuple[str, ...]  # effects whose signatures are among its columns
     mimics: tuple[str, ...]  # families that can look like it
     needs: tuple[str, ...]  # what a run must declare
+    experiment: tuple[str, float] = ("", 0.0)  # what separates it from families that look like it, and the minutes
 
 
 def families() -> tuple[Family, ...]:
     """Return the families of the registry, in its order."""
     listed = ("members", "fields", "mimics", "needs")
     return tuple(
-        Family(row["name"], row["kind"], row["doc"], *(tuple(row[key]) for key in listed)) for row in _core.families()
+        Family(row["name"], row["kind"], row["doc"], *(tuple(row[key]) for key in listed), tuple(row["experiment"]))
+        for row in _core.families()
     )
 
 
@@ -120,6 +123,7 @@ class Body:
         self.weights = np.ascontiguousarray(problem.gain * problem.whitener.project.T)
         self.own = [e["name"] for e in self.record.library.effects() if e["own"]]  # a user's, of any family
         self.ordinary_mm = 0.0  # static imperfections of the robot, RMS
+        self.learned = [f for f in families() if f.name in MAPPED and self.record.remapped]
         self._signatures: dict[str, Floats] = {}
 
     # --- commands and features ------------------------------------------------------------------
@@ -312,8 +316,13 @@ class State:
         beside: Sequence[Representative] = (),
         background: Sequence[Family] = (),
     ) -> None:
-        """Say what is known; families in `background` explain ordinary imperfections, which nobody names."""
-        self.body, self.fit, self.beside, self.background = body, fit, tuple(beside), tuple(background)
+        """Say what is known; families in `background` explain ordinary imperfections, which nobody names.
+
+        Where the static map was learned from data with memory, the memory has bent it. Then its families stand in the
+        background throughout, so that the map is solved again with every law.
+        """
+        self.body, self.fit, self.beside = body, fit, tuple(beside)
+        self.background = tuple(dict.fromkeys((*background, *body.learned)))
         start = body.effective(fit)
         commands, shift = start, np.zeros_like(body.record.seen)
         for one in self.beside:

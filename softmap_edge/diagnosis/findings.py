@@ -9,7 +9,7 @@ import math
 import types
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from softmap_edge.errors import ReportError
 
@@ -244,6 +244,10 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         if value is None and type(None) in inner:
             return None
         return _value(next(kind for kind in inner if kind is not type(None)), value, where)
+    if origin is Literal:
+        if value not in inner:
+            raise ReportError(f"damaged diagnosis: {where} is {value!r:.40}, expected one of {', '.join(inner)}")
+        return value
     if origin is tuple:
         rows = _typed(list, value, where)
         return tuple(_value(inner[0], row, f"{where}[{i}]") for i, row in enumerate(rows))

@@ -265,9 +265,10 @@ class _Asked:
 
 
 def winds(law: Law, body: Body) -> bool:
-    """Whether the eccentric pulley of a law makes a full turn within the commands."""
+    """Whether the eccentric pulley of a law makes a full turn within the commands, or its radius is known."""
     assert law.fit is not None
-    return bool(np.pi * law.fit.params[f"{WINDING}.radius"] <= float(np.median(body.half)))
+    turns = np.pi * law.fit.params[f"{WINDING}.radius"] <= float(np.median(body.half))
+    return bool(turns) or body.record.spool is not None
 
 
 def _left(law: Law) -> float:

@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.chain_labels import differing, named
+from softmap_edge.diagnosis.base_motion import FRAME, BaseMotion, base_of, bounded
 from softmap_edge.diagnosis.conditions import Conditions, conditions
 from softmap_edge.diagnosis.layout import Layout, layout_of, ranges_of
 from softmap_edge.diagnosis.paired import Replay, pair
+from softmap_edge.diagnosis.spools import RADIUS, Spool, spool_of, with_radius
 from softmap_edge.errors import SoftmapError
 from softmap_edge.ticks import converted
 from softmap_edge.views import laid
@@ -31,7 +33,6 @@ Forms = Callable[[Sequence[str], Floats], Floats]
 CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
 SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
 ROLLS = ("mount.turn_z",)  # what clouds of a round finger do not tell: there turned tendons look the same
-FRAME = tuple(f"mount.{kind}_{axis}" for kind in ("turn", "shift") for axis in "xyz")  # as in `frame_sigma`
 ENDS = 0.05  # of a run: what happens nearer to its ends is seen from one side only
 
 
@@ -43,6 +44,7 @@ class Record:
     _leaning: Floats  # (K, d)
     roll_seen: bool  # whether frames tell what the body does about its own axis
     doubts: tuple[str, ...] = ()  # about the runs, sentences without a stop, which go with any verdict
+    remapped: bool = False  # whether a learned static map is solved again with every law
     static: Floats | None = None  # (K, F) mm, what the model's residual is here: it is taken out, `model` is without it
 
     def __init__(self, model: Any, run: Run, library: Any = None, reference: Run | Sequence[Run] | None = None) -> None:
@@ -57,6 +59,7 @@ class Record:
         self.model, self.library = model.with_residual(None) if adapted else model, library
         self.whole: tuple[Run, ...] = (run,)
         self.replay: Replay | None = None
+        self.bases: tuple[BaseMotion | None, ...] = (base_of(model, converted(model, run), reference),)
         self._bind(run)
         if reference is not None:
             several = reference if isinstance(reference, Sequence) else [reference]
@@ -159,8 +162,13 @@ class Record:
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Parameters that nothing seen here tells, whatever the commands: they stay at what they are."""
-        return () if self.roll_seen else ROLLS
+        """Parameters that are not fitted: nothing seen here tells them, or they are known. They stay as they are."""
+        return (*(() if self.roll_seen else ROLLS), *(() if self.spool is None else (RADIUS,)))
+
+    @cached_property
+    def spool(self) -> Spool | None:
+        """The radius of the spools, if it is known."""
+        return spool_of(self.model, self.whole)
 
     def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
         """Return the parameters of a chain of `names`; effects in `split` have a number for each channel.
@@ -176,7 +184,9 @@ class Record:
         if key not in self._layouts:
             chain = self.library.Chain(list(names), self.model.channels)
             ranges = ranges_of(self.model, self.library, chain)
-            self._layouts[key] = layout_of(names, chain, self._changes(names), ranges, runs, self._within, apart)
+            made = layout_of(names, chain, self._changes(names), ranges, runs, self._within, apart)
+            made = bounded(made, self.bases)
+            self._layouts[key] = made if self.spool is None else with_radius(made, self.spool)
         return self._layouts[key]
 
     @cached_property

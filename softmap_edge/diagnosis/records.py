@@ -55,6 +55,7 @@ class Records(Record):
         if self.replay is not None and len(met) > 1:
             self.replay = replace(self.replay, run=met)
         self.whole = tuple(runs)
+        self.bases = tuple(part.bases[0] for part in parts)
         self._join(parts)
 
     def _join(self, parts: list[Record]) -> None:

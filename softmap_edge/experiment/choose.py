@@ -10,7 +10,8 @@ form error, which is one function of the command over old runs and block: what o
 Of a pair the smaller of both directions holds. Effects that the library calls alike in one orientation (or under one
 load) are told apart by blocks that change it and by no others: what differs elsewhere is the form of the library's
 laws. Rivals are refitted in full, unseen effects against one linearised step. A block is worth, for each question that
-it settles, its separation a minute over that of the best block for this question.
+it settles, its separation a minute over that of the best block for this question. Blocks are first ranked by
+questions between two families of effects: a law is only worth asking for once its family is known.
 Limits: old runs are thinned (`simulate.OLD` frames), which makes separations smaller, not larger; several blocks are
 taken to add nothing to each other. Pinned by tests/test_next_experiment.py.
 """
@@ -23,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.evidence import DETECTABLE, experiment
+from softmap_edge.diagnosis.separate import separating
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import Block, plan
 from softmap_edge.experiment.simulate import Question, World
@@ -96,7 +98,7 @@ def next_experiment(
         references: the runs that the diagnosis is relative to, if it is; then a block counts as played in both states.
 
     Returns:
-        list: experiments, best first; last what no block settles, with what the library says of it. Empty where
+        list: experiments, best first: those that separate two families, then those that separate laws; last what no block settles, with what the library says of it. Empty where
         nothing is open.
 
     Raises:
@@ -115,7 +117,8 @@ def next_experiment(
         if progress is not None:
             progress((i + 1) / len(blocks))
     worth = _worth([e for e in found if e.settles], world.questions)
-    good = sorted(worth, key=lambda e: -worth[e])
+    between = _worth(list(worth), _between_families(world.questions))
+    good = sorted(worth, key=lambda e: (-between[e], -worth[e]))
     settled = {q for e in good for q in e.settled()}
     return [*good, *_rest(world, [q for q in (*world.questions, *world.beyond) if q not in settled])]
 
@@ -126,14 +129,19 @@ def program(experiments: Sequence[Experiment], minutes: float = BUDGET) -> list[
     still = list(dict.fromkeys(q for e in candidates for q in e.settled()))
     taken: list[Experiment] = []
     while candidates and still:
-        worth = _worth(candidates, still)
-        best = max(candidates, key=lambda e: worth[e])
+        between, worth = _worth(candidates, _between_families(still)), _worth(candidates, still)
+        best = max(candidates, key=lambda e: (between[e], worth[e]))
         candidates.remove(best)
         if not taken or sum(e.minutes for e in [*taken, best]) <= minutes:
             taken.append(best)
             still = [q for q in still if q not in best.settled()]
             candidates = [e for e in candidates if any(q in still for q in e.settled())]
     return taken
+
+
+def _between_families(questions: Sequence[Question]) -> list[Question]:
+    """Return the questions between two families of effects: these are settled before those between laws."""
+    return [question for question in questions if question.families is not None]
 
 
 def _worth(experiments: Sequence[Experiment], questions: Sequence[Question]) -> dict[Experiment, float]:
@@ -160,9 +168,10 @@ def _rest(world: World, questions: Sequence[Question]) -> list[Experiment]:
     """Return, for what no block settles, what the library says would show it."""
     rows: dict[str, Experiment] = {}
     tried = set(world.questions)
-    for question in questions:
+    for question in sorted(questions, key=lambda q: q.families is None):
+        apart = None if question.families is None else separating(*question.families)
         for name in question.names:
-            text, minutes = experiment(world.registry, name)
+            text, minutes = apart or experiment(world.registry, name)
             answers = ((question, 0.0),) if question in tried else ()
             row = rows.setdefault(text, Experiment(text, minutes, [], None, answers=answers))
             row.settles.extend([name] if name not in row.settles else [])

@@ -9,7 +9,7 @@ tests/test_next_experiment.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.decision import VISIBLE_MM
 from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.findings import Alternative
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.noise import FLOOR, Noise
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
+from softmap_edge.diagnosis.separate import families_of
 from softmap_edge.diagnosis.sound import sound
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, Block, Setting, plan
@@ -45,6 +47,7 @@ class Question:
     one: tuple[str, ...]
     other: tuple[str, ...]
     hidden: str | None = None
+    families: tuple[str, str] | None = field(default=None, compare=False)  # that the two sets are of, if they differ
 
     @property
     def names(self) -> list[str]:
@@ -285,9 +288,17 @@ def _questions(diagnosis: Diagnosis, found: tuple[str, ...], own: tuple[str, ...
     for alternative in diagnosis.alternatives:
         effects = alternative.effects
         if set(effects) != set(found) and not set(effects) & set(own):  # a refit of the model's own needs no experiment
-            asked.append(Question(found, effects))
+            asked.append(Question(found, effects, families=_between(diagnosis, alternative)))
     asked += [Question(found, found, row.name) for row in diagnosis.not_testable if row.name not in found]
     return list(dict.fromkeys(asked))
+
+
+def _between(diagnosis: Diagnosis, alternative: Alternative) -> tuple[str, str] | None:
+    """Return the two families that an alternative is a question between; None within one family."""
+    own = next((one.name for one in diagnosis.families if alternative.member in one.effects), "")
+    new = [name for name in alternative.effects if name not in {e.name for e in diagnosis.effects}]
+    other = alternative.family or next(iter(families_of(new)), "")
+    return (own, other) if own and other and own != other else None
 
 
 def _check(

@@ -25,10 +25,10 @@ from softmap_edge import _core
 from softmap_edge.errors import RunError
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
-from softmap_edge.logs.mapping import LENGTH, Mapping, Quantity, read_mapping
+from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
 from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_of_rows, doubts_of_time
 from softmap_edge.logs.table import LogTable, read_log
-from softmap_edge.run import Run
+from softmap_edge.run import SPOOL_RADIUS, Run
 
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
 
@@ -86,7 +86,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         notes.append(f"time counts from {zero:.6g} s of the log")
     _constants(files, mapping, fields, notes)
     made_from = [f"{path.name} sha256 {_sha256(path)}" for path in dict.fromkeys(files)]
-    extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels") if name in fields}
+    extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels") if name in fields} | _spool(mapping)
     try:
         run = Run(t=t, **fields, extra={"made_from": np.array(made_from)} | extra)
     except RunError as fault:
@@ -94,6 +94,14 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         suspicion = next((doubt for doubt in doubts if f"{name}: " in doubt), None)  # what is wrong in the mapping
         raise RunError(f"{fault}; {suspicion}" if suspicion else str(fault)) from None
     return Imported(run, tuple(notes), tuple(doubts))
+
+
+def _spool(mapping: Mapping) -> dict[str, Array]:
+    """Return the radius (mm) of the spools that turned angles into commands, for the run to keep; {} without one."""
+    commands = [log.rows["command"] for log in mapping.logs if "command" in log.rows]
+    radii = {one.spool_radius_mm for one in commands if one.unit in ANGLE and np.all(np.abs(one.scale) == 1.0)}
+    known = mapping.command_unit == "mm" and len(radii) == len({one.unit for one in commands}) == 1
+    return {SPOOL_RADIUS: np.array(radii.pop())} if known else {}
 
 
 def _timeless(mapping: Mapping, notes: list[str]) -> dict[str, Any]:

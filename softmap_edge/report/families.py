@@ -10,9 +10,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from softmap_edge.report.in_unit import PLACES
-from softmap_edge.report.numbers import folded, mm, number, percent
+from softmap_edge.report.numbers import folded, mm, number, percent, tamed
 from softmap_edge.report.style import escaped, section
 
+LEARNED = "Learned with the model: in the robot then, and in the model's chain"
 TITLE = "What the model lacks: the family of effects, then its law"
 PAGE_NOTE = (
     "A family holds all effects that depend on the same inputs. Its share is its part of the explained error. The "
@@ -81,6 +82,28 @@ def family_lines(document: Mapping[str, Any], unit: str) -> list[str]:
         first, *rest = folded(family_line(row, _findings(document)), 4)
         lines += [f"  · {first.lstrip()}", *rest, *folded(" · ".join(family_facts(row, unit)), 6)]
     return lines
+
+
+def learned_line(row: Row) -> str:
+    """Return an effect that the model was learned with as one line.
+
+    Args:
+        row: an entry of `learned_in` of a diagnosis document.
+
+    Returns:
+        str: 'backlash, gap 1.40 mm (memory, identified); alternatives: hysteresis'.
+    """
+    params = {str(one.get("label")): one for one in row.get("params") or []}
+    others = [str(one.get("name") or f"an unknown law of {one.get('family')}") for one in row.get("alternatives") or []]
+    line = f"{_law(str(row.get('name', '?')), params)} ({row.get('family', '?')}, {row.get('law', '?')})"
+    return tamed(line + (f"; alternatives: {', '.join(dict.fromkeys(others))}" if others else ""))
+
+
+def learned_section(document: Mapping[str, Any]) -> str:
+    """Return the section of a page on what the model was learned with; nothing where there is none."""
+    rows = document.get("learned_in") or []
+    inner = "".join(f"<li>{escaped(learned_line(row))}</li>" for row in rows)
+    return section(LEARNED, f"<ul>{inner}</ul>", "") if rows else ""
 
 
 def family_section(document: Mapping[str, Any], unit: str) -> str:

@@ -18,7 +18,7 @@ from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
 from softmap_edge.diagnosis.series import Series
 from softmap_edge.errors import ReportError
 from softmap_edge.report.comparison_text import check_pair
-from softmap_edge.report.families import family_section
+from softmap_edge.report.families import family_section, learned_section
 from softmap_edge.report.html_open import open_questions
 from softmap_edge.report.in_unit import PLACES, comparison_in_unit, in_unit, series_in_unit, unit_of
 from softmap_edge.report.numbers import fall, mm, number, percent, tamed
@@ -108,6 +108,7 @@ def write_html(
     sections = [
         _hero(story),
         family_section(story.diagnosis or {}, story.unit),
+        learned_section(story.diagnosis or {}),
         _loops(story),
         _sheet(story),
         _where(story, figures),

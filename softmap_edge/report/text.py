@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
-from softmap_edge.report.families import family_lines
+from softmap_edge.report.families import LEARNED, family_lines, learned_line
 from softmap_edge.report.in_unit import PLACES, in_unit, unit_of
 from softmap_edge.report.numbers import LARGEST, bar, folded, mm, number, percent, tamed
 
@@ -42,6 +42,7 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
             lines += ["", title]
         for row in rows:
             lines += _effect_lines(row, unit)
+    lines += _list_lines(LEARNED, document.get("learned_in"), learned_line)
     lines += _ladder_lines(document.get("error") or {})
     servos = [servo_row(row) for row in document.get("servo") or []]
     lines += _list_lines("Servos: between command and encoder", servos, ": ".join)

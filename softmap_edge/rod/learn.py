@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import __version__, _core
 from softmap_edge.coverage import Coverage
+from softmap_edge.diagnosis.base_motion import kept_places
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.folds import folds
 from softmap_edge.learned_in import LearnedIn
@@ -143,7 +144,7 @@ def learn(
     made_from: dict[str, Any] = {
         "softmap-edge": __version__, "run": together[0].hash(), "runs": [run.hash() for run in together],
         "frames": len(seen.t), "rate_hz": rate_hz, "blocks": len(fitted.parts), "gap_s": gap_s,
-        "hold_out_s": [list(map(float, pair)) for pair in hold_out], "static": static,
+        "hold_out_s": [list(map(float, pair)) for pair in hold_out], "static": static, **kept_places(together),
     }  # fmt: skip
     return _learned(seen, fitted, made_from)
 

@@ -1,0 +1,83 @@
+"""The radius of the spools, where it is known: an eccentric pulley then has no free period.
+
+    R = |A_kk| · 4096 / 2π       A (C, C) commands a tick (the model's calibration), 4096 ticks a turn of the horn
+
+An eccentric pulley repeats after one turn, 2πR of the command. A run can also declare R (`spool_radius_mm`, which an
+import keeps from its mapping). The calibration comes first, because it was measured in the model's own commands.
+Limits: one radius for all spools, on the horn itself without gears, and each servo moves its own channel.
+Pinned by tests/test_spools.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.layout import Layout
+from softmap_edge.run import SPOOL_RADIUS
+from softmap_edge.ticks import TURN, Calibration
+
+if TYPE_CHECKING:
+    from softmap_edge.run import Run
+
+Floats = NDArray[np.float64]
+
+RADIUS = "eccentric_pulley.radius"
+ALIKE = 0.05  # of their mean: spools whose radii differ by less have one radius
+MOST_MM = (1e-3, 1e4)  # radii that a mapping may declare
+CROSSED = 0.1  # of its own slope: a channel that other servos move by more is not wound on one spool
+
+
+@dataclass(frozen=True)
+class Spool:
+    """The radius of the spools in the unit of the commands, one standard deviation, and where it is from."""
+
+    radius: float
+    sigma: float | None
+    source: str
+
+
+def spool_of(model: Any, runs: Sequence[Run]) -> Spool | None:
+    """Return the radius of the spools of a robot; None if neither its calibration nor every run gives it."""
+    calibration: Calibration | None = getattr(model, "calibration", None)
+    if calibration is not None and calibration.unit == model.command_unit:
+        return _calibrated(calibration)
+    radii = np.array([_declared(run) for run in runs])
+    if not len(radii) or not radii.all() or getattr(model, "command_unit", "mm") != "mm":
+        return None
+    if np.ptp(radii) > ALIKE * radii.mean():
+        return None
+    return Spool(float(radii.mean()), None, "the run's mapping")
+
+
+def _declared(run: Run) -> float:
+    """Return the radius (mm) that a run declares; 0 where it declares none, or no plausible one."""
+    value = np.asarray(run.extra.get(SPOOL_RADIUS, 0.0))
+    plain = value.ndim == 0 and value.dtype.kind in "fiu"
+    return float(value) if plain and MOST_MM[0] <= float(value) <= MOST_MM[1] else 0.0
+
+
+def _calibrated(calibration: Calibration) -> Spool | None:
+    """Return the radius that a calibration gives; None where channels have several servos or different spools."""
+    slopes, own = np.abs(calibration.A), np.abs(np.diag(calibration.A))
+    radii, sigma = own * TURN / (2.0 * np.pi), np.diag(calibration.sigma_A) * TURN / (2.0 * np.pi)
+    if np.any(slopes.sum(axis=1) - own > CROSSED * own) or np.ptp(radii) > ALIKE * radii.mean():
+        return None
+    return Spool(float(radii.mean()), float(np.sqrt(np.mean(sigma**2))), "the servos' calibration")
+
+
+def with_radius(layout: Layout, spool: Spool) -> Layout:
+    """Return a layout in which the radius of an eccentric pulley is the known one."""
+    known = np.array([label == RADIUS for label in layout.labels], bool)
+
+    def fixed(values: Floats) -> Floats:
+        return np.where(known, spool.radius, values)
+
+    return replace(
+        layout, null=fixed(layout.null), start=fixed(layout.start), low=fixed(layout.low), high=fixed(layout.high),
+        limit=fixed(layout.limit),
+    )  # fmt: skip

@@ -1,0 +1,95 @@
+"""Runs that taught the model: what the model holds already, and what such a run can still show.
+
+A learned model was fitted to its runs. What was static in the robot then is part of its static map, so these runs show
+no static effect. `softmap learn` also puts the memory that it finds into the chain (`Model.learned_in`); with --static
+it leaves all memory to the diagnosis. That memory has bent the static map, so each law is judged with the map solved
+again (`Record.remapped`, `families.State`). Pinned by tests/test_taught.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from softmap_edge import _core
+from softmap_edge.diagnosis.conditions import orientations
+from softmap_edge.diagnosis.families import families
+from softmap_edge.diagnosis.findings import Finding, NextBlock, Untestable
+from softmap_edge.diagnosis.record import Record
+
+if TYPE_CHECKING:
+    from softmap_edge.model import Model
+    from softmap_edge.run import Run
+
+WHY = "the run taught the model: what was static in the robot then is in the static map"
+LATER = "the same moves after the change, in a run that the model was not learned from", 4.0
+BENT = "the static map was learned with the memory in the robot, so it is solved again here"
+AGAIN = "`softmap learn` without --static: the memory has bent the static map, so the numbers found here are biased"
+
+
+@dataclass(frozen=True)
+class Taught:
+    """Which of `count` runs taught the model (numbers from 1), whether it was learned with --static, and with what.
+
+    A polynomial is a `free` map that follows any static effect. The rod of a `robot.toml` follows few of them, so
+    static effects show even in the runs that taught it.
+    """
+
+    runs: tuple[int, ...] = ()
+    count: int = 1
+    free: bool = False
+    static: bool = False
+    learned_in: tuple[str, ...] = ()
+
+    @classmethod
+    def by(cls, model: Model, runs: Sequence[Run]) -> Taught:
+        """Find which runs taught a model; none of them if it was not learned from runs."""
+        if not model.made_from.get("runs"):
+            return cls(count=len(runs))
+        numbers = tuple(i for i, run in enumerate(runs, 1) if model.taught_by(run))
+        names = tuple(one.name for one in model.learned_in)
+        free = isinstance(model.prior, _core.Rod)
+        return cls(numbers, len(runs), free, bool(model.made_from.get("static")), names)
+
+    @property
+    def all(self) -> bool:
+        """Whether every run taught the model."""
+        return len(self.runs) == self.count
+
+    @property
+    def remaps(self) -> bool:
+        """Whether the static map is solved again with every law, at least at first."""
+        return self.free and (self.all or self.static)
+
+    def __str__(self) -> str:
+        """Say which runs taught the model, what was learned in, and what they can still show."""
+        if self.static:
+            memory = "memory can, because the model was learned with --static"
+        elif self.learned_in:
+            memory = f"memory was learned as well: {', '.join(self.learned_in)} (in its chain)"
+        else:
+            memory = "memory was tested as well, and none was added to its chain"
+        who = "this run" if self.count == 1 else "these runs" if self.all else f"run {', '.join(map(str, self.runs))}"
+        held = "its static map holds what was static then, so no static effect can show"
+        if not self.free:
+            held = "static effects can show only as far as the rod of its robot.toml does not follow them"
+        elif not self.all:
+            held = "only the other runs can show a static effect"
+        return f"{who} taught the model: {held}; {memory}"
+
+    def hidden(self, record: Record, candidates: Sequence[str]) -> list[Untestable]:
+        """Return the candidates that cannot be found where the static map is solved again."""
+        if not record.remapped:
+            return []
+        loaded = record.load is not None and float(np.ptp(record.load)) > 0
+        varied = loaded or orientations(record.state.gravity) > 1
+        static = {n for f in families() if f.kind == "static" and not (f.name == "load" and varied) for n in f.members}
+        found = (WHY, *LATER) if self.all else (BENT, AGAIN, 0.0)
+        return [Untestable(name, *found) for name in candidates if name in static]
+
+    def next(self, found: Sequence[Finding]) -> list[NextBlock]:
+        """Return how to fit memory that was found with the static map solved again."""
+        return [NextBlock(AGAIN, 0.0, tuple(one.name for one in found))] if self.static and found else []

@@ -1,0 +1,130 @@
+"""A run that taught the model is recognised: the report says what was learned in, and what can still be found.
+
+The robot is that of tests/test_learned_memory.py, simulated apart from the effect library.
+"""
+
+import json
+from dataclasses import replace
+
+import pytest
+from test_learned_memory import recorded, wander
+
+from softmap_edge import diagnose
+from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.taught import Taught
+from softmap_edge.errors import ReportError
+from softmap_edge.rod.learn import learn, learned_model
+
+GAP = 1.4
+
+
+@pytest.fixture(scope="module")
+def always():
+    """A robot that had play in both servos from the beginning."""
+    return recorded((GAP, GAP), seconds=60.0)
+
+
+@pytest.fixture(scope="module")
+def model(always):
+    return learned_model(always, learn(always))
+
+
+@pytest.fixture(scope="module")
+def static(always):
+    return learned_model(always, learn(always, static=True))
+
+
+@pytest.fixture(scope="module")
+def same(model, always):
+    return diagnose(model, always)
+
+
+@pytest.fixture(scope="module")
+def bent(static, always):
+    return diagnose(static, always)
+
+
+def test_play_that_was_learned_in_is_in_the_report_and_nothing_is_left(same):
+    (one,) = same.learned_in
+    assert one.name == "backlash" and one.params[0].value == pytest.approx(GAP, rel=0.05)
+    assert same.effects == same.faults == same.families == ()
+    text = " ".join(str(same).split())
+    assert "Learned with the model" in text and "· backlash, gap 1.40 mm (memory, identified)" in text
+    assert "this run taught the model" in text and "no static effect can show" in text
+    assert "memory was learned as well: backlash" in text
+
+
+def test_static_effects_cannot_be_found_in_a_run_that_taught_the_model(same, model):
+    held = {one.name: one.why for one in same.not_testable if "taught the model" in one.why}
+    assert {"gain", "offset", "payload", "mount"} <= set(held) and not {"backlash", "latency", "creep"} & set(held)
+    other = diagnose(model, recorded((GAP, GAP), seconds=60.0, seed=2, drive=lambda t: wander(t + 77)))
+    assert other.learned_in == same.learned_in
+    assert not any("taught" in said for said in (*other.remarks, *(one.why for one in other.not_testable)))
+
+
+def test_learned_statically_the_play_is_named_first_by_the_diagnosis(bent):
+    (found,), (family,) = bent.effects, bent.families
+    assert found.name == "backlash" and (family.name, family.law) == ("memory", "resolved")
+    assert bent.verdict == "identified" and bent.learned_in == ()
+    assert bent.error.after < 0.4 * bent.error.before
+    assert any("memory can, because the model was learned with --static" in said for said in bent.remarks)
+    assert "without --static" in bent.next[0].block and bent.next[0].settles == ("backlash",)
+
+
+def test_without_solving_the_map_again_another_effect_is_named_beside_it(static, always, bent, monkeypatch):
+    """The play has bent the static map: with the map as it is, play alone does not explain what the family can."""
+    monkeypatch.setattr("softmap_edge.diagnosis.families.MAPPED", ())
+    found = diagnose(static, always)
+    assert [one.name for one in found.effects] != ["backlash"] == [one.name for one in bent.effects]
+
+
+def test_another_run_of_that_robot_is_named_as_well(static, bent):
+    other = diagnose(static, recorded((GAP, GAP), seconds=60.0, seed=2, drive=lambda t: wander(t + 77)))
+    assert [one.name for one in other.effects] == ["backlash"] == [one.name for one in bent.effects]
+    assert not any("taught the model" in said for said in other.remarks)
+    assert "gain" in {one.name for one in other.not_testable if "learned with the memory" in one.why}
+
+
+def test_a_static_change_is_still_found_with_a_model_learned_statically():
+    """Without memory, solving the map again finds nothing, and the search goes on with the map as it is."""
+    before, after = recorded(seconds=60.0), recorded(seconds=60.0, seed=4)
+    model = learned_model(before, learn(before, static=True))
+    weaker = replace(after, command=after.command / 0.8)  # each command does 80 % of what it did
+    found = diagnose(model, weaker)
+    assert [one.name for one in found.effects] == ["gain"]
+
+
+def test_of_several_runs_those_that_taught_the_model_are_named(model, always):
+    other = recorded((GAP, GAP), seconds=60.0, seed=2, drive=lambda t: wander(t + 77))
+    found = diagnose(model, [other, always])
+    assert any(said.startswith("run 2 taught the model: only the other runs") for said in found.remarks)
+    assert not any("taught the model" in one.why for one in found.not_testable)
+
+
+def test_the_document_keeps_what_was_learned_in_and_an_earlier_one_reads_without(same):
+    document = json.loads(json.dumps(same.to_dict()))
+    assert document["learned_in"][0]["name"] == "backlash"
+    assert Diagnosis.from_dict(document).learned_in == same.learned_in
+    assert str(Diagnosis.from_dict(document)) == str(same)
+    without = {key: value for key, value in document.items() if key != "learned_in"}
+    assert Diagnosis.from_dict(without).learned_in == () and "Learned with the model" not in str(
+        Diagnosis.from_dict(without)
+    )
+    document["learned_in"][0]["law"] = "certain"
+    with pytest.raises(ReportError, match="law"):
+        Diagnosis.from_dict(document)
+
+
+def test_the_page_shows_it_with_what_a_file_says_escaped(same):
+    from softmap_edge.report.families import learned_section
+
+    evil = replace(same, learned_in=(replace(same.learned_in[0], name="<script>"),))
+    page = learned_section(evil.to_dict())
+    assert "&lt;script&gt;" in page and "<script>" not in page and learned_section({}) == ""
+
+
+def test_a_described_rod_shows_static_effects_in_the_run_that_taught_it():
+    """The rod of a robot.toml has few numbers, so it does not follow every static effect."""
+    teacher = Taught(runs=(1,), free=False)
+    assert not teacher.remaps and "only as far as the rod of its robot.toml" in str(teacher)
+    assert Taught(runs=(1,), free=True).remaps
