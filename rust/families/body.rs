@@ -6,7 +6,10 @@ pub static FAMILY: Family = Family {
     name: "body",
     kind: Kind::Static,
     doc: "Stiffness, rest shape or tendon routing differ from the model, so the shape along the body is wrong.",
-    experiment: ("the same moves in two orientations, declared in the run", 3.0),
+    experiment: (
+        "the same moves in two orientations, declared in the run",
+        3.0,
+    ),
     mimics: &["static map", "coupling", "static shape"],
     members: &[
         "stiffness",

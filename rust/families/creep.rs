@@ -8,7 +8,10 @@ pub static FAMILY: Family = Family {
     name: "creep",
     kind: Kind::Memory,
     doc: "The shape drifts while a command is held, and recovers slowly afterwards.",
-    experiment: ("a staircase with rests of 7 s on each step, then the same steps without rests", 3.0),
+    experiment: (
+        "a staircase with rests of 7 s on each step, then the same steps without rests",
+        3.0,
+    ),
     mimics: &["memory", "delay", "rate", "softening", "time"],
     members: &["creep", "tendon_creep"],
     columns: Some(columns),

@@ -8,7 +8,10 @@ pub static FAMILY: Family = Family {
     name: "frame drift",
     kind: Kind::Time,
     doc: "The clamped base appears to move slowly during the run: camera or mount drift.",
-    experiment: ("home revisited every minute, with points near the base", 4.0),
+    experiment: (
+        "home revisited every minute, with points near the base",
+        4.0,
+    ),
     mimics: &["time"],
     members: &["camera_drift"],
     fields: &["mount"],

@@ -9,7 +9,10 @@ pub static FAMILY: Family = Family {
     kind: Kind::Static,
     doc: "Own weight or a payload bends the robot: the error changes with the orientation of the base.",
     needs: &["gravity"],
-    experiment: ("the same moves in two orientations, declared in the run", 3.0),
+    experiment: (
+        "the same moves in two orientations, declared in the run",
+        3.0,
+    ),
     mimics: &["time", "step"],
     members: &["gravity", "payload"],
     columns: Some(columns),

@@ -11,7 +11,10 @@ pub static FAMILY: Family = Family {
     name: "softening",
     kind: Kind::Memory,
     doc: "After a large bend, smaller commands bend the robot further than before.",
-    experiment: ("small moves, then the full range, then the same small moves", 3.0),
+    experiment: (
+        "small moves, then the full range, then the same small moves",
+        3.0,
+    ),
     mimics: &["creep", "time"],
     members: &["mullins"],
     columns: Some(columns),

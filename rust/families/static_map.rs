@@ -8,7 +8,10 @@ pub static FAMILY: Family = Family {
     name: "static map",
     kind: Kind::Static,
     doc: "Each channel has a wrong but repeatable scale: gain, offset, dead zone or a non-linear map of the command.",
-    experiment: ("each channel to its full range in fine steps, from both sides", 2.0),
+    experiment: (
+        "each channel to its full range in fine steps, from both sides",
+        2.0,
+    ),
     mimics: &["coupling", "body", "static shape"],
     members: &[
         "gain",

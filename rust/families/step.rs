@@ -8,7 +8,10 @@ pub static FAMILY: Family = Family {
     name: "step",
     kind: Kind::Time,
     doc: "The same command gives another shape before and after one instant.",
-    experiment: ("the same moves several times, with home visited in between", 4.0),
+    experiment: (
+        "the same moves several times, with home visited in between",
+        4.0,
+    ),
     mimics: &["temperature", "time", "load"],
     members: &["anchor_slip"],
     columns: Some(columns),

@@ -8,7 +8,10 @@ pub static FAMILY: Family = Family {
     name: "time",
     kind: Kind::Time,
     doc: "The same command gives another shape later in the run: a slow drift of offset or gain.",
-    experiment: ("the same moves twice, with a rest of 5 minutes at home in between", 9.0),
+    experiment: (
+        "the same moves twice, with a rest of 5 minutes at home in between",
+        9.0,
+    ),
     mimics: &[
         "creep",
         "softening",

@@ -69,11 +69,13 @@ class Family:
 
 def families() -> tuple[Family, ...]:
     """Return the families of the registry, in its order."""
-    listed = ("members", "fields", "mimics", "needs")
     return tuple(
-        Family(row["name"], row["kind"], row["doc"], *(tuple(row[key]) for key in listed), tuple(row["experiment"]))
+        Family(
+            row["name"], row["kind"], row["doc"], tuple(row["members"]), tuple(row["fields"]), tuple(row["mimics"]),
+            tuple(row["needs"]), tuple(row["experiment"]),
+        )
         for row in _core.families()
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

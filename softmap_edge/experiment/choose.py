@@ -98,8 +98,8 @@ def next_experiment(
         references: the runs that the diagnosis is relative to, if it is; then a block counts as played in both states.
 
     Returns:
-        list: experiments, best first: those that separate two families, then those that separate laws; last what no block settles, with what the library says of it. Empty where
-        nothing is open.
+        list: experiments, best first: by what separates families, then by all questions. Last what no block settles,
+        with what the library says of it. Empty where nothing is open.
 
     Raises:
         SoftmapError: the diagnosis is of another model or of other runs, or names effects that are not known.
