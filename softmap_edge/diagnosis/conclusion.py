@@ -186,13 +186,12 @@ def _finding(
     fits, problem = outcome.fits, outcome.body.problem
     record, other = problem.record, context.other
     sigma = problem.uncertainty(fit, fits.dispersion(fit))
-    numbers, certificate = parameters(record, fit, sigma, (name,)), None
-    if context.proof is not None:
-        numbers, certificate = _on_all_frames(context.proof.fit, name), context.proof.effects.get(name)
     is_fault = registry[name]["kind"] == "fault"
     alike = [e for e in fit.effects if (registry[e]["kind"] == "fault") == is_fault]
     total = sum(max(fits.share(fit, e), 0.0) for e in alike)
     step = next((s for s in outcome.steps if name in _named(s)), None)
+    numbers = parameters(record, fit, sigma, (name,))
+    certificate = None if context.proof is None else context.proof.effects.get(name)
     return Finding(
         name=name,
         family=step.family.name if step else str(registry[name]["family"]),
@@ -209,13 +208,6 @@ def _finding(
         refitted=refitted(fits, fit, sigma, name),
         certificate=certificate,
     )
-
-
-def _on_all_frames(fit: Fit, name: str) -> dict[str, Number]:
-    """Return the parameters of an effect as fitted to all frames."""
-    problem = fit.problem
-    dispersion = fit.chi2 / max(1.0, problem.numbers - len(fit.x))
-    return parameters(problem.record, fit, problem.uncertainty(fit, dispersion), (name,))
 
 
 def _probability(

@@ -1,7 +1,7 @@
 """Diagnose: name the physical effect that a model lacks, with its evidence, its rivals and the error before and after.
 
     features → noise and form error → whitened search over effects → acceptance on held-out blocks
-             → certificate from blocks that chose nothing → verdict
+             → certificate from withheld blocks → verdict
 
 The verdict is one of identified, ambiguous, partly_explained, nothing, cannot_tell, measurement_fault; silence and
 doubt are answers. `diagnose` is deterministic: the same input gives the same document. Method: the files
@@ -88,9 +88,7 @@ def diagnose(
         SoftmapError: too few frames, unknown effects, a run of another robot, a reference of other commands.
     """
     _apart(run, held_out, reference)
-    complete, remarks = sound_record(model, run, library, reference)
-    kept = withheld(complete.t_seen, complete.block, complete.begins)
-    record = complete.some(kept.chosen) if len(kept.rows) else complete
+    record, remarks = sound_record(model, run, library, reference)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = candidates_of(record, registry, effects)
     problem, outcome = _searched(record, candidates, progress)
@@ -106,7 +104,7 @@ def diagnose(
             fit, more = _demote(outcome.fits, outcome.fit, outcome.fits.held_out_mm, 1.0)
             demoted += more
     own = _own_misfit(record) if record.replay is None else None  # wrong numbers of its own cancel out too
-    proof = certified(outcome, fit, complete, kept)
+    proof = certified(outcome, fit, withheld(record.t_seen, record.block, record.begins))
     context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), seed, proof)
     gone = stray(record, outcome.state.predicted if outcome.state.beside else fit.predicted)
     values = conclude(outcome, fit, context)
@@ -115,8 +113,8 @@ def diagnose(
         if strange(plain(values), loaded):
             error, again = outcome.fits.held_out_mm(fit), partial(_again, model, candidates=candidates, library=library)
             gone = wrong_sign(record, error, again) or wrong_load(record, error, again)
-    fit = proof.fit if gone is None else outcome.plain.null
     if gone is not None:
+        fit = outcome.plain.null
         values |= {"verdict": "measurement_fault", "sentence": gone, "alternatives": (), "effects": (), "faults": ()}
         values |= {"families": ()}
     values["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
@@ -125,7 +123,7 @@ def diagnose(
     found = model.with_effects(fit.space.names, _shared(fit)) if fit.effects else model
     remarks += [] if record.replay is None else [TWICE]
     whole = [converted(model, run) for run in record.whole]
-    remarks += [] if library is not None else asked(whole, len(complete), problem.noise.replicates)
+    remarks += [] if library is not None else asked(whole, len(record), problem.noise.replicates)
     encoded = [run for run in whole if run.present is not None] if library is None else []
     behind = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
     return Diagnosis(**values, servo=tuple(behind), remarks=tuple(remarks), model=with_error(found, values["effects"]))
