@@ -85,7 +85,7 @@ def test_hidden_effect_is_certified(hidden):
     (one,) = found.effects
     certificate = one.certificate
     needed = np.log10(hypotheses(len(NAMES) + len(families()), 1) / LEVEL)
-    assert certificate.certified and certificate.needed == pytest.approx(needed)
+    assert certificate.certified and certificate.log10_needed == pytest.approx(needed)
     assert certificate.log10_e > 2.0 * needed and certificate.frames == 70 and certificate.blocks == 5
     assert found.verdict == "identified" and "confirmed on the withheld blocks" in diagnosis_text(found.to_dict())
 
@@ -156,7 +156,7 @@ def test_rule_of_e_bh(logs, sure):
     """The k claims of largest e are certified, for the largest k whose claims all reach m / (0.05 k)."""
     found = certificates(logs, 100, KEPT)
     assert [one.certified for one in found] == sure
-    assert all((one.log10_e >= one.needed) == one.certified for one in found)
+    assert all((one.log10_e >= one.log10_needed) == one.certified for one in found)
     assert all((one.frames, one.blocks) == (20, 5) for one in found)
 
 
@@ -231,6 +231,6 @@ def test_document_keeps_certificates_and_does_without():
 
 def test_certificate_in_words():
     good = Certificate(12.34, 3.0, 70, 5, True)
-    assert str(good) == "confirmed on the withheld blocks (e = 10^12.3; needed 1e+03)"
-    assert str(Certificate(0.5, 3.0, 70, 5)) == "not confirmed on the withheld blocks (e = 3.16; needed 1e+03)"
-    assert [power(x) for x in (-5.0, 0.0, 2.0)] == ["10^-5", "1", "100"]
+    assert str(good) == "confirmed on the withheld blocks (e = 10^12.34; needed 1000)"
+    assert str(Certificate(0.5, 3.0, 70, 5)) == "not confirmed on the withheld blocks (e = 3.16; needed 1000)"
+    assert [power(x) for x in (-5.0, 0.0, 2.0, 4321.2)] == ["10^-5", "1", "100", "10^4321"]

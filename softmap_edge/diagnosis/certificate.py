@@ -96,7 +96,7 @@ class _Evidence:
 
     def __init__(self, outcome: Outcome, fit: Fit, kept: Withheld) -> None:
         self.outcome, self.fit, self.beside = outcome, fit, list(outcome.state.beside)
-        self.body = Body(_split(outcome, kept), outcome.body.candidates)
+        self.body = Body(_split(outcome, kept), outcome.fits.candidates)
         self.chi2, _, chosen = self._chi2(fit, self.beside)
         share = len(kept.chosen) / len(outcome.body.record)
         self.dispersion = max(1.0, chosen / max(1.0, share * outcome.body.problem.numbers))

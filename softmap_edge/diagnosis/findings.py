@@ -47,12 +47,12 @@ class Refitted:
 class Certificate:
     """Evidence for a claim from blocks that took no part in choosing it.
 
-    `log10_e` is the decimal logarithm of its e-value; the claim is `certified` if it is at least `needed`. `reason`
-    says why there is no e-value.
+    `log10_e` is the decimal logarithm of its e-value; the claim is `certified` if it is at least `log10_needed`.
+    `reason` says why there is no e-value.
     """
 
     log10_e: float | None = None
-    needed: float | None = None
+    log10_needed: float | None = None
     frames: int = 0  # withheld
     blocks: int = 0
     certified: bool = False
@@ -64,15 +64,17 @@ class Certificate:
         return self.log10_e is not None and not self.certified
 
     def __str__(self) -> str:
-        if self.log10_e is None or self.needed is None:
+        if self.log10_e is None or self.log10_needed is None:
             return f"not tested on withheld blocks: {self.reason}"
         how = "confirmed" if self.certified else "not confirmed"
-        return f"{how} on the withheld blocks (e = {power(self.log10_e)}; needed {power(self.needed)})"
+        return f"{how} on the withheld blocks (e = {power(self.log10_e)}; needed {power(self.log10_needed)})"
 
 
 def power(log10: float) -> str:
     """Return a number by its decimal logarithm: plain from 0.01 to 9999, else as a power of ten."""
-    return f"{10.0**log10:.3g}" if -2.0 <= log10 < 4.0 else f"10^{log10:.3g}"
+    if not -2.0 <= log10 < 4.0:
+        return f"10^{log10:.4g}"
+    return f"{10.0**log10:.3g}" if log10 < 2.0 else f"{10.0**log10:.0f}"
 
 
 @dataclass(frozen=True)
