@@ -4,11 +4,13 @@ Frames near each other are alike, so folds are blocks of time, with a gap beside
 one kind are often recorded one after the other, and a block of time then holds all of them: what was never seen cannot
 be learned (on a real nine-tendon robot a polynomial looked ten times worse than it is). So where a run labels its
 frames (`block`) and has labels enough, whole labels are dealt out to the folds in turn, in the order they appear in.
-Units: s. Pinned by tests/test_fit.py.
+In the same way every fifth block of a run is withheld from a search, to confirm what it claims.
+Units: s. Pinned by tests/test_fit.py, tests/test_certificates.py.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,9 @@ MOST_FOLDS = 10
 LEAST_FRAMES = 8
 LEAST_LABELLED = 3  # frames of one label, on average: one a frame is a number and no label
 LABELS_A_FOLD = 2  # fewer, and a fold would hold out one kind of motion and nothing else
+EVERY, FIRST = 5, 2  # every fifth block is withheld, the third first: a run begins with frames that choose
+MOST_BLOCKS, GAPS_A_BLOCK = 25, 5  # a block is at least so many gaps long, for the gaps beside it to cost little
+LEAST_WITHHOLDING = 60  # frames of a run from which blocks are withheld
 
 
 def folds(t: Floats, blocks: int, gap_s: float, labels: NDArray[Any] | None = None, most: int = MOST_FOLDS) -> Folds:
@@ -50,10 +55,7 @@ def folds(t: Floats, blocks: int, gap_s: float, labels: NDArray[Any] | None = No
     parts: Folds = []
     for k in range(blocks):
         test = np.flatnonzero(fold == k)
-        after = np.searchsorted(t[test], t)
-        last, next_ = np.maximum(after - 1, 0), np.minimum(after, len(test) - 1)
-        away = np.minimum(np.abs(t - t[test[last]]), np.abs(t - t[test[next_]]))
-        parts.append((np.flatnonzero((fold != k) & (away > gap_s)), test))
+        parts.append((np.flatnonzero((fold != k) & (_away(t, t[test]) > gap_s)), test))
     return parts
 
 
@@ -86,3 +88,52 @@ def labelled(labels: NDArray[Any] | None) -> bool:
         return False
     count = len(np.unique(labels))
     return LABELS_A_FOLD * FOLDS <= count <= len(labels) / LEAST_LABELLED
+
+
+@dataclass(frozen=True, eq=False)
+class Withheld:
+    """Frames that a search may see, and frames of whole blocks that take no part in it; the others lie within a gap."""
+
+    chosen: Index  # (n,) rising, the first frame of each run among them
+    rows: Index  # (w,) rising, none within a gap of those chosen
+    blocks: int  # of which `rows` are
+    reason: str = ""  # why nothing is withheld
+
+
+def withheld(t_seen: Floats, labels: NDArray[Any] | None, begins: Index) -> Withheld:
+    """Withhold every fifth block of a run, of time or of labels as in `run_folds`.
+
+    Noise is correlated over short times, so frames within a gap of a withheld block choose nothing either.
+
+    Args:
+        t_seen: (K,) s.
+        labels: (K,), one for each frame.
+        begins: numbers of the first frame of each run; time is counted from there, so they stay.
+    """
+    frames = len(t_seen)
+    every = np.arange(frames)
+    if frames < LEAST_WITHHOLDING:
+        return Withheld(every, every[:0], 0, f"{frames} frames are too few to withhold any; {LEAST_WITHHOLDING} needed")
+    if labels is not None and labelled(labels):
+        _, first, label = np.unique(labels, return_index=True, return_inverse=True)
+        block = np.argsort(np.argsort(first))[label.reshape(-1)]
+        out = np.arange(FIRST, len(first), EVERY)[: len(first) - LABELS_A_FOLD * FOLDS]  # the others stay enough
+    else:
+        count = int(float(t_seen[-1] - t_seen[0]) / (EVERY * GAPS_A_BLOCK * GAP))
+        count = EVERY * min(max(count, 1), MOST_BLOCKS // EVERY)
+        block = np.repeat(np.arange(count), [len(part) for part in np.array_split(every, count)])
+        out = np.arange(FIRST, count, EVERY)
+    rows = np.flatnonzero(np.isin(block, out) & (_away(t_seen, t_seen[begins]) > GAP))
+    if not len(rows):
+        return Withheld(every, every[:0], 0, "too few labelled blocks to withhold any")
+    chosen = np.setdiff1d(np.flatnonzero(_away(t_seen, t_seen[rows]) > GAP), rows)
+    if len(chosen) < frames // 2:
+        return Withheld(every, every[:0], 0, f"blocks are shorter than the gaps of {GAP:g} s that separate them")
+    return Withheld(chosen, rows, len(np.unique(block[rows])))
+
+
+def _away(t: Floats, others: Floats) -> Floats:
+    """Return the distance (n,) s of times `t` (n,) from the nearest of `others`, both rising."""
+    after = np.searchsorted(others, t)
+    last, next_ = np.maximum(after - 1, 0), np.minimum(after, len(others) - 1)
+    return np.asarray(np.minimum(np.abs(t - others[last]), np.abs(t - others[next_])))

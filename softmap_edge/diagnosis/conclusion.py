@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
+from softmap_edge.diagnosis.certificate import Certified
 from softmap_edge.diagnosis.collinear import collinear_conditions
 from softmap_edge.diagnosis.conditions import cells
 from softmap_edge.diagnosis.evidence import (
@@ -27,6 +28,7 @@ from softmap_edge.diagnosis.evidence import (
 from softmap_edge.diagnosis.findings import (
     Alternative,
     Bin,
+    Certificate,
     Displacement,
     ErrorLadder,
     FamilyFinding,
@@ -46,7 +48,7 @@ from softmap_edge.diagnosis.outcome import Outcome, Step
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.separate import separating
 from softmap_edge.diagnosis.spools import RADIUS
-from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, verdict_of
+from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, unconfirmed, verdict_of
 from softmap_edge.folds import labelled
 from softmap_edge.own_effect import hashes
 
@@ -56,7 +58,9 @@ Registry = Mapping[str, dict[str, Any]]
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """What is known beside the search: an independent run, what was dropped or never tried, the model's own misfit."""
+    """What is known beside the search: an independent run, what was dropped or never tried, the model's own misfit,
+    and the certificates.
+    """
 
     other: Record | None = None
     demoted: Sequence[str] = ()
@@ -64,6 +68,7 @@ class Context:
     own: OwnMisfit | None = None
     masked: Masked | None = None
     seed: int = 0
+    proof: Certified | None = None
 
 
 def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
@@ -97,11 +102,12 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     faults = tuple(f for f in findings if registry[f.name]["kind"] == "fault")
     physics = tuple(f for f in findings if registry[f.name]["kind"] != "fault")
     error = _error(outcome, order, context.other)
-    families = tuple(_family(outcome, s) for s in standing)
+    families = tuple(_family(outcome, s, context.proof) for s in standing)
     if unknown and not standing and outcome.hint is not None:
         near, gone = outcome.hint, float(outcome.hint.loss.sum() / max(float(outcome.null.sum()), 1e-300))
         families = (FamilyFinding(near.family.name, near.family.kind, "unknown", (), 1.0 - gone, near.moved_mm),)
     doubts = [*([str(context.own)] if context.own else []), *at_bounds(findings), *record.doubts]
+    doubts += unconfirmed([*findings, *families])
     is_open = any(s.answer.open for s in standing)
     unsure = any(registry[e]["kind"] != "fault" for a in alternatives for e in a.effects)
     verdict = verdict_of(
@@ -150,7 +156,7 @@ def _left(outcome: Outcome, standing: Sequence[Step]) -> bool:
     return record.rms_mm(outcome.state.residual - outcome.state.ordinary) > rule.UNKNOWN_TIMES * own
 
 
-def _family(outcome: Outcome, step: Step) -> FamilyFinding:
+def _family(outcome: Outcome, step: Step, proof: Certified | None) -> FamilyFinding:
     """Return what was found of one family."""
     answer, null = step.answer, float(outcome.null.sum())
     explained = max(null - float(outcome.loss.sum()), 1e-300)
@@ -166,6 +172,7 @@ def _family(outcome: Outcome, step: Step) -> FamilyFinding:
         tuple(dict.fromkeys(effects)), min(1.0, own / explained), answer.representative.moved_mm,
         None if best is None else float(np.clip((float(answer.before.sum()) - best) / max(own, 1e-300), 0.0, 1.0)),
         tuple(law.name for law in answer.reaching if not law.effects), tuple(a.family.name for a in step.others),
+        None if proof is None else proof.families.get(answer.family.name),
     )  # fmt: skip
 
 
@@ -197,6 +204,7 @@ def _finding(
     total = sum(max(fits.share(fit, e), 0.0) for e in alike)
     step = next((s for s in outcome.steps if name in _named(s)), None)
     numbers = parameters(record, fit, sigma, (name,))
+    certificate = None if context.proof is None else context.proof.effects.get(name)
     return Finding(
         name=name,
         family=step.family.name if step else str(registry[name]["family"]),
@@ -207,8 +215,11 @@ def _finding(
             None if other is None else other.rms_mm(_shift_on(fit, other, name)),
         ),
         share=max(fits.share(fit, name), 0.0) / max(total, 1e-300),
-        probability=None if record.model.kind == "rod" else _probability(step, name, numbers, alternatives, unknown),
+        probability=None
+        if record.model.kind == "rod"
+        else _probability(step, name, numbers, alternatives, unknown, certificate),
         refitted=refitted(fits, fit, sigma, name),
+        certificate=certificate,
     )
 
 
@@ -218,9 +229,11 @@ def _probability(
     numbers: Mapping[str, Number],
     alternatives: Sequence[Alternative],
     unknown: bool,
+    certificate: Certificate | None,
 ) -> float:
     """Return the probability that an effect, or an equivalent one, is present, from the odds against it."""
     doubts = sum(a.member == name for a in alternatives) + any(p.at_bound for p in numbers.values()) + unknown
+    doubts += certificate is not None and certificate.refuted
     odds = rule.ODDS_BASE + rule.ODDS_DOUBT * doubts
     if step is not None and step.answer.open:
         odds += 1.0 + len(step.answer.reaching)  # each law that fits is as likely, and so is one that nobody tried

@@ -1,10 +1,11 @@
 """Diagnose: name the physical effect that a model lacks, with its evidence, its rivals and the error before and after.
 
-    features → noise and form error → whitened search over effects → acceptance on held-out blocks → verdict
+    features → noise and form error → whitened search over effects → acceptance on held-out blocks
+             → certificate from withheld blocks → verdict
 
 The verdict is one of identified, ambiguous, partly_explained, nothing, cannot_tell, measurement_fault; silence and
 doubt are answers. `diagnose` is deterministic: the same input gives the same document. Method: the files
-`noise.py`, `fit.py`, `search.py`, `evidence.py`, `conclusion.py`. Pinned by tests/test_diagnosis.py.
+`noise.py`, `fit.py`, `search.py`, `evidence.py`, `certificate.py`, `conclusion.py`. Pinned by tests/test_diagnosis.py.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.acceptance import motion_mm
 from softmap_edge.diagnosis.advice import asked
 from softmap_edge.diagnosis.base_motion import excluded
+from softmap_edge.diagnosis.certificate import certified
 from softmap_edge.diagnosis.conclusion import Context, conclude, parameters
 from softmap_edge.diagnosis.decision import ORDINARY, VISIBLE_MM
 from softmap_edge.diagnosis.declared import strange, wrong_load, wrong_sign
@@ -38,6 +40,7 @@ from softmap_edge.diagnosis.sound import sound_record, stray
 from softmap_edge.diagnosis.taught import Taught
 from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.errors import SoftmapError
+from softmap_edge.folds import withheld
 from softmap_edge.outside import BEYOND
 from softmap_edge.run import Run
 from softmap_edge.ticks import converted
@@ -111,7 +114,8 @@ def diagnose(
             fit, more = _demote(outcome.fits, outcome.fit, outcome.fits.held_out_mm, 1.0)
             demoted += more
     own = _own_misfit(record) if record.replay is None else None  # wrong numbers of its own cancel out too
-    context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), seed)
+    proof = certified(outcome, fit, withheld(record.t_seen, record.block, record.begins))
+    context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), seed, proof)
     gone = stray(record, outcome.state.predicted if outcome.state.beside else fit.predicted)
     values = conclude(outcome, fit, context)
     if gone is None:

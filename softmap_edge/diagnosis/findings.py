@@ -44,6 +44,40 @@ class Refitted:
 
 
 @dataclass(frozen=True)
+class Certificate:
+    """Evidence for a claim from blocks that took no part in fitting its numbers.
+
+    `log10_e` is the decimal logarithm of its e-value; the claim is `certified` if it is at least `log10_needed`.
+    `reason` says why there is no e-value.
+    """
+
+    log10_e: float | None = None
+    log10_needed: float | None = None
+    frames: int = 0  # withheld
+    blocks: int = 0
+    certified: bool = False
+    reason: str = ""
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the withheld blocks were asked and do not confirm the claim."""
+        return self.log10_e is not None and not self.certified
+
+    def __str__(self) -> str:
+        if self.log10_e is None or self.log10_needed is None:
+            return f"not tested on withheld blocks: {self.reason}"
+        how = "confirmed" if self.certified else "not confirmed"
+        return f"{how} on the withheld blocks (e = {power(self.log10_e)}; needed {power(self.log10_needed)})"
+
+
+def power(log10: float) -> str:
+    """Return a number by its decimal logarithm: plain from 0.01 to 9999, else as a power of ten."""
+    if not -2.0 <= log10 < 4.0:
+        return f"10^{log10:.4g}"
+    return f"{10.0**log10:.3g}" if log10 < 2.0 else f"{10.0**log10:.0f}"
+
+
+@dataclass(frozen=True)
 class Finding:
     """An effect that the model lacks, or a fault of the measurement.
 
@@ -59,6 +93,7 @@ class Finding:
     share: float | None = None
     probability: float | None = None
     refitted: Refitted | None = None
+    certificate: Certificate | None = None
 
 
 @dataclass(frozen=True)
@@ -89,6 +124,7 @@ class FamilyFinding:
     law_share: float | None = None
     generic: tuple[str, ...] = ()
     alternatives: tuple[str, ...] = ()  # other families that cannot be distinguished here
+    certificate: Certificate | None = None  # of a family without a law; that of a law stands with its effect
 
 
 @dataclass(frozen=True)

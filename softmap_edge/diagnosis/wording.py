@@ -150,3 +150,8 @@ def at_bounds(findings: Sequence[Finding]) -> list[str]:
         for label, p in finding.params.items()
         if p.at_bound
     ]
+
+
+def unconfirmed(claims: Sequence[Finding | FamilyFinding]) -> list[str]:
+    """Return a doubt for each claim that the withheld blocks do not confirm."""
+    return [f"{c.name} is {c.certificate}" for c in claims if c.certificate is not None and c.certificate.refuted]

@@ -28,6 +28,7 @@ from softmap_edge.report.text import (
     OUTPUT_NOTE,
     STATIC_ADDED,
     again,
+    confirmed,
     ladder_steps,
     moved_by,
     parameter,
@@ -353,7 +354,7 @@ def _effect_row(row: Mapping[str, Any], judged: bool) -> str:
         + (' <span class="flag">at its bound</span>' if value.get("at_bound") else "")
         + "</div>"
         for label, value in (row.get("params") or {}).items()
-    ) + "".join(f"<div><small>{escaped(line)}</small></div>" for line in again(row))
+    ) + "".join(f"<div><small>{escaped(line)}</small></div>" for line in [*again(row), *confirmed(row)])
     shift = row.get("displacement_mm") or {}
     return (
         f"<tr><td><b>{escaped(row.get('name', '?'))}</b><br><small>{escaped(row.get('family', '?'))} · stage "

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
+from softmap_edge.diagnosis.findings import Certificate, read
 from softmap_edge.report.families import LEARNED, family_lines, learned_line
 from softmap_edge.report.in_unit import PLACES, in_unit, unit_of
 from softmap_edge.report.numbers import LARGEST, bar, folded, mm, number, percent, tamed
@@ -95,7 +96,7 @@ def _effect_lines(row: Mapping[str, Any], place_unit: str) -> list[str]:
     for label, value in (row.get("params") or {}).items():
         bound = "   at its bound" if value.get("at_bound") else ""
         lines.append(f"      {label:<26} {parameter(value)}{bound}")
-    return [*lines, *(f"      {line}" for line in again(row))]
+    return [*lines, *(part for line in [*again(row), *confirmed(row)] for part in folded(line, 6))]
 
 
 def moved_by(unit: str) -> str:
@@ -109,6 +110,11 @@ def again(row: Mapping[str, Any]) -> list[str]:
     return (
         [f"with {len(changed)} numbers of the model itself fitted again; `softmap add` brings them"] if changed else []
     )
+
+
+def confirmed(row: Mapping[str, Any]) -> list[str]:
+    """Return a sentence on what the withheld blocks of the run say of an effect, if that is known."""
+    return [str(read(Certificate, row["certificate"], "certificate"))] if row.get("certificate") else []
 
 
 def parameter(value: Mapping[str, Any]) -> str:
