@@ -140,7 +140,7 @@ def diagnose(
     behind = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
     found = with_error(found, values["effects"])
     return Diagnosis(
-        **values, learned_in=model.learned_in, servo=tuple(behind), remarks=tuple(remarks), model=found
+        **values, learned_in=getattr(model, "learned_in", ()), servo=tuple(behind), remarks=tuple(remarks), model=found
     )  # fmt: skip
 
 

@@ -47,12 +47,13 @@ class Taught:
     @classmethod
     def by(cls, model: Model, runs: Sequence[Run]) -> Taught:
         """Find which runs taught a model; none of them if it was not learned from runs."""
-        if not model.made_from.get("runs"):
+        made_from = getattr(model, "made_from", {})
+        if not made_from.get("runs"):
             return cls(count=len(runs))
         numbers = tuple(i for i, run in enumerate(runs, 1) if model.taught_by(run))
         names = tuple(one.name for one in model.learned_in)
         free = isinstance(model.prior, _core.Rod)
-        return cls(numbers, len(runs), free, bool(model.made_from.get("static")), names)
+        return cls(numbers, len(runs), free, bool(made_from.get("static")), names)
 
     @property
     def all(self) -> bool:
