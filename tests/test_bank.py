@@ -198,6 +198,9 @@ def test_a_turned_frame_may_stand_for_turned_tendons_only_where_no_roll_is_seen(
 
 
 def test_a_name_counts_only_alone_or_beside_its_structural_equivalent():
+    both = said("gain", "lag")
+    assert judged(["lag"], both, also=["gain"])["exact"] and judged(["lag", "gain"], both, also=["gain"])["exact"]
+    assert not judged(["lag", "gain"], said("lag"), also=["gain"])["exact"]
     assert judged(["lag"], said("lag"))["first"]
     assert not judged(["lag"], said("lag", alternatives=[["creep"]], verdict="ambiguous"))["first"]
     assert not judged(["lag"], said("gain", "lag"))["first"] and not judged(["lag"], said())["first"]

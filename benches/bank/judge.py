@@ -93,15 +93,14 @@ def _told(named: set[str], like: Mapping[str, set[str]], also: Sequence[str]) ->
 
     Hidden laws that are equivalents of each other share one.
     """
-    left, hidden = named - (set(also) - set(like)), list(like)
-    if len(left) > len(hidden) or not left <= set().union(*like.values()):
-        return False
+    left, hidden = set(named), list(like)
     apart = [n for i, n in enumerate(hidden) if not any(n in like[earlier] for earlier in hidden[:i])]
     for names in (like[n] for n in apart):
         if not left & names:
             return False
-        left -= {sorted(left & names)[0]}
-    return True
+        left.remove(min(left & names, key=lambda name: (name in also, name)))
+    rest = left - set(also)
+    return rest <= set().union(*like.values()) and len(rest) <= len(hidden) - len(apart)
 
 
 def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:

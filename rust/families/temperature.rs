@@ -28,7 +28,7 @@ const REFERENCE: f64 = 0.3;
 const LATE: [f64; 2] = [30.0, 100.0];
 const CREEP: [f64; 2] = [5.0, 30.0];
 
-/// z, zx, z²x, zx|x|, z², x, pole(z)x and z(pole(x) − x), with z = (temperature − mean)/range; mm. The reference
+/// z, zx, z²x, zx|x|, z², x, pole(z), pole(z)x and z(pole(x) − x), with z = (temperature − mean)/range; mm. The reference
 /// temperature is unknown, hence x.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let Some(temperature) = &series.temperature else {
@@ -66,6 +66,10 @@ fn columns(series: &Series, channel: usize, emit: Emit) {
     let mut passed = vec![0.0; z.len()];
     for tau in LATE {
         pole(&z, &series.dt, tau, &mut passed);
+        for (out, late) in out.iter_mut().zip(&passed) {
+            *out = half * late;
+        }
+        emit(&out);
         for ((out, late), x) in out.iter_mut().zip(&passed).zip(x) {
             *out = half * late * x;
         }

@@ -40,6 +40,7 @@ from softmap_edge.diagnosis.findings import (
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.masked import Masked
+from softmap_edge.diagnosis.motion_at_rest import MotionAtRest
 from softmap_edge.diagnosis.noise import motion_left
 from softmap_edge.diagnosis.outcome import Outcome, Step
 from softmap_edge.diagnosis.record import Record
@@ -119,7 +120,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
         + ("" if context.masked is None else f" {context.masked}."),
         "effects": physics,
         "faults": faults,
-        "families": families,
+        "families": _with_motion(families, moving),
         "alternatives": tuple(alternatives),
         "not_testable": tuple(hidden),
         "where": Where(_where(record, record.seen - fits.null.predicted), _where(record, residual)),
@@ -166,6 +167,16 @@ def _family(outcome: Outcome, step: Step) -> FamilyFinding:
         None if best is None else float(np.clip((float(answer.before.sum()) - best) / max(own, 1e-300), 0.0, 1.0)),
         tuple(law.name for law in answer.reaching if not law.effects), tuple(a.family.name for a in step.others),
     )  # fmt: skip
+
+
+def _with_motion(families: Sequence[FamilyFinding], moving: Sequence[MotionAtRest]) -> tuple[FamilyFinding, ...]:
+    """Return families with the motion at rest among them, by size: no effect or family of the library describes it."""
+    found = list(families)
+    for one in moving:
+        name = "motion at rest" if one.frequency_hz is None else "hum"
+        place = next((i for i, family in enumerate(found) if family.moved_mm < one.rms_mm), len(found))
+        found.insert(place, FamilyFinding(name, "time", "unknown", (), 0.0, one.rms_mm))
+    return tuple(found)
 
 
 def _finding(

@@ -15,7 +15,16 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.decision import FALL, difference, form_of, leaves_cause, reaches, seen_to_fall
+from softmap_edge.diagnosis.decision import (
+    FALL,
+    STANDS_FOR,
+    difference,
+    form_of,
+    leaves_cause,
+    near,
+    reaches,
+    seen_to_fall,
+)
 from softmap_edge.diagnosis.evidence import at_bound
 from softmap_edge.diagnosis.families import (
     Body,
@@ -205,18 +214,27 @@ class _Asked:
         best = min(losses, key=lambda loss: float(loss.sum()))
         explained = float(self.before.sum() - best.sum())
         able = sorted((law for law in laws if reaches(law.loss, best, explained, self.form)), key=_simplest)
-        unseen = [law for law in able if WINDING in law.effects and not self._winds(law)]
-        named = [law for law in able if law.effects and law not in unseen]
-        generic = [law for law in able if not law.effects]
-        is_open = bool(unseen) and not named or any(law.numbers <= named[0].numbers for law in generic if named)
-        is_open |= bool(generic) and not named
-        candidates = [*named, *unseen] if is_open else named
-        same = self._equal(candidates, 0.5 * self.form * explained)
+        named = [law for law in able if law.effects and not self._any_map(law)]
+        generic = [law for law in able if law not in named]
+        is_open = any(law.numbers <= named[0].numbers for law in generic if named) or bool(generic and not named)
+        same = self._equal(named, 0.5 * self.form * explained)
+        if not named and (candidate := self._main(laws, explained)) is not None:
+            is_open, same = True, [candidate]
         tried = tuple(sorted(laws, key=lambda one: float(one.loss.sum())))
         return Answer(
             self.representative.family, self.representative, self.before, same[0] if same else None, tuple(same[1:]),
             is_open, tuple(able), tried,
         )  # fmt: skip
+
+    def _main(self, laws: list[Law], explained: float) -> Law | None:
+        """Return the member that does most of what a static family does: imperfections may hide the rest of it."""
+        if self.representative.family.kind not in ("static", "time"):
+            return None
+        members = sorted((law for law in laws if law.effects and not self._any_map(law)), key=_left)
+        done = float(self.before.sum()) - _left(members[0]) if members else 0.0
+        if not done >= STANDS_FOR * explained > 0.0:
+            return None
+        return min((law for law in members if near(law.loss, members[0].loss, self.before)), key=_simplest)
 
     def _equal(self, candidates: list[Law], worth: float) -> list[Law]:
         """Return the simplest of the laws and its equals with as few numbers: the best, then the first to act."""
@@ -241,16 +259,21 @@ class _Asked:
     def _stage(self, law: Law) -> int:
         return max(self.fits.candidates.index(effect) for effect in law.effects)
 
-    def _winds(self, law: Law) -> bool:
-        """Whether an eccentric pulley is seen: alone, and over a full turn or with a known radius of the spools.
+    def _any_map(self, law: Law) -> bool:
+        """Whether a law has an eccentric pulley that turns less than once, or in a pair: any smooth map can be one."""
+        return WINDING in law.effects and (law.effects != (WINDING,) or not winds(law, self.body))
 
-        All else of a sine is any smooth map.
-        """
-        assert law.fit is not None
-        turn = 2.0 * np.pi * law.fit.params[f"{WINDING}.radius"]
-        seen = bool(turn <= 2.0 * float(np.median(self.body.half))) or self.body.record.spool is not None
-        return law.effects == (WINDING,) and seen
+
+def winds(law: Law, body: Body) -> bool:
+    """Whether the eccentric pulley of a law makes a full turn within the commands, or its radius is known."""
+    assert law.fit is not None
+    turns = bool(np.pi * law.fit.params[f"{WINDING}.radius"] <= float(np.median(body.half)))
+    return turns or body.record.spool is not None
+
+
+def _left(law: Law) -> float:
+    return float(law.loss.sum())
 
 
 def _simplest(law: Law) -> tuple[int, float]:
-    return law.numbers, float(law.loss.sum())
+    return law.numbers, _left(law)

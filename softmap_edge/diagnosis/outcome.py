@@ -76,10 +76,14 @@ class Outcome:
 
 
 def held_out_loss(outcome: Outcome) -> Floats:
-    """Return the held-out loss (folds,) of what was found, with the families of imperfections where they lower it."""
+    """Return the held-out loss (folds,) of what was found, with the families of imperfections where they lower it.
+
+    An open family counts with its columns, whether a candidate law is in the fit or not.
+    """
     state = outcome.state
     ways = [state, State(state.body, state.fit, state.beside)] if state.background else [state]
-    return min((ranked(way, [], []).found for way in ways), key=lambda loss: float(loss.sum()))
+    open_ = [step.family for step in outcome.steps if step.answer.open]
+    return min((ranked(way, open_, open_).before for way in ways), key=lambda loss: float(loss.sum()))
 
 
 def with_family(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:

@@ -120,7 +120,8 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     above = max(0.0, float(ranking.found.sum()) - rule.ABOVE_NOISE * state.body.problem.numbers)
     least = max(rule.FALL_FIRST * above, rule.FALL * float(ranking.found.sum()))
     answers = [a for a in answers if float(ranking.found.sum() - a.loss.sum()) >= least]
-    if not answers:
+    if not answers:  # the family falls to first order alone
+        outcome.hint = best
         return None
     best_loss = min((a.loss for a in answers), key=lambda loss: float(loss.sum()))
     if not single:  # a law may do far more than its family

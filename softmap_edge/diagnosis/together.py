@@ -6,7 +6,7 @@ by tests/test_two_levels.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from softmap_edge.diagnosis.acceptance import ASKED, falls_on, indistinct, one_p
 from softmap_edge.diagnosis.decision import near
 from softmap_edge.diagnosis.families import Family, Ranking, Representative, State, families, ranked
 from softmap_edge.diagnosis.fits import Fits
-from softmap_edge.diagnosis.laws import WINDING, Answer, Law, answered, law_of
+from softmap_edge.diagnosis.laws import WINDING, Answer, Law, answered, law_of, winds
 from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss
 
 Floats = NDArray[np.float64]
@@ -87,14 +87,17 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
 
 
 def _with_few(outcome: Outcome, visible: float) -> Outcome | None:
-    """Return the one or two laws that leave least as an outcome, each judged with the other in place.
+    """Return the two laws that leave least as an outcome, or the one if a second law is not confirmed, or None."""
+    found = (_confirmed(law, outcome, visible) for law in _few_laws(outcome))
+    return next((one for one in found if one is not None), None)
+
+
+def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
+    """Return one or two laws as an outcome if each is confirmed as the law of its family, with the other in place.
 
     No family explains ordinary imperfections meanwhile: it would take the share of static laws.
     """
     body, plain = outcome.body, outcome.plain
-    few = _few_laws(outcome)
-    if few is None:
-        return None
     most = float(outcome.null.sum() - outcome.loss.sum())
     together = rule.reaches(few.loss, outcome.loss, most)  # then a small misfit of one of them does not count
     other = Outcome(body, plain, plain, outcome.state, outcome.null, outcome.loss)
@@ -130,13 +133,14 @@ def _in_place(without: State, fits: Fits, name: str) -> Answer | None:
     return answered(without, fits, ranking.rows[0], ranking.found, pairs=False)
 
 
-def _few_laws(outcome: Outcome) -> Law | None:
-    """Return the law, or the two laws of different families, that leave least; one if a second adds too little."""
+def _few_laws(outcome: Outcome) -> list[Law]:
+    """Return the two laws of different families that leave least, if a second law adds enough, and the best single."""
     body, fits, before = outcome.body, outcome.plain, outcome.null
     null = State(body, fits.null)
     named = {name for family in families() for name in family.members}
     singles = [law_of(null, fits, (name,), before) for name in fits.candidates if name in named]
-    singles.sort(key=lambda law: float(law.loss.sum()))
+    singles = [law for law in singles if WINDING not in law.effects or winds(law, body)]
+    singles.sort(key=_left)
     found: list[tuple[Law, State, Ranking, Representative]] = []
     for first in singles[:TOGETHER]:
         assert first.fit is not None
@@ -150,15 +154,13 @@ def _few_laws(outcome: Outcome) -> Law | None:
             apart = _home(first.effects[0]) != _home(name)  # pairs of one family belong to its own question
             if name in fits.candidates and apart and both not in pairs:
                 law = law_of(state, fits, (name,), ranking.found)
+                if name == WINDING and not winds(law, body):
+                    continue
                 pairs[both] = replace(law, effects=(*first.effects, name), numbers=first.numbers + law.numbers)
-    one, two = _least(singles, before), _least(list(pairs.values()), before)
-    return two if one is None or (two is not None and falls_on(one.loss, two.loss, body)) else one
+    one, two = (min(laws, key=_left, default=None) for laws in (singles, pairs.values()))
+    pair = two is not None and (one is None or falls_on(one.loss, two.loss, body))
+    return [law for law in (two if pair else None, one) if law is not None]
 
 
-def _least(laws: Sequence[Law], before: Floats) -> Law | None:
-    """Return the law that leaves least; an eccentric pulley, which fits many maps, only where no other law is near."""
-    order = sorted(laws, key=lambda law: float(law.loss.sum()))
-    plain = [law for law in order if WINDING not in law.effects]
-    if plain and near(plain[0].loss, order[0].loss, before):
-        order = plain
-    return order[0] if order else None
+def _left(law: Law) -> float:
+    return float(law.loss.sum())
