@@ -92,8 +92,10 @@ class Answer:
 
     @property
     def loss(self) -> Floats:
-        """The held-out loss (folds,) of what is taken: the law, else the representative."""
-        return self.representative.loss if self.law is None else self.law.loss
+        """The held-out loss (folds,) of the law that stands for the family, else the least that the family can do."""
+        if self.resolved and self.law is not None:
+            return self.law.loss
+        return min((self.representative.loss, *(law.loss for law in self.reaching)), key=lambda loss: float(loss.sum()))
 
     @property
     def numbers(self) -> float:
