@@ -229,7 +229,7 @@ def _probability(
     numbers: Mapping[str, Number],
     alternatives: Sequence[Alternative],
     unknown: bool,
-    certificate: Certificate | None,
+    certificate: Certificate | None = None,
 ) -> float:
     """Return the probability that an effect, or an equivalent one, is present, from the odds against it."""
     doubts = sum(a.member == name for a in alternatives) + any(p.at_bound for p in numbers.values()) + unknown

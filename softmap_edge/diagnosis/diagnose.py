@@ -42,11 +42,11 @@ from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.errors import SoftmapError
 from softmap_edge.folds import withheld
 from softmap_edge.outside import BEYOND
-from softmap_edge.run import Run
 from softmap_edge.ticks import converted
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
+    from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def diagnose(
     fixed = excluded(record.whole, record.bases, _reach(record), max(VISIBLE_MM, ORDINARY * motion_mm(record)))
     candidates = [name for name in candidates if name not in fixed]
     remarks += [text for name, text in fixed.items() if effects is None or name in effects]
-    teacher = Taught.by(model, [run] if isinstance(run, Run) else run)
+    teacher = Taught.by(model, list(run) if isinstance(run, Sequence) else [run])
     problem, outcome = _searched(record, candidates, progress, teacher)
     held = teacher.hidden(record, candidates)
     candidates, impossible = [n for n in candidates if n not in {h.name for h in held}], [*impossible, *held]

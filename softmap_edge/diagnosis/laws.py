@@ -91,6 +91,11 @@ class Answer:
         return self.law is not None and not self.open
 
     @property
+    def rough(self) -> bool:
+        """Whether the law is only the candidate that does most, so that the representative explains more."""
+        return self.open and self.law is not None and not any(self.law is law for law in self.reaching)
+
+    @property
     def loss(self) -> Floats:
         """The held-out loss (folds,) of the law that stands for the family, else the least that the family can do."""
         if self.resolved and self.law is not None:

@@ -88,12 +88,29 @@ def held_out_loss(outcome: Outcome) -> Floats:
 
 def with_family(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
     """Return state and fits with a family taken: its law joins the fit, or else its representative stands alongside."""
-    if answer.law is not None and answer.law.fit is not None:
+    if answer.law is not None and answer.law.fit is not None and not answer.rough:
         return State(state.body, answer.law.fit, state.beside, state.background), fits
     beside = (*state.beside, answer.representative)
     there = State(state.body, state.fit, beside)
     fits = Fits(shifted(state.body.problem, there.shift), fits.candidates)
     return State(state.body, fits.get(state.fit.effects, state.fit.space.split), beside, state.background), fits
+
+
+def name_candidates(outcome: Outcome) -> None:
+    """Put candidates of open laws in the place of the representatives that stood for their families."""
+    state, rough = outcome.state, [step.answer for step in outcome.steps if step.answer.rough]
+    laws = [a.law for a in rough if a.law is not None and not set(a.law.effects) <= set(state.fit.effects)]
+    if not laws:
+        return
+    replaced = {answer.family.name for answer in rough}
+    split = [e for law in laws if law.fit is not None for e in law.effects if e in law.fit.space.split]
+    beside = [one for one in state.beside if one.family.name not in replaced]
+    fits = outcome.plain
+    if beside:
+        fits = Fits(shifted(fits.problem, State(state.body, state.fit, beside).shift), fits.candidates)
+    effects = [*state.fit.effects, *(e for law in laws for e in law.effects)]
+    fit = fits.get(effects, [*state.fit.space.split, *split])
+    outcome.fits, outcome.state = fits, State(state.body, fit, beside, state.background)
 
 
 def shifted(problem: Problem, shift: Floats) -> Problem:

@@ -41,7 +41,7 @@ from softmap_edge.diagnosis.families import (
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import Answer, Law, answered, law_of
-from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss, shifted, with_family
+from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss, name_candidates, shifted, with_family
 from softmap_edge.diagnosis.together import reconsidered
 
 HINT = 0.1  # share of the loss that an unaccepted family must explain to be a hint
@@ -73,6 +73,7 @@ def search(
     if MOST > 1:
         outcome = reconsidered(outcome, more, visible)
     _ask_again(outcome)
+    name_candidates(outcome)
     outcome.loss = held_out_loss(outcome)
     return outcome
 
@@ -178,9 +179,9 @@ def _ordinary_apart(one: Representative, other: Representative, state: State) ->
 def _ask_again(outcome: Outcome) -> None:
     """Ask families without a law once more, now that all others are in place."""
     for i, step in enumerate(outcome.steps):
-        if step.answer.law is not None:
+        state, family, law = outcome.state, step.family, step.answer.law
+        if law is not None and (not step.answer.rough or set(law.effects) <= set(state.fit.effects)):
             continue
-        state, family = outcome.state, step.family
         others = [one for one in state.beside if one.family.name != family.name]
         fits = outcome.plain
         if others:
