@@ -1,6 +1,6 @@
 """Folds of cross-validation: which frames are held out together, and which are then fitted.
 
-Frames near each other are alike, so folds are blocks of time, with a gap beside each that trains nothing. But moves of
+Frames near each other are alike, so folds are blocks of time, with a gap on each side that trains nothing. But moves of
 one kind are often recorded one after the other, and a block of time then holds all of them: what was never seen cannot
 be learned (on a real nine-tendon robot a polynomial looked ten times worse than it is). So where a run labels its
 frames (`block`) and has labels enough, whole labels are dealt out to the folds in turn, in the order they appear in.
@@ -22,13 +22,13 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.intp]
 Folds = list[tuple[Index, Index]]  # (frames trained on, frames tested)
 
-FOLDS, GAP = 8, 1.0  # of a diagnosis, and the seconds left out beside what is held out
+FOLDS, GAP = 8, 1.0  # of a diagnosis, and the seconds left out next to a fold
 MOST_FOLDS = 10
 LEAST_FRAMES = 8
 LEAST_LABELLED = 3  # frames of one label, on average: one a frame is a number and no label
 LABELS_A_FOLD = 2  # fewer, and a fold would hold out one kind of motion and nothing else
 EVERY, FIRST = 5, 2  # every fifth block is withheld, the third first: a run begins with frames that choose
-MOST_BLOCKS, GAPS_A_BLOCK = 25, 5  # a block is at least so many gaps long, for the gaps beside it to cost little
+MOST_BLOCKS, GAPS_A_BLOCK = 25, 5  # a block is at least so many gaps long, so that the gaps next to it cost little
 LEAST_WITHHOLDING = 60  # frames of a run from which blocks are withheld
 
 

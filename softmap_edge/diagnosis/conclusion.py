@@ -58,9 +58,7 @@ Registry = Mapping[str, dict[str, Any]]
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """What is known beside the search: an independent run, what was dropped or never tried, the model's own misfit,
-    and the certificates.
-    """
+    """What is known apart from the search: an independent run, effects that were dropped or not tried, certificates."""
 
     other: Record | None = None
     demoted: Sequence[str] = ()
@@ -76,7 +74,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
 
     Args:
         outcome: the search. fit: the laws that stand, after demotion.
-        context: what is known beside it.
+        context: what is known apart from it.
 
     Returns:
         dict: the fields of a `Diagnosis`, all but its remarks, servos and model.
@@ -236,7 +234,7 @@ def _probability(
     doubts += certificate is not None and certificate.refuted
     odds = rule.ODDS_BASE + rule.ODDS_DOUBT * doubts
     if step is not None and step.answer.open:
-        odds += 1.0 + len(step.answer.reaching)  # each law that fits is as likely, and so is one that nobody tried
+        odds += 1.0 + len(step.answer.reaching)  # each law that fits is as likely, and so is one that was not tried
     return 1.0 / (1.0 + odds)
 
 

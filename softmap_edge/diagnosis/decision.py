@@ -57,7 +57,7 @@ def seen_to_fall(fall: Difference) -> bool:
 
 
 def near(loss: Floats, best: Floats, null: Floats) -> bool:
-    """Whether a hypothesis cannot be told from the best one, given what the best explains of `null`."""
+    """Whether a hypothesis cannot be distinguished from the best one, given what the best explains of `null`."""
     behind = float(loss.sum() - best.sum())
     if behind <= FORM * float(null.sum() - best.sum()):
         return True

@@ -1,4 +1,4 @@
-"""Diagnose: name the physical effect that a model lacks, with its evidence, its rivals and the error before and after.
+"""Diagnose: name the physical effect that a model lacks, with evidence, alternatives and the error before and after.
 
     features → noise and form error → whitened search over effects → acceptance on held-out blocks
              → certificate from withheld blocks → verdict
@@ -52,7 +52,7 @@ Floats = NDArray[np.float64]
 
 UNSAID = 0.05  # share of the frames that may lie outside what a model was made from
 OWN_FALL = 0.7  # fall of the held-out error by a refit from which the model's own numbers are in doubt
-ALIKE = 0.95  # cosine between two whitened signatures from which they cannot be told apart by their form
+ALIKE = 0.95  # cosine between two whitened signatures from which their form does not distinguish them
 TWICE = (
     "it is diagnosed relative to a reference run: what is recorded next has to be recorded twice, as this run was and "
     "as the reference was, and the second given with --reference"
@@ -151,7 +151,7 @@ def _reach(record: Record) -> float:
 
 
 def _apart(run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequence[Run] | None) -> None:
-    """Refuse one recording in two places: it would be counted twice, or judge what was fitted on it."""
+    """Refuse one recording in two places: it would be counted twice, or validate a fit to itself."""
     runs = list(run) if isinstance(run, Sequence) else [run]
     others = list(reference) if isinstance(reference, Sequence) else [] if reference is None else [reference]
     hashes = [one.hash() for one in runs]

@@ -318,7 +318,7 @@ class State:
         beside: Sequence[Representative] = (),
         background: Sequence[Family] = (),
     ) -> None:
-        """Say what is known; families in `background` explain ordinary imperfections, which nobody names.
+        """Say what is known; families in `background` explain ordinary imperfections, which are not named.
 
         Where the static map was learned from data with memory, the memory has bent it. Then its families stand in the
         background throughout, so that the map is solved again with every law.
@@ -333,7 +333,7 @@ class State:
         self.commands = commands
         if self.beside:
             shift = shift + body.features(commands) - body.features(start)
-        self.shift = shift  # (K, F) mm of what stands beside the fit
+        self.shift = shift  # (K, F) mm, of the representatives
 
     @property
     def predicted(self) -> Floats:
@@ -415,7 +415,7 @@ def about_itself(
     ridge: float,
     moves: Callable[[Floats], tuple[Commands, Floats]],
 ) -> tuple[Floats, Floats, Floats]:
-    """Fit columns beside what was found, linearised about their own fit.
+    """Fit columns on top of what was found, linearised about their own fit.
 
     Args:
         state: what is known.
@@ -449,10 +449,10 @@ def about_itself(
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Level 1 about a state: the loss before, with the families of what was found beside it, and each family's fit."""
+    """Level 1 about a state: the loss before, with the families of what was found alongside, and each family's fit."""
 
     level: _core.Level
-    names: list[str]  # of the blocks of what was found, and of the families that stand beside it
+    names: list[str]  # of the blocks of what was found, and of the families alongside
     ridges: list[float]
     found: Floats  # (folds,) held-out loss of what was found
     before: Floats  # (folds,) the same with the families of what was found as nuisances
@@ -461,7 +461,7 @@ class Ranking:
 
 
 def ranked(state: State, every: Sequence[Family], taken: Sequence[Family]) -> Ranking:
-    """Fit each family about a state; those of laws that were found stand beside, as far as the forms may be off."""
+    """Fit each family about a state, alongside those of laws that were found: the form of a law may be off."""
     body, level = state.body, state.body.level()
     names, ridges = state.blocks(level)
     known = {f"*{one.family.name}" for one in state.beside}

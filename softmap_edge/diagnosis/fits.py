@@ -20,7 +20,7 @@ Key = tuple[frozenset[str], frozenset[str]]  # effects, and those of them with a
 INSTANTS = 16  # places in time at which something may have happened
 DESCENTS = 2  # starts of a member that are followed to their end
 APART = 0.5  # of a scale: two starts that lie nearer to each other are one
-GRID = (0.15, 0.35, 0.65, 0.85)  # of a logarithmic scale, where an effect is looked for beside its start
+GRID = (0.15, 0.35, 0.65, 0.85)  # of a logarithmic scale, where a fit of an effect begins besides its start
 
 
 class Fits:

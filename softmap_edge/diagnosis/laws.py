@@ -1,9 +1,9 @@
 """Level 2 of a diagnosis: which law of a family it is, with what the family can do as the measure.
 
-The family's members are fitted on top of what was found; beside them pairs of members, the same law with a number for
-each channel, and for static maps generic laws that are nobody's effect. A law *reaches* if it leaves no more than the
-best of all, the representative included, up to one standard error or the tolerance of its form. If nobody reaches, the
-law is unknown; if a generic law with as few numbers does, it is open. Pinned by tests/test_two_levels.py.
+The family's members are fitted on top of what was found, then pairs of members, the same law with a number for each
+channel, and for static maps generic laws, which are no effects. A law *reaches* if it leaves no more than the best of
+all, the representative included, up to one standard error or the tolerance of its form. If none reaches, the law is
+unknown; if a generic law with as few numbers does, it is open. Pinned by tests/test_two_levels.py.
 """
 
 from __future__ import annotations
@@ -123,11 +123,11 @@ def answered(state: State, fits: Fits, rough: Representative, before: Floats, pa
 
 
 def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, split: Collection[str] = ()) -> Law:
-    """Fit effects on top of what was found and judge them on held-out folds; `before` is the loss (folds,) without.
+    """Fit effects on top of what was found, with their loss on held-out folds; `before` is the loss (folds,) without.
 
     Those in `split` have a number for each channel.
 
-    What happens once in a fold cannot be known from the others: there a law is as good as none.
+    Other folds cannot show an event that happens once, in this fold: there a law is as good as none.
     """
     body, fit = state.body, fits.get((*state.fit.effects, *effects), (*state.fit.space.split, *split))
     level = body.level()
@@ -176,7 +176,7 @@ class _Asked:
         return found
 
     def generic(self) -> list[Law]:
-        """Fit laws of a static map that are nobody's effect, with one set of numbers and with one for each channel."""
+        """Fit generic laws of a static map, with one set of numbers and with one for each channel."""
         laws = []
         for name, curves in GENERIC.items():
             laws.append(self._generic(f"{name} on each channel", curves, False))
