@@ -9,6 +9,10 @@ pub static FAMILY: Family = Family {
     kind: Kind::Condition,
     doc: "The same command gives another shape at another temperature: softer material or longer tendons.",
     needs: &["temperature"],
+    experiment: (
+        "the same moves while it warms up and while it cools down, temperature recorded",
+        15.0,
+    ),
     mimics: &["time", "step"],
     members: &["thermal_softening", "gain"],
     columns: Some(columns),
