@@ -5,8 +5,8 @@
 chi²₁ is that of the withheld frames under everything found, with numbers fitted to the other frames. chi²₀ is the same
 without the claim, all other numbers maximised on the withheld frames themselves (universal inference: Wasserman,
 Ramdas, Balakrishnan 2020, doi:10.1073/pnas.1922664117). Both are whitened with noise, the model's own error and the
-robot's ordinary imperfections, at the level that the search estimates, in the covariance. φ >= 1 is the over-dispersion
-of the other frames.
+robot's ordinary imperfections, at the level that the search estimates, in the covariance. φ is the dispersion of the
+other frames, at least 1 except for a rod.
 
 The split alone makes noise harmless, but a model's own error is the same in all blocks. Whatever k numbers are fitted,
 2 ln LR is at most chi²(k) under the null, and E exp(T chi²(k) / 2) = (1 - T)^(-k/2). With T and the last term e stays
@@ -99,7 +99,9 @@ class _Evidence:
         self.body = Body(_split(outcome, kept), outcome.fits.candidates)
         self.chi2, _, chosen = self._chi2(fit, self.beside)
         share = len(kept.chosen) / len(outcome.body.record)
-        self.dispersion = max(1.0, chosen / max(1.0, share * outcome.body.problem.numbers))
+        scale = chosen / max(1.0, share * outcome.body.problem.numbers - len(fit.x))
+        # A rod's noise is its error on the run, in which the effect that is tested has a share: it may be too large.
+        self.dispersion = scale if outcome.body.record.model.kind == "rod" else max(1.0, scale)
 
     def of_effect(self, name: str) -> float:
         """Return log10 e of an effect."""

@@ -104,9 +104,9 @@ def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
     for name in few.effects:
         state = State(body, plain.get([e for e in few.effects if e != name]))
         answer = _in_place(state, plain, name)
-        if answer is not None and answer.law is None and together:
+        if answer is not None and together and (answer.law is None or answer.rough):
             best = answer.tried[0]  # a generic law would leave it open
-            answer = replace(answer, law=best, equals=()) if best.effects == (name,) else answer
+            answer = replace(answer, law=best, equals=(), open=False) if best.effects == (name,) else answer
         if answer is None or answer.law is None or answer.law.fit is None:
             return None
         if not falls_on(answer.before, answer.law.loss, body):
