@@ -161,7 +161,7 @@ def test_rule_of_e_bh(logs, sure):
 
 
 def test_rule_controls_the_false_discovery_rate():
-    """Null e-values of mean 1 with as heavy tails as there are, beside true claims: a false share of at most 0.05."""
+    """Null e-values of mean 1 with the heaviest tails, with true claims: at most 0.05 of all claims are false."""
     rng = np.random.default_rng(0)
     shares = []
     for _ in range(2000):

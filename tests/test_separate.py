@@ -75,7 +75,7 @@ def test_a_block_that_separates_families_is_recorded_before_a_better_one_that_se
 
 
 def proposed(named):
-    """The blocks that are proposed for play that a circle showed, beside hysteresis and a delay."""
+    """The blocks that are proposed for play on a circle, against hysteresis and a delay."""
     run = played(BLOCKS["circle"].plan(LIMITS), {"backlash.gap": 0.8})
     stated = {"backlash.gap": {"value": 0.8, "sigma": 0.1, "unit": "mm"}}
     rows = [

@@ -160,7 +160,7 @@ def _family(outcome: Outcome, step: Step, proof: Certified | None) -> FamilyFind
     explained = max(null - float(outcome.loss.sum()), 1e-300)
     own = float(answer.before.sum() - answer.representative.loss.sum())
     laws = [law for law in answer.tried if law.effects]
-    best = min((float(law.loss.sum()) for law in laws), default=None)
+    best = min((law.left for law in laws), default=None)
     named = [answer.law] if answer.law is not None else []
     others = () if answer.resolved else answer.equals
     effects = [e for law in (*named, *others) for e in law.effects]

@@ -67,6 +67,16 @@ class Law:
     numbers: int
     bounds: tuple[str, ...] = ()  # labels of numbers that stand at a bound
 
+    @property
+    def left(self) -> float:
+        """The held-out loss of all folds."""
+        return float(self.loss.sum())
+
+    @property
+    def split(self) -> tuple[str, ...]:
+        """Its effects that have a number for each channel."""
+        return () if self.fit is None else tuple(e for e in self.effects if e in self.fit.space.split)
+
 
 @dataclass(frozen=True, eq=False)
 class Answer:
@@ -167,12 +177,11 @@ class _Asked:
     def pairs(self, laws: list[Law]) -> list[Law]:
         """Fit the pairs of the best members, as they are best."""
         best: dict[tuple[str, ...], Law] = {}
-        for law in sorted((law for law in laws if law.effects), key=lambda law: float(law.loss.sum())):
+        for law in sorted((law for law in laws if law.effects), key=lambda law: law.left):
             best.setdefault(law.effects, law)
         found = []
         for a, b in combinations(list(best.values())[:PAIRED], 2):
-            split = [e for law in (a, b) if law.fit is not None for e in law.effects if e in law.fit.space.split]
-            found.append(law_of(self.state, self.fits, (*a.effects, *b.effects), self.before, split))
+            found.append(law_of(self.state, self.fits, (*a.effects, *b.effects), self.before, (*a.split, *b.split)))
         return found
 
     def generic(self) -> list[Law]:
@@ -237,8 +246,8 @@ class _Asked:
         """Return the member that does most of what a static family does: imperfections may hide the rest of it."""
         if self.representative.family.kind not in ("static", "time"):
             return None
-        members = sorted((law for law in laws if law.effects and not self._any_map(law)), key=_left)
-        done = float(self.before.sum()) - _left(members[0]) if members else 0.0
+        members = sorted((law for law in laws if law.effects and not self._any_map(law)), key=lambda law: law.left)
+        done = float(self.before.sum()) - members[0].left if members else 0.0
         if not done >= STANDS_FOR * explained > 0.0:
             return None
         return min((law for law in members if near(law.loss, members[0].loss, self.before)), key=_simplest)
@@ -259,7 +268,7 @@ class _Asked:
 
         def beaten(law: Law) -> bool:
             fall = difference(law.loss, first.loss)
-            return seen_to_fall(fall) and fall.fall >= FALL * float(law.loss.sum())
+            return seen_to_fall(fall) and fall.fall >= FALL * law.left
 
         return sorted([first, *equals], key=lambda law: (law.numbers, beaten(law), self._stage(law)))
 
@@ -278,9 +287,5 @@ def winds(law: Law, body: Body) -> bool:
     return bool(turns) or body.record.spool is not None
 
 
-def _left(law: Law) -> float:
-    return float(law.loss.sum())
-
-
 def _simplest(law: Law) -> tuple[int, float]:
-    return law.numbers, _left(law)
+    return law.numbers, law.left

@@ -6,6 +6,7 @@ is seen before the next fit. Pinned by tests/test_two_levels.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
 
@@ -91,8 +92,7 @@ def with_family(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
     if answer.law is not None and answer.law.fit is not None and not answer.rough:
         return State(state.body, answer.law.fit, state.beside, state.background), fits
     beside = (*state.beside, answer.representative)
-    there = State(state.body, state.fit, beside)
-    fits = Fits(shifted(state.body.problem, there.shift), fits.candidates)
+    fits = fits_alongside(Fits(state.body.problem, fits.candidates), state, beside)
     return State(state.body, fits.get(state.fit.effects, state.fit.space.split), beside, state.background), fits
 
 
@@ -103,17 +103,21 @@ def name_candidates(outcome: Outcome) -> None:
     if not laws:
         return
     replaced = {answer.family.name for answer in rough}
-    split = [e for law in laws if law.fit is not None for e in law.effects if e in law.fit.space.split]
     beside = [one for one in state.beside if one.family.name not in replaced]
-    fits = outcome.plain
-    if beside:
-        fits = Fits(shifted(fits.problem, State(state.body, state.fit, beside).shift), fits.candidates)
+    fits = fits_alongside(outcome.plain, state, beside)
     effects = [*state.fit.effects, *(e for law in laws for e in law.effects)]
-    fit = fits.get(effects, [*state.fit.space.split, *split])
+    fit = fits.get(effects, [*state.fit.space.split, *(e for law in laws for e in law.split)])
     outcome.fits, outcome.state = fits, State(state.body, fit, beside, state.background)
 
 
-def shifted(problem: Problem, shift: Floats) -> Problem:
+def fits_alongside(plain: Fits, state: State, beside: Sequence[Representative]) -> Fits:
+    """Return fits of what is seen less what representatives explain about a state; `plain` are those without any."""
+    if not beside:
+        return plain
+    return Fits(_shifted(plain.problem, State(state.body, state.fit, beside).shift), plain.candidates)
+
+
+def _shifted(problem: Problem, shift: Floats) -> Problem:
     """Return a problem with a shift (K, F) mm taken off what is seen."""
     moved = copy(problem)
     moved.record = copy(problem.record)

@@ -162,7 +162,7 @@ class Record:
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Parameters that are not fitted: nothing seen here tells them, or they are known. They stay as they are."""
+        """Parameters that are not fitted, because nothing seen here determines them or they are known."""
         return (*(() if self.roll_seen else ROLLS), *(() if self.spool is None else (RADIUS,)))
 
     @cached_property

@@ -41,7 +41,7 @@ from softmap_edge.diagnosis.families import (
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import Answer, Law, answered, law_of
-from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss, name_candidates, shifted, with_family
+from softmap_edge.diagnosis.outcome import Outcome, Step, fits_alongside, held_out_loss, name_candidates, with_family
 from softmap_edge.diagnosis.together import reconsidered
 
 HINT = 0.1  # share of the loss that an unaccepted family must explain to be a hint
@@ -183,10 +183,7 @@ def _ask_again(outcome: Outcome) -> None:
         if law is not None and (not step.answer.rough or set(law.effects) <= set(state.fit.effects)):
             continue
         others = [one for one in state.beside if one.family.name != family.name]
-        fits = outcome.plain
-        if others:
-            shift = State(state.body, state.fit, others).shift
-            fits = Fits(shifted(outcome.plain.problem, shift), outcome.plain.candidates)
+        fits = fits_alongside(outcome.plain, state, others)
         fit = fits.get(state.fit.effects, state.fit.space.split)
         mimics = family.kind == "static"  # the background would take all of its share
         without = State(state.body, fit, others, () if mimics else state.background)
@@ -230,7 +227,7 @@ def _best_law(family: Family, ranking: Ranking, state: State, fits: Fits) -> Law
     """Return the single law of a family that leaves least on top of what was found."""
     names = [n for n in family.members if n in fits.candidates and n not in state.fit.effects]
     laws = [law_of(state, fits, (name,), ranking.found) for name in names]
-    return min(laws, key=lambda law: float(law.loss.sum()), default=None)
+    return min(laws, key=lambda law: law.left, default=None)
 
 
 def _by_law(row: Representative, ranking: Ranking, state: State, fits: Fits) -> Representative:

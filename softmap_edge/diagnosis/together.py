@@ -61,7 +61,7 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
     laws = [law for step in other.steps if (law := step.answer.law) is not None and law.fit is not None]
     if len(laws) < len(other.steps):
         return other
-    split = [e for law in laws for e in law.effects if law.fit is not None and e in law.fit.space.split]
+    split = [e for law in laws for e in law.split]
     known = {step.family for step in other.steps}
     for i, (step, own) in enumerate(zip(other.steps, laws)):
         rest = [e for law in laws if law is not own for e in law.effects]
@@ -115,7 +115,7 @@ def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
             return None
         other.steps.append(Step(answer, ()))
     laws = [step.answer.law for step in other.steps if step.answer.law is not None]
-    split = [e for law in laws if law.fit is not None for e in law.effects if e in law.fit.space.split]
+    split = [e for law in laws for e in law.split]
     other.state = State(body, plain.get([e for law in laws for e in law.effects], split))
     return other
 
@@ -140,7 +140,7 @@ def _few_laws(outcome: Outcome) -> list[Law]:
     named = {name for family in families() for name in family.members}
     singles = [law_of(null, fits, (name,), before) for name in fits.candidates if name in named]
     singles = [law for law in singles if WINDING not in law.effects or winds(law, body)]
-    singles.sort(key=_left)
+    singles.sort(key=lambda law: law.left)
     found: list[tuple[Law, State, Ranking, Representative]] = []
     for first in singles[:TOGETHER]:
         assert first.fit is not None
@@ -157,10 +157,6 @@ def _few_laws(outcome: Outcome) -> list[Law]:
                 if name == WINDING and not winds(law, body):
                     continue
                 pairs[both] = replace(law, effects=(*first.effects, name), numbers=first.numbers + law.numbers)
-    one, two = (min(laws, key=_left, default=None) for laws in (singles, pairs.values()))
+    one, two = (min(laws, key=lambda law: law.left, default=None) for laws in (singles, pairs.values()))
     pair = two is not None and (one is None or falls_on(one.loss, two.loss, body))
     return [law for law in (two if pair else None, one) if law is not None]
-
-
-def _left(law: Law) -> float:
-    return float(law.loss.sum())
