@@ -106,7 +106,7 @@ def test_claim_that_withheld_blocks_contradict_is_not_identified():
     (one,) = found.effects
     assert one.name == "backlash" and one.certificate.refuted and one.certificate.log10_e < 0.0
     assert found.verdict != "identified" and one.probability < 0.8
-    assert "backlash is not confirmed on the withheld blocks (e = 10^-" in found.sentence
+    assert "backlash is not confirmed on the withheld blocks (e-value less than 10^-6; needed" in found.sentence
 
 
 def test_e_value_is_that_of_fits_in_full():
@@ -231,6 +231,7 @@ def test_document_keeps_certificates_and_does_without():
 
 def test_certificate_in_words():
     good = Certificate(12.34, 3.0, 70, 5, True)
-    assert str(good) == "confirmed on the withheld blocks (e = 10^12.34; needed 1000)"
-    assert str(Certificate(0.5, 3.0, 70, 5)) == "not confirmed on the withheld blocks (e = 3.16; needed 1000)"
-    assert [power(x) for x in (-5.0, 0.0, 2.0, 4321.2)] == ["10^-5", "1", "100", "10^4321"]
+    assert str(good) == "confirmed on the withheld blocks (e-value more than 10^6; needed 1000)"
+    assert str(Certificate(0.5, 3.0, 70, 5)) == "not confirmed on the withheld blocks (e-value 3.16; needed 1000)"
+    assert [power(x) for x in (-5.0, 0.0, 2.0, 5.26)] == ["10^-5", "1", "100", "10^5.3"]
+    assert [power(x) for x in (-41.0, 4321.2)] == ["less than 10^-6", "more than 10^6"]

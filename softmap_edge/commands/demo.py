@@ -100,7 +100,9 @@ def trial(
     say("Looking for what the model lacks …")
     diagnosis = diagnose(model, run, progress=lambda line: say(f"  {line}"))
     say(f"  {diagnosis.to_dict()['sentence']}")
-    say(f"Measuring a run of another kind ({judge.frames} frames of circles, spirals and random moves) as the judge …")
+    say(
+        f"Measuring a run of another kind ({judge.frames} frames of circles, spirals and random moves) for validation …"
+    )
     other = truth.measure(judge, seed=1)
     floor = compare(model, truth.twin().measure(judge, seed=1)).error["rms_mm"]
     before, after = compare(model, other), compare(diagnosis.model, other)

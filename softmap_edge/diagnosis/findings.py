@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 from softmap_edge.errors import ReportError
 
 T = TypeVar("T")
+BEYOND = 6  # powers of ten of an e-value that are reported
 
 
 @dataclass(frozen=True)
@@ -67,13 +68,15 @@ class Certificate:
         if self.log10_e is None or self.log10_needed is None:
             return f"not tested on withheld blocks: {self.reason}"
         how = "confirmed" if self.certified else "not confirmed"
-        return f"{how} on the withheld blocks (e = {power(self.log10_e)}; needed {power(self.log10_needed)})"
+        return f"{how} on the withheld blocks (e-value {power(self.log10_e)}; needed {power(self.log10_needed)})"
 
 
 def power(log10: float) -> str:
-    """Return a number by its decimal logarithm: plain from 0.01 to 9999, else as a power of ten."""
+    """Return a number by its decimal logarithm; beyond BEYOND powers of ten no noise model is that exact."""
+    if abs(log10) > BEYOND:
+        return f"{'more' if log10 > 0.0 else 'less'} than 10^{'' if log10 > 0.0 else '-'}{BEYOND}"
     if not -2.0 <= log10 < 4.0:
-        return f"10^{log10:.4g}"
+        return f"10^{log10:.2g}"
     return f"{10.0**log10:.3g}" if log10 < 2.0 else f"{10.0**log10:.0f}"
 
 
