@@ -1,7 +1,6 @@
 """One BLAS thread, as the command sets it: small factorisations are ten times slower with more."""
 
 import os
-from pathlib import Path
 
 import pytest
 
@@ -18,15 +17,7 @@ LONG = [
 ]  # fmt: skip
 
 
-# Files in which some tests fail during the change to two levels; the list gives the reasons, and must become empty.
-LISTED = Path(__file__).with_name("in_progress.txt").read_text(encoding="utf-8").splitlines()
-IN_PROGRESS = {line for line in LISTED if line and not line.startswith("#")}
-
-
 def pytest_collection_modifyitems(items):
-    for item in items:
-        if item.path.stem in IN_PROGRESS:
-            item.add_marker(pytest.mark.xfail(reason="the diagnosis in two levels is in progress", strict=False))
     items.sort(key=lambda item: LONG.index(item.path.stem) if item.path.stem in LONG else len(LONG))
 
 
