@@ -156,7 +156,7 @@ def test_results_are_reproducible_and_do_not_depend_on_the_order_of_columns():
     level, plain, _ = both()
     again, _, _ = both()
     assert np.array_equal(level.losses(["map", "body"], [1.0, 2.0]), again.losses(["map", "body"], [1.0, 2.0]))
-    level.clear()
+    level = level.fresh()
     assert level.names == []
     for name in ("body", "memory", "map"):
         x = plain.columns[name]

@@ -122,34 +122,45 @@ pub(super) struct Columns<'a> {
 }
 
 impl Columns<'_> {
-    /// Compute the whitened Gram of the columns over a set of frames.
-    pub(super) fn gram(&self, frames: &Frames) -> Packed {
-        let (count, n) = (frames.index.len(), self.base.len());
+    /// The whitened Gram of the columns over a set of frames, and the plain one.
+    pub(super) fn grams(&self, frames: &Frames) -> (Packed, Mat<f64>) {
+        let plain = self.plain(&frames.index);
+        (self.whitened(frames, plain.clone()), plain)
+    }
+
+    /// The whitened Gram of the columns over a set of frames from the plain one.
+    pub(super) fn whitened(&self, frames: &Frames, mut plain: Mat<f64>) -> Packed {
+        let n = self.base.len();
         // Allocated before the temporaries, so that freeing them leaves no hole in the heap.
         let mut packed = Packed(vec![0.0; n * (n + 1) / 2]);
-        let gathered = |row: &[f64], out: &mut Vec<f64>| {
-            out.extend(frames.index.iter().map(|k| row[*k]));
-        };
-        let mut weight = Vec::with_capacity(n * count); // (n, frames)
-        for row in &self.weight {
-            gathered(row, &mut weight);
-        }
-        let mut bases = Vec::with_capacity(self.bases.len() * self.form.len() * count); // (B, M, frames)
-        for base in self.bases {
-            for row in base.chunks_exact(self.total) {
-                gathered(row, &mut bases);
-            }
-        }
-        let mut out: Mat<f64> = Mat::zeros(n, n);
-        self.plain(&bases, &weight, count, &mut out);
-        self.subtract_model_error(frames, &bases, &weight, &mut out);
-        packed.fill(&out);
+        let (bases, weight) = self.gathered(&frames.index);
+        self.subtract_model_error(frames, &bases, &weight, &mut plain);
+        packed.fill(&plain);
         packed
     }
 
-    /// Write the Gram without whitening to the lower triangle of `out`, base by base.
-    fn plain(&self, bases: &[f64], weight: &[f64], count: usize, out: &mut Mat<f64>) {
-        let (n, size) = (self.base.len(), self.form.len() * count);
+    /// Bases (B, M, frames) and weights (n, frames) at some of the frames.
+    fn gathered(&self, index: &[usize]) -> (Vec<f64>, Vec<f64>) {
+        let take = |row: &[f64], out: &mut Vec<f64>| out.extend(index.iter().map(|k| row[*k]));
+        let mut weight = Vec::with_capacity(self.base.len() * index.len());
+        self.weight.iter().for_each(|row| take(row, &mut weight));
+        let mut bases = Vec::with_capacity(self.bases.len() * self.form.len() * index.len());
+        for base in self.bases {
+            let rows = base.chunks_exact(self.total);
+            rows.for_each(|row| take(row, &mut bases));
+        }
+        (bases, weight)
+    }
+
+    /// The Gram without whitening over some of the frames, in the lower triangle, base by base.
+    pub(super) fn plain(&self, index: &[usize]) -> Mat<f64> {
+        let (count, n) = (index.len(), self.base.len());
+        let mut out: Mat<f64> = Mat::zeros(n, n);
+        if count == 0 {
+            return out;
+        }
+        let (bases, weight) = self.gathered(index);
+        let size = self.form.len() * count;
         let mut scaled = vec![0.0; TOGETHER.min(n) * count];
         let mut products = vec![0.0; count];
         let mut first = 0;
@@ -182,6 +193,7 @@ impl Columns<'_> {
             }
             first += width;
         }
+        out
     }
 
     /// Subtract the part that model error can explain from the lower triangle of `out`.

@@ -11,6 +11,7 @@ use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, Side};
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Share of the mean diagonal that is added to it: makes collinear columns solvable.
 const JITTER: f64 = 1e-9;
@@ -28,13 +29,24 @@ struct Block {
     columns: Range<usize>,
 }
 
+/// The frames of a problem in folds, which many levels share.
+struct Folds {
+    form: Vec<f64>,
+    all: Frames,
+    each: Vec<Fold>,
+}
+
+/// A fold: frames for training, frames for the test, and all frames that are not for training.
+struct Fold {
+    train: Frames,
+    test: Frames,
+    others: Vec<usize>,
+}
+
 /// Columns by name, and their normal equations once the residual is known.
 pub struct Level {
-    form: Vec<f64>,
+    folds: Arc<Folds>,
     frames: usize,
-    all: Frames,
-    /// Training and test frames of each fold.
-    folds: Vec<(Frames, Frames)>,
     /// Distinct bases (M, K).
     bases: Vec<Vec<f64>>,
     blocks: Vec<Block>,
@@ -70,32 +82,48 @@ impl Level {
         let set = |name: String, given: FrameSet| {
             Frames::new(&name, given.index, &given.basis, &given.strength, frames)
         };
-        let pair = |(f, (train, test)): (usize, (FrameSet, FrameSet))| {
-            Ok((
-                set(format!("fold {f}, train"), train)?,
-                set(format!("fold {f}, test"), test)?,
-            ))
+        let fold = |(f, (train, test)): (usize, (FrameSet, FrameSet))| {
+            let train = set(format!("fold {f}, train"), train)?;
+            let mut trains = vec![false; frames];
+            train.index.iter().for_each(|k| trains[*k] = true);
+            Ok(Fold {
+                test: set(format!("fold {f}, test"), test)?,
+                others: (0..frames).filter(|k| !trains[*k]).collect(),
+                train,
+            })
         };
-        Ok(Level {
+        let folds = Folds {
             all: set("all frames".into(), all)?,
-            folds: folds
+            each: folds
                 .into_iter()
                 .enumerate()
-                .map(pair)
+                .map(fold)
                 .collect::<Result<_>>()?,
             form,
+        };
+        Ok(Level::on(Arc::new(folds), frames))
+    }
+
+    /// The same folds without columns.
+    pub fn fresh(&self) -> Level {
+        Level::on(self.folds.clone(), self.frames)
+    }
+
+    fn on(folds: Arc<Folds>, frames: usize) -> Level {
+        Level {
+            folds,
             frames,
             bases: vec![],
             blocks: vec![],
             base: vec![],
             weight: vec![],
             grams: None,
-        })
+        }
     }
 
     /// Number of modes M.
     pub fn modes(&self) -> usize {
-        self.form.len()
+        self.folds.form.len()
     }
 
     /// Number of frames K.
@@ -148,15 +176,6 @@ impl Level {
         Ok(())
     }
 
-    /// Remove all columns and keep the folds.
-    pub fn clear(&mut self) {
-        self.bases.clear();
-        self.blocks.clear();
-        self.base.clear();
-        self.weight.clear();
-        self.grams = None;
-    }
-
     /// Store a base (K, M) and return its number. Families share the slopes, so equal bases are stored once.
     fn intern(&mut self, base: &[f64]) -> usize {
         let by_modes = transposed(base, self.frames, self.modes());
@@ -196,14 +215,17 @@ impl Level {
                 .chain([&*ones])
                 .collect(),
             bases: &bases,
-            form: &self.form,
+            form: &self.folds.form,
             total: self.frames,
         };
-        let folds = || {
-            let both = |(train, test): &(Frames, Frames)| (columns.gram(train), columns.gram(test));
-            self.folds.par_iter().map(both).collect()
+        // Without whitening, the Gram of the training frames is that of all frames less that of the few others.
+        let (all, plain) = columns.grams(&self.folds.all);
+        let both = |fold: &Fold| {
+            let rest = columns.plain(&fold.others);
+            let train = columns.whitened(&fold.train, &plain - &rest);
+            (train, columns.grams(&fold.test).0)
         };
-        let (all, folds) = rayon::join(|| columns.gram(&self.all), folds);
+        let folds = self.folds.each.par_iter().map(both).collect();
         self.grams = Some(Grams { place, all, folds });
         Ok(())
     }
@@ -294,11 +316,11 @@ impl Level {
             base: vec![0],
             weight: vec![&ones],
             bases: &[&modes],
-            form: &self.form,
+            form: &self.folds.form,
             total: self.frames,
         };
-        let loss = |(_, test): &(Frames, Frames)| columns.gram(test).at(0, 0);
-        Ok(self.folds.iter().map(loss).collect())
+        let loss = |fold: &Fold| columns.grams(&fold.test).0.at(0, 0);
+        Ok(self.folds.each.iter().map(loss).collect())
     }
 
     fn modes_of(&self, name: &str, modes: &[f64]) -> Result<()> {

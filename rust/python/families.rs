@@ -240,9 +240,11 @@ impl PyLevel {
         Ok(self.level.add(name, &base.data, &which, &weight.data)?)
     }
 
-    /// Remove all columns and keep the folds.
-    fn clear(&mut self) {
-        self.level.clear();
+    /// Return the same folds without columns.
+    fn fresh(&self) -> PyLevel {
+        PyLevel {
+            level: self.level.fresh(),
+        }
     }
 
     /// Build the normal equations with the residual (K, M), whose modes are in units of noise.

@@ -23,25 +23,33 @@ ASKED = 3  # near families whose laws are tried
 SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken
 
 
-def falls_on(before: Floats, after: Floats, body: Body, share: float = rule.FALL_NEXT) -> bool:
-    """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise.
+def falls_on(before: Floats, after: Floats, body: Body, later: bool = True) -> bool:
+    """Whether a loss (folds,) is seen to fall by enough of what stood above the noise, for the first family or `later`.
 
     Where the loss is no more than noise, the noise is estimated too large or nothing is missing. Then the share is of
-    the complete loss.
+    the complete loss. Once something was found, its form is off as well, and the loss of noise is the larger one.
     """
     fall, total = difference(before, after), float(before.sum())
-    least = rule.FALL_FIRST * total if total <= body.problem.numbers else rule.FALL * total
+    share = rule.FALL_NEXT if later else rule.FALL_FIRST
+    least = (rule.FALL if stands_out(before, body, later) else rule.FALL_FIRST) * total
     above = max(0.0, total - rule.ABOVE_NOISE * body.problem.numbers)
     return seen_to_fall(fall) and fall.fall >= max(least, share * above)
+
+
+def stands_out(loss: Floats, body: Body, later: bool) -> bool:
+    """Whether a loss (folds,) is more than that of noise, where something was found `later` of laws of inexact form."""
+    return float(loss.sum()) > body.problem.numbers * (rule.ABOVE_NOISE if later else 1.0)
 
 
 def accepted(row: Representative, ranking: Ranking, state: State, later: bool, visible: float) -> bool:
     """Whether a family is accepted: its loss falls far enough, in enough folds, and its effect size is visible."""
     problem = state.body.problem
-    if not falls_on(ranking.before, row.loss, state.body, rule.FALL_NEXT if later else rule.FALL_FIRST):
+    if not falls_on(ranking.before, row.loss, state.body, later):
         return False
     noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0) if problem.noise.replicates else 0.0
     static = row.family.kind == "static"
+    if row.family.kind == "time" and rule.in_one_fold(ranking.before, row.loss):
+        return False  # an event leaves its mark on later folds too
     if static and not beyond_ordinary(ranking, state):
         return False
     record, rod = state.body.record, state.body.record.model.kind == "rod"

@@ -89,7 +89,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     behind = [] if context.masked is None else context.masked.untestable(registry)
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit, registry) if h.name not in {b.name for b in hidden}]
-    unknown = any(s.answer.law is None for s in standing) or _left(outcome, standing)
+    unknown = any(not s.answer.resolved and not s.answer.open for s in standing) or _left(outcome, standing)
     if context.own is not None and context.own.after_mm <= fits.held_out_mm(fit):
         unknown = False  # other numbers of the model's own effects explain what is left
     moving = problem.noise.moving
@@ -233,7 +233,7 @@ def _probability(
     doubts = sum(a.member == name for a in alternatives) + any(p.at_bound for p in numbers.values()) + unknown
     doubts += certificate is not None and certificate.refuted
     odds = rule.ODDS_BASE + rule.ODDS_DOUBT * doubts
-    if step is not None and step.answer.open:
+    if step is not None and not step.answer.resolved:
         odds += 1.0 + len(step.answer.reaching)  # each law that fits is as likely, and so is one that was not tried
     return 1.0 / (1.0 + odds)
 

@@ -56,6 +56,12 @@ def seen_to_fall(fall: Difference) -> bool:
     return fall.share >= FOLDS and (fall.fall > fall.error or fall.share >= 1.0)
 
 
+def in_one_fold(before: Floats, after: Floats) -> bool:
+    """Whether a single fold shows nearly all of a fall: it may hold commands that no other fold reaches."""
+    fall = np.sort(before - after)
+    return len(fall) > 1 and bool(fall[-2] <= FOLD_SHOWS * fall[-1])
+
+
 def near(loss: Floats, best: Floats, null: Floats) -> bool:
     """Whether a hypothesis cannot be distinguished from the best one, given what the best explains of `null`."""
     behind = float(loss.sum() - best.sum())

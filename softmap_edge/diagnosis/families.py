@@ -284,6 +284,10 @@ class Body:
 
     def level(self) -> _core.Level:
         """Return empty normal equations on the folds of the problem."""
+        return self._level.fresh()
+
+    @cached_property
+    def _level(self) -> _core.Level:
         problem, whitener = self.problem, self.problem.whitener
         folds = [
             (train, test, a.basis, a.strength, b.basis, b.strength)

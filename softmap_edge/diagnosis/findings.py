@@ -114,7 +114,8 @@ class FamilyFinding:
     """A family of effects that was detected.
 
     `law` is "resolved" (`effects` name it), "open" (`effects` and `generic` list laws that fit equally well) or
-    "unknown" (no known law explains as much as the family). `share` is its share of the explained loss; `law_share` is
+    "unknown" (no known law explains as much as the family; `effects` holds the one that explains most of it, if any).
+    `share` is its share of the explained loss; `law_share` is
     the part of that share that the best known law explains.
     """
 

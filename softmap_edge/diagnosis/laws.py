@@ -46,6 +46,7 @@ Curve = Callable[[Floats], Floats]
 
 WINDING = "eccentric_pulley"  # whose five numbers make it many smooth maps
 PAIRED = 3  # members of which pairs are tried
+MANY_LAWS = ("static", "time")  # kinds of families that smooth curves of many laws can explain
 GENERIC: dict[str, tuple[Curve, ...]] = {
     "u|u|": (lambda x: x * np.abs(x),),
     "u³": (lambda x: x**3,),
@@ -82,8 +83,9 @@ class Law:
 class Answer:
     """What level 2 says of a family.
 
-    `law` is the law that stands for it, or the best candidate where the law is `open` because generic laws do as well;
-    without one the representative stays. `equals` are members that reach with as few numbers.
+    `law` is the law that stands for it, or a candidate: where the law is `open` because generic laws do as well, and
+    where no law reaches and one explains most of what the family does. Without one the representative stays. `equals`
+    are members that reach with as few numbers.
     """
 
     family: Family
@@ -98,12 +100,12 @@ class Answer:
     @property
     def resolved(self) -> bool:
         """Whether one law of the library stands for the family."""
-        return self.law is not None and not self.open
+        return self.law is not None and not self.open and not self.rough
 
     @property
     def rough(self) -> bool:
         """Whether the law is only the candidate that does most, so that the representative explains more."""
-        return self.open and self.law is not None and not any(self.law is law for law in self.reaching)
+        return self.law is not None and not any(self.law is law for law in self.reaching)
 
     @property
     def loss(self) -> Floats:
@@ -235,7 +237,7 @@ class _Asked:
         is_open = any(law.numbers <= named[0].numbers for law in generic if named) or bool(generic and not named)
         same = self._equal(named, 0.5 * self.form * explained)
         if not named and (candidate := self._main(laws, explained)) is not None:
-            is_open, same = True, [candidate]
+            is_open, same = is_open or self.representative.family.kind in MANY_LAWS, [candidate]
         tried = tuple(sorted(laws, key=lambda one: float(one.loss.sum())))
         return Answer(
             self.representative.family, self.representative, self.before, same[0] if same else None, tuple(same[1:]),
@@ -243,9 +245,7 @@ class _Asked:
         )  # fmt: skip
 
     def _main(self, laws: list[Law], explained: float) -> Law | None:
-        """Return the member that does most of what a static family does: imperfections may hide the rest of it."""
-        if self.representative.family.kind not in ("static", "time"):
-            return None
+        """Return the member that explains most of what the family does: the form of its law may be off."""
         members = sorted((law for law in laws if law.effects and not self._any_map(law)), key=lambda law: law.left)
         done = float(self.before.sum()) - members[0].left if members else 0.0
         if not done >= STANDS_FOR * explained > 0.0:

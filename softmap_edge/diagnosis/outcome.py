@@ -79,11 +79,11 @@ class Outcome:
 def held_out_loss(outcome: Outcome) -> Floats:
     """Return the held-out loss (folds,) of what was found, with the families of imperfections where they lower it.
 
-    An open family counts with its columns, whether a candidate law is in the fit or not.
+    A family without a law counts with its columns, whether a candidate is in the fit or not.
     """
     state = outcome.state
     ways = [state, State(state.body, state.fit, state.beside)] if state.background else [state]
-    open_ = [step.family for step in outcome.steps if step.answer.open]
+    open_ = [step.family for step in outcome.steps if not step.answer.resolved]
     return min((ranked(way, open_, open_).before for way in ways), key=lambda loss: float(loss.sum()))
 
 
@@ -97,7 +97,7 @@ def with_family(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
 
 
 def name_candidates(outcome: Outcome) -> None:
-    """Put candidates of open laws in the place of the representatives that stood for their families."""
+    """Put candidates in the place of the representatives that stood for their families."""
     state, rough = outcome.state, [step.answer for step in outcome.steps if step.answer.rough]
     laws = [a.law for a in rough if a.law is not None and not set(a.law.effects) <= set(state.fit.effects)]
     if not laws:

@@ -91,13 +91,18 @@ def filled(values: Floats) -> Floats:
 
     Otherwise a marker that is hidden now and then would seem as noisy as the model is wrong there.
     """
-    if np.isfinite(values).all():
+    seen = np.isfinite(values)
+    if seen.all():
         return values
-    out, frames = np.zeros_like(values), np.arange(len(values))
-    for column, row in zip(values.T, out.T):
-        seen = np.isfinite(column)
-        row[:] = np.interp(frames, frames[seen], column[seen]) if seen.any() else 0.0
-    return out
+    count = len(values)
+    frame = np.arange(count)[:, None]
+    before = np.maximum.accumulate(np.where(seen, frame, -1))
+    after = np.minimum.accumulate(np.where(seen, frame, count)[::-1])[::-1]
+    low = np.clip(np.where(before < 0, after, before), 0, count - 1)
+    high = np.clip(np.where(after == count, before, after), 0, count - 1)
+    first, last = (np.take_along_axis(values, at, axis=0) for at in (low, high))
+    between = first + (last - first) / np.maximum(high - low, 1) * (frame - low)
+    return np.where(seen.any(axis=0), between, 0.0)
 
 
 def poses(state: Conditions, dwell: Ints) -> list[list[NDArray[np.intp]]]:

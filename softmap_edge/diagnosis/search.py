@@ -25,6 +25,7 @@ from softmap_edge.diagnosis.acceptance import (
     one_pose,
     order_of,
     ordinary,
+    stands_out,
 )
 from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
 from softmap_edge.diagnosis.families import (
@@ -108,7 +109,8 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
         return None
     later, best = bool(outcome.steps), rows[0]
     able = [row for row in rows if accepted(row, ranking, state, later, visible)]
-    if best not in able:  # an event, or a law far from every column: the representative may not show it
+    if best not in able and stands_out(ranking.before, state.body, later):
+        # an event, or a law far from every column: the representative may not show it
         by_law = [_by_law(row, ranking, state, fits) for row in rows[:ASKED]]
         able = [row for row in by_law if accepted(row, ranking, state, later, visible)]
         best = min((best, *able), key=lambda row: float(row.loss.sum()))

@@ -106,8 +106,9 @@ def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
         answer = _in_place(state, plain, name)
         if answer is not None and together and (answer.law is None or answer.rough):
             best = answer.tried[0]  # a generic law would leave it open
-            answer = replace(answer, law=best, equals=(), open=False) if best.effects == (name,) else answer
-        if answer is None or answer.law is None or answer.law.fit is None:
+            reached = replace(answer, law=best, equals=(), open=False, reaching=(best,))
+            answer = reached if best.effects == (name,) else answer
+        if answer is None or answer.law is None or answer.law.fit is None or not (answer.resolved or answer.open):
             return None
         if not falls_on(answer.before, answer.law.loss, body):
             return None
@@ -137,7 +138,9 @@ def _few_laws(outcome: Outcome) -> list[Law]:
     """Return the two laws of different families that leave least, if a second law adds enough, and the best single."""
     body, fits, before = outcome.body, outcome.plain, outcome.null
     null = State(body, fits.null)
-    named = {name for family in families() for name in family.members}
+    fall = rule.FALL * float(before.sum())
+    able = [row.family for row in ranked(null, families(), []).rows if before.sum() - row.loss.sum() >= fall]
+    named = {name for family in able for name in family.members}
     singles = [law_of(null, fits, (name,), before) for name in fits.candidates if name in named]
     singles = [law for law in singles if WINDING not in law.effects or winds(law, body)]
     singles.sort(key=lambda law: law.left)
@@ -149,6 +152,8 @@ def _few_laws(outcome: Outcome) -> list[Law]:
         found += [(first, state, ranking, row) for row in ranking.rows]
     pairs: dict[frozenset[str], Law] = {}
     for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[:TOGETHER]:
+        if pairs and not near(row.loss, min(pairs.values(), key=lambda law: law.left).loss, before):
+            continue  # no law of this family will do more
         for name in row.family.members:
             both = frozenset((*first.effects, name))
             apart = _home(first.effects[0]) != _home(name)  # pairs of one family belong to its own question

@@ -131,7 +131,11 @@ def _found(physics: Sequence[Finding], faults: Sequence[Finding], families: Sequ
             parts.append(f"{kind} of {family.moved_mm:.2f} mm RMS, law open{among}")
         elif family.law == "unknown":
             beside = f" (or {', '.join(family.alternatives)})" if family.alternatives else ""
-            parts.append(f"an unknown law of the family {family.name}{beside}, {family.moved_mm:.2f} mm RMS")
+            near = f"; nearest: {', '.join(family.effects)}" if family.effects else ""
+            share = f" with {100.0 * family.law_share:.0f} % of it" if near and family.law_share is not None else ""
+            parts.append(
+                f"an unknown law of the family {family.name}{beside}, {family.moved_mm:.2f} mm RMS{near}{share}"
+            )
     text = "; and ".join(parts)
     return text[:1].upper() + text[1:]
 
