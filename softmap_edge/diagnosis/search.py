@@ -18,6 +18,7 @@ from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.acceptance import (
     ASKED,
     CATCH_ALL,
+    MOST,
     accepted,
     indistinct,
     is_ordinary,
@@ -47,7 +48,6 @@ from softmap_edge.diagnosis.together import reconsidered
 
 HINT = 0.1  # share of the loss that an unaccepted family must explain to be a hint
 BACKGROUND = ("static map", "static shape", "frame", "load")  # what ordinary imperfections look like
-MOST = 4  # families that are taken
 
 
 def search(

@@ -1,4 +1,4 @@
-"""One law, or two of different families, fitted at once where the search family by family leaves a family open.
+"""Laws of different families, fitted at once where the search family by family leaves a family open.
 
 The laws replace what was found one by one only if they leave far less, or no more with more families resolved. Pinned
 by tests/test_two_levels.py.
@@ -6,14 +6,14 @@ by tests/test_two_levels.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.acceptance import ASKED, falls_on, indistinct, one_pose
+from softmap_edge.diagnosis.acceptance import ASKED, MOST, falls_on, indistinct, one_pose
 from softmap_edge.diagnosis.decision import near
 from softmap_edge.diagnosis.families import Family, Ranking, Representative, State, families, ranked
 from softmap_edge.diagnosis.fits import Fits
@@ -22,14 +22,14 @@ from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss
 
 Floats = NDArray[np.float64]
 
-TOGETHER = 6  # laws to which a second one is added, and families that are asked for it
+TOGETHER = 6  # pairs of a law and a second family that are asked for its laws
 
 
 def reconsidered(outcome: Outcome, more: Callable[[Outcome], None], visible: float) -> Outcome:
-    """Return what one law or two at once explain, if that replaces what was found family by family.
+    """Return what a few laws at once explain, if that replaces what was found family by family.
 
-    The first of two families takes a share that belongs to the second, and keeps it. Two laws that are fitted at once
-    each take their own.
+    The first of two families takes a share that belongs to the second, and keeps it. Laws that are fitted at once each
+    take their own.
 
     Args:
         outcome: what was found family by family.
@@ -43,17 +43,23 @@ def reconsidered(outcome: Outcome, more: Callable[[Outcome], None], visible: flo
     clear = len(steps) == 1 and steps[0].answer.resolved and not steps[0].others
     if clear and outcome.left <= rule.LEFT:
         return outcome
-    outcome.loss, ordinary_mm = held_out_loss(outcome), outcome.body.ordinary_mm
-    other = _with_few(outcome, visible)
-    if other is not None:
+    best, best.loss = outcome, held_out_loss(outcome)
+    for few in _few_laws(outcome):
+        ordinary_mm = outcome.body.ordinary_mm
+        other = _confirmed(few, outcome, visible)
+        if other is None:
+            continue
         other.loss = held_out_loss(other)
-        stands = _stands_for(other, outcome)
+        stands = _stands_for(other, best)
         more(other)
         other.loss = held_out_loss(other)
-        if stands or _stands_for(other, outcome):
-            return _with_others(other, outcome)
-    outcome.body.ordinary_mm = ordinary_mm
-    return outcome
+        if not stands and not _stands_for(other, best):
+            outcome.body.ordinary_mm = ordinary_mm
+            continue
+        best = other
+        if best.left <= rule.LEFT:
+            break
+    return best if best is outcome else _with_others(best, outcome)
 
 
 def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
@@ -86,14 +92,8 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
     return fewer and rule.reaches(other.loss, outcome.loss, float(outcome.null.sum() - outcome.loss.sum()))
 
 
-def _with_few(outcome: Outcome, visible: float) -> Outcome | None:
-    """Return the two laws that leave least as an outcome, or the one if a second law is not confirmed, or None."""
-    found = (_confirmed(law, outcome, visible) for law in _few_laws(outcome))
-    return next((one for one in found if one is not None), None)
-
-
 def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
-    """Return one or two laws as an outcome if each is confirmed as the law of its family, with the other in place.
+    """Return a few laws as an outcome if each is confirmed as the law of its family, with the others in place.
 
     No family explains ordinary imperfections meanwhile: it would take the share of static laws.
     """
@@ -101,8 +101,9 @@ def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
     most = float(outcome.null.sum() - outcome.loss.sum())
     together = rule.reaches(few.loss, outcome.loss, most)  # then a small misfit of one of them does not count
     other = Outcome(body, plain, plain, outcome.state, outcome.null, outcome.loss)
+    names = list(few.effects)
     for name in few.effects:
-        state = State(body, plain.get([e for e in few.effects if e != name]))
+        state = State(body, plain.get([e for e in names if e != name]))
         answer = _in_place(state, plain, name)
         if answer is not None and together and (answer.law is None or answer.rough):
             best = answer.tried[0]  # a generic law would leave it open
@@ -115,6 +116,7 @@ def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
         if body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0])) < visible:
             return None
         other.steps.append(Step(answer, ()))
+        names = [*(n for n in names if n != name), *answer.law.effects]  # another law of the family may be its law, with the others in place
     laws = [step.answer.law for step in other.steps if step.answer.law is not None]
     split = [e for law in laws for e in law.split]
     other.state = State(body, plain.get([e for law in laws for e in law.effects], split))
@@ -134,8 +136,8 @@ def _in_place(without: State, fits: Fits, name: str) -> Answer | None:
     return answered(without, fits, ranking.rows[0], ranking.found, pairs=False)
 
 
-def _few_laws(outcome: Outcome) -> list[Law]:
-    """Return the two laws of different families that leave least, if a second law adds enough, and the best single."""
+def _few_laws(outcome: Outcome) -> Iterator[Law]:
+    """Yield laws of different families that leave least: the best two, more where these add enough, and the best one."""
     body, fits, before = outcome.body, outcome.plain, outcome.null
     null = State(body, fits.null)
     fall = rule.FALL * float(before.sum())
@@ -144,11 +146,14 @@ def _few_laws(outcome: Outcome) -> list[Law]:
     singles = [law_of(null, fits, (name,), before) for name in fits.candidates if name in named]
     singles = [law for law in singles if WINDING not in law.effects or winds(law, body)]
     singles.sort(key=lambda law: law.left)
+    firsts: dict[Family, Law] = {}  # another law of the family may take its place in the end
+    for law in singles:
+        firsts.setdefault(_home(law.effects[0]), law)
     found: list[tuple[Law, State, Ranking, Representative]] = []
-    for first in singles[:TOGETHER]:
+    for home, first in list(firsts.items())[:ASKED]:
         assert first.fit is not None
         state = State(body, first.fit)
-        ranking = ranked(state, families(), [])
+        ranking = ranked(state, [f for f in families() if f != home], [])
         found += [(first, state, ranking, row) for row in ranking.rows]
     pairs: dict[frozenset[str], Law] = {}
     for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[:TOGETHER]:
@@ -163,5 +168,32 @@ def _few_laws(outcome: Outcome) -> list[Law]:
                     continue
                 pairs[both] = replace(law, effects=(*first.effects, name), numbers=first.numbers + law.numbers)
     one, two = (min(laws, key=lambda law: law.left, default=None) for laws in (singles, pairs.values()))
-    pair = two is not None and (one is None or falls_on(one.loss, two.loss, body))
-    return [law for law in (two if pair else None, one) if law is not None]
+    if two is not None and one is not None and not falls_on(one.loss, two.loss, body):
+        two = None
+    if two is not None:
+        yield two
+        if (more := _more_laws(two, body, fits)) is not None:
+            yield more
+    if one is not None:
+        yield one
+
+
+def _more_laws(few: Law, body: Body, fits: Fits) -> Law | None:
+    """Return a set of laws with the laws of more families that lower its loss enough, or None."""
+    found = few
+    while len(found.effects) < MOST:
+        assert found.fit is not None
+        state, taken = State(body, found.fit), {_home(name) for name in found.effects}
+        ranking = ranked(state, [f for f in families() if f not in taken], [])
+        best = found
+        for row in ranking.rows[:ASKED]:
+            if not near(row.loss, best.loss, ranking.found):
+                continue  # no law of this family will do more
+            names = [n for n in row.family.members if n in fits.candidates and _home(n) == row.family]
+            laws = [law_of(state, fits, (name,), ranking.found) for name in names]
+            laws = [law for law in laws if WINDING not in law.effects or winds(law, body)]
+            best = min([best, *laws], key=lambda law: law.left)
+        if best is found or not falls_on(found.loss, best.loss, body):
+            break
+        found = replace(best, effects=(*found.effects, *best.effects), numbers=found.numbers + best.numbers)
+    return None if found is few else found
