@@ -204,7 +204,9 @@ def test_what_is_visible_moves_the_body_by_more_than_a_camera_s_floor(monkeypatc
 
 def probability(alternatives=0, bound=False, unknown=False, reaching=None):
     others = [Alternative(("lag",), "", "gain")] * alternatives + [Alternative(("lag",), "", "creep")]
-    step = None if reaching is None else SimpleNamespace(answer=SimpleNamespace(open=True, reaching=[0] * reaching))
+    step = (
+        None if reaching is None else SimpleNamespace(answer=SimpleNamespace(resolved=False, reaching=[0] * reaching))
+    )
     numbers = {"gain.factor": Number(0.1, at_bound=bound)}
     return conclusion._probability(step, "gain", numbers, others, unknown)
 
