@@ -72,6 +72,9 @@ def test_a_known_law_beside_an_unknown_one_is_named_and_the_rest_left_open():
     assert told(both, said("backlash", verdict="partly_explained"))["beside"]
     assert not told(both, said("backlash"))["beside"] and not told(both, said("gain", verdict="ambiguous"))["beside"]
     assert not told(both, said("backlash", "gain", verdict="partly_explained"))["beside"]
+    candidate = said("backlash", "gain", verdict="partly_explained")
+    candidate["effects"][1]["probability"] = 0.3
+    assert told(both, candidate)["beside"]
     assert told(["backlash"], said("backlash"))["beside"] is None
 
 

@@ -273,7 +273,7 @@ def test_the_nearest_law_of_an_unknown_memory_is_a_candidate():
     assert (
         "n unknown law of the family memory" in found.sentence and "(nearest in the library: backlash" in found.sentence
     )
-    assert "the model lacks" not in found.sentence and found.error.after < 0.6 * found.error.before
+    assert "the model lacks" not in found.sentence and found.error.after < 0.9 * found.error.before
 
 
 def test_an_event_that_one_block_alone_shows_is_not_taken():

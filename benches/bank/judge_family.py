@@ -43,23 +43,26 @@ def by_family(document: Mapping[str, Any], truth: Mapping[str, Any], like: Mappi
         right |= {e["name"] for e in named if matches(e["name"], answer["also"])}
     identified = document["verdict"] == "identified"
     wrong = [e["name"] for e in named if e["name"] not in right]
+    claims = [e["name"] for e in named if e.get("probability") is None or e["probability"] >= SURE]
     answered = document["verdict"] in truth["verdicts"] and not (identified and wrong)
     return {
         "families": said,
         "family_right": _family_right(said, truth["answers"]),
-        "claimed": any(e.get("probability") is None or e["probability"] >= SURE for e in named)
-        or any(_open_map(family, truth["background_mm"], bool(named)) for family in families),
+        "claimed": bool(claims) or any(_open_map(family, truth["background_mm"], bool(named)) for family in families),
         "identified": identified,
         "false_identified": identified and bool(wrong),
         "answered": answered,
-        "beside": _beside([e["name"] for e in named], wrong, truth, like, answered),
+        "beside": _beside([e["name"] for e in named], [n for n in wrong if n in claims], truth, like, answered),
     }
 
 
 def _beside(
     named: list[str], wrong: list[str], truth: Mapping[str, Any], like: Mapping[str, set[str]], answered: bool
 ) -> bool | None:
-    """Return whether the known law of a pair is named and the rest left open; None without an unknown law."""
+    """Return whether the known law of a pair is named, the rest left open and nothing wrong claimed.
+
+    None without an unknown law.
+    """
     known = [name for name, answer in zip(truth["hidden"], truth["answers"]) if answer["names"]]
     if not known or len(known) == len(truth["hidden"]):
         return None

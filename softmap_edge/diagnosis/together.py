@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.acceptance import ASKED, MOST, falls_on, indistinct, one_pose
 from softmap_edge.diagnosis.decision import near
-from softmap_edge.diagnosis.families import Family, Ranking, Representative, State, families, ranked
+from softmap_edge.diagnosis.families import Body, Family, Ranking, Representative, State, families, ranked
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import WINDING, Answer, Law, answered, law_of, winds
 from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss
@@ -140,7 +140,7 @@ def _in_place(without: State, fits: Fits, name: str) -> Answer | None:
 
 
 def _few_laws(outcome: Outcome) -> Iterator[Law]:
-    """Yield laws of different families that leave least: the best two, more where these add enough, and the best one."""
+    """Yield laws of different families that leave least: the best two, more if these add enough, the best one."""
     body, fits, before = outcome.body, outcome.plain, outcome.null
     null = State(body, fits.null)
     fall = rule.FALL * float(before.sum())
