@@ -177,9 +177,10 @@ class _Asked:
         return [law for law, shared in zip(laws, members) if law.numbers > shared.numbers]
 
     def pairs(self, laws: list[Law]) -> list[Law]:
-        """Fit the pairs of the best members, as they are best."""
+        """Fit the pairs of the best members that can be named, as they are best."""
         best: dict[tuple[str, ...], Law] = {}
-        for law in sorted((law for law in laws if law.effects), key=lambda law: law.left):
+        able = (law for law in laws if law.effects and not self._any_map(law))
+        for law in sorted(able, key=lambda law: law.left):
             best.setdefault(law.effects, law)
         found = []
         for a, b in combinations(list(best.values())[:PAIRED], 2):
@@ -245,7 +246,12 @@ class _Asked:
         )  # fmt: skip
 
     def _main(self, laws: list[Law], explained: float) -> Law | None:
-        """Return the member that explains most of what the family does: the form of its law may be off."""
+        """Return the member that explains most of what the family does: the form of its law may be off.
+
+        A rod's own error is part of its noise: there, shares of a memory are too unsure for a candidate.
+        """
+        if self.representative.family.kind not in MANY_LAWS and self.body.record.model.kind == "rod":
+            return None
         members = sorted((law for law in laws if law.effects and not self._any_map(law)), key=lambda law: law.left)
         done = float(self.before.sum()) - members[0].left if members else 0.0
         if not done >= STANDS_FOR * explained > 0.0:

@@ -85,11 +85,20 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
 
 
 def _stands_for(other: Outcome, outcome: Outcome) -> bool:
-    """Whether one outcome replaces another: it leaves far less, or it leaves no more and is simpler."""
+    """Whether one outcome replaces another: it leaves far less, or it leaves no more and is simpler.
+
+    What static families explain alone needs no other kind: an event can do much of what a static map does.
+    """
     if falls_on(outcome.loss, other.loss, outcome.body) and other.open <= outcome.open:
         return True
     fewer = other.open < outcome.open or (other.open == outcome.open and len(other.steps) < len(outcome.steps))
-    return fewer and rule.reaches(other.loss, outcome.loss, float(outcome.null.sum() - outcome.loss.sum()))
+    kinds, known = ({_kind(step.family) for step in one.steps} for one in (other, outcome))
+    return fewer and kinds <= {"static", *known} and rule.reaches(other.loss, outcome.loss, float(outcome.null.sum() - outcome.loss.sum()))
+
+
+def _kind(family: Family) -> str:
+    """Return what a family depends on; an event and a drift are of different kinds."""
+    return family.name if family.kind == "time" else family.kind
 
 
 def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
