@@ -93,7 +93,8 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
         return True
     fewer = other.open < outcome.open or (other.open == outcome.open and len(other.steps) < len(outcome.steps))
     kinds, known = ({_kind(step.family) for step in one.steps} for one in (other, outcome))
-    return fewer and kinds <= {"static", *known} and rule.reaches(other.loss, outcome.loss, float(outcome.null.sum() - outcome.loss.sum()))
+    explained = float(outcome.null.sum() - outcome.loss.sum())
+    return fewer and kinds <= {"static", *known} and rule.reaches(other.loss, outcome.loss, explained)
 
 
 def _kind(family: Family) -> str:
