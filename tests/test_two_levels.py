@@ -187,7 +187,7 @@ def law(name, loss, numbers, **params):
     return Law(name, effects, fit, np.full(8, loss / 8), numbers)
 
 
-def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static", spool=None):
+def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static", spool=None, model="table"):
     """The answer of level 2 for a family whose representative leaves `representative` of `before`."""
     asked = object.__new__(_Asked)
     asked.form, asked.before = 0.025, np.full(8, before / 8)
@@ -195,9 +195,8 @@ def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static",
         family=SimpleNamespace(name="static map", kind=kind), loss=np.full(8, representative / 8), numbers=9.0
     )
     asked.fits = SimpleNamespace(candidates=["gain", "offset", "asymmetry", "eccentric_pulley"])
-    asked.body = SimpleNamespace(
-        half=np.array([half]), problem=SimpleNamespace(numbers=60.0), record=SimpleNamespace(spool=spool)
-    )
+    record = SimpleNamespace(spool=spool, model=SimpleNamespace(kind=model))
+    asked.body = SimpleNamespace(half=np.array([half]), problem=SimpleNamespace(numbers=60.0), record=record)
     return asked.judged(list(laws))
 
 
@@ -222,6 +221,7 @@ def test_a_static_law_that_does_most_of_its_family_is_the_candidate_of_an_open_o
     assert judged(*laws, kind="time").law.name == "gain"
     memory = judged(*laws, kind="memory")
     assert memory.law.name == "gain" and memory.rough and not memory.open and not memory.resolved
+    assert judged(*laws, kind="memory", model="rod").law is None  # its own error is part of its noise
     assert judged(law("gain", 500, 1), kind="memory").law is None  # it explains less than 0.6 of what the family does
     pulley = law("eccentric_pulley", 110, 5, **{"eccentric_pulley.radius": 8.0})
     assert judged(pulley, *laws).law.name == "gain"  # less than a turn of a sine is any smooth map

@@ -24,28 +24,27 @@ ASKED = 3  # near families whose laws are tried
 SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken
 
 
-def falls_on(before: Floats, after: Floats, body: Body, later: bool = True) -> bool:
-    """Whether a loss (folds,) is seen to fall by enough of what stood above the noise, for the first family or `later`.
+def falls_on(before: Floats, after: Floats, body: Body, share: float = rule.FALL_NEXT, laws: bool = False) -> bool:
+    """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise.
 
     Where the loss is no more than noise, the noise is estimated too large or nothing is missing. Then the share is of
-    the complete loss. Once something was found, its form is off as well, and the loss of noise is the larger one.
+    the complete loss. `laws` says that laws were found before, whose form is off as well.
     """
     fall, total = difference(before, after), float(before.sum())
-    share = rule.FALL_NEXT if later else rule.FALL_FIRST
-    least = (rule.FALL if stands_out(before, body, later) else rule.FALL_FIRST) * total
+    least = (rule.FALL if stands_out(before, body, laws) else rule.FALL_FIRST) * total
     above = max(0.0, total - rule.ABOVE_NOISE * body.problem.numbers)
     return seen_to_fall(fall) and fall.fall >= max(least, share * above)
 
 
-def stands_out(loss: Floats, body: Body, later: bool) -> bool:
-    """Whether a loss (folds,) is more than that of noise, where something was found `later` of laws of inexact form."""
-    return float(loss.sum()) > body.problem.numbers * (rule.ABOVE_NOISE if later else 1.0)
+def stands_out(loss: Floats, body: Body, laws: bool) -> bool:
+    """Whether a loss (folds,) is more than that of noise, and of the form of `laws` that were found before."""
+    return float(loss.sum()) > body.problem.numbers * (rule.ABOVE_NOISE if laws else 1.0)
 
 
 def accepted(row: Representative, ranking: Ranking, state: State, later: bool, visible: float) -> bool:
     """Whether a family is accepted: its loss falls far enough, in enough folds, and its effect size is visible."""
     problem = state.body.problem
-    if not falls_on(ranking.before, row.loss, state.body, later):
+    if not falls_on(ranking.before, row.loss, state.body, rule.FALL_NEXT if later else rule.FALL_FIRST, later):
         return False
     noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0) if problem.noise.replicates else 0.0
     static = row.family.kind == "static"

@@ -109,7 +109,8 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
         return None
     later, best = bool(outcome.steps), rows[0]
     able = [row for row in rows if accepted(row, ranking, state, later, visible)]
-    if best not in able and stands_out(ranking.before, state.body, later):
+    rod = state.body.record.model.kind == "rod"  # its own error counts as noise, which another law may explain
+    if best not in able and (rod or stands_out(ranking.before, state.body, later)):
         # an event, or a law far from every column: the representative may not show it
         by_law = [_by_law(row, ranking, state, fits) for row in rows[:ASKED]]
         able = [row for row in by_law if accepted(row, ranking, state, later, visible)]
