@@ -336,6 +336,27 @@ def test_sets_of_laws_are_tried_until_one_leaves_nothing_unknown(monkeypatch):
     assert found([], [True, True, True], [False, False, False], [0.0, 0.0, 0.0]) is None
 
 
+def test_a_static_family_without_a_law_is_not_replaced_by_an_event_or_a_memory():
+    """A slip of a tendon early in a run can do much of what a static map does; a memory can do what a map does."""
+
+    def outcome(loss, open_, *families):
+        steps = [SimpleNamespace(family=SimpleNamespace(name=name, kind=kind)) for name, kind in families]
+        body = SimpleNamespace(problem=SimpleNamespace(numbers=100.0))
+        return SimpleNamespace(loss=np.full(8, loss / 8), null=np.full(8, 125.0), open=open_, steps=steps, body=body)
+
+    static, memory, step, drift = (
+        ("static map", "static"),
+        ("memory", "memory"),
+        ("step", "time"),
+        ("frame drift", "time"),
+    )
+    assert not together._stands_for(outcome(195, 0, static, step), outcome(200, 1, static))
+    assert not together._stands_for(outcome(195, 0, step, drift), outcome(200, 1, static, drift))
+    assert together._stands_for(outcome(195, 0, static, memory), outcome(200, 1, memory))
+    assert together._stands_for(outcome(195, 0, static, drift), outcome(200, 1, static, drift))
+    assert together._stands_for(outcome(120, 0, static, step), outcome(200, 1, static))  # it leaves far less
+
+
 @pytest.mark.parametrize(("radius", "resolved"), [(3.0, True), (3.2, False), (8.0, False)])
 def test_an_eccentric_pulley_counts_only_where_a_full_turn_is_seen(radius, resolved):
     """The range is 20 mm: a turn of 2π·3 mm is within it. A smaller part of a sine is any smooth map."""
