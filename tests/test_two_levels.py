@@ -357,6 +357,20 @@ def test_a_static_family_without_a_law_is_not_replaced_by_an_event_or_a_memory()
     assert together._stands_for(outcome(120, 0, static, step), outcome(200, 1, static))  # it leaves far less
 
 
+def test_a_stop_that_no_command_reaches_stays_where_it_is_in_cross_validation():
+    """A number without any effect on the fit would go back to its usual value, and act there."""
+    run = finger_run(acting=lambda u: np.clip(u, [-8.0, -8.0], [30.0, 8.0]))
+    record = Record(MODEL, run)
+    problem = problem_of(record, ["saturation"])
+    fit = problem.fit(
+        ("saturation",), [problem.space(("saturation",), split=["saturation"]).start], split=["saturation"]
+    )
+    assert fit.params["saturation.above[0]"] > np.abs(run.command).max()
+    held = problem.held_out_mm(problem.fold_predictions(fit))
+    assert held < 1.1 * record.rms_mm(record.seen - fit.predicted)
+    assert held < 0.3 * problem.held_out_mm(problem.fold_predictions(problem.null()))
+
+
 @pytest.mark.parametrize(("radius", "resolved"), [(3.0, True), (3.2, False), (8.0, False)])
 def test_an_eccentric_pulley_counts_only_where_a_full_turn_is_seen(radius, resolved):
     """The range is 20 mm: a turn of 2π·3 mm is within it. A smaller part of a sine is any smooth map."""
