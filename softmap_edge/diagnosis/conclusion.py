@@ -89,7 +89,8 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     behind = [] if context.masked is None else context.masked.untestable(registry)
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit, registry) if h.name not in {b.name for b in hidden}]
-    unknown = any(not s.answer.resolved and not s.answer.open for s in standing) or _left(outcome, standing)
+    unknown = any(s.answer.law is None or (s.answer.rough and not s.answer.open) for s in standing)
+    unknown = unknown or _left(outcome, standing)
     if context.own is not None and context.own.after_mm <= fits.held_out_mm(fit):
         unknown = False  # other numbers of the model's own effects explain what is left
     moving = problem.noise.moving

@@ -115,8 +115,7 @@ class FamilyFinding:
 
     `law` is "resolved" (`effects` name it), "open" (`effects` and `generic` list laws that fit equally well) or
     "unknown" (no known law explains as much as the family; `effects` holds the one that explains most of it, if any).
-    `share` is its share of the explained loss; `law_share` is
-    the part of that share that the best known law explains.
+    `share` is its share of the explained loss; `law_share` is the part of that share that the best known law explains.
     """
 
     name: str

@@ -126,10 +126,8 @@ def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
         if body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0])) < visible:
             return None
         other.steps.append(Step(answer, ()))
-        names = [
-            *(n for n in names if n != name),
-            *answer.law.effects,
-        ]  # another law of the family may be its law, with the others in place
+        # With the others in place, another law of the family may be its law.
+        names = [*(n for n in names if n != name), *answer.law.effects]
     laws = [step.answer.law for step in other.steps if step.answer.law is not None]
     split = [e for law in laws for e in law.split]
     other.state = State(body, plain.get([e for law in laws for e in law.effects], split))
