@@ -21,7 +21,11 @@ import numpy as np
 from softmap_edge import Model, Run, learn_model
 from softmap_edge.bundle import builtin_model, save_bundle
 
-FINGERS = {"one effect": (["backlash"], 2.0), "four effects": (["backlash", "creep", "payload", "gain"], 5.0)}
+FINGERS: dict[str, tuple[list[str], float]] = {
+    "nothing": ([], 0.5),
+    "one effect": (["backlash"], 1.0),
+    "four effects": (["backlash", "creep", "payload", "gain"], 3.0),
+}
 LOG_S, LOG_MB = 30.0, 500.0
 CHILD = """
 import cProfile, json, pstats, resource, sys, time

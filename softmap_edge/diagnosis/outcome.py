@@ -110,11 +110,11 @@ def name_candidates(outcome: Outcome) -> None:
     outcome.fits, outcome.state = fits, State(state.body, fit, beside, state.background)
 
 
-def fits_alongside(plain: Fits, state: State, beside: Sequence[Representative]) -> Fits:
+def fits_alongside(plain: Fits, state: State, alongside: Sequence[Representative]) -> Fits:
     """Return fits of what is seen less what representatives explain about a state; `plain` are those without any."""
-    if not beside:
+    if not alongside:
         return plain
-    return Fits(_shifted(plain.problem, State(state.body, state.fit, beside).shift), plain.candidates)
+    return Fits(_shifted(plain.problem, State(state.body, state.fit, alongside).shift), plain.candidates)
 
 
 def _shifted(problem: Problem, shift: Floats) -> Problem:

@@ -6,7 +6,7 @@ by tests/test_two_levels.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -154,9 +154,7 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
     fall = rule.FALL * float(before.sum())
     able = [row.family for row in ranked(null, families(), []).rows if before.sum() - row.loss.sum() >= fall]
     named = {name for family in able for name in family.members}
-    singles = [law_of(null, fits, (name,), before) for name in fits.candidates if name in named]
-    singles = [law for law in singles if WINDING not in law.effects or winds(law, body)]
-    singles.sort(key=lambda law: law.left)
+    singles = sorted(_laws_on(null, fits, named, before), key=lambda law: law.left)
     firsts: dict[Family, Law] = {}  # another law of the family may take its place in the end
     for law in singles:
         firsts.setdefault(_home(law.effects[0]), law)
@@ -170,14 +168,10 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
     for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[:TOGETHER]:
         if pairs and not near(row.loss, min(pairs.values(), key=lambda law: law.left).loss, before):
             continue  # no law of this family will do more
-        for name in row.family.members:
-            both = frozenset((*first.effects, name))
-            apart = _home(first.effects[0]) != _home(name)  # pairs of one family belong to its own question
-            if name in fits.candidates and apart and both not in pairs:
-                law = law_of(state, fits, (name,), ranking.found)
-                if name == WINDING and not winds(law, body):
-                    continue
-                pairs[both] = replace(law, effects=(*first.effects, name), numbers=first.numbers + law.numbers)
+        home = _home(first.effects[0])  # pairs of one family belong to its own question
+        names = [n for n in row.family.members if _home(n) != home and frozenset((*first.effects, n)) not in pairs]
+        for law in _laws_on(state, fits, names, ranking.found):
+            pairs[frozenset((*first.effects, *law.effects))] = _joined(first, law)
     one, two = (min(laws, key=lambda law: law.left, default=None) for laws in (singles, pairs.values()))
     if two is not None and one is not None and not falls_on(one.loss, two.loss, body):
         two = None
@@ -200,11 +194,20 @@ def _more_laws(few: Law, body: Body, fits: Fits) -> Law | None:
         for row in ranking.rows[:ASKED]:
             if not near(row.loss, best.loss, ranking.found):
                 continue  # no law of this family will do more
-            names = [n for n in row.family.members if n in fits.candidates and _home(n) == row.family]
-            laws = [law_of(state, fits, (name,), ranking.found) for name in names]
-            laws = [law for law in laws if WINDING not in law.effects or winds(law, body)]
-            best = min([best, *laws], key=lambda law: law.left)
+            names = [n for n in row.family.members if _home(n) == row.family]
+            best = min([best, *_laws_on(state, fits, names, ranking.found)], key=lambda law: law.left)
         if best is found or not falls_on(found.loss, best.loss, body):
             break
-        found = replace(best, effects=(*found.effects, *best.effects), numbers=found.numbers + best.numbers)
+        found = _joined(found, best)
     return None if found is few else found
+
+
+def _laws_on(state: State, fits: Fits, names: Collection[str], before: Floats) -> list[Law]:
+    """Fit each of the named candidates on top of what was found, but a pulley that may be any smooth map."""
+    laws = [law_of(state, fits, (name,), before) for name in fits.candidates if name in names]
+    return [law for law in laws if WINDING not in law.effects or winds(law, state.body)]
+
+
+def _joined(first: Law, second: Law) -> Law:
+    """Return the second law, which was fitted on top of the first, as the law of both."""
+    return replace(second, effects=(*first.effects, *second.effects), numbers=first.numbers + second.numbers)

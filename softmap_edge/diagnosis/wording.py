@@ -130,10 +130,10 @@ def _found(physics: Sequence[Finding], faults: Sequence[Finding], families: Sequ
             kind = "a static, non-linear map of the commands" if family.name == "static map" else family.name
             parts.append(f"{kind} of {family.moved_mm:.2f} mm RMS, law open{among}")
         elif family.law == "unknown":
-            beside = f" (or {', '.join(family.alternatives)})" if family.alternatives else ""
+            others = f" (or {', '.join(family.alternatives)})" if family.alternatives else ""
             share = f", {100.0 * family.law_share:.0f} % of it" if family.law_share is not None else ""
             near = f" (nearest in the library: {', '.join(family.effects)}{share})" if family.effects else ""
-            parts.append(f"an unknown law of the family {family.name}{beside}, {family.moved_mm:.2f} mm RMS{near}")
+            parts.append(f"an unknown law of the family {family.name}{others}, {family.moved_mm:.2f} mm RMS{near}")
     text = "; and ".join(parts)
     return text[:1].upper() + text[1:]
 
