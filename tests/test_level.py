@@ -166,6 +166,32 @@ def test_results_are_reproducible_and_do_not_depend_on_the_order_of_columns():
     np.testing.assert_allclose(level.losses(["map"], [1.0]), plain.losses(["map"], [1.0]), rtol=1e-7)
 
 
+def test_columns_and_residuals_that_come_later_give_what_fresh_ones_give():
+    level, plain, _ = both()
+    level.losses(["map", "body"], [1.0, 2.0])
+    twice = np.repeat(plain.columns["map"][:1], 2, axis=0) * [[[1.0]], [[0.5]]]
+    plain.columns["late"] = twice + plain.columns["memory"][1:3]
+    level.add("late", plain.columns["late"], np.arange(2), np.ones((2, 90)))
+    np.testing.assert_allclose(
+        level.losses(["map", "late"], [1.0, 2.0]), plain.losses(["map", "late"], [1.0, 2.0]), rtol=1e-7
+    )
+    plain.y = np.random.default_rng(9).normal(size=plain.y.shape)
+    level.close(plain.y)
+    np.testing.assert_allclose(
+        level.losses(["late", "map"], [1.0, 2.0]), plain.losses(["late", "map"], [1.0, 2.0]), rtol=1e-7
+    )
+
+
+@pytest.mark.parametrize(("names", "ridges"), CHOICES)
+def test_the_least_loss_is_that_of_the_frames_that_are_fitted(names, ridges):
+    level, plain, _ = both()
+    every, kernel = slice(None), plain.whitener.kernel
+    left = plain.white(plain.y[None], every, kernel)[0]
+    if names:
+        left = left - plain.whole(names, ridges)[0] @ plain.white(plain.joined(names), every, kernel)
+    assert level.least(names, ridges) == pytest.approx(left @ left, rel=1e-7)
+
+
 def test_collinear_and_zero_columns_are_solvable():
     level, plain, _ = both()
     same = plain.columns["memory"][:1]
@@ -221,9 +247,10 @@ def test_invalid_columns_and_names_are_rejected():
         level.fitted("map", np.zeros(2))
     with refused(r"residual has shape \[90, 3\]"):
         level.close(np.zeros((90, 3)))
+    level = level.fresh()
     level.add("new", np.zeros((1, 90, 4)), np.array([0]), ones)
     with refused(r"call close\(residual\) first"):
-        level.losses(["map"], [1.0])
+        level.losses(["new"], [1.0])
 
 
 def test_invalid_kernels_and_folds_are_rejected():

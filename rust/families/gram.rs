@@ -8,13 +8,15 @@
 //!     Y = Qᵀ X,   D = λs/(1 + λs).
 //!
 //! Many columns share few bases, so the first term costs a few products of weights. Pairs (r, m) with D < 1e-4 are skipped,
-//! which overstates the energy along them by at most 1e-4. Checked by tests/test_level.py.
+//! which overstates the energy along them by at most 1e-4. Columns come in blocks; a Gram matrix is that of two blocks.
+//! Checked by tests/test_level.py.
 
 use crate::error::{Result, invalid};
 use crate::modes::wide;
 use faer::linalg::matmul::matmul;
-use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, Mat, MatRef, Par};
+use std::ops::Range;
+use std::sync::Arc;
 
 /// Value of D below which a pair of kernel vector and mode is skipped.
 const NEGLIGIBLE: f64 = 1e-4;
@@ -112,124 +114,72 @@ impl Frames {
 
 /// Columns X_j = bases[base[j]] ∘ weight[j], sorted by base. A base is (M, K), a weight (K,).
 pub(super) struct Columns<'a> {
-    pub(super) bases: &'a [&'a [f64]],
-    pub(super) base: Vec<usize>,
-    pub(super) weight: Vec<&'a [f64]>,
-    /// Model-error variance s of each mode (M,).
-    pub(super) form: &'a [f64],
+    pub(super) bases: &'a [Arc<Vec<f64>>],
+    pub(super) base: &'a [usize],
+    pub(super) weight: &'a [Vec<f64>],
     /// Number of frames K.
     pub(super) total: usize,
 }
 
+/// Columns at some of the frames: bases (B, M, frames) and weights (n, frames).
+struct Gathered<'a> {
+    base: &'a [usize],
+    bases: Vec<f64>,
+    weight: Vec<f64>,
+    /// M · frames.
+    size: usize,
+    count: usize,
+}
+
 impl Columns<'_> {
-    /// The whitened Gram of the columns over a set of frames, and the plain one.
-    pub(super) fn grams(&self, frames: &Frames) -> (Packed, Mat<f64>) {
-        let plain = self.plain(&frames.index);
-        (self.whitened(frames, plain.clone()), plain)
-    }
-
-    /// The whitened Gram of the columns over a set of frames from the plain one.
-    pub(super) fn whitened(&self, frames: &Frames, mut plain: Mat<f64>) -> Packed {
-        let n = self.base.len();
-        // Allocated before the temporaries, so that freeing them leaves no hole in the heap.
-        let mut packed = Packed(vec![0.0; n * (n + 1) / 2]);
-        let (bases, weight) = self.gathered(&frames.index);
-        self.subtract_model_error(frames, &bases, &weight, &mut plain);
-        packed.fill(&plain);
-        packed
-    }
-
-    /// Bases (B, M, frames) and weights (n, frames) at some of the frames.
-    fn gathered(&self, index: &[usize]) -> (Vec<f64>, Vec<f64>) {
+    fn at(&self, index: &[usize]) -> Gathered<'_> {
         let take = |row: &[f64], out: &mut Vec<f64>| out.extend(index.iter().map(|k| row[*k]));
-        let mut weight = Vec::with_capacity(self.base.len() * index.len());
+        let mut weight = Vec::with_capacity(self.weight.len() * index.len());
         self.weight.iter().for_each(|row| take(row, &mut weight));
-        let mut bases = Vec::with_capacity(self.bases.len() * self.form.len() * index.len());
+        let mut bases = vec![];
         for base in self.bases {
-            let rows = base.chunks_exact(self.total);
-            rows.for_each(|row| take(row, &mut bases));
+            base.chunks_exact(self.total)
+                .for_each(|row| take(row, &mut bases));
         }
-        (bases, weight)
+        Gathered {
+            base: self.base,
+            size: bases.len() / self.bases.len().max(1),
+            bases,
+            weight,
+            count: index.len(),
+        }
     }
 
-    /// The Gram without whitening over some of the frames, in the lower triangle, base by base.
-    pub(super) fn plain(&self, index: &[usize]) -> Mat<f64> {
-        let (count, n) = (index.len(), self.base.len());
-        let mut out: Mat<f64> = Mat::zeros(n, n);
-        if count == 0 {
-            return out;
-        }
-        let (bases, weight) = self.gathered(index);
-        let size = self.form.len() * count;
-        let mut scaled = vec![0.0; TOGETHER.min(n) * count];
-        let mut products = vec![0.0; count];
-        let mut first = 0;
-        while first < n {
-            let base = self.base[first];
-            let mine = &bases[base * size..][..size];
-            let width = self.base[first..].partition_point(|b| *b == base);
-            let mut known = usize::MAX;
-            for below in (first..n).step_by(TOGETHER) {
-                let height = TOGETHER.min(n - below);
-                for j in below..below + height {
-                    if self.base[j] != known {
-                        known = self.base[j];
-                        products_of(mine, &bases[known * size..][..size], &mut products);
-                    }
-                    let row = &weight[j * count..][..count];
-                    let scaled = &mut scaled[(j - below) * count..][..count];
-                    multiply(row, &products, scaled);
-                }
-                let rows = &scaled[..height * count];
-                let columns = &weight[first * count..][..width * count];
-                matmul(
-                    out.as_mut().submatrix_mut(below, first, height, width),
-                    Accum::Replace,
-                    MatRef::from_row_major_slice(rows, height, count),
-                    MatRef::from_column_major_slice(columns, count, width),
-                    1.0,
-                    Par::Seq,
-                );
-            }
-            first += width;
-        }
-        out
-    }
-
-    /// Subtract the part that model error can explain from the lower triangle of `out`.
-    fn subtract_model_error(
-        &self,
-        frames: &Frames,
-        bases: &[f64],
-        weight: &[f64],
-        out: &mut Mat<f64>,
-    ) {
-        let (count, n, modes) = (frames.index.len(), self.base.len(), self.form.len());
-        let ranks: Vec<usize> = self
-            .form
-            .iter()
-            .map(|s| frames.explained(*s).count())
-            .collect();
-        let mut along: Mat<f64> = Mat::zeros(ranks.iter().sum(), n); // √D Y
-        let mut formed = vec![0.0; TOGETHER.min(n) * count];
+    /// √D Y (R, n) over a set of frames, for the model-error variance `form` (M,) of each mode: the part of the columns
+    /// that model error can explain.
+    pub(super) fn along(&self, frames: &Frames, form: &[f64]) -> Mat<f64> {
+        let n = self.base.len();
+        let here = self.at(&frames.index);
+        let ranks: Vec<usize> = form.iter().map(|s| frames.explained(*s).count()).collect();
+        let mut along: Mat<f64> = Mat::zeros(ranks.iter().sum(), n);
+        let mut formed = vec![0.0; TOGETHER.min(n) * here.count];
         let mut top = 0;
         for (m, rank) in ranks.into_iter().enumerate().filter(|(_, rank)| *rank > 0) {
             for first in (0..n).step_by(TOGETHER) {
                 let width = TOGETHER.min(n - first);
-                for (j, column) in (first..).zip(formed[..width * count].chunks_exact_mut(count)) {
-                    let base = &bases[(self.base[j] * modes + m) * count..][..count];
-                    multiply(base, &weight[j * count..][..count], column);
+                let columns = formed[..width * here.count].chunks_exact_mut(here.count);
+                for (j, column) in (first..).zip(columns) {
+                    multiply(here.mode(self.base[j], m), here.weight(j), column);
                 }
                 matmul(
                     along.as_mut().submatrix_mut(top, first, rank, width),
                     Accum::Replace,
                     frames.vectors(rank).transpose(),
-                    MatRef::from_column_major_slice(&formed[..width * count], count, width),
+                    MatRef::from_column_major_slice(
+                        &formed[..width * here.count],
+                        here.count,
+                        width,
+                    ),
                     1.0,
                     Par::Seq,
                 );
             }
-            let roots: Vec<f64> = frames.explained(self.form[m]).map(f64::sqrt).collect();
+            let roots: Vec<f64> = frames.explained(form[m]).map(f64::sqrt).collect();
             for j in 0..n {
                 let column = &mut along.col_as_slice_mut(j)[top..top + rank];
                 column
@@ -239,18 +189,81 @@ impl Columns<'_> {
             }
             top += rank;
         }
-        triangular::matmul(
-            out.as_mut(),
-            BlockStructure::TriangularLower,
-            Accum::Add,
-            along.transpose(),
-            BlockStructure::Rectangular,
-            along.as_ref(),
-            BlockStructure::Rectangular,
-            -1.0,
-            Par::Seq,
-        );
+        along
     }
+
+    /// The Gram (n, n') with other columns over some of the frames, without whitening.
+    pub(super) fn plain(&self, others: &Columns, index: &[usize]) -> Mat<f64> {
+        let mut out: Mat<f64> = Mat::zeros(self.base.len(), others.base.len());
+        if index.is_empty() {
+            return out;
+        }
+        let (a, b) = (self.at(index), others.at(index));
+        let mut products = vec![0.0; a.count];
+        let mut scaled = vec![];
+        for rows in runs(a.base) {
+            for columns in runs(b.base) {
+                products_of(a.base(rows.start), b.base(columns.start), &mut products);
+                scaled.resize(rows.len() * a.count, 0.0);
+                for (j, scaled) in rows.clone().zip(scaled.chunks_exact_mut(a.count)) {
+                    multiply(a.weight(j), &products, scaled);
+                }
+                let right = &b.weight[columns.start * b.count..columns.end * b.count];
+                matmul(
+                    out.as_mut().submatrix_mut(
+                        rows.start,
+                        columns.start,
+                        rows.len(),
+                        columns.len(),
+                    ),
+                    Accum::Replace,
+                    MatRef::from_row_major_slice(&scaled, rows.len(), a.count),
+                    MatRef::from_column_major_slice(right, b.count, columns.len()),
+                    1.0,
+                    Par::Seq,
+                );
+            }
+        }
+        out
+    }
+}
+
+impl Gathered<'_> {
+    /// The base (M, frames) of a column.
+    fn base(&self, column: usize) -> &[f64] {
+        &self.bases[self.base[column] * self.size..][..self.size]
+    }
+
+    /// Mode m of a base, (frames,).
+    fn mode(&self, base: usize, m: usize) -> &[f64] {
+        &self.bases[base * self.size + m * self.count..][..self.count]
+    }
+
+    fn weight(&self, column: usize) -> &[f64] {
+        &self.weight[column * self.count..][..self.count]
+    }
+}
+
+/// Ranges of columns in a row that have the same base.
+fn runs(base: &[usize]) -> impl Iterator<Item = Range<usize>> {
+    base.chunk_by(|a, b| a == b).scan(0, |first, run| {
+        let range = *first..*first + run.len();
+        *first = range.end;
+        Some(range)
+    })
+}
+
+/// The whitened Gram: the plain one less the part along model error.
+pub(super) fn whitened(mut plain: Mat<f64>, a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
+    matmul(
+        plain.as_mut(),
+        Accum::Add,
+        a.transpose(),
+        b.as_ref(),
+        -1.0,
+        Par::Seq,
+    );
+    plain
 }
 
 /// Sum over modes of the product of two bases (M, frames), at each frame.
@@ -278,24 +291,4 @@ fn multiply(a: &[f64], b: &[f64], out: &mut [f64]) {
             }
         },
     );
-}
-
-/// Lower triangle of a symmetric matrix, row by row.
-pub(super) struct Packed(Vec<f64>);
-
-impl Packed {
-    /// Copy the lower triangle of `full`.
-    fn fill(&mut self, full: &Mat<f64>) {
-        for j in 0..full.nrows() {
-            for (i, value) in full.col_as_slice(j).iter().enumerate().skip(j) {
-                self.0[i * (i + 1) / 2 + j] = *value;
-            }
-        }
-    }
-
-    /// Entry of two columns, in either order.
-    pub(super) fn at(&self, a: usize, b: usize) -> f64 {
-        let (row, column) = (a.max(b), a.min(b));
-        self.0[row * (row + 1) / 2 + column]
-    }
 }

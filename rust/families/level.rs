@@ -1,20 +1,24 @@
 //! Level 1 of the diagnosis: ridge regression of a residual on the columns of families, with blocked cross-validation.
 //!
-//! Columns are added by name (`gram.rs`). `close` takes the residual and builds all Gram matrices once: for the training and
-//! test frames of each fold, and for all frames. Every fit after that is a small solve: θ = (G + Λ)⁻¹ b from the training
-//! frames, and the held-out loss |y − Xθ|² from the Gram of the test frames. Λ holds the ridge of each name plus 1e-9 of the
-//! mean diagonal, which makes collinear columns solvable. Checked by tests/test_level.py.
+//! Columns are added by name; `close` takes the residual. Every fit after that is a small solve: θ = (G + Λ)⁻¹ b from the
+//! training frames of a fold, and the held-out loss |y − Xθ|² from the Gram of its test frames. Λ holds the ridge of each name
+//! plus 1e-9 of the mean diagonal, which makes collinear columns solvable. A Gram matrix is made of blocks, one for two names
+//! (`gram.rs`). A block is made when a fit first needs it and kept, so families that are never fitted together, or never in
+//! folds, cost nothing. Without whitening, the Gram of training frames is that of all frames less that of the few others.
+//! Checked by tests/test_level.py.
 
-use super::gram::{Columns, Frames, Packed};
+use super::gram::{Columns, Frames, whitened};
 use crate::error::{Result, invalid};
 use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, Side};
 use rayon::prelude::*;
-use std::ops::Range;
+use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Share of the mean diagonal that is added to it: makes collinear columns solvable.
 const JITTER: f64 = 1e-9;
+/// Number of the block of the residual.
+const RESIDUAL: usize = 0;
 
 /// A set of frames with the basis (frames, r) and strength (r,) of its kernel, not yet checked.
 pub struct FrameSet {
@@ -23,10 +27,29 @@ pub struct FrameSet {
     pub strength: Vec<f64>,
 }
 
-/// Range of the columns of one name.
+/// Columns of one name, sorted by base.
 struct Block {
     name: String,
-    columns: Range<usize>,
+    /// Distinct bases (M, K), shared between blocks.
+    bases: Vec<Arc<Vec<f64>>>,
+    /// Base and weight (K,) of each column.
+    base: Vec<usize>,
+    weight: Vec<Vec<f64>>,
+    /// Position of each column as it was added.
+    place: Vec<usize>,
+    /// Number of frames K.
+    frames: usize,
+}
+
+impl Block {
+    fn columns(&self) -> Columns<'_> {
+        Columns {
+            bases: &self.bases,
+            base: &self.base,
+            weight: &self.weight,
+            total: self.frames,
+        }
+    }
 }
 
 /// The frames of a problem in folds, which many levels share.
@@ -43,25 +66,25 @@ struct Fold {
     others: Vec<usize>,
 }
 
-/// Columns by name, and their normal equations once the residual is known.
+/// Blocks of whitened Gram matrices over a set of frames, by the numbers of two names, the larger one first.
+#[derive(Default)]
+struct Grams {
+    along: HashMap<usize, Mat<f64>>,
+    blocks: HashMap<(usize, usize), Mat<f64>>,
+}
+
+/// Columns by name, and what is known of their normal equations.
 pub struct Level {
     folds: Arc<Folds>,
     frames: usize,
-    /// Distinct bases (M, K).
-    bases: Vec<Vec<f64>>,
+    /// The residual, then one for each name.
     blocks: Vec<Block>,
-    /// Base and weight (K,) of each column.
-    base: Vec<usize>,
-    weight: Vec<Vec<f64>>,
-    grams: Option<Grams>,
-}
-
-/// Gram matrices of all columns, sorted by base, with the residual last.
-struct Grams {
-    /// Position of each column in the Gram matrices.
-    place: Vec<usize>,
-    all: Packed,
-    folds: Vec<(Packed, Packed)>,
+    closed: bool,
+    /// Grams of all frames without whitening.
+    plain: HashMap<(usize, usize), Mat<f64>>,
+    all: Grams,
+    /// Training and test frames of each fold.
+    each: Vec<(Grams, Grams)>,
 }
 
 impl Level {
@@ -110,14 +133,23 @@ impl Level {
     }
 
     fn on(folds: Arc<Folds>, frames: usize) -> Level {
+        let each = folds.each.iter().map(|_| Default::default()).collect();
+        let residual = Block {
+            name: String::new(),
+            bases: vec![],
+            base: vec![0],
+            weight: vec![vec![1.0; frames]],
+            place: vec![0],
+            frames,
+        };
         Level {
             folds,
             frames,
-            bases: vec![],
-            blocks: vec![],
-            base: vec![],
-            weight: vec![],
-            grams: None,
+            blocks: vec![residual],
+            closed: false,
+            plain: HashMap::new(),
+            all: Grams::default(),
+            each,
         }
     }
 
@@ -133,12 +165,12 @@ impl Level {
 
     /// Names in the order in which they were added.
     pub fn names(&self) -> Vec<&str> {
-        self.blocks.iter().map(|block| &*block.name).collect()
+        self.blocks[1..].iter().map(|block| &*block.name).collect()
     }
 
     /// Add columns X_j = base[which_j] ∘ weight_j under a name: `base` (s, K, M), `which` (n,), `weight` (n, K).
     pub fn add(&mut self, name: &str, base: &[f64], which: &[usize], weight: &[f64]) -> Result<()> {
-        if self.blocks.iter().any(|block| block.name == name) {
+        if self.names().contains(&name) {
             return Err(invalid(format!(
                 "columns {name:?} already exist; use another name"
             )));
@@ -160,123 +192,118 @@ impl Level {
                 "{name}: which contains {bad}, but there are only {count} bases"
             )));
         }
-        let known: Vec<usize> = base
-            .chunks_exact(size)
-            .map(|base| self.intern(base))
-            .collect();
-        let first = self.base.len();
-        self.base.extend(which.iter().map(|which| known[*which]));
-        let rows = weight.chunks_exact(self.frames);
-        self.weight.extend(rows.map(<[f64]>::to_vec));
+        let bases = base.chunks_exact(size).map(|base| self.shared(base));
+        let bases = bases.collect();
+        let mut order: Vec<usize> = (0..which.len()).collect();
+        order.sort_by_key(|j| which[*j]);
+        let row = |j: &usize| weight[j * self.frames..(j + 1) * self.frames].to_vec();
         self.blocks.push(Block {
             name: name.into(),
-            columns: first..self.base.len(),
+            bases,
+            base: order.iter().map(|j| which[*j]).collect(),
+            weight: order.iter().map(row).collect(),
+            place: order,
+            frames: self.frames,
         });
-        self.grams = None;
         Ok(())
     }
 
-    /// Store a base (K, M) and return its number. Families share the slopes, so equal bases are stored once.
-    fn intern(&mut self, base: &[f64]) -> usize {
+    /// A base (K, M) by modes. Families share the slopes, so equal bases are stored once.
+    fn shared(&self, base: &[f64]) -> Arc<Vec<f64>> {
         let by_modes = transposed(base, self.frames, self.modes());
-        let known = self.bases.iter().position(|base| *base == by_modes);
-        known.unwrap_or_else(|| {
-            self.bases.push(by_modes);
-            self.bases.len() - 1
-        })
+        let known = self.blocks.iter().flat_map(|block| &block.bases);
+        let known = known.into_iter().find(|known| ***known == by_modes);
+        known.cloned().unwrap_or_else(|| Arc::new(by_modes))
     }
 
-    /// Build the Gram matrices of all columns and the residual (K, M), whose modes are in units of noise.
+    /// Take the residual (K, M), whose modes are in units of noise.
     pub fn close(&mut self, residual: &[f64]) -> Result<()> {
         self.modes_of("residual", residual)?;
         let residual = transposed(residual, self.frames, self.modes());
-        let ones = vec![1.0; self.frames];
-        let mut order: Vec<usize> = (0..self.base.len()).collect();
-        order.sort_by_key(|j| self.base[*j]);
-        let mut place = vec![0; order.len()];
-        for (at, j) in order.iter().enumerate() {
-            place[*j] = at;
+        self.blocks[RESIDUAL].bases = vec![Arc::new(residual)];
+        self.closed = true;
+        self.plain.retain(|(_, b), _| *b != RESIDUAL);
+        let parts = self.each.iter_mut().flat_map(|(train, test)| [train, test]);
+        for grams in parts.chain([&mut self.all]) {
+            grams.along.remove(&RESIDUAL);
+            grams.blocks.retain(|(_, b), _| *b != RESIDUAL);
         }
-        let bases: Vec<&[f64]> = self
-            .bases
-            .iter()
-            .chain([&residual])
-            .map(|base| &**base)
-            .collect();
-        let columns = Columns {
-            base: order
-                .iter()
-                .map(|j| self.base[*j])
-                .chain([self.bases.len()])
-                .collect(),
-            weight: order
-                .iter()
-                .map(|j| &*self.weight[*j])
-                .chain([&*ones])
-                .collect(),
-            bases: &bases,
-            form: &self.folds.form,
-            total: self.frames,
-        };
-        // Without whitening, the Gram of the training frames is that of all frames less that of the few others.
-        let (all, plain) = columns.grams(&self.folds.all);
-        let both = |fold: &Fold| {
-            let rest = columns.plain(&fold.others);
-            let train = columns.whitened(&fold.train, &plain - &rest);
-            (train, columns.grams(&fold.test).0)
-        };
-        let folds = self.folds.each.par_iter().map(both).collect();
-        self.grams = Some(Grams { place, all, folds });
         Ok(())
     }
 
     /// Held-out loss (F,) of each fold, fitting the columns of `names` with one ridge each. Without names: loss of the residual.
-    pub fn losses(&self, names: &[String], ridges: &[f64]) -> Result<Vec<f64>> {
-        let (grams, selection) = (self.closed()?, self.selection(names, ridges)?);
-        let y = grams.place.len();
-        let loss = |(train, test): &(Packed, Packed)| {
-            let theta = selection.solve(grams, train)?;
-            let at: Vec<usize> = selection.places(grams).collect();
-            let mut loss = test.at(y, y);
-            for (i, (theta_i, at_i)) in theta.iter().zip(&at).enumerate() {
-                let others = theta[..i].iter().zip(&at);
-                let crossed: f64 = others.map(|(theta, at)| theta * test.at(*at_i, *at)).sum();
-                let own = 0.5 * theta_i * test.at(*at_i, *at_i) + crossed - test.at(y, *at_i);
+    pub fn losses(&mut self, names: &[String], ridges: &[f64]) -> Result<Vec<f64>> {
+        let selection = self.selection(names, ridges)?;
+        self.prepare(&selection);
+        let (blocks, plain, form) = (&self.blocks, &self.plain, &self.folds.form);
+        let loss = |((train, test), fold): (&mut (Grams, Grams), &Fold)| {
+            for pair in selection.pairs() {
+                train.ensure(blocks, &fold.train, form, pair, |a, b| {
+                    &plain[&pair] - a.plain(b, &fold.others)
+                });
+                test.ensure(blocks, &fold.test, form, pair, |a, b| {
+                    a.plain(b, &fold.test.index)
+                });
+            }
+            let theta = selection.solve(train)?;
+            let (system, right) = (selection.system(test), selection.right(test));
+            let mut loss = test.blocks[&(RESIDUAL, RESIDUAL)][(0, 0)];
+            for (i, theta_i) in theta.iter().enumerate() {
+                let others = theta[..i].iter().enumerate();
+                let crossed: f64 = others.map(|(j, theta)| theta * system[(i, j)]).sum();
+                let own = 0.5 * theta_i * system[(i, i)] + crossed - right[(i, 0)];
                 loss += 2.0 * theta_i * own;
             }
             Ok(loss)
         };
-        grams.folds.par_iter().map(loss).collect()
+        let folds = self.each.par_iter_mut().zip(&self.folds.each);
+        folds.map(loss).collect()
+    }
+
+    /// Loss of a fit of all frames on these same frames.
+    pub fn least(&mut self, names: &[String], ridges: &[f64]) -> Result<f64> {
+        let selection = self.fit(names, ridges)?;
+        let ((factor, added), right) = (selection.factor(&self.all)?, selection.right(&self.all));
+        let mut theta = right.clone();
+        factor.solve_in_place(theta.as_mut());
+        let (theta, right) = (theta.col_as_slice(0), right.col_as_slice(0));
+        let explained: f64 = theta.iter().zip(right).map(|(t, b)| t * b).sum();
+        let ridge: f64 = theta.iter().zip(&added).map(|(t, r)| t * t * r).sum();
+        // |y − Xθ|² = y² − θᵀb − θᵀΛθ where (G + Λ)θ = b.
+        Ok(self.all.blocks[&(RESIDUAL, RESIDUAL)][(0, 0)] - explained - ridge)
     }
 
     /// Fit all frames; return the column weights of each of `names`.
-    pub fn theta(&self, names: &[String], ridges: &[f64]) -> Result<Vec<Vec<f64>>> {
-        let (grams, selection) = (self.closed()?, self.selection(names, ridges)?);
-        let theta = selection.solve(grams, &grams.all)?;
+    pub fn theta(&mut self, names: &[String], ridges: &[f64]) -> Result<Vec<Vec<f64>>> {
+        let selection = self.fit(names, ridges)?;
+        let theta = selection.solve(&self.all)?;
         let mut rest = theta.as_slice();
-        let parts = names.iter().map(|name| {
-            let (mine, others) = rest.split_at(self.block(name)?.columns.len());
+        let parts = selection.blocks.iter().map(|block| {
+            let place = &self.blocks[*block].place;
+            let (mine, others) = rest.split_at(place.len());
             rest = others;
-            Ok(mine.to_vec())
+            let mut out = vec![0.0; place.len()];
+            place
+                .iter()
+                .zip(mine)
+                .for_each(|(at, value)| out[*at] = *value);
+            out
         });
-        parts.collect()
+        Ok(parts.collect())
     }
 
     /// Effective degrees of freedom of `name` in a fit of all `names`: the trace of its block of (G + Λ)⁻¹ G.
-    pub fn freedom(&self, names: &[String], ridges: &[f64], name: &str) -> Result<f64> {
-        let (grams, selection) = (self.closed()?, self.selection(names, ridges)?);
-        let mut first = 0;
-        for other in names.iter().take_while(|other| *other != name) {
-            first += self.block(other)?.columns.len();
-        }
-        if !names.iter().any(|other| other == name) {
+    pub fn freedom(&mut self, names: &[String], ridges: &[f64], name: &str) -> Result<f64> {
+        let selection = self.fit(names, ridges)?;
+        let Some(which) = names.iter().position(|other| other == name) else {
             return Err(invalid(format!(
                 "{name:?} is not one of the fitted names {names:?}"
             )));
-        }
-        let count = self.block(name)?.columns.len();
-        let (factor, added) = selection.factor(grams, &grams.all)?;
-        let mut inverse: Mat<f64> = Mat::zeros(selection.columns.len(), count);
+        };
+        let first: usize = selection.counts[..which].iter().sum();
+        let count = selection.counts[which];
+        let (factor, added) = selection.factor(&self.all)?;
+        let mut inverse: Mat<f64> = Mat::zeros(added.len(), count);
         for j in 0..count {
             inverse[(first + j, j)] = 1.0;
         }
@@ -287,20 +314,20 @@ impl Level {
 
     /// Modes (K, M) of the columns of a name with weights `theta` (n,), not whitened.
     pub fn fitted(&self, name: &str, theta: &[f64]) -> Result<Vec<f64>> {
-        let columns = self.block(name)?.columns.clone();
-        if theta.len() != columns.len() {
+        let block = &self.blocks[self.block(name)?];
+        if theta.len() != block.place.len() {
             return Err(invalid(format!(
                 "theta has {} weights, but {name:?} has {} columns",
                 theta.len(),
-                columns.len()
+                block.place.len()
             )));
         }
         let mut by_modes = vec![0.0; self.frames * self.modes()];
-        for (j, theta) in columns.zip(theta) {
+        for ((place, base), weight) in block.place.iter().zip(&block.base).zip(&block.weight) {
             let rows = by_modes.chunks_exact_mut(self.frames);
-            for (out, base) in rows.zip(self.bases[self.base[j]].chunks_exact(self.frames)) {
-                for ((out, base), weight) in out.iter_mut().zip(base).zip(&self.weight[j]) {
-                    *out += theta * base * weight;
+            for (out, base) in rows.zip(block.bases[*base].chunks_exact(self.frames)) {
+                for ((out, base), weight) in out.iter_mut().zip(base).zip(weight) {
+                    *out += theta[*place] * base * weight;
                 }
             }
         }
@@ -309,18 +336,9 @@ impl Level {
 
     /// Loss (F,) of fixed modes (K, M) on the test frames of each fold, without any fit.
     pub fn losses_of(&self, modes: &[f64]) -> Result<Vec<f64>> {
-        self.modes_of("modes", modes)?;
-        let modes = transposed(modes, self.frames, self.modes());
-        let ones = vec![1.0; self.frames];
-        let columns = Columns {
-            base: vec![0],
-            weight: vec![&ones],
-            bases: &[&modes],
-            form: &self.folds.form,
-            total: self.frames,
-        };
-        let loss = |fold: &Fold| columns.grams(&fold.test).0.at(0, 0);
-        Ok(self.folds.each.iter().map(loss).collect())
+        let mut alone = self.fresh();
+        alone.close(modes)?;
+        alone.losses(&[], &[])
     }
 
     fn modes_of(&self, name: &str, modes: &[f64]) -> Result<()> {
@@ -335,17 +353,9 @@ impl Level {
         )))
     }
 
-    fn closed(&self) -> Result<&Grams> {
-        self.grams.as_ref().ok_or_else(|| {
-            invalid(
-                "there are no normal equations for the present columns; call close(residual) first",
-            )
-        })
-    }
-
-    fn block(&self, name: &str) -> Result<&Block> {
-        let found = self.blocks.iter().find(|block| block.name == name);
-        found.ok_or_else(|| {
+    fn block(&self, name: &str) -> Result<usize> {
+        let found = self.blocks[1..].iter().position(|block| block.name == name);
+        found.map(|place| place + 1).ok_or_else(|| {
             invalid(format!(
                 "unknown columns {name:?}; available: {}",
                 self.names().join(", ")
@@ -353,7 +363,13 @@ impl Level {
         })
     }
 
+    /// What is fitted together, checked.
     fn selection(&self, names: &[String], ridges: &[f64]) -> Result<Selection> {
+        if !self.closed {
+            return Err(invalid(
+                "there is no residual to fit; call close(residual) first",
+            ));
+        }
         if names.len() != ridges.len() {
             return Err(invalid(format!(
                 "{} names and {} ridges; give one ridge per name",
@@ -361,65 +377,151 @@ impl Level {
                 ridges.len()
             )));
         }
-        let mut selection = Selection {
-            columns: vec![],
-            ridges: vec![],
-        };
+        let mut selection = Selection::default();
         for (i, (name, ridge)) in names.iter().zip(ridges).enumerate() {
             if !ridge.is_finite() || *ridge < 0.0 || names[..i].contains(name) {
                 return Err(invalid(format!(
                     "{name:?} with ridge {ridge}: a ridge must be finite and not negative, and a name may appear only once"
                 )));
             }
-            selection.columns.extend(self.block(name)?.columns.clone());
-            selection.ridges.resize(selection.columns.len(), *ridge);
+            let block = self.block(name)?;
+            let count = self.blocks[block].place.len();
+            selection.blocks.push(block);
+            selection.counts.push(count);
+            let total = selection.ridges.len() + count;
+            selection.ridges.resize(total, *ridge);
         }
         Ok(selection)
     }
+
+    /// What is fitted together to all frames, with its Gram matrices.
+    fn fit(&mut self, names: &[String], ridges: &[f64]) -> Result<Selection> {
+        let selection = self.selection(names, ridges)?;
+        self.prepare(&selection);
+        let (plain, form) = (&self.plain, &self.folds.form);
+        for pair in selection.pairs() {
+            let known = |_: &Columns, _: &Columns| plain[&pair].clone();
+            self.all
+                .ensure(&self.blocks, &self.folds.all, form, pair, known);
+        }
+        Ok(selection)
+    }
+
+    /// Make the Grams of all frames without whitening, which every set of frames starts from.
+    fn prepare(&mut self, selection: &Selection) {
+        for (a, b) in selection.pairs() {
+            let make = || {
+                let columns = self.blocks[a].columns();
+                columns.plain(&self.blocks[b].columns(), &self.folds.all.index)
+            };
+            self.plain.entry((a, b)).or_insert_with(make);
+        }
+    }
 }
 
-/// Columns fitted together, with the ridge of each.
+impl Grams {
+    /// Make the Gram of two blocks, if it is missing, from the one without whitening.
+    fn ensure(
+        &mut self,
+        blocks: &[Block],
+        frames: &Frames,
+        form: &[f64],
+        (a, b): (usize, usize),
+        plain: impl FnOnce(&Columns, &Columns) -> Mat<f64>,
+    ) {
+        if self.blocks.contains_key(&(a, b)) {
+            return;
+        }
+        let (left, right) = (blocks[a].columns(), blocks[b].columns());
+        for (number, columns) in [(a, &left), (b, &right)] {
+            let along = self.along.entry(number);
+            along.or_insert_with(|| columns.along(frames, form));
+        }
+        let plain = plain(&left, &right);
+        let gram = whitened(plain, &self.along[&a], &self.along[&b]);
+        self.blocks.insert((a, b), gram);
+    }
+}
+
+/// Blocks fitted together, the number of columns of each, and the ridge of each column.
+#[derive(Default)]
 struct Selection {
-    columns: Vec<usize>,
+    blocks: Vec<usize>,
+    counts: Vec<usize>,
     ridges: Vec<f64>,
 }
 
 impl Selection {
-    fn places<'a>(&'a self, grams: &'a Grams) -> impl Iterator<Item = usize> + 'a {
-        self.columns.iter().map(|j| grams.place[*j])
+    /// All pairs of blocks and the residual, the larger number first.
+    fn pairs(&self) -> impl Iterator<Item = (usize, usize)> {
+        let every = || self.blocks.iter().copied().chain([RESIDUAL]);
+        every().flat_map(move |a| every().filter(move |b| *b <= a).map(move |b| (a, b)))
+    }
+
+    /// The first column of each block.
+    fn starts(&self) -> impl Iterator<Item = (usize, usize)> {
+        let starts = self.counts.iter().scan(0, |first, count| {
+            *first += count;
+            Some(*first - count)
+        });
+        self.blocks.iter().copied().zip(starts)
+    }
+
+    /// The lower triangle of the normal equations, without ridges.
+    fn system(&self, grams: &Grams) -> Mat<f64> {
+        let mut system: Mat<f64> = Mat::zeros(self.ridges.len(), self.ridges.len());
+        for (i, (a, row)) in self.starts().enumerate() {
+            for (b, column) in self.starts().take(i + 1) {
+                let gram = &grams.blocks[&(a.max(b), a.min(b))];
+                let (rows, columns) = if a >= b {
+                    (gram.nrows(), gram.ncols())
+                } else {
+                    (gram.ncols(), gram.nrows())
+                };
+                let mut into = system.as_mut().submatrix_mut(row, column, rows, columns);
+                if a >= b {
+                    into.copy_from(gram);
+                } else {
+                    into.copy_from(gram.transpose());
+                }
+            }
+        }
+        system
+    }
+
+    /// The right-hand side (n, 1).
+    fn right(&self, grams: &Grams) -> Mat<f64> {
+        let mut right: Mat<f64> = Mat::zeros(self.ridges.len(), 1);
+        for ((block, first), count) in self.starts().zip(&self.counts) {
+            let mut into = right.as_mut().submatrix_mut(first, 0, *count, 1);
+            into.copy_from(&grams.blocks[&(block, RESIDUAL)]);
+        }
+        right
     }
 
     /// Cholesky factor of G + Λ, and the diagonal of Λ.
-    fn factor(&self, grams: &Grams, gram: &Packed) -> Result<(Llt<f64>, Vec<f64>)> {
-        let at: Vec<usize> = self.places(grams).collect();
-        let trace: f64 = at.iter().map(|at| gram.at(*at, *at)).sum();
-        let jitter = (JITTER * trace / at.len().max(1) as f64).max(f64::MIN_POSITIVE);
+    fn factor(&self, grams: &Grams) -> Result<(Llt<f64>, Vec<f64>)> {
+        let mut system = self.system(grams);
+        let count = self.ridges.len();
+        let trace: f64 = (0..count).map(|i| system[(i, i)]).sum();
+        let jitter = (JITTER * trace / count.max(1) as f64).max(f64::MIN_POSITIVE);
         let added: Vec<f64> = self.ridges.iter().map(|ridge| ridge + jitter).collect();
-        let mut system: Mat<f64> = Mat::zeros(at.len(), at.len());
-        for j in 0..at.len() {
-            let column = &mut system.col_as_slice_mut(j)[j..];
-            for (value, at_i) in column.iter_mut().zip(&at[j..]) {
-                *value = gram.at(*at_i, at[j]);
-            }
-            column[0] += added[j];
-        }
+        added
+            .iter()
+            .enumerate()
+            .for_each(|(i, ridge)| system[(i, i)] += ridge);
         let factor = system.llt(Side::Lower).map_err(|_| {
             invalid(format!(
-                "the normal equations of {} columns are not positive definite (trace {trace:.3e}); raise the ridges",
-                at.len()
+                "the normal equations of {count} columns are not positive definite (trace {trace:.3e}); raise the ridges"
             ))
         })?;
         Ok((factor, added))
     }
 
     /// Solve for θ with one of the Gram matrices.
-    fn solve(&self, grams: &Grams, gram: &Packed) -> Result<Vec<f64>> {
-        let y = grams.place.len();
-        let mut theta: Mat<f64> = Mat::zeros(self.columns.len(), 1);
-        for (i, at) in self.places(grams).enumerate() {
-            theta[(i, 0)] = gram.at(y, at);
-        }
-        self.factor(grams, gram)?.0.solve_in_place(theta.as_mut());
+    fn solve(&self, grams: &Grams) -> Result<Vec<f64>> {
+        let mut theta = self.right(grams);
+        self.factor(grams)?.0.solve_in_place(theta.as_mut());
         Ok(theta.col_as_slice(0).to_vec())
     }
 }

@@ -247,15 +247,15 @@ impl PyLevel {
         }
     }
 
-    /// Build the normal equations with the residual (K, M), whose modes are in units of noise.
-    fn close(&mut self, py: Python<'_>, residual: Value<'_, '_>) -> PyResult<()> {
+    /// Take the residual (K, M), whose modes are in units of noise.
+    fn close(&mut self, residual: Value<'_, '_>) -> PyResult<()> {
         let residual = self.modes("residual", residual)?;
-        Ok(py.detach(|| rayon::scope(|_| self.level.close(&residual)))?)
+        Ok(self.level.close(&residual)?)
     }
 
     /// Return the held-out loss (F,) of each fold, fitting the columns of `names` with one ridge each.
     fn losses<'py>(
-        &self,
+        &mut self,
         py: Python<'py>,
         names: Vec<String>,
         ridges: Vec<f64>,
@@ -264,9 +264,14 @@ impl PyLevel {
         Ok(losses.into_pyarray(py))
     }
 
+    /// Return the loss of a fit of all frames on these same frames.
+    fn least(&mut self, py: Python<'_>, names: Vec<String>, ridges: Vec<f64>) -> PyResult<f64> {
+        Ok(py.detach(|| self.level.least(&names, &ridges))?)
+    }
+
     /// Fit all frames; return the column weights (n,) of each of `names`.
     fn theta<'py>(
-        &self,
+        &mut self,
         py: Python<'py>,
         names: Vec<String>,
         ridges: Vec<f64>,
@@ -280,7 +285,7 @@ impl PyLevel {
 
     /// Return the effective degrees of freedom of `name` in a fit of all `names`.
     fn freedom(
-        &self,
+        &mut self,
         py: Python<'_>,
         names: Vec<String>,
         ridges: Vec<f64>,

@@ -92,9 +92,9 @@ def strongest(problem: Problem, name: str) -> Floats:
     high = np.where(space.log, np.minimum(0.5, space.usual_high), far)
     middle, high = (np.where(space.declared, p, 0.0) for p in (middle, high))
     points = np.stack([np.clip(p, space.low, space.high) for p in (middle, high)])
-    own = problem.space(())
-    before = problem.record.predict(own.names, own.params(np.zeros((1, 0))))[0]
-    shifts = problem.record.predict(space.names, space.params(points)) - before
+    if np.array_equal(*points):
+        points = points[:1]
+    shifts = problem.record.predict(space.names, space.params(points)) - problem.unchanged
     largest: Floats = shifts[int(np.argmax([problem.record.rms_mm(s) for s in shifts]))]
     return largest
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.diagnosis.decision import FALL
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.record import SLOPE, Record
 
@@ -431,7 +432,7 @@ def about_itself(
     Returns:
         tuple: coefficients (n,), held-out loss (folds,), and what they make of the features (K, F) mm.
     """
-    body, loss = state.body, np.zeros(0)
+    body = state.body
     before = body.features(state.commands)
 
     def shift(theta: Floats) -> tuple[Commands, Floats]:
@@ -446,9 +447,8 @@ def about_itself(
         names, ridges = state.blocks(level)
         level.close(np.ascontiguousarray(body.modes(state.residual - moved + about.shift(theta))))
         every, strengths = [*names, "about itself"], [*ridges, ridge]
-        loss = np.asarray(level.losses(every, strengths))
         theta = np.asarray(level.theta(every, strengths)[-1])
-    return theta, loss, shift(theta)[1]
+    return theta, np.asarray(level.losses(every, strengths)), shift(theta)[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -476,14 +476,14 @@ def ranked(state: State, every: Sequence[Family], taken: Sequence[Family]) -> Ra
     found = before = np.asarray(level.losses(names, ridges))
     for family in taken:
         if family in columns and f"*{family.name}" not in known:
-            loss, ridge = _tuned(level, names, ridges, family.name)
+            loss, ridge = _tuned(level, names, ridges, family.name, before)
             if loss.sum() < before.sum():
                 before, names, ridges = loss, [*names, family.name], [*ridges, ridge]
     rows = []
     for family, own in columns.items():
         if family in taken:
             continue
-        loss, ridge = _tuned(level, names, ridges, family.name)
+        loss, ridge = _tuned(level, names, ridges, family.name, before)
         theta = level.theta([*names, family.name], [*ridges, ridge])[-1]
         numbers = level.freedom([*names, family.name], [*ridges, ridge], family.name)
         shift = np.where(np.isfinite(body.record.seen), own.shift(theta), np.nan)
@@ -506,8 +506,16 @@ def _static(
     return out
 
 
-def _tuned(level: _core.Level, names: list[str], ridges: list[float], name: str) -> tuple[Floats, float]:
-    """Return the held-out loss with one block more, and the strength of its ridge that makes it least."""
+def _tuned(
+    level: _core.Level, names: list[str], ridges: list[float], name: str, before: Floats
+) -> tuple[Floats, float]:
+    """Return the held-out loss with one block more, and the strength of its ridge that makes it least.
+
+    Where the loss of the frames that it is fitted to falls too little, the held-out loss is taken to be that `before`.
+    """
+    most = max(float(before.sum()), level.least(names, ridges))
+    if most - level.least([*names, name], [*ridges, RIDGES[0]]) < FALL * before.sum():
+        return before, RIDGES[-1]
     tried = [(np.asarray(level.losses([*names, name], [*ridges, ridge])), ridge) for ridge in RIDGES]
     return min(tried, key=lambda pair: float(pair[0].sum()))
 

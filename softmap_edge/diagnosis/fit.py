@@ -213,6 +213,12 @@ class Problem:
         return self._spaces[key]
 
     @cached_property
+    def unchanged(self) -> Floats:
+        """Features (K, F) mm that the model predicts as it is."""
+        own = self.space(())
+        return np.asarray(self.record.predict(own.names, own.params(np.zeros((1, 0))))[0])
+
+    @cached_property
     def fold_kernels(self) -> list[tuple[Kernel, Kernel]]:
         """Kernels over the commands of each fold's training and test frames."""
         command, spread, leaning = self.record.command, self.record.spread, self.record.leaning

@@ -25,7 +25,7 @@ from softmap_edge.output import acts_on_outputs, needs_time
 
 Floats = NDArray[np.float64]
 
-SIGNATURE_FRAMES = 1500  # frames on which the span of the signatures is found
+SIGNATURE_FRAMES = 150  # frames on which the span of the signatures is found
 
 
 def candidates_of(
@@ -96,8 +96,10 @@ def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = 
         raise SoftmapError(
             f"{len(record)} seen frames are too few to diagnose; record {LEAST_FRAMES} or more, better 60"
         )
-    thin = np.unique(np.linspace(0, len(record) - 1, min(len(record), SIGNATURE_FRAMES)).astype(int))
-    signatures = [s for name in candidates for s in _signatures(record, name, base, thin)]
+    thin = np.linspace(0, len(record) - 1, min(len(record), SIGNATURE_FRAMES)).astype(np.intp)
+    thin = np.union1d(record.begins, thin)
+    few = record.some(thin)
+    signatures = [s for name in candidates for s in _signatures(few, name, base[thin])]
     stack = np.stack(signatures) if signatures else np.zeros((1, len(thin), record.features))
     kernel = command_kernel(record.command, record.spread, record.leaning)
     noise = noise or noise_of(record, record.seen - base)
@@ -137,8 +139,8 @@ def _load_seen(record: Record) -> Floats | None:
     )
 
 
-def _signatures(record: Record, name: str, base: Floats, frames: NDArray[Any]) -> list[Floats]:
-    """Return what an effect does at its start values, all at once and each parameter alone."""
+def _signatures(record: Record, name: str, base: Floats) -> list[Floats]:
+    """Return what an effect adds to `base` (K, F) mm at its start values, all at once and each parameter alone."""
     names = tuple(record.model.chain_names) + (() if name in record.model.chain_names else (name,))
     layout, present = record.layout(names), record.layout(record.model.chain_names)
     own = dict(zip(present.labels, map(float, record.own())))
@@ -152,4 +154,4 @@ def _signatures(record: Record, name: str, base: Floats, frames: NDArray[Any]) -
         alone[i] = layout.start[i]
         rows.append(alone)
     shifts = record.predict(names, np.stack(rows)) - base
-    return [s[frames] for s in shifts if np.any(np.abs(s) > 1e-9)]
+    return [s for s in shifts if np.any(np.abs(s) > 1e-9)]
