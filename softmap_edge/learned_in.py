@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 
 from softmap_edge.errors import SoftmapError
 
-Law = Literal["identified", "ambiguous", "open"]
+Law = Literal["identified", "ambiguous", "open", "unknown"]
 MOST = 32  # records, numbers or alternatives in a list
 LONGEST = 100  # characters of a name
 LARGEST = 1e9
@@ -54,7 +54,8 @@ class LearnedIn:
     `name` is the effect in the chain. `law` is one of three. `identified`: no alternative fits. `ambiguous`: the
     evidence is weak, or an alternative of another family, or with as few numbers, fits as well. `open`: a number is at
     its bound, or no law of the library fits as well as the family. `before_mm` and `after_mm` are held-out errors, RMS,
-    without and with the effect.
+    without and with the effect. A law may also be `unknown`: then no effect of the library explains what the robot
+    showed of the family, nothing of it is in the chain, and `name` is empty.
     """
 
     name: str
@@ -67,6 +68,9 @@ class LearnedIn:
 
     def __str__(self) -> str:
         errors = f"held-out error {self.before_mm:.2f} to {self.after_mm:.2f} mm RMS"
+        if not self.name:
+            families = " or ".join(dict.fromkeys([self.family, *(one.family for one in self.alternatives)]))
+            return f"unknown law of {families}, not in the model: its family lowers the {errors}"
         lines = [f"{self.name}: {self.family}, law {self.law}, {errors}", *(f"  {number}" for number in self.params)]
         if self.alternatives:
             lines.append(f"  alternatives: {', '.join(map(str, self.alternatives))}")

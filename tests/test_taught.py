@@ -6,13 +6,15 @@ The robot is that of tests/test_learned_memory.py, simulated apart from the effe
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from test_learned_memory import recorded, wander
+from test_learned_memory import arc, recorded, wander
 
-from softmap_edge import diagnose
+from softmap_edge import Run, diagnose, load_bundle, save_bundle
 from softmap_edge.diagnosis.document import Diagnosis
-from softmap_edge.diagnosis.taught import Taught
+from softmap_edge.diagnosis.taught import Taught, with_unknown
 from softmap_edge.errors import ReportError
+from softmap_edge.report.families import learned_section
 from softmap_edge.rod.learn import learn, learned_model
 
 GAP = 1.4
@@ -116,8 +118,6 @@ def test_the_document_keeps_what_was_learned_in_and_an_earlier_one_reads_without
 
 
 def test_the_page_shows_it_with_what_a_file_says_escaped(same):
-    from softmap_edge.report.families import learned_section
-
     evil = replace(same, learned_in=(replace(same.learned_in[0], name="<script>"),))
     page = learned_section(evil.to_dict())
     assert "&lt;script&gt;" in page and "<script>" not in page and learned_section({}) == ""
@@ -128,3 +128,37 @@ def test_a_described_rod_shows_static_effects_in_the_run_that_taught_it():
     teacher = Taught(runs=(1,), free=False)
     assert not teacher.remaps and "only as far as the rod of its robot.toml" in str(teacher)
     assert Taught(runs=(1,), free=True).remaps
+
+
+def tugged(u, t, share=0.02):
+    """Commands (T, C) mm that a drag pulls back by the square of their speed: a law that is in no library."""
+    v = np.gradient(u, t, axis=0)
+    return u - share * v * np.abs(v)
+
+
+def test_a_memory_without_a_law_is_kept_with_the_model_and_told_where_a_run_adds_nothing(tmp_path):
+    t = np.arange(0.0, 90.0, 0.02)
+    markers = arc(tugged(wander(t), t))[::3]
+    markers = markers + np.random.default_rng(0).normal(0, 0.1, markers.shape)
+    run = Run(t=t, command=wander(t), t_seen=t[::3], markers=markers)
+    save_bundle(learned_model(run, learn(run)), tmp_path / "dragged")
+    model = load_bundle(tmp_path / "dragged")
+    (one,) = model.learned_in
+    assert (one.name, one.law, model.chain_names) == ("", "unknown", ()) and one.after_mm < 0.9 * one.before_mm
+    assert f"unknown law of {one.family}" in str(one) and "not in the model" in str(one)
+    told = with_unknown(model, {"verdict": "nothing", "sentence": "Nothing is missing."})
+    (family,) = told["families"]
+    assert (told["verdict"], family.name, family.law) == ("partly_explained", one.family, "unknown")
+    assert (
+        told["sentence"].startswith(f"An unknown law of the family {one.family}") and "nothing is m" in told["sentence"]
+    )
+    assert family.moved_mm**2 == pytest.approx(one.before_mm**2 - one.after_mm**2)
+    assert with_unknown(model, {"verdict": "identified", "sentence": ""}) == {}
+    page = learned_section({"learned_in": [one.to_dict()]})
+    assert f"unknown law of {one.family}, not in the model" in page
+
+
+def test_a_robot_without_such_a_memory_is_not_said_to_have_one():
+    model = learned_model(runs := recorded(), learn(runs))
+    found = diagnose(model, recorded(seed=5, seconds=60.0, drive=lambda t: wander(t + 400.0)))
+    assert model.learned_in == () and found.verdict in ("nothing", "cannot_tell")

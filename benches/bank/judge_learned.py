@@ -7,15 +7,16 @@ adds. For a memory that was always present both are right. Units: mm, s. Pinned 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from benches.bank.answers import FAMILY
 from benches.bank.judge import alike, judged
 from benches.bank.judge_family import by_family, names_alike
 from benches.bank.store import Kept
 from benches.bank.work import off
 
 if TYPE_CHECKING:
+    from softmap_edge.learned_in import LearnedIn
     from softmap_edge.model import Model
 
 
@@ -30,7 +31,7 @@ def judge_learned(case: Kept) -> dict[str, Any]:
     learned = time.process_time()
     found = diagnose(model, run)
     finished = time.process_time()
-    document = together(model.chain_names, found.to_dict())
+    document = together(model.learned_in, found.to_dict())
     expressible = {e["name"] for e in registry if not model.lacking(e["name"])}
     like = names_alike(alike(registry, 1), truth)
     verdict = judged(truth["hidden"], document, like, expressible, truth["also"])
@@ -57,14 +58,25 @@ def taught(case: Kept) -> Model:
     return learn_model(runs[0]) if len(runs) == 1 else learn_model(runs)  # type: ignore[arg-type]
 
 
-def together(chain: tuple[str, ...], document: dict[str, Any]) -> dict[str, Any]:
-    """Return a diagnosis with the learned effects put before its own."""
-    learned = [{"name": name, "share": 2.0 - 0.01 * k, "probability": 1.0} for k, name in enumerate(chain)]
-    families = [{"name": FAMILY[name][0]} for name in chain if name in FAMILY]
+def together(learned: Sequence[LearnedIn], document: dict[str, Any]) -> dict[str, Any]:
+    """Return a diagnosis with the effects that `learn` put into the chain before its own.
+
+    Where the diagnosis finds nothing more, the verdict is as sure as `learn` is of its laws. `learn` gives no
+    probabilities: a law that is not identified counts as a claim of one half.
+    """
+    laws = [one for one in learned if one.name]
+    doubted = [one for one in laws if one.law != "identified"]
+    rows = [
+        {"name": one.name, "share": 2.0 - 0.01 * k, "probability": 0.5 if one in doubted else 1.0}
+        for k, one in enumerate(laws)
+    ]
+    families = [{"name": one.family} for one in laws]
+    others = [(one.name, other.name) for one in doubted for other in one.alternatives if other.name]
     silent = not document["effects"] and document["verdict"] in ("nothing", "cannot_tell")
     return {
         **document,
-        "effects": [*learned, *document["effects"]],
+        "effects": [*rows, *document["effects"]],
         "families": [*families, *(document.get("families") or [])],
-        "verdict": "identified" if learned and silent else document["verdict"],
+        "alternatives": [*({"effects": [o], "why": "", "member": n} for n, o in others), *document["alternatives"]],
+        "verdict": ("ambiguous" if doubted else "identified") if laws and silent else document["verdict"],
     }

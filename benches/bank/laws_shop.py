@@ -78,7 +78,10 @@ class WornGear(Law):
 
 @dataclass(frozen=True)
 class SheathFriction(Law):
-    """d_i − μ_i (⟨d_i⟩ + d₀) z_i, z_i by Dahl over 0.3 of that limit; four cables, four numbers."""
+    """d_i − μ_i (⟨d_i⟩ + d₀) z_i, z_i by Dahl over 2/(1 − μ_i) of that limit; four cables, four numbers.
+
+    Over less of it, a cable would move on while its servo turns back.
+    """
 
     NAME, STRONG, LIMIT = "friction", ("mu",), 5.0
     mu: Numbers
@@ -90,10 +93,11 @@ class SheathFriction(Law):
 
     def pull(self, record: Record, d: Floats) -> Floats:
         limit = np.array(self.mu) * (np.maximum(d, 0.0) + self.start_mm)
+        over = np.maximum(2.0 * limit / np.maximum(1.0 - np.array(self.mu), 0.1), 1e-9)
         z, out = np.zeros(d.shape[1]), d.copy()
         for k, step in enumerate(np.diff(d, axis=0)):
             sign = np.sign(step)
-            slid = sign + (z - sign) * np.exp(-np.abs(step) / (0.3 * limit[k + 1]))
+            slid = sign + (z - sign) * np.exp(-np.abs(step) / over[k + 1])
             z = np.where(sign == 0.0, z, slid)
             out[k + 1] -= limit[k + 1] * z
         return out

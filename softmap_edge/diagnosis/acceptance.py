@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge import _core
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
 from softmap_edge.diagnosis.families import RIDGES, Body, Family, Ranking, Representative, State, families
@@ -53,9 +54,24 @@ def accepted(row: Representative, ranking: Ranking, state: State, later: bool, v
     if static and not beyond_ordinary(ranking, state):
         return False
     record, rod = state.body.record, state.body.record.model.kind == "rod"
-    if static and rod and difference(ranking.before, row.loss).fall < rule.FALL_NEXT * float(ranking.before.sum()):
-        return False  # a rod's own error is static too, and part of its noise
+    if rod and row.family.kind in ("static", "time"):  # a rod's own error is part of its noise
+        if difference(ranking.before, row.loss).fall < rule.FALL_NEXT * float(ranking.before.sum()):
+            return False
+        if not beyond_own(row.family, row.moved_mm, state.body):
+            return False
     return row.moved_mm >= max(visible, float(noise), record.form_mm if static and not rod else 0.0)
+
+
+def beyond_own(family: Family, moved_mm: float, body: Body) -> bool:
+    """Whether what moves the body by `moved_mm` is more than the own error of a map that was learned freely.
+
+    Such a map follows any static effect of the robot that taught it. What is static and new comes on top of its error.
+    """
+    record = body.record
+    if family.kind != "static" or not isinstance(getattr(record.model, "prior", None), _core.Rod):
+        return True
+    beyond = record.rms_mm(record.seen - body.problem.unchanged) ** 2 - record.form_mm**2
+    return moved_mm**2 <= rule.DOMINATES * beyond
 
 
 def is_ordinary(ranking: Ranking, state: State) -> bool:

@@ -37,7 +37,7 @@ from softmap_edge.diagnosis.records import record_of
 from softmap_edge.diagnosis.search import search
 from softmap_edge.diagnosis.servo import servos
 from softmap_edge.diagnosis.sound import sound_record, stray
-from softmap_edge.diagnosis.taught import Taught
+from softmap_edge.diagnosis.taught import Taught, with_unknown
 from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.errors import SoftmapError
 from softmap_edge.folds import withheld
@@ -127,6 +127,7 @@ def diagnose(
         fit = outcome.plain.null
         values |= {"verdict": "measurement_fault", "sentence": gone, "alternatives": (), "effects": (), "faults": ()}
         values |= {"families": ()}
+    values |= with_unknown(model, values)
     values["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
     if model.output is not None:  # how reports turn the model's mm back into the output's unit
         values["made_from"] = {**values["made_from"], "output": model.output.to_dict()}

@@ -8,16 +8,16 @@ again (`Record.remapped`, `families.State`). Pinned by tests/test_taught.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.diagnosis.conditions import orientations
 from softmap_edge.diagnosis.families import families
-from softmap_edge.diagnosis.findings import Finding, NextBlock, Untestable
+from softmap_edge.diagnosis.findings import FamilyFinding, Finding, NextBlock, Untestable
 from softmap_edge.diagnosis.record import Record
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class Taught:
         if not made_from.get("runs"):
             return cls(count=len(runs))
         numbers = tuple(i for i, run in enumerate(runs, 1) if model.taught_by(run))
-        names = tuple(one.name for one in model.learned_in)
+        names = tuple(one.name for one in model.learned_in if one.name)
         free = isinstance(model.prior, _core.Rod)
         return cls(numbers, len(runs), free, bool(made_from.get("static")), names)
 
@@ -94,3 +94,26 @@ class Taught:
     def next(self, found: Sequence[Finding]) -> list[NextBlock]:
         """Return how to fit memory that was found with the static map solved again."""
         return [NextBlock(AGAIN, 0.0, tuple(one.name for one in found))] if self.static and found else []
+
+
+def with_unknown(model: Model, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the changes to a diagnosis that found nothing, where learning saw a memory that no law explains.
+
+    The error of a learned model is part of its noise, and such a memory is part of this error.
+    """
+    unknown = next((one for one in getattr(model, "learned_in", ()) if not one.name), None)
+    if unknown is None or values["verdict"] not in ("nothing", "cannot_tell"):
+        return {}
+    kinds, before, after = {f.name: f.kind for f in families()}, unknown.before_mm, unknown.after_mm
+    moved = float(np.sqrt(max(0.0, before**2 - after**2)))
+    others = tuple(dict.fromkeys(one.family for one in unknown.alternatives))
+    family = FamilyFinding(
+        unknown.family, kinds.get(unknown.family, "memory"), "unknown", (), (moved / before) ** 2, moved,
+        alternatives=others,
+    )  # fmt: skip
+    what = str(values["sentence"])
+    sentence = (
+        f"An unknown law of the family {unknown.family}, {moved:.2f} mm RMS, was in the robot while the model was "
+        f"learned, and is not in the model. This run adds nothing to it: {what[:1].lower()}{what[1:]}"
+    )
+    return {"verdict": "partly_explained", "families": (family,), "sentence": sentence}

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.acceptance import ASKED, MOST, falls_on, indistinct, one_pose
+from softmap_edge.diagnosis.acceptance import ASKED, MOST, beyond_own, falls_on, indistinct, one_pose
 from softmap_edge.diagnosis.decision import near
 from softmap_edge.diagnosis.families import Body, Family, Ranking, Representative, State, families, ranked
 from softmap_edge.diagnosis.fits import Fits
@@ -121,9 +121,10 @@ def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
             answer = reached if best.effects == (name,) else answer
         if answer is None or answer.law is None or answer.law.fit is None or not (answer.resolved or answer.open):
             return None
-        if not falls_on(answer.before, answer.law.loss, body):
+        moved = body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0]))
+        if moved < visible or not falls_on(answer.before, answer.law.loss, body):
             return None
-        if body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0])) < visible:
+        if not beyond_own(answer.family, moved, body):
             return None
         other.steps.append(Step(answer, ()))
         # With the others in place, another law of the family may be its law.

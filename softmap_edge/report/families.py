@@ -93,6 +93,8 @@ def learned_line(row: Row) -> str:
     Returns:
         str: 'backlash, gap 1.40 mm (memory, identified); alternatives: hysteresis'.
     """
+    if row.get("law") == "unknown":
+        return tamed(f"unknown law of {row.get('family', '?')}, not in the model")
     params = {str(one.get("label")): one for one in row.get("params") or []}
     others = [str(one.get("name") or f"an unknown law of {one.get('family')}") for one in row.get("alternatives") or []]
     line = f"{_law(str(row.get('name', '?')), params)} ({row.get('family', '?')}, {row.get('law', '?')})"

@@ -31,7 +31,7 @@ from softmap_edge.learned_in import Law as Certainty
 from softmap_edge.rod.law import FittedLaw, LawFit, law
 from softmap_edge.rod.reference_run import Seen
 from softmap_edge.rod.regression import Drive
-from softmap_edge.rod.signals import Family, families
+from softmap_edge.rod.signals import DRIFT, Family, families
 from softmap_edge.rod.static_map import StaticMap
 
 Floats = NDArray[np.float64]
@@ -46,7 +46,7 @@ FALL = 0.01  # of its loss by which a fold falls
 VISIBLE = 1e-3  # of the robot's length, RMS: less is invisible to a camera (0.12 mm of a finger of 120)
 FORM = 0.025  # of the explained loss: laws closer than this differ by their form error only
 AGREE, FOLDS_THAT_AGREE = 0.85, 5  # share of at least so many folds that decides where the mean difference does not
-SURE = 0.2  # of the loss above the noise that a law must explain to be identified
+SURE = 0.2  # of the loss above the noise that a law must explain to be identified, and a family to be unknown physics
 PAIR = 0.8  # of a law's remainder above the noise: a second law of its family that explains less is form error
 EACH = 0.05  # of the loss that a number per channel must explain more than one for all
 EACH_TRIED = 3  # best laws with one number for all that are tried with a number per channel
@@ -115,12 +115,18 @@ class _Found:
 
     @property
     def certainty(self) -> Certainty:
-        """Whether the law is identified: strong, not at a bound, no alternative of another family or as few numbers."""
+        """Whether the law is identified: strong, not at a bound, no alternative as good (`_rivals`)."""
         if self.short or self.fitted.bounded.any():
             return "open"
-        own = len(self.fitted.x)
-        alike = any(rival.family.name != self.family.name or rival.numbers <= own for rival in self.rivals)
+        alike = any(self._rivals(rival) for rival in self.rivals)
         return "ambiguous" if alike or self.weak else "identified"
+
+    def _rivals(self, other: _Candidate) -> bool:
+        """Whether an alternative is of another family, has as few numbers, or is seen to leave less."""
+        if other.family.name != self.family.name or other.numbers <= len(self.fitted.x):
+            return True
+        fall = self.fitted.losses - other.losses
+        return float(fall.sum()) > _deviation(fall) and float((fall > 0).mean()) >= MOST_FOLDS
 
 
 def find_memory(seen: Seen, static: StaticMap, seed: int, members: Sequence[str] | None = None) -> Memory:
@@ -142,6 +148,7 @@ class _Search:
         self.floor = self._noise() * len(static.targets) * static.targets.shape[1]
         self.frames = sum(len(test) for _, test in static.parts) / len(static.targets)  # times a frame is held out
         self.notes: list[str] = []
+        self.unknown: tuple[LearnedIn, ...] = ()
 
     def run(self) -> Memory:
         found: list[_Found] = []
@@ -159,7 +166,7 @@ class _Search:
             acting = step.fitted.acting
         noise = float(np.sqrt(self.floor / self.static.targets.size))
         if not found:
-            return Memory(noise_mm=noise, notes=tuple(self.notes))
+            return Memory(learned_in=self.unknown, noise_mm=noise, notes=tuple(self.notes))
         return self._memory(found, noise)
 
     # --- one family ------------------------------------------------------------------------------
@@ -334,7 +341,13 @@ class _Search:
         return float(np.sqrt(losses.sum() / (self.frames * len(self.static.targets) * self.seen.markers.shape[1])))
 
     def _only_seen(self, near: Sequence[_Represented], now: Floats, forbidden: bool) -> None:
+        """Report families that are seen, but whose law does not join the chain."""
         names, after = " or ".join(one.family.name for one in near), self._rms(near[0].losses)
+        drifts = any(one.family.name == DRIFT for one in near)  # that may be the camera
+        if not forbidden and not drifts and self._falls(now, near[0].losses, SURE):
+            first, *others = (Alternative("", one.family.name, self._rms(one.losses)) for one in near)
+            self.unknown = (LearnedIn("", first.family, "unknown", self._rms(now), after, (), tuple(others)),)
+            return
         why = "is left to the diagnosis" if forbidden else "has no law in the library that reaches it"
         self.notes.append(
             f"the run shows {names} besides the static map (held-out error {self._rms(now):.2f} to {after:.2f} "
@@ -354,7 +367,7 @@ class _Search:
                 records.append(
                     LearnedIn(name, one.family.name, one.certainty, before, after, params, (*rivals, *twins))
                 )
-        return Memory(last.law.names, last.params, tuple(records), noise, tuple(self.notes))
+        return Memory(last.law.names, last.params, (*records, *self.unknown), noise, tuple(self.notes))
 
 
 def _twins(name: str) -> list[str]:

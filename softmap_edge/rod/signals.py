@@ -20,9 +20,10 @@ from softmap_edge.rod.regression import Record
 Floats = NDArray[np.float64]
 
 CONTROL = "static map"
-LAWLESS = (CONTROL, "time")
+DRIFT = "time"
+LAWLESS = (CONTROL, DRIFT)
 FAST = ("delay", "rate")  # families that only frames close in time can show
-TIMED = (*FAST, "creep", "time")  # families that a log without time cannot show
+TIMED = (*FAST, "creep", DRIFT)  # families that a log without time cannot show
 
 
 @dataclass(frozen=True)
