@@ -16,7 +16,7 @@ from softmap_edge.diagnosis import together
 from softmap_edge.diagnosis.decision import in_one_fold
 from softmap_edge.diagnosis.families import Body, State, applied, families, linearised, ranked
 from softmap_edge.diagnosis.fits import Fits
-from softmap_edge.diagnosis.laws import Law, _Asked
+from softmap_edge.diagnosis.laws import Law, _Asked, spared
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.spools import Spool
@@ -339,22 +339,38 @@ def test_sets_of_laws_are_tried_until_one_leaves_nothing_unknown(monkeypatch):
 def test_a_static_family_without_a_law_is_not_replaced_by_an_event_or_a_memory():
     """A slip of a tendon early in a run can do much of what a static map does; a memory can do what a map does."""
 
-    def outcome(loss, open_, *families):
-        steps = [SimpleNamespace(family=SimpleNamespace(name=name, kind=kind)) for name, kind in families]
-        body = SimpleNamespace(problem=SimpleNamespace(numbers=100.0))
+    def outcome(loss, *families):
+        steps = [
+            SimpleNamespace(family=SimpleNamespace(name=name, kind=kind), answer=SimpleNamespace(resolved=resolved))
+            for (name, kind), resolved in families
+        ]
+        body, open_ = SimpleNamespace(problem=SimpleNamespace(numbers=100.0)), sum(not one[1] for one in families)
         return SimpleNamespace(loss=np.full(8, loss / 8), null=np.full(8, 125.0), open=open_, steps=steps, body=body)
 
-    static, memory, step, drift = (
-        ("static map", "static"),
-        ("memory", "memory"),
-        ("step", "time"),
-        ("frame drift", "time"),
-    )
-    assert not together._stands_for(outcome(195, 0, static, step), outcome(200, 1, static))
-    assert not together._stands_for(outcome(195, 0, step, drift), outcome(200, 1, static, drift))
-    assert together._stands_for(outcome(195, 0, static, memory), outcome(200, 1, memory))
-    assert together._stands_for(outcome(195, 0, static, drift), outcome(200, 1, static, drift))
-    assert together._stands_for(outcome(120, 0, static, step), outcome(200, 1, static))  # it leaves far less
+    static, memory, step = (("static map", "static"), ("memory", "memory"), ("step", "time"))
+    drift, load, heat = (("frame drift", "time"), ("load", "static"), ("temperature", "condition"))
+    known, unknown = True, False
+    stands = together._stands_for
+    assert not stands(outcome(195, (static, known), (step, known)), outcome(200, (static, unknown)))
+    assert not stands(outcome(195, (step, known), (drift, known)), outcome(200, (static, unknown), (drift, known)))
+    assert stands(outcome(195, (static, known), (memory, known)), outcome(200, (memory, unknown)))
+    assert stands(outcome(195, (static, known), (drift, known)), outcome(200, (static, unknown), (drift, known)))
+    assert stands(outcome(120, (static, known), (step, known)), outcome(200, (static, unknown)))  # it leaves far less
+    # What changes with the orientation, or with the time, may be an event or a condition, if no law of it is known.
+    assert stands(outcome(195, (step, known)), outcome(200, (load, unknown)))
+    assert not stands(outcome(195, (step, known)), outcome(200, (load, known), (static, unknown)))
+    assert stands(outcome(195, (heat, known), (static, known)), outcome(200, (step, unknown), (static, known)))
+    assert not stands(outcome(195, (memory, known)), outcome(200, (load, unknown)))
+
+
+def test_an_event_is_as_good_as_none_in_the_fold_in_which_it_happens():
+    run = finger_run(acting=lambda u: u - 1.5 * (np.arange(len(u)) > 0.6 * len(u))[:, None])
+    problem = problem_of(Record(MODEL, run), ["anchor_slip"])
+    fit = Fits(problem, ["anchor_slip"]).get(["anchor_slip"])
+    count = len(problem.folds)
+    loss = spared(np.full(count, 9.0), np.full(count, 4.0), fit, ["anchor_slip"])
+    assert 1 <= np.sum(loss == 4.0) < count and np.all((loss == 4.0) | (loss == 9.0))
+    assert np.all(spared(np.full(count, 9.0), np.full(count, 4.0), fit, ["gain"]) == 9.0)
 
 
 def test_a_stop_that_no_command_reaches_stays_where_it_is_in_cross_validation():

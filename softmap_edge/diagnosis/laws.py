@@ -138,8 +138,6 @@ def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, s
     """Fit effects on top of what was found, with their loss on held-out folds; `before` is the loss (folds,) without.
 
     Those in `split` have a number for each channel.
-
-    Other folds cannot show an event that happens once, in this fold: there a law is as good as none.
     """
     body, fit = state.body, fits.get((*state.fit.effects, *effects), (*state.fit.space.split, *split))
     level = body.level()
@@ -147,14 +145,24 @@ def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, s
     level.close(np.ascontiguousarray(fit.modes))
     own = np.array([label.split(".")[0] in effects for label in fit.space.free_labels], bool)
     bounds = [label for label, mine, bound in zip(fit.space.free_labels, own, at_bound(fit)) if mine and bound]
-    loss = np.array(level.losses(names, ridges))
-    for instant in fit.space.values(fit.x)[own & fit.space.instant]:
-        for i, (_, test) in enumerate(body.problem.folds):
-            since = body.record.t_seen[test] - float(body.parts[0].run.t[0])
-            if np.min(np.abs(since - instant)) <= 2.0 * GAP:
-                loss[i] = min(loss[i], before[i])
+    loss = spared(np.asarray(level.losses(names, ridges)), before, fit, effects)
     name = " + ".join(f"{e} for each channel" if e in split else e for e in effects)
     return Law(name, effects, fit, loss, int(own.sum()), tuple(bounds))
+
+
+def spared(loss: Floats, before: Floats, fit: Fit, effects: Sequence[str]) -> Floats:
+    """Return the held-out loss (folds,) of a fit, no more than `before` in the folds where its `effects` happen.
+
+    Other folds cannot show an event that happens once, in this fold: there a law is as good as none.
+    """
+    record, loss = fit.problem.record, loss.copy()
+    own = np.array([label.split(".")[0] in effects for label in fit.space.free_labels], bool)
+    for instant in fit.space.values(fit.x)[own & fit.space.instant]:
+        for i, (_, test) in enumerate(fit.problem.folds):
+            since = record.t_seen[test] - float(getattr(record, "parts", [record])[0].run.t[0])
+            if np.min(np.abs(since - instant)) <= 2.0 * GAP:
+                loss[i] = min(loss[i], before[i])
+    return loss
 
 
 class _Asked:

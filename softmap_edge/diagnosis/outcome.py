@@ -17,7 +17,7 @@ from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.families import Body, Family, Representative, State, ranked
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
-from softmap_edge.diagnosis.laws import Answer
+from softmap_edge.diagnosis.laws import Answer, spared
 
 Floats = NDArray[np.float64]
 
@@ -84,7 +84,11 @@ def held_out_loss(outcome: Outcome) -> Floats:
     state = outcome.state
     ways = [state, State(state.body, state.fit, state.beside)] if state.background else [state]
     open_ = [step.family for step in outcome.steps if not step.answer.resolved]
-    return min((ranked(way, open_, open_).before for way in ways), key=lambda loss: float(loss.sum()))
+    loss = min((ranked(way, open_, open_).before for way in ways), key=lambda loss: float(loss.sum()))
+    for step in outcome.steps:
+        if step.answer.law is not None:
+            loss = spared(loss, step.answer.before, state.fit, step.answer.law.effects)
+    return loss
 
 
 def with_family(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:

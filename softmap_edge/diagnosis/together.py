@@ -93,8 +93,15 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
         return True
     fewer = other.open < outcome.open or (other.open == outcome.open and len(other.steps) < len(outcome.steps))
     kinds, known = ({_kind(step.family) for step in one.steps} for one in (other, outcome))
+    if any(_changes(step.family) and not step.answer.resolved for step in outcome.steps):
+        known |= {_kind(family) for family in families() if family.kind in ("time", "condition")}
     explained = float(outcome.null.sum() - outcome.loss.sum())
     return fewer and kinds <= {"static", *known} and rule.reaches(other.loss, outcome.loss, explained)
+
+
+def _changes(family: Family) -> bool:
+    """Whether a family is of the time, or of an orientation that changes with it: without a law these are alike."""
+    return family.kind == "time" or family.name == "load"
 
 
 def _kind(family: Family) -> str:
