@@ -115,8 +115,9 @@ def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:
 def calibration_error(claims: Sequence[Row], bins: int = 10) -> float:
     """Return the expected calibration error of claims `{probability, itself}`: Σ share |mean p − share true| by bin.
 
-    A probability is that of one effect: where a structural equivalent acts, it does not.
+    A probability is that of one effect: where a structural equivalent acts, it does not. A rod's claims have none.
     """
+    claims = [c for c in claims if c["probability"] is not None]
     if not claims:
         return 0.0
     p = np.array([c["probability"] for c in claims])
