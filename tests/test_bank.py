@@ -245,7 +245,8 @@ def test_shares_have_wilsons_interval_and_probabilities_their_calibration():
     assert judge.calibration_error(sure) == pytest.approx(0.05)
     assert judge.calibration_error([{"probability": 0.5, "itself": True}] * 4) == pytest.approx(0.5)
     none = [{"probability": None, "itself": True}]
-    assert judge.calibration_error([*sure, *none]) == judge.calibration_error(sure) and judge.calibration_error(none) == 0.0
+    assert judge.calibration_error([*sure, *none]) == judge.calibration_error(sure)
+    assert judge.calibration_error(none) == 0.0
 
 
 # --- the runner -----------------------------------------------------------------------------------
