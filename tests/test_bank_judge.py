@@ -6,6 +6,7 @@ from benches.bank.answers import answer_for, fits_family, matches
 from benches.bank.judge import table
 from benches.bank.judge_family import by_family, names_alike
 from benches.bank.judge_learned import together
+from softmap_edge.learned_in import LearnedIn
 
 ALIKE = {name: {name} for name in ("backlash", "friction", "gain", "eccentric_pulley", "latency", "creep", "dead_zone")}
 ALIKE["gain"].add("tendon_stretch")
@@ -86,12 +87,15 @@ def test_names_may_be_patterns():
 
 
 def test_what_the_model_learned_counts_before_what_is_diagnosed():
-    document = together(("backlash",), said(verdict="nothing") | {"rivals": []})
+    backlash = LearnedIn("backlash", "memory", "identified", 2.0, 1.0)
+    latency = LearnedIn("latency", "delay", "identified", 2.0, 1.0)
+    document = together([backlash], said(verdict="nothing") | {"alternatives": []})
     assert [e["name"] for e in document["effects"]] == ["backlash"] and document["verdict"] == "identified"
     assert document["families"] == [{"name": "memory"}]
-    document = together((), said("creep", families=["creep"]))
+    document = together([], said("creep", families=["creep"]) | {"alternatives": []})
     assert document["verdict"] == "identified" and [f["name"] for f in document["families"]] == ["creep"]
-    assert together(("latency",), said("creep", verdict="ambiguous"))["verdict"] == "ambiguous"
+    document = together([latency], said("creep", verdict="ambiguous") | {"alternatives": []})
+    assert document["verdict"] == "ambiguous"
 
 
 def test_the_table_counts_what_is_scored():
