@@ -54,8 +54,8 @@ class LearnedIn:
     `name` is the effect in the chain. `law` is one of three. `identified`: no alternative fits. `ambiguous`: the
     evidence is weak, or an alternative of another family, or with as few numbers, fits as well. `open`: a number is at
     its bound, or no law of the library fits as well as the family. `before_mm` and `after_mm` are held-out errors, RMS,
-    without and with the effect. A law may also be `unknown`: then no effect of the library explains what the robot
-    showed of the family, nothing of it is in the chain, and `name` is empty.
+    without and with the effect. A law may also be `unknown`: then no effect of the library explains the family that was
+    detected, the chain holds nothing of it, and `name` is empty.
     """
 
     name: str
@@ -67,10 +67,11 @@ class LearnedIn:
     alternatives: tuple[Alternative, ...] = ()
 
     def __str__(self) -> str:
-        errors = f"held-out error {self.before_mm:.2f} to {self.after_mm:.2f} mm RMS"
         if not self.name:
             families = " or ".join(dict.fromkeys([self.family, *(one.family for one in self.alternatives)]))
-            return f"unknown law of {families}, not in the model: its family lowers the {errors}"
+            fall = f"from {self.before_mm:.2f} to {self.after_mm:.2f} mm RMS"
+            return f"unknown law of {families}, not in the model; its family lowers the held-out error {fall}"
+        errors = f"held-out error {self.before_mm:.2f} to {self.after_mm:.2f} mm RMS"
         lines = [f"{self.name}: {self.family}, law {self.law}, {errors}", *(f"  {number}" for number in self.params)]
         if self.alternatives:
             lines.append(f"  alternatives: {', '.join(map(str, self.alternatives))}")

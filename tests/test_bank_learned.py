@@ -61,7 +61,7 @@ def test_what_a_map_cannot_follow_is_no_new_static_effect(tmp_path, number):
     assert row["background_mm"] > 1.2 and row["named"] == [] and row["verdict"] in ("nothing", "cannot_tell")
 
 
-def test_a_law_that_learning_left_open_is_not_said_to_be_identified():
+def test_a_law_that_learning_left_open_is_not_identified():
     document = {"effects": [], "alternatives": [], "families": [], "verdict": "cannot_tell"}
     other = Alternative("hysteresis", "memory", 1.0)
     known = LearnedIn("backlash", "memory", "identified", 3.0, 1.0, (), (other,))

@@ -189,7 +189,7 @@ def test_the_least_loss_is_that_of_the_frames_that_are_fitted(names, ridges):
     left = plain.white(plain.y[None], every, kernel)[0]
     if names:
         left = left - plain.whole(names, ridges)[0] @ plain.white(plain.joined(names), every, kernel)
-    assert level.least(names, ridges) == pytest.approx(left @ left, rel=1e-7)
+    assert level.training_loss(names, ridges) == pytest.approx(left @ left, rel=1e-7)
 
 
 def test_collinear_and_zero_columns_are_solvable():

@@ -136,7 +136,7 @@ def tugged(u, t, share=0.02):
     return u - share * v * np.abs(v)
 
 
-def test_a_memory_without_a_law_is_kept_with_the_model_and_told_where_a_run_adds_nothing(tmp_path):
+def test_a_memory_without_a_law_is_kept_with_the_model_and_reported_if_a_run_shows_nothing(tmp_path):
     t = np.arange(0.0, 90.0, 0.02)
     markers = arc(tugged(wander(t), t))[::3]
     markers = markers + np.random.default_rng(0).normal(0, 0.1, markers.shape)
@@ -146,11 +146,12 @@ def test_a_memory_without_a_law_is_kept_with_the_model_and_told_where_a_run_adds
     (one,) = model.learned_in
     assert (one.name, one.law, model.chain_names) == ("", "unknown", ()) and one.after_mm < 0.9 * one.before_mm
     assert f"unknown law of {one.family}" in str(one) and "not in the model" in str(one)
-    told = with_unknown(model, {"verdict": "nothing", "sentence": "Nothing is missing."})
-    (family,) = told["families"]
-    assert (told["verdict"], family.name, family.law) == ("partly_explained", one.family, "unknown")
-    assert (
-        told["sentence"].startswith(f"An unknown law of the family {one.family}") and "nothing is m" in told["sentence"]
+    changes = with_unknown(model, {"verdict": "nothing", "sentence": "Nothing is missing."})
+    (family,) = changes["families"]
+    assert (changes["verdict"], family.name, family.law) == ("partly_explained", one.family, "unknown")
+    sentence = changes["sentence"]
+    assert sentence.startswith(f"An unknown law of the family {one.family}") and sentence.endswith(
+        "Nothing is missing."
     )
     assert family.moved_mm**2 == pytest.approx(one.before_mm**2 - one.after_mm**2)
     assert with_unknown(model, {"verdict": "identified", "sentence": ""}) == {}
@@ -158,7 +159,7 @@ def test_a_memory_without_a_law_is_kept_with_the_model_and_told_where_a_run_adds
     assert f"unknown law of {one.family}, not in the model" in page
 
 
-def test_a_robot_without_such_a_memory_is_not_said_to_have_one():
+def test_a_robot_without_such_a_memory_gets_no_such_record():
     model = learned_model(runs := recorded(), learn(runs))
     found = diagnose(model, recorded(seed=5, seconds=60.0, drive=lambda t: wander(t + 400.0)))
     assert model.learned_in == () and found.verdict in ("nothing", "cannot_tell")

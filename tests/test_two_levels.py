@@ -16,7 +16,7 @@ from softmap_edge.diagnosis import together
 from softmap_edge.diagnosis.decision import in_one_fold
 from softmap_edge.diagnosis.families import Body, State, applied, families, linearised, ranked
 from softmap_edge.diagnosis.fits import Fits
-from softmap_edge.diagnosis.laws import Law, _Asked, spared
+from softmap_edge.diagnosis.laws import Law, _Asked, capped_at_events
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.spools import Spool
@@ -368,9 +368,9 @@ def test_an_event_is_as_good_as_none_in_the_fold_in_which_it_happens():
     problem = problem_of(Record(MODEL, run), ["anchor_slip"])
     fit = Fits(problem, ["anchor_slip"]).get(["anchor_slip"])
     count = len(problem.folds)
-    loss = spared(np.full(count, 9.0), np.full(count, 4.0), fit, ["anchor_slip"])
+    loss = capped_at_events(np.full(count, 9.0), np.full(count, 4.0), fit, ["anchor_slip"])
     assert 1 <= np.sum(loss == 4.0) < count and np.all((loss == 4.0) | (loss == 9.0))
-    assert np.all(spared(np.full(count, 9.0), np.full(count, 4.0), fit, ["gain"]) == 9.0)
+    assert np.all(capped_at_events(np.full(count, 9.0), np.full(count, 4.0), fit, ["gain"]) == 9.0)
 
 
 def test_a_stop_that_no_command_reaches_stays_where_it_is_in_cross_validation():

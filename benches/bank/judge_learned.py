@@ -61,8 +61,8 @@ def taught(case: Kept) -> Model:
 def together(learned: Sequence[LearnedIn], document: dict[str, Any]) -> dict[str, Any]:
     """Return a diagnosis with the effects that `learn` put into the chain before its own.
 
-    Where the diagnosis finds nothing more, the verdict is as sure as `learn` is of its laws. `learn` gives no
-    probabilities: a law that is not identified counts as a claim of one half.
+    If the diagnosis finds nothing more, the verdict is that of `learn` on its laws. `learn` gives no probabilities, so
+    a law that is not identified counts as a claim of one half.
     """
     laws = [one for one in learned if one.name]
     doubted = [one for one in laws if one.law != "identified"]

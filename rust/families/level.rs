@@ -261,7 +261,7 @@ impl Level {
     }
 
     /// Loss of a fit of all frames on these same frames.
-    pub fn least(&mut self, names: &[String], ridges: &[f64]) -> Result<f64> {
+    pub fn training_loss(&mut self, names: &[String], ridges: &[f64]) -> Result<f64> {
         let selection = self.fit(names, ridges)?;
         let ((factor, added), right) = (selection.factor(&self.all)?, selection.right(&self.all));
         let mut theta = right.clone();

@@ -265,8 +265,13 @@ impl PyLevel {
     }
 
     /// Return the loss of a fit of all frames on these same frames.
-    fn least(&mut self, py: Python<'_>, names: Vec<String>, ridges: Vec<f64>) -> PyResult<f64> {
-        Ok(py.detach(|| self.level.least(&names, &ridges))?)
+    fn training_loss(
+        &mut self,
+        py: Python<'_>,
+        names: Vec<String>,
+        ridges: Vec<f64>,
+    ) -> PyResult<f64> {
+        Ok(py.detach(|| self.level.training_loss(&names, &ridges))?)
     }
 
     /// Fit all frames; return the column weights (n,) of each of `names`.

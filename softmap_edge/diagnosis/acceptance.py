@@ -54,18 +54,18 @@ def accepted(row: Representative, ranking: Ranking, state: State, later: bool, v
     if static and not beyond_ordinary(ranking, state):
         return False
     record, rod = state.body.record, state.body.record.model.kind == "rod"
-    if rod and row.family.kind in ("static", "time"):  # a rod's own error is part of its noise
+    if rod and row.family.kind in ("static", "time"):  # the model error of a rod is part of its noise
         if difference(ranking.before, row.loss).fall < rule.FALL_NEXT * float(ranking.before.sum()):
             return False
-        if not beyond_own(row.family, row.moved_mm, state.body):
+        if not exceeds_model_error(row.family, row.moved_mm, state.body):
             return False
     return row.moved_mm >= max(visible, float(noise), record.form_mm if static and not rod else 0.0)
 
 
-def beyond_own(family: Family, moved_mm: float, body: Body) -> bool:
-    """Whether what moves the body by `moved_mm` is more than the own error of a map that was learned freely.
+def exceeds_model_error(family: Family, moved_mm: float, body: Body) -> bool:
+    """Whether an effect of size `moved_mm` exceeds the model error of a map that was learned freely.
 
-    Such a map follows any static effect of the robot that taught it. What is static and new comes on top of its error.
+    Such a map follows every static effect of the robot that taught it, so a new static effect adds to the model error.
     """
     record = body.record
     if family.kind != "static" or not isinstance(getattr(record.model, "prior", None), _core.Rod):

@@ -511,10 +511,10 @@ def _tuned(
 ) -> tuple[Floats, float]:
     """Return the held-out loss with one block more, and the strength of its ridge that makes it least.
 
-    Where the loss of the frames that it is fitted to falls too little, the held-out loss is taken to be that `before`.
+    If the training loss falls too little, the block is not cross-validated: its held-out loss is the one `before`.
     """
-    most = max(float(before.sum()), level.least(names, ridges))
-    if most - level.least([*names, name], [*ridges, RIDGES[0]]) < FALL * before.sum():
+    most = max(float(before.sum()), level.training_loss(names, ridges))
+    if most - level.training_loss([*names, name], [*ridges, RIDGES[0]]) < FALL * before.sum():
         return before, RIDGES[-1]
     tried = [(np.asarray(level.losses([*names, name], [*ridges, ridge])), ridge) for ridge in RIDGES]
     return min(tried, key=lambda pair: float(pair[0].sum()))

@@ -145,12 +145,12 @@ def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, s
     level.close(np.ascontiguousarray(fit.modes))
     own = np.array([label.split(".")[0] in effects for label in fit.space.free_labels], bool)
     bounds = [label for label, mine, bound in zip(fit.space.free_labels, own, at_bound(fit)) if mine and bound]
-    loss = spared(np.asarray(level.losses(names, ridges)), before, fit, effects)
+    loss = capped_at_events(np.asarray(level.losses(names, ridges)), before, fit, effects)
     name = " + ".join(f"{e} for each channel" if e in split else e for e in effects)
     return Law(name, effects, fit, loss, int(own.sum()), tuple(bounds))
 
 
-def spared(loss: Floats, before: Floats, fit: Fit, effects: Sequence[str]) -> Floats:
+def capped_at_events(loss: Floats, before: Floats, fit: Fit, effects: Sequence[str]) -> Floats:
     """Return the held-out loss (folds,) of a fit, no more than `before` in the folds where its `effects` happen.
 
     Other folds cannot show an event that happens once, in this fold: there a law is as good as none.

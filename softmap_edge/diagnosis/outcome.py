@@ -17,7 +17,7 @@ from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.families import Body, Family, Representative, State, ranked
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
-from softmap_edge.diagnosis.laws import Answer, spared
+from softmap_edge.diagnosis.laws import Answer, capped_at_events
 
 Floats = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def held_out_loss(outcome: Outcome) -> Floats:
     loss = min((ranked(way, open_, open_).before for way in ways), key=lambda loss: float(loss.sum()))
     for step in outcome.steps:
         if step.answer.law is not None:
-            loss = spared(loss, step.answer.before, state.fit, step.answer.law.effects)
+            loss = capped_at_events(loss, step.answer.before, state.fit, step.answer.law.effects)
     return loss
 
 

@@ -97,7 +97,7 @@ class Taught:
 
 
 def with_unknown(model: Model, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the changes to a diagnosis that found nothing, where learning saw a memory that no law explains.
+    """Return the changes to a diagnosis that found nothing, if `learn` detected a memory without a law.
 
     The error of a learned model is part of its noise, and such a memory is part of this error.
     """
@@ -111,9 +111,8 @@ def with_unknown(model: Model, values: Mapping[str, Any]) -> dict[str, Any]:
         unknown.family, kinds.get(unknown.family, "memory"), "unknown", (), (moved / before) ** 2, moved,
         alternatives=others,
     )  # fmt: skip
-    what = str(values["sentence"])
     sentence = (
-        f"An unknown law of the family {unknown.family}, {moved:.2f} mm RMS, was in the robot while the model was "
-        f"learned, and is not in the model. This run adds nothing to it: {what[:1].lower()}{what[1:]}"
+        f"An unknown law of the family {unknown.family}, {moved:.2f} mm RMS, was detected while the model was learned; "
+        f"the model does not contain it. {values['sentence']}"
     )
     return {"verdict": "partly_explained", "families": (family,), "sentence": sentence}

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.acceptance import ASKED, MOST, beyond_own, falls_on, indistinct, one_pose
+from softmap_edge.diagnosis.acceptance import ASKED, MOST, exceeds_model_error, falls_on, indistinct, one_pose
 from softmap_edge.diagnosis.decision import near
 from softmap_edge.diagnosis.families import Body, Family, Ranking, Representative, State, families, ranked
 from softmap_edge.diagnosis.fits import Fits
@@ -100,7 +100,7 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
 
 
 def _changes(family: Family) -> bool:
-    """Whether a family is of the time, or of an orientation that changes with it: without a law these are alike."""
+    """Whether a family depends on time, or on the orientation, which changes with time."""
     return family.kind == "time" or family.name == "load"
 
 
@@ -131,7 +131,7 @@ def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
         moved = body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0]))
         if moved < visible or not falls_on(answer.before, answer.law.loss, body):
             return None
-        if not beyond_own(answer.family, moved, body):
+        if not exceeds_model_error(answer.family, moved, body):
             return None
         other.steps.append(Step(answer, ()))
         # With the others in place, another law of the family may be its law.

@@ -13,7 +13,7 @@ from softmap_edge.report.in_unit import PLACES
 from softmap_edge.report.numbers import folded, mm, number, percent, tamed
 from softmap_edge.report.style import escaped, section
 
-LEARNED = "Learned with the model: in the robot then, and in the model's chain"
+LEARNED = "Learned with the model: present in the robot at that time"
 TITLE = "What the model lacks: the family of effects, then its law"
 PAGE_NOTE = (
     "A family holds all effects that depend on the same inputs. Its share is its part of the explained error. The "

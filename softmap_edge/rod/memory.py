@@ -46,7 +46,7 @@ FALL = 0.01  # of its loss by which a fold falls
 VISIBLE = 1e-3  # of the robot's length, RMS: less is invisible to a camera (0.12 mm of a finger of 120)
 FORM = 0.025  # of the explained loss: laws closer than this differ by their form error only
 AGREE, FOLDS_THAT_AGREE = 0.85, 5  # share of at least so many folds that decides where the mean difference does not
-SURE = 0.2  # of the loss above the noise that a law must explain to be identified, and a family to be unknown physics
+SURE = 0.2  # of the loss above the noise: what an identified law, or an unknown one, must explain
 PAIR = 0.8  # of a law's remainder above the noise: a second law of its family that explains less is form error
 EACH = 0.05  # of the loss that a number per channel must explain more than one for all
 EACH_TRIED = 3  # best laws with one number for all that are tried with a number per channel
@@ -109,19 +109,19 @@ class _Found:
     names: tuple[str, ...]
     fitted: FittedLaw
     before: Floats
-    rivals: tuple[_Candidate, ...]
+    alternatives: tuple[_Candidate, ...]
     short: bool
     weak: bool
 
     @property
     def certainty(self) -> Certainty:
-        """Whether the law is identified: strong, not at a bound, no alternative as good (`_rivals`)."""
+        """Whether the law is identified: strong, not at a bound, no alternative as good."""
         if self.short or self.fitted.bounded.any():
             return "open"
-        alike = any(self._rivals(rival) for rival in self.rivals)
+        alike = any(self._is_as_good(other) for other in self.alternatives)
         return "ambiguous" if alike or self.weak else "identified"
 
-    def _rivals(self, other: _Candidate) -> bool:
+    def _is_as_good(self, other: _Candidate) -> bool:
         """Whether an alternative is of another family, has as few numbers, or is seen to leave less."""
         if other.family.name != self.family.name or other.numbers <= len(self.fitted.x):
             return True
@@ -235,12 +235,12 @@ class _Search:
         best = min(reach or good, key=lambda one: (one.numbers if reach else 0, float(one.losses.sum())))
         fitted, second = self._paired(best)
         others = reach or sorted(good, key=lambda one: float(one.losses.sum()))[: 1 + SHORT]
-        rivals = [one for one in others if one.name not in (best.name, second)]
+        alternatives = [one for one in others if one.name not in (best.name, second)]
         lawless = [one for one in near if not one.family.members and self._near(one.losses, lowest, now)]
-        rivals += [_Candidate(one.family, "", one.losses) for one in lawless]
+        alternatives += [_Candidate(one.family, "", one.losses) for one in lawless]
         weak = not self._falls(now, fitted.losses, SURE)
         names = tuple(filter(None, (best.name, second)))
-        return _Found(best.family, names, fitted, now, tuple(rivals), short=not reach, weak=weak)
+        return _Found(best.family, names, fitted, now, tuple(alternatives), short=not reach, weak=weak)
 
     def _law(self, names: Sequence[str], found: Sequence[_Found]) -> FittedLaw:
         if not found:
@@ -341,9 +341,9 @@ class _Search:
         return float(np.sqrt(losses.sum() / (self.frames * len(self.static.targets) * self.seen.markers.shape[1])))
 
     def _only_seen(self, near: Sequence[_Represented], now: Floats, forbidden: bool) -> None:
-        """Report families that are seen, but whose law does not join the chain."""
+        """Report families that the run shows, but whose law does not join the chain."""
         names, after = " or ".join(one.family.name for one in near), self._rms(near[0].losses)
-        drifts = any(one.family.name == DRIFT for one in near)  # that may be the camera
+        drifts = any(one.family.name == DRIFT for one in near)  # possibly of the camera
         if not forbidden and not drifts and self._falls(now, near[0].losses, SURE):
             first, *others = (Alternative("", one.family.name, self._rms(one.losses)) for one in near)
             self.unknown = (LearnedIn("", first.family, "unknown", self._rms(now), after, (), tuple(others)),)
@@ -359,13 +359,13 @@ class _Search:
         numbers = self.fit.told(last)
         records = []
         for one in found:
-            rivals = tuple(Alternative(r.name, r.family.name, self._rms(r.losses)) for r in one.rivals)
+            others = tuple(Alternative(o.name, o.family.name, self._rms(o.losses)) for o in one.alternatives)
             before, after = self._rms(one.before), self._rms(one.fitted.losses)
             for name in one.names:
                 twins = tuple(Alternative(twin, one.family.name, after) for twin in _twins(name))
                 params = tuple(number for label, number in numbers.items() if label.startswith(f"{name}."))
                 records.append(
-                    LearnedIn(name, one.family.name, one.certainty, before, after, params, (*rivals, *twins))
+                    LearnedIn(name, one.family.name, one.certainty, before, after, params, (*others, *twins))
                 )
         return Memory(last.law.names, last.params, (*records, *self.unknown), noise, tuple(self.notes))
 
