@@ -18,7 +18,6 @@ from softmap_edge.servo.controller import REQUESTS
 from softmap_edge.servo.limits import loop_limits, servo_limits
 
 STATES = ("off", "connected", "homed", "ready", "engaged", "hold", "safe_stop", "fault", "commissioning")
-DRIVEN = ("engaged", "hold", "commissioning")
 LEADS_ON = dict(off="connect", connected="home", homed="arm", ready="engage", fault="acknowledge")
 HOMES = (2000, 2400)  # apart, so that exchanged ids show
 FAR = (2.0, 2.0)  # mm
@@ -180,15 +179,15 @@ class Loop:
     def bring(self, state):
         """Lead the guard from OFF to `state`; engaged, it stands far out. A busy machine may end it on the way."""
         for _ in range(3):
-            self._lead(state)
-            if self.state == state:
+            if self._lead(state) and self.state == state:
                 return
             self.restore()
         raise AssertionError(f"never {state}: {self.reports[-1]}")
 
     def _lead(self, state):
+        """Lead the guard on, once; whether it went all the way."""
         if state == "off":
-            return
+            return True
         self.reach("connect", "connected")
         if state == "fault":
             self.reach("home", "homed")
@@ -197,27 +196,32 @@ class Loop:
             self.emergency = False
             time.sleep(0.03)
         if state in ("connected", "fault"):
-            return
+            return True
         self.reach("home", "homed")
         if state == "commissioning":
             self.reach("commission", "commissioning")
-            self._arrive(150.0)
-        if state in ("homed", "commissioning"):
-            return
+            return self._arrives("commissioning", 150.0)
+        if state == "homed":
+            return True
         self.reach("arm", "ready")
         if state == "ready":
-            return
+            return True
         self.reach("engage", "engaged")
-        self._arrive(FAR[0] * TICKS_PER_MM)
-        if state in ("hold", "safe_stop") and self.state == "engaged":
+        arrived = self._arrives("engaged", FAR[0] * TICKS_PER_MM)
+        if arrived and state in ("hold", "safe_stop"):
             self.reach({"hold": "hold", "safe_stop": "stop"}[state], state)
+        return arrived
 
-    def _arrive(self, away):
+    def _arrives(self, state, away):
+        """Wait in `state` until the horns stand `away` (ticks); a busy machine may leave it on the way."""
         far = np.array(HOMES) + away
         until = time.monotonic() + PATIENCE
-        while self.state in DRIVEN and np.abs(self.angles() - far).max() > 12.0:
+        while np.abs(self.angles() - far).max() > 12.0:
+            if self.state != state:
+                return False
             assert time.monotonic() < until, f"{self.angles()} is not {far}: {self.reports[-1]}"
             time.sleep(0.005)
+        return True
 
     def angles(self):
         """Return how far the horns have really turned, ticks."""
