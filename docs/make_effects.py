@@ -38,7 +38,9 @@ A Python file does as well, everywhere but in the control loop: [own_effect.md](
 At its null values an effect is absent. A fit searches from *low* to *high* (on a logarithmic scale where *low* is
 positive) and begins at *start*. A parameter marked *per channel* has one value for each command: `gain.factor[0]`,
 `gain.factor[1]`. One marked *shared* does too (`backlash.gap[0]`, `backlash.gap[1]`), but one number, `backlash.gap`,
-is used for all channels until they are given or fitted separately. One *per pair* has one for each ordered pair of
+is used for all channels until they are given or fitted separately. One *shared by cables* has one for each of the two
+cables of a channel: `dead_zone.slack[0+]` for the cable that a positive command pulls, `dead_zone.slack[0-]` for the
+other, or `dead_zone.slack[0]` for both. One *per pair* has one for each ordered pair of
 channels (of neighbours, beyond four channels): `coupling.factor[0,1]`, the channel that is moved first. A *whole*
 number is tried at integer values and not optimised. The path from command to camera is
 `command → transmission → material → shape → sensing`; a chain is always composed in this order. Each picture shows one
@@ -249,8 +251,13 @@ def _reach(parameter: dict[str, Any]) -> str:
 
 
 def _each(parameter: dict[str, Any]) -> str:
-    each = {"shared": " shared", "per_channel": " per channel", "per_pair": " per pair"}
-    words = [word for key, word in each.items() if parameter[key]][:1]  # what is shared is per channel too
+    each = {
+        "per_cable": " shared by cables",
+        "shared": " shared",
+        "per_channel": " per channel",
+        "per_pair": " per pair",
+    }
+    words = [word for key, word in each.items() if parameter[key]][:1]  # the first key that holds is the most exact
     return "".join(words + [" whole"] * parameter["integer"])
 
 

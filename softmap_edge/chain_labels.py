@@ -1,9 +1,10 @@
-"""Parameters of a chain by label: a shared parameter has one number per channel and one label for all channels.
+"""Parameters of a chain by label: a shared parameter has one label for all channels, and a number for each.
 
-`chain.labels` (P,) name every number (`backlash.gap[0]`, `backlash.gap[1]`). The numbers of one group of `chain.tie`
-are equal unless they are set separately, and `chain.group_labels` (P,) name the group (`backlash.gap`). Input may use
-either label; if both are given, the one with an index counts. Output has one entry for a group while its numbers are
-equal, else one for each channel. Pinned by tests/test_shared_numbers.py.
+`chain.labels` (P,) name every number: `backlash.gap[0]` of a channel, `dead_zone.slack[0+]` and `dead_zone.slack[0-]`
+of the cables that a channel pulls to either side. The numbers of one group of `chain.tie` are equal unless they are set
+separately, and `chain.group_labels` (P,) name the group (`backlash.gap`). Input may use either label, or that of a
+channel for both of its cables; the most exact one counts. Output has one entry for a group while its numbers are equal,
+else one for each. Pinned by tests/test_shared_numbers.py.
 """
 
 from __future__ import annotations
@@ -17,6 +18,12 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
+def readings(label: str, group: str) -> tuple[str, ...]:
+    """Return the labels under which input may give a number, the most exact one first."""
+    channel = label.replace("+]", "]").replace("-]", "]")
+    return tuple(dict.fromkeys((label, channel, group)))
+
+
 def grouped(chain: Any) -> dict[str, list[int]]:
     """Return the numbers of each group, as indices into the labels of a chain, by the label of the group."""
     groups: dict[str, list[int]] = {}
@@ -26,7 +33,7 @@ def grouped(chain: Any) -> dict[str, list[int]]:
 
 
 def named(chain: Any, params: Floats) -> dict[str, float]:
-    """Return parameters (P,) by label: one entry for each group whose numbers are equal, else one a channel."""
+    """Return parameters (P,) by label: one entry for each group whose numbers are equal, else one for each."""
     found: dict[str, float] = {}
     for label, members in grouped(chain).items():
         if np.all(params[members] == params[members[0]]):
@@ -37,9 +44,10 @@ def named(chain: Any, params: Floats) -> dict[str, float]:
 
 
 def valued(chain: Any, params: Mapping[str, float], absent: Floats) -> Floats:
-    """Return parameters (P,) of a chain from a mapping by label; use `absent` (P,) where it has neither label."""
-    labels = zip(chain.labels, chain.group_labels, absent)
-    return np.array([params.get(label, params.get(group, rest)) for label, group, rest in labels], float)
+    """Return parameters (P,) of a chain from a mapping by label; use `absent` (P,) where it has none of them."""
+    names = (readings(label, group) for label, group in zip(chain.labels, chain.group_labels))
+    found = (next((params[n] for n in known if n in params), rest) for known, rest in zip(names, absent))
+    return np.array(list(found), float)
 
 
 def spread(chain: Any, params: Floats) -> Floats:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core, views
-from softmap_edge.chain_labels import named, spread, valued
+from softmap_edge.chain_labels import named, readings, spread, valued
 from softmap_edge.coverage import Coverage
 from softmap_edge.errors import SoftmapError
 from softmap_edge.features import Body, FeatureMap, marker_features, section_features, upright
@@ -202,7 +202,8 @@ class Model:
             moved = {label: value for label, value in params.items() if label in known}
             if moved:
                 return self.changed(moved).with_effects(names, {k: v for k, v in params.items() if k not in known})
-            unknown = [label for label in params if label not in {*chain.labels, *chain.group_labels}]
+            allowed = {name for pair in zip(chain.labels, chain.group_labels) for name in readings(*pair)}
+            unknown = [label for label in params if label not in allowed]
             if unknown:
                 there = ", ".join(dict.fromkeys(chain.group_labels))
                 raise SoftmapError(f"no parameter '{unknown[0]}' in the chain; there are {there}")

@@ -138,7 +138,7 @@ def slipped(p, u, t):
 
 def crept(p, u, t):
     """Piece by piece: one cable pulls, the other does, or neither, where only a taut pair moves."""
-    ours, others = (p["loss"] * relaxed(np.maximum(pull, 0.0), t, p["tau"]) for pull in (u, -u))
+    ours, others = (loss * relaxed(np.maximum(pull, 0.0), t, p["tau"]) for loss, pull in zip(p["loss"].T, (u, -u)))
     one, other = u - ours + p["taut"] * others, u + others - p["taut"] * ours
     neither = p["taut"] * (u - ours + others)
     return np.where(u > ours, one, np.where(u < -others, other, neither))
@@ -299,7 +299,7 @@ ORACLES = {
     "backlash": each(lambda p, u, t: slot(u, p["gap"] / 2)),
     "friction": rubbed,
     "coupling": lambda p, u, t: u @ (np.eye(u.shape[1]) + p["factor"]).T,
-    "dead_zone": lambda p, u, t: np.sign(u) * np.maximum(np.abs(u) - p["slack"], 0.0),
+    "dead_zone": lambda p, u, t: np.maximum(u - p["slack"][:, 0], 0.0) - np.maximum(-u - p["slack"][:, 1], 0.0),
     "tendon_creep": crept,
     "anchor_slip": slipped,
     "hysteresis": each(prandtl_ishlinskii),
@@ -335,17 +335,20 @@ REMEMBERED = {"body_friction": relays}
 
 
 def named(name, params, channels):
-    """Flat parameters (P,) of one effect by name; per channel as arrays (C,), per pair as matrices (C, C)."""
+    """Flat parameters (P,) of one effect by name; per channel (C,), per cable (C, 2), per pair (C, C)."""
     out, at = {}, 0
     near = np.abs(np.subtract.outer(np.arange(channels), np.arange(channels)))
     pairs = (near > 0) & ((near == 1) | (channels <= 4))
     for p in EFFECTS[name]["parameters"]:
         width = channels if p["per_channel"] else int(pairs.sum()) if p["per_pair"] else 1
+        width = 2 * channels if p["per_cable"] else width
         own = params[at : at + width]
+        if p["per_cable"]:
+            own = own.reshape(channels, 2)
         if p["per_pair"]:
             own, values = np.zeros((channels, channels)), own
             own[pairs] = values
-        out[p["name"]] = own if p["per_channel"] or p["per_pair"] else own[0]
+        out[p["name"]] = own if p["per_channel"] or p["per_pair"] or p["per_cable"] else own[0]
         at += width
     assert at == len(params)
     return out

@@ -64,7 +64,7 @@ def test_each_channel_reads_its_own_number(name):
     params = random_params(chain, 5)
     by_label, out = dict(zip(chain.labels, params)), chain.rollout(params[None], u, t)[0]
     for c in range(3):
-        own = valued(alone, {label.replace(f"[{c}]", "[0]"): v for label, v in by_label.items()}, alone.null)
+        own = valued(alone, {label.replace(f"[{c}", "[0"): v for label, v in by_label.items()}, alone.null)
         np.testing.assert_array_equal(alone.rollout(own[None], u[:, c : c + 1], t)[0, :, 0], out[:, c])
     rolled = np.concatenate([np.roll(np.flatnonzero(chain.tie == group), 1) for group in np.unique(chain.tie)])
     turned = chain.rollout(params[rolled][None], u, t)[0]
@@ -114,6 +114,25 @@ def test_labels_of_a_model_are_those_of_all_channels_while_these_agree():
             MODEL.with_effects(["backlash", "gain"], wrong)
     with pytest.raises(SoftmapError, match=r"backlash\.gap\[1\] is -1 mm"):
         MODEL.with_effects(["backlash"], {"backlash.gap[0]": 1.0, "backlash.gap[1]": -1.0})
+
+
+def test_the_cables_of_a_channel_have_a_number_each():
+    chain = _core.Chain(["dead_zone", "tendon_creep"], 2)
+    slack = [f"dead_zone.slack[{cable}]" for cable in ("0+", "0-", "1+", "1-")]
+    assert chain.labels[:4] == slack and chain.group_labels[:4] == ["dead_zone.slack"] * 4
+    assert chain.tie.tolist() == [0, 0, 0, 0, 1, 1, 1, 1, 2, 3]
+    u = np.array([[2.0, 2.0], [-2.0, -2.0]])
+    acting = _core.Chain(["dead_zone"], 2).rollout(np.array([[0.5, 1.5, 3.0, 0.0]]), u, np.arange(2.0))[0]
+    np.testing.assert_array_equal(acting, [[1.5, 0.0], [-0.5, -2.0]])
+    # The label of a channel is for both of its cables, and one of a cable is more exact.
+    given = {"dead_zone.slack": 0.4, "dead_zone.slack[0]": 0.7, "dead_zone.slack[0-]": 0.9}
+    model = MODEL.with_effects(["dead_zone"], given)
+    assert model.params == dict(zip(slack, (0.7, 0.9, 0.4, 0.4)))
+    assert MODEL.with_effects(["dead_zone"], {"dead_zone.slack[0]": 0.4, "dead_zone.slack[1]": 0.4}).params == {
+        "dead_zone.slack": 0.4
+    }
+    with pytest.raises(SoftmapError, match="no parameter 'dead_zone.slack\\[2\\+\\]'"):
+        MODEL.with_effects(["dead_zone"], {"dead_zone.slack[2+]": 1.0})
 
 
 @pytest.mark.parametrize("name", EFFECTS)

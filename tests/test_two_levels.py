@@ -81,6 +81,19 @@ def test_unequal_plays_are_named_with_a_number_for_each_channel():
     assert gaps == pytest.approx([1.4, 0.8], rel=0.05)
 
 
+def test_unequal_slack_is_named_with_a_number_for_each_cable():
+    slack = {"0+": 0.6, "0-": 1.4, "1+": 1.0, "1-": 0.3}
+    above, below = np.reshape(list(slack.values()), (2, 2)).T
+
+    def acting(u):
+        return np.maximum(u - above, 0.0) - np.maximum(-u - below, 0.0)
+
+    found = diagnose(MODEL, finger_run(acting=acting))
+    assert names(found) == {"dead_zone"} and found.families[0].law == "resolved"
+    for cable, wanted in slack.items():
+        assert found.effects[0].params[f"dead_zone.slack[{cable}]"].value == pytest.approx(wanted, rel=0.05)
+
+
 ODD = {
     "wound in layers": lambda u: u + 0.012 * u * np.abs(u),
     "cubic": lambda u: u + 0.0012 * u**3,
@@ -263,8 +276,8 @@ def test_the_nearest_law_of_an_unknown_memory_is_a_candidate():
     """A play that is wider where it is pulled far is no law of the library; a play explains most of it."""
 
     def widening(u):
-        far = np.abs(played(u, [0.3, 0.3])) / 12.0
-        return (1.0 - far) * u + far * played(u, [2.6, 2.6])
+        far = np.abs(played(u, [1.0, 1.0])) / 12.0
+        return (1.0 - far) * played(u, [1.0, 1.0]) + far * played(u, [2.6, 2.6])
 
     found = diagnose(MODEL, finger_run(acting=widening), effects=["backlash", "lag", "creep"])
     assert found.verdict == "partly_explained" and [f.name for f in found.families][:1] == ["memory"]

@@ -139,11 +139,8 @@ impl Chain {
     pub fn group_labels(&self) -> Vec<String> {
         let bare = |label: &str| label.split('[').next().unwrap_or_default().to_string();
         let all = self.parameters().into_iter();
-        all.map(|(label, p)| match p.each {
-            Each::Shared => bare(&label),
-            _ => label,
-        })
-        .collect()
+        all.map(|(label, p)| if p.tied() { bare(&label) } else { label })
+            .collect()
     }
 
     /// The group (P,) of each parameter: the numbers of one shared parameter are one group, any other is its own group.
@@ -154,10 +151,7 @@ impl Chain {
             .iter()
             .flat_map(|link| link.effect.declaration.parameters)
         {
-            let (count, shared) = (
-                parameter.count(self.channels),
-                parameter.each == Each::Shared,
-            );
+            let (count, shared) = (parameter.count(self.channels), parameter.tied());
             groups.extend((0..count).map(|i| if shared { next } else { next + i }));
             next = groups.last().map_or(next, |last| last + 1);
         }

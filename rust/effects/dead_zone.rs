@@ -1,6 +1,7 @@
 //! Dead zone: around zero a command moves nothing, because slack is taken up first.
 //!
-//! `x = sign(u)·max(|u| − slack, 0)`, mm, without memory, for each channel; slack ≤ 0 is none. It acts on the command.
+//! `x = u − min(max(u, −slack⁻), slack⁺)`, mm, without memory, for each channel; slack ≤ 0 is none. Each cable of a pair
+//! has its own slack: slack⁺ is that of the cable that +u pulls. It acts on the command.
 //! A tendon that goes slack under a load is a law of the prior itself (`slack` of a rod), and not a dead zone.
 
 use super::conditions::Context;
@@ -12,7 +13,7 @@ pub static EFFECT: Effect = Effect {
         family: "slack",
         stage: Stage::Transmission,
         kind: Kind::Effect,
-        formula: "x = sign(u) · max(|u| − slack, 0)",
+        formula: "x = u − min(max(u, −slack⁻), slack⁺)  for the cables that +u and −u pull",
         doc: "A tendon with too much length: near zero it only straightens, and the finger stays straight until the \
               slack is taken up.",
         signature: "No motion around home, the same there and back; beyond, all commands act as if smaller by a constant.",
@@ -28,9 +29,9 @@ pub static EFFECT: Effect = Effect {
             0.5,
             0.05,
             4.0,
-            "command on each side of zero that moves nothing",
+            "command of the cable's side of zero that moves nothing",
         )
-        .shared()
+        .per_cable()
         .reaching(Reach::HalfRanges(1.0))],
     },
     law: Law::Channel(&DeadZone),
@@ -40,9 +41,8 @@ struct DeadZone;
 
 impl ChannelEffect for DeadZone {
     fn settle(&self, params: &[f64], x: &mut [f64], _state: &mut [f64]) {
-        for (x, slack) in x.iter_mut().zip(params) {
-            let slack = slack.max(0.0);
-            *x -= x.max(-slack).min(slack);
+        for (x, slack) in x.iter_mut().zip(params.chunks_exact(2)) {
+            *x -= x.max(-slack[1].max(0.0)).min(slack[0].max(0.0));
         }
     }
 

@@ -84,6 +84,8 @@ pub enum Each {
     /// One for each channel, all equal unless the data require more: fits move them together, and one label without an
     /// index is used for all of them (`Chain::tie`).
     Shared,
+    /// As [`Each::Shared`], with one for each of the two cables that a channel pulls: that of +x, then that of −x.
+    Cable,
     /// What [`pairs`] gives.
     Pair,
 }
@@ -143,6 +145,12 @@ impl Parameter {
         self
     }
 
+    /// One number for each cable, equal for all unless they are set separately.
+    pub const fn per_cable(mut self) -> Parameter {
+        self.each = Each::Cable;
+        self
+    }
+
     /// One number for each of the [`pairs`] of channels.
     pub const fn per_pair(mut self) -> Parameter {
         self.each = Each::Pair;
@@ -196,8 +204,16 @@ impl Parameter {
         match self.each {
             Each::Robot => vec![String::new()],
             Each::Channel | Each::Shared => (0..channels).map(|c| format!("[{c}]")).collect(),
+            Each::Cable => (0..channels)
+                .flat_map(|c| [format!("[{c}+]"), format!("[{c}-]")])
+                .collect(),
             Each::Pair => pairs(channels).map(|(i, j)| format!("[{i},{j}]")).collect(),
         }
+    }
+
+    /// Whether its numbers are equal unless they are set separately.
+    pub fn tied(&self) -> bool {
+        matches!(self.each, Each::Shared | Each::Cable)
     }
 
     /// How many numbers it has.
@@ -205,6 +221,7 @@ impl Parameter {
         match self.each {
             Each::Robot => 1,
             Each::Channel | Each::Shared => channels,
+            Each::Cable => 2 * channels,
             Each::Pair => pairs(channels).count(),
         }
     }

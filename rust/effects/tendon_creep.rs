@@ -1,6 +1,6 @@
 //! Tendon creep: a tendon under tension goes on stretching, and the bend is slowly lost.
 //!
-//! Each cable of a pair by itself: `s± = loss·z±`, `tau·z±' = max(±x, 0) − z±` are by how much the cable that +x pulls and
+//! Each cable of a pair by itself: `s± = loss±·z±`, `tau·z±' = max(±x, 0) − z±` are by how much the cable that +x pulls and
 //! the one that −x pulls are longer; what that does to the command is in `pair.rs`: `taut` 0 for cables that only pull and
 //! hang loose when they are let go, 1 for a pair that is held taut or takes compression, where `y = x − s⁺ + s⁻`.
 //! After a step all of it comes at once and a share of it is lost with time, where creep of the body (`creep.rs`) goes on
@@ -18,7 +18,7 @@ pub static EFFECT: Effect = Effect {
         family: "slow drift",
         stage: Stage::Transmission,
         kind: Kind::Effect,
-        formula: "y = taut · (x − a + b) + (1 − taut) · (x − min(max(x, −b), a)),  a = loss · z⁺, b = loss · z⁻,  tau · dz±/dt = max(±x, 0) − z±",
+        formula: "y = taut · (x − a + b) + (1 − taut) · (x − min(max(x, −b), a)),  a = loss⁺ · z⁺, b = loss⁻ · z⁻,  tau · dz±/dt = max(±x, 0) − z±",
         doc: "The tendon creeps: under a lasting pull polymer fibres and knots give way, and recover when they are let \
               go. Each cable of a pair by itself, while it pulls.",
         signature: "Drift while a command is held, back towards home; after a long pull home and the other side are \
@@ -35,10 +35,10 @@ pub static EFFECT: Effect = Effect {
                 0.0,
                 0.05,
                 0.01,
-                0.3,
+                0.5,
                 "share of a pull that is lost when all has settled",
             )
-            .shared(),
+            .per_cable(),
             Parameter::new(
                 "tau",
                 "s",
@@ -63,16 +63,17 @@ impl ChannelEffect for TendonCreep {
     }
 
     fn settle(&self, params: &[f64], x: &mut [f64], state: &mut [f64]) {
-        let (loss, numbers) = params.split_at(x.len());
-        let channels = x.iter_mut().zip(state.chunks_exact_mut(3)).zip(loss);
+        let (loss, numbers) = params.split_at(2 * x.len());
+        let cables = loss.chunks_exact(2);
+        let channels = x.iter_mut().zip(state.chunks_exact_mut(3)).zip(cables);
         for ((x, state), loss) in channels {
             state.copy_from_slice(&[x.max(0.0), (-*x).max(0.0), *x]);
-            *x = shortened(*loss, numbers[1], *x, state);
+            *x = shortened(loss, numbers[1], *x, state);
         }
     }
 
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
-        let tau = params[x.len()];
+        let tau = params[2 * x.len()];
         advance(params, low_pass(tau, context.dt), x, state);
     }
 
@@ -86,7 +87,7 @@ impl ChannelEffect for TendonCreep {
         conditions: &Conditions,
     ) {
         low_passed(
-            [params[channels]],
+            [params[2 * channels]],
             samples,
             channels,
             conditions,
@@ -100,20 +101,21 @@ impl ChannelEffect for TendonCreep {
 /// Advance one sample of every channel.
 #[inline]
 fn advance(params: &[f64], [a, b, c]: [f64; 3], x: &mut [f64], state: &mut [f64]) {
-    let (loss, numbers) = params.split_at(x.len());
-    let channels = x.iter_mut().zip(state.chunks_exact_mut(3)).zip(loss);
+    let (loss, numbers) = params.split_at(2 * x.len());
+    let cables = loss.chunks_exact(2);
+    let channels = x.iter_mut().zip(state.chunks_exact_mut(3)).zip(cables);
     for ((x, state), loss) in channels {
         let (before, u) = (state[2], *x);
         let follow = |z: f64, before: f64, u: f64| a * z + (b * before.max(0.0) + c * u.max(0.0));
         state[0] = follow(state[0], before, u);
         state[1] = follow(state[1], -before, -u);
         state[2] = u;
-        *x = shortened(*loss, numbers[1], u, state);
+        *x = shortened(loss, numbers[1], u, state);
     }
 }
 
-/// What reaches the body of a command.
+/// What reaches the body of a command, of cables with these losses.
 #[inline]
-fn shortened(loss: f64, taut: f64, x: f64, state: &[f64]) -> f64 {
-    lengthened(x, [loss * state[0], loss * state[1]], taut)
+fn shortened(loss: &[f64], taut: f64, x: f64, state: &[f64]) -> f64 {
+    lengthened(x, [loss[0] * state[0], loss[1] * state[1]], taut)
 }

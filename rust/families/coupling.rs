@@ -17,16 +17,18 @@ pub static FAMILY: Family = Family {
 /// Most channels for which powers and products are used: beyond, a run cannot identify so many columns.
 const PRODUCTS: usize = 3;
 
-/// y, y², y³, xy, x²y and xy² for every other channel y, mm; only y above [`PRODUCTS`] channels.
+/// y, y², y(5y² − 3)/2, xy, x²y, xy², |y| and x|y| for every other channel y, mm; only y above [`PRODUCTS`] channels.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let (x, half) = (&series.x[channel], series.half[channel]);
     let terms: &[fn(f64, f64) -> f64] = &[
         |_, y| y,
         |_, y| y * y,
-        |_, y| y * y * y,
+        |_, y| 0.5 * y * (5.0 * y * y - 3.0), // not y³, which is nearly y
         |x, y| x * y,
         |x, y| x * x * y,
         |x, y| x * y * y,
+        |_, y| y.abs(),
+        |x, y| x * y.abs(),
     ];
     let count = if series.channels() <= PRODUCTS {
         terms.len()

@@ -24,7 +24,10 @@ const POLES: [f64; 6] = [2.0, 5.0, 12.0, 30.0, 80.0, 200.0];
 /// Number of time constants used as signals: a run of minutes cannot distinguish the slowest from the static map.
 const SIGNALS: usize = 5;
 
-/// Low-passed command minus command, mm.
+/// Time constants of the stretch of single cables, s.
+const CABLES: [f64; 3] = [10.0, 30.0, 90.0];
+
+/// Low-passed command minus command, mm; and what each cable of a pair has lost, where it pulls.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let v = &series.v[channel];
     let mut out = vec![0.0; series.samples()];
@@ -32,6 +35,16 @@ fn columns(series: &Series, channel: usize, emit: Emit) {
         pole(v, &series.dt, tau, &mut out);
         with(&mut out, v, |slow, v| slow - v);
         emit(&out);
+    }
+    for side in [1.0, -1.0] {
+        let pulled: Vec<f64> = v.iter().map(|v| (side * v).max(0.0)).collect();
+        for tau in CABLES {
+            pole(&pulled, &series.dt, tau, &mut out);
+            with(&mut out, &pulled, |slow, pull| {
+                side * f64::from(pull > 0.0) * (slow - pull)
+            });
+            emit(&out);
+        }
     }
 }
 

@@ -33,7 +33,12 @@ fn widths(wide: bool) -> [f64; WIDTHS] {
     }
 }
 
-/// Output of the play minus its input, mm.
+/// Half widths of the plays of other channels that drag this one along.
+const DRAGGED: [f64; 3] = [0.08, 0.2, 0.5];
+/// Most channels for which others are tried: beyond, a run cannot identify so many columns.
+const OTHERS: usize = 3;
+
+/// Output of the play minus its input, of the channel and of the others, mm.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let (x, half) = (&series.x[channel], series.half[channel]);
     let mut out = vec![0.0; series.samples()];
@@ -50,6 +55,14 @@ fn columns(series: &Series, channel: usize, emit: Emit) {
         lost(width, &mut out);
         with(&mut out, x, |column, x| column * x.abs());
         emit(&out);
+    }
+    let others = series.x.iter().enumerate();
+    for (_, y) in others.filter(|(other, _)| *other != channel && series.channels() <= OTHERS) {
+        for width in DRAGGED {
+            play(y, width, &mut out);
+            with(&mut out, y, |held, y| half * (held - y));
+            emit(&out);
+        }
     }
 }
 

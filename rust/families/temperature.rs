@@ -1,7 +1,7 @@
 //! Temperature: the error follows the temperature declared in the run.
 
 use super::declaration::*;
-use super::operators::pole;
+use super::operators::{each, pole};
 use super::series::Series;
 
 pub static FAMILY: Family = Family {
@@ -21,15 +21,15 @@ pub static FAMILY: Family = Family {
 
 /// Smallest temperature range, °C: less is sensor noise.
 const LEAST: f64 = 0.5;
-/// Scale of the x column, as a share of the half range: gain error caused by the unknown reference temperature.
+/// Scale of the columns 1 and x, as a share of the half range: the unknown reference temperature makes an offset and a gain.
 const REFERENCE: f64 = 0.3;
 
 /// Time constants of a body that follows the temperature late, s; of creep whose strength follows the temperature, s.
 const LATE: [f64; 2] = [30.0, 100.0];
 const CREEP: [f64; 2] = [5.0, 30.0];
 
-/// z, zx, z²x, zx|x|, z², x, pole(z)x and z(pole(x) − x), with z = (temperature − mean)/range; mm. The reference
-/// temperature is unknown, hence x.
+/// z, zx, z²x, zx|x|, z², 1, x, pole(z), pole(z)x and z(pole(x) − x), with z = (temperature − mean)/range; mm. The
+/// reference temperature is unknown, hence 1 and x.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let Some(temperature) = &series.temperature else {
         return;
@@ -44,12 +44,13 @@ fn columns(series: &Series, channel: usize, emit: Emit) {
     }
     let mean = temperature.iter().sum::<f64>() / temperature.len() as f64;
     let (x, half) = (&series.x[channel], series.half[channel]);
-    let terms: [fn(f64, f64) -> f64; 6] = [
+    let terms: [fn(f64, f64) -> f64; 7] = [
         |z, _| z,
         |z, x| z * x,
         |z, x| z * z * x,
         |z, x| z * x * x.abs(),
         |z, _| z * z,
+        |_, _| REFERENCE,
         |_, x| REFERENCE * x,
     ];
     let mut out = vec![0.0; series.samples()];
@@ -66,6 +67,8 @@ fn columns(series: &Series, channel: usize, emit: Emit) {
     let mut passed = vec![0.0; z.len()];
     for tau in LATE {
         pole(&z, &series.dt, tau, &mut passed);
+        each(&passed, &mut out, |late| half * late);
+        emit(&out);
         for ((out, late), x) in out.iter_mut().zip(&passed).zip(x) {
             *out = half * late * x;
         }

@@ -52,7 +52,8 @@ fn parameter<'py>(py: Python<'py>, p: &Parameter) -> PyResult<Bound<'py, PyDict>
         "per_channel",
         matches!(p.each, Each::Channel | Each::Shared),
     )?;
-    entry.set_item("shared", p.each == Each::Shared)?;
+    entry.set_item("shared", p.tied())?;
+    entry.set_item("per_cable", p.each == Each::Cable)?;
     entry.set_item("per_pair", p.each == Each::Pair)?;
     let (half_ranges, lengths) = match p.reach {
         Reach::High => (0.0, 0.0),

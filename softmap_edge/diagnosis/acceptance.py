@@ -57,21 +57,24 @@ def accepted(row: Representative, ranking: Ranking, state: State, later: bool, v
     if rod and row.family.kind in ("static", "time"):  # the model error of a rod is part of its noise
         if difference(ranking.before, row.loss).fall < rule.FALL_NEXT * float(ranking.before.sum()):
             return False
-        if not exceeds_model_error(row.family, row.moved_mm, state.body):
+        if not exceeds_model_error(row.family, row.moved_mm, state):
             return False
     return row.moved_mm >= max(visible, float(noise), record.form_mm if static and not rod else 0.0)
 
 
-def exceeds_model_error(family: Family, moved_mm: float, body: Body) -> bool:
-    """Whether an effect of size `moved_mm` exceeds the model error of a map that was learned freely.
+def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
+    """Whether a static effect, or a drift, of size `moved_mm` exceeds the model error of a map that was learned freely.
 
-    Such a map follows every static effect of the robot that taught it, so a new static effect adds to the model error.
+    Such a map follows every static effect of the robot that taught it, so a new one adds to the model error, which is
+    known from the folds up to their scatter. `state` is what is known without the effect.
     """
-    record = body.record
-    if family.kind != "static" or not isinstance(getattr(record.model, "prior", None), _core.Rod):
+    record = state.body.record
+    if family.kind not in ("static", "time") or not isinstance(getattr(record.model, "prior", None), _core.Rod):
         return True
-    beyond = record.rms_mm(record.seen - body.problem.unchanged) ** 2 - record.form_mm**2
-    return moved_mm**2 <= rule.DOMINATES * beyond
+    folds = np.square(record.model.made_from.get("per_fold_mm", ()))
+    scatter = float(folds.std(ddof=1)) if len(folds) > 1 else 0.0
+    own = record.form_mm**2 + rule.DOMINATES * scatter * float(np.sqrt(2.0 / max(1, len(folds))))
+    return moved_mm**2 <= rule.DOMINATES * (record.rms_mm(state.residual) ** 2 - own)
 
 
 def is_ordinary(ranking: Ranking, state: State) -> bool:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.certificate import Certified
+from softmap_edge.diagnosis.changing import Change, changing
 from softmap_edge.diagnosis.collinear import collinear_conditions
 from softmap_edge.diagnosis.conditions import cells
 from softmap_edge.diagnosis.evidence import (
@@ -96,16 +97,17 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     moving = problem.noise.moving
     if moving and order:  # what settles late moves at rest too, until it is explained
         moving = motion_left(residual, record.seen, record.positions, record.t_seen, record.state).found
-    unknown = unknown or bool(moving)
+    changes = [one for one in changing(outcome) if not set(one.effects) & set(context.demoted)]
+    unknown = unknown or bool(moving or changes)
     findings = [_finding(outcome, fit, name, context, alternatives, unknown, registry) for name in order]
     faults = tuple(f for f in findings if registry[f.name]["kind"] == "fault")
     physics = tuple(f for f in findings if registry[f.name]["kind"] != "fault")
     error = _error(outcome, order, context.other)
-    families = tuple(_family(outcome, s, context.proof) for s in standing)
+    families = tuple(_family(outcome, s, context.proof, changes) for s in standing)
     if unknown and not standing and outcome.hint is not None:
         near, gone = outcome.hint, float(outcome.hint.loss.sum() / max(float(outcome.null.sum()), 1e-300))
         families = (FamilyFinding(near.family.name, near.family.kind, "unknown", (), 1.0 - gone, near.moved_mm),)
-    doubts = [*([str(context.own)] if context.own else []), *at_bounds(findings), *record.doubts]
+    doubts = [*([str(context.own)] if context.own else []), *at_bounds(findings), *record.doubts, *map(str, changes)]
     doubts += unconfirmed([*findings, *families])
     is_open = any(s.answer.open for s in standing)
     unsure = any(registry[e]["kind"] != "fault" for a in alternatives for e in a.effects)
@@ -131,7 +133,12 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
         "where": Where(_where(record, record.seen - fits.null.predicted), _where(record, residual)),
         "error": error,
         "unexplained": left,
-        "next": (*_mended(faults), *_refit(context.own), *_next(alternatives, hidden, registry, order, families)),
+        "next": (
+            *_mended(faults),
+            *_refit(context.own),
+            *(NextBlock(*one.experiment, one.effects) for one in changes),
+            *_next(alternatives, hidden, registry, order, families),
+        ),
         "made_from": _made_from(outcome, order, context, registry),
     }
 
@@ -155,7 +162,7 @@ def _left(outcome: Outcome, standing: Sequence[Step]) -> bool:
     return record.rms_mm(outcome.state.residual - outcome.state.ordinary) > rule.UNKNOWN_TIMES * own
 
 
-def _family(outcome: Outcome, step: Step, proof: Certified | None) -> FamilyFinding:
+def _family(outcome: Outcome, step: Step, proof: Certified | None, changes: Sequence[Change]) -> FamilyFinding:
     """Return what was found of one family."""
     answer, null = step.answer, float(outcome.null.sum())
     explained = max(null - float(outcome.loss.sum()), 1e-300)
@@ -165,9 +172,9 @@ def _family(outcome: Outcome, step: Step, proof: Certified | None) -> FamilyFind
     named = [answer.law] if answer.law is not None else []
     others = () if answer.resolved else answer.equals
     effects = [e for law in (*named, *others) for e in law.effects]
+    resolved = answer.resolved and not any(set(one.effects) & set(effects) for one in changes)
     return FamilyFinding(
-        answer.family.name, answer.family.kind,
-        "resolved" if answer.resolved else "open" if answer.open else "unknown",
+        answer.family.name, answer.family.kind, "resolved" if resolved else "open" if answer.open else "unknown",
         tuple(dict.fromkeys(effects)), min(1.0, own / explained), answer.representative.moved_mm,
         None if best is None else float(np.clip((float(answer.before.sum()) - best) / max(own, 1e-300), 0.0, 1.0)),
         tuple(law.name for law in answer.reaching if not law.effects), tuple(a.family.name for a in step.others),

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from softmap_edge import _core
-from softmap_edge.chain_labels import valued
+from softmap_edge.chain_labels import readings, valued
 from softmap_edge.diagnosis.findings import (
     Alternative,
     ErrorLadder,
@@ -147,7 +147,8 @@ class Diagnosis:
         ranges = ranges_of(model, _core, chain)
         for i, (value, low, high) in enumerate(zip(values, ranges.low, ranges.limit)):
             room = 1e-6 * (high - low)
-            label = chain.labels[i] if chain.labels[i] in params else chain.group_labels[i]
+            known = readings(chain.labels[i], chain.group_labels[i])
+            label = next((name for name in known if name in params), known[-1])
             if label not in params:
                 raise SoftmapError(f"the diagnosis has no {label}; it is not of this model, diagnose again")
             if not low - room <= value <= high + room and label != RADIUS:  # a known radius may be any

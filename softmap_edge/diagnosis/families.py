@@ -3,7 +3,8 @@
 A family is a bank of columns X = (∂f/∂v_c) · b(t) about the effective command v(t), and of fields of the body, fitted
 by ridge regression of the whitened residual; cross-validation chooses the strength of the ridge and says by how much
 the held-out loss falls. The columns, the families and the normal equations are compiled (`rust/families/`).
-Known limit: a representative is linear about the state and is linearised anew twice, enough for some 5 mm.
+Known limit: a representative is linear about the state, and is linearised anew until its loss falls no
+more.
 Pinned by tests/test_two_levels.py.
 """
 
@@ -36,7 +37,8 @@ MAPPED = ("static map", "coupling")  # families that span a learned static map
 BACKGROUND_RIDGE = 10.0  # of families that explain ordinary imperfections
 FARTHEST = 3.0  # half ranges from the middle that a representative may move commands
 RIDGES = (0.3, 10.0, 300.0, 1e4)  # strengths of the ridge that cross-validation chooses from
-LINEARISED = 2  # times that a representative is linearised about itself
+LEAST, LINEARISED = 2, 6  # times that a representative is linearised about itself, at least and at most
+HALVED = 3  # times that it is halved at most, where it leaves more than nothing does
 
 
 CURVES: dict[str, Callable[[Floats], Floats]] = {
@@ -141,7 +143,7 @@ class Body:
             t = np.asarray(run.t, float)
             rows = chain.rollout(
                 own[None], np.ascontiguousarray(part.u), t, gravity=_vectors(run.gravity, len(t)),
-                load=_numbers(run.load, len(t)), temperature=_numbers(run.temperature, len(t)),
+                load=declared_numbers(run.load, len(t)), temperature=declared_numbers(run.temperature, len(t)),
             )  # fmt: skip
             out.append(np.ascontiguousarray(rows[0]))
         return out
@@ -177,7 +179,7 @@ class Body:
     @cached_property
     def _temperatures(self) -> list[Floats | None]:
         """Temperature (T,) °C of each run; None where not all of them warm: a bank scales what one run shows."""
-        rows = [_numbers(part.run.temperature, len(part.run.t)) for part in self.parts]
+        rows = [declared_numbers(part.run.temperature, len(part.run.t)) for part in self.parts]
         known = [row for row in rows if row is not None and np.ptp(row) >= WARMED]
         return list(known) if len(known) == len(rows) else [None] * len(rows)
 
@@ -340,6 +342,11 @@ class State:
             shift = shift + body.features(commands) - body.features(start)
         self.shift = shift  # (K, F) mm, of the representatives
 
+    def without_background(self) -> State:
+        """Return this state without families that explain ordinary imperfections, itself where it has none."""
+        alone = set(self.background) <= set(self.body.learned)
+        return self if alone else State(self.body, self.fit, self.beside)
+
     @property
     def predicted(self) -> Floats:
         """The features (K, F) mm that are predicted."""
@@ -439,16 +446,27 @@ def about_itself(
         there, more = moves(theta)
         return there, np.asarray(more if there is state.commands else body.features(there) - before + more)
 
-    for _ in range(LINEARISED):
+    best, start = None, float(np.sum(body.modes(state.residual) ** 2))
+    for k in range(LINEARISED):
         there, moved = shift(theta)
+        for _ in range(HALVED):
+            if np.sum(body.modes(state.residual - moved) ** 2) <= start:
+                break
+            theta = 0.5 * theta  # too far: what is linear in a small effect overestimates a large one
+            there, moved = shift(theta)
         about = columns(state.slopes if there is state.commands else body.slopes(there))
         level = body.level()
         body.add(level, "about itself", about)
         names, ridges = state.blocks(level)
         level.close(np.ascontiguousarray(body.modes(state.residual - moved + about.shift(theta))))
         every, strengths = [*names, "about itself"], [*ridges, ridge]
-        theta = np.asarray(level.theta(every, strengths)[-1])
-    return theta, np.asarray(level.losses(every, strengths)), shift(theta)[1]
+        theta, loss = np.asarray(level.theta(every, strengths)[-1]), np.asarray(level.losses(every, strengths))
+        settled = best is not None and k + 1 >= LEAST and loss.sum() > (1.0 - FALL) * best[1].sum()
+        best = (theta, loss) if best is None or loss.sum() < best[1].sum() else best
+        if settled:
+            break
+    assert best is not None
+    return *best, shift(best[0])[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -527,7 +545,7 @@ def seen_commands(part: Record, commands: Floats) -> Floats:
     return np.ascontiguousarray(np.reshape(rows, (commands.shape[1], part.frames)).T)
 
 
-def _numbers(values: object, count: int) -> Floats | None:
+def declared_numbers(values: object, count: int) -> Floats | None:
     """Return what a run declares as one number a sample (T,)."""
     return None if values is None else np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), (count,)))
 

@@ -146,8 +146,14 @@ def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, s
     own = np.array([label.split(".")[0] in effects for label in fit.space.free_labels], bool)
     bounds = [label for label, mine, bound in zip(fit.space.free_labels, own, at_bound(fit)) if mine and bound]
     loss = capped_at_events(np.asarray(level.losses(names, ridges)), before, fit, effects)
-    name = " + ".join(f"{e} for each channel" if e in split else e for e in effects)
+    each = {e: "cable" if any(_of_cable(fit, e)) else "channel" for e in split}
+    name = " + ".join(f"{e} for each {each[e]}" if e in split else e for e in effects)
     return Law(name, effects, fit, loss, int(own.sum()), tuple(bounds))
+
+
+def _of_cable(fit: Fit, effect: str) -> list[bool]:
+    """Return which numbers of an effect are of a cable by itself, `dead_zone.slack[0+]`."""
+    return [label.endswith(("+]", "-]")) for label in fit.space.free_labels if label.split(".")[0] == effect]
 
 
 def capped_at_events(loss: Floats, before: Floats, fit: Fit, effects: Sequence[str]) -> Floats:

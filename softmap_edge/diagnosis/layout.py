@@ -5,7 +5,8 @@ offset of the clocks) have separate numbers for each run, labelled `mount.turn_x
 of the prior are listed with the parameters of effects.
 
 Numbers that channels share are one parameter of the layout, `backlash.gap`, unless the layout splits their effect. Then
-each channel has its own, `backlash.gap[0]`. `spread` maps the numbers of the runs' chains to the layout.
+each channel, or each cable, has its own, `backlash.gap[0]`. `spread` maps the numbers of the runs' chains to the
+layout.
 Pinned by tests/test_fit.py, tests/test_several_runs.py and tests/test_shared_numbers.py.
 """
 
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.chain_labels import readings
 from softmap_edge.errors import SoftmapError
 
 Floats = NDArray[np.float64]
@@ -90,13 +92,13 @@ class Layout:
 
 def _found(params: Mapping[str, float], label: str, group: str) -> float | None:
     """Return a parameter by its label, that of the first run, or that of all channels; else the channels' value."""
-    for name in (label, label.split("@")[0], group):
+    for name in (label, *readings(label.split("@")[0], group)):
         if name in params:
             return params[name]
-    channels = {value for name, value in params.items() if label == group and name.startswith(f"{group}[")}
-    if len(channels) > 1:
-        raise SoftmapError(f"the channels have different numbers of {group} ({channels}); split {group.split('.')[0]}")
-    return channels.pop() if channels else None
+    each = {value for name, value in params.items() if label == group and name.startswith(f"{group}[")}
+    if len(each) > 1:
+        raise SoftmapError(f"the channels have different numbers of {group} ({each}); split {group.split('.')[0]}")
+    return each.pop() if each else None
 
 
 def layout_of(
@@ -117,7 +119,7 @@ def layout_of(
         ranges: search ranges of its numbers on this robot, from `ranges_of`.
         runs: the number of runs.
         seconds: interval in which an instant has enough of every run on both sides.
-        split: effects whose shared parameters have a number for each channel.
+        split: effects whose shared parameters have a number for each channel or cable.
     """
     count = len(chain.labels)
     own = [i for i, label in enumerate(chain.labels) if label.split(".")[0] in PER_RUN]

@@ -20,6 +20,8 @@ from softmap_edge.diagnosis.acceptance import (
     CATCH_ALL,
     MOST,
     accepted,
+    beyond_ordinary,
+    falls_on,
     indistinct,
     is_ordinary,
     motion_mm,
@@ -38,6 +40,7 @@ from softmap_edge.diagnosis.families import (
     Representative,
     State,
     families,
+    linearised,
     ranked,
 )
 from softmap_edge.diagnosis.fit import Problem
@@ -73,7 +76,8 @@ def search(
     more(outcome)
     if MOST > 1:
         outcome = reconsidered(outcome, more, visible)
-    _ask_again(outcome)
+    if _ask_again(outcome) and outcome.state.without_background() is not outcome.state:
+        more(outcome)  # with other laws, what is static may be more than ordinary
     name_candidates(outcome)
     outcome.loss = held_out_loss(outcome)
     return outcome
@@ -83,11 +87,12 @@ def _one_by_one(outcome: Outcome, tell: Callable[[str], None], visible: float) -
     """Take families on top of what was found until none is accepted."""
     body, every, more = outcome.body, families(), True
     while more and len(outcome.steps) < MOST:
-        state, taken = outcome.state, [step.family for step in outcome.steps]
+        before, taken = outcome.state, [step.family for step in outcome.steps]
+        state = before.without_background()
         ranking = ranked(state, every, taken)
         if body.record.model.kind != "rod":  # a rod's own error is its noise
             body.ordinary_mm = ordinary(state, ranking, every)
-        if is_ordinary(ranking, state):
+        if is_ordinary(ranking, state) or (state is not before and not beyond_ordinary(ranking, state)):
             state = State(body, state.fit, state.beside, [f for f in every if f.name in BACKGROUND])
             ranking = ranked(state, [f for f in every if f.kind != "static"], taken)
         outcome.state, outcome.loss = state, ranking.found
@@ -95,6 +100,7 @@ def _one_by_one(outcome: Outcome, tell: Callable[[str], None], visible: float) -
         step = step or _next(ranking, state, outcome.fits, outcome, visible)
         more = step is not None
         if step is not None:
+            step = Step(_parted(step.answer, state, outcome.fits), step.others)
             law = step.answer.law
             tell(f"{len(taken) + 1}: {step.family.name}, {law.name if law else 'law open'}")
             outcome.steps.append(step)
@@ -104,7 +110,7 @@ def _one_by_one(outcome: Outcome, tell: Callable[[str], None], visible: float) -
 def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible: float) -> Step | None:
     """Return the next family to take, or None; the outcome keeps a hint where the best was not accepted."""
     single = one_pose(state.body)
-    rows = _in_order(_laws_alone(ranking, state, fits) if single else ranking.rows, ranking)
+    rows = _in_order(_laws_alone(ranking, state, fits) if single else _far(ranking, state), ranking)
     if not rows:
         return None
     later, best = bool(outcome.steps), rows[0]
@@ -134,6 +140,31 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
         not a.resolved, _beaten(a, answers), order_of(a.family), a.numbers, float(a.loss.sum())
     ))  # fmt: skip
     return Step(first, tuple(a for a in rest if indistinct(a, first, ranking, state)))
+
+
+def _parted(answer: Answer, state: State, fits: Fits) -> Answer:
+    """Return an answer with a number for each channel or cable, if its law leaves far more without."""
+    law, body = answer.law, state.body
+    if law is None or not answer.resolved or law.split or not stands_out(law.loss, body, laws=True):
+        return answer
+    each = law_of(state, fits, law.effects, answer.before, law.effects)
+    if each.numbers == law.numbers or not falls_on(law.loss, each.loss, body, laws=True):
+        return answer
+    equals = tuple(one for one in answer.equals if not falls_on(one.loss, each.loss, body, laws=True))
+    return replace(answer, law=each, equals=equals, reaching=(*answer.reaching, each), tried=(each, *answer.tried))
+
+
+def _far(ranking: Ranking, state: State) -> list[Representative]:
+    """Return the families of a ranking, static ones linearised about themselves if the best leaves more than noise.
+
+    A large effect on commands is not linear in its columns, and one on shapes, which is, would be taken for it.
+    """
+    rows, body = ranking.rows, state.body
+    if not rows or not stands_out(rows[0].loss, body, laws=True):
+        return rows
+    far = [row for row in rows if row.family.kind == "static" and row.columns.commanded and np.any(row.theta)]
+    anew = {row.family: linearised(state, row)[0] for row in far}
+    return [min((row, anew.get(row.family, row)), key=lambda one: float(one.loss.sum())) for row in rows]
 
 
 def _laws_alone(ranking: Ranking, state: State, fits: Fits) -> list[Representative]:
@@ -179,8 +210,9 @@ def _ordinary_apart(one: Representative, other: Representative, state: State) ->
     return record.rms_mm(np.where(np.isfinite(record.seen), apart, np.nan)) <= state.body.ordinary_mm
 
 
-def _ask_again(outcome: Outcome) -> None:
-    """Ask families without a law once more, now that all others are in place."""
+def _ask_again(outcome: Outcome) -> bool:
+    """Ask families without a law once more, now that all others are in place; return whether one has another answer."""
+    changed = False
     for i, step in enumerate(outcome.steps):
         state, family, law = outcome.state, step.family, step.answer.law
         if law is not None and (not step.answer.rough or set(law.effects) <= set(state.fit.effects)):
@@ -195,8 +227,9 @@ def _ask_again(outcome: Outcome) -> None:
             continue
         answer = answered(without, fits, ranking.rows[0], ranking.found, pairs=True)
         if answer.law is not None or answer.open:
-            outcome.steps[i] = Step(answer, step.others)
+            outcome.steps[i], changed = Step(answer, step.others), True
             outcome.state, outcome.fits = with_family(without, fits, answer)
+    return changed
 
 
 def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:

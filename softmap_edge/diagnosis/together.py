@@ -100,8 +100,8 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
 
 
 def _changes(family: Family) -> bool:
-    """Whether a family depends on time, or on the orientation, which changes with time."""
-    return family.kind == "time" or family.name == "load"
+    """Whether a family depends on time, or on what changes with time in the run: a condition, or the orientation."""
+    return family.kind in ("time", "condition") or family.name == "load"
 
 
 def _kind(family: Family) -> str:
@@ -131,7 +131,7 @@ def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
         moved = body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0]))
         if moved < visible or not falls_on(answer.before, answer.law.loss, body):
             return None
-        if not exceeds_model_error(answer.family, moved, body):
+        if not exceeds_model_error(answer.family, moved, state):
             return None
         other.steps.append(Step(answer, ()))
         # With the others in place, another law of the family may be its law.

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.chain_labels import named
+from softmap_edge.chain_labels import named, readings
 from softmap_edge.diagnosis.layout import REACH_MM
 from softmap_edge.learned_in import LearnedNumber
 from softmap_edge.rod.descent import Term, descend
@@ -64,7 +64,7 @@ class Law:
         """Return x (D,) of numbers by label, the middle of the range where one is not given."""
         x = np.full(len(self.labels), 0.5)
         for i, label in enumerate(self.labels):
-            value = values.get(label, values.get(label.split("[")[0]))
+            value = next((values[name] for name in readings(label, label.split("[")[0]) if name in values), None)
             if value is not None:
                 low, high = float(self.low[i]), float(self.high[i])
                 share = np.log(value / low) / np.log(high / low) if self.log[i] else (value - low) / (high - low)
@@ -73,7 +73,7 @@ class Law:
 
 
 def law(names: Sequence[str], drive: Drive, each: Sequence[str] = ()) -> Law:
-    """Return the law of a chain: one number for all channels, or one for each where the effect is named in `each`."""
+    """Return the law of a chain: one number for all, or one for each channel or cable of the effects in `each`."""
     chain = _core.Chain(list(names), drive.channels)
     median = float(np.median(drive.half))
     labels: list[str] = []
@@ -82,7 +82,7 @@ def law(names: Sequence[str], drive: Drive, each: Sequence[str] = ()) -> Law:
     for one, group, unit, least, most in declared:
         label = one if one.split(".")[0] in each else group
         if label not in labels:
-            half = float(drive.half[int(label.partition("[")[2][:-1])]) if "[" in label else median
+            half = float(drive.half[int(label.partition("[")[2].rstrip("+-]"))]) if "[" in label else median
             bounds = _range(group, unit, float(least), float(most), half)
             labels.append(label)
             low.append(bounds[0])
