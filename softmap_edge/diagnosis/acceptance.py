@@ -116,9 +116,9 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
     crossed = [row.columns.shift(row.theta) for row in ranking.rows if row.family.name == "coupling"]
     shifts = crossed + [own.shift(np.asarray(level.theta([n], [RIDGES[0]])[0])) for n, own in singles.items()]
     pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
-    left, moved = min(pairs, default=(total, 0.0))
+    left = min((left for left, moved in pairs if moved >= rule.DOMINATES * left), default=total)
     motion = motion_mm(record)
-    level_mm = min(left if moved >= rule.DOMINATES * left else total, rule.ORDINARY * motion)
+    level_mm = min(left, rule.ORDINARY * motion)
     return float(max(level_mm, record.frame_mm))  # a frame is as ordinary as its alignment says
 
 

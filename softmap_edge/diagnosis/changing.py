@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, seen_to_fall
-from softmap_edge.diagnosis.families import RIDGES, WARMED, State, declared_numbers, families, seen_commands
+from softmap_edge.diagnosis.families import WARMED, State, best_ridge, declared_numbers, families, seen_commands
 from softmap_edge.diagnosis.outcome import Outcome
 
 Floats = NDArray[np.float64]
@@ -94,6 +94,5 @@ def _fall(state: State, effects: tuple[str, ...], condition: Floats) -> float:
     level.add("changing", np.ascontiguousarray(-fit.slopes[own]), np.arange(len(own)), each)
     level.close(np.ascontiguousarray(body.modes(state.residual)))
     before = np.asarray(level.losses(names, ridges))
-    losses = [np.asarray(level.losses([*names, "changing"], [*ridges, ridge])) for ridge in RIDGES]
-    fall = difference(before, min(losses, key=lambda loss: float(loss.sum())))
+    fall = difference(before, best_ridge(level, names, ridges, "changing")[0])
     return fall.fall if seen_to_fall(fall) and fall.fall >= rule.FALL * float(before.sum()) else 0.0

@@ -113,6 +113,7 @@ class Representative:
     numbers: float  # effective degrees of freedom
     columns: Columns
     moved_mm: float  # RMS over the places
+    settled: bool = False  # whether it is linearised about itself
 
 
 class Body:
@@ -409,7 +410,7 @@ def applied(body: Body, one: Representative, commands: Commands) -> tuple[Comman
 
 
 def linearised(state: State, rough: Representative) -> tuple[Representative, Floats]:
-    """Fit a representative about itself; with it the residual (K, F) mm that its columns were fitted to."""
+    """Fit a representative about itself; with it what it makes of the features (K, F) mm."""
     body, columns = state.body, rough.columns
 
     def moves(theta: Floats) -> tuple[Commands, Floats]:
@@ -417,7 +418,7 @@ def linearised(state: State, rough: Representative) -> tuple[Representative, Flo
 
     theta, loss, shift = about_itself(state, columns.with_slopes, rough.theta, rough.ridge, moves)
     mm = body.record.rms_mm(np.where(np.isfinite(body.record.seen), shift, np.nan))
-    return replace(rough, theta=theta, loss=loss, moved_mm=mm), shift
+    return replace(rough, theta=theta, loss=loss, moved_mm=mm, settled=True), shift
 
 
 def about_itself(
@@ -534,8 +535,28 @@ def _tuned(
     most = max(float(before.sum()), level.training_loss(names, ridges))
     if most - level.training_loss([*names, name], [*ridges, RIDGES[0]]) < FALL * before.sum():
         return before, RIDGES[-1]
-    tried = [(np.asarray(level.losses([*names, name], [*ridges, ridge])), ridge) for ridge in RIDGES]
-    return min(tried, key=lambda pair: float(pair[0].sum()))
+    return best_ridge(level, names, ridges, name)
+
+
+def best_ridge(level: _core.Level, names: list[str], ridges: list[float], name: str) -> tuple[Floats, float]:
+    """Return the least held-out loss with one block more, and the ridge of that block there.
+
+    The loss over the strength of a ridge has one minimum, so strengths are tried downhill from the second.
+    """
+
+    def tried(k: int) -> tuple[Floats, float]:
+        return np.asarray(level.losses([*names, name], [*ridges, RIDGES[k]])), RIDGES[k]
+
+    best = tried(1)
+    for way in (range(2, len(RIDGES)), (0,)):
+        for k in way:
+            other = tried(k)
+            if other[0].sum() >= best[0].sum():
+                break
+            best = other
+        if best[1] != RIDGES[1]:
+            break
+    return best
 
 
 def seen_commands(part: Record, commands: Floats) -> Floats:

@@ -115,6 +115,11 @@ class Answer:
         return min((self.representative.loss, *(law.loss for law in self.reaching)), key=lambda loss: float(loss.sum()))
 
     @property
+    def least(self) -> Floats:
+        """The least held-out loss (folds,) of the law and the representative."""
+        return min((self.loss, self.representative.loss), key=lambda loss: float(loss.sum()))
+
+    @property
     def numbers(self) -> float:
         """How many free numbers what is taken has."""
         return self.representative.numbers if self.law is None else self.law.numbers
@@ -122,7 +127,7 @@ class Answer:
 
 def answered(state: State, fits: Fits, rough: Representative, before: Floats, pairs: bool) -> Answer:
     """Ask a family for its law, for `pairs` of its members too where nothing else is left to explain."""
-    representative = linearised(state, rough)[0] if len(rough.theta) else rough
+    representative = rough if rough.settled or not len(rough.theta) else linearised(state, rough)[0]
     asked = _Asked(state, fits, representative, before)
     laws = asked.generic() if representative.family.name == "static map" else []
     members = asked.members()

@@ -133,9 +133,9 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     if not answers:  # the family falls to first order alone
         outcome.hint = best
         return None
-    best_loss = min((a.loss for a in answers), key=lambda loss: float(loss.sum()))
+    best_loss = min((a.least for a in answers), key=lambda loss: float(loss.sum()))
     if not single:  # a law may do far more than its family
-        answers = [a for a in answers if near(a.loss, best_loss, ranking.found)]
+        answers = [a for a in answers if near(a.least, best_loss, ranking.found)]
     first, *rest = sorted(answers, key=lambda a: (
         not a.resolved, _beaten(a, answers), order_of(a.family), a.numbers, float(a.loss.sum())
     ))  # fmt: skip

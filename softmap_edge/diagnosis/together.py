@@ -96,7 +96,8 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
     if any(_changes(step.family) and not step.answer.resolved for step in outcome.steps):
         known |= {_kind(family) for family in families() if family.kind in ("time", "condition")}
     explained = float(outcome.null.sum() - outcome.loss.sum())
-    return fewer and kinds <= {"static", *known} and rule.reaches(other.loss, outcome.loss, explained)
+    form = rule.FORM * max(1, outcome.open)  # each family without a law explains what another law's form misses
+    return fewer and kinds <= {"static", *known} and rule.reaches(other.loss, outcome.loss, explained, form)
 
 
 def _changes(family: Family) -> bool:
