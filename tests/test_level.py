@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softmap_edge import _core
+from softmap_edge.diagnosis.families import RIDGES, best_ridge
 from softmap_edge.diagnosis.noise import Kernel, Whitener, command_kernel
 from softmap_edge.errors import CoreError
 from softmap_edge.folds import run_folds
@@ -190,6 +191,16 @@ def test_the_least_loss_is_that_of_the_frames_that_are_fitted(names, ridges):
     if names:
         left = left - plain.whole(names, ridges)[0] @ plain.white(plain.joined(names), every, kernel)
     assert level.training_loss(names, ridges) == pytest.approx(left @ left, rel=1e-7)
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("name", ["memory", "map", "body"])
+def test_the_best_ridge_is_found_downhill(case, name):
+    level, _, _ = both(**case)
+    known = [other for other in ("map", "body") if other != name][:1]
+    tried = {ridge: level.losses([*known, name], [1.0, ridge]).sum() for ridge in RIDGES}
+    loss, ridge = best_ridge(level, known, [1.0], name)
+    assert ridge == min(tried, key=tried.get) and loss.sum() == pytest.approx(tried[ridge])
 
 
 def test_collinear_and_zero_columns_are_solvable():

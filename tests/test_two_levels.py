@@ -144,6 +144,22 @@ def test_a_known_play_is_found_beside_an_unknown_coupling():
     assert again.unexplained.rms_mm == pytest.approx(found.unexplained.rms_mm, abs=0.05)
 
 
+def test_a_large_coupling_is_no_change_of_the_body():
+    """It moves the command by up to 6 mm, far from linear: free shapes would follow it further than linear columns."""
+    found = diagnose(MODEL, finger_run(acting=lambda u: u + 0.042 * np.stack([u[:, 1] ** 2, 0.0 * u[:, 0]], axis=1)))
+    assert found.families[0].name == "coupling" and found.families[0].share > 0.8 and not claims(found)
+
+
+def test_a_channel_that_drags_the_play_of_another_is_an_unknown_memory():
+    def dragged(u):
+        return u - 0.6 * np.roll(u - played(u, [3.0, 3.0]), 1, axis=1)
+
+    found = diagnose(MODEL, finger_run(acting=dragged))
+    assert found.verdict == "partly_explained" and not claims(found)
+    assert (found.families[0].name, found.families[0].law) == ("memory", "unknown")
+    assert found.families[0].share > 0.8
+
+
 # --- level 1 ------------------------------------------------------------------------------------
 
 

@@ -73,7 +73,7 @@ def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
         return True
     folds = np.square(record.model.made_from.get("per_fold_mm", ()))
     scatter = float(folds.std(ddof=1)) if len(folds) > 1 else 0.0
-    own = record.form_mm**2 + rule.DOMINATES * scatter * float(np.sqrt(2.0 / max(1, len(folds))))
+    own = record.form_mm**2 + rule.SCATTER * scatter * float(np.sqrt(2.0 / max(1, len(folds))))  # of folds and run
     return moved_mm**2 <= rule.DOMINATES * (record.rms_mm(state.residual) ** 2 - own)
 
 

@@ -24,6 +24,7 @@ ABOVE_NOISE = 1.3  # times the number of whitened numbers: noise alone rarely ex
 VISIBLE_MM = 0.12  # least displacement of the centreline
 ORDINARY = 0.04  # of the motion (RMS): what imperfections of an ordinary robot amount to at most
 DOMINATES = 2.0  # times as much as all else of its kind: what a static effect, or a free static shape, must amount to
+SCATTER = 2.0  # standard errors of a learned map's error, over its folds: what a new static effect must exceed as well
 MIMIC = 0.9  # R² of a family's effect on the columns of others, from which it adds nothing to them
 LEFT = 0.1  # unexplained share of the loss, or of the mean square, above which an unknown effect is reported
 UNKNOWN_TIMES = 2.5  # times model error or noise: unexplained error at which a family counts that was not accepted

@@ -124,15 +124,13 @@ def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
         state = State(body, plain.get([e for e in names if e != name]))
         answer = _in_place(state, plain, name)
         if answer is not None and together and (answer.law is None or answer.rough):
-            best = answer.tried[0]  # a generic law would leave it open
-            reached = replace(answer, law=best, equals=(), open=False, reaching=(best,))
-            answer = reached if best.effects == (name,) else answer
+            answer = _reached(answer, name)
         if answer is None or answer.law is None or answer.law.fit is None or not (answer.resolved or answer.open):
             return None
         moved = body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0]))
         if moved < visible or not falls_on(answer.before, answer.law.loss, body):
             return None
-        if not exceeds_model_error(answer.family, moved, state):
+        if not exceeds_model_error(answer.family, moved, _without_map(body, plain, names)):
             return None
         other.steps.append(Step(answer, ()))
         # With the others in place, another law of the family may be its law.
@@ -141,6 +139,24 @@ def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
     split = [e for law in laws for e in law.split]
     other.state = State(body, plain.get([e for law in laws for e in law.effects], split))
     return other
+
+
+def _reached(answer: Answer, name: str) -> Answer:
+    """Return an answer with an effect as its law, if that leaves least, or as little as a law with more numbers.
+
+    A generic law that leaves less keeps the answer as it is.
+    """
+    first = answer.tried[0]
+    law = next((law for law in answer.tried if law.effects == (name,)), None)
+    if law is None:
+        return answer
+    simpler = bool(first.effects) and law.numbers < first.numbers and near(law.loss, first.loss, answer.before)
+    return replace(answer, law=law, equals=(), open=False, reaching=(law,)) if law is first or simpler else answer
+
+
+def _without_map(body: Body, fits: Fits, names: Collection[str]) -> State:
+    """Return what is known with those laws alone that are neither static nor drifts: together these change a map."""
+    return State(body, fits.get([e for e in names if _home(e).kind not in ("static", "time")]))
 
 
 def _home(effect: str) -> Family:
