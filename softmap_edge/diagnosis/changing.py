@@ -72,8 +72,8 @@ def conditions_of(state: State) -> dict[str, Floats]:
     for part, commands, temperature in zip(body.parts, state.commands, warm):
         t, seen = np.asarray(part.run.t, float), np.asarray(part.t_seen, float)
         rate = np.gradient(commands, t, axis=0) if len(t) > 1 else np.zeros_like(commands)
-        speed = np.abs(rate / body.half).max(axis=1)
-        bend = np.abs((seen_commands(part, commands) - body.middle) / body.half).max(axis=1)
+        speed = np.abs(rate / body.half).max(axis=1, initial=0.0)  # of no channel: a body under weight alone
+        bend = np.abs((seen_commands(part, commands) - body.middle) / body.half).max(axis=1, initial=0.0)
         row = {"time": seen, "speed": np.interp(seen, t, speed), "bend": bend}
         if known and temperature is not None:
             row["temperature"] = np.interp(seen, t, temperature)

@@ -6,7 +6,7 @@ Nothing is searched here. Units: mm. Pinned by tests/test_diagnosis.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -91,7 +91,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit, registry) if h.name not in {b.name for b in hidden}]
     unknown = any(s.answer.law is None or (s.answer.rough and not s.answer.open) for s in standing)
-    unknown = unknown or _left(outcome, standing)
+    unknown = unknown or _left(outcome, standing) or bool(outcome.steps and not standing)
     if context.own is not None and context.own.after_mm <= fits.held_out_mm(fit):
         unknown = False  # other numbers of the model's own effects explain what is left
     moving = problem.noise.moving
@@ -104,7 +104,9 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     physics = tuple(f for f in findings if registry[f.name]["kind"] != "fault")
     error = _error(outcome, order, context.other)
     families = tuple(_family(outcome, s, context.proof, changes) for s in standing)
-    if unknown and not standing and outcome.hint is not None:
+    if not standing:  # all that was found was dropped: its families are there, their laws are not
+        families = tuple(replace(_family(outcome, s, None, changes), law="unknown", effects=()) for s in outcome.steps)
+    if unknown and not outcome.steps and outcome.hint is not None:
         near, gone = outcome.hint, float(outcome.hint.loss.sum() / max(float(outcome.null.sum()), 1e-300))
         families = (FamilyFinding(near.family.name, near.family.kind, "unknown", (), 1.0 - gone, near.moved_mm),)
     doubts = [*([str(context.own)] if context.own else []), *at_bounds(findings), *record.doubts, *map(str, changes)]

@@ -78,6 +78,11 @@ class Law:
         """Its effects that have a number for each channel."""
         return () if self.fit is None else tuple(e for e in self.effects if e in self.fit.space.split)
 
+    @property
+    def of_cables(self) -> bool:
+        """Whether one of its effects has a number for each cable."""
+        return self.fit is not None and any(any(_of_cable(self.fit, effect)) for effect in self.split)
+
 
 @dataclass(frozen=True, eq=False)
 class Answer:
@@ -196,9 +201,12 @@ class _Asked:
         return [law for law, shared in zip(laws, members) if law.numbers > shared.numbers]
 
     def pairs(self, laws: list[Law]) -> list[Law]:
-        """Fit the pairs of the best members that can be named, as they are best."""
+        """Fit the pairs of the best members that can be named, as they are best.
+
+        None has a number for each cable: with another law, so many numbers follow any smooth map.
+        """
         best: dict[tuple[str, ...], Law] = {}
-        able = (law for law in laws if law.effects and not self._any_map(law))
+        able = (law for law in laws if law.effects and not self._any_map(law) and not law.of_cables)
         for law in sorted(able, key=lambda law: law.left):
             best.setdefault(law.effects, law)
         found = []
