@@ -145,6 +145,14 @@ def test_a_family_and_its_law_make_one_line(row, line):
     assert family_line(row, [BACKLASH]) == line
 
 
+def test_numbers_of_cables_are_named_by_channel_and_side():
+    numbers = {f"dead_zone.slack[{cable}]": {"value": v, "unit": "mm"} for cable, v in (("0+", 0.6), ("10-", 1.4))}
+    line = family_line(family("slack", "static", effects=("dead_zone",)), [{"name": "dead_zone", "params": numbers}])
+    assert (
+        line == "Slack: dead_zone, slack 0.600 mm on the + cable of channel 0 and 1.40 mm on the - cable of channel 10"
+    )
+
+
 def test_the_facts_name_both_shares_and_what_cannot_be_distinguished():
     facts = family_facts(family(alternatives=["delay", "rate"]), "mm")
     assert facts == [

@@ -181,6 +181,12 @@ def test_a_diagnosis_adds_one_number_or_one_for_each_channel():
         diagnosis(GAPS | {"backlash.gap[1]": 80.0}).added(MODEL, ["backlash"])
 
 
+def test_a_diagnosis_from_before_cables_had_numbers_is_still_added():
+    numbers = {"dead_zone.slack[0]": Number(0.5), "dead_zone.slack[1]": Number(0.9)}
+    added = Diagnosis("identified", effects=(Finding("dead_zone", numbers),)).added(MODEL, ["dead_zone"])
+    assert added.chain_params.tolist() == [0.5, 0.5, 0.9, 0.9]
+
+
 # --- fits ------------------------------------------------------------------------------------------------------------
 
 

@@ -5,6 +5,7 @@ the command and are written here, apart from the library. The rules of level 2 a
 held-out losses.
 """
 
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -303,6 +304,17 @@ def test_the_nearest_law_of_an_unknown_memory_is_a_candidate():
         "n unknown law of the family memory" in found.sentence and "(nearest in the library: backlash" in found.sentence
     )
     assert "the model lacks" not in found.sentence and found.error.after < 0.9 * found.error.before
+
+
+def test_a_family_whose_laws_are_all_dropped_stays_as_an_unknown_one(monkeypatch):
+    """Each law may fail on blocks that were not fitted; the family was detected all the same."""
+    monkeypatch.setattr(sys.modules["softmap_edge.diagnosis.diagnose"], "_demote", lambda fits, fit, *_: (
+        fits.null, list(fit.effects)
+    ))  # fmt: skip
+    found = diagnose(MODEL, finger_run(acting=lambda u: played(u, [1.2, 1.2])))
+    assert found.verdict == "partly_explained" and not names(found) and "Dropped" in found.sentence
+    assert [(family.law, family.effects) for family in found.families] == [("unknown", ())]
+    assert diagnose(MODEL, finger_run()).verdict == "nothing"
 
 
 def test_an_event_that_one_block_alone_shows_is_not_taken():

@@ -91,7 +91,8 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit, registry) if h.name not in {b.name for b in hidden}]
     unknown = any(s.answer.law is None or (s.answer.rough and not s.answer.open) for s in standing)
-    unknown = unknown or _left(outcome, standing) or bool(outcome.steps and not standing)
+    dropped = outcome.steps if not standing and context.other is None else []  # all that was found
+    unknown = unknown or _left(outcome, standing) or bool(dropped)
     if context.own is not None and context.own.after_mm <= fits.held_out_mm(fit):
         unknown = False  # other numbers of the model's own effects explain what is left
     moving = problem.noise.moving
@@ -104,9 +105,8 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     physics = tuple(f for f in findings if registry[f.name]["kind"] != "fault")
     error = _error(outcome, order, context.other)
     families = tuple(_family(outcome, s, context.proof, changes) for s in standing)
-    if not standing:  # all that was found was dropped: its families are there, their laws are not
-        families = tuple(replace(_family(outcome, s, None, changes), law="unknown", effects=()) for s in outcome.steps)
-    if unknown and not outcome.steps and outcome.hint is not None:
+    families += tuple(replace(_family(outcome, s, None, ()), law="unknown", effects=()) for s in dropped)
+    if unknown and not families and outcome.hint is not None:
         near, gone = outcome.hint, float(outcome.hint.loss.sum() / max(float(outcome.null.sum()), 1e-300))
         families = (FamilyFinding(near.family.name, near.family.kind, "unknown", (), 1.0 - gone, near.moved_mm),)
     doubts = [*([str(context.own)] if context.own else []), *at_bounds(findings), *record.doubts, *map(str, changes)]

@@ -56,9 +56,9 @@ def _law(effect: str, params: Mapping[str, Row]) -> str:
     for label, value in params.items():
         name, _, index = label.split(".")[-1].partition("[")
         unit = "" if value.get("unit") in (None, "1") else f" {value['unit']}"
-        on = f" on channel {index.rstrip('+-]')}" if index else ""
-        if index.rstrip("]").endswith(("+", "-")):
-            on = f" on the {index[-2]} cable of channel {index[:-2]}"
+        channel, side = index.rstrip("+-]"), index.rstrip("]")[-1:]
+        cable = f"the {side} cable of " if side in ("+", "-") else ""
+        on = f" on {cable}channel {channel}" if index else ""
         groups.setdefault(name, []).append(f"{mm(value.get('value'))}{unit}{on}")
     return ", ".join([effect, *(f"{name} {' and '.join(values)}" for name, values in groups.items())])
 
