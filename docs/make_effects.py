@@ -39,8 +39,8 @@ At its null values an effect is absent. A fit searches from *low* to *high* (on 
 positive) and begins at *start*. A parameter marked *per channel* has one value for each command: `gain.factor[0]`,
 `gain.factor[1]`. One marked *shared* does too (`backlash.gap[0]`, `backlash.gap[1]`), but one number, `backlash.gap`,
 is used for all channels until they are given or fitted separately. One *shared by cables* has one for each of the two
-cables of a channel: `dead_zone.slack[0+]` for the cable that a positive command pulls, `dead_zone.slack[0-]` for the
-other, or `dead_zone.slack[0]` for both. One *per pair* has one for each ordered pair of
+cables of a channel. `dead_zone.slack[0+]` is for the cable that a positive command pulls, `dead_zone.slack[0-]` for the
+other; `dead_zone.slack[0]` sets both. One *per pair* has one for each ordered pair of
 channels (of neighbours, beyond four channels): `coupling.factor[0,1]`, the channel that is moved first. A *whole*
 number is tried at integer values and not optimised. The path from command to camera is
 `command → transmission → material → shape → sensing`; a chain is always composed in this order. Each picture shows one

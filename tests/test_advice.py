@@ -252,7 +252,7 @@ def test_every_candidate_has_its_line(bundle, tmp_path, capsys):
     found = effects_of(recorded(standard_protocol()), bundle, tmp_path, capsys)
     assert list(found) == [e["name"] for e in effects() if e["role"] != "prior"]  # a table has no law of tendons
     hidden = {name for name, row in found.items() if not row["shows"]}
-    assert hidden == {"thermal_softening", "lens"}  # nobody warmed the room, and the cameras have no poses
+    assert hidden == {"thermal_softening", "lens"}  # the room stays cool, and the cameras have no poses
     alike = {name: set(row["alike"]) for name, row in found.items() if row["alike"]}
     assert alike["latency"] == {"clock_shift"} and alike["clock_shift"] == {"latency"}
     loads = alike.get("gravity", set()) | alike.get("payload", set())

@@ -29,7 +29,7 @@ pub static EFFECT: Effect = Effect {
             0.5,
             0.05,
             4.0,
-            "command of the cable's side of zero that moves nothing",
+            "command to the cable's side of zero that moves nothing",
         )
         .per_cable()
         .reaching(Reach::HalfRanges(1.0))],

@@ -65,15 +65,16 @@ def accepted(row: Representative, ranking: Ranking, state: State, later: bool, v
 def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
     """Whether a static effect, or a drift, of size `moved_mm` exceeds the model error of a map that was learned freely.
 
-    Such a map follows every static effect of the robot that taught it, so a new one adds to the model error, which is
-    known from the folds up to their scatter. `state` is what is known without the effect.
+    Such a map follows every static effect of the robot that taught it, so a new one adds to the model error. The model
+    error of this run differs from its mean over the folds by the standard errors of both: the run counts as as many
+    folds. `state` is the state without the effect.
     """
     record = state.body.record
     if family.kind not in ("static", "time") or not isinstance(getattr(record.model, "prior", None), _core.Rod):
         return True
     folds = np.square(record.model.made_from.get("per_fold_mm", ()))
     scatter = float(folds.std(ddof=1)) if len(folds) > 1 else 0.0
-    own = record.form_mm**2 + rule.SCATTER * scatter * float(np.sqrt(2.0 / max(1, len(folds))))  # of folds and run
+    own = record.form_mm**2 + rule.SCATTER * scatter * float(np.sqrt(2.0 / max(1, len(folds))))
     return moved_mm**2 <= rule.DOMINATES * (record.rms_mm(state.residual) ** 2 - own)
 
 

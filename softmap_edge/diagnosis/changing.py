@@ -22,12 +22,15 @@ from softmap_edge.diagnosis.outcome import Outcome
 
 Floats = NDArray[np.float64]
 
-FAMILY_OF = {"temperature": "temperature", "time": "time", "speed": "rate", "bend": "softening"}  # for what to record
+FAMILY_OF = {"temperature": "temperature", "time": "time", "speed": "rate", "bend": "softening"}
 
 
 @dataclass(frozen=True)
 class Change:
-    """A law whose numbers change with a condition: its effects, and the share of its explained loss that this adds."""
+    """A law whose numbers change with a condition: its effects, the condition, and the change's share of its loss.
+
+    `share` is the fall of the held-out loss by the change, relative to the loss that the law explains.
+    """
 
     effects: tuple[str, ...]
     condition: str
@@ -36,13 +39,13 @@ class Change:
     def __str__(self) -> str:
         named = " and ".join(self.effects)
         return (
-            f"the numbers of {named} change with the {self.condition}: this explains {100.0 * self.share:.0f} % as "
-            f"much as {named}"
+            f"the numbers of {named} change with the {self.condition}; this change explains "
+            f"{100.0 * self.share:.0f} % of what {named} explains"
         )
 
     @property
     def experiment(self) -> tuple[str, float]:
-        """What to record to see this change, and the minutes."""
+        """What to record to see this change, and the minutes: the experiment of the condition's family."""
         return next(f.experiment for f in families() if f.name == FAMILY_OF[self.condition])
 
 

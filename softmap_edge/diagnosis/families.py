@@ -3,8 +3,7 @@
 A family is a bank of columns X = (∂f/∂v_c) · b(t) about the effective command v(t), and of fields of the body, fitted
 by ridge regression of the whitened residual; cross-validation chooses the strength of the ridge and says by how much
 the held-out loss falls. The columns, the families and the normal equations are compiled (`rust/families/`).
-Known limit: a representative is linear about the state, and is linearised anew until its loss falls no
-more.
+Known limit: a representative is linear about the state, and is linearised again until its loss falls no more.
 Pinned by tests/test_two_levels.py.
 """
 
@@ -37,8 +36,8 @@ MAPPED = ("static map", "coupling")  # families that span a learned static map
 BACKGROUND_RIDGE = 10.0  # of families that explain ordinary imperfections
 FARTHEST = 3.0  # half ranges from the middle that a representative may move commands
 RIDGES = (0.3, 10.0, 300.0, 1e4)  # strengths of the ridge that cross-validation chooses from
-LEAST, LINEARISED = 2, 6  # times that a representative is linearised about itself, at least and at most
-HALVED = 3  # times that it is halved at most, where it leaves more than nothing does
+LINEARISED = 6  # times at most that a representative is linearised about itself
+HALVED = 3  # times at most that it is halved, if the loss is higher with it than without it
 
 
 CURVES: dict[str, Callable[[Floats], Floats]] = {
@@ -410,7 +409,7 @@ def applied(body: Body, one: Representative, commands: Commands) -> tuple[Comman
 
 
 def linearised(state: State, rough: Representative) -> tuple[Representative, Floats]:
-    """Fit a representative about itself; with it what it makes of the features (K, F) mm."""
+    """Return a representative fitted about itself, and its effect on the features (K, F) mm."""
     body, columns = state.body, rough.columns
 
     def moves(theta: Floats) -> tuple[Commands, Floats]:
@@ -447,8 +446,8 @@ def about_itself(
         there, more = moves(theta)
         return there, np.asarray(more if there is state.commands else body.features(there) - before + more)
 
-    best, start = None, float(np.sum(body.modes(state.residual) ** 2))
-    for k in range(LINEARISED):
+    best, start = (theta, np.full(1, np.inf)), float(np.sum(body.modes(state.residual) ** 2))
+    for _ in range(LINEARISED):
         there, moved = shift(theta)
         for _ in range(HALVED):
             if np.sum(body.modes(state.residual - moved) ** 2) <= start:
@@ -462,11 +461,10 @@ def about_itself(
         level.close(np.ascontiguousarray(body.modes(state.residual - moved + about.shift(theta))))
         every, strengths = [*names, "about itself"], [*ridges, ridge]
         theta, loss = np.asarray(level.theta(every, strengths)[-1]), np.asarray(level.losses(every, strengths))
-        settled = best is not None and k + 1 >= LEAST and loss.sum() > (1.0 - FALL) * best[1].sum()
-        best = (theta, loss) if best is None or loss.sum() < best[1].sum() else best
+        settled = loss.sum() > (1.0 - FALL) * best[1].sum()
+        best = (theta, loss) if loss.sum() < best[1].sum() else best
         if settled:
             break
-    assert best is not None
     return *best, shift(best[0])[1]
 
 
@@ -539,23 +537,19 @@ def _tuned(
 
 
 def best_ridge(level: _core.Level, names: list[str], ridges: list[float], name: str) -> tuple[Floats, float]:
-    """Return the least held-out loss with one block more, and the ridge of that block there.
+    """Return the least held-out loss with one block more, and the strength of the ridge of that block.
 
-    The loss over the strength of a ridge has one minimum, so strengths are tried downhill from the second.
+    The loss over the strength has one minimum, so the search goes downhill from the second strength.
     """
 
     def tried(k: int) -> tuple[Floats, float]:
         return np.asarray(level.losses([*names, name], [*ridges, RIDGES[k]])), RIDGES[k]
 
-    best = tried(1)
-    for way in (range(2, len(RIDGES)), (0,)):
-        for k in way:
-            other = tried(k)
-            if other[0].sum() >= best[0].sum():
-                break
-            best = other
-        if best[1] != RIDGES[1]:
-            break
+    k, best = 1, tried(1)
+    while k + 1 < len(RIDGES) and (stronger := tried(k + 1))[0].sum() < best[0].sum():
+        k, best = k + 1, stronger
+    if k == 1 and (weaker := tried(0))[0].sum() < best[0].sum():
+        best = weaker
     return best
 
 

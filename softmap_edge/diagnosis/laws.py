@@ -75,13 +75,13 @@ class Law:
 
     @property
     def split(self) -> tuple[str, ...]:
-        """Its effects that have a number for each channel."""
+        """Its effects that have a number for each channel or cable."""
         return () if self.fit is None else tuple(e for e in self.effects if e in self.fit.space.split)
 
     @property
     def of_cables(self) -> bool:
         """Whether one of its effects has a number for each cable."""
-        return self.fit is not None and any(any(_of_cable(self.fit, effect)) for effect in self.split)
+        return self.fit is not None and any(_of_cables(self.fit, effect) for effect in self.split)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,7 @@ def answered(state: State, fits: Fits, rough: Representative, before: Floats, pa
 def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, split: Collection[str] = ()) -> Law:
     """Fit effects on top of what was found, with their loss on held-out folds; `before` is the loss (folds,) without.
 
-    Those in `split` have a number for each channel.
+    Those in `split` have a number for each channel or cable.
     """
     body, fit = state.body, fits.get((*state.fit.effects, *effects), (*state.fit.space.split, *split))
     level = body.level()
@@ -156,14 +156,15 @@ def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, s
     own = np.array([label.split(".")[0] in effects for label in fit.space.free_labels], bool)
     bounds = [label for label, mine, bound in zip(fit.space.free_labels, own, at_bound(fit)) if mine and bound]
     loss = capped_at_events(np.asarray(level.losses(names, ridges)), before, fit, effects)
-    each = {e: "cable" if any(_of_cable(fit, e)) else "channel" for e in split}
-    name = " + ".join(f"{e} for each {each[e]}" if e in split else e for e in effects)
+    each = {e: f"{e} for each {'cable' if _of_cables(fit, e) else 'channel'}" for e in split}
+    name = " + ".join(each.get(e, e) for e in effects)
     return Law(name, effects, fit, loss, int(own.sum()), tuple(bounds))
 
 
-def _of_cable(fit: Fit, effect: str) -> list[bool]:
-    """Return which numbers of an effect are of a cable by itself, `dead_zone.slack[0+]`."""
-    return [label.endswith(("+]", "-]")) for label in fit.space.free_labels if label.split(".")[0] == effect]
+def _of_cables(fit: Fit, effect: str) -> bool:
+    """Whether an effect has a free number for each cable, `dead_zone.slack[0+]`."""
+    labels = (label for label in fit.space.free_labels if label.split(".")[0] == effect)
+    return any(label.endswith(("+]", "-]")) for label in labels)
 
 
 def capped_at_events(loss: Floats, before: Floats, fit: Fit, effects: Sequence[str]) -> Floats:
@@ -203,7 +204,7 @@ class _Asked:
     def pairs(self, laws: list[Law]) -> list[Law]:
         """Fit the pairs of the best members that can be named, as they are best.
 
-        None has a number for each cable: with another law, so many numbers follow any smooth map.
+        Laws with a number for each cable are left out: with a second law, so many numbers follow any smooth map.
         """
         best: dict[tuple[str, ...], Law] = {}
         able = (law for law in laws if law.effects and not self._any_map(law) and not law.of_cables)

@@ -77,7 +77,7 @@ def search(
     if MOST > 1:
         outcome = reconsidered(outcome, more, visible)
     if _ask_again(outcome) and outcome.state.without_background() is not outcome.state:
-        more(outcome)  # with other laws, what is static may be more than ordinary
+        more(outcome)  # with other laws, the static remainder may be more than ordinary
     name_candidates(outcome)
     outcome.loss = held_out_loss(outcome)
     return outcome
@@ -100,7 +100,7 @@ def _one_by_one(outcome: Outcome, tell: Callable[[str], None], visible: float) -
         step = step or _next(ranking, state, outcome.fits, outcome, visible)
         more = step is not None
         if step is not None:
-            step = Step(_parted(step.answer, state, outcome.fits), step.others)
+            step = Step(_split(step.answer, state, outcome.fits), step.others)
             law = step.answer.law
             tell(f"{len(taken) + 1}: {step.family.name}, {law.name if law else 'law open'}")
             outcome.steps.append(step)
@@ -110,7 +110,7 @@ def _one_by_one(outcome: Outcome, tell: Callable[[str], None], visible: float) -
 def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible: float) -> Step | None:
     """Return the next family to take, or None; the outcome keeps a hint where the best was not accepted."""
     single = one_pose(state.body)
-    rows = _in_order(_laws_alone(ranking, state, fits) if single else _far(ranking, state), ranking)
+    rows = _in_order(_laws_alone(ranking, state, fits) if single else _static_settled(ranking, state), ranking)
     if not rows:
         return None
     later, best = bool(outcome.steps), rows[0]
@@ -142,8 +142,8 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     return Step(first, tuple(a for a in rest if indistinct(a, first, ranking, state)))
 
 
-def _parted(answer: Answer, state: State, fits: Fits) -> Answer:
-    """Return an answer with a number for each channel or cable, if its law leaves far more without."""
+def _split(answer: Answer, state: State, fits: Fits) -> Answer:
+    """Return an answer whose law has a number for each channel or cable, if that law leaves far less."""
     law, body = answer.law, state.body
     if law is None or not answer.resolved or law.split or not stands_out(law.loss, body, laws=True):
         return answer
@@ -154,17 +154,17 @@ def _parted(answer: Answer, state: State, fits: Fits) -> Answer:
     return replace(answer, law=each, equals=equals, reaching=(*answer.reaching, each), tried=(each, *answer.tried))
 
 
-def _far(ranking: Ranking, state: State) -> list[Representative]:
+def _static_settled(ranking: Ranking, state: State) -> list[Representative]:
     """Return the families of a ranking, static ones linearised about themselves if the best leaves more than noise.
 
-    A large effect on commands is not linear in its columns, and one on shapes, which is, would be taken for it.
+    A large effect on commands is not linear in its columns. A family of shapes, which is linear, would replace it.
     """
     rows, body = ranking.rows, state.body
     if not rows or not stands_out(rows[0].loss, body, laws=True):
         return rows
-    far = [row for row in rows if row.family.kind == "static" and row.columns.commanded and np.any(row.theta)]
-    anew = {row.family: linearised(state, row)[0] for row in far}
-    return [min((row, anew.get(row.family, row)), key=lambda one: float(one.loss.sum())) for row in rows]
+    static = [row for row in rows if row.family.kind == "static" and row.columns.commanded and np.any(row.theta)]
+    settled = {row.family: linearised(state, row)[0] for row in static}
+    return [min((row, settled.get(row.family, row)), key=lambda one: float(one.loss.sum())) for row in rows]
 
 
 def _laws_alone(ranking: Ranking, state: State, fits: Fits) -> list[Representative]:

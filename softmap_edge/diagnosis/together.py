@@ -96,7 +96,7 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
     if any(_changes(step.family) and not step.answer.resolved for step in outcome.steps):
         known |= {_kind(family) for family in families() if family.kind in ("time", "condition")}
     explained = float(outcome.null.sum() - outcome.loss.sum())
-    form = rule.FORM * max(1, outcome.open)  # each family without a law explains what another law's form misses
+    form = rule.FORM * max(1, outcome.open)  # a family without a law explains the form error of another law too
     return fewer and kinds <= {"static", *known} and rule.reaches(other.loss, outcome.loss, explained, form)
 
 
@@ -155,7 +155,7 @@ def _reached(answer: Answer, name: str) -> Answer:
 
 
 def _without_map(body: Body, fits: Fits, names: Collection[str]) -> State:
-    """Return what is known with those laws alone that are neither static nor drifts: together these change a map."""
+    """Return the state with the laws that are neither static nor drifts: those change a map, together."""
     return State(body, fits.get([e for e in names if _home(e).kind not in ("static", "time")]))
 
 
