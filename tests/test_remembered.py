@@ -104,6 +104,16 @@ def test_a_robot_that_stands_still_is_a_fault_of_the_measurement(motion):
     assert "The robot does not follow its commands" in found.sentence and "drive is engaged" in found.sentence
 
 
+def test_a_dead_zone_of_the_full_range_is_a_robot_that_stands_still():
+    """Noise and a drift of the camera move its points by more than a robot without a drive does."""
+    t, u = wandering()
+    run = seen_by(t, u, 0.0 * u, 0.25)
+    drift = 1.2 * np.sin(0.05 * run.t_seen)[:, None, None]
+    found = diagnose(MODEL, replace(run, vertices=run.vertices + drift), effects=["dead_zone", "gain"])
+    assert found.verdict == "measurement_fault" and found.effects == ()
+    assert "The robot does not follow its commands" in found.sentence
+
+
 def test_a_robot_with_a_play_of_nearly_all_its_range_still_follows():
     t, u = sine()
     half = 0.5 * np.ptp(u, axis=0)

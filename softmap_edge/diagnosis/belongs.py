@@ -45,7 +45,7 @@ FAR, STEADY = 1.5, 3.0  # times what is fitted as a mount, and the scatter over 
 BETTER = 0.5  # of the distance between seen and predicted that such a move must leave at most
 LARGER = 4.0  # times as far as the commands say, or as little: no gain is that wrong
 ALIKE = 0.8  # share of the motion that is followed where a cause is named
-STILL, ALONG = 0.08, 0.02  # of the expected motion: in all, and along it; a play of 1.9 half ranges passes 0.05
+STILL, ALONG = 0.08, 0.02  # of the expected motion: in all, and along it; a play of 1.9 half ranges exceeds 0.05
 MOTION = 0.04  # of the body's length: less motion (RMS) says nothing about what drives it
 NEARLY = 0.1  # of the motion: explained as well as by another cause
 FOLLOWED = 0.6  # share of the motion below which a run is not one of these commands
@@ -126,13 +126,14 @@ def follows(left: Floats, seen: Floats, visible: Mask) -> float:
     return 1.0 - float(np.sum(centred(left, visible) ** 2)) / max(moved, 1e-300)
 
 
-def still(seen: Floats, visible: Mask, expected: Floats, length: float) -> str | None:
-    """Report a robot that does not follow its commands at all.
+def still(seen: Floats, visible: Mask, expected: Floats, fitted: Floats, length: float) -> str | None:
+    """Report a robot that does not follow its commands at all: it hardly moves, or as a model that does not move.
 
     Args:
         seen: measured points (K, N, 3) mm.
-        expected: predicted points (K, N, 3) mm.
         visible: (K, N).
+        expected: predicted points (K, N, 3) mm.
+        fitted: points (K, N, 3) mm of the model with what was found, which may be a dead zone of the full range.
         length: of the body, mm.
     """
     wanted = spread(expected, visible)
@@ -141,7 +142,7 @@ def still(seen: Floats, visible: Mask, expected: Floats, length: float) -> str |
     moved, answer = centred(seen, visible), centred(expected, visible)
     along = float(np.sum(moved * answer)) / max(float(np.sum(answer**2)), 1e-300)
     got = spread(seen, visible)
-    if got > STILL * wanted or abs(along) > ALONG:
+    if abs(along) > ALONG or min(got, spread(fitted, visible)) > STILL * wanted:
         return None
     return (
         f"The robot does not follow its commands: they should move its points by {wanted:.3g} mm RMS, and the points "

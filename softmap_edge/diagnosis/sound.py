@@ -151,7 +151,7 @@ def stray(record: Record, predicted: Floats) -> str | None:
     if record.replay is not None:
         return None
     expected = record.predict(record.model.chain_names, record.own()[None])[0].reshape(len(record), -1, 3)
-    if at_rest := still(seen, visible, expected[:, record.positions], length):
+    if at_rest := still(seen, visible, expected[:, record.positions], seen - left, length):
         return at_rest
     if moved < MOTION * length:
         return None
