@@ -110,11 +110,11 @@ impl Answer {
     }
 
     /// Write the weights of the fields to `weights`: the loads, the changes of tension (N), what they do beyond. `gives` (mm/N)
-    /// is what each cable has beside the model's compliance; `place` is what `at` says there.
+    /// is what the cables of each command and side have beside the model's compliance; `place` is what `at` says there.
     pub fn weigh(
         &self,
         loads: &[f64],
-        gives: f64,
+        gives: &[f64],
         place: &[f64],
         weights: &mut [f64],
         work: &mut Scratch,
@@ -124,10 +124,11 @@ impl Answer {
         own.copy_from_slice(loads);
         rest.fill(0.0);
         beyond.clear();
-        let acts = gives != 0.0 || loads.iter().any(|c| *c != 0.0);
+        let acts = gives.iter().any(|g| *g != 0.0) || loads.iter().any(|c| *c != 0.0);
         let (change, modes) = rest.split_at_mut(self.tendons());
         let cables = self.cables_at(place).filter(|_| acts);
-        let large = gives != 0.0 || loads[..self.known].iter().any(|c| *c != 0.0);
+        let large =
+            gives.iter().any(|g| *g != 0.0) || loads[..self.known].iter().any(|c| *c != 0.0);
         if let (Some(known), true) = (&self.second, large) {
             let mut amount = [0.0; LOADS + MODULI + MOST_TENDONS];
             let amount = &mut amount[..self.known + change.len()];

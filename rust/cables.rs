@@ -33,6 +33,8 @@ pub struct Cables {
     fields: Vec<Arc<Table>>,
     /// Number of loads that stretch them.
     loads: usize,
+    /// Which commands pull each cable, and to what share: 2c is +u of command c, 2c + 1 is −u.
+    driven: Arc<Vec<Vec<(usize, f64)>>>,
 }
 
 impl Cables {
@@ -75,6 +77,7 @@ impl Cables {
         })?;
         Ok(Cables {
             stiffness,
+            driven: Arc::new(driven(&free)),
             free: Arc::new(free),
             stretch: Arc::new(stretch.plain()?), // bodies under loads are made from it again and again
             fields,
@@ -152,14 +155,14 @@ impl Cables {
         }
     }
 
-    /// Change of each tension (n,) N under the loads, at a place that `at` wrote; `gives` (mm/N) is what each cable has beside
-    /// the model's, `beyond` (n,) mm what else stretches them (empty: nothing). What `change` holds before says which of them
+    /// Change of each tension (n,) N under the loads, at a place that `at` wrote; `gives` (2 C,) mm/N is what the cables
+    /// that +u and −u of each command pull have beside the model's, `beyond` (n,) mm what else stretches them (empty: nothing). What `change` holds before says which of them
     /// are taken to pull at first.
     pub fn answer(
         &self,
         place: &[f64],
         loads: &[f64],
-        gives: f64,
+        gives: &[f64],
         beyond: &[f64],
         change: &mut [f64],
         problem: &mut Problem,
@@ -184,14 +187,17 @@ impl Cables {
         &self,
         place: &[f64],
         loads: &[f64],
-        gives: f64,
+        gives: &[f64],
         beyond: &[f64],
         problem: &mut Problem,
     ) {
         problem.clear();
         for i in 0..self.count() {
             let (by_loads, by_tension) = self.row(place, i).split_at(self.loads);
-            problem.matrix.extend(self.gives(place, i, gives));
+            let more = self.driven[i]
+                .iter()
+                .map(|(by, share)| share * gives.get(*by).unwrap_or(&0.0));
+            problem.matrix.extend(self.gives(place, i, more.sum()));
             // What the tensions of the unloaded place take away is −C T.
             let tensions = by_tension.iter().zip(self.before(place));
             problem.right.push(
@@ -218,6 +224,38 @@ impl Cables {
         let (n, width) = (self.count(), self.loads + self.count());
         &place[n + i * width..n + (i + 1) * width]
     }
+}
+
+/// Which commands pull each cable, by the slopes of its `free` stretch, which is nearly linear; shares are squares of them.
+/// A cable that no command pulls takes the mean of all.
+fn driven(free: &Table) -> Vec<Vec<(usize, f64)>> {
+    let (n, channels) = (free.size(), free.channels());
+    let ends: Vec<(f64, f64)> = free.axes().map(|a| (a[0], a[a.len() - 1])).collect();
+    let middle: Vec<f64> = ends.iter().map(|(low, high)| 0.5 * (low + high)).collect();
+    let slopes: Vec<Vec<f64>> = (0..channels)
+        .map(|c| {
+            let at = |u: f64| {
+                let (mut place, mut out) = (middle.clone(), vec![0.0; n]);
+                place[c] = u;
+                free.eval(&place, &mut out);
+                out
+            };
+            let (low, high) = ends[c];
+            let pairs = at(low).into_iter().zip(at(high));
+            pairs.map(|(a, b)| (b - a) / (high - low)).collect()
+        })
+        .collect();
+    let shares = |i: usize| {
+        let total: f64 = slopes.iter().map(|by| by[i] * by[i]).sum();
+        if total <= 0.0 {
+            let all = 2 * channels.max(1);
+            return (0..all).map(|side| (side, 1.0 / all as f64)).collect();
+        }
+        let by = slopes.iter().enumerate();
+        by.map(|(c, by)| (2 * c + usize::from(by[i] < 0.0), by[i] * by[i] / total))
+            .collect()
+    };
+    (0..n).map(shares).collect()
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -259,12 +297,13 @@ mod tests {
         cables.at(&[], &mut nodes, &mut place, &mut problem);
         let (mut loads, mut change) = ([0.0; FIELDS.len()], [0.0; 2]);
         loads[0] = load;
-        cables.answer(&place, &loads, gives, &[], &mut change, &mut problem);
+        let all = [gives; 2];
+        cables.answer(&place, &loads, &all, &[], &mut change, &mut problem);
         let (one, mut again) = (cables.under(&[&loads, &loads]).unwrap(), [0.0; 2]);
         let mut place = vec![0.0; one.size()];
         nodes.clear();
         one.at(&[], &mut nodes, &mut place, &mut problem);
-        one.answer(&place, &[0.25, 0.75], gives, &[], &mut again, &mut problem);
+        one.answer(&place, &[0.25, 0.75], &all, &[], &mut again, &mut problem);
         assert!(
             (0..2).all(|i| (change[i] - again[i]).abs() < 1e-12),
             "as one load"

@@ -131,7 +131,7 @@ impl Contact {
             .collect();
         let (mut problem, mut before) = (Problem::default(), vec![]);
         if let Some((cables, place, beyond)) = cables {
-            let (fields, gives) = (&loads[..FIELDS.len()], loads[TENDON]);
+            let (fields, gives) = (&loads[..FIELDS.len()], &loads[TENDON..CONTACT]);
             cables.pose(place, fields, gives, beyond, &mut problem);
             before.extend(cables.before(place));
         }

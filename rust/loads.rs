@@ -65,10 +65,13 @@ pub const PHASES: usize = 3;
 /// Where along the body, as shares of its height, an obstacle can push it; on the last one by the force on the tip.
 pub const STATIONS: [f64; 4] = [0.4, 0.6, 0.8, 1.0];
 
-/// Where the coefficients stand that are no fields: the compliance (mm/N) that every cable has beside the model's; and an
-/// obstacle: 1 if there is one, its foremost point (mm), the normal there and its curvature (1/mm).
+/// Most commands that pull cables.
+pub const PULLING: usize = PHASES;
+/// Where the coefficients stand that are no fields: the compliance (mm/N) beside the model's of the cables that +u and −u
+/// of each command pull; and an obstacle: 1 if there is one, its foremost point (mm), the normal there and its curvature
+/// (1/mm).
 pub const TENDON: usize = FIELDS.len();
-pub const CONTACT: usize = TENDON + 1;
+pub const CONTACT: usize = TENDON + 2 * PULLING;
 
 /// Coefficients of [`FIELDS`] in their units, then [`TENDON`] and [`CONTACT`].
 pub type Coefficients = [f64; CONTACT + 8];
@@ -76,8 +79,8 @@ pub type Coefficients = [f64; CONTACT + 8];
 /// What a coefficient is called.
 pub fn name(coefficient: usize) -> &'static str {
     match coefficient {
-        TENDON => "tendon_compliance",
         field if field < TENDON => FIELDS[field],
+        cable if cable < CONTACT => "tendon_compliance",
         _ => "contact",
     }
 }

@@ -317,8 +317,13 @@ impl Predictor {
         } = scratch;
         let there: [bool; CURVE] = std::array::from_fn(|f| loads[f] != 0.0);
         self.answer.at(u, nodes, &there, place, work);
-        self.answer
-            .weigh(&loads[..TENDON], loads[TENDON], place, weights, work);
+        self.answer.weigh(
+            &loads[..TENDON],
+            &loads[TENDON..CONTACT],
+            place,
+            weights,
+            work,
+        );
         if let (Some(contact), true) = (&self.contact, loads[CONTACT] != 0.0) {
             let cables = self.answer.cables_at(place);
             let cables = cables.map(|(cables, at)| (cables, at, &work.beyond[..]));
@@ -330,8 +335,8 @@ impl Predictor {
     /// Whether a coefficient means something to this body: its field is there, or it is that of cables.
     fn has(&self, coefficient: usize) -> bool {
         match coefficient {
-            TENDON => self.answer.cables.is_some(),
             field if field < TENDON => self.body.fields.get(field).is_some(),
+            cable if cable < CONTACT => self.answer.cables.is_some(),
             _ => self.contact.is_some(),
         }
     }

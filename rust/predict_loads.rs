@@ -32,7 +32,7 @@ pub struct Loaded {
     answer: Answer,
     amount: Vec<f64>,
     there: Vec<bool>,
-    gives: f64,
+    gives: Vec<f64>,
 }
 
 impl Loaded {
@@ -44,7 +44,7 @@ impl Loaded {
         self.answer
             .at(u, nodes, &self.there, place, &mut scratch.work);
         self.answer
-            .weigh(&self.amount, self.gives, place, weights, &mut scratch.work);
+            .weigh(&self.amount, &self.gives, place, weights, &mut scratch.work);
         self.fields.add(u, nodes, weights, &mut scratch.field, out);
     }
 }
@@ -151,7 +151,7 @@ impl Predictor {
             answer: self.answer.under(&few, loads)?,
             amount: there.iter().map(|there| f64::from(*there)).collect(),
             there,
-            gives: loads[TENDON],
+            gives: loads[TENDON..CONTACT].to_vec(),
         });
         let mut kept = kept();
         if kept.len() >= KEPT {

@@ -99,7 +99,8 @@ def bent(direction, profile):
 SHARE = SECTIONS / SECTIONS[-1]
 MIDDLES = np.linspace(0.0, 1.0, 7)  # of the stretches of the fields stiff_0 … stiff_6
 OBSTACLE = ("present", "q_x", "q_y", "q_z", "n_x", "n_y", "n_z", "curvature")
-COEFFICIENTS = [*_core.FIELDS, "tendon_compliance", *OBSTACLE]
+SIDES = [f"compliance_{c}{side}" for c in range(3) for side in "+-"]  # of the cables that each command pulls
+COEFFICIENTS = [*_core.FIELDS, *SIDES, *OBSTACLE]
 
 # Tip displacements per g and per N as the simulator finds them: 1 g lateral 3.5 mm, 20 g at the tip 3.2 mm.
 FIELD_VALUES = {

@@ -309,7 +309,10 @@ ORACLES = {
     "mullins": broken_in,
     "thermal_softening": lambda p, u, t: u * (1.0 + 0.01 * p["rate"] * (warming(t) - warming(t[0])))[:, None],
     "asymmetry": lambda p, u, t: np.where(u > 0, u * (1.0 + p["excess"]), u * (1.0 - p["excess"])),
-    "tendon_stretch": lambda p, g, u: coefficients(len(g), tendon_compliance=p["compliance"]),
+    "tendon_stretch": lambda p, g, u: coefficients(
+        len(g),
+        **{f"compliance_{c}{side}": row[k] for c, row in enumerate(p["compliance"]) for k, side in enumerate("+-")},
+    ),
     "routing": lambda p, g, u: coefficients(len(g), routing_0=p["phase"][0], routing_1=p["phase"][1]),
     "gravity": gravity_coefficients,
     "payload": payload_coefficients,

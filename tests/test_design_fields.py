@@ -123,3 +123,24 @@ def test_a_change_that_no_finger_has_is_refused():
     for change in ({"wind": 1.0}, {"routing_2": 1.0}, {"twist": float("nan")}, {"gravity_x": 1.0}):
         with pytest.raises(FingerError, match=f"change {next(iter(change))}"):
             Simulator(finger, change=change)
+
+
+def stretched(command, **compliance):
+    """What compliances, by label, do to the vertices of the built-in model at one command."""
+    t = np.arange(2.0)
+    run, model = Run(t=t, command=np.tile(command, (2, 1)), t_seen=t), builtin_model()
+    given = {f"tendon_stretch.compliance{label}": value for label, value in compliance.items()}
+    return (model.with_effects(["tendon_stretch"], given).predict(run) - model.predict(run))[0]
+
+
+@pytest.mark.parametrize(("side", "other", "sign"), [("+", "-", 1.0), ("-", "+", -1.0)])
+@pytest.mark.parametrize("channel", [0, 1])
+def test_each_cable_has_its_own_compliance(channel, side, other, sign):
+    """A cable that is pulled moves the body as if all were so soft, its antagonist, which hangs, hardly at all."""
+    for amount in (6.0, 8.0, 11.0):
+        command = sign * amount * np.eye(2)[channel]
+        every = stretched(command, **{"": 0.04})
+        pulled, slack = (stretched(command, **{f"[{channel}{k}]": 0.04}) for k in (side, other))
+        size = np.sqrt(np.mean(every**2))
+        assert size > 0.1 and np.sqrt(np.mean((pulled - every) ** 2)) < 0.2 * size
+        assert np.sqrt(np.mean(slack**2)) < 0.2 * size

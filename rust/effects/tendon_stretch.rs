@@ -1,6 +1,6 @@
 //! Tendon stretch: the cables give more than the model's, in proportion to their tension.
 //!
-//! Every cable gets `compliance` mm longer for each N of its tension, beyond the 1/k that the model has for cable and drive:
+//! Every cable gets its `compliance` mm longer for each N of its tension, beyond the 1/k that the model has for cable and drive:
 //! a softer spring in the complementarity of `cables.rs`, which finds the new tensions with what loads and other effects do
 //! to them. Under a payload the tensions change and so does what is lost; a gain would not know.
 //! Limit: as far as the body answers changes of tension linearly: 1 % off at 0.02 mm/N (rust/fem/sweep_tests.rs).
@@ -14,7 +14,7 @@ pub static EFFECT: Effect = Effect {
         family: "actuation map",
         stage: Stage::Shape,
         kind: Kind::Effect,
-        formula: "stretch = compliance · T  of every cable, T solved with the body",
+        formula: "stretch = compliance · T  of each cable, T solved with the body",
         doc: "Cables, knots or the drive's belt give under tension.",
         signature: "Static, as a gain that is lost more where the tension is higher: with the bend, and with a payload on the pulled side.",
         reference: "Hooke's law of a cable; Hintermüller, Ito and Kunisch 2002 for the complementarity.",
@@ -29,7 +29,8 @@ pub static EFFECT: Effect = Effect {
             0.003,
             0.6,
             "by how much a cable gets longer for each N, beyond the model",
-        )],
+        )
+        .per_cable()],
     },
     law: Law::Shape(&TendonStretch),
 };
@@ -37,11 +38,13 @@ pub static EFFECT: Effect = Effect {
 struct TendonStretch;
 
 impl ShapeEffect for TendonStretch {
-    fn fields(&self, _channels: usize) -> Vec<usize> {
-        vec![TENDON]
+    fn fields(&self, channels: usize) -> Vec<usize> {
+        (TENDON..CONTACT).take(2 * channels).collect()
     }
 
     fn add(&self, params: &[f64], _u: &[f64], _context: &Context, out: &mut Coefficients) {
-        out[TENDON] += params[0];
+        for (out, compliance) in out[TENDON..CONTACT].iter_mut().zip(params) {
+            *out += compliance;
+        }
     }
 }

@@ -106,7 +106,7 @@ fn answered(s: &Simulation, command: &[f64], loads: &Coefficients) -> Vec<Vec3> 
     let (mut nodes, mut problem) = (Nodes::default(), Problem::default());
     cables.at(&[], &mut nodes, &mut place, &mut problem);
     let mut change = vec![0.0; n];
-    let (fields, gives) = (&loads[..FIELDS.len()], loads[TENDON]);
+    let (fields, gives) = (&loads[..FIELDS.len()], &loads[TENDON..CONTACT]);
     cables.answer(
         &place,
         fields,
@@ -198,6 +198,9 @@ fn rms(a: &[Vec3], b: &[Vec3]) -> f64 {
 fn missed(field: usize, by: f64) -> Vec<(f64, f64)> {
     let (s, mut change) = (small(3, 12, None), loads(&[]));
     change[field] = by;
+    if field == TENDON {
+        change[TENDON..CONTACT].fill(by); // of all cables
+    }
     let other = if field == TENDON {
         let mut softer = design(3, 12);
         softer.cable_stiffness = 1.0 / (1.0 / softer.cable_stiffness + by);

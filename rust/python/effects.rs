@@ -254,7 +254,9 @@ impl PyChain {
         let mut used: Vec<usize> = self.chain.fields().iter().map(|(f, _)| *f).collect();
         used.sort_unstable();
         used.dedup();
-        used.into_iter().map(loads::name).collect()
+        let mut names: Vec<_> = used.into_iter().map(loads::name).collect();
+        names.dedup();
+        names
     }
 
     /// Names of the numbers of the prior that this chain changes.
@@ -263,7 +265,7 @@ impl PyChain {
         self.chain.numbers()
     }
 
-    /// Coefficients (B, K, F + 9) of `FIELDS`, of the cables' compliance and of an obstacle (`loads.rs`) that the shape
+    /// Coefficients (B, K, F + 14) of `FIELDS`, of the compliance of the cables that +u and −u of each command pull, and of an obstacle (`loads.rs`) that the shape
     /// effects add, for gravity (K, 3), load (K,) g and the effective command (K, C). Effects with a memory take its
     /// rows as a record.
     #[pyo3(signature = (params, gravity, load=None, temperature=None, u=None))]
