@@ -245,6 +245,7 @@ class Series:
         temperature: _Floats | None = None,
         orientation: NDArray[np.int64] | None = None,
         orientations: NDArray[np.int64] | None = None,
+        free_map: bool = False,
     ) -> Self: ...
     @property
     def samples(self) -> int: ...

@@ -13,7 +13,7 @@ import pytest
 from test_diagnosis import finger_run
 
 from softmap_edge import _core, builtin_model, diagnose
-from softmap_edge.diagnosis import acceptance, conclusion, decision, search, wording
+from softmap_edge.diagnosis import acceptance, conclusion, decision, search, together, wording
 from softmap_edge.diagnosis.decision import clears, difference, form_of, leaves_cause, near, reaches, seen_to_fall
 from softmap_edge.diagnosis.findings import Alternative, Number
 
@@ -270,7 +270,9 @@ def moved(monkeypatch):
         model = builtin_model()
         now = diagnose(model, run, effects=effects)
         for name, value in constants.items():
-            monkeypatch.setattr(decision if hasattr(decision, name) else search, name, value)
+            for module in (decision, search, together):
+                if hasattr(module, name):
+                    monkeypatch.setattr(module, name, value)
         return now, diagnose(model, run, effects=effects)
 
     return both
@@ -305,7 +307,12 @@ def test_two_laws_of_two_families_are_found_together(monkeypatch):
     now = diagnose(builtin_model(), run)
     assert {e.name for e in (*now.faults, *now.effects)} == {"gain", "mount"}
     assert now.error.after < 0.3 * now.error.before
-    monkeypatch.setattr(search, "reconsidered", lambda outcome, more, visible: outcome)
+
+    def one_by_one(outcome, more, visible):
+        more(outcome, search.MOST)
+        return outcome
+
+    monkeypatch.setattr(search, "completed", one_by_one)
     then = diagnose(builtin_model(), run)
     assert {e.name for e in (*then.faults, *then.effects)} != {"gain", "mount"}
 

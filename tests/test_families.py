@@ -57,6 +57,14 @@ def play(x, width):
     return np.array(out)
 
 
+def leaking(x, t, tau):
+    y, out = x[0], []
+    for value, dt in zip(x, np.diff(t, prepend=t[0])):
+        y = max(value, y * np.exp(-dt / tau))
+        out.append(y)
+    return np.array(out)
+
+
 def pole(x, t, tau):
     """τ y' = x − y in closed form over each straight piece: y = x − τ s + (y₀ − x₀ + τ s) e^(−t/τ), s its slope."""
     y, out = x[0], [x[0]]
@@ -118,13 +126,16 @@ def columns(p, name, c):
         slow = [pole(v, t, tau) - v for tau in (2, 5, 12, 30, 80, 200)]
         pulls = [(side, np.maximum(side * v, 0.0)) for side in (1, -1)]
         cables = [side * (pole(p, t, tau) - p) * (p > 0) for side, p in pulls for tau in (10, 30, 90)]
-        return stack([*slow, *cables])
+        stroke = np.abs(p.x).max(axis=1)
+        strokes = [h * (leaking(stroke, t, tau) - stroke) for tau in (4, 12, 36)]
+        return stack([*slow, *strokes, *cables])
     if name == "softening":
         return softer(v, h)
     if name == "time":
         return by_x(spline(p.share, 0, 1, 5))
     if name == "step":
-        return by_x((p.share[:, None] > np.linspace(0.06, 0.94, 16)).astype(float))
+        after = (p.share[:, None] > np.linspace(0.06, 0.94, 16)).astype(float)
+        return np.column_stack([by_x(after), 0.3 * h * after * x[:, None] ** 2])
     if name == "temperature":
         z = (p.temperature - p.temperature.mean()) / np.ptp(p.temperature)
         behind = [f for tau in (30, 100) for f in (pole(z, t, tau), pole(z, t, tau) * x)]
@@ -254,6 +265,17 @@ def test_memory_families_vanish_at_rest():
     series = _core.Series(v, t, np.zeros(2), np.full(2, 4.0))
     for name in ("memory", "delay", "rate", "creep", "softening"):
         assert np.abs(_core.Bank(name, 2).columns(series, t)[1]).max() < 1e-14
+
+
+@pytest.mark.parametrize(("family", "left_out"), [("memory", 2 * 3), ("creep", 2 * 9), ("step", 2 * 16)])
+def test_a_free_map_has_no_columns_that_imitate_its_error(family, left_out):
+    """Single cables, other channels and even terms look like it, so only a map of few numbers shows them."""
+    p, bank = Plain(2), _core.Bank(family, 2)
+    free = _core.Series(p.v, p.t, p.middle, p.half, free_map=True)
+    (every, full), (which, rows) = bank.columns(p.series, p.at), bank.columns(free, p.at)
+    assert len(which) == len(every) - left_out
+    for c in (0, 1):
+        assert np.array_equal(rows[which == c], full[every == c][: np.sum(which == c)])
 
 
 def test_softening_vanishes_on_first_loading():

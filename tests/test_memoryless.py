@@ -38,7 +38,7 @@ def test_no_static_map_goes_below_the_floor_and_a_rich_one_reaches_it(play):
     reached = best_static(values, state.command)
     assert found.mm == pytest.approx(reached, rel=0.12)
     assert found.mm > 3 * 0.1 * np.sqrt(3)
-    assert found.poses > 20 and found.passages > 2 * found.poses - 1 and found.frames <= len(values)
+    assert found.poses > 20 and found.passages > 2 * found.poses - 1 and len(found.rows) <= len(values)
 
 
 def test_without_memory_the_floor_is_the_noise():

@@ -173,7 +173,7 @@ def test_what_does_not_repeat_is_no_error_of_a_rods_map():
     rng = np.random.default_rng(7)
     branch = np.sign(np.sin(np.arange(1200) * 0.05))[:, None] * np.ones(9)
     residual = 2.0 * branch + 0.1 * rng.normal(size=(1200, 9))
-    memory = Repeats(np.full(9, 4.0), poses=20, passages=60, frames=600)
+    memory = Repeats(np.full(9, 4.0), poses=20, passages=60, rows=np.arange(600))
     hidden, seen = rods(residual, 2.0), rods(residual, 2.0, memory)
     assert hidden.rms_mm(np.ones(3, bool)) > 3.4 and seen.rms_mm(np.ones(3, bool)) < 0.5
     static = replace(memory, variance=np.full(9, 0.01))  # poses that repeat: then it is model error

@@ -1,7 +1,7 @@
 //! Creep: the robot keeps moving under a constant command, over seconds to minutes.
 
 use super::declaration::*;
-use super::operators::{pole, with};
+use super::operators::{largest, leaking_most, pole, with};
 use super::series::Series;
 
 pub static FAMILY: Family = Family {
@@ -27,13 +27,27 @@ const SIGNALS: usize = 5;
 /// Time constants of the stretch of single cables, s.
 const CABLES: [f64; 3] = [10.0, 30.0, 90.0];
 
-/// Low-passed command minus command, mm; and what each cable of a pair has lost, where it pulls.
+/// Time constants in which the largest stroke is forgotten, s.
+const STROKES: [f64; 3] = [4.0, 12.0, 36.0];
+
+/// Low-passed command minus command, mm. If the map is not free: also what remains of the largest stroke of all channels
+/// beyond the present one, as in a material that recovers; and what each cable of a pair has lost, where it pulls.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let v = &series.v[channel];
     let mut out = vec![0.0; series.samples()];
     for tau in POLES {
         pole(v, &series.dt, tau, &mut out);
         with(&mut out, v, |slow, v| slow - v);
+        emit(&out);
+    }
+    if series.free_map {
+        return;
+    }
+    let half = series.half[channel];
+    let stroke = largest(&series.x);
+    for tau in STROKES {
+        leaking_most(&stroke, &series.dt, tau, &mut out);
+        with(&mut out, &stroke, |most, now| half * (most - now));
         emit(&out);
     }
     for side in [1.0, -1.0] {

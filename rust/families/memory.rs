@@ -35,7 +35,7 @@ fn widths(wide: bool) -> [f64; WIDTHS] {
 
 /// Half widths of the plays of other channels that drag this one along.
 const DRAGGED: [f64; 3] = [0.08, 0.2, 0.5];
-/// Most channels for which others are tried: beyond, a run cannot identify so many columns.
+/// Most channels for which others are tried, on a map that is not free: else a run cannot identify so many columns.
 const OTHERS: usize = 3;
 
 /// Output of the play minus its input, of the channel and of the others, mm.
@@ -57,7 +57,8 @@ fn columns(series: &Series, channel: usize, emit: Emit) {
         emit(&out);
     }
     let others = series.x.iter().enumerate();
-    for (_, y) in others.filter(|(other, _)| *other != channel && series.channels() <= OTHERS) {
+    let few = series.channels() <= OTHERS && !series.free_map;
+    for (_, y) in others.filter(|(other, _)| *other != channel && few) {
         for width in DRAGGED {
             play(y, width, &mut out);
             with(&mut out, y, |held, y| half * (held - y));

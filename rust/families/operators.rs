@@ -57,6 +57,28 @@ pub(super) fn velocity(x: &[f64], t: &[f64], window: f64) -> Vec<f64> {
     after
 }
 
+/// Largest |x| of all channels.
+pub(super) fn largest(x: &[Vec<f64>]) -> Vec<f64> {
+    let mut most = vec![0.0; x.first().map_or(0, Vec::len)];
+    for x in x {
+        with(&mut most, x, |most, x| most.max(x.abs()));
+    }
+    most
+}
+
+/// Running maximum of x >= 0 that decays with time constant tau: `y = max(x, y e^(−dt/tau))`.
+pub(super) fn leaking_most(x: &[f64], dt: &[f64], tau: f64, out: &mut [f64]) {
+    let mut y = x[0];
+    let (mut last, mut keeps) = (0.0, 1.0);
+    for ((x, dt), out) in x.iter().zip(dt).zip(out) {
+        if *dt != last {
+            (last, keeps) = (*dt, (-dt / tau).exp());
+        }
+        y = x.max(keeps * y);
+        *out = y;
+    }
+}
+
 /// Running maximum of |x|.
 pub(super) fn largest_so_far(x: &[f64]) -> Vec<f64> {
     let mut most: f64 = 0.0;

@@ -24,6 +24,9 @@ pub struct Series {
     pub(super) orientation: Option<Vec<i64>>,
     /// Codes of the orientations of this run, and of others that are fitted together with it; rising.
     pub(super) orientations: Vec<i64>,
+    /// Whether the static map of the model was learned freely from measurements. Its error looks like small effects of
+    /// single cables and of other channels.
+    pub(super) free_map: bool,
 }
 
 impl Series {
@@ -102,7 +105,13 @@ impl Series {
             temperature,
             orientation,
             orientations,
+            free_map: false,
         })
+    }
+
+    /// Declare whether the static map of the model was learned freely from measurements.
+    pub fn with_free_map(self, free_map: bool) -> Series {
+        Series { free_map, ..self }
     }
 
     /// Number of samples T.

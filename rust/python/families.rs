@@ -54,9 +54,10 @@ pub struct PySeries {
 #[pymethods]
 impl PySeries {
     /// `v` (T, C) mm, `t` (T,) s, `middle` and `half` range (C,) mm, `temperature` (T,) °C, integer codes of `orientation` (T,);
-    /// `orientations` are the codes of all runs that are fitted together, if this is one of several.
+    /// `orientations` are the codes of all runs that are fitted together, if this is one of several; `free_map` says that the
+    /// static map was learned freely, which leaves out columns that imitate its error.
     #[new]
-    #[pyo3(signature = (v, t, middle, half, temperature=None, orientation=None, orientations=None))]
+    #[pyo3(signature = (v, t, middle, half, temperature=None, orientation=None, orientations=None, free_map=false))]
     fn new(
         v: Value<'_, '_>,
         t: Value<'_, '_>,
@@ -65,6 +66,7 @@ impl PySeries {
         temperature: Maybe<'_>,
         orientation: Maybe<'_>,
         orientations: Maybe<'_>,
+        free_map: bool,
     ) -> PyResult<PySeries> {
         let t = floats("t", t, &[("T", None)])?.data;
         let samples = Some(t.len());
@@ -93,7 +95,9 @@ impl PySeries {
             orientation,
             orientations,
         )?;
-        Ok(PySeries { series })
+        Ok(PySeries {
+            series: series.with_free_map(free_map),
+        })
     }
 
     /// Number of samples T.

@@ -20,6 +20,7 @@ from softmap_edge.diagnosis.record import Record
 Floats = NDArray[np.float64]
 
 CATCH_ALL = "static shape"  # it can stand for any static law, so it is taken only where no other family is
+BACKGROUND = ("static map", "static shape", "frame", "load")  # what ordinary imperfections look like
 MOST = 4  # families that are taken
 ASKED = 3  # near families whose laws are tried
 SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken

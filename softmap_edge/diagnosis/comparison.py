@@ -197,7 +197,7 @@ def compare(model: Model, run: Run) -> Comparison:
         made_from=_made_from(kind, model, run),
         memoryless=None
         if repeats is None
-        else MemorylessFloor(repeats.mm, repeats.poses, repeats.passages, repeats.frames),
+        else MemorylessFloor(repeats.mm, repeats.poses, repeats.passages, len(repeats.rows)),
     )
 
 

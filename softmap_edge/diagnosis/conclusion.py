@@ -43,9 +43,11 @@ from softmap_edge.diagnosis.findings import (
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.masked import Masked
+from softmap_edge.diagnosis.memoryless import repeats_of
 from softmap_edge.diagnosis.motion_at_rest import MotionAtRest
 from softmap_edge.diagnosis.noise import motion_left
 from softmap_edge.diagnosis.outcome import Outcome, Step
+from softmap_edge.diagnosis.prepare import load_seen
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.separate import separating
 from softmap_edge.diagnosis.spools import RADIUS
@@ -106,6 +108,8 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     error = _error(outcome, order, context.other)
     families = tuple(_family(outcome, s, context.proof, changes) for s in standing)
     families += tuple(replace(_family(outcome, s, None, ()), law="unknown", effects=()) for s in dropped)
+    if unknown and not families:
+        families = _memoryless(record, residual)
     if unknown and not families and outcome.hint is not None:
         near, gone = outcome.hint, float(outcome.hint.loss.sum() / max(float(outcome.null.sum()), 1e-300))
         families = (FamilyFinding(near.family.name, near.family.kind, "unknown", (), 1.0 - gone, near.moved_mm),)
@@ -182,6 +186,20 @@ def _family(outcome: Outcome, step: Step, proof: Certified | None, changes: Sequ
         tuple(law.name for law in answer.reaching if not law.effects), tuple(a.family.name for a in step.others),
         None if proof is None else proof.families.get(answer.family.name),
     )  # fmt: skip
+
+
+def _memoryless(record: Record, residual: Floats) -> tuple[FamilyFinding, ...]:
+    """Return what is left as an unknown static map if the same commands leave the same error, else nothing.
+
+    Its form may be too fine for the columns of the family.
+    """
+    places = residual.reshape(len(residual), -1, 3)[:, record.positions].reshape(len(residual), -1)
+    again = repeats_of(places, record.state, load_seen(record))
+    left = 0.0 if again is None else record.rms_mm(residual, again.rows)
+    if again is None or again.mm**2 > 0.5 * left**2:
+        return ()
+    moved = float(np.sqrt(left**2 - again.mm**2))
+    return (FamilyFinding("static map", "static", "unknown", (), (moved / left) ** 2, moved),)
 
 
 def _with_motion(families: Sequence[FamilyFinding], moving: Sequence[MotionAtRest]) -> tuple[FamilyFinding, ...]:

@@ -128,6 +128,7 @@ class Body:
         self.weights = np.ascontiguousarray(problem.gain * problem.whitener.project.T)
         self.own = [e["name"] for e in self.record.library.effects() if e["own"]]  # a user's, of any family
         self.ordinary_mm = 0.0  # static imperfections of the robot, RMS
+        self.free_map = isinstance(getattr(self.record.model, "prior", None), _core.Rod)  # learned from logs
         self.learned = [f for f in families() if f.name in MAPPED and self.record.remapped]
         self._signatures: dict[str, Floats] = {}
 
@@ -170,9 +171,9 @@ class Body:
     def series(self, commands: Commands) -> list[_core.Series]:
         """Return effective commands with the conditions of their runs, as banks take them."""
         every, orientations = self._orientations
-        rows = zip(self.parts, commands, self._temperatures, orientations)
+        rows, free = zip(self.parts, commands, self._temperatures, orientations), self.free_map
         return [
-            _core.Series(v, np.asarray(part.run.t, float), self.middle, self.half, warm, orientation, every)
+            _core.Series(v, np.asarray(part.run.t, float), self.middle, self.half, warm, orientation, every, free)
             for part, v, warm, orientation in rows
         ]
 
@@ -481,8 +482,11 @@ class Ranking:
     static: Floats  # (K, F) mm, what all static families explain together
 
 
-def ranked(state: State, every: Sequence[Family], taken: Sequence[Family]) -> Ranking:
-    """Fit each family about a state, alongside those of laws that were found: the form of a law may be off."""
+def ranked(state: State, every: Sequence[Family], taken: Sequence[Family], within: float = 0.0) -> Ranking:
+    """Fit each family about a state, alongside those of laws that were found: the form of a law may be off.
+
+    Only those that explain at least a share `within` of what the best does, on training frames, are cross-validated.
+    """
     body, level = state.body, state.body.level()
     names, ridges = state.blocks(level)
     known = {f"*{one.family.name}" for one in state.beside}
@@ -493,14 +497,18 @@ def ranked(state: State, every: Sequence[Family], taken: Sequence[Family]) -> Ra
     found = before = np.asarray(level.losses(names, ridges))
     for family in taken:
         if family in columns and f"*{family.name}" not in known:
-            loss, ridge = _tuned(level, names, ridges, family.name, before)
+            if _training_gain(level, names, ridges, family.name, before) < FALL * before.sum():
+                continue
+            loss, ridge = best_ridge(level, names, ridges, family.name)
             if loss.sum() < before.sum():
                 before, names, ridges = loss, [*names, family.name], [*ridges, ridge]
-    rows = []
-    for family, own in columns.items():
-        if family in taken:
-            continue
-        loss, ridge = _tuned(level, names, ridges, family.name, before)
+    rows, gained = [], 0.0
+    gains = {f: _training_gain(level, names, ridges, f.name, before) for f in columns if f not in taken}
+    for family in sorted(gains, key=lambda f: -gains[f]) if within else gains:
+        own, loss, ridge = columns[family], before, RIDGES[-1]
+        if gains[family] >= max(FALL * before.sum(), within * gained):
+            loss, ridge = best_ridge(level, names, ridges, family.name)
+            gained = max(gained, float(before.sum() - loss.sum()))
         theta = level.theta([*names, family.name], [*ridges, ridge])[-1]
         numbers = level.freedom([*names, family.name], [*ridges, ridge], family.name)
         shift = np.where(np.isfinite(body.record.seen), own.shift(theta), np.nan)
@@ -523,17 +531,10 @@ def _static(
     return out
 
 
-def _tuned(
-    level: _core.Level, names: list[str], ridges: list[float], name: str, before: Floats
-) -> tuple[Floats, float]:
-    """Return the held-out loss with one block more, and the strength of its ridge that makes it least.
-
-    If the training loss falls too little, the block is not cross-validated: its held-out loss is the one `before`.
-    """
+def _training_gain(level: _core.Level, names: list[str], ridges: list[float], name: str, before: Floats) -> float:
+    """Return by how much the training loss falls with one block more: the held-out loss seldom falls by more."""
     most = max(float(before.sum()), level.training_loss(names, ridges))
-    if most - level.training_loss([*names, name], [*ridges, RIDGES[0]]) < FALL * before.sum():
-        return before, RIDGES[-1]
-    return best_ridge(level, names, ridges, name)
+    return most - level.training_loss([*names, name], [*ridges, RIDGES[0]])
 
 
 def best_ridge(level: _core.Level, names: list[str], ridges: list[float], name: str) -> tuple[Floats, float]:

@@ -31,12 +31,12 @@ ENOUGH = 8  # passages beyond the first of each cell
 
 @dataclass(frozen=True)
 class Repeats:
-    """Scatter of repeated poses: variance (F,) mm² within a pose, and the numbers of poses, passages and frames."""
+    """Scatter of repeated poses: variance (F,) mm² within a pose, numbers of poses and passages, their frames (n,)."""
 
     variance: Floats
     poses: int
     passages: int
-    frames: int
+    rows: Ints
 
     @property
     def mm(self) -> float:
@@ -66,7 +66,7 @@ def repeats_of(values: Floats, state: Conditions, load: Floats | None = None) ->
     columns = polynomial(state.command)
     part = values - columns @ np.linalg.lstsq(columns, filled(values), rcond=None)[0]
     variance = _variance(part[rows], passage[rows], cell[rows])
-    return Repeats(variance, len(again), len(np.unique(passage[rows])), len(rows))
+    return Repeats(variance, len(again), len(np.unique(passage[rows])), rows)
 
 
 def _cells(state: Conditions, load: Floats | None) -> Ints:

@@ -120,11 +120,11 @@ def noise_of(record: Record, residual: Floats) -> Noise:
     noise = measure_noise(residual, record.seen, record.positions, record.t_seen, record.state, point)
     if record.model.kind != "rod":
         return noise
-    again = repeats_of(residual, record.state, _load_seen(record))
+    again = repeats_of(residual, record.state, load_seen(record))
     return rod_noise(residual, record.t_seen, record.form_error, noise, again)
 
 
-def _load_seen(record: Record) -> Floats | None:
+def load_seen(record: Record) -> Floats | None:
     """Return the declared loads (K,) g at the frames, 0 in runs that declare none; None if no run does."""
     if record.load is None:
         return None

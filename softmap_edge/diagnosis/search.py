@@ -17,6 +17,7 @@ import numpy as np
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.acceptance import (
     ASKED,
+    BACKGROUND,
     CATCH_ALL,
     MOST,
     accepted,
@@ -47,10 +48,9 @@ from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import Answer, Law, answered, law_of
 from softmap_edge.diagnosis.outcome import Outcome, Step, fits_alongside, held_out_loss, name_candidates, with_family
-from softmap_edge.diagnosis.together import reconsidered
+from softmap_edge.diagnosis.together import completed
 
 HINT = 0.1  # share of the loss that an unaccepted family must explain to be a hint
-BACKGROUND = ("static map", "static shape", "frame", "load")  # what ordinary imperfections look like
 
 
 def search(
@@ -73,20 +73,19 @@ def search(
     state = State(body, fits.null)
     null = ranked(state, [], []).found
     outcome = Outcome(body, fits, fits, state, null, null)
-    more(outcome)
-    if MOST > 1:
-        outcome = reconsidered(outcome, more, visible)
+    more(outcome, 1)
+    outcome = completed(outcome, more, visible)
     if _ask_again(outcome) and outcome.state.without_background() is not outcome.state:
-        more(outcome)  # with other laws, the static remainder may be more than ordinary
+        more(outcome, MOST)  # with other laws, the static remainder may be more than ordinary
     name_candidates(outcome)
     outcome.loss = held_out_loss(outcome)
     return outcome
 
 
-def _one_by_one(outcome: Outcome, tell: Callable[[str], None], visible: float) -> None:
-    """Take families on top of what was found until none is accepted."""
+def _one_by_one(outcome: Outcome, most: int, tell: Callable[[str], None], visible: float) -> None:
+    """Take families on top of what was found until none is accepted, `most` in all."""
     body, every, more = outcome.body, families(), True
-    while more and len(outcome.steps) < MOST:
+    while more and len(outcome.steps) < most:
         before, taken = outcome.state, [step.family for step in outcome.steps]
         state = before.without_background()
         ranking = ranked(state, every, taken)
@@ -136,6 +135,7 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     best_loss = min((a.least for a in answers), key=lambda loss: float(loss.sum()))
     if not single:  # a law may do far more than its family
         answers = [a for a in answers if near(a.least, best_loss, ranking.found)]
+    answers = [a for a in answers if not _leaves_cause(a, answers, state)]
     first, *rest = sorted(answers, key=lambda a: (
         not a.resolved, _beaten(a, answers), order_of(a.family), a.numbers, float(a.loss.sum())
     ))  # fmt: skip
@@ -196,9 +196,22 @@ def _tied(able: list[Representative], ranking: Ranking, state: State, single: bo
 
 
 def _beaten(one: Answer, others: Sequence[Answer]) -> bool:
-    """Whether a law with no more numbers is seen to leave less: then simplicity is no reason to take this one."""
+    """Whether a law with no more numbers is seen to leave less: then simplicity is no reason to take this one.
+
+    Nor is it among families without a law that depend on different things.
+    """
     laws = [a for a in others if a.resolved and a.numbers <= one.numbers]
-    return any(seen_to_fall(difference(one.loss, law.loss)) for law in laws)
+    if not one.resolved:
+        laws += [a for a in others if not a.resolved and a.family.kind != one.family.kind]
+    falls = [difference(one.loss, law.loss) for law in laws]
+    return any(seen_to_fall(fall) and fall.fall >= rule.FALL * float(one.loss.sum()) for fall in falls)
+
+
+def _leaves_cause(one: Answer, others: Sequence[Answer], state: State) -> bool:
+    """Whether a family that depends on something else leaves no more than noise, and the law of this one does."""
+    numbers = state.body.problem.numbers
+    apart = [a for a in others if a.family.kind != one.family.kind]
+    return any(rule.leaves_cause(one.loss, a.loss, numbers) for a in apart)
 
 
 def _ordinary_apart(one: Representative, other: Representative, state: State) -> bool:

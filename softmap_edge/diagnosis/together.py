@@ -6,14 +6,23 @@ by tests/test_two_levels.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.acceptance import ASKED, MOST, exceeds_model_error, falls_on, indistinct, one_pose
+from softmap_edge.diagnosis.acceptance import (
+    ASKED,
+    BACKGROUND,
+    MOST,
+    exceeds_model_error,
+    falls_on,
+    indistinct,
+    one_pose,
+)
 from softmap_edge.diagnosis.decision import near
 from softmap_edge.diagnosis.families import Body, Family, Ranking, Representative, State, families, ranked
 from softmap_edge.diagnosis.fits import Fits
@@ -23,19 +32,64 @@ from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss
 Floats = NDArray[np.float64]
 
 TOGETHER = 6  # pairs of a law and a second family that are asked for its laws
+PROMISING = 0.5  # of what the best family explains: on training frames less, and it is not cross-validated
 
 
-def reconsidered(outcome: Outcome, more: Callable[[Outcome], None], visible: float) -> Outcome:
-    """Return what a few laws at once explain, if that replaces what was found family by family.
+More = Callable[[Outcome, int], None]  # goes on with families until there are so many, in place
+
+
+def completed(outcome: Outcome, more: More, visible: float) -> Outcome:
+    """Return the first family with the others, one by one or a few laws at once.
 
     The first of two families takes a share that belongs to the second, and keeps it. Laws that are fitted at once each
-    take their own.
+    take their own: they are tried first where they leave no more than noise, and else replace what was found.
 
     Args:
-        outcome: what was found family by family.
-        more: goes on with families after the laws, in place.
+        outcome: the first family, if one was found.
+        more: goes on with families.
         visible: least effect size that counts, mm RMS.
     """
+    few, tried = _few_laws(outcome), []
+    if outcome.steps:
+        outcome.loss = held_out_loss(outcome)
+        several = outcome.left > rule.LEFT and not one_pose(outcome.body) and outcome.steps[0].family.name != "wiring"
+        for laws in few if several else ():
+            tried.append(laws)
+            found = _explained(laws, outcome, more, visible)
+            if found is not None:
+                return found
+        more(outcome, MOST)
+    return _reconsidered(outcome, chain(tried, few), more, visible)
+
+
+def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outcome | None:
+    """Return a few laws as an outcome if they and ordinary imperfections leave only noise, and each is confirmed.
+
+    One of them must be of the first family, and no other may depend on time, because an event or a drift can do much of
+    what other families do. Else families are asked one by one first.
+    """
+    body, ordinary_mm = outcome.body, outcome.body.ordinary_mm
+    first, homes = outcome.steps[0].family, {_home(name) for name in laws.effects}
+    if first not in homes or any(family.kind == "time" for family in homes - {first}):
+        return None
+    noise = rule.ABOVE_NOISE * body.problem.numbers
+    assert laws.fit is not None
+    state = State(body, laws.fit, (), [f for f in families() if f.name in BACKGROUND])
+    left = min(laws.left, float(ranked(state, [], []).found.sum()))
+    if left - noise > rule.LEFT * max(float(outcome.null.sum()) - noise, 0.0):
+        return None
+    other = _confirmed(laws, outcome, visible, True)
+    if other is not None:
+        more(other, MOST)
+        other.loss = held_out_loss(other)
+        if not other.open and other.left <= rule.LEFT:
+            return _with_others(other, outcome)
+    body.ordinary_mm = ordinary_mm
+    return None
+
+
+def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: float) -> Outcome:
+    """Return what a `few` laws at once explain, if that replaces what was found family by family."""
     steps, rod = outcome.steps, outcome.body.record.model.kind == "rod"
     hinted = bool(steps) or (rod and outcome.hint is not None)  # against a rod's own error one family alone is small
     if not hinted or one_pose(outcome.body) or any(step.family.name == "wiring" for step in steps):
@@ -44,14 +98,15 @@ def reconsidered(outcome: Outcome, more: Callable[[Outcome], None], visible: flo
     if clear and outcome.left <= rule.LEFT:
         return outcome
     best, best.loss = outcome, held_out_loss(outcome)
-    for few in _few_laws(outcome):
+    explained = float(outcome.null.sum() - outcome.loss.sum())
+    for laws in few:
         ordinary_mm = outcome.body.ordinary_mm
-        other = _confirmed(few, outcome, visible)
+        other = _confirmed(laws, outcome, visible, rule.reaches(laws.loss, outcome.loss, explained))
         if other is None:
             continue
         other.loss = held_out_loss(other)
         stands = _stands_for(other, best)
-        more(other)
+        more(other, MOST)
         other.loss = held_out_loss(other)
         if not stands and not _stands_for(other, best):
             outcome.body.ordinary_mm = ordinary_mm
@@ -72,7 +127,7 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
     for i, (step, own) in enumerate(zip(other.steps, laws)):
         rest = [e for law in laws if law is not own for e in law.effects]
         state = State(other.body, other.plain.get(rest, split))
-        ranking = ranked(state, [f for f in families() if f not in known or f == step.family], [])
+        ranking = ranked(state, [f for f in families() if f not in known or f == step.family], [], PROMISING)
         rows = [row for row in ranking.rows if row.family != step.family]
         rows = [row for row in rows if near(row.loss, step.answer.loss, ranking.found)][:ASKED]
         beside = [answered(state, other.plain, row, ranking.found, pairs=False) for row in rows]
@@ -93,6 +148,8 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
         return True
     fewer = other.open < outcome.open or (other.open == outcome.open and len(other.steps) < len(outcome.steps))
     kinds, known = ({_kind(step.family) for step in one.steps} for one in (other, outcome))
+    if kinds != known and rule.leaves_cause(other.loss, outcome.loss, outcome.body.problem.numbers):
+        return False
     if any(_changes(step.family) and not step.answer.resolved for step in outcome.steps):
         known |= {_kind(family) for family in families() if family.kind in ("time", "condition")}
     explained = float(outcome.null.sum() - outcome.loss.sum())
@@ -110,14 +167,13 @@ def _kind(family: Family) -> str:
     return family.name if family.kind == "time" else family.kind
 
 
-def _confirmed(few: Law, outcome: Outcome, visible: float) -> Outcome | None:
+def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Outcome | None:
     """Return a few laws as an outcome if each is confirmed as the law of its family, with the others in place.
 
-    No family explains ordinary imperfections meanwhile: it would take the share of static laws.
+    Where they do all `together`, a small misfit of one of them does not count. No family explains ordinary
+    imperfections meanwhile: it would take the share of static laws.
     """
     body, plain = outcome.body, outcome.plain
-    most = float(outcome.null.sum() - outcome.loss.sum())
-    together = rule.reaches(few.loss, outcome.loss, most)  # then a small misfit of one of them does not count
     other = Outcome(body, plain, plain, outcome.state, outcome.null, outcome.loss)
     names = list(few.effects)
     for name in few.effects:
@@ -176,18 +232,12 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
     """Yield laws of different families that leave least: the best two, more if these add enough, the best one."""
     body, fits, before = outcome.body, outcome.plain, outcome.null
     null = State(body, fits.null)
-    fall = rule.FALL * float(before.sum())
-    able = [row.family for row in ranked(null, families(), []).rows if before.sum() - row.loss.sum() >= fall]
-    named = {name for family in able for name in family.members}
-    singles = sorted(_laws_on(null, fits, named, before), key=lambda law: law.left)
-    firsts: dict[Family, Law] = {}  # another law of the family may take its place in the end
-    for law in singles:
-        firsts.setdefault(_home(law.effects[0]), law)
+    firsts = _best_singles(null, fits, before)
     found: list[tuple[Law, State, Ranking, Representative]] = []
-    for home, first in list(firsts.items())[:ASKED]:
+    for home, first in firsts.items():
         assert first.fit is not None
         state = State(body, first.fit)
-        ranking = ranked(state, [f for f in families() if f != home], [])
+        ranking = ranked(state, [f for f in families() if f != home], [], PROMISING)
         found += [(first, state, ranking, row) for row in ranking.rows]
     pairs: dict[frozenset[str], Law] = {}
     for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[:TOGETHER]:
@@ -197,8 +247,8 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
         names = [n for n in row.family.members if _home(n) != home and frozenset((*first.effects, n)) not in pairs]
         for law in _laws_on(state, fits, names, ranking.found):
             pairs[frozenset((*first.effects, *law.effects))] = _joined(first, law)
-    one, two = (min(laws, key=lambda law: law.left, default=None) for laws in (singles, pairs.values()))
-    if two is not None and one is not None and not falls_on(one.loss, two.loss, body):
+    one, two = (min(laws, key=lambda law: law.left, default=None) for laws in (firsts.values(), pairs.values()))
+    if two is not None and (MOST < 2 or (one is not None and not falls_on(one.loss, two.loss, body))):
         two = None
     if two is not None:
         yield two
@@ -208,13 +258,36 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
         yield one
 
 
+def _best_singles(null: State, fits: Fits, before: Floats) -> dict[Family, Law]:
+    """Return the families whose best laws leave least, with these laws, the best first.
+
+    Families are asked in the order of what they explain, until a law must explain far more than its family to be one.
+    Another law of the family may take its place in the end.
+    """
+    laws: list[Law] = []
+    firsts: dict[Family, Law] = {}
+    for row in ranked(null, families(), []).rows:
+        gain, last = float(before.sum() - row.loss.sum()), [*firsts.values()][-1:]
+        if gain < rule.FALL * before.sum() or (
+            len(firsts) == ASKED and rule.DOMINATES * gain < float(before.sum()) - last[0].left
+        ):
+            break
+        known = {name for law in laws for name in law.effects}
+        laws += _laws_on(null, fits, [name for name in row.family.members if name not in known], before)
+        homes: dict[Family, Law] = {}
+        for law in sorted(laws, key=lambda law: law.left):
+            homes.setdefault(_home(law.effects[0]), law)
+        firsts = dict(list(homes.items())[:ASKED])
+    return firsts
+
+
 def _more_laws(few: Law, body: Body, fits: Fits) -> Law | None:
     """Return a set of laws with the laws of more families that lower its loss enough, or None."""
     found = few
     while len(found.effects) < MOST:
         assert found.fit is not None
         state, taken = State(body, found.fit), {_home(name) for name in found.effects}
-        ranking = ranked(state, [f for f in families() if f not in taken], [])
+        ranking = ranked(state, [f for f in families() if f not in taken], [], PROMISING)
         best = found
         for row in ranking.rows[:ASKED]:
             if not near(row.loss, best.loss, ranking.found):
