@@ -51,15 +51,22 @@ def completed(outcome: Outcome, more: More, visible: float) -> Outcome:
     """
     few, tried = _few_laws(outcome), []
     if outcome.steps:
-        outcome.loss = held_out_loss(outcome)
-        several = outcome.left > rule.LEFT and not one_pose(outcome.body) and outcome.steps[0].family.name != "wiring"
-        for laws in few if several else ():
+        several = not one_pose(outcome.body) and outcome.steps[0].family.name != "wiring"
+        for laws in few if several and _left_with_imperfections(outcome) > rule.LEFT else ():
             tried.append(laws)
             found = _explained(laws, outcome, more, visible)
             if found is not None:
                 return found
         more(outcome, MOST)
     return _reconsidered(outcome, chain(tried, few), more, visible)
+
+
+def _left_with_imperfections(outcome: Outcome) -> float:
+    """Return the unexplained share if the families of ordinary imperfections explain what they can."""
+    background = [family for family in families() if family.name in BACKGROUND]
+    other = replace(outcome, state=State(outcome.body, outcome.fit, outcome.state.beside, background))
+    other.loss = held_out_loss(other)
+    return other.left
 
 
 def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outcome | None:
@@ -72,11 +79,8 @@ def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outco
     first, homes = outcome.steps[0].family, {_home(name) for name in laws.effects}
     if first not in homes or any(family.kind == "time" for family in homes - {first}):
         return None
-    noise = rule.ABOVE_NOISE * body.problem.numbers
     assert laws.fit is not None
-    state = State(body, laws.fit, (), [f for f in families() if f.name in BACKGROUND])
-    left = min(laws.left, float(ranked(state, [], []).found.sum()))
-    if left - noise > rule.LEFT * max(float(outcome.null.sum()) - noise, 0.0):
+    if _left_with_imperfections(replace(outcome, state=State(body, laws.fit), steps=[])) > rule.LEFT:
         return None
     other = _confirmed(laws, outcome, visible, True)
     if other is not None:
