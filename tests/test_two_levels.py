@@ -215,7 +215,9 @@ def test_a_family_that_was_taken_stands_beside_the_others(play):
 def law(name, loss, numbers, **params):
     """A law with eight even folds; several effects are joined by +, generic laws are in brackets."""
     effects = () if name[0] == "(" else tuple(name.split("+"))
-    fit = SimpleNamespace(params=params, x=np.zeros(0)) if effects else None
+    labels = [label for label in params if label.endswith(("+]", "-]"))]
+    space = SimpleNamespace(split=effects if labels else (), free_labels=labels)
+    fit = SimpleNamespace(params=params, x=np.zeros(0), space=space) if effects else None
     return Law(name, effects, fit, np.full(8, loss / 8), numbers)
 
 
@@ -265,6 +267,15 @@ def test_a_generic_law_that_is_as_simple_opens_it():
     assert judged(law("gain", 105, 2), law("(u, u³)", 104, 4)).resolved  # one with more numbers does not
     none = judged(law("gain", 700, 1), law("(u³)", 104, 1))
     assert none.open and none.law is None
+
+
+def test_numbers_for_single_cables_are_no_simpler_than_a_generic_law():
+    """They follow any smooth map, so a generic law that does as well opens them whatever numbers it has."""
+    cables = {"gain.factor[0+]": 1.0, "gain.factor[0-]": 0.8}
+    assert judged(law("gain", 105, 2), law("(u, u³)", 104, 4)).resolved
+    found = judged(law("gain", 105, 2, **cables), law("(u, u³)", 104, 4))
+    assert found.open and found.law.name == "gain"
+    assert judged(law("gain", 105, 2, **cables), law("(u, u³)", 400, 4)).resolved
 
 
 def test_a_law_that_is_better_than_the_representative_is_the_measure():
@@ -362,6 +373,22 @@ def test_laws_at_once_are_asked_before_the_other_families_only_if_they_explain_a
     assert explained("creep", "backlash", "gain") is None
     assert explained("memory", "backlash", "anchor_slip") is None
     assert explained("memory", "backlash", "latency") is None  # it leaves the gain
+
+
+def test_an_event_is_confirmed_only_beyond_ordinary_imperfections():
+    """One soon after the start does what a constant imperfection does."""
+    shift = 0.6 * (standard_protocol(2).t > 30.0)[:, None]
+    candidates = ["backlash", "anchor_slip"]
+    problem = problem_of(Record(MODEL, finger_run(acting=lambda u: played(u + shift, [1.6, 1.6]))), candidates)
+    fits = Fits(problem, candidates)
+    state = State(Body(problem, candidates), fits.null)
+    null = ranked(state, [], []).found
+    few = law_of(state, fits, ("backlash", "anchor_slip"), null)
+    outcome = Outcome(state.body, fits, fits, state, null, null)
+    confirmed = together._confirmed(few, outcome, 0.12, True)
+    assert confirmed is not None and "anchor_slip" in confirmed.fit.effects
+    state.body.ordinary_mm = 2.0
+    assert together._confirmed(few, outcome, 0.12, True) is None
 
 
 def test_a_map_that_is_too_fine_for_its_columns_is_a_static_map_by_its_repeats():

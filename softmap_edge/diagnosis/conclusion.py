@@ -109,10 +109,11 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     families = tuple(_family(outcome, s, context.proof, changes) for s in standing)
     families += tuple(replace(_family(outcome, s, None, ()), law="unknown", effects=()) for s in dropped)
     if unknown and not families:
-        families = _memoryless(record, residual)
-    if unknown and not families and outcome.hint is not None:
-        near, gone = outcome.hint, float(outcome.hint.loss.sum() / max(float(outcome.null.sum()), 1e-300))
-        families = (FamilyFinding(near.family.name, near.family.kind, "unknown", (), 1.0 - gone, near.moved_mm),)
+        hints = _memoryless(record, residual)
+        if (near := outcome.hint) is not None:
+            share = 1.0 - float(near.loss.sum() / max(float(outcome.null.sum()), 1e-300))
+            hints.append(FamilyFinding(near.family.name, near.family.kind, "unknown", (), share, near.moved_mm))
+        families = tuple(sorted(hints, key=lambda one: -one.share)[:1])
     doubts = [*([str(context.own)] if context.own else []), *at_bounds(findings), *record.doubts, *map(str, changes)]
     doubts += unconfirmed([*findings, *families])
     is_open = any(s.answer.open for s in standing)
@@ -188,7 +189,7 @@ def _family(outcome: Outcome, step: Step, proof: Certified | None, changes: Sequ
     )  # fmt: skip
 
 
-def _memoryless(record: Record, residual: Floats) -> tuple[FamilyFinding, ...]:
+def _memoryless(record: Record, residual: Floats) -> list[FamilyFinding]:
     """Return what is left as an unknown static map if the same commands leave the same error, else nothing.
 
     Its form may be too fine for the columns of the family.
@@ -197,9 +198,9 @@ def _memoryless(record: Record, residual: Floats) -> tuple[FamilyFinding, ...]:
     again = repeats_of(places, record.state, load_seen(record))
     left = 0.0 if again is None else record.rms_mm(residual, again.rows)
     if again is None or again.mm**2 > 0.5 * left**2:
-        return ()
+        return []
     moved = float(np.sqrt(left**2 - again.mm**2))
-    return (FamilyFinding("static map", "static", "unknown", (), (moved / left) ** 2, moved),)
+    return [FamilyFinding("static map", "static", "unknown", (), (moved / left) ** 2, moved)]
 
 
 def _with_motion(families: Sequence[FamilyFinding], moving: Sequence[MotionAtRest]) -> tuple[FamilyFinding, ...]:

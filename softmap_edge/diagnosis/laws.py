@@ -263,7 +263,9 @@ class _Asked:
         able = sorted((law for law in laws if reaches(law.loss, best, explained, self.form)), key=_simplest)
         named = [law for law in able if law.effects and not self._any_map(law)]
         generic = [law for law in able if law not in named]
-        is_open = any(law.numbers <= named[0].numbers for law in generic if named) or bool(generic and not named)
+        # With a number for each cable, a smooth law follows maps of any form.
+        is_open = any(named[0].of_cables or law.numbers <= named[0].numbers for law in generic if named)
+        is_open = is_open or bool(generic and not named)
         same = self._equal(named, 0.5 * self.form * explained)
         if not named and (candidate := self._main(laws, explained)) is not None:
             is_open, same = is_open or self.representative.family.kind in MANY_LAWS, [candidate]

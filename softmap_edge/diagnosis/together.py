@@ -188,7 +188,8 @@ def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Ou
         if answer is None or answer.law is None or answer.law.fit is None or not (answer.resolved or answer.open):
             return None
         moved = body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0]))
-        if moved < visible or not falls_on(answer.before, answer.law.loss, body):
+        lasting = answer.family.kind in ("static", "time")  # as ordinary imperfections do, or from some instant on
+        if moved < max(visible, body.ordinary_mm * lasting) or not falls_on(answer.before, answer.law.loss, body):
             return None
         if not exceeds_model_error(answer.family, moved, _without_map(body, plain, names)):
             return None
