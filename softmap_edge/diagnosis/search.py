@@ -203,8 +203,7 @@ def _beaten(one: Answer, others: Sequence[Answer]) -> bool:
     laws = [a for a in others if a.resolved and a.numbers <= one.numbers]
     if not one.resolved:
         laws += [a for a in others if not a.resolved and a.family.kind != one.family.kind]
-    falls = [difference(one.loss, law.loss) for law in laws]
-    return any(seen_to_fall(fall) and fall.fall >= rule.FALL * float(one.loss.sum()) for fall in falls)
+    return any(seen_to_fall(difference(one.loss, law.loss)) for law in laws)
 
 
 def _leaves_cause(one: Answer, others: Sequence[Answer], state: State) -> bool:
