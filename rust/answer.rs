@@ -110,7 +110,7 @@ impl Answer {
     }
 
     /// Write the weights of the fields to `weights`: the loads, the changes of tension (N), what they do beyond. `gives` (mm/N)
-    /// is what the cables of each command and side have beside the model's compliance; `place` is what `at` says there.
+    /// is the compliance of the cables of each command and side in addition to the model's; `place` is what `at` says there.
     pub fn weigh(
         &self,
         loads: &[f64],

@@ -155,9 +155,9 @@ impl Cables {
         }
     }
 
-    /// Change of each tension (n,) N under the loads, at a place that `at` wrote; `gives` (2 C,) mm/N is what the cables
-    /// that +u and −u of each command pull have beside the model's, `beyond` (n,) mm what else stretches them (empty: nothing). What `change` holds before says which of them
-    /// are taken to pull at first.
+    /// Change of each tension (n,) N under the loads, at a place that `at` wrote. `gives` (2 C,) mm/N is the compliance of
+    /// the cables that +u and −u of each command pull, in addition to the model's; `beyond` (n,) mm is what else stretches
+    /// them (empty: nothing). What `change` holds before says which of them are taken to pull at first.
     pub fn answer(
         &self,
         place: &[f64],

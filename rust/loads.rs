@@ -67,8 +67,8 @@ pub const STATIONS: [f64; 4] = [0.4, 0.6, 0.8, 1.0];
 
 /// Most commands that pull cables.
 pub const PULLING: usize = PHASES;
-/// Where the coefficients stand that are no fields: the compliance (mm/N) beside the model's of the cables that +u and −u
-/// of each command pull; and an obstacle: 1 if there is one, its foremost point (mm), the normal there and its curvature
+/// Where the coefficients stand that are no fields: the compliance (mm/N) in addition to the model's of the cables that
+/// +u and −u of each command pull; and an obstacle: 1 if there is one, its foremost point (mm), the normal there and its curvature
 /// (1/mm).
 pub const TENDON: usize = FIELDS.len();
 pub const CONTACT: usize = TENDON + 2 * PULLING;

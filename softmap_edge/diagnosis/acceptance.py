@@ -145,7 +145,8 @@ def indistinct(other: Answer, first: Answer, ranking: Ranking, state: State) -> 
     if rule.leaves_cause(other.loss, first.loss, state.body.problem.numbers):
         return False
     if other.resolved and first.resolved:
-        return near(other.loss, first.loss, ranking.before) and other.numbers <= first.numbers + 2
+        laws = [law for law in other.tried if law.effects and law.numbers <= first.numbers + 2]
+        return any(near(law.loss, first.loss, ranking.before) for law in laws)
     if first.resolved and rule.clears(first.loss, other.loss, state.body.problem.numbers):
         return False  # free columns, with more numbers, leave more than a law that leaves noise
     if first.resolved and first.family.kind == "static" and other.family.name == CATCH_ALL:
@@ -153,10 +154,10 @@ def indistinct(other: Answer, first: Answer, ranking: Ranking, state: State) -> 
     reference = first.loss if first.resolved else first.representative.loss
     if not near(other.representative.loss, reference, ranking.before):
         return False
-    return not (order_of(first.family) < order_of(other.family) and _does_the_same(other, first, ranking, state))
+    return not (order_of(first.family) < order_of(other.family) and does_the_same(other, first, ranking, state))
 
 
-def _does_the_same(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
+def does_the_same(other: Answer, first: Answer, ranking: Ranking, state: State) -> bool:
     """Whether what a family does here is what a static map of the commands, or the first one, can do as well."""
     body = state.body
     theta = ranking.level.theta([*ranking.names, other.family.name], [*ranking.ridges, other.representative.ridge])[-1]

@@ -478,7 +478,7 @@ def _next(
 
     def add(block: str, minutes: float, names: Sequence[str]) -> None:
         settles = blocks.setdefault(block, (minutes, []))[1]
-        settles += [n for n in names if n and n not in settles]
+        settles += [n for n in dict.fromkeys(names) if n and n not in settles]
 
     for pair in _near_families(families, alternatives):
         if (block := separating(*pair)) is not None:

@@ -22,6 +22,7 @@ from softmap_edge.diagnosis.acceptance import (
     MOST,
     accepted,
     beyond_ordinary,
+    does_the_same,
     falls_on,
     indistinct,
     is_ordinary,
@@ -135,7 +136,7 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     best_loss = min((a.least for a in answers), key=lambda loss: float(loss.sum()))
     if not single:  # a law may do far more than its family
         answers = [a for a in answers if near(a.least, best_loss, ranking.found)]
-    answers = [a for a in answers if not _leaves_cause(a, answers, state)]
+    answers = [a for a in answers if not _excluded(a, answers, ranking, state)]
     first, *rest = sorted(answers, key=lambda a: (
         not a.resolved, _beaten(a, answers), order_of(a.family), a.numbers, float(a.loss.sum())
     ))  # fmt: skip
@@ -155,12 +156,13 @@ def _split(answer: Answer, state: State, fits: Fits) -> Answer:
 
 
 def _static_settled(ranking: Ranking, state: State) -> list[Representative]:
-    """Return the families of a ranking, static ones linearised about themselves if the best leaves more than noise.
+    """Return the families of a ranking, static ones linearised about themselves if they may do more than they seem to.
 
-    A large effect on commands is not linear in its columns. A family of shapes, which is linear, would replace it.
+    A large effect on commands is not linear in its columns. Another family, which is, would replace it.
     """
     rows, body = ranking.rows, state.body
-    if not rows or not stands_out(rows[0].loss, body, laws=True):
+    doubtful = [rows[0].loss if rows[0].family.kind == "static" else ranking.before] if rows else []
+    if not any(stands_out(loss, body, laws=True) for loss in doubtful):
         return rows
     static = [row for row in rows if row.family.kind == "static" and row.columns.commanded and np.any(row.theta)]
     settled = {row.family: linearised(state, row)[0] for row in static}
@@ -206,11 +208,16 @@ def _beaten(one: Answer, others: Sequence[Answer]) -> bool:
     return any(seen_to_fall(difference(one.loss, law.loss)) for law in laws)
 
 
-def _leaves_cause(one: Answer, others: Sequence[Answer], state: State) -> bool:
-    """Whether a family that depends on something else leaves no more than noise, and the law of this one does."""
-    numbers = state.body.problem.numbers
-    apart = [a for a in others if a.family.kind != one.family.kind]
-    return any(rule.leaves_cause(one.loss, a.loss, numbers) for a in apart)
+def _excluded(one: Answer, others: Sequence[Answer], ranking: Ranking, state: State) -> bool:
+    """Whether a family leaves more than noise, whatever its law, and one that depends on something else does not.
+
+    One that does here what static columns can do does not exclude a static family.
+    """
+    if not stands_out(one.least, state.body, laws=True):
+        return False
+    clear = [a for a in others if rule.clears(a.least, one.least, state.body.problem.numbers)]
+    apart = [a for a in clear if a.family.kind != one.family.kind]
+    return any(one.family.kind != "static" or not does_the_same(a, one, ranking, state) for a in apart)
 
 
 def _ordinary_apart(one: Representative, other: Representative, state: State) -> bool:
