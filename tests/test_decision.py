@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from test_diagnosis import finger_run
 
-from softmap_edge import _core, builtin_model, diagnose
+from softmap_edge import builtin_model, diagnose
 from softmap_edge.diagnosis import acceptance, conclusion, decision, search, together, wording
 from softmap_edge.diagnosis.decision import clears, difference, form_of, leaves_cause, near, reaches, seen_to_fall
 from softmap_edge.diagnosis.findings import Alternative, Number
@@ -186,16 +186,15 @@ def test_acceptance_turns_when_its_constant_is_moved(monkeypatch, name, moved, c
     assert accepted(**case) != now
 
 
-def exceeds(moved, static=2.0, folds=(1.0, 1.0, 1.0, 1.0, 1.0), kind="static", prior=None):
+def exceeds(moved, static=2.0, folds=(1.0, 1.0, 1.0, 1.0, 1.0), kind="static", free=True):
     """Whether an effect exceeds the model error of 1 mm, where `static` mm remain without it."""
-    model = SimpleNamespace(prior=SimpleNamespace() if prior is None else prior, made_from={"per_fold_mm": folds})
+    model = SimpleNamespace(made_from={"per_fold_mm": folds})
     record = SimpleNamespace(model=model, form_mm=1.0, rms_mm=lambda _: static)
-    state = SimpleNamespace(body=SimpleNamespace(record=record), residual=None)
+    state = SimpleNamespace(body=SimpleNamespace(record=record, free_map=free), residual=None)
     return acceptance.exceeds_model_error(SimpleNamespace(kind=kind), moved, state)
 
 
 def test_a_new_static_effect_of_a_learned_map_exceeds_its_model_error_and_the_scatter_of_that(monkeypatch):
-    monkeypatch.setattr(_core, "Rod", SimpleNamespace)
     assert exceeds(1.7) and exceeds(1.7, kind="time")
     assert not exceeds(1.7, static=1.2)  # hardly more than the model error remains
     scattered = (0.3, 0.6, 1.0, 1.3, 1.4)  # the same error on average, but not on every run
@@ -203,7 +202,7 @@ def test_a_new_static_effect_of_a_learned_map_exceeds_its_model_error_and_the_sc
     monkeypatch.setattr(decision, "SCATTER", 0.0)
     assert exceeds(1.4, static=1.5, folds=scattered)
     assert exceeds(1.7, static=1.2, kind="memory")  # a map has no memory
-    assert exceeds(1.7, static=1.2, prior=object())  # the rod of a robot.toml follows few static effects
+    assert exceeds(1.7, static=1.2, free=False)  # the rod of a robot.toml follows few static effects
 
 
 def test_a_later_family_has_to_explain_more():

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import _core
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
 from softmap_edge.diagnosis.families import RIDGES, Body, Family, Ranking, Representative, State, families
@@ -71,7 +70,7 @@ def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
     folds. `state` is the state without the effect.
     """
     record = state.body.record
-    if family.kind not in ("static", "time") or not isinstance(getattr(record.model, "prior", None), _core.Rod):
+    if family.kind not in ("static", "time") or not state.body.free_map:
         return True
     folds = np.square(record.model.made_from.get("per_fold_mm", ()))
     scatter = float(folds.std(ddof=1)) if len(folds) > 1 else 0.0

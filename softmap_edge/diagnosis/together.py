@@ -269,13 +269,12 @@ def _best_singles(null: State, fits: Fits, before: Floats) -> dict[Family, Law]:
     Families are asked in the order of what they explain, until a law must explain far more than its family to be one.
     Another law of the family may take its place in the end.
     """
+    total = float(before.sum())
     laws: list[Law] = []
     firsts: dict[Family, Law] = {}
     for row in ranked(null, families(), []).rows:
-        gain, last = float(before.sum() - row.loss.sum()), [*firsts.values()][-1:]
-        if gain < rule.FALL * before.sum() or (
-            len(firsts) == ASKED and rule.DOMINATES * gain < float(before.sum()) - last[0].left
-        ):
+        gain, most = total - float(row.loss.sum()), max((law.left for law in firsts.values()), default=0.0)
+        if gain < rule.FALL * total or (len(firsts) == ASKED and rule.DOMINATES * gain < total - most):
             break
         known = {name for law in laws for name in law.effects}
         laws += _laws_on(null, fits, [name for name in row.family.members if name not in known], before)
