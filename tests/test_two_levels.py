@@ -432,17 +432,16 @@ def test_a_family_that_leaves_only_noise_excludes_one_that_leaves_more(monkeypat
     assert not excluded(slipped, answer("time", 105))
     assert not excluded(slipped, answer("condition", 140))  # it leaves more than noise too
     assert not excluded(answer("time", 125), warmed)  # no more than noise is left
+
     # So a set of laws that leaves more than noise does not replace it either.
-    outcomes = [
-        SimpleNamespace(
-            loss=np.full(8, loss / 8), null=np.full(8, 250.0), open=open_, body=state.body,
-            steps=[SimpleNamespace(family=SimpleNamespace(name=name, kind=kind), answer=SimpleNamespace(resolved=not open_))],
-        )
-        for name, kind, loss, open_ in (("step", "time", 160, 0), ("temperature", "condition", 105, 1))
-    ]  # fmt: skip
-    assert not together._stands_for(*outcomes)
-    outcomes[1].loss = np.full(8, 140 / 8)
-    assert together._stands_for(*outcomes)
+    def outcome(name, kind, loss, open_):
+        step = SimpleNamespace(family=SimpleNamespace(name=name, kind=kind), answer=SimpleNamespace(resolved=not open_))
+        loss, null = (np.full(8, each / 8) for each in (loss, 1500.0))
+        return SimpleNamespace(loss=loss, null=null, open=open_, body=state.body, steps=[step])
+
+    slip = outcome("step", "time", 160, 0)
+    assert not together._stands_for(slip, outcome("temperature", "condition", 105, 1))
+    assert together._stands_for(slip, outcome("temperature", "condition", 140, 1))
 
 
 def test_a_hum_is_a_family_of_its_own_and_no_law():
