@@ -136,7 +136,7 @@ def test_the_second_is_a_memory_whose_members_are_not_told_apart(page, logs):
     named = {effect["name"] for effect in found["effects"]}
     assert found["verdict"] == "partly_explained" and found["made_from"]["demoted"] == ["offset"]
     assert named == {"friction"} and rivals == {"latency"}
-    assert {rival["family"] for rival in found["alternatives"]} >= {"body", "creep"}
+    assert {one["family"] for one in found["alternatives"]} >= {"body", "creep"}
     assert "friction is not confirmed on the withheld blocks" in found["sentence"]
     assert (
         after <= 6.1

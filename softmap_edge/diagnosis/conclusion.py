@@ -190,7 +190,7 @@ def _family(outcome: Outcome, step: Step, proof: Certified | None, changes: Sequ
 
 
 def _memoryless(record: Record, residual: Floats) -> list[FamilyFinding]:
-    """Return what is left as an unknown static map if the same commands leave the same error, else nothing.
+    """Return the unexplained error as an unknown static map if repeated commands show the same error, else nothing.
 
     Its form may be too fine for the columns of the family.
     """
