@@ -146,7 +146,7 @@ def accepted(fall=600.0, before=800.0, numbers=100.0, moved=1.0, kind="memory", 
     noise = SimpleNamespace(replicates=True, rms_mm=lambda _: more.get("noise", 0.0))
     state = SimpleNamespace(
         body=SimpleNamespace(problem=SimpleNamespace(record=record, noise=noise, numbers=numbers), record=record,
-                             ordinary_mm=more.get("ordinary", 0.3)),
+                             ordinary_mm=more.get("ordinary", 0.3), free_map=False),
     )  # fmt: skip
     ranking = SimpleNamespace(before=np.full(8, before / 8), static=np.zeros((1, 3)))
     row = SimpleNamespace(loss=np.full(8, (before - fall) / 8), moved_mm=moved, family=SimpleNamespace(kind=kind))
