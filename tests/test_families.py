@@ -57,6 +57,16 @@ def play(x, width):
     return np.array(out)
 
 
+def dahl(x, reach):
+    """dz = dx − |dx| z / reach in closed form over each straight piece: z → ± reach."""
+    z, out = 0.0, [0.0]
+    for move in np.diff(x):
+        fades = np.exp(-abs(move) / reach)
+        z = z * fades + np.sign(move) * reach * (1.0 - fades)
+        out.append(z)
+    return np.array(out)
+
+
 def leaking(x, t, tau):
     y, out = x[0], []
     for value, dt in zip(x, np.diff(t, prepend=t[0])):
@@ -115,7 +125,8 @@ def columns(p, name, c):
     if name == "memory":
         held = stack(h * (play(x, w) - x) for w in np.geomspace(0.012, 0.9, 12))
         dragged = [h * (play(y, w) - y) for y in others for w in (0.08, 0.2, 0.5)] if len(others) < 3 else []
-        return np.column_stack([held, held[:, 2::3] * np.abs(x)[:, None], *dragged])
+        slipping = [h * dahl(x, reach) for reach in np.geomspace(0.06, 0.9, 3)]
+        return np.column_stack([held, held[:, 2::3] * np.abs(x)[:, None], *slipping, *dragged])
     if name == "delay":
         shifts = (-0.2, -0.1, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6)
         return stack([late(v, t, by) - v for by in shifts] + [pole(v, t, tau) - v for tau in (0.08, 0.2, 0.5, 1.0)])
@@ -152,7 +163,8 @@ def signals(p, name, c, wide):
     """Signals (T, n) in half ranges of channel c."""
     x, t = p.x[:, c], p.t
     if name == "memory":
-        return stack(play(x, w) for w in (np.geomspace(0.03, 1.9, 12) if wide else np.geomspace(0.012, 0.9, 12)))
+        widths = np.geomspace(0.03, 1.9, 12) if wide else np.geomspace(0.012, 0.9, 12)
+        return stack([play(x, w) for w in widths] + [dahl(x, reach) for reach in np.geomspace(0.03, 3.0, 6)])
     if name == "delay":
         shifts, poles = (0.05, 0.1, 0.2, 0.35, 0.6), (0.08, 0.2, 0.5, 1.0, 2.0)
         return stack([late(x, t, by) for by in shifts] + [pole(x, t, tau) for tau in poles])
@@ -318,7 +330,7 @@ def test_invalid_input_is_rejected():
         _core.Bank("slope", 2)
     with refused("the series has 2 channels, but the bank has 3"):
         _core.Bank("memory", 3).columns(p.series, p.at)
-    with refused('theta has 3 weights, but family "memory" has 38 columns'):
+    with refused('theta has 3 weights, but family "memory" has 44 columns'):
         _core.Bank("memory", 2).applied(p.series, np.zeros(3))
     with refused('family "frame" has no signals; families with signals: static map'):
         _core.Bank("frame", 2).signals(p.series, p.at, True)

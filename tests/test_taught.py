@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from logs import published
 from test_learned_memory import arc, recorded, wander
 
 from softmap_edge import Run, diagnose, load_bundle, save_bundle
@@ -127,7 +128,18 @@ def test_a_described_rod_shows_static_effects_in_the_run_that_taught_it():
     """The rod of a robot.toml has few numbers, so it does not follow every static effect."""
     teacher = Taught(runs=(1,), free=False)
     assert not teacher.remaps and "only as far as the rod of its robot.toml" in str(teacher)
-    assert Taught(runs=(1,), free=True).remaps
+    assert Taught(runs=(1,), free=True, static=True).remaps
+    assert not Taught(runs=(1,), free=True).remaps  # it was solved with the memory that was found
+
+
+@pytest.mark.parametrize("name", ["vio000", "vio090", "arts_30lb_05hz_1in"])
+def test_a_machine_whose_memory_was_learned_gets_no_other_name_and_no_fault(name):
+    run = Run.load(published("memory") / f"{name}_fit.npz")
+    found = diagnose(learned_model(run, learn(run)), run)
+    assert found.verdict != "measurement_fault" and found.effects == found.faults == ()
+    assert found.unexplained.rms_mm <= found.error.model
+    free = diagnose(learned_model(run, learn(run, static=True)), run)
+    assert free.verdict != "measurement_fault" and free.unexplained.rms_mm <= free.error.model
 
 
 def tugged(u, t, share=0.02):

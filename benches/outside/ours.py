@@ -51,10 +51,12 @@ def answer(case: Case) -> tuple[Answer, Model]:
     """Return our answer, and the model before the diagnosis."""
     start = time.process_time()
     model = case.model()
-    learned = ", ".join(f"{label} {value:.3g}" for label, value in model.params.items()) or "no memory"
+    learned = [f"{label} {value:.3g}" for label, value in model.params.items()]
+    learned += [f"unknown law of {one.family}" for one in model.learned_in if not one.name]
+    chain = ", ".join(learned) or "no memory"
     before = {name: error(case, run, predicted(case, model, run)) for name, run in case.held.items()}
     if not case.diagnose:
-        return Answer(learned, "–", "–", "–", before, before, time.process_time() - start), model
+        return Answer(chain, "–", "–", "–", before, before, time.process_time() - start), model
     found = diagnose(model, case.fit)
     document = found.to_dict()
     after = {name: error(case, run, predicted(case, found.model, run)) for name, run in case.held.items()}
@@ -65,7 +67,7 @@ def answer(case: Case) -> tuple[Answer, Model]:
     said = [_named(row) for row in [*document["faults"], *document["effects"]]]
     families = ", ".join(str(row.get("name", row)) for row in document.get("families") or []) or "–"
     spent = time.process_time() - start
-    return Answer(learned, found.verdict, families, "; ".join(said) or "–", before, after, spent, document), model
+    return Answer(chain, found.verdict, families, "; ".join(said) or "–", before, after, spent, document), model
 
 
 def _named(row: dict[str, Any]) -> str:

@@ -1,10 +1,11 @@
 //! Memory: rate-independent hysteresis. The error depends on past reversals of the command, not on speed.
 //!
 //! Play operators of all widths span every Prandtl-Ishlinskii hysteresis; times |x|, the loop can grow with the bend.
+//! Such loops close after each small cycle. Dahl elements creep on, as sheaths and the Bouc-Wen model do.
 //! Source: M. Brokate, J. Sprekels, Hysteresis and Phase Transitions (1996), ch. 2.
 
 use super::declaration::*;
-use super::operators::{geometric, play, with};
+use super::operators::{dahl, geometric, play, with};
 use super::series::Series;
 
 pub static FAMILY: Family = Family {
@@ -33,12 +34,16 @@ fn widths(wide: bool) -> [f64; WIDTHS] {
     }
 }
 
+/// Number of Dahl elements, and of those whose powers count too: reaches from barely visible to beyond the range.
+const ELEMENTS: usize = 3;
+const REACHES: usize = 6;
+
 /// Half widths of the plays of other channels that drag this one along.
 const DRAGGED: [f64; 3] = [0.08, 0.2, 0.5];
 /// Most channels for which others are tried, on a map that is not free: else a run cannot identify so many columns.
 const OTHERS: usize = 3;
 
-/// Output of the play minus its input, of the channel and of the others, mm.
+/// Output of the play minus its input, of the channel and of the others, and of Dahl elements, mm.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let (x, half) = (&series.x[channel], series.half[channel]);
     let mut out = vec![0.0; series.samples()];
@@ -56,6 +61,11 @@ fn columns(series: &Series, channel: usize, emit: Emit) {
         with(&mut out, x, |column, x| column * x.abs());
         emit(&out);
     }
+    for reach in geometric::<ELEMENTS>(0.06, 0.9) {
+        dahl(x, reach, &mut out);
+        with(&mut out, x, |z, _| half * z);
+        emit(&out);
+    }
     let others = series.x.iter().enumerate();
     let few = series.channels() <= OTHERS && !series.free_map;
     for (_, y) in others.filter(|(other, _)| *other != channel && few) {
@@ -71,6 +81,10 @@ fn signals(series: &Series, channel: usize, wide: bool, emit: Emit) {
     let mut out = vec![0.0; series.samples()];
     for width in widths(wide) {
         play(&series.x[channel], width, &mut out);
+        emit(&out);
+    }
+    for reach in geometric::<REACHES>(0.03, 3.0) {
+        dahl(&series.x[channel], reach, &mut out);
         emit(&out);
     }
 }

@@ -14,6 +14,20 @@ pub(super) fn play(x: &[f64], half_width: f64, out: &mut [f64]) {
     }
 }
 
+/// Dahl's element `dz = dx − |dx| z / reach`, starting at z = 0: a spring that slips the more the longer it is.
+///
+/// Source: P. R. Dahl, A solid friction model, Aerospace Corporation TOR-158 (1968).
+pub(super) fn dahl(x: &[f64], reach: f64, out: &mut [f64]) {
+    let (mut z, mut before) = (0.0, x[0]);
+    for (x, out) in x.iter().zip(out) {
+        let moved = x - before;
+        let limit = reach.copysign(moved);
+        z = limit + (z - limit) * (-moved.abs() / reach).exp();
+        before = *x;
+        *out = z;
+    }
+}
+
 /// Apply the low pass `tau·y' = x − y`, starting at y = x.
 pub(super) fn pole(x: &[f64], dt: &[f64], tau: f64, out: &mut [f64]) {
     let (mut y, mut before) = (x[0], x[0]);

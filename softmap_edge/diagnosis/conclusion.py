@@ -88,6 +88,9 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     order = _order(fits, fit, registry)
     alternatives = _alternatives(outcome, fit, standing, registry, context)
     residual = record.seen - fit.predicted - outcome.state.shift
+    if record.remapped:  # the map that is solved again cancels parts of what stands in for a family
+        ways = (residual, residual - outcome.state.ordinary, record.seen - fit.predicted)
+        residual = min(ways, key=record.rms_mm)
     left = leftover(problem, residual, len(fit.x))
     behind = [] if context.masked is None else context.masked.untestable(registry)
     hidden = [*behind, *context.impossible]

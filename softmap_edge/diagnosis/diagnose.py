@@ -116,7 +116,9 @@ def diagnose(
     own = _own_misfit(record) if record.replay is None else None  # wrong numbers of its own cancel out too
     proof = certified(outcome, fit, withheld(record.t_seen, record.block, record.begins))
     context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), seed, proof)
-    gone = stray(record, outcome.state.predicted if outcome.state.beside else fit.predicted)
+    gone = None  # a static map follows the runs that taught it as far as it can
+    if not record.remapped:
+        gone = stray(record, outcome.state.predicted if outcome.state.beside else fit.predicted)
     values = conclude(outcome, fit, context)
     if gone is None:
         loaded = any(run.load is not None and np.any(run.load) for run in record.whole)
@@ -234,14 +236,13 @@ def _searched(
         if outcome.steps and not outcome.open:
             return problem, outcome
     problem = problem_of(record, candidates)
-    if teacher.remaps:
-        record.remapped = True
-        held = {h.name for h in teacher.hidden(record, candidates)}
-        outcome = search(problem, [name for name in candidates if name not in held], progress)
-        if teacher.all or (outcome.steps and not outcome.open):
-            return problem, outcome
+    record.remapped = teacher.remaps
+    held = {h.name for h in teacher.hidden(record, candidates)}
+    outcome = search(problem, [name for name in candidates if name not in held], progress)
+    if record.remapped and not teacher.all and (outcome.open or not outcome.steps):
         record.remapped = False
-    return problem, search(problem, candidates, progress)
+        outcome = search(problem, candidates, progress)
+    return problem, outcome
 
 
 def _showing(

@@ -62,8 +62,11 @@ class Taught:
 
     @property
     def remaps(self) -> bool:
-        """Whether the static map is solved again with every law, at least at first."""
-        return self.free and (self.all or self.static)
+        """Whether the static map is solved again with every law, at least at first: memory has bent it.
+
+        Without --static `learn` solved it with the memory that it found.
+        """
+        return self.free and self.static
 
     def __str__(self) -> str:
         """Say which runs taught the model, what was learned in, and what they can still show."""
@@ -82,8 +85,8 @@ class Taught:
         return f"{who} taught the model: {held}; {memory}"
 
     def hidden(self, record: Record, candidates: Sequence[str]) -> list[Untestable]:
-        """Return the candidates that cannot be found where the static map is solved again."""
-        if not record.remapped:
+        """Return the candidates that cannot be found because the static map holds them, or is solved again."""
+        if not record.remapped and not (self.free and self.all):
             return []
         loaded = record.load is not None and float(np.ptp(record.load)) > 0
         varied = loaded or orientations(record.state.gravity) > 1

@@ -81,7 +81,7 @@ class LearnedRod:
 
     def __str__(self) -> str:
         """Say in a few lines what was fitted and how far it is off."""
-        memory = ", ".join(self.chain_names) or "no memory"
+        memory = ", ".join(self.chain_names) or ("no law of memory" if self.learned_in else "no memory")
         markers = ", ".join(f"{value:.2f}" for value in self.per_marker_mm)
         blocks = ", ".join(f"{value:.2f}" for value in self.per_fold_mm)
         lines = [

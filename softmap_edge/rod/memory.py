@@ -9,8 +9,9 @@ well as the best family, they join the map, and the families are compared with t
 Level 2. The members of the families that fall are fitted with the static map solved again (`law.py`), with one number
 for all channels and with a number per channel. A law *reaches* if it does as well as the best of all, representatives
 included. The law with the fewest numbers wins; the other laws that reach are its alternatives. A law that does not
-reach, or that is at a bound, is only reported if it is weak or if a family without laws is near: it would only replace
-another cause. The law joins the chain, its effective commands replace the commands, and the families are tried again.
+reach, or that is at a bound, is only reported if it is weak, if it explains only part of what its family does, or if a
+family without laws is near: it would only replace another cause. The law joins the chain, its effective commands
+replace the commands, and the families are tried again.
 
 Several runs: each run whose commands the others cover is also held out as a block. This separates families that draw
 the same loop at one amplitude and speed.
@@ -47,6 +48,7 @@ VISIBLE = 1e-3  # of the robot's length, RMS: less is invisible to a camera (0.1
 FORM = 0.025  # of the explained loss: laws closer than this differ by their form error only
 AGREE, FOLDS_THAT_AGREE = 0.85, 5  # share of at least so many folds that decides where the mean difference does not
 SURE = 0.2  # of the loss above the noise: what an identified law, or an unknown one, must explain
+PART = 0.6  # of what the best family explains: a law that does not reach must explain more, or it stands in for another
 PAIR = 0.8  # of a law's remainder above the noise: a second law of its family that explains less is form error
 EACH = 0.05  # of the loss that a number per channel must explain more than one for all
 EACH_TRIED = 3  # best laws with one number for all that are tried with a number per channel
@@ -203,7 +205,9 @@ class _Search:
             return None
         step = self._chosen(near, good, now, best.losses)
         elsewhere = self.members is not None and step.family.name not in self.members
-        stands_in = step.certainty == "open" and (step.weak or any(not one.family.members for one in near))
+        part = float((now - step.fitted.losses).sum()) < PART * float((now - best.losses).sum())
+        lawless = any(not one.family.members for one in near)
+        stands_in = step.certainty == "open" and (part or step.weak or lawless)
         if elsewhere or stands_in:
             self._only_seen(near, now, elsewhere)
             return None

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-SLOW = 0.25  # s between frames from which a log tells nothing of delay and lag
+SLOW = 0.25  # s between samples of the command from which a log shows nothing of delay and lag
 APART = 1000.0  # s between runs that are learned from together: more than any gap next to a block
 STILL = 0.005  # of the robot's length: markers that stray less from their mean teach nothing
 
@@ -110,8 +110,8 @@ class Seen:
 
     @property
     def slow(self) -> bool:
-        """Whether delay and lag are unknown: the log has no time, or its frames are too far apart."""
-        return self.timeless or len(self.t) < 2 or float(np.median(np.diff(self.t))) > SLOW
+        """Whether delay and lag are unknown: the log has no time, or its commands are too far apart."""
+        return self.timeless or any(float(np.median(np.diff(run.t))) > SLOW for run in self.runs)
 
     @property
     def timeless(self) -> bool:
