@@ -18,15 +18,12 @@ from softmap_edge.rod.learn import learn, learned_model
 from softmap_edge.solid.build import build_model
 from softmap_edge.solid.fit import FingerFit
 
-EVERY = 4  # frames of the trunk: 5 Hz of 20
-
 
 def trunk(folder: Path) -> Case:
     """Return the case of the loaded trunk."""
     loaded = trunk_load.read(folder, trunk_load.LOADED)
-    frames = np.arange(loaded.frames) % EVERY == 0
-    fit = loaded.at(frames & (loaded.t_seen < trunk_load.FITTED))
-    held = loaded.at(frames & (loaded.t_seen >= trunk_load.LATER))
+    fit = loaded.at(loaded.t_seen < trunk_load.FITTED)
+    held = loaded.at(loaded.t_seen >= trunk_load.LATER)
 
     @cache
     def model() -> Model:
@@ -38,7 +35,7 @@ def trunk(folder: Path) -> Case:
     return Case(
         name="Trunk, 100 g", about=text("trunk"), values=places, fit=fit, held={"held": held}, model=model, law=law,
         law_name="dead load and offset, 7 numbers", unit="mm", expected="dead load first, then the offset",
-        lags=(0, 1, 2, 4),
+        lags=(0, 4, 8, 16),
     )  # fmt: skip
 
 
