@@ -19,7 +19,7 @@ from softmap_edge.chain_labels import grouped
 from softmap_edge.folds import folds
 from softmap_edge.rod.learn import learn
 from softmap_edge.rod.polynomial import RodParameters
-from softmap_edge.rod.regression import Drive, Record, Regression
+from softmap_edge.rod.regression import Basis, Drive, Record, Regression, rms
 
 COMMANDS = "control_inputs_controlled_1.csv"
 FREE, LOADED = "observations_controlled_1.csv", "observations_controlled_1_100g.csv"
@@ -102,7 +102,8 @@ def rods(free: Run) -> dict[str, float]:
             seen = free.t_seen[frames]
             regression = Regression(np.asarray(free.markers)[frames], np.zeros(3), folds(seen, BLOCKS, GAP_S))
             u = Drive(Record(free.commands("goal"), free.t, seen)).acting(("latency", "lag"), OTHER_DRIVE)
-            other = regression.error(u, rod.made_from["degree"], rod.made_from["ridge"])
+            basis = Basis(rod.made_from["degree"], rod.made_from["pulled"])
+            other = rms(regression.cross_validate(u, basis, rod.made_from["ridge"]))
             found["goal: delay 0.175 s and lag 0.05 s, error ratio"] = other / rod.error_mm
     return found
 

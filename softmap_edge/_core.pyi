@@ -76,7 +76,14 @@ class Shape:
 @final
 class Rod(Shape):
     def __new__(
-        cls, base: _Floats, centre: _Floats, scale: _Floats, degree: int, angles: _Floats, lengths: _Floats
+        cls,
+        base: _Floats,
+        centre: _Floats,
+        scale: _Floats,
+        degree: int,
+        angles: _Floats,
+        lengths: _Floats,
+        pulled: bool = False,
     ) -> Self: ...
 
 @final

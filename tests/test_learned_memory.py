@@ -15,7 +15,7 @@ from softmap_edge.cli import main
 from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.learn import learn, learned_model
 from softmap_edge.rod.reference_run import observe
-from softmap_edge.rod.regression import Record
+from softmap_edge.rod.regression import Basis, Record
 from softmap_edge.rod.signals import families
 from softmap_edge.rod.static_map import StaticMap
 
@@ -184,7 +184,7 @@ def test_the_map_is_solved_again_for_every_law():
     """With the true play the map is exact; at any other gap it is not: the projected loss has its minimum there."""
     run = recorded((1.4, 1.4), noise=0.0)
     seen = observe([run], None, (), 20.0)
-    static = StaticMap(seen.markers.reshape(len(seen.markers), -1), search_folds(seen), 3)
+    static = StaticMap(seen.markers.reshape(len(seen.markers), -1), search_folds(seen, Basis(3)), Basis(3))
     at = {gap: float((static.residual(play_at(run, gap, seen)) ** 2).sum()) for gap in (1.0, 1.3, 1.4, 1.5, 1.8)}
     assert min(at, key=at.get) == 1.4 and at[1.3] > 1.5 * at[1.4] < at[1.5]
 
@@ -197,7 +197,7 @@ def test_held_out_losses_are_those_of_a_plain_refit():
     rng = np.random.default_rng(0)
     run = recorded(seconds=30.0)
     seen = observe([run], None, (), 20.0)
-    static = StaticMap(rng.normal(size=(len(seen.t), 2)), search_folds(seen), 1)
+    static = StaticMap(rng.normal(size=(len(seen.t), 2)), search_folds(seen, Basis(1)), Basis(1))
     u = seen.drive.commanded
     columns = np.column_stack([np.ones(len(u)), u])
     plain = []

@@ -20,7 +20,9 @@ pub struct PyRod {
 #[pymethods]
 impl PyRod {
     /// `base` (3,) mm, `centre` and `scale` (C,), `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + 2K + K(2K+1), K) mm.
+    /// In a `pulled` rod the angles are a polynomial of the pulls of two cables a command.
     #[new]
+    #[pyo3(signature = (base, centre, scale, degree, angles, lengths, pulled = false))]
     fn new(
         base: PyReadonlyArray1<'_, f64>,
         centre: PyReadonlyArray1<'_, f64>,
@@ -28,6 +30,7 @@ impl PyRod {
         degree: usize,
         angles: PyReadonlyArray2<'_, f64>,
         lengths: PyReadonlyArray2<'_, f64>,
+        pulled: bool,
     ) -> PyResult<PyClassInitializer<Self>> {
         let row = |array: &PyReadonlyArray1<'_, f64>| {
             array.as_array().iter().copied().collect::<Vec<f64>>()
@@ -47,6 +50,7 @@ impl PyRod {
             row(&centre),
             row(&scale),
             degree,
+            pulled,
             flat(&angles),
             flat(&lengths),
         )?;

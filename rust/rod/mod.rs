@@ -4,8 +4,10 @@
 //! Marker p_k (k = 1..K, base to tip) hangs on chord d_k = p_k − p_{k−1} below the
 //! base point p_0. In the base frame (z along the rest axis) chord k has the angle vector
 //!   v_k = β · d_xy/|d_xy|,  β = atan2(|d_xy|, d_z)  (rad),   so that  d_k = |d_k| · (v_k·sin β/β, cos β).
-//! Commands are normalised, q = (u − centre)/scale; all 2K angles are one polynomial of q (degree 1..4, monomials in
-//! graded order, intercept first), and every chord length (mm) is a quadratic of the 2K angles.
+//! Commands are normalised, q = (u − centre)/scale; all 2K angles are one polynomial of q (degree 1..5, monomials in
+//! graded order, intercept first), and every chord length (mm) is a quadratic of the 2K angles. In a `pulled` rod the
+//! polynomial is one of the pulls of two cables a command, max(q, 0) and max(−q, 0), all C of the first before those of the
+//! second: a cable that falls slack no longer counts, which puts a kink at the centre.
 //! Evaluation is closed form and smooth through the straight pose (β = 0). Limits: β beyond π folds back; outside the
 //! fitted commands a cubic grows fast and nothing is clamped. Fitting is done in `softmap_edge/rod/`.
 //! `polynomial` holds the polynomials, `field` what loads do to the rod.
@@ -46,18 +48,20 @@ pub struct Rod {
     base: [f64; 3],
     centre: Vec<f64>,
     scale: Vec<f64>,
+    pulled: bool,
     angles: Polynomial,
     lengths: Polynomial,
 }
 
 impl Rod {
-    /// Build from base point (mm), command centre and scale (C,), `degree`, angle weights (1 + F, 2K) in rad and length
-    /// weights (1 + 2K + K(2K+1), K) in mm, both row-major with the intercept first.
+    /// Build from base point (mm), command centre and scale (C,), `degree`, whether the polynomial is one of the pulls, angle
+    /// weights (1 + F, 2K) in rad and length weights (1 + 2K + K(2K+1), K) in mm, both row-major with the intercept first.
     pub fn new(
         base: [f64; 3],
         centre: Vec<f64>,
         scale: Vec<f64>,
         degree: usize,
+        pulled: bool,
         angles: Vec<f64>,
         lengths: Vec<f64>,
     ) -> Result<Self> {
@@ -77,7 +81,7 @@ impl Rod {
                 scale[at]
             )));
         }
-        let monomials = Monomials::new(scale.len(), degree)?;
+        let monomials = Monomials::new(scale.len() * if pulled { 2 } else { 1 }, degree)?;
         let rows = monomials.len() + 1;
         if angles.is_empty() || !angles.len().is_multiple_of(2 * rows) {
             return Err(invalid(format!(
@@ -92,6 +96,7 @@ impl Rod {
             base,
             centre,
             scale,
+            pulled,
             angles: Polynomial::new(monomials, angles, 2 * chords, "a rod's angle weights")?,
             lengths: Polynomial::new(quadratic, lengths, chords, "a rod's length weights")?,
         })
@@ -102,18 +107,43 @@ impl Rod {
         self.lengths.outputs
     }
 
+    /// Number of variables of the polynomial: commands, or their pulls.
+    fn variables(&self) -> usize {
+        self.scale.len() * if self.pulled { 2 } else { 1 }
+    }
+
+    /// Write the variables of the polynomial at `u` to `out`.
     fn normalised(&self, u: &[f64], out: &mut [f64]) {
         let places = self.centre.iter().zip(&self.scale);
         for ((out, u), (c, s)) in out.iter_mut().zip(u).zip(places) {
             *out = (u - c) / s;
         }
+        if self.pulled {
+            let (first, second) = out.split_at_mut(self.scale.len());
+            for (first, second) in first.iter_mut().zip(second) {
+                (*first, *second) = (first.max(0.0), (-*first).max(0.0));
+            }
+        }
+    }
+
+    /// Slopes of an angle over the normalised command `j`, from those over the variables `q`; between both sides at a kink.
+    fn over(&self, slopes: &[f64], q: &[f64], j: usize) -> f64 {
+        if !self.pulled {
+            return slopes[j];
+        }
+        let other = self.scale.len() + j;
+        match (q[j] > 0.0, q[other] > 0.0) {
+            (true, _) => slopes[j],
+            (_, true) => -slopes[other],
+            _ => 0.5 * (slopes[j] - slopes[other]),
+        }
     }
 
     /// Hand the markers at `u` to `take`, base to tip.
     fn markers(&self, u: &[f64], mut take: impl FnMut(usize, [f64; 3])) {
-        let (channels, chords) = (self.scale.len(), self.chords());
-        with_few(channels + 3 * chords, |work| {
-            let (q, work) = work.split_at_mut(channels);
+        let (variables, chords) = (self.variables(), self.chords());
+        with_few(variables + 3 * chords, |work| {
+            let (q, work) = work.split_at_mut(variables);
             let (v, lengths) = work.split_at_mut(2 * chords);
             self.normalised(u, q);
             self.angles.eval(q, v);
@@ -195,13 +225,17 @@ impl Shape for Rod {
 
 impl Rod {
     fn slopes(&self, u: &[f64], out: &mut [f64], work: &mut Vec<f64>) {
-        let (c, chords) = (self.channels(), self.chords());
+        let (c, chords, variables) = (self.channels(), self.chords(), self.variables());
         let n = 2 * chords;
         let inside = self.angles.work().max(self.lengths.work());
-        work.resize(c + n + n * c + chords + chords * n + inside, 0.0);
-        let (q, rest) = work.split_at_mut(c);
+        work.resize(
+            variables + n + n * variables + n + chords + chords * n + inside,
+            0.0,
+        );
+        let (q, rest) = work.split_at_mut(variables);
         let (v, rest) = rest.split_at_mut(n);
-        let (dv, rest) = rest.split_at_mut(n * c);
+        let (dv, rest) = rest.split_at_mut(n * variables);
+        let (rise, rest) = rest.split_at_mut(n);
         let (lengths, rest) = rest.split_at_mut(chords);
         let (dl, inside) = rest.split_at_mut(chords * n);
         self.normalised(u, q);
@@ -209,14 +243,13 @@ impl Rod {
         self.lengths.slopes(v, lengths, dl, inside);
         for j in 0..c {
             let mut slope = [0.0; 3];
+            for (rise, dv) in rise.iter_mut().zip(dv.chunks_exact(variables)) {
+                *rise = self.over(dv, q, j) / self.scale[j];
+            }
             for k in 0..chords {
                 let (x, y) = (v[2 * k], v[2 * k + 1]);
-                let (dx, dy) = (
-                    dv[2 * k * c + j] / self.scale[j],
-                    dv[(2 * k + 1) * c + j] / self.scale[j],
-                );
-                let stretch: f64 =
-                    (0..n).map(|i| dl[k * n + i] * dv[i * c + j]).sum::<f64>() / self.scale[j];
+                let (dx, dy) = (rise[2 * k], rise[2 * k + 1]);
+                let stretch: f64 = (0..n).map(|i| dl[k * n + i] * rise[i]).sum();
                 let bend = Bend::new(x, y);
                 let along = x * dx + y * dy;
                 let turn = [

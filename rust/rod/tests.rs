@@ -24,10 +24,62 @@ fn rod(offset: f64) -> Rod {
         vec![1.0, -1.0],
         vec![10.0, 8.0],
         2,
+        false,
         angles,
         lengths,
     )
     .expect("a valid rod")
+}
+
+/// The same with other weights for the two cables of each command: 14 monomials of four pulls.
+fn pulled() -> Rod {
+    let number = |i: usize| 0.3 * ((7 * i % 11) as f64 / 11.0 - 0.4);
+    let mut lengths = vec![0.0; 15 * 2];
+    lengths[..2].copy_from_slice(&LENGTHS);
+    lengths[10] = -4.0;
+    Rod::new(
+        [1.0, 2.0, -3.0],
+        vec![1.0, -1.0],
+        vec![10.0, 8.0],
+        2,
+        true,
+        (0..15 * 4).map(number).collect(),
+        lengths,
+    )
+    .expect("a valid rod")
+}
+
+#[test]
+fn a_pulled_rod_bends_by_one_cable_of_a_command_or_by_the_other() {
+    let rod = pulled();
+    assert_eq!((rod.channels(), rod.size()), (2, 6));
+    for u in [[6.0, 3.0], [6.0, -5.0], [-7.0, 3.0], [-7.0, -5.0]] {
+        let mut slopes = [f64::NAN; 12];
+        rod.jacobian(&u, &mut slopes);
+        for (own, other) in slopes.iter().zip(numeric(&rod, &u)) {
+            assert!((own - other).abs() < 1e-6, "{own} {other} at {u:?}");
+        }
+    }
+    // At the kink, the mean of the slopes of both sides.
+    let (mut at, mut left, mut right) = ([0.0; 12], [0.0; 12], [0.0; 12]);
+    rod.jacobian(&[1.0, 3.0], &mut at);
+    rod.jacobian(&[1.0 - 1e-9, 3.0], &mut left);
+    rod.jacobian(&[1.0 + 1e-9, 3.0], &mut right);
+    for ((at, left), right) in at.iter().zip(left).zip(right) {
+        assert!((at - 0.5 * (left + right)).abs() < 1e-6);
+    }
+    assert!((left[0] - right[0]).abs() > 0.1);
+    let points = |u: [f64; 2]| {
+        let mut out = [0.0; 6];
+        rod.eval(&u, &mut out);
+        out
+    };
+    for (below, above) in points([1.0 - 1e-9, 3.0])
+        .iter()
+        .zip(points([1.0 + 1e-9, 3.0]))
+    {
+        assert!((below - above).abs() < 1e-6);
+    }
 }
 
 fn numeric(shape: &dyn Shape, u: &[f64]) -> Vec<f64> {
@@ -225,6 +277,7 @@ fn bad_numbers_are_refused_in_one_line() {
             vec![0.0],
             vec![scale],
             degree,
+            false,
             vec![0.1; 2 * rows],
             lengths.clone(),
         )

@@ -2,41 +2,50 @@
 
 A recording of one or two sweeps visits each command once or twice. A long block then holds all frames of its commands,
 and its error measures the extrapolation of a polynomial, not its accuracy. So blocks and the gaps next to them are
-halved until the rest covers them (`coverage.py`). Long recordings keep the given blocks.
-Pinned by tests/test_learned_memory.py.
+halved until the rest covers them, by the leverage of the terms of the map that is to be fitted (`coverage.py`). Long
+recordings keep the given blocks. Pinned by tests/test_learned_memory.py and tests/test_pulled_rod.py.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from softmap_edge.coverage import Coverage
+from softmap_edge.coverage import EPSILON, LARGER, Coverage
 from softmap_edge.folds import FOLDS, GAP, Folds, folds, labelled, run_folds
 from softmap_edge.rod.reference_run import Seen
+from softmap_edge.rod.regression import Basis
+
+Floats = NDArray[np.float64]
 
 UNCOVERED = 0.1  # share of the held-out frames that the others may leave uncovered
 MOST_GAP = 0.5  # of a block: more would leave too little of a short run to learn from
 MOST_BLOCKS, LEAST_FRAMES = 40, 4  # blocks of a run, and frames of a block
 
 
-def covered_folds(seen: Seen, blocks: int, gap_s: float) -> tuple[Folds, float]:
+def covered_folds(seen: Seen, basis: Basis, blocks: int, gap_s: float) -> tuple[Folds, float]:
     """Return folds of at least `blocks` blocks of time, and the gap (s, at most `gap_s`) next to each.
+
+    Args:
+        seen: the frames. basis: the richest map that may be fitted to them.
+        blocks, gap_s: as asked for.
 
     Raises:
         RunError: too few frames.
     """
+    columns = basis.columns(seen.drive.commanded)
     while True:
         gap = min(gap_s, MOST_GAP * seen.seconds / max(blocks, 1))
         parts = folds(seen.t, blocks, gap)
         finer = 2 * blocks
-        if finer > MOST_BLOCKS or len(seen.t) < LEAST_FRAMES * finer or _uncovered(seen, parts) <= UNCOVERED:
+        if finer > MOST_BLOCKS or len(seen.t) < LEAST_FRAMES * finer or _uncovered(columns, parts) <= UNCOVERED:
             return parts, gap
         blocks = finer
 
 
-def search_folds(seen: Seen) -> Folds:
+def search_folds(seen: Seen, basis: Basis) -> Folds:
     """Return the folds of a search: labels, or blocks of time; and runs that the commands of the others cover."""
-    parts = run_folds(seen.t, seen.labels) if labelled(seen.labels) else covered_folds(seen, FOLDS, GAP)[0]
+    parts = run_folds(seen.t, seen.labels) if labelled(seen.labels) else covered_folds(seen, basis, FOLDS, GAP)[0]
     for k in range(len(seen.runs)) if len(seen.runs) > 1 else ():
         inside = seen.number == k
         commands = seen.drive.commanded
@@ -45,8 +54,13 @@ def search_folds(seen: Seen) -> Folds:
     return parts
 
 
-def _uncovered(seen: Seen, parts: Folds) -> float:
-    """Return the share of the held-out frames that the training frames leave uncovered."""
-    commands = seen.drive.commanded
-    outside = [Coverage.of(commands[train]).outside(commands[test]) for train, test in parts if len(train)]
+def _uncovered(columns: Floats, parts: Folds) -> float:
+    """Return the share of the held-out frames that the training frames leave uncovered, from columns (n, F)."""
+    rows = np.concatenate([np.ones((len(columns), 1)), columns], axis=1)
+    outside = []
+    for train, test in parts:
+        if len(train):
+            strength, directions = np.linalg.eigh(rows[train].T @ rows[train] / len(train))
+            leverage = ((rows @ (directions / np.sqrt(np.maximum(strength, 0.0) + EPSILON))) ** 2).sum(axis=1)
+            outside.append(leverage[test] > LARGER * leverage[train].max())
     return float(np.concatenate(outside).mean()) if outside else 0.0

@@ -25,6 +25,7 @@ from softmap_edge.rod.descent import Term, descend
 from softmap_edge.rod.elastic import Coordinates, ElasticParameters
 from softmap_edge.rod.memory import FRAMES, Memory, find_memory
 from softmap_edge.rod.reference_run import Fitted, Number, Seen
+from softmap_edge.rod.regression import Basis
 from softmap_edge.rod.static_map import StaticMap
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def _memory(seen: Seen, robot: Robot, fitted: Floats, seed: int) -> Memory:
     Other memory is left to the diagnosis: the rod has laws of its own for slack and friction.
     """
     few = seen.every(-(-len(seen.t) // FRAMES))
-    rod, parts = robot.layout.compiled(fitted), search_folds(few)
+    rod, parts = robot.layout.compiled(fitted), search_folds(few, Basis(max(BESIDE_ROD)))
     smallest = min(len(train) for train, _ in parts)
     degree = max(
         [d for d in BESIDE_ROD if 2 * len(_core.monomial_degrees(seen.drive.channels, d)) < smallest], default=1
@@ -87,7 +88,7 @@ def _memory(seen: Seen, robot: Robot, fitted: Floats, seed: int) -> Memory:
     static = StaticMap(
         few.markers.reshape(len(few.markers), -1),
         parts,
-        degree,
+        Basis(degree),
         base=lambda acting: rod.evaluate(np.ascontiguousarray(acting)),
     )
     return find_memory(few, static, seed, members=("delay",))

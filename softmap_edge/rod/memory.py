@@ -31,7 +31,7 @@ from softmap_edge.learned_in import Alternative, LearnedIn
 from softmap_edge.learned_in import Law as Certainty
 from softmap_edge.rod.law import FittedLaw, LawFit, law
 from softmap_edge.rod.reference_run import Seen
-from softmap_edge.rod.regression import Drive
+from softmap_edge.rod.regression import Drive, standard_error
 from softmap_edge.rod.signals import DRIFT, Family, families
 from softmap_edge.rod.static_map import StaticMap
 
@@ -128,7 +128,7 @@ class _Found:
         if other.family.name != self.family.name or other.numbers <= len(self.fitted.x):
             return True
         fall = self.fitted.losses - other.losses
-        return float(fall.sum()) > _deviation(fall) and float((fall > 0).mean()) >= MOST_FOLDS
+        return float(fall.sum()) > standard_error(fall) and float((fall > 0).mean()) >= MOST_FOLDS
 
 
 def find_memory(seen: Seen, static: StaticMap, seed: int, members: Sequence[str] | None = None) -> Memory:
@@ -290,7 +290,7 @@ class _Search:
                 starts.append(self.fit.scanned_along(other, starts[-1], i))
         better = self.fit.refined(other, np.stack([start, starts[-1]]))
         fall = fitted.losses - better.losses
-        asked = fall.sum() > max(_deviation(fall), EACH * float(fitted.losses.sum()))
+        asked = fall.sum() > max(standard_error(fall), EACH * float(fitted.losses.sum()))
         most = (better.losses < fitted.losses).mean() >= MOST_FOLDS
         return _Candidate(candidate.family, name, better.losses, better) if asked and most else candidate
 
@@ -313,7 +313,7 @@ class _Search:
     def _falls(self, before: Floats, after: Floats, share: float) -> bool:
         """Whether a loss falls clearly, in most folds, by enough of it, and visibly."""
         fall, above = before - after, float(before.sum()) - self.frames * self.floor
-        enough = max(LEAST * float(before.sum()), share * max(above, 0.0), _deviation(fall))
+        enough = max(LEAST * float(before.sum()), share * max(above, 0.0), standard_error(fall))
         markers = self.seen.markers.shape[1]
         moved = np.sqrt(max(float(fall.sum()), 0.0) / (self.frames * len(self.static.targets) * markers))
         length = float(np.linalg.norm(self.seen.markers, axis=2).mean(axis=0).max())
@@ -327,7 +327,7 @@ class _Search:
         if behind.sum() <= FORM * float((before - best).sum()):
             return True
         decided = len(behind) >= FOLDS_THAT_AGREE and float((behind > 0).mean()) >= AGREE
-        return float(behind.sum()) <= _deviation(behind) and not decided
+        return float(behind.sum()) <= standard_error(behind) and not decided
 
     def _noise(self) -> float:
         """Return the variance of a target, mm², from its third differences between frames: the part that no map can
@@ -377,11 +377,6 @@ class _Search:
 def _twins(name: str) -> list[str]:
     """Return the effects that no run distinguishes from the effect `name`."""
     return [effect["name"] for effect in _core.effects() if effect["alike"].get(name) == "never"]
-
-
-def _deviation(differences: Floats) -> float:
-    """Return one standard error of the sum of paired differences over folds."""
-    return float(differences.std(ddof=1) * np.sqrt(len(differences)))
 
 
 def refined_memory(memory: Memory, seen: Seen, static: StaticMap, seed: int) -> Memory:

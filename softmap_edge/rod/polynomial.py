@@ -2,9 +2,12 @@
 
     v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
 
-Its weights are found by ridge regression; penalty: n · ridge · RIDGE[degree of the monomial] on all weights but the
-intercept, n frames. Degree and ridge are those with the lowest cross-validation error (`regression.py`).
-Known limit: one marker at the end of each chord, base to tip. tests/test_rod.py pins exact recovery.
+Where a command pulls one cable above 0 and another one below, v may be a polynomial of max(q, 0) and max(−q, 0): a
+cable that falls slack puts a kink there. Weights are found by ridge regression; penalty: n · ridge · RIDGE[degree of
+the monomial] on all weights but the intercept, n frames. Basis and ridge are those with the lowest cross-validation
+error (`regression.py`).
+Known limit: one marker at the end of each chord, base to tip. tests/test_rod.py and tests/test_pulled_rod.py pin exact
+recovery.
 """
 
 from __future__ import annotations
@@ -17,11 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.folds import Folds
 from softmap_edge.model import TIP_PER_NEWTON
 from softmap_edge.rod.covered_folds import covered_folds, search_folds
 from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory
 from softmap_edge.rod.reference_run import Fitted, Seen
-from softmap_edge.rod.regression import RIDGE, RIDGE_STEPS, Regression, choose_degree, normalise
+from softmap_edge.rod.regression import RIDGE, RIDGE_STEPS, Basis, Regression, choose_basis
 from softmap_edge.rod.static_map import StaticMap
 
 Floats = NDArray[np.float64]
@@ -40,7 +44,8 @@ class RodParameters:
 
     `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + G, K)
     mm, the nominal `compliance` of its load fields in N⁻¹·mm⁻² and their `lock`: how far the tendons hold each chord's
-    mean bending against a load, 0 (not at all) to 1 (motors that hold, tendons that do not stretch).
+    mean bending against a load, 0 (not at all) to 1 (motors that hold, tendons that do not stretch). `pulled` says that
+    the polynomial is one of the pulls of two cables a command.
     """
 
     base: Floats
@@ -51,10 +56,11 @@ class RodParameters:
     lengths: Floats
     compliance: float
     lock: float = LOCK
+    pulled: bool = False
 
     def compiled(self) -> _core.Rod:
         """Return the compiled rod: commands (n, C) to markers (n, 3K) mm."""
-        return _core.Rod(self.base, self.centre, self.scale, self.degree, self.angles, self.lengths)
+        return _core.Rod(self.base, self.centre, self.scale, self.degree, self.angles, self.lengths, self.pulled)
 
     def fields(self) -> dict[str, _core.RodField]:
         """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1 N."""
@@ -64,12 +70,13 @@ class RodParameters:
     def to_arrays(self) -> Arrays:
         """Return the arrays of `prior.npz`."""
         arrays: Arrays = {name: getattr(self, name) for name in ("base", "centre", "scale", "angles", "lengths")}
-        single = {"degree": self.degree, "compliance": self.compliance, "lock": self.lock}
+        single = {name: getattr(self, name) for name in ("degree", "compliance", "lock", "pulled")}
         return arrays | {name: np.array([value]) for name, value in single.items()}
 
     def __str__(self) -> str:
         """Say in a line what it is."""
-        return f"rod of {self.lengths.shape[1]} chords, degree {self.degree}"
+        pulls = " in the pulls of the cables" if self.pulled else ""
+        return f"rod of {self.lengths.shape[1]} chords, degree {self.degree}{pulls}"
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> RodParameters:
@@ -79,6 +86,7 @@ class RodParameters:
             SoftmapError: an array is missing or has the wrong number of axes.
         """
         axes = {"base": 1, "centre": 1, "scale": 1, "angles": 2, "lengths": 2, "degree": 1, "compliance": 1, "lock": 1}
+        axes |= {"pulled": 1} if "pulled" in arrays else {}  # a bundle of an earlier version has none
         values: dict[str, Floats] = {}
         for name, ndim in axes.items():
             if name not in arrays or np.ndim(arrays[name]) != ndim:
@@ -86,64 +94,73 @@ class RodParameters:
                 raise SoftmapError(f"rod: array '{name}' is {got}, expected {ndim} axes; learn the bundle again")
             values[name] = np.ascontiguousarray(arrays[name], float)
         single = {name: values.pop(name).tolist() for name in ("degree", "compliance", "lock")}
+        single["pulled"] = values.pop("pulled", np.zeros(1)).tolist()
         for name, value in single.items():
             if len(value) != 1:
                 raise SoftmapError(f"rod: '{name}' holds {len(value)} numbers, expected one; learn the bundle again")
-        (degree,), (compliance,), (lock,) = single.values()
+        (degree,), (compliance,), (lock,), (pulled,) = single.values()
         if degree not in range(1, len(RIDGE) + 1):
             raise SoftmapError(f"rod: degree {degree}, expected 1 to {len(RIDGE)}; learn the bundle again")
-        return cls(degree=int(degree), compliance=compliance, lock=lock, **values)
+        return cls(degree=int(degree), compliance=compliance, lock=lock, pulled=pulled == 1.0, **values)
 
 
 def fit_polynomial(
     seen: Seen, blocks: int, gap_s: float, base: ArrayLike | None, degree: int | None, static: bool, seed: int
 ) -> Fitted:
-    """Fit a polynomial rod with its memory: degree and ridge by cross-validation, `static` for no memory."""
-    parts, gap_s = covered_folds(seen, blocks, gap_s)
+    """Fit a polynomial rod with its memory: basis and ridge by cross-validation, `static` for no memory."""
+    parts, _ = covered_folds(seen, Basis(1), blocks, gap_s)
+    bases = _bases(seen, min(len(train) for train, _ in parts), degree)
+    # Blocks are covered in the terms of the richest map; of a single command, or of many, in squares: no log has them all.
+    richest = bases[-1] if 1 < seen.drive.channels <= FEW_CHANNELS else Basis(2)
+    parts, gap_s = covered_folds(seen, richest, blocks, gap_s)
     fit = Regression(seen.markers, _base(base, seen.markers), parts)
-    degrees = _degrees(seen, min(len(train) for train, _ in parts), degree)
     memory = Memory()
     if not static:
         step = -(-len(seen.t) // FRAMES)
-        memory = _memory(seen, seen.every(step), fit, degrees, seed)
+        thinned = seen.every(step)
+        memory = _memory(thinned, search_folds(thinned, richest), fit, seen.drive.commanded, bases, seed)
     u = memory.acting(seen.drive)
     ridges = RIDGE_STEPS if seen.drive.channels > 1 else RIDGE_STEPS[:1]
-    chosen, ridge = choose_degree(fit, u, degrees, ridges)
+    chosen, ridge = choose_basis(fit, u, bases, ridges)
     if memory.names:
-        memory = refined_memory(memory, seen, StaticMap(_plane(fit), search_folds(seen), chosen, ridge), seed)
+        memory = refined_memory(memory, seen, StaticMap(_plane(fit), search_folds(seen, richest), chosen, ridge), seed)
         u = memory.acting(seen.drive)
     weights = fit.weights(u, chosen, ridge)
     rod = RodParameters(
-        fit.base, weights.centre, weights.scale, chosen, weights.angles, weights.lengths, _nominal(fit.lengths)
-    )
-    residuals = fit.cross_validate(normalise(u), chosen, ridge)
-    return Fitted(rod, memory, residuals, parts, {"degree": chosen, "ridge": ridge, "gap_s": round(gap_s, 6)})
+        fit.base, weights.centre, weights.scale, chosen.degree, weights.angles, weights.lengths, _nominal(fit.lengths),
+        pulled=chosen.pulled,
+    )  # fmt: skip
+    residuals = fit.cross_validate(u, chosen, ridge)
+    made_from = {"degree": chosen.degree, "pulled": chosen.pulled, "ridge": ridge, "gap_s": round(gap_s, 6)}
+    return Fitted(rod, memory, residuals, parts, made_from)
 
 
-def _degrees(seen: Seen, smallest: int, degree: int | None) -> tuple[int, ...]:
-    """Return the degrees that `smallest` frames can identify."""
-    channels = seen.drive.channels
-    some = DEGREES if channels > 1 else DEGREES_OF_ONE
-    degrees = tuple(d for d in (some if degree is None else (degree,)) if 2 * _terms(channels, d) < smallest)
-    degrees = degrees if channels > 1 else degrees[-1:]
-    if not degrees:
+def _bases(seen: Seen, smallest: int, degree: int | None) -> tuple[Basis, ...]:
+    """Return the bases that `smallest` frames can identify; pulls where several commands move to both sides of 0."""
+    channels, commands = seen.drive.channels, seen.drive.commands
+    some = (DEGREES if channels > 1 else DEGREES_OF_ONE) if degree is None else (degree,)
+    bases = [Basis(d) for d in some]
+    if channels > 1 and np.any((commands.min(axis=0) < 0) & (commands.max(axis=0) > 0)):
+        bases += [Basis(d, True) for d in some if d < (CUBIC if channels > FEW_CHANNELS else CUBIC + 1)]
+    found = tuple(basis for basis in bases if 2 * len(basis.degrees(channels)) < smallest)
+    found = found if channels > 1 else found[-1:]
+    if not any(not basis.pulled for basis in found):
         raise RunError(
             f"{len(seen.t)} usable frames leave {smallest} to learn from outside a block, too few for a polynomial "
             f"of {channels} commands; record longer, use fewer blocks or a smaller gap_s"
         )
-    return degrees
+    return found
 
 
-def _terms(channels: int, degree: int) -> int:
-    return len(_core.monomial_degrees(channels, degree))
-
-
-def _memory(seen: Seen, thinned: Seen, fit: Regression, degrees: tuple[int, ...], seed: int) -> Memory:
+def _memory(
+    thinned: Seen, parts: Folds, fit: Regression, commanded: Floats, bases: tuple[Basis, ...], seed: int
+) -> Memory:
     """Find the memory with the map of the commands alone, or with a richer one for few channels."""
-    chosen, _ = choose_degree(fit, seen.drive.commanded, degrees)
-    richest = max(d for d in degrees if d <= max(chosen, CUBIC if seen.drive.channels <= FEW_CHANNELS else 1))
-    few = Regression(thinned.markers, fit.base, search_folds(thinned))
-    return find_memory(thinned, StaticMap(_plane(few), few.folds, richest), seed)
+    chosen, _ = choose_basis(fit, commanded, bases)
+    most = max(chosen.degree, CUBIC if thinned.drive.channels <= FEW_CHANNELS else 1)
+    alike = [basis for basis in bases if basis.pulled == chosen.pulled and basis.degree <= most]
+    few = Regression(thinned.markers, fit.base, parts)
+    return find_memory(thinned, StaticMap(_plane(few), parts, max(alike, key=lambda basis: basis.degree)), seed)
 
 
 def _plane(fit: Regression) -> Floats:

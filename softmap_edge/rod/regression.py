@@ -21,8 +21,39 @@ from softmap_edge.folds import Folds
 Floats = NDArray[np.float64]
 
 RIDGE = (3e-5, 9e-4, 3e-4, 3e-4, 3e-4)  # by degree 1…5, for |q| ≤ 1
-RIDGE_STEPS = (1e-7, 0.1, 1.0 / 3.0, 1.0, 3.0, 10.0)
+RIDGE_STEPS = (1e-7, 1e-3, 1e-2, 0.1, 1.0 / 3.0, 1.0, 3.0, 10.0)
 LENGTH_RIDGE = 1e-10
+
+
+@dataclass(frozen=True)
+class Basis:
+    """The terms of a static map: all monomials up to `degree` of the normalised commands, or of the pulls of cables.
+
+    A command above 0 pulls one cable and lets the other one fall slack, and the reverse: a `pulled` basis has two
+    variables a command, max(u, 0) and max(−u, 0). No polynomial of the command itself has that kink.
+    """
+
+    degree: int
+    pulled: bool = False
+
+    def span(self, u: Floats) -> tuple[Floats, Floats]:
+        """Return `centre` and `scale` (C,) by which commands (n, C) are normalised to −1 … 1."""
+        if not self.pulled:
+            return _span(u)
+        most = np.abs(u).max(axis=0)
+        return np.zeros(u.shape[1]), np.where(most > 0, most, 1.0)
+
+    def columns(self, u: Floats) -> Floats:
+        """Return the monomials (n, F) of commands (n, C), normalised by their own range."""
+        centre, scale = self.span(u)
+        q = (u - centre) / scale
+        if self.pulled:
+            q = np.concatenate([np.maximum(q, 0.0), np.maximum(-q, 0.0)], axis=1)
+        return _core.monomials(np.ascontiguousarray(q), self.degree)
+
+    def degrees(self, channels: int) -> NDArray[np.int64]:
+        """Return the degree (F,) of each monomial."""
+        return np.array(_core.monomial_degrees((1 + self.pulled) * channels, self.degree))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,27 +109,29 @@ class Regression:
         quadratic = _core.monomials(self.angles, 2)
         self.length_weights = _ridge(quadratic, self.lengths, np.full(quadratic.shape[1], LENGTH_RIDGE), folds)
 
-    def angle_weights(self, q: Floats, degree: int, ridge: float) -> list[Floats]:
+    def angle_weights(self, u: Floats, basis: Basis, ridge: float) -> list[Floats]:
         """Return the polynomial's weights (1 + F, 2K) of each fold, then of all frames."""
-        degrees = np.array(_core.monomial_degrees(q.shape[1], degree))
-        return _ridge(_core.monomials(q, degree), self.angles, ridge * np.array(RIDGE)[degrees - 1], self.folds)
+        penalty = ridge * np.array(RIDGE)[basis.degrees(u.shape[1]) - 1]
+        return _ridge(basis.columns(u), self.angles, penalty, self.folds)
 
-    def cross_validate(self, q: Floats, degree: int, ridge: float) -> Floats:
+    def cross_validate(self, u: Floats, basis: Basis, ridge: float) -> Floats:
         """Return predicted − seen (n, K, 3) mm, each frame predicted by the fit that left out its block."""
         residuals = np.empty_like(self.markers)
-        centre, scale = np.zeros(q.shape[1]), np.ones(q.shape[1])
-        for (_, test), angles, lengths in zip(self.folds, self.angle_weights(q, degree, ridge), self.length_weights):
-            rod = _core.Rod(self.base, centre, scale, degree, angles, lengths)
-            residuals[test] = rod.evaluate(q[test]).reshape(len(test), -1, 3) - self.markers[test]
+        centre, scale = basis.span(u)
+        for (_, test), angles, lengths in zip(self.folds, self.angle_weights(u, basis, ridge), self.length_weights):
+            rod = _core.Rod(self.base, centre, scale, basis.degree, angles, lengths, basis.pulled)
+            rows = np.ascontiguousarray(u[test])
+            residuals[test] = rod.evaluate(rows).reshape(len(test), -1, 3) - self.markers[test]
         return residuals
 
-    def error(self, u: Floats, degree: int, ridge: float) -> float:
-        """Return the cross-validation error in mm, RMS over frames and markers."""
-        return rms(self.cross_validate(normalise(u), degree, ridge))
+    def losses(self, u: Floats, basis: Basis, ridge: float) -> Floats:
+        """Return the cross-validation loss (folds,) in mm², summed over frames and markers."""
+        squares = (self.cross_validate(u, basis, ridge) ** 2).sum(axis=(1, 2))
+        return np.array([squares[test].sum() for _, test in self.folds])
 
-    def weights(self, u: Floats, degree: int, ridge: float) -> Weights:
+    def weights(self, u: Floats, basis: Basis, ridge: float) -> Weights:
         """Return the rod fitted on all frames."""
-        return Weights(*_span(u), self.angle_weights(normalise(u), degree, ridge)[-1], self.length_weights[-1])
+        return Weights(*basis.span(u), self.angle_weights(u, basis, ridge)[-1], self.length_weights[-1])
 
 
 def rms(residuals: Floats) -> float:
@@ -106,7 +139,7 @@ def rms(residuals: Floats) -> float:
     return float(np.sqrt((residuals**2).sum(axis=-1).mean()))
 
 
-# --- commands and degree ----------------------------------------------------------------------
+# --- commands and basis -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,8 +201,22 @@ class Drive:
         return np.asarray(self.rolled(chain, valued(chain, params, chain.null)[None])[0])
 
 
-def choose_degree(
-    fit: Regression, u: Floats, degrees: Sequence[int], ridges: Sequence[float] = RIDGE_STEPS
-) -> tuple[int, float]:
-    """Return the degree and the ridge with the lowest cross-validation error."""
-    return min(product(degrees, ridges), key=lambda choice: fit.error(u, *choice))
+def choose_basis(
+    fit: Regression, u: Floats, bases: Sequence[Basis], ridges: Sequence[float] = RIDGE_STEPS
+) -> tuple[Basis, float]:
+    """Return the basis and the ridge with the lowest cross-validation error.
+
+    Pulls, which are twice as many variables, must lower it by more than one standard error over the folds.
+    """
+    found: list[tuple[Floats, Basis, float]] = []
+    for pulled in (False, True):
+        every = [(fit.losses(u, *choice), *choice) for choice in product(bases, ridges) if choice[0].pulled == pulled]
+        found += [min(every, key=lambda one: float(one[0].sum()))] if every else []
+    first, last = found[0], found[-1]
+    fall = first[0] - last[0]
+    return last[1:] if float(fall.sum()) > standard_error(fall) else first[1:]
+
+
+def standard_error(differences: Floats) -> float:
+    """Return one standard error of the sum of paired differences (folds,)."""
+    return float(differences.std(ddof=1) * np.sqrt(len(differences)))

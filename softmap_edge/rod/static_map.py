@@ -1,6 +1,6 @@
 """The static map that is solved again for every law of memory: a ridge on a polynomial (variable projection).
 
-    targets (n, q) ≈ base(v) + [1, monomials(v)] W,   v = effective commands (n, C)
+    targets (n, q) ≈ base(v) + [1, monomials(v)] W,   v = effective commands (n, C), or the pulls of their cables
 
 Targets are mm that represent the markers: chords turned into the plane, Σ over the chords below of length × angle.
 Their squared error is about that of the markers. With a described rod they are the coordinates of the markers, and
@@ -18,9 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import _core
 from softmap_edge.folds import Folds
-from softmap_edge.rod.regression import RIDGE, RIDGE_STEPS, normalise
+from softmap_edge.rod.regression import RIDGE, RIDGE_STEPS, Basis, normalise
 from softmap_edge.rod.signals import splines
 
 Floats = NDArray[np.float64]
@@ -34,14 +33,14 @@ FLOOR = 1e-9  # of a column's mean square, added to each system: columns that fo
 
 @dataclass(frozen=True, eq=False)
 class StaticMap:
-    """Targets (n, q) mm, the folds of the cross-validation, and the `degree` of its polynomial.
+    """Targets (n, q) mm, the folds of the cross-validation, and the `basis` of its polynomial.
 
     A `splined` map has B-splines of each channel as well.
     """
 
     targets: Floats
     parts: Folds
-    degree: int
+    basis: Basis
     ridge: float = RIDGE_STEPS[0]
     splined: bool = False
     base: Callable[[Floats], Floats] | None = None
@@ -81,11 +80,10 @@ class StaticMap:
 
     def _columns(self, acting: Floats) -> tuple[Floats, Floats]:
         """Return the columns (n, 1 + F) of the map and their penalties at a ridge of 1."""
-        degrees = np.array(_core.monomial_degrees(acting.shape[1], self.degree))
-        penalty = np.append(0.0, np.array(RIDGE)[degrees - 1])
-        q = normalise(acting)
-        rows = [np.ones((len(q), 1)), _core.monomials(q, self.degree)]
+        penalty = np.append(0.0, np.array(RIDGE)[self.basis.degrees(acting.shape[1]) - 1])
+        rows = [np.ones((len(acting), 1)), self.basis.columns(acting)]
         if self.splined:
+            q = normalise(acting)
             rows.append(splines(q, np.zeros(q.shape[1]), np.ones(q.shape[1])))
             penalty = np.append(penalty, np.full(rows[-1].shape[1], SPLINED))
         return np.concatenate(rows, axis=1), penalty
