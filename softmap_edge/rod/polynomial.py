@@ -110,7 +110,7 @@ def fit_polynomial(
     """Fit a polynomial rod with its memory: basis and ridge by cross-validation, `static` for no memory."""
     parts, _ = covered_folds(seen, Basis(1), blocks, gap_s)
     bases = _bases(seen, min(len(train) for train, _ in parts), degree)
-    # Blocks are covered in the terms of the richest map; of a single command, or of many, in squares: no log covers all.
+    # Blocks are covered in the terms of the richest map; of a single command, or of many, in squares: no log has all.
     richest = bases[-1] if 1 < seen.drive.channels <= FEW_CHANNELS else Basis(2)
     parts, gap_s = covered_folds(seen, richest, blocks, gap_s)
     fit = Regression(seen.markers, _base(base, seen.markers), parts)
