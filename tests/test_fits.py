@@ -5,6 +5,7 @@ import pytest
 from arm import LIBRARY, Arm, record_run
 
 from softmap_edge import builtin_model
+from softmap_edge.diagnosis import fits as fits_module
 from softmap_edge.diagnosis.fits import INSTANTS, Fits, starts
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
@@ -141,3 +142,16 @@ def test_a_pulley_is_found_whatever_its_signs(signs):
     for channel in range(2):
         assert found[f"eccentric_pulley.sine[{channel}]"] == pytest.approx(sine[channel], abs=0.1)
         assert found[f"eccentric_pulley.cosine[{channel}]"] == pytest.approx(cosine[channel], abs=0.1)
+
+
+def test_slopes_of_old_fits_are_dropped_and_found_again(monkeypatch):
+    """A long log with hundreds of fits must not fill the memory."""
+    fits = arm_fits({"backlash.gap": 2.0})
+    known = {name: fits.get([name]).slopes.copy() for name in NAMES}
+    most = 2 * max(slopes.nbytes for slopes in known.values())
+    monkeypatch.setattr(fits_module, "SLOPES_BYTES", most)
+    fits.get(NAMES[:2])
+    held = [fit for fit in map(fits.get, ([name] for name in NAMES)) if "slopes" in fit.__dict__]
+    assert len(held) < len(NAMES) and sum(fit.slopes.nbytes for fit in held) <= most
+    for name, slopes in known.items():
+        np.testing.assert_array_equal(fits.get([name]).slopes, slopes)

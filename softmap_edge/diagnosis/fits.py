@@ -20,6 +20,7 @@ Key = tuple[frozenset[str], frozenset[str]]  # effects, and those of them with a
 INSTANTS = 16  # places in time at which something may have happened
 DESCENTS = 2  # starts of a member that are followed to their end
 APART = 0.5  # of a scale: two starts that lie nearer to each other are one
+SLOPES_BYTES = 20e6  # of all fits of a problem: those of a run of some hundred frames take less
 GRID = (0.15, 0.35, 0.65, 0.85)  # of a logarithmic scale, where a fit of an effect begins besides its start
 
 
@@ -38,7 +39,16 @@ class Fits:
         key = frozenset(effects), frozenset(split) & frozenset(effects)
         if key not in self._fits:
             self._fits[key] = self._split(key) if key[1] else self._grown(key[0])
+            self._forget()
         return self._fits[key]
+
+    def _forget(self) -> None:
+        """Drop the slopes of the oldest fits if those of all take much memory; a fit finds them again when asked."""
+        held = [fit for fit in reversed(self._fits.values()) if "slopes" in fit.__dict__]
+        size = np.cumsum([fit.slopes.nbytes for fit in held])
+        for fit, total in zip(held, size):
+            if total > SLOPES_BYTES:
+                del fit.__dict__["slopes"]
 
     def without(self, fit: Fit, effect: str) -> Fit:
         """Return the fit of the same set without one effect."""
