@@ -158,7 +158,7 @@ def test_a_memory_without_a_law_is_kept_with_the_model_and_reported_if_a_run_sho
     (one,) = model.learned_in
     assert (one.name, one.law, model.chain_names) == ("", "unknown", ()) and one.after_mm < 0.9 * one.before_mm
     assert f"unknown law of {one.family}" in str(one) and "not in the model" in str(one)
-    changes = with_unknown(model, {"verdict": "nothing", "sentence": "Nothing is missing."})
+    changes = with_unknown(model, {"verdict": "nothing", "sentence": "Nothing is missing."}, Taught())
     (family,) = changes["families"]
     assert (changes["verdict"], family.name, family.law) == ("partly_explained", one.family, "unknown")
     sentence = changes["sentence"]
@@ -166,7 +166,11 @@ def test_a_memory_without_a_law_is_kept_with_the_model_and_reported_if_a_run_sho
         "Nothing is missing."
     )
     assert family.moved_mm**2 == pytest.approx(one.before_mm**2 - one.after_mm**2)
-    assert with_unknown(model, {"verdict": "identified", "sentence": ""}) == {}
+    assert with_unknown(model, {"verdict": "identified", "sentence": ""}, Taught()) == {}
+    other = {"verdict": "partly_explained", "sentence": "A delay.", "effects": (), "faults": ()}
+    assert with_unknown(model, other, Taught()) == {}  # another run may show another one
+    again = with_unknown(model, other, Taught(runs=(1,)))  # the runs that taught the model cannot
+    assert again["families"] == changes["families"] and "A delay." not in again["sentence"]
     page = learned_section({"learned_in": [one.to_dict()]})
     assert f"unknown law of {one.family}, not in the model" in page
 

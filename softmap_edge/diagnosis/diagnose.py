@@ -129,7 +129,7 @@ def diagnose(
         fit = outcome.plain.null
         values |= {"verdict": "measurement_fault", "sentence": gone, "alternatives": (), "effects": (), "faults": ()}
         values |= {"families": ()}
-    values |= with_unknown(model, values)
+    values |= with_unknown(model, values, teacher)
     values["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
     if model.output is not None:  # how reports turn the model's mm back into the output's unit
         values["made_from"] = {**values["made_from"], "output": model.output.to_dict()}

@@ -99,13 +99,16 @@ class Taught:
         return [NextBlock(AGAIN, 0.0, tuple(one.name for one in found))] if self.static and found else []
 
 
-def with_unknown(model: Model, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the changes to a diagnosis that found nothing, if `learn` detected a memory without a law.
+def with_unknown(model: Model, values: Mapping[str, Any], teacher: Taught) -> dict[str, Any]:
+    """Return the changes to a diagnosis that named nothing, if `learn` detected a memory without a law.
 
-    The error of a learned model is part of its noise, and such a memory is part of this error.
+    The error of a learned model is part of its noise, and such a memory is part of this error. In the runs that taught
+    the model a family that was found beside the fixed map does not count: `learn` solved the map with each of them.
     """
     unknown = next((one for one in getattr(model, "learned_in", ()) if not one.name), None)
-    if unknown is None or values["verdict"] not in ("nothing", "cannot_tell"):
+    silent = values["verdict"] in ("nothing", "cannot_tell")
+    lawless = values["verdict"] == "partly_explained" and not values["effects"] and not values["faults"]
+    if unknown is None or not (silent or (lawless and teacher.all)):
         return {}
     kinds, before, after = {f.name: f.kind for f in families()}, unknown.before_mm, unknown.after_mm
     moved = float(np.sqrt(max(0.0, before**2 - after**2)))
@@ -116,6 +119,6 @@ def with_unknown(model: Model, values: Mapping[str, Any]) -> dict[str, Any]:
     )  # fmt: skip
     sentence = (
         f"An unknown law of the family {unknown.family}, {moved:.2f} mm RMS, was detected while the model was learned; "
-        f"the model does not contain it. {values['sentence']}"
+        f"the model does not contain it.{' ' + values['sentence'] if silent else ''}"
     )
     return {"verdict": "partly_explained", "families": (family,), "sentence": sentence}
