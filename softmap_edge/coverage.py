@@ -1,6 +1,8 @@
-"""Commands that taught a learned model, by the leverage of a quadratic in the effective commands.
+"""Commands that taught a learned model, by the leverage of a polynomial in the effective commands.
 
-    h(v) = φᵀ (ΦᵀΦ/n + ε)⁻¹ φ,   φ = [1, q, q², q_i q_j],   q = (v − middle)/half
+    h(v) = φᵀ (ΦᵀΦ/n + ε)⁻¹ φ,   φ = [1, monomials(q)],   q = (v − middle)/half
+
+The monomials are the squares and products of the commands or, for a map of the pulls of cables, its own terms.
 
 h/n is the diagonal of the hat matrix of this regression: the variance of a prediction there, in units of the noise
 variance. h is large for a command whose channels are each within their range but were never moved together. For
@@ -17,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
+from softmap_edge.rod.regression import RIDGE, SQUARES, Basis
 
 Floats = NDArray[np.float64]
 
@@ -34,20 +36,20 @@ class Coverage:
     half: Floats
     root: Floats
     most: Floats
+    basis: Basis = SQUARES
 
     @classmethod
-    def of(cls, acting: Floats) -> Coverage:
-        """Return the coverage of the effective commands (n, C) that taught a model."""
-        low, high = acting.min(axis=0), acting.max(axis=0)
-        half = np.where(high > low, 0.5 * (high - low), 1.0)
-        features = _features((acting - 0.5 * (low + high)) / half)
+    def of(cls, acting: Floats, basis: Basis = SQUARES) -> Coverage:
+        """Return the coverage of the effective commands (n, C) that taught a model, in the terms of a basis."""
+        middle, half = basis.span(acting)
+        features = _features((acting - middle) / half, basis)
         strength, directions = np.linalg.eigh(features.T @ features / len(features))
         root = directions / np.sqrt(np.maximum(strength, 0.0) + EPSILON)
-        return cls(0.5 * (low + high), half, root, np.array([float(((features @ root) ** 2).sum(axis=1).max())]))
+        return cls(middle, half, root, np.array([float(((features @ root) ** 2).sum(axis=1).max())]), basis)
 
     def excess(self, acting: Floats) -> Floats:
         """Return the leverage (n,) of effective commands (n, C), relative to the largest that taught the model."""
-        features = _features((acting - self.middle) / self.half)
+        features = _features((acting - self.middle) / self.half, self.basis)
         return np.asarray(((features @ self.root) ** 2).sum(axis=1) / self.most[0])
 
     def outside(self, acting: Floats) -> NDArray[np.bool_]:
@@ -56,7 +58,8 @@ class Coverage:
 
     def to_arrays(self) -> dict[str, NDArray[np.generic]]:
         """Return the arrays as `prior.npz` holds them."""
-        return {f"coverage_{name}": getattr(self, name) for name in ("middle", "half", "root", "most")}
+        arrays = {f"coverage_{name}": getattr(self, name) for name in ("middle", "half", "root", "most")}
+        return arrays | {"coverage_basis": np.array([self.basis.degree, self.basis.pulled], float)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], channels: int) -> Coverage | None:
@@ -67,7 +70,13 @@ class Coverage:
         """
         if not any(name.startswith("coverage_") for name in arrays):
             return None
-        count = (channels + 1) * (channels + 2) // 2
+        given = np.asarray(arrays.get("coverage_basis", [SQUARES.degree, SQUARES.pulled]), float).ravel().tolist()
+        if given not in [[degree, pulled] for degree in range(1, len(RIDGE) + 1) for pulled in (0.0, 1.0)]:
+            raise SoftmapError(
+                f"coverage: 'basis' is {given[:3]}, expected a degree and 0 or 1; learn the bundle again"
+            )
+        basis = Basis(int(given[0]), given[1] == 1.0)
+        count = 1 + len(basis.degrees(channels))
         shapes = {"middle": (channels,), "half": (channels,), "root": (count, count), "most": (1,)}
         values = {name: np.asarray(arrays.get(f"coverage_{name}", np.zeros(0)), float) for name in shapes}
         wrong = [name for name, shape in shapes.items() if values[name].shape != shape]
@@ -77,8 +86,8 @@ class Coverage:
                 f"coverage: '{name}' of shape {values[name].shape} does not fit {channels} channels, or is not above "
                 "0; learn the bundle again"
             )
-        return cls(**values)
+        return cls(**values, basis=basis)
 
 
-def _features(q: Floats) -> Floats:
-    return np.concatenate([np.ones((len(q), 1)), _core.monomials(np.ascontiguousarray(q), 2)], axis=1)
+def _features(q: Floats, basis: Basis) -> Floats:
+    return np.concatenate([np.ones((len(q), 1)), basis.terms(q)], axis=1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_learned_memory import arc, recorded, wander
 
-from softmap_edge import Run, learn_model, load_bundle, save_bundle
+from softmap_edge import Run, diagnose, learn_model, load_bundle, save_bundle
 from softmap_edge.coverage import LARGER, Coverage
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.outside import beyond
@@ -73,7 +73,12 @@ def test_it_travels_with_the_bundle_and_is_read_as_a_strangers_file(tmp_path):
     u = wander(np.arange(0.0, 20.0, 0.1), 14.0)
     assert model.coverage is not None and again.coverage is not None
     np.testing.assert_array_equal(again.coverage.excess(u), model.coverage.excess(u))
-    for name, wrong in {"root": np.eye(3), "half": np.zeros(2), "most": np.zeros(1)}.items():
+    for name, wrong in {
+        "root": np.eye(3),
+        "half": np.zeros(2),
+        "most": np.zeros(1),
+        "basis": np.array([9.0, 0]),
+    }.items():
         arrays = dict(model.arrays["prior"]) | {f"coverage_{name}": wrong}
         with pytest.raises(SoftmapError, match="coverage"):
             Coverage.from_arrays(arrays, 2)
@@ -81,3 +86,27 @@ def test_it_travels_with_the_bundle_and_is_read_as_a_strangers_file(tmp_path):
         save_bundle(damaged, tmp_path / name)
         with pytest.raises(BundleError, match="coverage"):
             load_bundle(tmp_path / name)
+
+
+def test_a_diagnosis_sets_frames_aside_that_the_model_can_only_guess():
+    """A polynomial of the commands that taught it is far off where both bend far at once: no effect of the robot."""
+
+    def kinked(u):  # a robot that no cubic follows: its second servo pulls less while the first one pulls far
+        return arc(np.stack([u[:, 0], u[:, 1] * (1.0 - 1.5 * (np.maximum(u[:, 0] - 6.0, 0.0) / 4.0) ** 2)], axis=1))
+
+    def seen(u, t, seed):
+        markers = kinked(u)[::3]
+        return Run(
+            t=t, command=u, t_seen=t[::3], markers=markers + np.random.default_rng(seed).normal(0, 0.1, markers.shape)
+        )
+
+    t = np.arange(0.0, 60.0, 0.02)
+    model = learn_model(seen(np.clip(wander(t), -6.0, 6.0), t, 0))
+    inside, outside = np.clip(wander(t + 100.0), -6.0, 6.0), wander(t + 100.0, 10.0)
+    some = seen(np.where((t % 20.0 < 15.0)[:, None], inside, outside), t, 1)
+    found = diagnose(model, some)
+    (said,) = [text for text in found.remarks if "unlike all that the model was learned from" in text]
+    assert "are set aside" in said and found.verdict in ("nothing", "cannot_tell")
+    assert found.error.model < 0.3 < 1.0 < np.sqrt(((model.predict(some) - some.markers) ** 2).sum(-1).mean())
+    most = diagnose(model, seen(wander(t + 100.0, 14.0), t, 1))  # nothing would be left
+    assert not any("unlike all" in text for text in most.remarks)

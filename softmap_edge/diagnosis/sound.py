@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge import _core
 from softmap_edge.diagnosis.belongs import FOLLOWED, MOTION, belongs, declared, follows, spread, still
 from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.diagnosis.floor import noise_of_points
@@ -230,6 +231,13 @@ def _frames(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) -> I
     jumps, text = _unsteady(run, u, np.where(visible[..., None], seen, 0.0), visible)
     if text:
         yield jumps & ~late & ~inside, text
+    strange = _untaught(model, run) & ~late & ~inside
+    if strange.any():
+        yield (
+            strange,
+            "are set aside: their commands are unlike all that the model was learned from, and its errors there are "
+            "unknown; learn it from a run that covers them",
+        )
     again = _repeated(model, run, u, seen, visible)
     if again.any():
         yield (
@@ -237,6 +245,15 @@ def _frames(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) -> I
             "are set aside: each repeats the picture before it exactly; the camera or its log hangs: drop repeated "
             "pictures, and stamp each when it is taken",
         )
+
+
+def _untaught(model: Model, run: Run) -> Mask:
+    """Return the frames (K,) at which a learned map extrapolates; none where most frames are such."""
+    coverage = getattr(model, "coverage", None)
+    if coverage is None or not isinstance(model.prior, _core.Rod):
+        return np.zeros(run.frames, bool)
+    outside = np.asarray(coverage.outside(model.acts(run)), np.bool_)
+    return outside if 2 * outside.sum() < run.frames else np.zeros(run.frames, bool)
 
 
 def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, str]:

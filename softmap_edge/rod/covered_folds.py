@@ -9,14 +9,11 @@ recordings keep the given blocks. Pinned by tests/test_learned_memory.py and tes
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from softmap_edge.coverage import EPSILON, LARGER, Coverage
+from softmap_edge.coverage import Coverage
 from softmap_edge.folds import FOLDS, GAP, Folds, folds, labelled, run_folds
 from softmap_edge.rod.reference_run import Seen
 from softmap_edge.rod.regression import Basis
-
-Floats = NDArray[np.float64]
 
 UNCOVERED = 0.1  # share of the held-out frames that the others may leave uncovered
 MOST_GAP = 0.5  # of a block: more would leave too little of a short run to learn from
@@ -33,12 +30,11 @@ def covered_folds(seen: Seen, basis: Basis, blocks: int, gap_s: float) -> tuple[
     Raises:
         RunError: too few frames.
     """
-    columns = basis.columns(seen.drive.commanded)
     while True:
         gap = min(gap_s, MOST_GAP * seen.seconds / max(blocks, 1))
         parts = folds(seen.t, blocks, gap)
         finer = 2 * blocks
-        if finer > MOST_BLOCKS or len(seen.t) < LEAST_FRAMES * finer or _uncovered(columns, parts) <= UNCOVERED:
+        if finer > MOST_BLOCKS or len(seen.t) < LEAST_FRAMES * finer or _uncovered(seen, basis, parts) <= UNCOVERED:
             return parts, gap
         blocks = finer
 
@@ -54,13 +50,8 @@ def search_folds(seen: Seen, basis: Basis) -> Folds:
     return parts
 
 
-def _uncovered(columns: Floats, parts: Folds) -> float:
-    """Return the share of the held-out frames that the training frames leave uncovered, from columns (n, F)."""
-    rows = np.concatenate([np.ones((len(columns), 1)), columns], axis=1)
-    outside = []
-    for train, test in parts:
-        if len(train):
-            strength, directions = np.linalg.eigh(rows[train].T @ rows[train] / len(train))
-            leverage = ((rows @ (directions / np.sqrt(np.maximum(strength, 0.0) + EPSILON))) ** 2).sum(axis=1)
-            outside.append(leverage[test] > LARGER * leverage[train].max())
+def _uncovered(seen: Seen, basis: Basis, parts: Folds) -> float:
+    """Return the share of the held-out frames that the training frames leave uncovered."""
+    commands = seen.drive.commanded
+    outside = [Coverage.of(commands[train], basis).outside(commands[test]) for train, test in parts if len(train)]
     return float(np.concatenate(outside).mean()) if outside else 0.0

@@ -177,7 +177,7 @@ def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> Learne
         form_error=np.sqrt((residuals**2).mean(axis=0)),
         residuals=residuals,
         frames=seen.frames,
-        coverage=Coverage.of(memory.acting(seen.drive)),
+        coverage=Coverage.of(memory.acting(seen.drive), fitted.basis),
         made_from={**made_from, **fitted.made_from, **more},
         numbers=fitted.numbers,
         learned_in=memory.learned_in,

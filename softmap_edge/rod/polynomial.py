@@ -25,7 +25,7 @@ from softmap_edge.model import TIP_PER_NEWTON
 from softmap_edge.rod.covered_folds import covered_folds, search_folds
 from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory
 from softmap_edge.rod.reference_run import Fitted, Seen
-from softmap_edge.rod.regression import RIDGE, RIDGE_STEPS, Basis, Regression, choose_basis
+from softmap_edge.rod.regression import RIDGE, RIDGE_STEPS, SQUARES, Basis, Regression, choose_basis
 from softmap_edge.rod.static_map import StaticMap
 
 Floats = NDArray[np.float64]
@@ -111,7 +111,7 @@ def fit_polynomial(
     parts, _ = covered_folds(seen, Basis(1), blocks, gap_s)
     bases = _bases(seen, min(len(train) for train, _ in parts), degree)
     # Blocks are covered in the terms of the richest map; of a single command, or of many, in squares: no log has all.
-    richest = bases[-1] if 1 < seen.drive.channels <= FEW_CHANNELS else Basis(2)
+    richest = bases[-1] if 1 < seen.drive.channels <= FEW_CHANNELS else SQUARES
     parts, gap_s = covered_folds(seen, richest, blocks, gap_s)
     fit = Regression(seen.markers, _base(base, seen.markers), parts)
     memory = Memory()
@@ -132,7 +132,7 @@ def fit_polynomial(
     )  # fmt: skip
     residuals = fit.cross_validate(u, chosen, ridge)
     made_from = {"degree": chosen.degree, "pulled": chosen.pulled, "ridge": ridge, "gap_s": round(gap_s, 6)}
-    return Fitted(rod, memory, residuals, parts, made_from)
+    return Fitted(rod, memory, residuals, parts, made_from, basis=chosen if chosen.pulled else SQUARES)
 
 
 def _bases(seen: Seen, smallest: int, degree: int | None) -> tuple[Basis, ...]:

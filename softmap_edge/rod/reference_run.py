@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import RunError
 from softmap_edge.folds import Folds
-from softmap_edge.rod.regression import Drive, Record, rms
+from softmap_edge.rod.regression import SQUARES, Basis, Drive, Record, rms
 from softmap_edge.run import Run, Source, known
 from softmap_edge.ticks import commanded_in_ticks
 
@@ -132,7 +132,10 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A rod, the memory found with it, its held-out residuals (n, K, 3) mm and the folds that gave them."""
+    """A rod, the memory found with it, its held-out residuals (n, K, 3) mm and the folds that gave them.
+
+    `basis` has the terms in which its runs cover commands.
+    """
 
     rod: Rod
     memory: Memory
@@ -140,6 +143,7 @@ class Fitted:
     parts: Folds
     made_from: Mapping[str, Any]
     numbers: tuple[Number, ...] = ()
+    basis: Basis = SQUARES
 
 
 def observe(runs: Sequence[Run], input: Source | None, hold_out: Sequence[tuple[float, float]], rate_hz: float) -> Seen:

@@ -46,7 +46,10 @@ class Basis:
     def columns(self, u: Floats) -> Floats:
         """Return the monomials (n, F) of commands (n, C), normalised by their own range."""
         centre, scale = self.span(u)
-        q = (u - centre) / scale
+        return self.terms((u - centre) / scale)
+
+    def terms(self, q: Floats) -> Floats:
+        """Return the monomials (n, F) of normalised commands (n, C)."""
         if self.pulled:
             q = np.concatenate([np.maximum(q, 0.0), np.maximum(-q, 0.0)], axis=1)
         return _core.monomials(np.ascontiguousarray(q), self.degree)
@@ -54,6 +57,9 @@ class Basis:
     def degrees(self, channels: int) -> NDArray[np.int64]:
         """Return the degree (F,) of each monomial."""
         return np.array(_core.monomial_degrees((1 + self.pulled) * channels, self.degree))
+
+
+SQUARES = Basis(2)
 
 
 @dataclass(frozen=True, eq=False)
