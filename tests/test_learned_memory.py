@@ -5,6 +5,7 @@ The truth is simulated apart from the effect library, or was recorded by others 
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,11 +13,12 @@ from logs import published
 
 from softmap_edge import Run, learn_model, load_bundle, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.rod import memory
 from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.learn import learn, learned_model
 from softmap_edge.rod.reference_run import observe
 from softmap_edge.rod.regression import Basis, Record
-from softmap_edge.rod.signals import families
+from softmap_edge.rod.signals import Family, families
 from softmap_edge.rod.static_map import StaticMap
 
 DEGREE_MM = np.pi * 100.0 / 180.0  # of the 100 mm circle of the ViO-Com files
@@ -307,3 +309,27 @@ def test_a_smooth_hysteresis_that_no_law_reaches_is_a_memory_of_unknown_law():
 def test_of_a_smooth_hysteresis_the_law_of_the_library_stays_open(gamma, delta):
     first = learn(driven(gamma, delta)).learned_in[0]
     assert (first.family, first.law) == ("memory", "open")
+
+
+def certain(labels, other_labels=(), more=False):
+    """How sure a law of one family is, also alongside another one that leaves a little less, but not in every fold."""
+
+    def fitted(names, loss):
+        names, losses = tuple(names), loss / 8 + np.tile([0.4, -0.4], 4)
+        law = SimpleNamespace(labels=names)
+        return SimpleNamespace(law=law, x=np.full(len(names), 0.5), losses=losses, bounded=np.zeros(len(names), bool))
+
+    family, first, second = Family("delay", ("latency", "lag")), fitted(labels, 50.0), fitted(other_labels, 49.0)
+    others = (memory._Candidate(family, "lag", second.losses[::-1], second),) if other_labels else ()
+    return memory._Found(family, ("latency",), first, np.full(8, 50.0), others, False, False, more).certainty
+
+
+def test_numbers_for_each_channel_count_as_one_when_laws_are_compared():
+    """Which channels share a number says nothing about the form of a law."""
+    assert certain(("latency.delay",)) == "identified"
+    assert certain(("latency.delay",), ("lag.tau[0]", "lag.tau[1]")) == "ambiguous"
+    assert certain(("latency.delay",), ("lag.tau", "lag.order")) == "identified"  # more numbers, not seen to leave less
+
+
+def test_a_law_is_open_if_its_family_explains_more_on_top_of_it():
+    assert certain(("backlash.gap",), more=True) == "open"

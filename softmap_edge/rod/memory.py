@@ -8,7 +8,8 @@ well as the best family, they join the map, and the families are compared with t
 
 Level 2. The members of the families that fall are fitted with the static map solved again (`law.py`), with one number
 for all channels and with a number per channel. A law *reaches* if it does as well as the best of all, representatives
-included. The law with the fewest numbers wins; the other laws that reach are its alternatives. A law that does not
+included. The law with the fewest numbers wins; the other laws that reach are its alternatives. Numbers for each channel
+count as one. A law is open if its family still explains a good part of what it leaves. A law that does not
 reach, or that is at a bound, is only reported if it is weak, if it explains only part of what its family does, or if a
 family without laws is near: it would only replace another cause. The law joins the chain, its effective commands
 replace the commands, and the families are tried again.
@@ -47,7 +48,9 @@ FALL = 0.01  # of its loss by which a fold falls
 VISIBLE = 1e-3  # of the robot's length, RMS: less is invisible to a camera (0.12 mm of a finger of 120)
 FORM = 0.025  # of the explained loss: laws closer than this differ by their form error only
 AGREE, FOLDS_THAT_AGREE = 0.85, 5  # share of at least so many folds that decides where the mean difference does not
-SURE = 0.2  # of the loss above the noise: what an identified law, or an unknown one, must explain
+SURE = (
+    0.2  # of the loss above the noise: what an identified or unknown law must explain, and its family not on top of it
+)
 PART = 0.6  # of what the best family explains: a law that does not reach must explain more, or it stands in for another
 PAIR = 0.8  # of a law's remainder above the noise: a second law of its family that explains less is form error
 EACH = 0.05  # of the loss that a number per channel must explain more than one for all
@@ -96,15 +99,16 @@ class _Candidate:
 
     @property
     def numbers(self) -> int:
-        """The number of its free numbers."""
-        return 0 if self.fitted is None else len(self.fitted.x)
+        """The number of its free numbers; those for each channel, which the evidence requires, count as one."""
+        return 0 if self.fitted is None else _numbers(self.fitted)
 
 
 @dataclass(frozen=True, eq=False)
 class _Found:
     """Effects that were accepted together, the loss before them, and the alternatives.
 
-    They are `short` if they do not reach the best of all, and `weak` if they explain a small part of the loss.
+    They are `short` if they do not reach the best of all, and `weak` if they explain a small part of the loss. Their
+    family explains `more` if its signals, on top of them, lower the remainder clearly.
     """
 
     family: Family
@@ -114,18 +118,19 @@ class _Found:
     alternatives: tuple[_Candidate, ...]
     short: bool
     weak: bool
+    more: bool = False
 
     @property
     def certainty(self) -> Certainty:
         """Whether the law is identified: strong, not at a bound, no alternative as good."""
-        if self.short or self.fitted.bounded.any():
+        if self.short or self.more or self.fitted.bounded.any():
             return "open"
         alike = any(self._is_as_good(other) for other in self.alternatives)
         return "ambiguous" if alike or self.weak else "identified"
 
     def _is_as_good(self, other: _Candidate) -> bool:
         """Whether an alternative is of another family, has as few numbers, or is seen to leave less."""
-        if other.family.name != self.family.name or other.numbers <= len(self.fitted.x):
+        if other.family.name != self.family.name or other.numbers <= _numbers(self.fitted):
             return True
         fall = self.fitted.losses - other.losses
         return float(fall.sum()) > standard_error(fall) and float((fall > 0).mean()) >= MOST_FOLDS
@@ -157,6 +162,7 @@ class _Search:
         acting = self.seen.drive.commanded
         while len(found) < MOST_LAWS:
             represented = self._represented(acting, found)
+            found = self._with_more(represented, acting, found)
             if self._static_suffices(represented, acting, found):
                 self.static = replace(self.static, splined=True)  # the next families are compared with this map
                 self.fit = LawFit(self.fit.drive, self.static, self.fit.seed, self.fit.unit)
@@ -190,6 +196,14 @@ class _Search:
         if not self._falls(now, best, LATER if found else FIRST):
             return False
         return any(one.family.static and self._near(one.losses, best, now) for one in represented)
+
+    def _with_more(self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]) -> list[_Found]:
+        """Return what was found, the last one marked if its family explains a good part of what it leaves."""
+        if not found:
+            return []
+        now, last = self.static.losses(acting), found[-1]
+        own = [one for one in represented if one.family.name == last.family.name]
+        return [*found[:-1], replace(last, more=any(self._falls(now, one.losses, SURE) for one in own))]
 
     def _step(self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]) -> _Found | None:
         """Return the law that is to join the chain, or None."""
@@ -228,7 +242,12 @@ class _Search:
             for fit in [self._law([*there, member], found)]
         ]
         alike.sort(key=lambda one: float(one.losses.sum()))
-        return [self._each(one) if i < EACH_TRIED else one for i, one in enumerate(alike)]
+        laws = [self._each(one) if i < EACH_TRIED else one for i, one in enumerate(alike)]
+        best = min(laws, key=lambda one: float(one.losses.sum()), default=None)
+        if best is None or not self._apart(best.law):
+            return laws
+        # A law with a number for each channel is compared with others that have them too.
+        return [self._each(one, asked=False) if one.family.name == best.family.name else one for one in laws]
 
     def _chosen(
         self, near: Sequence[_Represented], good: Sequence[_Candidate], now: Floats, represented: Floats
@@ -277,8 +296,11 @@ class _Search:
         """Return the effects that have a number per channel in a law."""
         return sorted({label.split(".")[0] for label in fitted.law.labels if "[" in label})
 
-    def _each(self, candidate: _Candidate) -> _Candidate:
-        """Return a law with a number per channel of its newest effect, if the evidence requires it."""
+    def _each(self, candidate: _Candidate, asked: bool = True) -> _Candidate:
+        """Return a law with a number per channel of its newest effect, if the evidence requires it.
+
+        Without `asked` it is enough that it leaves less.
+        """
         fitted, name = candidate.law, candidate.name
         other = law(fitted.law.names, self.seen.drive, [*self._apart(fitted), name])
         if len(other.labels) == len(fitted.law.labels):
@@ -290,9 +312,9 @@ class _Search:
                 starts.append(self.fit.scanned_along(other, starts[-1], i))
         better = self.fit.refined(other, np.stack([start, starts[-1]]))
         fall = fitted.losses - better.losses
-        asked = fall.sum() > max(standard_error(fall), EACH * float(fitted.losses.sum()))
-        most = (better.losses < fitted.losses).mean() >= MOST_FOLDS
-        return _Candidate(candidate.family, name, better.losses, better) if asked and most else candidate
+        enough = fall.sum() > (max(standard_error(fall), EACH * float(fitted.losses.sum())) if asked else 0.0)
+        most = not asked or (better.losses < fitted.losses).mean() >= MOST_FOLDS
+        return _Candidate(candidate.family, name, better.losses, better) if enough and most else candidate
 
     # --- evidence --------------------------------------------------------------------------------
 
@@ -372,6 +394,11 @@ class _Search:
                     LearnedIn(name, one.family.name, one.certainty, before, after, params, (*others, *twins))
                 )
         return Memory(last.law.names, last.params, (*records, *self.unknown), noise, tuple(self.notes))
+
+
+def _numbers(fitted: FittedLaw) -> int:
+    """Return how many numbers a law has; those for each channel count as one."""
+    return len({label.partition("[")[0] for label in fitted.law.labels})
 
 
 def _twins(name: str) -> list[str]:
