@@ -44,10 +44,20 @@ def words(file, bundle, *more):
     return ["servo", "pull", "--rig", str(file), "--bundle", str(bundle), "--hold", *more]
 
 
+def pulled(capsys, argv, before=lambda: None):
+    """Run the command to its end and return what it prints; again if a busy machine held the bus up."""
+    for _ in range(3):
+        before()
+        code, (out, err) = main(argv), capsys.readouterr()
+        if code == 0 or "did not answer in time" not in err:
+            break
+    assert code == 0, err
+    return out
+
+
 def test_the_current_at_the_stroke_becomes_the_ceiling(folder, capsys):
     _, file, bundle = folder
-    assert main(words(file, bundle, "--json")) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(pulled(capsys, words(file, bundle, "--json")))
     assert next(iter(told)) == "schema" and told["schema"] == "softmap.pull/1"
     rig = read_rig(file)
     for servo, one in zip(rig.servos, told["servos"], strict=True):
@@ -75,8 +85,7 @@ def test_one_servo_keeps_what_was_found_of_the_other(folder, brief, capsys, monk
     _, file, bundle = folder
     rig = read_rig(file)
     replace(rig, servos=(replace(rig.servos[0], current_mA=99.0), rig.servos[1])).write(file)
-    assert main(words(file, bundle, "--servo", "2")) == 0
-    assert "servo 2:" in capsys.readouterr().out
+    assert "servo 2:" in pulled(capsys, words(file, bundle, "--servo", "2"), before=shown.clear)
     assert shown == [("servo 2, low end", 0.0), ("servo 2, high end", 0.4), ("servo 2, home", 0.8)]
     rig = read_rig(file)
     assert (
