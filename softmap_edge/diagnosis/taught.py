@@ -103,7 +103,7 @@ def with_unknown(model: Model, values: Mapping[str, Any], teacher: Taught) -> di
     """Return the changes to a diagnosis that named nothing, if `learn` detected a memory without a law.
 
     The error of a learned model is part of its noise, and such a memory is part of this error. In the runs that taught
-    the model a family that was found beside the fixed map does not count: `learn` solved the map with each of them.
+    the model a family that was found with a fixed map does not count: `learn` solved the map again with each of them.
     """
     unknown = next((one for one in getattr(model, "learned_in", ()) if not one.name), None)
     silent = values["verdict"] in ("nothing", "cannot_tell")
