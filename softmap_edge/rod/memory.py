@@ -9,10 +9,11 @@ well as the best family, they join the map, and the families are compared with t
 Level 2. The members of the families that fall are fitted with the static map solved again (`law.py`), with one number
 for all channels and with a number per channel. A law *reaches* if it does as well as the best of all, representatives
 included. The law with the fewest numbers wins; the other laws that reach are its alternatives. Numbers for each channel
-count as one. A law is open if its family still explains a good part of what it leaves. A law that does not
-reach, or that is at a bound, is only reported if it is weak, if it explains only part of what its family does, or if a
-family without laws is near: it would only replace another cause. The law joins the chain, its effective commands
-replace the commands, and the families are tried again.
+count as one. A law is open if its family still explains a good part of what it leaves, or if all laws leave a good part
+of the first loss: a map that fits badly and a wrong law look alike. A law that does not reach, or that is at a bound,
+is only reported if it is weak, if it explains only part of what its family does, or if a family without laws is near:
+it would only replace another cause. The law joins the chain, its effective commands replace the commands, and the
+families are tried again.
 
 Several runs: each run whose commands the others cover is also held out as a block. This separates families that draw
 the same loop at one amplitude and speed.
@@ -48,9 +49,9 @@ FALL = 0.01  # of its loss by which a fold falls
 VISIBLE = 1e-3  # of the robot's length, RMS: less is invisible to a camera (0.12 mm of a finger of 120)
 FORM = 0.025  # of the explained loss: laws closer than this differ by their form error only
 AGREE, FOLDS_THAT_AGREE = 0.85, 5  # share of at least so many folds that decides where the mean difference does not
-SURE = (
-    0.2  # of the loss above the noise: what an identified or unknown law must explain, and its family not on top of it
-)
+# Of the loss above the noise: what an identified or unknown law must explain, and what it may leave in all, or to its
+# family.
+SURE = 0.2
 PART = 0.6  # of what the best family explains: a law that does not reach must explain more, or it stands in for another
 PAIR = 0.8  # of a law's remainder above the noise: a second law of its family that explains less is form error
 EACH = 0.05  # of the loss that a number per channel must explain more than one for all
@@ -108,7 +109,8 @@ class _Found:
     """Effects that were accepted together, the loss before them, and the alternatives.
 
     They are `short` if they do not reach the best of all, and `weak` if they explain a small part of the loss. Their
-    family explains `more` if its signals, on top of them, lower the remainder clearly.
+    family explains `more` if its signals, on top of them, lower the remainder clearly. They leave a `rest` if a good
+    part of the first loss is unexplained in the end.
     """
 
     family: Family
@@ -119,11 +121,12 @@ class _Found:
     short: bool
     weak: bool
     more: bool = False
+    rest: bool = False
 
     @property
     def certainty(self) -> Certainty:
-        """Whether the law is identified: strong, not at a bound, no alternative as good."""
-        if self.short or self.more or self.fitted.bounded.any():
+        """Whether the law is identified: strong, not at a bound, no alternative as good, little left unexplained."""
+        if self.short or self.more or self.rest or self.fitted.bounded.any():
             return "open"
         alike = any(self._is_as_good(other) for other in self.alternatives)
         return "ambiguous" if alike or self.weak else "identified"
@@ -383,8 +386,11 @@ class _Search:
     def _memory(self, found: Sequence[_Found], noise: float) -> Memory:
         last = found[-1].fitted
         numbers = self.fit.told(last)
+        unexplained, above = (
+            float(losses.sum()) - self.frames * self.floor for losses in (last.losses, found[0].before)
+        )
         records = []
-        for one in found:
+        for one in (replace(one, rest=unexplained > SURE * above) for one in found):
             others = tuple(Alternative(o.name, o.family.name, self._rms(o.losses)) for o in one.alternatives)
             before, after = self._rms(one.before), self._rms(one.fitted.losses)
             for name in one.names:
