@@ -118,8 +118,9 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
     shifts = crossed + [own.shift(np.asarray(level.theta([n], [RIDGES[0]])[0])) for n, own in singles.items()]
     pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
     left = min((left for left, moved in pairs if moved >= rule.DOMINATES * left), default=total)
-    motion = motion_mm(record)
-    level_mm = min(left, rule.ORDINARY * motion)
+    most = rule.ORDINARY * motion_mm(record)
+    least = most / rule.DOMINATES if body.free_map else 0.0  # one imperfection of such a map looks like an effect
+    level_mm = min(max(left, least), most)
     return float(max(level_mm, record.frame_mm))  # a frame is as ordinary as its alignment says
 
 

@@ -217,7 +217,8 @@ def _in_place(model: Model, rest: Floats, seen: Floats, visible: Mask, predicted
     pose = kabsch(flat[1], flat[0], np.ones(len(flat[0])))
     before, after = (float(np.sqrt(np.mean(np.sum((q - flat[0]) ** 2, axis=1)))) for q in (flat[1], pose(flat[1])))
     angle, shift = np.degrees(np.linalg.norm(rotation_vector(pose.rotation))), float(np.linalg.norm(pose.shift))
-    if after < BETTER * before and (angle > TURNED or shift > SHIFTED * np.ptp(rest, axis=0).max()):
+    length = float(np.linalg.norm(model.rest, axis=1).max())  # points may all be at the tip
+    if after < BETTER * before and (angle > TURNED or shift > SHIFTED * length):
         raise RunError(
             f"the points are turned by {angle:.3g}° and shifted by {shift:.4g} mm against the base of '{model.robot}', "
             f"which takes their distance from {before:.3g} to {after:.3g} mm RMS; bring them to the base with "

@@ -90,7 +90,7 @@ def _one_by_one(outcome: Outcome, most: int, tell: Callable[[str], None], visibl
         before, taken = outcome.state, [step.family for step in outcome.steps]
         state = before.without_background()
         ranking = ranked(state, every, taken)
-        if body.record.model.kind != "rod":  # a rod's own error is its noise
+        if body.free_map or body.record.model.kind != "rod":  # another rod's own error is its noise
             body.ordinary_mm = ordinary(state, ranking, every)
         if is_ordinary(ranking, state) or (state is not before and not beyond_ordinary(ranking, state)):
             state = State(body, state.fit, state.beside, [f for f in every if f.name in BACKGROUND])
