@@ -81,12 +81,22 @@ def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
 def is_ordinary(ranking: Ranking, state: State) -> bool:
     """Whether the best family is static, and all static misfit no more than ordinary imperfections may be."""
     best = ranking.rows[0].family.kind if ranking.rows else ""
-    return best == "static" and state.body.ordinary_mm > 0.0 and not beyond_ordinary(ranking, state)
+    return best == "static" and ordinary_level(state.body) > 0.0 and not beyond_ordinary(ranking, state)
 
 
 def beyond_ordinary(ranking: Ranking, state: State) -> bool:
     """Whether the static misfit is more than ordinary imperfections of the robot."""
-    return _static_mm(ranking, state) >= rule.DOMINATES * state.body.ordinary_mm
+    return _static_mm(ranking, state) >= rule.DOMINATES * ordinary_level(state.body)
+
+
+def ordinary_level(body: Body) -> float:
+    """Return the size up to which a static effect is no discovery, mm RMS.
+
+    A map that was learned from the robot itself has no imperfections of its own. So a single small change since then,
+    as of a servo that was fitted again, stands out like an effect: there the level is a share of the motion at least.
+    """
+    least = rule.ORDINARY / rule.DOMINATES * motion_mm(body.record) if body.free_map else 0.0
+    return max(body.ordinary_mm, least)
 
 
 def _static_mm(ranking: Ranking, state: State) -> float:
@@ -118,9 +128,7 @@ def ordinary(state: State, ranking: Ranking, every: Sequence[Family]) -> float:
     shifts = crossed + [own.shift(np.asarray(level.theta([n], [RIDGES[0]])[0])) for n, own in singles.items()]
     pairs = [(size(ranking.static - shift), size(shift)) for shift in shifts]
     left = min((left for left, moved in pairs if moved >= rule.DOMINATES * left), default=total)
-    most = rule.ORDINARY * motion_mm(record)
-    least = most / rule.DOMINATES if body.free_map else 0.0  # one imperfection of such a map looks like an effect
-    level_mm = min(max(left, least), most)
+    level_mm = min(left, rule.ORDINARY * motion_mm(record))
     return float(max(level_mm, record.frame_mm))  # a frame is as ordinary as its alignment says
 
 

@@ -28,6 +28,7 @@ Floats = NDArray[np.float64]
 
 DETECTABLE = 5.0  # whitened size (standard deviations) below which a signature counts as not shown
 RIDGE = 3.0  # ridge on standardised columns
+IDLE = 0.05  # of what an effect moves: less than that is nothing
 SEEN_R2 = 0.02  # from which a condition is named as a predictor of the unexplained error
 STATIC_RIDGE = 0.03  # of a static residual, for each frame that trains it
 Errors = tuple[float, float, tuple[Rung, ...], float, tuple[float, ...]]
@@ -119,8 +120,8 @@ def leftover(problem: Problem, residual: Floats, numbers: int) -> Unexplained:
 def at_bound(fit: Fit) -> NDArray[np.bool_]:
     """Return which free parameters (P,) are at a bound.
 
-    Not counted are a bound at which the effect is absent (no payload, one creep time), the largest of whole numbers,
-    and a natural limit: nothing or all of a share, half a turn, the shortest instant.
+    Not counted are a bound at which the effect is absent (no payload, one creep time, a channel without play), the
+    largest of whole numbers, and a natural limit: nothing or all of a share, half a turn, the shortest instant.
     """
     space = fit.space
     null, found = space.scaled(space.null), np.zeros(len(fit.x), bool)
@@ -131,7 +132,21 @@ def at_bound(fit: Fit) -> NDArray[np.bool_]:
         nature = (units == "1") & ((value == 0.0) | (value == 1.0)) & ~lasting
         nature |= (units == "deg") & (np.abs(value) == 180.0)
         found |= (np.abs(fit.x - x) <= 1e-6) & (np.abs(x - null) > 1e-6) & ~nature
-    return np.asarray(~space.integer & found)
+    found &= ~space.integer
+    for i in np.flatnonzero(found):
+        found[i] = not _idle(fit, space.free_labels[i])
+    return np.asarray(found)
+
+
+def _idle(fit: Fit, label: str) -> bool:
+    """Whether one of the numbers of an effect does nothing, relative to all of them: it may be anything to its null."""
+    space, record = fit.space, fit.problem.record
+    null = dict(zip(space.free_labels, space.null))
+    own = [other for other in null if other.split(".")[0] == label.split(".")[0]]
+    params = [{**fit.params, **{name: null[name] for name in names}} for names in ([label], own)]
+    rows = np.array([[row[name] for name in space.labels] for row in params])
+    one, every = (record.rms_mm(fit.predicted - p) for p in record.predict(space.names, space.full(rows)))
+    return one <= IDLE * every
 
 
 def condition_columns(record: Record) -> dict[str, Floats]:

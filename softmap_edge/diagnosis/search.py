@@ -137,6 +137,8 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
     if not single:  # a law may do far more than its family
         answers = [a for a in answers if near(a.least, best_loss, ranking.found)]
     answers = [a for a in answers if not _excluded(a, answers, ranking, state)]
+    static = [a for a in answers if a.family.kind == "static"]
+    answers = [a for a in answers if a in static or not any(does_the_same(a, s, ranking, state) for s in static)]
     first, *rest = sorted(answers, key=lambda a: (
         not a.resolved, _beaten(a, answers), order_of(a.family), a.numbers, float(a.loss.sum())
     ))  # fmt: skip

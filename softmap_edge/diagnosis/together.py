@@ -22,6 +22,7 @@ from softmap_edge.diagnosis.acceptance import (
     falls_on,
     indistinct,
     one_pose,
+    ordinary_level,
 )
 from softmap_edge.diagnosis.decision import near
 from softmap_edge.diagnosis.families import Body, Family, Ranking, Representative, State, families, ranked
@@ -189,7 +190,7 @@ def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Ou
             return None
         moved = body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0]))
         lasting = answer.family.kind in ("static", "time")  # as ordinary imperfections do, or from some instant on
-        if moved < max(visible, body.ordinary_mm * lasting) or not falls_on(answer.before, answer.law.loss, body):
+        if moved < max(visible, ordinary_level(body) * lasting) or not falls_on(answer.before, answer.law.loss, body):
             return None
         if not exceeds_model_error(answer.family, moved, _without_map(body, plain, names)):
             return None

@@ -37,6 +37,7 @@ REFINED = 2  # of the scanned sets
 MOST_STEPS, ENOUGH = 15, 1e-4  # of a descent: play is not smooth, and the folds differ by more
 STEP = 1e-3  # of the range, for slopes: wider than the kinks of a play that is sampled
 BOUND = 1e-3  # of the range, from where a number counts as at its bound
+IDLE = 0.02  # of half the range: a number that changes the commands by less does nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,12 +105,16 @@ def _range(effect: str, unit: str, low: float, high: float, half: float) -> tupl
 
 @dataclass(frozen=True, eq=False)
 class FittedLaw:
-    """A law with its free numbers x (D,) in 0 … 1, effective commands (n, C), and its held-out loss (folds,) mm²."""
+    """A law with its free numbers x (D,) in 0 … 1, effective commands (n, C), and its held-out loss (folds,) mm².
+
+    Numbers at a bound that do nothing there are `idle` (D,): a channel may have no play.
+    """
 
     law: Law
     x: Floats
     acting: Floats
     losses: Floats
+    idle: NDArray[np.bool_]
 
     @property
     def params(self) -> dict[str, float]:
@@ -123,8 +128,12 @@ class FittedLaw:
 
     @property
     def bounded(self) -> NDArray[np.bool_]:
-        """Which free numbers (D,) stand at a bound of their range."""
-        return (self.x < BOUND) | (self.x > 1.0 - BOUND)
+        """Which free numbers (D,) stand at a bound of their range and matter there."""
+        return _at_bound(self.x) & ~self.idle
+
+
+def _at_bound(x: Floats) -> NDArray[np.bool_]:
+    return np.asarray((x < BOUND) | (x > 1.0 - BOUND))
 
 
 class LawFit:
@@ -163,7 +172,16 @@ class LawFit:
         ends = [descend(self._term(law, None), start, zero, one, MOST_STEPS, ENOUGH) for start in starts]
         x = min(ends, key=lambda end: end[1])[0]
         acting = self.drive.rolled(law.chain, law.params(x)[None])[0]
-        return FittedLaw(law, x, acting, self.static.losses(acting))
+        return FittedLaw(law, x, acting, self.static.losses(acting), self._idle(law, x, acting))
+
+    def _idle(self, law: Law, x: Floats, acting: Floats) -> NDArray[np.bool_]:
+        """Return which numbers at a bound do no more to the commands (n, C) than at their null."""
+        idle = _at_bound(x)
+        for i in np.flatnonzero(idle):
+            without = np.where(law.of == i, law.chain.null, law.params(x))
+            change = np.abs(self.drive.rolled(law.chain, without[None])[0] - acting)
+            idle[i] = np.all(change.max(axis=0) <= IDLE * self.drive.half)
+        return idle
 
     def told(self, fitted: FittedLaw) -> dict[str, LearnedNumber]:
         """Return the free numbers with their uncertainty, by label."""
@@ -182,6 +200,7 @@ class LawFit:
             law.log, law.values(x) * np.log(law.high / np.where(law.log, law.low, 1.0)), law.high - law.low
         )
         sigma = np.maximum(linear, jackknife) * scale
+        sigma = np.where(fitted.idle, np.maximum(sigma, law.values(x)), sigma)  # anything down to nothing
         units = {
             label.partition("[")[0]: self.unit + unit.removeprefix("mm") if unit.startswith("mm") else unit
             for label, unit in zip(law.chain.labels, law.chain.units)
